@@ -1,0 +1,58 @@
+"""Coarse-to-fine diffusion (Eq. 4)."""
+
+import jax
+from jaxtyping import Array, Float
+
+from hyjax.diffusion import diffuse, edge_stopping, guide_distance
+from hyjax.errors import InputError
+from hyjax.pyramid import downsample, level_shape, max_pool, upsample
+from hyjax.schedule import Schedule
+from hyjax.stencil import Edges
+
+
+def cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w c"]:
+    """Diffuse coarse to fine under a guide (Eq. 4).
+
+    The picture enters at the coarsest level as cell means and leaves the finest level by bilinear interpolation;
+    each level adds its steps of diffusion with its own pooled conductances.
+
+    Args:
+        y: the filter to repair, any number of channels.
+        guide: features of the frame, same height and width.
+        schedule: levels with their steps, λ and κ.
+
+    Returns:
+        The repaired filter, full size (S of Eq. 4).
+
+    Raises:
+        InputError: sizes of `y` and `guide` differ, or the schedule cannot be run (see `Schedule.check`).
+    """
+    schedule.check()
+    if y.ndim != 3 or guide.ndim != 3 or y.shape[:2] != guide.shape[:2]:
+        raise InputError(
+            f"cascade: filter {y.shape} and guide {guide.shape} must both be H x W x channels, same H x W"
+        )
+    return _cascade(y, guide, schedule)
+
+
+@jax.jit
+def _cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w c"]:
+    full = y.shape[0], y.shape[1]
+    coarser = schedule.levels[0].factor
+    state = downsample(y, coarser)
+    for level, edges in zip(schedule.levels, level_edges(guide, schedule), strict=True):
+        state = upsample(state, coarser // level.factor, level_shape(full, level.factor))
+        state = diffuse(state, edges, level.step_sizes)
+        coarser = level.factor
+    return upsample(state, coarser, full)
+
+
+def level_edges(guide: Float[Array, "h w f"], schedule: Schedule) -> list[Edges]:
+    """The conductances C^(l) of every level of a schedule, coarse to fine (Eq. 4)."""
+    if schedule.pooling == "guide":
+        guides = [downsample(guide, level.factor) for level in schedule.levels]
+        distances = [guide_distance(g, norm=schedule.norm) for g in guides]
+    else:
+        fine = guide_distance(guide, norm=schedule.norm)
+        distances = [max_pool(fine, level.factor) for level in schedule.levels]
+    return [edge_stopping(d, level.kappa) for d, level in zip(distances, schedule.levels, strict=True)]

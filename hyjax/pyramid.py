@@ -1,0 +1,159 @@
+"""Between resolutions: cell means of pictures, cell minima of conductances, bilinear back up.
+
+A level of factor f cuts the image into cells of f×f pixels, starting at the top left corner; where f does not
+divide the image the last cells are cut off at the border, so a level has ⌈H/f⌉ × ⌈W/f⌉ cells and frames of any
+size work. Cell centres stay where they are on the image plane at every level (no half-pixel drift).
+"""
+
+import functools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hyjax.errors import InputError
+from hyjax.stencil import Edges
+
+
+def level_shape(shape: tuple[int, int], factor: int) -> tuple[int, int]:
+    """Rows and columns of cells that a picture of `shape` has at `factor`."""
+    return -(-shape[0] // factor), -(-shape[1] // factor)
+
+
+@functools.partial(jax.jit, static_argnames="factor")
+def downsample(y: Float[Array, "h w c"], factor: int) -> Float[Array, "h/f w/f c"]:
+    """Mean over each cell (the ↓ of Eq. 4). Cells cut off by the border average the pixels they have."""
+    _check_factor(factor)
+    if factor == 1:
+        return y
+    h, w, _ = y.shape
+    rows, columns = level_shape((h, w), factor)
+    total = y
+    for axis, cells in ((0, rows), (1, columns)):
+        total = _reduce_cells(total, factor, cells, axis, jnp.add, 0.0)
+    count_rows = np.minimum(factor, h - factor * np.arange(rows))
+    count_columns = np.minimum(factor, w - factor * np.arange(columns))
+    pixels = np.outer(count_rows, count_columns)[..., None]
+    return total * jnp.asarray(1.0 / pixels, y.dtype)
+
+
+@functools.partial(jax.jit, static_argnames=("factor", "shape"))
+def upsample(y: Float[Array, "ch cw c"], factor: int, shape: tuple[int, int]) -> Float[Array, "h w c"]:
+    """Bilinear interpolation between cell centres (the ↑ of Eq. 4), constant beyond the outermost centres.
+
+    Args:
+        y: cells of a level.
+        factor: how many times finer the result is.
+        shape: rows and columns of the result; `y` must be the level of `factor` of a picture of this shape.
+
+    Raises:
+        InputError: factor below 1, or a `shape` that does not have `y`'s number of cells.
+    """
+    _check_factor(factor)
+    if level_shape(shape, factor) != y.shape[:2]:
+        raise InputError(
+            f"upsample: {y.shape[0]}x{y.shape[1]} cells times {factor} make no picture of {shape[0]}x{shape[1]}"
+        )
+    if factor == 1:
+        return y
+    for axis in (0, 1):
+        y = jax.lax.slice_in_dim(_lerp_axis(y, factor, axis), 0, shape[axis], axis=axis)
+    return y
+
+
+def _lerp_axis(y: Array, factor: int, axis: int) -> Array:
+    """Every output pixel at the same place in its cell has the same two weights: one fused slice-add for each."""
+    cells = y.shape[axis]
+    padded = jnp.pad(y, [(1, 1) if a == axis else (0, 0) for a in range(y.ndim)], mode="edge")
+    shifted = [jax.lax.slice_in_dim(padded, k, k + cells, axis=axis) for k in range(3)]
+    phases = []
+    for phase in range(factor):
+        position = (phase + 0.5) / factor - 0.5  # of the output pixel, in cells from its own cell's centre
+        near, weight = (0, position + 1.0) if position < 0 else (1, position)
+        phases.append(shifted[near] + weight * (shifted[near + 1] - shifted[near]))
+    shape = (*y.shape[:axis], cells * factor, *y.shape[axis + 1 :])
+    return jnp.stack(phases, axis=axis + 1).reshape(shape)
+
+
+def min_pool(edges: Edges, factor: int) -> Edges:
+    """Conductances between the cells of a level: the smallest that lies between two cell centres (Eq. 4).
+
+    "Any edge pixel makes the whole cell an edge": the edge between two neighbouring cells takes the minimum over
+    all fine edges of its direction that lie between the two cell centres, over the cells' whole width. Where a
+    line of zero conductance separates two regions of pixels, it therefore separates them at every level; a test
+    holds us to it. The interval is closed: an edge that lies exactly on a cell's centre line (even factors) counts
+    for both sides, which keeps the pooling symmetric under flips.
+
+    Args:
+        edges: (vertical, horizontal) of the full picture, shapes (H−1, W) and (H, W−1).
+        factor: pixels a cell is wide.
+
+    Returns:
+        (vertical, horizontal) of the level, shapes (⌈H/f⌉−1, ⌈W/f⌉) and (⌈H/f⌉, ⌈W/f⌉−1).
+
+    Raises:
+        InputError: factor below 1.
+    """
+    return _pool(edges, factor, jnp.minimum, np.inf)
+
+
+def max_pool(edges: Edges, factor: int) -> Edges:
+    """As `min_pool`, with the largest value.
+
+    c(d²) falls with d², so pooling squared guide distances with this and taking Eq. 3 of the result *is*
+    min-pooling the conductances, at a fraction of the cost and with one pooling for all values of κ.
+    """
+    return _pool(edges, factor, jnp.maximum, -np.inf)
+
+
+@functools.partial(jax.jit, static_argnames=("factor", "reduce", "fill"))
+def _pool(edges: Edges, factor: int, reduce: Callable[[Array, Array], Array], fill: float) -> Edges:
+    _check_factor(factor)
+    vertical, horizontal = edges
+    if factor == 1:
+        return edges
+    return (
+        _pool_vertical(vertical, factor, reduce, fill),
+        _pool_vertical(horizontal.T, factor, reduce, fill).T,
+    )
+
+
+def _pool_vertical(
+    edges: Float[Array, "h-1 w"], factor: int, reduce: Callable[[Array, Array], Array], fill: float
+) -> Float[Array, "h/f-1 w/f"]:
+    h, w = edges.shape[0] + 1, edges.shape[1]
+    rows, columns = level_shape((h, w), factor)
+    edges = _reduce_cells(edges, factor, columns, 1, reduce, fill)
+    # Edge e lies between pixels e and e+1. Cell centres are at pixel f·I + (f−1)/2, hence the first edge:
+    first = (factor - 1) // 2
+    pooled = _reduce_cells(edges[first:], factor, rows - 1, 0, reduce, fill)
+    if factor % 2 == 0:  # the edge on the next cell's centre line belongs to both
+        last = _fit(edges[first + factor :], factor * (rows - 1), 0, fill)[::factor]
+        pooled = reduce(pooled, last)
+    return pooled
+
+
+def _reduce_cells(
+    x: Array, factor: int, cells: int, axis: int, reduce: Callable[[Array, Array], Array], fill: float
+) -> Array:
+    """Reduce runs of `factor` along `axis`. Strided slices fuse into one pass; XLA's CPU reductions do not."""
+    x = _fit(x, factor * cells, axis, fill)
+    end = factor * cells
+    slices = [jax.lax.slice_in_dim(x, min(k, end), end, factor, axis) for k in range(factor)]
+    return functools.reduce(reduce, slices)
+
+
+def _fit(x: Array, length: int, axis: int, fill: float) -> Array:
+    """Cut or pad `x` with `fill` at the end of `axis` to `length`."""
+    x = jax.lax.slice_in_dim(x, 0, min(length, x.shape[axis]), axis=axis)
+    missing = length - x.shape[axis]
+    if missing == 0:
+        return x
+    return jnp.pad(x, [(0, missing) if a == axis else (0, 0) for a in range(x.ndim)], constant_values=fill)
+
+
+def _check_factor(factor: int) -> None:
+    if factor < 1:
+        raise InputError(f"factor: a downsampling factor is a whole number >= 1, got {factor}")

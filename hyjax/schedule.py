@@ -1,0 +1,232 @@
+"""The schedule of a cascade: which resolutions, how many steps of what size, how sensitive to edges."""
+
+import dataclasses
+import functools
+import itertools
+import json
+from collections.abc import Iterable
+from typing import Any, Literal, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike, Float
+
+from hyjax.diffusion import Norm, check_kappa, check_step_sizes
+from hyjax.errors import InputError
+from hyjax.values import concrete
+
+Pooling = Literal["edges", "guide"]
+
+# Metzger's step size. The paper names neither λ nor κ; κ is ours, for display-encoded RGB guides in [0, 1].
+DEFAULT_LAM = 0.24
+DEFAULT_KAPPA = 0.05
+
+# Steps at each downsampling factor of the full frame; the paper writes 512/factor instead.
+PRESETS: dict[str, tuple[tuple[int, int], ...]] = {
+    "paper-50": ((16, 5), (8, 10), (4, 15), (2, 20)),
+    "paper-80": ((16, 10), (8, 15), (4, 25), (2, 30)),
+    "naive-50": ((2, 50),),
+    "naive-1000": ((2, 1000),),
+}
+
+
+@functools.partial(jax.tree_util.register_dataclass, data_fields=["step_sizes", "kappa"], meta_fields=["factor"])
+@dataclasses.dataclass(frozen=True)
+class Level:
+    """Diffusion at one resolution.
+
+    Attributes:
+        factor: downsampling factor of the full frame, ≥ 1 (static).
+        step_sizes: λ of each step, in (0, 1/4); as many steps as entries, possibly none.
+        kappa: edge sensitivity κ > 0 at this level, in the guide's units.
+    """
+
+    factor: int
+    step_sizes: Float[ArrayLike, "n"]
+    kappa: Float[ArrayLike, ""]
+
+    @property
+    def steps(self) -> int:
+        return jnp.shape(self.step_sizes)[0]
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass, data_fields=["levels"], meta_fields=["pooling", "norm", "name"]
+)
+@dataclasses.dataclass(frozen=True)
+class Schedule:
+    """Levels from coarse to fine. Step sizes and κ are leaves of a pytree; the rest is static.
+
+    Attributes:
+        levels: factors fall strictly, each a multiple of the next.
+        pooling: `"edges"` takes the minimum of the fine conductances (the paper's text), `"guide"` computes
+            conductances anew from the downsampled guide (the paper's equation).
+        norm: norm of guide differences, see `guide_distance`.
+        name: what tables call it.
+    """
+
+    levels: tuple[Level, ...]
+    pooling: Pooling = "edges"
+    norm: Norm = "l2"
+    name: str = "custom"
+
+    @classmethod
+    def uniform(
+        cls,
+        steps: Iterable[tuple[int, int]],
+        *,
+        kappa: float = DEFAULT_KAPPA,
+        lam: float = DEFAULT_LAM,
+        pooling: Pooling = "edges",
+        norm: Norm = "l2",
+        name: str = "custom",
+    ) -> "Schedule":
+        """A schedule from (factor, number of steps) pairs, with one λ and one κ for all.
+
+        Example:
+            >>> print(Schedule.uniform([(4, 15), (2, 20)], kappa=0.1))
+            custom: 35 steps, pooling edges, norm l2
+              factor  steps   kappa     lam
+                   4     15     0.1    0.24
+                   2     20     0.1    0.24
+
+        Raises:
+            InputError: anything `check` refuses.
+        """
+        levels = []
+        for factor, count in steps:
+            if count < 0:
+                raise InputError(f"schedule {name}: number of steps must be >= 0, got {count} at factor {factor}")
+            levels.append(Level(factor, np.full(count, lam, np.float32), np.float32(kappa)))
+        return cls(tuple(levels), pooling, norm, name).check()
+
+    @classmethod
+    def preset(cls, name: str, *, kappa: float = DEFAULT_KAPPA, lam: float = DEFAULT_LAM) -> "Schedule":
+        """One of the paper's schedules and baselines: paper-50, paper-80, naive-50, naive-1000.
+
+        Raises:
+            InputError: unknown name.
+        """
+        if name not in PRESETS:
+            raise InputError(f"schedule: no preset {name!r}; there are {', '.join(PRESETS)}")
+        return cls.uniform(PRESETS[name], kappa=kappa, lam=lam, name=name)
+
+    def check(self) -> "Schedule":
+        """Return self if it can be run. Values known only while tracing are let through.
+
+        Raises:
+            InputError: no level, factor < 1, factors not falling or not multiples, κ ≤ 0, λ outside (0, 1/4),
+                unknown pooling or norm.
+        """
+        where = f"schedule {self.name}"
+        if not self.levels:
+            raise InputError(f"{where}: needs at least one level")
+        for value, known in ((self.pooling, get_args(Pooling)), (self.norm, get_args(Norm))):
+            if value not in known:
+                raise InputError(f"{where}: {value!r} is unknown; use one of {', '.join(known)}")
+        factors = [level.factor for level in self.levels]
+        for factor in factors:
+            if not isinstance(factor, int) or factor < 1:
+                raise InputError(f"{where}: a factor is a whole number >= 1, got {factor!r}")
+        for coarse, fine in itertools.pairwise(factors):
+            if fine >= coarse:
+                raise InputError(f"{where}: levels must go from coarse to fine, got factor {fine} after {coarse}")
+            if coarse % fine:
+                raise InputError(f"{where}: factor {coarse} is no multiple of the next finer factor {fine}")
+        for level in self.levels:
+            at = f"{where}, factor {level.factor}"
+            check_kappa(level.kappa, f"{at}, kappa")
+            check_step_sizes(level.step_sizes, f"{at}, lam")
+        return self
+
+    def to_json(self) -> str:
+        """The schedule as JSON text; `from_json` gives the same schedule back, to the last bit of float32."""
+        levels = [
+            {
+                "factor": level.factor,
+                "steps": level.steps,
+                "lam": _pack(level.step_sizes),
+                "kappa": _float(level.kappa),
+            }
+            for level in self.levels
+        ]
+        content = {"name": self.name, "pooling": self.pooling, "norm": self.norm, "levels": levels}
+        return json.dumps(content, indent=2)
+
+    @classmethod
+    def from_json(cls, text: str) -> "Schedule":
+        """Read what `to_json` wrote. `lam` is one number for all steps of a level or a list with one for each.
+
+        Raises:
+            InputError: not JSON, a key missing or unknown, or anything `check` refuses.
+        """
+        try:
+            content = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise InputError(f"schedule: not JSON (line {error.lineno}: {error.msg})") from None
+        content = _keys("schedule", content, {"levels"}, {"name", "pooling", "norm"})
+        if not isinstance(content["levels"], list):
+            raise InputError("schedule: 'levels' must be a list of levels, coarse to fine")
+        levels = tuple(_read_level(index, level) for index, level in enumerate(content["levels"]))
+        rest = {key: content[key] for key in ("name", "pooling", "norm") if key in content}
+        return cls(levels, **rest).check()
+
+    def __str__(self) -> str:
+        total = sum(level.steps for level in self.levels)
+        lines = [f"{self.name}: {total} steps, pooling {self.pooling}, norm {self.norm}"]
+        lines.append(f"{'factor':>8}{'steps':>7}{'kappa':>8}{'lam':>8}")
+        for level in self.levels:
+            lam = concrete(level.step_sizes)
+            kappa = concrete(level.kappa)
+            lam_text = "traced" if lam is None else _span(lam)
+            kappa_text = "traced" if kappa is None else f"{float(kappa):.4g}"
+            lines.append(f"{level.factor:>8}{level.steps:>7}{kappa_text:>8}{lam_text:>8}")
+        return "\n".join(lines)
+
+
+def _float(value: ArrayLike) -> float:
+    # The shortest decimal that reads back as this float32, rather than the 17 digits of its float64 neighbour.
+    return float(np.format_float_positional(np.float32(np.asarray(value)), unique=True))
+
+
+def _pack(step_sizes: ArrayLike) -> float | list[float] | None:
+    values = [_float(value) for value in np.asarray(step_sizes)]
+    if not values:
+        return None
+    return values[0] if len(set(values)) == 1 else values
+
+
+def _span(values: np.ndarray) -> str:
+    if values.size == 0:
+        return "-"
+    low, high = float(values.min()), float(values.max())
+    return f"{low:.3g}" if low == high else f"{low:.2g}..{high:.2g}"
+
+
+def _keys(where: str, content: Any, needed: set[str], optional: set[str]) -> dict[str, Any]:
+    if not isinstance(content, dict):
+        raise InputError(f"{where}: must be a JSON object, got {type(content).__name__}")
+    for key in needed - content.keys():
+        raise InputError(f"{where}: key {key!r} is missing")
+    for key in content.keys() - needed - optional:
+        raise InputError(f"{where}: unknown key {key!r}; there are {', '.join(sorted(needed | optional))}")
+    return content
+
+
+def _read_level(index: int, content: Any) -> Level:
+    where = f"schedule, level {index}"
+    content = _keys(where, content, {"factor", "steps", "kappa"}, {"lam"})
+    factor, steps, lam = content["factor"], content["steps"], content.get("lam", DEFAULT_LAM)
+    if not isinstance(steps, int) or isinstance(steps, bool) or steps < 0:
+        raise InputError(f"{where}: 'steps' must be a whole number >= 0, got {steps!r}")
+    try:
+        kappa = np.float32(content["kappa"])
+        step_sizes = np.zeros(0, np.float32) if steps == 0 else np.asarray(lam, np.float32)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: 'kappa' and 'lam' must be numbers") from None
+    if step_sizes.ndim == 0:
+        step_sizes = np.full(steps, step_sizes)
+    if step_sizes.shape != (steps,):
+        raise InputError(f"{where}: 'lam' has {step_sizes.size} entries for {steps} steps")
+    return Level(factor, step_sizes, kappa)
