@@ -1,0 +1,225 @@
+"""Baking diffuse light: sky through the window, then bounces between texels.
+
+Every texel casts its rays once. Where they end is remembered, so that a further bounce is a table lookup and five
+bounces cost hardly more than one. Neighbouring texels take different, interleaved rays; a small filter then merges
+them, which gives each texel the smoothness of sixteen times its own rays.
+"""
+
+import dataclasses
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import correlate1d
+
+from hyjax.scene.raycast import RayCaster
+from hyjax.scene.room.daylight import sky_radiance
+from hyjax.scene.room.lightmap import Texels, at_hits
+from hyjax.scene.room.shell import THICK, WINDOW
+from hyjax.scene.room.surface import Surface
+
+BOUNCES = 6
+CHUNK = 1 << 19
+"""Rays in flight a thread."""
+OFFSET = 2e-3
+"""Metres between a texel and where its rays start: curved charts bulge that far over their triangles."""
+WORKERS = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class Light:
+    """Baked light.
+
+    Attributes:
+        texels: where it is known.
+        irradiance: irradiance / π of each texel, so that radiance is this times albedo.
+    """
+
+    texels: Texels
+    irradiance: Float[np.ndarray, "t 3"]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Gathered:
+    """What texels' rays found: direct light, the texels they hit, nearness, and whether it is in the open."""
+
+    direct: Float[np.ndarray, "n 3"]
+    seen: Int[np.ndarray, "n k"]
+    distance: Float[np.ndarray, "n"]
+    valid: Bool[np.ndarray, "n"]
+
+
+def bake(
+    surface: Surface, caster: RayCaster, albedo: Float[np.ndarray, "c 3"], scale: float, side: int, seed: int
+) -> Light:
+    """Light all charts.
+
+    Args:
+        surface: the room.
+        caster: its rays.
+        albedo: mean albedo of each chart.
+        scale: coarsens the texels.
+        side: each texel casts side² rays for bounces and as many towards the window.
+        seed: of the jitter.
+    """
+    texels = Texels(surface, scale)
+    step = max(1, CHUNK // side**2)
+    chunks = [slice(a, min(a + step, len(texels))) for a in range(0, len(texels), step)]
+
+    def work(k: int) -> _Gathered:
+        return _gather(surface, caster, texels, chunks[k], side, np.random.default_rng((seed, k)))
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        parts = list(pool.map(work, range(len(chunks))))
+        direct, distance, valid = (
+            np.concatenate([getattr(p, name) for p in parts]) for name in ("direct", "distance", "valid")
+        )
+        reflectance = np.where(valid[:, None], albedo[texels.chart], 0.0).astype(np.float32)
+        total = direct
+        for _ in range(BOUNCES):
+            # One dark row more: rays that leave, or meet a back side, point at it with -1.
+            radiance = np.concatenate([reflectance * total, np.zeros((1, 3), np.float32)])
+            indirect = np.concatenate(list(pool.map(lambda p: _mean_of(radiance, p.seen), parts)))  # noqa: B023
+            total = direct + indirect
+    smooth = _smooth(texels, direct, indirect, distance, valid)
+    return Light(texels, smooth)
+
+
+def _mean_of(values: Float[np.ndarray, "t 3"], index: Int[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
+    total = np.zeros((len(index), 3), np.float32)
+    for k in range(index.shape[1]):
+        total += values[index[:, k]]
+    return total / index.shape[1]
+
+
+def _strata(texels: Texels, chunk: slice, side: int, cell: int, rng: np.random.Generator) -> np.ndarray:
+    """side² points in the unit square for each texel; `cell`² neighbours interleave theirs."""
+    i, j = texels.i[chunk] % cell, texels.j[chunk] % cell
+    order = np.random.default_rng(0).permutation(cell * cell)[i + cell * j]
+    sub = np.stack([order % cell, order // cell], axis=-1)
+    base = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(1, -1, 2)
+    jitter = rng.random((len(i), side * side, 2), dtype=np.float32)
+    return (base + (sub[:, None] + jitter) / cell) / side
+
+
+def _gather(
+    surface: Surface, caster: RayCaster, texels: Texels, chunk: slice, side: int, rng: np.random.Generator
+) -> _Gathered:
+    normal = texels.normal[chunk]
+    origin = texels.position[chunk] + OFFSET * normal
+    n, rays = len(origin), side * side
+    direction = _cosine_directions(_strata(texels, chunk, side, 4, rng), normal)
+    flat = direction.reshape(-1, 3)
+    origins = np.repeat(origin, rays, axis=0)
+    hits = caster.cast(origins, flat)
+    front = np.einsum("nk,nk->n", surface.mesh.face_normals[hits.face], flat) < 0
+    seen = np.full(n * rays, -1, np.int32)
+    lit = hits.hit & front
+    chosen = dataclasses.replace(hits, distance=hits.distance[lit], face=hits.face[lit],
+                                 barycentric=hits.barycentric[lit])  # fmt: skip
+    seen[lit] = texels.nearest(surface.chart[chosen.face], at_hits(surface.st, chosen))
+    miss = ~hits.hit
+    escaped = np.zeros((n * rays, 3), np.float32)
+    if miss.any():
+        escaped[miss] = sky_radiance(flat[miss]) * (1 - _window_share(origins[miss], flat[miss], normal.repeat(
+            rays, axis=0)[miss]))[:, None]  # fmt: skip
+    near = np.minimum(np.where(hits.hit, hits.distance, 10.0), 10.0).reshape(n, rays)
+    inside = (hits.hit & ~front).reshape(n, rays).mean(axis=1)
+    direct = escaped.reshape(n, rays, 3).mean(axis=1)
+    direct += _from_window(caster, origin, normal, _strata(texels, chunk, side, 2, rng))
+    return _Gathered(direct, seen.reshape(n, rays), 1 / (1 / (near + 1e-3)).mean(axis=1), inside < 0.4)
+
+
+def _cosine_directions(square: Float[np.ndarray, "n k 2"], normal: Float[np.ndarray, "n 3"]) -> np.ndarray:
+    """Cosine-weighted directions about the normals, from points of the unit square (Shirley's concentric map)."""
+    a, b = 2 * square[..., 0] - 1, 2 * square[..., 1] - 1
+    wide = np.abs(a) > np.abs(b)
+    r = np.where(wide, a, b)
+    ratio = np.where(wide, b, a) / np.where(np.abs(r) < 1e-9, 1.0, r)
+    angle = np.where(wide, ratio * (np.pi / 4), np.pi / 2 - ratio * (np.pi / 4))
+    helper = np.where(np.abs(normal[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    x = np.cross(helper, normal)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    y = np.cross(normal, x)
+    local = np.stack([r * np.cos(angle), r * np.sin(angle), np.sqrt(np.maximum(1 - r * r, 1e-6))], axis=-1)
+    return (local.astype(np.float32)) @ np.stack([x, y, normal], axis=1).astype(np.float32)
+
+
+def _window_share(origin: np.ndarray, direction: np.ndarray, normal: np.ndarray) -> Float[np.ndarray, "n"]:
+    """Weight of window sampling against cosine sampling for rays that leave (balance heuristic)."""
+    y0, y1, z0, z1 = WINDOW
+    facing = np.maximum(-direction[:, 0], 1e-6)
+    distance = (origin[:, 0] + THICK) / facing
+    by_window = distance**2 / (facing * (y1 - y0) * (z1 - z0))
+    by_cosine = np.maximum(np.einsum("nk,nk->n", direction, normal), 0) / np.pi
+    return by_window / (by_window + by_cosine)
+
+
+def _from_window(
+    caster: RayCaster, origin: np.ndarray, normal: np.ndarray, square: Float[np.ndarray, "n k 2"]
+) -> Float[np.ndarray, "n 3"]:
+    """Irradiance / π from points in the window's opening."""
+    y0, y1, z0, z1 = WINDOW
+    area = (y1 - y0) * (z1 - z0)
+    target = np.stack([np.full(square.shape[:2], -THICK), y0 + square[..., 0] * (y1 - y0),
+                       z0 + square[..., 1] * (z1 - z0)], axis=-1)  # fmt: skip
+    to = target - origin[:, None]
+    distance = np.linalg.norm(to, axis=-1)
+    to /= np.maximum(distance, 1e-9)[..., None]
+    cosine = np.einsum("nkd,nd->nk", to, normal)
+    facing = -to[..., 0]
+    ask = (cosine > 0) & (facing > 1e-4)
+    index = np.nonzero(ask)
+    direction = to[ask]
+    free = ~caster.occluded(origin[index[0]], direction)
+    index = (index[0][free], index[1][free])
+    direction = direction[free]
+    d, f, c = distance[index], facing[index], cosine[index]
+    by_window, by_cosine = d**2 / (f * area), c / np.pi
+    weight = (c / np.pi) / (by_window + by_cosine)
+    light = np.zeros((*ask.shape, 3), np.float32)
+    light[index] = sky_radiance(direction) * weight[:, None]
+    return light.mean(axis=1)
+
+
+def _smooth(
+    texels: Texels, direct: np.ndarray, indirect: np.ndarray, distance: np.ndarray, valid: np.ndarray
+) -> Float[np.ndarray, "t 3"]:
+    """Merge the interleaved rays of neighbours, less where things are near; fill texels that lie inside solids."""
+    total = np.empty_like(direct)
+    for c in range(len(texels.columns)):
+        part = slice(texels.start[c], texels.start[c + 1])
+        shape = (texels.rows[c], texels.columns[c])
+        good = valid[part].reshape(*shape, 1)
+        if shape == (1, 1):
+            total[part] = direct[part] + indirect[part]
+            continue
+        d, i = (np.where(good, a[part].reshape(*shape, 3), 0.0) for a in (direct, indirect))
+        texel = max(texels.pitch[c], 1e-3)
+        near = np.clip(distance[part].reshape(*shape, 1) / texel / 6 - 0.3, 0, 1)
+        far = np.clip(distance[part].reshape(*shape, 1) / texel / 12 - 0.5, 0, 1)
+        weight = good.astype(np.float32)
+        once = _merge(i, weight, (0.5, 1, 1, 1, 0.5))
+        wide = _merge(once * weight, weight, (0.5, 0, 1, 0, 1, 0, 1, 0, 0.5))
+        i = i + (once - i) * np.where(good, near, 1.0)
+        i = i + (wide - i) * np.where(good, far, 0.0)
+        d1 = _merge(d, weight, (0.5, 1, 0.5))
+        d = d + (d1 - d) * np.where(good, np.maximum(near, 0.5), 1.0)
+        light = d + i
+        for _ in range(8):
+            if weight.all():
+                break
+            filled = _merge(light * weight, weight, (1, 1, 1))
+            light = np.where(weight > 0, light, filled)
+            weight = np.maximum(weight, (filled.sum(axis=-1, keepdims=True) > 0).astype(np.float32))
+        total[part] = light.reshape(-1, 3)
+    return total
+
+
+def _merge(values: np.ndarray, weight: np.ndarray, taps: tuple[float, ...]) -> np.ndarray:
+    """Weighted mean over neighbours along both axes."""
+    both = np.concatenate([values * weight, weight], axis=-1)
+    for axis in (0, 1):
+        if both.shape[axis] > 1:
+            both = correlate1d(both, np.array(taps), axis=axis, mode="reflect")
+    return (both[..., :3] / np.maximum(both[..., 3:], 1e-6)).astype(np.float32)

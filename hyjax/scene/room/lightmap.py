@@ -1,0 +1,92 @@
+"""Light maps: texels on every chart, their places in the room, and reading them back."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from hyjax.scene.raycast import Hits
+from hyjax.scene.room.surface import Surface
+
+MAX_TEXELS = 512
+"""Along one side of a chart."""
+
+
+class Texels:
+    """The texels of all charts in one array, chart after chart, each row by row.
+
+    Attributes:
+        columns, rows: texels along s and t of each chart.
+        start: first texel of each chart.
+        chart: chart of each texel.
+        pitch: metres between the texels of each chart.
+        position, normal: of each texel's centre, in world metres.
+    """
+
+    def __init__(self, surface: Surface, scale: float = 1.0) -> None:
+        size = np.array([_lengths(surface.mesh.vertices[n]) for n in surface.nodes])
+        count = np.clip(np.ceil(size / (surface.texel[:, None] * scale)), 1, MAX_TEXELS).astype(np.int64)
+        self.columns, self.rows = count.T
+        self.pitch = (size / count).max(axis=1)
+        self.start = np.concatenate([[0], np.cumsum(self.columns * self.rows)])
+        self.chart = np.repeat(np.arange(len(count)), self.columns * self.rows)
+        local = np.arange(len(self.chart)) - self.start[self.chart]
+        self.i, self.j = local % self.columns[self.chart], local // self.columns[self.chart]
+        self._surface = surface
+        place = self._spread(np.concatenate([surface.mesh.vertices, surface.mesh.vertex_normals], axis=1))
+        self.position = place[:, :3]
+        self.normal = place[:, 3:] / np.maximum(np.linalg.norm(place[:, 3:], axis=1, keepdims=True), 1e-9)
+
+    def __len__(self) -> int:
+        return len(self.chart)
+
+    def _spread(self, values: Float[np.ndarray, "v d"]) -> Float[np.ndarray, "n d"]:
+        """Interpolate values at the charts' control nodes to the texel centres."""
+        nodes = self._surface.nodes
+        shape = np.array([n.shape for n in nodes])[self.chart]
+        first = np.concatenate([[0], np.cumsum([n.size for n in nodes])])[self.chart]
+        flat = np.concatenate([n.ravel() for n in nodes])
+        x = (self.i + 0.5) / self.columns[self.chart] * (shape[:, 1] - 1)
+        y = (self.j + 0.5) / self.rows[self.chart] * (shape[:, 0] - 1)
+        x0, y0 = x.astype(np.int64), y.astype(np.int64)
+        fx, fy = (x - x0)[:, None], (y - y0)[:, None]
+        at = first + y0 * shape[:, 1] + x0
+        upper = values[flat[at]] * (1 - fx) + values[flat[at + 1]] * fx
+        at = at + shape[:, 1]
+        lower = values[flat[at]] * (1 - fx) + values[flat[at + 1]] * fx
+        return upper * (1 - fy) + lower * fy
+
+    def nearest(self, chart: Int[np.ndarray, "n"], st: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n"]:
+        """Index of the texel that contains (s, t)."""
+        columns, rows = self.columns[chart], self.rows[chart]
+        i = np.clip((st[:, 0] * columns).astype(np.int64), 0, columns - 1)
+        j = np.clip((st[:, 1] * rows).astype(np.int64), 0, rows - 1)
+        return self.start[chart] + j * columns + i
+
+    def lookup(
+        self, values: Float[np.ndarray, "t d"], chart: Int[np.ndarray, "n"], st: Float[np.ndarray, "n 2"]
+    ) -> Float[np.ndarray, "n d"]:
+        """Texel values interpolated at (s, t)."""
+        columns, rows, start = self.columns[chart], self.rows[chart], self.start[chart]
+        x = np.clip(st[:, 0] * columns - 0.5, 0, columns - 1)
+        y = np.clip(st[:, 1] * rows - 0.5, 0, rows - 1)
+        x0, y0 = x.astype(np.int64), y.astype(np.int64)
+        fx, fy = (x - x0).astype(np.float32)[:, None], (y - y0).astype(np.float32)[:, None]
+        x1, y1 = np.minimum(x0 + 1, columns - 1), np.minimum(y0 + 1, rows - 1)
+        top, bottom = start + y0 * columns, start + y1 * columns
+        upper = values[top + x0] * (1 - fx) + values[top + x1] * fx
+        lower = values[bottom + x0] * (1 - fx) + values[bottom + x1] * fx
+        return upper * (1 - fy) + lower * fy
+
+
+def _lengths(grid: Float[np.ndarray, "t s 3"]) -> tuple[float, float]:
+    """Lengths of the longest of a few rows and columns of a grid of points."""
+    rows, columns = grid[[0, len(grid) // 2, -1]], grid[:, [0, grid.shape[1] // 2, -1]]
+    along_s = np.linalg.norm(np.diff(rows, axis=1), axis=-1).sum(axis=1).max()
+    along_t = np.linalg.norm(np.diff(columns, axis=0), axis=-1).sum(axis=0).max()
+    return float(along_s), float(along_t)
+
+
+def at_hits(corner_values: Float[np.ndarray, "f 3 d"], hits: Hits) -> Float[np.ndarray, "n d"]:
+    """Interpolate per-corner values of the faces at hits (all of which must have hit)."""
+    corners = corner_values[hits.face]
+    weight = hits.barycentric
+    return corners[:, 0] * weight[:, :1] + corners[:, 1] * weight[:, 1:2] + corners[:, 2] * weight[:, 2:]

@@ -1,0 +1,110 @@
+"""The table of materials, and looking up their textures with trilinear filtering."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from hyjax.scene.room import patterns
+
+Image = Float[np.ndarray, "n n 3"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Material:
+    """One row of the table.
+
+    Attributes:
+        paint: draws the square, repeating albedo texture.
+        size: pixels along a side, a power of two.
+        tile: metres along a side.
+        gloss: strength of the mirror reflection, 1 for a clean dielectric.
+        blur: how much the mirror reflection is smeared, in pixels of a 640-pixel-wide picture.
+    """
+
+    paint: Callable[[int, np.random.Generator], Image]
+    size: int
+    tile: float
+    gloss: float = 0.0
+    blur: float = 0.0
+
+
+TABLE = (
+    Material(patterns.paint, 512, 2.6),
+    Material(patterns.planks, 2048, 5.2, 0.45, 7.0),
+    Material(patterns.wood, 1024, 1.6, 0.4, 5.0),
+    Material(patterns.fabric, 512, 0.25),
+    Material(patterns.stripes, 512, 0.5),
+    Material(patterns.rug, 1024, 2.4),
+    Material(patterns.books, 512, 0.64, 0.15, 4.0),
+    Material(patterns.plain, 64, 1.0, 0.9, 1.5),
+    Material(patterns.plain, 64, 1.0, 0.35, 5.0),
+    Material(patterns.leaf, 256, 0.5, 0.3, 4.0),
+    Material(patterns.soil, 256, 0.3),
+    Material(patterns.picture, 512, 1.0, 0.7, 1.0),
+    Material(patterns.weave, 512, 0.25),
+    Material(patterns.pages, 128, 0.05),
+)
+(PAINT, FLOOR, WOOD, FABRIC, STRIPES, RUG, BOOK, CERAMIC, LACQUER, LEAF, SOIL, PICTURE, WEAVE, PAGES) = range(
+    len(TABLE)
+)
+GLOSS = np.array([m.gloss for m in TABLE], dtype=np.float32)
+BLUR = np.array([m.blur for m in TABLE], dtype=np.float32)
+TILE = np.array([m.tile for m in TABLE], dtype=np.float32)
+
+
+class Textures:
+    """All textures with their mip levels in one array of pixels, so that one lookup serves mixed materials."""
+
+    def __init__(self, seed: int, quality: float = 1.0) -> None:
+        shift = max(0, round(np.log2(1 / quality)))
+        levels, starts, at = [], [], 0
+        for row, material in enumerate(TABLE):
+            size = max(32, material.size >> shift)
+            image = np.clip(material.paint(size, np.random.default_rng((seed, row))), 0.0, 1.0)
+            image = np.asarray(image, dtype=np.float32)
+            start = []
+            while True:
+                levels.append(image.reshape(-1, 3))
+                start.append(at)
+                at += len(levels[-1])
+                if len(image) == 1:
+                    break
+                image = (image[::2, ::2] + image[1::2, ::2] + image[::2, 1::2] + image[1::2, 1::2]) / 4
+            starts.append(start)
+        self._pixels = np.concatenate(levels)
+        self._last = np.array([len(s) - 1 for s in starts])
+        self._start = np.array([s + [s[-1]] * (16 - len(s)) for s in starts])
+        self.mean = np.array([self._pixels[s[-1]] for s in starts])
+
+    def __call__(
+        self,
+        material: Int[np.ndarray, "n"],
+        uv: Float[np.ndarray, "n 2"],
+        footprint: Float[np.ndarray, "n"],
+    ) -> Float[np.ndarray, "n 3"]:
+        """Linear albedo at `uv` (metres), filtered to `footprint` (metres a pixel)."""
+        last = self._last[material]
+        texel = TILE[material] / np.exp2(last)
+        level = np.clip(np.log2(np.maximum(footprint / texel, 1e-6)), 0.0, last).astype(np.float32)
+        low = np.minimum(level.astype(np.int32), last)
+        unit = uv / TILE[material][:, None]
+        fine = self._bilinear(material, unit, low, last)
+        coarse = self._bilinear(material, unit, np.minimum(low + 1, last), last)
+        return fine + (coarse - fine) * (level - low)[:, None]
+
+    def _bilinear(self, material: np.ndarray, unit: np.ndarray, level: np.ndarray, last: np.ndarray) -> np.ndarray:
+        n = np.left_shift(1, last - level)
+        x = unit * n[:, None] - 0.5
+        corner = np.floor(x)
+        fx, fy = (x - corner).astype(np.float32).T[..., None]
+        i0, j0 = corner.astype(np.int64).T
+        start = self._start[material, level]
+        mask = n - 1
+        left, right = i0 & mask, (i0 + 1) & mask
+        top, bottom = start + (j0 & mask) * n, start + ((j0 + 1) & mask) * n
+        p = self._pixels
+        upper = p[top + left] * (1 - fx) + p[top + right] * fx
+        lower = p[bottom + left] * (1 - fx) + p[bottom + right] * fx
+        return upper * (1 - fy) + lower * fy

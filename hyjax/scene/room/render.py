@@ -1,0 +1,206 @@
+"""Photographs of the lit room: albedo × baked light, mirror reflections, and a camera's imperfections."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import gaussian_filter
+
+from hyjax.scene.camera import Camera
+from hyjax.scene.raycast import Hits, RayCaster
+from hyjax.scene.room.daylight import view_radiance
+from hyjax.scene.room.light import Light
+from hyjax.scene.room.lightmap import at_hits
+from hyjax.scene.room.materials import BLUR, GLOSS, Textures
+from hyjax.scene.room.surface import Surface
+
+EDGE_SAMPLES = 8
+"""Rays through a pixel that more than one surface shares."""
+BLURS = (0.0, 2.0, 6.0)
+"""Smears of the mirror image that rough reflections are mixed from, in pixels at a width of 640."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Studio:
+    """Everything a photograph needs."""
+
+    surface: Surface
+    caster: RayCaster
+    textures: Textures
+    light: Light
+    exposure: float
+    seed: int
+
+
+def photograph(
+    studio: Studio, camera: Camera, number: int
+) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
+    """One frame: display-encoded picture in 8-bit steps, and exact depth in metres (0 where nothing is)."""
+    h, w = camera.intrinsics.shape
+    rng = np.random.default_rng((studio.seed, 1, number))
+    rays = camera.rays().reshape(-1, 3)
+    hits = studio.caster.cast(camera.origin, rays)
+    depth = np.where(hits.hit, hits.distance, 0.0).astype(np.float32).reshape(h, w)
+    pixel = 1.0 / camera.intrinsics.fx
+    picture = _diffuse(studio, camera.origin, rays, hits, pixel).reshape(h, w, 3)
+    shared = _shared_pixels(studio.surface, hits, depth)
+    picture[shared] = _supersample(studio, camera, shared, picture[shared], rng)
+    picture += _mirror(studio, camera, rays, hits, pixel)
+    return _develop(picture * studio.exposure, rng), depth
+
+
+def _diffuse(
+    studio: Studio,
+    origin: Float[np.ndarray, "*n 3"],
+    rays: Float[np.ndarray, "n 3"],
+    hits: Hits,
+    pixel: float | Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "n 3"]:
+    """Radiance along rays: albedo × light, or the view outside. `pixel` is the footprint a unit of distance."""
+    surface = studio.surface
+    radiance = np.empty((len(rays), 3), np.float32)
+    miss = ~hits.hit
+    unit = rays[miss] / np.linalg.norm(rays[miss], axis=1, keepdims=True)
+    radiance[miss] = view_radiance(unit.astype(np.float32))
+    seen = select(hits, hits.hit)
+    direction = rays[hits.hit]
+    normal = surface.mesh.face_normals[seen.face]
+    cosine = np.abs(np.einsum("nk,nk->n", normal, direction)) / np.linalg.norm(direction, axis=1)
+    width = np.broadcast_to(pixel, hits.face.shape)[hits.hit] * seen.distance / np.sqrt(np.maximum(cosine, 0.02))
+    albedo = studio.textures(surface.material[seen.face], at_hits(surface.uv, seen), width)
+    irradiance = studio.light.texels.lookup(
+        studio.light.irradiance, surface.chart[seen.face], at_hits(surface.st, seen)
+    )
+    radiance[hits.hit] = albedo * surface.tint[seen.face] * irradiance
+    return radiance
+
+
+def select(hits: Hits, chosen: Bool[np.ndarray, "n"]) -> Hits:
+    """Some of the hits."""
+    return Hits(hits.distance[chosen], hits.face[chosen], hits.barycentric[chosen])
+
+
+def _shared_pixels(surface: Surface, hits: Hits, depth: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Pixels on the borders between charts that look different, where one ray a pixel would leave stairs."""
+    chart = np.where(hits.hit, surface.chart[hits.face], -1).reshape(depth.shape)
+    edge = np.zeros(depth.shape, dtype=bool)
+    across, down = chart[:, 1:] != chart[:, :-1], chart[1:] != chart[:-1]
+    edge[:, 1:] |= across
+    edge[:, :-1] |= across
+    edge[1:] |= down
+    edge[:-1] |= down
+    return edge
+
+
+def _supersample(
+    studio: Studio, camera: Camera, shared: Bool[np.ndarray, "h w"], centre: np.ndarray, rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
+    """Mean radiance of the chosen pixels over a rotated grid of rays."""
+    rows, columns = np.nonzero(shared)
+    k = camera.intrinsics
+    turn = camera.pose[:3, :3]
+    total = np.zeros_like(centre)
+    place = np.arange(EDGE_SAMPLES)
+    offsets = np.stack([(place + 0.5) / EDGE_SAMPLES, ((place * 5) % EDGE_SAMPLES + 0.5) / EDGE_SAMPLES], -1)
+    for dx, dy in offsets:
+        x = (columns + dx - k.cx) / k.fx
+        y = (rows + dy - k.cy) / k.fy
+        rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ turn.T
+        hits = studio.caster.cast(camera.origin, rays)
+        # Bright sky is clipped before it is averaged, as it is on a sensor: else it eats the window's bars.
+        total += np.minimum(_diffuse(studio, camera.origin, rays, hits, 1.0 / k.fx), 2.0 / studio.exposure)
+    return total / EDGE_SAMPLES
+
+
+def _mirror(
+    studio: Studio, camera: Camera, rays: Float[np.ndarray, "n 3"], hits: Hits, pixel: float
+) -> Float[np.ndarray, "h w 3"]:
+    """Reflections on varnish, glaze and glass: mirror rays, smeared on the picture by distance and roughness."""
+    h, w = camera.intrinsics.shape
+    surface = studio.surface
+    material = surface.material[hits.face]
+    glossy = hits.hit & (GLOSS[material] > 0)
+    seen, direction = select(hits, glossy), rays[glossy]
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = direction / length
+    point = camera.origin + direction * (seen.distance[:, None] * length)
+    normal = studio.caster.interpolated_normals(seen)
+    cosine = np.einsum("nk,nk->n", normal, direction)
+    normal = np.where(cosine[:, None] > 0, -normal, normal)
+    cosine = np.clip(np.abs(cosine), 0, 1)
+    fresnel = (0.04 + 0.96 * (1 - cosine) ** 5) * GLOSS[material[glossy]]
+    mirrored = direction + 2 * cosine[:, None] * normal
+    start = point + 2e-3 * normal
+    bounced = studio.caster.cast(start, mirrored)
+    away = np.where(bounced.hit, np.minimum(bounced.distance, 6.0), 6.0)
+    spread = pixel * (1 + seen.distance / np.maximum(away, 0.05))
+    light = np.minimum(_diffuse(studio, start, mirrored, bounced, spread * 2), 2.5 / studio.exposure)
+    # A rough mirror smears far things and leaves those that touch it sharp.
+    smear = BLUR[material[glossy]] * np.clip(away / (away + 0.6 * seen.distance), 0, 1)
+    return _smear(glossy.reshape(h, w), light, fresnel, smear, surface.chart[seen.face], w / 640)
+
+
+def _smear(
+    where: Bool[np.ndarray, "h w"],
+    light: Float[np.ndarray, "n 3"],
+    fresnel: Float[np.ndarray, "n"],
+    smear: Float[np.ndarray, "n"],
+    chart: Int[np.ndarray, "n"],
+    scale: float,
+) -> Float[np.ndarray, "h w 3"]:
+    del chart
+    image = np.zeros((*where.shape, 3), np.float32)
+    image[where] = light
+    weight = where.astype(np.float32)
+    layers = [light]
+    for sigma in BLURS[1:]:
+        s = sigma * scale
+        below = gaussian_filter(weight, s)[..., None]
+        layers.append((gaussian_filter(image, (s, s, 0)) / np.maximum(below, 1e-6))[where])
+    result = layers[0]
+    for low, high, layer in zip(BLURS, BLURS[1:], layers[1:]):
+        share = np.clip((smear - low) / (high - low), 0, 1)[:, None]
+        result = result + (layer - result) * share
+    out = np.zeros_like(image)
+    out[where] = result * fresnel[:, None]
+    return out
+
+
+def _develop(linear: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Float[np.ndarray, "h w 3"]:
+    """Lens, sensor and tone curve: exposed linear light → display-encoded picture in 8-bit steps."""
+    h, w, _ = linear.shape
+    scale = w / 640
+    bright = np.minimum(linear, 3.0)
+    glare = sum(
+        share * gaussian_filter(bright, (sigma * scale, sigma * scale, 0), truncate=3)
+        for share, sigma in ((0.03, 6.0), (0.025, 28.0))
+    )
+    image = 0.945 * gaussian_filter(linear, (0.45 * scale, 0.45 * scale, 0), truncate=3) + glare
+    y, x = np.mgrid[0:h, 0:w]
+    radius2 = ((x + 0.5) / w - 0.5) ** 2 + (((y + 0.5) / h - 0.5) * h / w) ** 2
+    image *= (1 - 0.45 * radius2)[..., None]
+    # Shot noise grows with the root of the light; read noise is the floor under it.
+    deviation = np.sqrt(2.5e-5 * np.maximum(image, 0) + 4e-7)
+    grain = rng.standard_normal(image.shape, dtype=np.float32)
+    image = np.maximum(image + deviation * grain, 0)
+    display = encode(tone(image))
+    return (np.round(display * 255) / 255).astype(np.float32)
+
+
+def tone(x: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """A camera's shoulder: linear in the shadows, bending from 0.55 on, white at 3 times the mid exposure."""
+    knee = 0.50
+    over = np.maximum(x - knee, 0)
+    return np.minimum(np.where(x < knee, x, knee + (1 - knee) * (1 - np.exp(-over / (1 - knee) * 1.0))), 1.0)
+
+
+def encode(linear: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Linear light → sRGB."""
+    x = np.clip(linear, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(np.maximum(x, 1e-9), 1 / 2.4) - 0.055)
+
+
+def white_level(light: Light) -> float:
+    """Exposure that brings the room's typical lit surface to middle grey; the same for every frame."""
+    typical = np.median(light.irradiance.mean(axis=1)[light.irradiance.mean(axis=1) > 1e-4])
+    return float(0.42 / typical)
