@@ -44,21 +44,15 @@ def book_row(build: Builder, start: float, end: float, z: float, room: float) ->
 
 def book_stack(build: Builder, count: int) -> None:
     """Books lying on each other, each turned a little."""
-    z = 0.0
+    z, plain = 0.0, (0.3, 0.5)
     for k in range(count):
-        thick, wide, deep = build.rng.uniform(0.018, 0.035), 0.25 - 0.02 * k, 0.18 - 0.015 * k
-        cover = _cover(build)
+        thick, x, y = build.rng.uniform(0.018, 0.035), 0.125 - 0.01 * k, 0.09 - 0.0075 * k
+        cover, top = _cover(build), thick - 0.003
         with build.placed(0, 0, z, build.rng.uniform(-14, 14)):
-            for low, high in ((0.0, 0.003), (thick - 0.003, thick)):
-                box(build, (-wide / 2, -deep / 2, low), (wide / 2, deep / 2, high), m.BOOK, cover, 0.0008, "y",
-                    (0.3, 0.5))  # fmt: skip
-            box(build, (-wide / 2, -deep / 2, 0.003), (wide / 2, -deep / 2 + 0.003, thick - 0.003), m.BOOK, cover,
-                0.0, "z", (0.3, 0.5))  # fmt: skip
-            low, high = (
-                (0.004 - wide / 2, 0.003 - deep / 2, 0.003),
-                (wide / 2 - 0.004, deep / 2 - 0.004, thick - 0.003),
-            )
-            box(build, *inner, m.PAGES, WHITE, 0.0, "x")
+            box(build, (-x, -y, 0), (x, y, 0.003), m.BOOK, cover, 0.0008, "y", plain)
+            box(build, (-x, -y, top), (x, y, thick), m.BOOK, cover, 0.0008, "y", plain)
+            box(build, (-x, -y, 0.003), (x, 0.003 - y, top), m.BOOK, cover, 0.0, "z", plain)
+            box(build, (0.004 - x, 0.003 - y, 0.003), (x - 0.004, y - 0.004, top), m.PAGES, WHITE, 0.0, "x")
         z += thick
 
 
