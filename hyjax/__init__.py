@@ -1,0 +1,56 @@
+"""Relight camera frames of real rooms: the Hybrelighter pipeline as pure JAX functions.
+
+Everything here takes and returns arrays and works under jit, grad and vmap. Cameras, meshes and ray casting are in
+`hyjax.scene`, captures in `hyjax.data`.
+"""
+
+from hyjax.cascade import cascade, level_edges
+from hyjax.color import blackbody, luminance, to_display, to_linear
+from hyjax.compositing import composite
+from hyjax.diffusion import conductance, diffuse, diffuse_step
+from hyjax.errors import InputError
+from hyjax.gbuffer import GBuffer
+from hyjax.lights import AmbientLight, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
+from hyjax.pipeline import Relit, cascade_known, relight, shadow_pass
+from hyjax.pyramid import downsample, min_pool, upsample
+from hyjax.schedule import Level, Schedule
+from hyjax.shading import shade, shade_each
+from hyjax.shadow import ShadowMap, shadow_ratio, visibility
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "AmbientLight",
+    "DirectionalLight",
+    "GBuffer",
+    "InputError",
+    "Level",
+    "Light",
+    "PointLight",
+    "RectLight",
+    "Relit",
+    "Schedule",
+    "ShadowMap",
+    "SkyLight",
+    "SpotLight",
+    "blackbody",
+    "cascade",
+    "cascade_known",
+    "composite",
+    "conductance",
+    "diffuse",
+    "diffuse_step",
+    "downsample",
+    "level_edges",
+    "luminance",
+    "min_pool",
+    "relight",
+    "shade",
+    "shade_each",
+    "shadow_pass",
+    "shadow_ratio",
+    "to_display",
+    "to_linear",
+    "upsample",
+    "visibility",
+]

@@ -1,7 +1,7 @@
 """Virtual lights and the irradiance that each throws on a surface, shadows aside.
 
-Units: positions and lengths in metres, angles in radians, `power` in lumens (of the whole emitter), `illuminance` in
-lux (lumens per square metre). `color` is linear RGB and multiplies them, so that a lamp of 800 lm with colour
+Units: positions and lengths in metres, angles in radians, `power` in lumens (of the whole emitter), `illuminance`
+in lux (lumens per square metre). `color` is linear RGB and multiplies them, so that a lamp of 800 lm with colour
 (1, 1, 1) is white. All lights are pytrees whose every field is an array: anything may be optimised.
 
 Irradiance functions take a world position p and a unit normal n, both (..., 3), and return lux (..., 3).
@@ -13,6 +13,8 @@ import functools
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from hyjax.vectors import cross, dot, unit
 
 TINY = 1e-12  # keeps divisions finite at the light itself, in square metres
 
@@ -57,7 +59,7 @@ class SpotLight:
     def irradiance(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
         cosine, inverse_square, to_light = _towards(self.position, p, n)
         inner, outer = jnp.cos(self.inner_angle), jnp.cos(self.outer_angle)
-        t = (-to_light @ _unit(self.direction) - outer) / jnp.maximum(inner - outer, 1e-6)
+        t = (dot(-to_light, unit(self.direction)) - outer) / jnp.maximum(inner - outer, 1e-6)
         t = jnp.clip(t, 0.0, 1.0)
         peak = self.power / (2 * jnp.pi * (1.0 - 0.5 * (inner + outer)))
         return _rgb(peak * t * t * (3.0 - 2.0 * t) * cosine * inverse_square, self.color)
@@ -76,7 +78,7 @@ class DirectionalLight:
     angular_radius: Float[Array, ""]
 
     def irradiance(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
-        cosine = jnp.maximum(-n @ _unit(self.direction), 0.0)
+        cosine = jnp.maximum(dot(-n, unit(self.direction)), 0.0)
         return _rgb(self.illuminance * cosine, self.color)
 
 
@@ -95,10 +97,10 @@ class RectLight:
     color: Float[Array, "3"]
 
     def irradiance(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
-        normal = jnp.cross(self.right, self.up)
-        area = 4.0 * jnp.sqrt(jnp.sum(normal**2))
+        normal = cross(self.right, self.up)
+        area = 4.0 * jnp.sqrt(dot(normal, normal))
         corners = [self.center + s * self.right + t * self.up for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-        in_front = jnp.sum((p - self.center) * normal, axis=-1) > 0
+        in_front = dot(p - self.center, normal) > 0
         form_factor = polygon_form_factor([c - p for c in corners], n)
         # E = π L F with L = Φ/(π A)
         return _rgb(jnp.where(in_front, form_factor, 0.0) * (self.power / area), self.color)
@@ -106,25 +108,17 @@ class RectLight:
 
 @_pytree
 class SkyLight:
-    """Light from the whole upper hemisphere, and what the ground throws back from below.
+    """A uniform sky: light from the whole hemisphere around `up`; `illuminance` is on an open surface facing up.
 
-    E = E₀ · ((1 + n·up)/2 · color + (1 − n·up)/2 · ground); `illuminance` is on an open surface facing up, `ground`
-    the colour of the reflected light relative to it.
+    E = E₀ (1 + n·up)/2.
     """
 
     up: Float[Array, "3"]
     illuminance: Float[Array, ""]
     color: Float[Array, "3"]
-    ground: Float[Array, "3"]
 
     def irradiance(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
-        above = 0.5 * (1.0 + n @ _unit(self.up))
-        return _rgb(self.illuminance * above, self.color) + self.bounce(n)
-
-    def bounce(self, n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
-        """The part from below the horizon, which the sky's shadow does not touch."""
-        below = 0.5 * (1.0 - n @ _unit(self.up))
-        return _rgb(self.illuminance * below, self.ground)
+        return _rgb(self.illuminance * 0.5 * (1.0 + dot(n, unit(self.up))), self.color)
 
 
 @_pytree
@@ -156,7 +150,7 @@ def polygon_form_factor(corners: list[Float[Array, "*s 3"]], n: Float[Array, "*s
     Returns:
         Fraction of the hemisphere, cosine-weighted, in [0, 1].
     """
-    heights = [jnp.sum(c * n, axis=-1) for c in corners]
+    heights = [dot(c, n) for c in corners]
     total = jnp.zeros_like(heights[0])
     sinks = rises = jnp.zeros_like(corners[0])
     for a, b, ha, hb in zip(corners, corners[1:] + corners[:1], heights, heights[1:] + heights[:1], strict=True):
@@ -183,10 +177,9 @@ def _edge_integral(
     # Invalid edges get harmless stand-ins, so that neither values nor gradients turn NaN.
     a = jnp.where(valid[..., None], a, jnp.array([1.0, 0.0, 0.0], a.dtype))
     b = jnp.where(valid[..., None], b, jnp.array([0.0, 1.0, 0.0], b.dtype))
-    cross = jnp.cross(a, b)
-    sine = jnp.sqrt(jnp.sum(cross**2, axis=-1) + TINY**2)
-    angle = jnp.arctan2(sine, jnp.sum(a * b, axis=-1))
-    return angle * jnp.sum(cross * n, axis=-1) / sine
+    normal = cross(a, b)
+    sine = jnp.sqrt(dot(normal, normal) + TINY**2)
+    return jnp.arctan2(sine, dot(a, b)) * dot(normal, n) / sine
 
 
 def _towards(
@@ -194,13 +187,9 @@ def _towards(
 ) -> tuple[Float[Array, "*s"], Float[Array, "*s"], Float[Array, "*s 3"]]:
     """Clamped cosine at the surface, 1/r², unit vector to the light."""
     offset = light - p
-    inverse_square = 1.0 / (jnp.sum(offset**2, axis=-1) + TINY)
+    inverse_square = 1.0 / (dot(offset, offset) + TINY)
     to_light = offset * jnp.sqrt(inverse_square)[..., None]
-    return jnp.maximum(jnp.sum(to_light * n, axis=-1), 0.0), inverse_square, to_light
-
-
-def _unit(vector: Float[Array, "3"]) -> Float[Array, "3"]:
-    return vector / jnp.sqrt(jnp.sum(vector**2))
+    return jnp.maximum(dot(to_light, n), 0.0), inverse_square, to_light
 
 
 def _rgb(amount: Float[Array, "*s"], color: Float[Array, "3"]) -> Float[Array, "*s 3"]:

@@ -28,6 +28,8 @@ PRESETS: dict[str, tuple[tuple[int, int], ...]] = {
     "paper-80": ((16, 10), (8, 15), (4, 25), (2, 30)),
     "naive-50": ((2, 50),),
     "naive-1000": ((2, 1000),),
+    # Ours. The shadow pass: "reducing the number of iterations and maintaining operation at higher resolutions".
+    "shadow": ((1, 8),),
 }
 
 
@@ -103,7 +105,7 @@ class Schedule:
 
     @classmethod
     def preset(cls, name: str, *, kappa: float = DEFAULT_KAPPA, lam: float = DEFAULT_LAM) -> "Schedule":
-        """One of the paper's schedules and baselines: paper-50, paper-80, naive-50, naive-1000.
+        """One of the paper's schedules and baselines, paper-50, paper-80, naive-50, naive-1000, or the shadow pass.
 
         Raises:
             InputError: unknown name.

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import trimesh
 from embreex import mesh_construction, rtcore_scene
@@ -95,8 +96,8 @@ class RayCaster:
         normal = np.where(facing > 0, -normal, normal)
         h, w = camera.intrinsics.shape
         return GBuffer(
-            position=position.reshape(h, w, 3).astype(np.float32),
-            normal=normal.reshape(h, w, 3).astype(np.float32),
-            depth=depth.reshape(h, w).astype(np.float32),
-            hit=hits.hit.reshape(h, w),
+            position=jnp.asarray(position.reshape(h, w, 3), jnp.float32),
+            normal=jnp.asarray(normal.reshape(h, w, 3), jnp.float32),
+            depth=jnp.asarray(depth.reshape(h, w), jnp.float32),
+            hit=jnp.asarray(hits.hit.reshape(h, w)),
         )
