@@ -104,6 +104,6 @@ def _light(room: Room, quality: float) -> Studio:
     textures = Textures(room.seed, quality)
     albedo = np.zeros((len(surface.nodes), 3), np.float32)
     albedo[surface.chart] = textures.mean[surface.material] * surface.tint
-    side = max(2, round(8 * np.sqrt(quality)))
+    side = max(2, round(7 * np.sqrt(quality)))
     light = bake(surface, caster, albedo, 1 / quality, side, room.seed)
     return Studio(surface, caster, textures, light, white_level(light), room.seed)

@@ -21,13 +21,15 @@ def sky_radiance(direction: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"
     return (sky * (1 - ground) + GARDEN * ground).astype(np.float32)
 
 
-def view_radiance(direction: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """The same with trees against the sky, for eyes and mirrors."""
-    radiance = sky_radiance(direction)
+def view(direction: Float[np.ndarray, "n 3"], foliage: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """What a camera exposed for the room sees outside, in multiples of white: a washed-out garden, blank sky."""
     azimuth = np.arctan2(direction[:, 1], -direction[:, 0])
-    wave = np.zeros_like(azimuth)
-    for k, (rate, height) in enumerate(((3.1, 0.07), (7.3, 0.045), (17.0, 0.022), (41.0, 0.012), (97.0, 0.007))):
-        wave += height * np.sin(rate * azimuth + 1.7 * k)
-    crown = np.clip((0.12 + wave - direction[:, 2]) / 0.015, 0, 1)[:, None]
-    leaves = np.array([0.30, 0.40, 0.22], np.float32) * (0.8 + 0.3 * np.sin(60 * wave))[:, None]
-    return (radiance * (1 - 0.85 * crown) + 0.85 * leaves * crown).astype(np.float32)
+    crown_edge = 0.05 + 0.6 * (foliage[:, 1] - 0.2)
+    for k, (rate, height) in enumerate(((3.1, 0.09), (7.3, 0.05), (17.0, 0.03), (41.0, 0.015))):
+        crown_edge = crown_edge + height * np.sin(rate * azimuth + 1.7 * k)
+    crown = np.clip((crown_edge - direction[:, 2]) / 0.02, 0, 1)[:, None]
+    lawn = np.clip((-0.20 - direction[:, 2]) / 0.03, 0, 1)[:, None]
+    sky = np.array([1.7, 1.85, 2.0], np.float32)
+    trees = np.array([0.38, 0.42, 0.33], np.float32) + 2.6 * foliage
+    grass = np.array([0.80, 0.90, 0.62], np.float32) + 0.6 * foliage
+    return ((sky * (1 - crown) + trees * crown) * (1 - lawn) + grass * lawn).astype(np.float32)

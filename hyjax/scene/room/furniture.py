@@ -7,9 +7,9 @@ from hyjax.scene.room.shapes import box, cushion, panel, pillow, revolve, tube
 from hyjax.scene.room.shell import BRASS, STEEL
 from hyjax.scene.room.surface import Builder, Colour
 
-OAK: Colour = (0.60, 0.46, 0.33)
+OAK: Colour = (0.50, 0.40, 0.31)
 WALNUT: Colour = (0.27, 0.17, 0.11)
-BEECH: Colour = (0.66, 0.50, 0.34)
+BEECH: Colour = (0.58, 0.47, 0.36)
 LINEN: Colour = (0.80, 0.75, 0.66)
 SOFA_COLOURS: tuple[Colour, ...] = ((0.27, 0.28, 0.29), (0.40, 0.36, 0.31), (0.15, 0.20, 0.26))
 
@@ -27,15 +27,15 @@ def add_sofa(build: Builder) -> None:
         cushion(build, (low, -0.44, 0.12), (high, 0.44, 0.60), 0.07, m.FABRIC, cloth)
     cushion(build, (-0.86, 0.24, 0.20), (0.86, 0.45, 0.80), 0.08, m.FABRIC, cloth)
     for low, high in ((-0.825, -0.004), (0.004, 0.825)):
-        cushion(build, (low, -0.45, 0.295), (high, 0.24, 0.435), 0.05, m.FABRIC, cloth, 0.16, texel=0.02)
-        cushion(build, (low + 0.01, 0.08, 0.44), (high - 0.01, 0.27, 0.86), 0.075, m.FABRIC, cloth, 0.30, 1, 0.02)
-    mustard, teal = (0.55, 0.33, 0.07), (0.10, 0.24, 0.25)
+        cushion(build, (low, -0.45, 0.295), (high, 0.24, 0.435), 0.05, m.FABRIC, cloth, 0.16)
+        cushion(build, (low + 0.01, 0.10, 0.435), (high - 0.01, 0.28, 0.84), 0.075, m.FABRIC, cloth, 0.16, 1)
+    mustard, teal = (0.55, 0.33, 0.07), (0.11, 0.20, 0.205)
     for x, turn, lean, size, material, tint in (
         (-0.60, -14, 22, 0.46, m.STRIPES, (1.0, 1.0, 1.0)),
         (-0.33, 10, 30, 0.40, m.WEAVE, mustard),
         (0.58, 12, 24, 0.46, m.WEAVE, teal),
     ):
-        with build.placed(x, -0.04 - 0.06 * (size < 0.45), 0.46, turn + build.rng.uniform(-5, 5)):
+        with build.placed(x, -0.02 - 0.09 * (size < 0.45), 0.445, turn + build.rng.uniform(-5, 5)):
             pillow(build, size, 0.16, lean, material, tint, size / 2 - 0.02)
 
 
@@ -71,7 +71,7 @@ def add_coffee_table(build: Builder) -> None:
     with build.placed(0, 0, 0.38):
         profile = [(0, 0), (0.385, 0), (0.387, 0.001), (0.40, 0.012), (0.40, 0.024), (0.396, 0.029),
                    (0.392, 0.030), (0.39, 0.030), (0, 0.030)]  # fmt: skip
-        revolve(build, profile, m.WOOD, WALNUT, 64, 0.02)
+        revolve(build, profile, m.WOOD, WALNUT, 64, 0.025, 1, "above")
     for k in range(3):
         with build.placed(0, 0, 0, 120 * k + 20):
             tube(build, [(0.33, 0, 0), (0.24, 0, 0.38)], [0.012, 0.02], m.WOOD, WALNUT, 12)
@@ -82,13 +82,13 @@ def add_bookcase(build: Builder, width: float, height: float, shelves: int) -> l
     board, deep, half = 0.022, 0.30, width / 2
     for side in (-1, 1):
         low, high = sorted((side * half, side * (half - board)))
-        box(build, (low, -deep, 0), (high, 0, height), m.WOOD, BEECH, texel=0.03)
-    panel(build, (-half, -0.006, 0.03), (width, 0, 0), (0, 0, height - 0.03), m.WOOD, BEECH, texel=0.03)
+        box(build, (low, -deep, 0), (high, 0, height), m.WOOD, BEECH, texel=0.04)
+    panel(build, (-half, -0.006, 0.03), (width, 0, 0), (0, 0, height - 0.03), m.WOOD, BEECH, texel=0.04)
     step = (height - 0.06 - board) / shelves
     tops = []
     for k in range(shelves + 1):
         z = 0.06 + step * k
-        box(build, (board - half, -deep + 0.004, z), (half - board, -0.006, z + board), m.WOOD, BEECH, texel=0.03)
+        box(build, (board - half, -deep + 0.004, z), (half - board, -0.006, z + board), m.WOOD, BEECH, texel=0.04)
         tops.append(z + board)
     box(build, (board - half, -deep + 0.03, 0), (half - board, -deep + 0.05, 0.06), m.WOOD, BEECH)
     return tops[:-1]

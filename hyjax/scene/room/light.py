@@ -19,7 +19,7 @@ from hyjax.scene.room.shell import THICK, WINDOW
 from hyjax.scene.room.surface import Surface
 
 BOUNCES = 6
-CHUNK = 1 << 19
+CHUNK = 1 << 17
 """Rays in flight a thread."""
 OFFSET = 2e-3
 """Metres between a texel and where its rays start: curved charts bulge that far over their triangles."""
@@ -67,7 +67,7 @@ def bake(
     chunks = [slice(a, min(a + step, len(texels))) for a in range(0, len(texels), step)]
 
     def work(k: int) -> _Gathered:
-        return _gather(surface, caster, texels, chunks[k], side, np.random.default_rng((seed, k)))
+        return _gather(surface, caster, texels, chunks[k], side, seed)
 
     with ThreadPoolExecutor(WORKERS) as pool:
         parts = list(pool.map(work, range(len(chunks))))
@@ -92,23 +92,36 @@ def _mean_of(values: Float[np.ndarray, "t 3"], index: Int[np.ndarray, "n k"]) ->
     return total / index.shape[1]
 
 
-def _strata(texels: Texels, chunk: slice, side: int, cell: int, rng: np.random.Generator) -> np.ndarray:
-    """side² points in the unit square for each texel; `cell`² neighbours interleave theirs."""
-    i, j = texels.i[chunk] % cell, texels.j[chunk] % cell
-    order = np.random.default_rng(0).permutation(cell * cell)[i + cell * j]
-    sub = np.stack([order % cell, order // cell], axis=-1)
+def _strata(side: int, cell: int, rng: np.random.Generator) -> Float[np.ndarray, "g k 2"]:
+    """`cell`² groups of side² points in the unit square: each group is even, and so are all groups together."""
     base = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(1, -1, 2)
-    jitter = rng.random((len(i), side * side, 2), dtype=np.float32)
-    return (base + (sub[:, None] + jitter) / cell) / side
+    shift = np.stack(np.meshgrid(np.arange(cell), np.arange(cell)), axis=-1).reshape(-1, 1, 2)
+    jitter = rng.random((cell * cell, side * side, 2))
+    return ((base + (shift + jitter) / cell) / side).astype(np.float32)
 
 
-def _gather(
-    surface: Surface, caster: RayCaster, texels: Texels, chunk: slice, side: int, rng: np.random.Generator
-) -> _Gathered:
+def _group(texels: Texels, chunk: slice, cell: int) -> Int[np.ndarray, "n"]:
+    """Which group of rays each texel takes: neighbours take different ones."""
+    order = np.random.default_rng(0).permutation(cell * cell)
+    return order[texels.i[chunk] % cell + cell * (texels.j[chunk] % cell)]
+
+
+def _patterns(side: int, seed: int) -> tuple[Float[np.ndarray, "16 k 3"], Float[np.ndarray, "4 k 3"]]:
+    """Directions about +z for sixteen neighbouring texels, and points in the window's opening for four."""
+    rng = np.random.default_rng((seed, 2))
+    lobe = _cosine_lobe(_strata(side, 4, rng))
+    y0, y1, z0, z1 = WINDOW
+    square = _strata(side, 2, rng)
+    y, z = y0 + square[..., 0] * (y1 - y0), z0 + square[..., 1] * (z1 - z0)
+    return lobe.astype(np.float32), np.stack([np.full_like(y, -THICK), y, z], axis=-1).astype(np.float32)
+
+
+def _gather(surface: Surface, caster: RayCaster, texels: Texels, chunk: slice, side: int, seed: int) -> _Gathered:
     normal = texels.normal[chunk]
     origin = texels.position[chunk] + OFFSET * normal
     n, rays = len(origin), side * side
-    direction = _cosine_directions(_strata(texels, chunk, side, 4, rng), normal)
+    lobe, opening = _patterns(side, seed)
+    direction = np.matmul(lobe[_group(texels, chunk, 4)], _frames(normal))
     flat = direction.reshape(-1, 3)
     origins = np.repeat(origin, rays, axis=0)
     hits = caster.cast(origins, flat)
@@ -118,7 +131,7 @@ def _gather(
     chosen = dataclasses.replace(hits, distance=hits.distance[lit], face=hits.face[lit],
                                  barycentric=hits.barycentric[lit])  # fmt: skip
     seen[lit] = texels.nearest(surface.chart[chosen.face], at_hits(surface.st, chosen))
-    miss = ~hits.hit
+    miss = ~hits.hit & (flat[:, 0] < 0)
     escaped = np.zeros((n * rays, 3), np.float32)
     if miss.any():
         escaped[miss] = sky_radiance(flat[miss]) * (1 - _window_share(origins[miss], flat[miss], normal.repeat(
@@ -126,23 +139,26 @@ def _gather(
     near = np.minimum(np.where(hits.hit, hits.distance, 10.0), 10.0).reshape(n, rays)
     inside = (hits.hit & ~front).reshape(n, rays).mean(axis=1)
     direct = escaped.reshape(n, rays, 3).mean(axis=1)
-    direct += _from_window(caster, origin, normal, _strata(texels, chunk, side, 2, rng))
+    direct += _from_window(caster, origin, normal, opening[_group(texels, chunk, 2)])
     return _Gathered(direct, seen.reshape(n, rays), 1 / (1 / (near + 1e-3)).mean(axis=1), inside < 0.4)
 
 
-def _cosine_directions(square: Float[np.ndarray, "n k 2"], normal: Float[np.ndarray, "n 3"]) -> np.ndarray:
-    """Cosine-weighted directions about the normals, from points of the unit square (Shirley's concentric map)."""
+def _cosine_lobe(square: Float[np.ndarray, "g k 2"]) -> Float[np.ndarray, "g k 3"]:
+    """Cosine-weighted directions about +z from points of the unit square (Shirley's concentric map)."""
     a, b = 2 * square[..., 0] - 1, 2 * square[..., 1] - 1
     wide = np.abs(a) > np.abs(b)
     r = np.where(wide, a, b)
     ratio = np.where(wide, b, a) / np.where(np.abs(r) < 1e-9, 1.0, r)
     angle = np.where(wide, ratio * (np.pi / 4), np.pi / 2 - ratio * (np.pi / 4))
+    return np.stack([r * np.cos(angle), r * np.sin(angle), np.sqrt(np.maximum(1 - r * r, 1e-6))], axis=-1)
+
+
+def _frames(normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+    """Rows x, y and z of a right-handed frame with z along the normal."""
     helper = np.where(np.abs(normal[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     x = np.cross(helper, normal)
     x /= np.linalg.norm(x, axis=1, keepdims=True)
-    y = np.cross(normal, x)
-    local = np.stack([r * np.cos(angle), r * np.sin(angle), np.sqrt(np.maximum(1 - r * r, 1e-6))], axis=-1)
-    return (local.astype(np.float32)) @ np.stack([x, y, normal], axis=1).astype(np.float32)
+    return np.stack([x, np.cross(normal, x), normal], axis=1).astype(np.float32)
 
 
 def _window_share(origin: np.ndarray, direction: np.ndarray, normal: np.ndarray) -> Float[np.ndarray, "n"]:
@@ -156,16 +172,14 @@ def _window_share(origin: np.ndarray, direction: np.ndarray, normal: np.ndarray)
 
 
 def _from_window(
-    caster: RayCaster, origin: np.ndarray, normal: np.ndarray, square: Float[np.ndarray, "n k 2"]
+    caster: RayCaster, origin: np.ndarray, normal: np.ndarray, target: Float[np.ndarray, "n k 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Irradiance / π from points in the window's opening."""
     y0, y1, z0, z1 = WINDOW
     area = (y1 - y0) * (z1 - z0)
-    target = np.stack([np.full(square.shape[:2], -THICK), y0 + square[..., 0] * (y1 - y0),
-                       z0 + square[..., 1] * (z1 - z0)], axis=-1)  # fmt: skip
     to = target - origin[:, None]
-    distance = np.linalg.norm(to, axis=-1)
-    to /= np.maximum(distance, 1e-9)[..., None]
+    distance = np.sqrt(np.einsum("nkd,nkd->nk", to, to))
+    to /= np.maximum(distance, 1e-6)[..., None]
     cosine = np.einsum("nkd,nd->nk", to, normal)
     facing = -to[..., 0]
     ask = (cosine > 0) & (facing > 1e-4)
@@ -185,41 +199,37 @@ def _from_window(
 def _smooth(
     texels: Texels, direct: np.ndarray, indirect: np.ndarray, distance: np.ndarray, valid: np.ndarray
 ) -> Float[np.ndarray, "t 3"]:
-    """Merge the interleaved rays of neighbours, less where things are near; fill texels that lie inside solids."""
+    """Merge the interleaved rays of neighbours, wider where nothing is near; fill texels inside solids.
+
+    Charts of one shape are filtered together: there are thousands of them, most with a handful of texels.
+    """
     total = np.empty_like(direct)
-    for c in range(len(texels.columns)):
-        part = slice(texels.start[c], texels.start[c + 1])
-        shape = (texels.rows[c], texels.columns[c])
-        good = valid[part].reshape(*shape, 1)
-        if shape == (1, 1):
-            total[part] = direct[part] + indirect[part]
-            continue
-        d, i = (np.where(good, a[part].reshape(*shape, 3), 0.0) for a in (direct, indirect))
-        texel = max(texels.pitch[c], 1e-3)
-        near = np.clip(distance[part].reshape(*shape, 1) / texel / 6 - 0.3, 0, 1)
-        far = np.clip(distance[part].reshape(*shape, 1) / texel / 12 - 0.5, 0, 1)
-        weight = good.astype(np.float32)
-        once = _merge(i, weight, (0.5, 1, 1, 1, 0.5))
-        wide = _merge(once * weight, weight, (0.5, 0, 1, 0, 1, 0, 1, 0, 0.5))
-        i = i + (once - i) * np.where(good, near, 1.0)
-        i = i + (wide - i) * np.where(good, far, 0.0)
-        d1 = _merge(d, weight, (0.5, 1, 0.5))
-        d = d + (d1 - d) * np.where(good, np.maximum(near, 0.5), 1.0)
-        light = d + i
+    shapes, member = np.unique(np.stack([texels.rows, texels.columns], axis=1), axis=0, return_inverse=True)
+    for k, shape in enumerate(shapes):
+        charts = np.flatnonzero(member.reshape(-1) == k)
+        part = texels.start[charts][:, None] + np.arange(shape[0] * shape[1])
+        block = (len(charts), *shape)
+        weight = valid[part].reshape(*block, 1).astype(np.float32)
+        d, i = (a[part].reshape(*block, 3) for a in (direct, indirect))
+        far = distance[part].reshape(block) / texels.pitch[charts][:, None, None]
+        i = _merge(i, weight, (0.5, 1, 1, 1, 0.5))
+        wide = _merge(i, weight, (0.5, 0, 1, 0, 1, 0, 1, 0, 0.5))
+        i = i + (wide - i) * np.clip(far / 8 - 0.5, 0, 1)[..., None]
+        light = _merge(d, weight, (0.5, 1, 0.5)) + i
         for _ in range(8):
             if weight.all():
                 break
-            filled = _merge(light * weight, weight, (1, 1, 1))
+            filled = _merge(light, weight, (1, 1, 1))
             light = np.where(weight > 0, light, filled)
             weight = np.maximum(weight, (filled.sum(axis=-1, keepdims=True) > 0).astype(np.float32))
-        total[part] = light.reshape(-1, 3)
+        total[part.ravel()] = light.reshape(-1, 3)
     return total
 
 
-def _merge(values: np.ndarray, weight: np.ndarray, taps: tuple[float, ...]) -> np.ndarray:
-    """Weighted mean over neighbours along both axes."""
+def _merge(values: np.ndarray, weight: np.ndarray, taps: tuple[float, ...]) -> Float[np.ndarray, "b r c 3"]:
+    """Weighted mean over neighbours along rows and columns."""
     both = np.concatenate([values * weight, weight], axis=-1)
-    for axis in (0, 1):
+    for axis in (1, 2):
         if both.shape[axis] > 1:
             both = correlate1d(both, np.array(taps), axis=axis, mode="reflect")
     return (both[..., :3] / np.maximum(both[..., 3:], 1e-6)).astype(np.float32)

@@ -23,7 +23,7 @@ class Texels:
 
     def __init__(self, surface: Surface, scale: float = 1.0) -> None:
         size = np.array([_lengths(surface.mesh.vertices[n]) for n in surface.nodes])
-        count = np.clip(np.ceil(size / (surface.texel[:, None] * scale)), 1, MAX_TEXELS).astype(np.int64)
+        count = np.clip(np.ceil(size / (surface.texel * scale)), 1, MAX_TEXELS).astype(np.int64)
         self.columns, self.rows = count.T
         self.pitch = (size / count).max(axis=1)
         self.start = np.concatenate([[0], np.cumsum(self.columns * self.rows)])
@@ -32,8 +32,9 @@ class Texels:
         self.i, self.j = local % self.columns[self.chart], local // self.columns[self.chart]
         self._surface = surface
         place = self._spread(np.concatenate([surface.mesh.vertices, surface.mesh.vertex_normals], axis=1))
-        self.position = place[:, :3]
-        self.normal = place[:, 3:] / np.maximum(np.linalg.norm(place[:, 3:], axis=1, keepdims=True), 1e-9)
+        self.position = place[:, :3].astype(np.float32)
+        length = np.linalg.norm(place[:, 3:], axis=1, keepdims=True)
+        self.normal = (place[:, 3:] / np.maximum(length, 1e-9)).astype(np.float32)
 
     def __len__(self) -> int:
         return len(self.chart)

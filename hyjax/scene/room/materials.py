@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -60,10 +61,15 @@ class Textures:
     def __init__(self, seed: int, quality: float = 1.0) -> None:
         shift = max(0, round(np.log2(1 / quality)))
         levels, starts, at = [], [], 0
-        for row, material in enumerate(TABLE):
-            size = max(32, material.size >> shift)
-            image = np.clip(material.paint(size, np.random.default_rng((seed, row))), 0.0, 1.0)
-            image = np.asarray(image, dtype=np.float32)
+
+        def draw(row: int) -> Image:
+            size = max(32, TABLE[row].size >> shift)
+            image = TABLE[row].paint(size, np.random.default_rng((seed, row)))
+            return np.clip(image, 0.0, 1.0, dtype=np.float32)
+
+        with ThreadPoolExecutor(2) as pool:
+            images = list(pool.map(draw, range(len(TABLE))))
+        for image in images:
             start = []
             while True:
                 levels.append(image.reshape(-1, 3))

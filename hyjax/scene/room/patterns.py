@@ -88,7 +88,7 @@ def fabric(n: int, rng: np.random.Generator) -> Image:
     u, v = _mesh(n)
     threads = np.sin(2 * np.pi * 90 * u) * np.sin(2 * np.pi * 90 * v)
     slubs = noise(n, 7, 0.8, rng) + noise(n, 0.8, 7, rng)
-    return _grey(0.86 + 0.05 * threads + 0.045 * slubs + 0.03 * noise(n, 24, 24, rng))
+    return _grey(0.88 + 0.05 * threads + 0.03 * slubs)
 
 
 def weave(n: int, rng: np.random.Generator) -> Image:

@@ -5,15 +5,19 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter
+from skimage.transform import resize
 
 from hyjax.scene.camera import Camera
 from hyjax.scene.raycast import Hits, RayCaster
-from hyjax.scene.room.daylight import view_radiance
+from hyjax.scene.room.daylight import sky_radiance, view
 from hyjax.scene.room.light import Light
 from hyjax.scene.room.lightmap import at_hits
-from hyjax.scene.room.materials import BLUR, GLOSS, Textures
+from hyjax.scene.room.materials import BLUR, GLOSS, LEAF, Textures
 from hyjax.scene.room.surface import Surface
 
+BALANCE = np.array([0.975, 1.0, 1.035], np.float32)
+"""White balance: most of the warmth that the walls and the floor lend to the light is taken out."""
+CONTRAST = 0.3
 EDGE_SAMPLES = 8
 """Rays through a pixel that more than one surface shares."""
 BLURS = (0.0, 2.0, 6.0)
@@ -60,8 +64,7 @@ def _diffuse(
     surface = studio.surface
     radiance = np.empty((len(rays), 3), np.float32)
     miss = ~hits.hit
-    unit = rays[miss] / np.linalg.norm(rays[miss], axis=1, keepdims=True)
-    radiance[miss] = view_radiance(unit.astype(np.float32))
+    radiance[miss] = _outside(studio, rays[miss])
     seen = select(hits, hits.hit)
     direction = rays[hits.hit]
     normal = surface.mesh.face_normals[seen.face]
@@ -73,6 +76,15 @@ def _diffuse(
     )
     radiance[hits.hit] = albedo * surface.tint[seen.face] * irradiance
     return radiance
+
+
+def _outside(studio: Studio, rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    direction = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
+    place = np.stack([np.arctan2(direction[:, 1], -direction[:, 0]), direction[:, 2]], axis=-1)
+    n = len(direction)
+    row, width = np.full(n, LEAF), np.full(n, 0.004, np.float32)
+    foliage = studio.textures(row, 0.9 * place, width) * 0.5 + studio.textures(row, 3.7 * place, width) * 0.5
+    return view(direction, foliage) / studio.exposure
 
 
 def select(hits: Hits, chosen: Bool[np.ndarray, "n"]) -> Hits:
@@ -134,7 +146,9 @@ def _mirror(
     bounced = studio.caster.cast(start, mirrored)
     away = np.where(bounced.hit, np.minimum(bounced.distance, 6.0), 6.0)
     spread = pixel * (1 + seen.distance / np.maximum(away, 0.05))
-    light = np.minimum(_diffuse(studio, start, mirrored, bounced, spread * 2), 2.5 / studio.exposure)
+    light = _diffuse(studio, start, mirrored, bounced, spread * 2)
+    light[~bounced.hit] = sky_radiance(mirrored[~bounced.hit].astype(np.float32))
+    light = np.minimum(light, 2.5 / studio.exposure)
     # A rough mirror smears far things and leaves those that touch it sharp.
     smear = BLUR[material[glossy]] * np.clip(away / (away + 0.6 * seen.distance), 0, 1)
     return _smear(glossy.reshape(h, w), light, fresnel, smear, surface.chart[seen.face], w / 640)
@@ -170,12 +184,12 @@ def _develop(linear: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Fl
     """Lens, sensor and tone curve: exposed linear light → display-encoded picture in 8-bit steps."""
     h, w, _ = linear.shape
     scale = w / 640
-    bright = np.minimum(linear, 3.0)
-    glare = sum(
-        share * gaussian_filter(bright, (sigma * scale, sigma * scale, 0), truncate=3)
-        for share, sigma in ((0.03, 6.0), (0.025, 28.0))
-    )
-    image = 0.945 * gaussian_filter(linear, (0.45 * scale, 0.45 * scale, 0), truncate=3) + glare
+    near = gaussian_filter(np.minimum(linear, 3.0), (5.0 * scale, 5.0 * scale, 0), truncate=2.5)
+    # The wide glare is smooth: a quarter of the pixels each way are enough.
+    wide = gaussian_filter(near[::4, ::4], (6.5 * scale, 6.5 * scale, 0), truncate=3)
+    wide = resize(wide, linear.shape, order=1)
+    sharp = gaussian_filter(linear, (0.42 * scale, 0.42 * scale, 0), truncate=3)
+    image = 0.955 * sharp + 0.025 * near + 0.02 * wide
     y, x = np.mgrid[0:h, 0:w]
     radius2 = ((x + 0.5) / w - 0.5) ** 2 + (((y + 0.5) / h - 0.5) * h / w) ** 2
     image *= (1 - 0.45 * radius2)[..., None]
@@ -183,7 +197,9 @@ def _develop(linear: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Fl
     deviation = np.sqrt(2.5e-5 * np.maximum(image, 0) + 4e-7)
     grain = rng.standard_normal(image.shape, dtype=np.float32)
     image = np.maximum(image + deviation * grain, 0)
-    display = encode(tone(image))
+    display = encode(tone(image * BALANCE))
+    # A slight S, as every camera's picture style has.
+    display += CONTRAST * (display * display * (3 - 2 * display) - display)
     return (np.round(display * 255) / 255).astype(np.float32)
 
 
@@ -203,4 +219,4 @@ def encode(linear: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 def white_level(light: Light) -> float:
     """Exposure that brings the room's typical lit surface to middle grey; the same for every frame."""
     typical = np.median(light.irradiance.mean(axis=1)[light.irradiance.mean(axis=1) > 1e-4])
-    return float(0.42 / typical)
+    return float(0.36 / typical)

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -20,9 +21,13 @@ def panel(
     material: int,
     tint: Colour = WHITE,
     holes: Sequence[tuple[float, float, float, float]] = (),
-    texel: float = 0.035,
+    texel: float = 0.045,
+    stretch: bool = False,
 ) -> None:
-    """A flat rectangle with normal s × t; `holes` are (s0, t0, s1, t1) in metres from `origin`."""
+    """A flat rectangle with normal s × t; `holes` are (s0, t0, s1, t1) in metres from `origin`.
+
+    The texture is laid on in metres, or with `stretch` once over the whole rectangle's unit square.
+    """
     o, ds, dt = (np.asarray(v, dtype=float) for v in (origin, along_s, along_t))
     size = np.array([np.linalg.norm(ds), np.linalg.norm(dt)])
     breaks = []
@@ -39,7 +44,7 @@ def panel(
     st = np.stack([s, t], axis=-1) / size
     points = o + st[..., :1] * ds + st[..., 1:] * dt
     index = np.arange(s.size).reshape(s.shape)
-    build.add(points.reshape(-1, 3), [Grid(index, np.stack([s, t], -1), st, keep)], material, tint, texel)
+    build.add(points.reshape(-1, 3), [Grid(index, st if stretch else st * size, st, keep)], material, tint, texel)
 
 
 def box(
@@ -108,16 +113,22 @@ def smooth(
     grids: Sequence[Float[np.ndarray, "t s 3"]],
     material: int,
     tint: Colour = WHITE,
-    texel: float = 0.02,
+    texel: float | tuple[float, float] = 0.03,
+    lay: Literal["along", "across", "above"] = "along",
 ) -> None:
-    """Curved charts in one smooth piece. Texture coordinates follow the lengths of the middle row and column."""
+    """Curved charts in one smooth piece.
+
+    Texture coordinates follow the lengths of the middle row and column (`along`: u on s; `across`: u on t), or are
+    x and y (`above`).
+    """
     points, indices = weld(grids)
     offset = build.rng.uniform(0, 5, 2)
     charts = []
     for grid, index in zip(grids, indices):
         length = [np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in
                   (grid[len(grid) // 2], grid[:, grid.shape[1] // 2])]  # fmt: skip
-        charts.append(Grid(index, even_st(index.shape) * length + offset))
+        uv = grid[..., :2] if lay == "above" else even_st(index.shape) * length
+        charts.append(Grid(index, (uv[..., ::-1] if lay == "across" else uv) + offset))
     build.add(points, charts, material, tint, texel)
 
 
@@ -127,8 +138,9 @@ def revolve(
     material: int,
     tint: Colour = WHITE,
     sides: int = 32,
-    texel: float = 0.012,
+    texel: float = 0.015,
     steps: int = 1,
+    lay: Literal["along", "across", "above"] = "along",
 ) -> None:
     """A solid of revolution about local z. `profile` lists (radius, z) with the solid to its left going up."""
     line = np.asarray(profile, dtype=float)
@@ -139,7 +151,7 @@ def revolve(
     grid = np.stack(
         [r[:, None] * np.cos(angle), r[:, None] * np.sin(angle), np.repeat(z[:, None], sides + 1, 1)], -1
     )
-    smooth(build, [grid], material, tint, texel)
+    smooth(build, [grid], material, tint, texel, lay)
 
 
 def tube(
@@ -149,7 +161,6 @@ def tube(
     material: int,
     tint: Colour = WHITE,
     sides: int = 10,
-    texel: float = 0.03,
     caps: bool = True,
 ) -> None:
     """A round rod along a polyline; `radius` may vary from point to point."""
@@ -165,11 +176,11 @@ def tube(
     r = np.broadcast_to(radius, len(line))[:, None, None]
     ring = np.cos(angle)[None, :, None] * x[:, None] + np.sin(angle)[None, :, None] * y[:, None]
     grid = line[:, None] + r * ring
-    smooth(build, [grid], material, tint, texel)
+    smooth(build, [grid], material, tint, (float(np.max(r)), 0.04), "across")
     if caps:
         for end, flip in ((0, -1), (-1, 1)):
             disc = np.stack([np.repeat(line[end][None], sides + 1, 0), grid[end]])
-            smooth(build, [disc[::-flip]], material, tint, texel)
+            smooth(build, [disc[::-flip]], material, tint, 0.05)
 
 
 def _cube(half: np.ndarray, nodes: Sequence[np.ndarray]) -> list[np.ndarray]:

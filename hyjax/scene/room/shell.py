@@ -11,6 +11,8 @@ from hyjax.scene.room.surface import Builder, Colour
 
 WIDTH, DEPTH, HEIGHT = 4.4, 5.2, 2.6
 THICK = 0.24
+OVERLAP = 0.006
+"""The shell's rectangles reach this far into each other, so that no ray slips out where they meet."""
 WINDOW = (1.75, 4.15, 0.82, 2.22)
 """y from, y to, z from, z to."""
 DOOR = (3.12, 3.98, 2.04)
@@ -30,12 +32,16 @@ def add_shell(build: Builder) -> None:
     y0, y1, z0, z1 = WINDOW
     x0, x1, top = DOOR
     w, d, h = WIDTH, DEPTH, HEIGHT
-    panel(build, (0, 0, 0), (w, 0, 0), (0, d, 0), m.FLOOR, texel=0.022)
-    panel(build, (0, 0, h), (0, d, 0), (w, 0, 0), m.PAINT, CEILING, texel=0.06)
-    panel(build, (0, 0, 0), (0, d, 0), (0, 0, h), m.PAINT, WARM_WHITE, [(y0, z0, y1, z1)])
-    panel(build, (w, d, 0), (0, -d, 0), (0, 0, h), m.PAINT, accent)
-    panel(build, (w, 0, 0), (-w, 0, 0), (0, 0, h), m.PAINT, WARM_WHITE, [(w - x1, 0, w - x0, top)])
-    panel(build, (0, d, 0), (w, 0, 0), (0, 0, h), m.PAINT, WARM_WHITE)
+    e = OVERLAP
+    w2, d2, h2 = w + 2 * e, d + 2 * e, h + 2 * e
+    panel(build, (-e, -e, 0), (w2, 0, 0), (0, d2, 0), m.FLOOR, texel=0.026)
+    panel(build, (-e, -e, h), (0, d2, 0), (w2, 0, 0), m.PAINT, CEILING, texel=0.07)
+    hole = (y0 + e, z0 + e, y1 + e, z1 + e)
+    panel(build, (0, -e, -e), (0, d2, 0), (0, 0, h2), m.PAINT, WARM_WHITE, [hole])
+    panel(build, (w, d + e, -e), (0, -d2, 0), (0, 0, h2), m.PAINT, accent)
+    doorway = (w + e - x1, 0, w + e - x0, top + e)
+    panel(build, (w + e, 0, -e), (-w2, 0, 0), (0, 0, h2), m.PAINT, WARM_WHITE, [doorway])
+    panel(build, (-e, d, -e), (w2, 0, 0), (0, 0, h2), m.PAINT, WARM_WHITE)
     _skirting(build)
     _window(build)
     _door(build)
@@ -58,6 +64,8 @@ def _skirting(build: Builder) -> None:
 
 def _window(build: Builder) -> None:
     y0, y1, z0, z1 = WINDOW
+    # The reveal stands a hair back from the wall's edge: the wall covers the joint.
+    y0, y1, z0, z1 = y0 - 0.001, y1 + 0.001, z0 - 0.001, z1 + 0.001
     dy, dz, t = y1 - y0, z1 - z0, THICK
     for origin, s, u in (
         ((-t, y0, z0), (t, 0, 0), (0, dy, 0)),
@@ -99,6 +107,7 @@ def _window(build: Builder) -> None:
 def _door(build: Builder) -> None:
     x0, x1, top = DOOR
     deep, wide = 0.07, 0.07
+    panel(build, (x0, -deep, 0.001), (x1 - x0, 0, 0), (0, deep + 0.01, 0), m.WOOD, (0.5, 0.4, 0.3), texel=0.03)
     panel(build, (x1, -deep, 0), (0, 0, top), (0, deep, 0), m.LACQUER, TRIM, texel=0.03)
     panel(build, (x0, -deep, 0), (0, deep, 0), (0, 0, top), m.LACQUER, TRIM, texel=0.03)
     panel(build, (x0, -deep, top), (0, deep, 0), (x1 - x0, 0, 0), m.LACQUER, TRIM, texel=0.03)
@@ -124,7 +133,7 @@ def _radiator(build: Builder) -> None:
     columns = 22
     for k in range(columns):
         y = y0 + (y1 - y0) * k / columns
-        box(build, (0.04, y, 0.14), (0.12, y + 0.042, 0.68), m.LACQUER, TRIM, bevel=0.012, texel=0.04)
+        box(build, (0.04, y, 0.14), (0.12, y + 0.042, 0.68), m.LACQUER, TRIM, bevel=0.012, texel=0.06)
     for z in (0.18, 0.62):
         box(build, (0.06, y0, z), (0.10, y1 - 0.01, z + 0.05), m.LACQUER, TRIM)
     for y in (y0 + 0.1, y1 - 0.1):
@@ -151,4 +160,4 @@ def _curtains(build: Builder) -> None:
         grid = np.stack(
             [0.10 + deep * np.sin(wave), left + 0.48 * s + 0.012 * np.cos(wave), 0.02 + t * (rod - 0.034)], -1
         )
-        sheet(build, grid, m.WEAVE, (0.72, 0.68, 0.60), thickness=0.002, texel=0.02)
+        sheet(build, grid, m.WEAVE, (0.72, 0.68, 0.60), thickness=0.002, texel=0.035)

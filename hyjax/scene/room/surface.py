@@ -49,7 +49,7 @@ class Surface:
         st: chart coordinates of each face's corners.
         uv: texture coordinates of each face's corners in metres.
         nodes: the vertex indices of each chart's control grid, evenly spaced in (s, t).
-        texel: wanted light-map resolution of each chart in metres.
+        texel: wanted light-map resolution of each chart along s and t in metres.
     """
 
     mesh: trimesh.Trimesh
@@ -59,7 +59,7 @@ class Surface:
     st: Float[np.ndarray, "f 3 2"]
     uv: Float[np.ndarray, "f 3 2"]
     nodes: list[Int[np.ndarray, "t s"]]
-    texel: Float[np.ndarray, "c"]
+    texel: Float[np.ndarray, "c 2"]
 
 
 _QUAD = ((slice(0, -1), slice(0, -1)), (slice(0, -1), slice(1, None)),
@@ -115,7 +115,7 @@ class Builder:
         grids: Sequence[Grid],
         material: int,
         tint: Colour = WHITE,
-        texel: float = 0.025,
+        texel: float | tuple[float, float] = 0.025,
     ) -> None:
         """Add a part: shared points, and the charts between them."""
         for grid in grids:
@@ -126,7 +126,7 @@ class Builder:
             self._add_triangles(points, quads[0], quads[1], quads[2], chart, material, tint)
             control = grid.index if grid.st is None else grid.index[:: len(st) - 1, :: st.shape[1] - 1]
             self._lists["nodes"].append(control + self._count)
-            self._lists["texel"].append(texel)
+            self._lists["texel"].append(texel if isinstance(texel, tuple) else (texel, texel))
             self._charts += 1
         self._add_points(points)
 
@@ -146,7 +146,9 @@ class Builder:
         points = corners.reshape(-1, 3)
         self._add_triangles(points, index, st, uv, chart, material, tint)
         self._lists["nodes"] += list((index[:, [0, 1, 3, 2]] + self._count).reshape(-1, 2, 2))
-        self._lists["texel"] += [texel] * len(corners)
+        # Chamfers are too narrow to show more than how the light changes along them.
+        narrow = np.linalg.norm(corners[:, 2] - corners[:, 1], axis=1) < 0.012
+        self._lists["texel"] += [(t, t) for t in np.where(narrow, 3 * texel, texel)]
         self._charts += len(corners)
         self._add_points(points)
 

@@ -9,25 +9,26 @@ from hyjax.scene.room.surface import WHITE, Builder, Colour
 COVERS: tuple[Colour, ...] = (
     (0.45, 0.07, 0.05), (0.06, 0.13, 0.28), (0.08, 0.20, 0.12), (0.60, 0.42, 0.10), (0.70, 0.66, 0.56),
     (0.10, 0.10, 0.11), (0.42, 0.20, 0.10), (0.16, 0.30, 0.36), (0.55, 0.24, 0.18), (0.75, 0.73, 0.70),
-    (0.28, 0.10, 0.22), (0.35, 0.38, 0.20),
+    (0.20, 0.09, 0.13), (0.35, 0.38, 0.20),
 )  # fmt: skip
 GLAZES: tuple[Colour, ...] = ((0.72, 0.70, 0.66), (0.10, 0.22, 0.33), (0.50, 0.22, 0.12), (0.25, 0.36, 0.30))
 
 
 def _cover(build: Builder) -> Colour:
     r, g, b = np.clip(np.array(COVERS[build.rng.integers(len(COVERS))]) * build.rng.uniform(0.8, 1.25), 0, 0.85)
-    return float(r), float(g), float(b)
+    grey = 0.12 * (r + g + b) / 3
+    return float(0.88 * r + grey), float(0.88 * g + grey), float(0.88 * b + grey)
 
 
 def book(build: Builder, thick: float, deep: float, tall: float) -> None:
     """A standing book: spine at y = -deep, thickness along x from 0, cover boards proud of the pages."""
     spine = (build.rng.integers(16) * 0.04 + 0.02 - thick / 2, 0.0)
     cover, board = _cover(build), 0.0025
-    box(build, (0, -deep, 0), (thick, -deep + 0.004, tall), m.BOOK, cover, 0.001, "x", spine, 0.02)
+    box(build, (0, -deep, 0), (thick, -deep + 0.004, tall), m.BOOK, cover, 0.001, "x", spine, 0.03)
     for low, high in ((0.0, board), (thick - board, thick)):
-        box(build, (low, -deep + 0.004, 0), (high, 0, tall), m.BOOK, cover, 0.0, "y", (0.3, 0.5), 0.04)
+        box(build, (low, -deep + 0.004, 0), (high, 0, tall), m.BOOK, cover, 0.0, "y", (0.3, 0.5), 0.07)
     box(build, (board, -deep + 0.004, 0.004), (thick - board, -0.004, tall - 0.004), m.PAGES, WHITE, 0.0, "z",
-        texel=0.03)  # fmt: skip
+        texel=0.08)  # fmt: skip
 
 
 def book_row(build: Builder, start: float, end: float, z: float, room: float) -> None:
@@ -52,7 +53,8 @@ def book_stack(build: Builder, count: int) -> None:
             box(build, (-x, -y, 0), (x, y, 0.003), m.BOOK, cover, 0.0008, "y", plain)
             box(build, (-x, -y, top), (x, y, thick), m.BOOK, cover, 0.0008, "y", plain)
             box(build, (-x, -y, 0.003), (x, 0.003 - y, top), m.BOOK, cover, 0.0, "z", plain)
-            box(build, (0.004 - x, 0.003 - y, 0.003), (x - 0.004, y - 0.004, top), m.PAGES, WHITE, 0.0, "x")
+            low, high = (0.004 - x, 0.003 - y, 0.003), (x - 0.004, y - 0.004, top)
+            box(build, low, high, m.PAGES, WHITE, 0.0, "x", texel=0.05)
         z += thick
 
 
@@ -63,7 +65,7 @@ def vase(build: Builder, tall: float, tint: Colour) -> None:
     outer = [(r * tall, k * tall) for r, k in zip(radius, z)]
     inner = [(r - 0.005, k) for r, k in outer[:14:-1]]
     revolve(build, [(0, 0), (outer[0][0] - 0.002, 0), *outer, *inner, (0, inner[-1][1] - 0.01)], m.CERAMIC, tint,
-            40, 0.01)  # fmt: skip
+            40)  # fmt: skip
 
 
 def bowl(build: Builder, radius: float, tint: Colour) -> None:
@@ -73,14 +75,14 @@ def bowl(build: Builder, radius: float, tint: Colour) -> None:
     inner = [(r * 0.96, z + 0.005) for r, z in outer[::-1]]
     revolve(build, [(0, 0), (outer[0][0], 0), (outer[0][0] + 0.002, 0.001), *outer,
                     (outer[-1][0] * 0.985, outer[-1][1] + 0.005), *inner, (0, inner[-1][1])],
-            m.CERAMIC, tint, 48, 0.01)  # fmt: skip
+            m.CERAMIC, tint, 48)  # fmt: skip
 
 
 def mug(build: Builder, tint: Colour) -> None:
     """A mug with a handle."""
     revolve(build, [(0, 0), (0.036, 0), (0.039, 0.002), (0.041, 0.006), (0.042, 0.09), (0.0415, 0.093),
                     (0.039, 0.093), (0.0385, 0.09), (0.038, 0.012), (0.034, 0.008), (0, 0.008)],
-            m.CERAMIC, tint, 40, 0.01)  # fmt: skip
+            m.CERAMIC, tint, 40)  # fmt: skip
     bend = np.linspace(-1.25, 1.25, 15)
     tube(build, [(0.036 + 0.026 * np.cos(a), 0, 0.048 + 0.029 * np.sin(a)) for a in bend], 0.0048, m.CERAMIC, tint)
 
@@ -106,7 +108,7 @@ def framed_picture(build: Builder, width: float, height: float, tint: Colour) ->
     a, b = half - bar, tall - bar
     panel(build, (-a, -0.008, -b), (2 * a, 0, 0), (0, 0, 2 * b), m.CERAMIC, (0.80, 0.79, 0.75), texel=0.03)
     a, b = a - mat, b - mat
-    panel(build, (-a, -0.0095, -b), (2 * a, 0, 0), (0, 0, 2 * b), m.PICTURE, texel=0.03)
+    panel(build, (-a, -0.0095, -b), (2 * a, 0, 0), (0, 0, 2 * b), m.PICTURE, texel=0.03, stretch=True)
 
 
 def storage_box(build: Builder, wide: float, deep: float, tall: float, tint: Colour) -> None:
@@ -141,7 +143,7 @@ def plant(build: Builder, leaves: int, tall: float, pot: float, spread: float, t
 def _stem_and_leaf(build: Builder, reach: float, rise: float, length: float) -> None:
     at = np.linspace(0, 1, 8)
     path = np.stack([0.02 + reach * at**1.8, 0 * at, rise * np.sin(at * np.pi / 2)], -1)
-    tube(build, path, 0.004 - 0.002 * at, m.LEAF, (1.0, 1.1, 0.8), 6, 0.05, caps=False)
+    tube(build, path, 0.004 - 0.002 * at, m.LEAF, (1.0, 1.1, 0.8), 6, caps=False)
     t, s = np.meshgrid(np.linspace(0, 1, 11), np.linspace(-1, 1, 7), indexing="ij")
     wide = 0.40 * length * np.sin(np.pi * np.clip(t, 0.015, 0.985)) ** 0.75 * (1.15 - 0.5 * t)
     droop = build.rng.uniform(0.5, 1.0)
