@@ -49,7 +49,7 @@ def extract_surface(
     vertices = ((vertices + low * 8.0) * voxel).astype(np.float32)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     bad = degenerate_faces(vertices, faces)
-    bad |= _in_small_pieces(mesh, (8.0 * voxel) ** 2 if min_area is None else min_area)
+    bad |= in_small_pieces(mesh, (8.0 * voxel) ** 2 if min_area is None else min_area)
     if bad.all():
         raise InputError("no surface: only specks were seen; need more depth or a finer voxel")
     mesh = drop_faces(mesh, bad)
@@ -95,7 +95,7 @@ def _marching_cubes(
     return vertices, faces
 
 
-def _in_small_pieces(mesh: trimesh.Trimesh, min_area: float) -> Bool[np.ndarray, "m"]:
+def in_small_pieces(mesh: trimesh.Trimesh, min_area: float) -> Bool[np.ndarray, "m"]:
     """Which faces belong to a connected piece of less than `min_area`."""
     faces = np.asarray(mesh.faces)
     graph = _adjacency(faces, len(mesh.vertices))
@@ -116,6 +116,16 @@ def smooth_normals(mesh: trimesh.Trimesh, passes: int) -> Float[np.ndarray, "n 3
     for _ in range(passes):
         normals = _unit(around @ normals)
     return normals
+
+
+def relax(mesh: trimesh.Trimesh, passes: int) -> trimesh.Trimesh:
+    """The mesh with its vertices moved half-way to their neighbours' mean, `passes` times; rounds it off."""
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    around = _adjacency(faces, len(vertices))
+    count = np.maximum(around.sum(axis=1), 1.0)[:, None]
+    for _ in range(passes):
+        vertices = 0.5 * (vertices + around @ vertices / count)
+    return trimesh.Trimesh(vertices, faces, process=False)
 
 
 def _adjacency(faces: Int[np.ndarray, "m 3"], count: int) -> sparse.csr_array:
