@@ -106,4 +106,5 @@ def _light(room: Room, quality: float) -> Studio:
     albedo[surface.chart] = textures.mean[surface.material] * surface.tint
     side = max(2, round(7 * np.sqrt(quality)))
     light = bake(surface, caster, albedo, 1 / quality, side, room.seed)
-    return Studio(surface, caster, textures, light, white_level(light), room.seed)
+    corners = np.concatenate([surface.uv, surface.st], axis=-1)
+    return Studio(surface, corners, caster, textures, light, white_level(light), room.seed)

@@ -80,8 +80,8 @@ class Textures:
                 image = (image[::2, ::2] + image[1::2, ::2] + image[::2, 1::2] + image[1::2, 1::2]) / 4
             starts.append(start)
         self._pixels = np.concatenate(levels)
-        self._last = np.array([len(s) - 1 for s in starts])
-        self._start = np.array([s + [s[-1]] * (16 - len(s)) for s in starts])
+        self._last = np.array([len(s) - 1 for s in starts], dtype=np.int32)
+        self._start = np.array([s + [s[-1]] * (16 - len(s)) for s in starts], dtype=np.int32)
         self.mean = np.array([self._pixels[s[-1]] for s in starts])
 
     def __call__(
@@ -92,7 +92,7 @@ class Textures:
     ) -> Float[np.ndarray, "n 3"]:
         """Linear albedo at `uv` (metres), filtered to `footprint` (metres a pixel)."""
         last = self._last[material]
-        texel = TILE[material] / np.exp2(last)
+        texel = (TILE / np.exp2(self._last))[material]
         level = np.clip(np.log2(np.maximum(footprint / texel, 1e-6)), 0.0, last).astype(np.float32)
         low = np.minimum(level.astype(np.int32), last)
         unit = uv / TILE[material][:, None]
@@ -101,11 +101,11 @@ class Textures:
         return fine + (coarse - fine) * (level - low)[:, None]
 
     def _bilinear(self, material: np.ndarray, unit: np.ndarray, level: np.ndarray, last: np.ndarray) -> np.ndarray:
-        n = np.left_shift(1, last - level)
-        x = unit * n[:, None] - 0.5
-        corner = np.floor(x)
-        fx, fy = (x - corner).astype(np.float32).T[..., None]
-        i0, j0 = corner.astype(np.int64).T
+        n = np.left_shift(1, last - level, dtype=np.int32)
+        x, y = (unit * n.astype(np.float32)[:, None] - np.float32(0.5)).T
+        x0, y0 = np.floor(x), np.floor(y)
+        fx, fy = (x - x0)[:, None], (y - y0)[:, None]
+        i0, j0 = x0.astype(np.int32), y0.astype(np.int32)
         start = self._start[material, level]
         mask = n - 1
         left, right = i0 & mask, (i0 + 1) & mask

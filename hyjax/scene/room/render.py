@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter
 from skimage.transform import resize
 
@@ -18,7 +18,9 @@ from hyjax.scene.room.surface import Surface
 BALANCE = np.array([0.975, 1.0, 1.035], np.float32)
 """White balance: most of the warmth that the walls and the floor lend to the light is taken out."""
 CONTRAST = 0.3
-EDGE_SAMPLES = 8
+SHARPNESS = 0.7
+"""Texture filter width in pixels; the lens blurs them a little more."""
+EDGE_SAMPLES = 5
 """Rays through a pixel that more than one surface shares."""
 BLURS = (0.0, 2.0, 6.0)
 """Smears of the mirror image that rough reflections are mixed from, in pixels at a width of 640."""
@@ -26,9 +28,10 @@ BLURS = (0.0, 2.0, 6.0)
 
 @dataclasses.dataclass(frozen=True)
 class Studio:
-    """Everything a photograph needs."""
+    """Everything a photograph needs; `corners` are (u, v, s, t) of the faces' corners."""
 
     surface: Surface
+    corners: Float[np.ndarray, "f 3 4"]
     caster: RayCaster
     textures: Textures
     light: Light
@@ -49,7 +52,10 @@ def photograph(
     picture = _diffuse(studio, camera.origin, rays, hits, pixel).reshape(h, w, 3)
     shared = _shared_pixels(studio.surface, hits, depth)
     picture[shared] = _supersample(studio, camera, shared, picture[shared], rng)
-    picture += _mirror(studio, camera, rays, hits, pixel)
+    mirror = _mirror(studio, camera, rays, hits, pixel)
+    # One mirror ray a pixel is too few on an edge, which borrows from its neighbours instead.
+    mirror[shared] = gaussian_filter(mirror, (1.0, 1.0, 0), truncate=2)[shared]
+    picture += mirror
     return _develop(picture * studio.exposure, rng), depth
 
 
@@ -70,10 +76,9 @@ def _diffuse(
     normal = surface.mesh.face_normals[seen.face]
     cosine = np.abs(np.einsum("nk,nk->n", normal, direction)) / np.linalg.norm(direction, axis=1)
     width = np.broadcast_to(pixel, hits.face.shape)[hits.hit] * seen.distance / np.sqrt(np.maximum(cosine, 0.02))
-    albedo = studio.textures(surface.material[seen.face], at_hits(surface.uv, seen), width)
-    irradiance = studio.light.texels.lookup(
-        studio.light.irradiance, surface.chart[seen.face], at_hits(surface.st, seen)
-    )
+    uv_st = at_hits(studio.corners, seen)
+    albedo = studio.textures(surface.material[seen.face], uv_st[:, :2], SHARPNESS * width)
+    irradiance = studio.light.texels.lookup(studio.light.irradiance, surface.chart[seen.face], uv_st[:, 2:])
     radiance[hits.hit] = albedo * surface.tint[seen.face] * irradiance
     return radiance
 
@@ -113,7 +118,7 @@ def _supersample(
     turn = camera.pose[:3, :3]
     total = np.zeros_like(centre)
     place = np.arange(EDGE_SAMPLES)
-    offsets = np.stack([(place + 0.5) / EDGE_SAMPLES, ((place * 5) % EDGE_SAMPLES + 0.5) / EDGE_SAMPLES], -1)
+    offsets = np.stack([(place + 0.5) / EDGE_SAMPLES, ((place * 2) % EDGE_SAMPLES + 0.5) / EDGE_SAMPLES], -1)
     for dx, dy in offsets:
         x = (columns + dx - k.cx) / k.fx
         y = (rows + dy - k.cy) / k.fy
@@ -140,7 +145,8 @@ def _mirror(
     cosine = np.einsum("nk,nk->n", normal, direction)
     normal = np.where(cosine[:, None] > 0, -normal, normal)
     cosine = np.clip(np.abs(cosine), 0, 1)
-    fresnel = (0.04 + 0.96 * (1 - cosine) ** 5) * GLOSS[material[glossy]]
+    # Nothing here is smooth enough to become a full mirror at grazing angles.
+    fresnel = np.minimum(0.04 + 0.96 * (1 - cosine) ** 5, 0.5) * GLOSS[material[glossy]]
     mirrored = direction + 2 * cosine[:, None] * normal
     start = point + 2e-3 * normal
     bounced = studio.caster.cast(start, mirrored)
@@ -151,7 +157,7 @@ def _mirror(
     light = np.minimum(light, 2.5 / studio.exposure)
     # A rough mirror smears far things and leaves those that touch it sharp.
     smear = BLUR[material[glossy]] * np.clip(away / (away + 0.6 * seen.distance), 0, 1)
-    return _smear(glossy.reshape(h, w), light, fresnel, smear, surface.chart[seen.face], w / 640)
+    return _smear(glossy.reshape(h, w), light, fresnel, smear, w / 640)
 
 
 def _smear(
@@ -159,18 +165,16 @@ def _smear(
     light: Float[np.ndarray, "n 3"],
     fresnel: Float[np.ndarray, "n"],
     smear: Float[np.ndarray, "n"],
-    chart: Int[np.ndarray, "n"],
     scale: float,
 ) -> Float[np.ndarray, "h w 3"]:
-    del chart
     image = np.zeros((*where.shape, 3), np.float32)
     image[where] = light
     weight = where.astype(np.float32)
     layers = [light]
     for sigma in BLURS[1:]:
         s = sigma * scale
-        below = gaussian_filter(weight, s)[..., None]
-        layers.append((gaussian_filter(image, (s, s, 0)) / np.maximum(below, 1e-6))[where])
+        below = gaussian_filter(weight, s, truncate=2.5)[..., None]
+        layers.append((gaussian_filter(image, (s, s, 0), truncate=2.5) / np.maximum(below, 1e-6))[where])
     result = layers[0]
     for low, high, layer in zip(BLURS, BLURS[1:], layers[1:]):
         share = np.clip((smear - low) / (high - low), 0, 1)[:, None]
@@ -184,12 +188,13 @@ def _develop(linear: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Fl
     """Lens, sensor and tone curve: exposed linear light → display-encoded picture in 8-bit steps."""
     h, w, _ = linear.shape
     scale = w / 640
-    near = gaussian_filter(np.minimum(linear, 3.0), (5.0 * scale, 5.0 * scale, 0), truncate=2.5)
-    # The wide glare is smooth: a quarter of the pixels each way are enough.
-    wide = gaussian_filter(near[::4, ::4], (6.5 * scale, 6.5 * scale, 0), truncate=3)
-    wide = resize(wide, linear.shape, order=1)
+    # Glare is smooth: half the pixels each way are enough for the narrow one, an eighth for the wide one.
+    low = np.minimum(linear, 3.0)[: h // 2 * 2, : w // 2 * 2].reshape(h // 2, 2, w // 2, 2, 3).mean(axis=(1, 3))
+    near = gaussian_filter(low, (2.5 * scale, 2.5 * scale, 0), truncate=2.5)
+    wide = gaussian_filter(near[::4, ::4], (3.2 * scale, 3.2 * scale, 0), truncate=3)
+    glare = 0.025 * resize(near, linear.shape, order=1) + 0.02 * resize(wide, linear.shape, order=1)
     sharp = gaussian_filter(linear, (0.42 * scale, 0.42 * scale, 0), truncate=3)
-    image = 0.955 * sharp + 0.025 * near + 0.02 * wide
+    image = 0.955 * sharp + glare
     y, x = np.mgrid[0:h, 0:w]
     radius2 = ((x + 0.5) / w - 0.5) ** 2 + (((y + 0.5) / h - 0.5) * h / w) ** 2
     image *= (1 - 0.45 * radius2)[..., None]

@@ -72,7 +72,7 @@ def box(
     quads, flat = (_QUADS, _FLAT) if bevel > 0 else (_QUADS[:6], _FLAT[:6])
     corners = points[quads]
     a = np.where(flat == first, (flat + 1) % 3, first)
-    q = corners - lo + 0.37 * flat[:, None, None]
+    q = corners - lo + (0.37 * flat[:, None, None] if uv is None else 0.0)
     uv_corners = np.take_along_axis(q, np.stack([a, 3 - a - flat], 1)[:, None], axis=2) + offset
     build.add_quads(corners, uv_corners, material, tint, texel)
 

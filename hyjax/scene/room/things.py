@@ -26,7 +26,7 @@ def book(build: Builder, thick: float, deep: float, tall: float) -> None:
     cover, board = _cover(build), 0.0025
     box(build, (0, -deep, 0), (thick, -deep + 0.004, tall), m.BOOK, cover, 0.001, "x", spine, 0.03)
     for low, high in ((0.0, board), (thick - board, thick)):
-        box(build, (low, -deep + 0.004, 0), (high, 0, tall), m.BOOK, cover, 0.0, "y", (0.3, 0.5), 0.07)
+        box(build, (low, -deep + 0.004, 0), (high, 0, tall), m.BOOK, cover, 0.0, "y", (0.3, 0.3), 0.07)
     box(build, (board, -deep + 0.004, 0.004), (thick - board, -0.004, tall - 0.004), m.PAGES, WHITE, 0.0, "z",
         texel=0.08)  # fmt: skip
 
@@ -45,7 +45,7 @@ def book_row(build: Builder, start: float, end: float, z: float, room: float) ->
 
 def book_stack(build: Builder, count: int) -> None:
     """Books lying on each other, each turned a little."""
-    z, plain = 0.0, (0.3, 0.5)
+    z, plain = 0.0, (0.3, 0.3)
     for k in range(count):
         thick, x, y = build.rng.uniform(0.018, 0.035), 0.125 - 0.01 * k, 0.09 - 0.0075 * k
         cover, top = _cover(build), thick - 0.003
