@@ -1,0 +1,1 @@
+"""What the package is tested against: the paper written out literally, and numerical differentiation."""
