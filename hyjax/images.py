@@ -92,3 +92,12 @@ def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str]
 def _first_line(text: str) -> str:
     lines = [line.strip() for line in text.strip().splitlines() if line.strip()]
     return lines[0] if lines else "no further detail"
+
+
+def resize(pixels: Float[np.ndarray, "h w c"], height: int, width: int) -> Float[np.ndarray, "height width c"]:
+    """Resample with edges aligned to edges, as `Intrinsics.resize` assumes (OpenImageIO's default filter)."""
+    if pixels.shape[:2] == (height, width):
+        return pixels
+    source = oiio.ImageBuf(np.ascontiguousarray(pixels, dtype=np.float32))
+    target = oiio.ImageBufAlgo.resize(source, roi=oiio.ROI(0, width, 0, height, 0, 1, 0, pixels.shape[2]))
+    return np.asarray(target.get_pixels(oiio.FLOAT)).reshape(height, width, -1)

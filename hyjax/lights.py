@@ -9,6 +9,7 @@ Irradiance functions take a world position p and a unit normal n, both (..., 3),
 
 import dataclasses
 import functools
+from typing import TypeVar, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +17,12 @@ from jaxtyping import Array, Float
 
 from hyjax.vectors import cross, dot, unit
 
+T = TypeVar("T")
 TINY = 1e-12  # keeps divisions finite at the light itself, in square metres
 
 
-def _pytree(cls: type) -> type:
+@dataclass_transform(frozen_default=True)
+def _pytree(cls: type[T]) -> type[T]:
     return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True)(cls))
 
 

@@ -1,0 +1,178 @@
+"""The commands. Thin: everything here is one call into the package."""
+
+import dataclasses
+import logging
+import os
+import sys
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from hyjax.errors import InputError
+
+if TYPE_CHECKING:
+    from hyjax.schedule import Schedule
+
+
+@dataclasses.dataclass(frozen=True)
+class Relight:
+    """Relight the frames of a capture; without arguments, the built-in room."""
+
+    capture: Path | None = None
+    """Folder of a capture (7-Scenes layout). Default: the built-in room."""
+    mesh: str | None = None
+    """PLY, OBJ or GLB file in the capture's world coordinates; or 'scan' (simulated headset scan), 'fused' (from
+    depth maps), 'true' (built-in room only). Default: scan for the built-in room, fused for a capture."""
+    frames: str = "all"
+    """Which frames: all, 7, 0:300:30, or a list such as 0,5,9:12."""
+    lights: str = "noon-window"
+    """noon-window, golden-hour, evening-lamps, night-moon, center-point, two-colors, or a YAML or JSON file."""
+    schedule: str = "paper-80"
+    """paper-50, paper-80, naive-50, naive-1000, or a JSON file."""
+    size: str | None = None
+    """Work at this size: 512 (square) or 640x480 (width x height). Default: as captured."""
+    guide: Literal["rgb"] = "rgb"
+    """What guides the diffusion: rgb is the frame itself."""
+    paper_mode: bool = False
+    """Exactly the paper: multiply display values, leave holes in the mesh black."""
+    shadows: bool = True
+    """Whether lights cast shadows."""
+    save_filters: bool = False
+    """Also write each frame's raw and refined filter."""
+    save_visibility: bool = False
+    """Also write each frame's refined visibility."""
+    voxel: float = 0.03
+    """Voxel of a fused mesh in metres."""
+    seed: int = 0
+    """Of the simulated scan."""
+    repair_mesh: bool = False
+    """Drop unusable triangles of the mesh file instead of refusing it."""
+    out: Path = Path("out")
+    """Folder for the results."""
+    quiet: bool = False
+    """No progress bars."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Info:
+    """Print versions, devices and what optional parts are installed."""
+
+
+Command = Annotated[Relight, tyro.conf.subcommand("relight")] | Annotated[Info, tyro.conf.subcommand("info")]
+
+
+def main() -> None:
+    """Entry point of the `hyjax` command. Bad input: one line on stderr and exit status 2."""
+    logging.basicConfig(level=logging.WARNING, format="hyjax: %(message)s")
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    command = tyro.cli(Command, prog="hyjax", description="Relight camera frames of real rooms.")
+    try:
+        run_relight(command) if isinstance(command, Relight) else run_info()
+    except InputError as error:
+        print(f"hyjax: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("hyjax: interrupted; the files written so far are whole", file=sys.stderr)
+        sys.exit(130)
+
+
+def run_relight(command: Relight) -> None:
+    """`hyjax relight`."""
+    # Heavy imports wait until the command line is known to be right.
+    from hyjax.data.light_file import read_lights
+    from hyjax.data.light_setups import named_setup, survey
+    from hyjax.data.open import open_capture
+    from hyjax.data.room import load_room
+    from hyjax.data.surfaces import surface_of
+    from hyjax.relighting import Outputs, make_writable, relight_capture, select_frames
+    from hyjax.scene.raycast import RayCaster
+    from hyjax.tuning.latency import StageClock
+
+    # All that can be checked is checked before the first slow step.
+    clock, bars = StageClock(), not command.quiet
+    schedule = _schedule(command.schedule)
+    size = _size(command.size)
+    make_writable(command.out)
+    with clock("capture"):
+        capture = load_room(progress=bars) if command.capture is None else open_capture(command.capture)
+    chosen = select_frames(command.frames, len(capture))
+    from_file = Path(command.lights).suffix.lower() in (".yaml", ".yml", ".json")
+    setup = read_lights(Path(command.lights), capture.up) if from_file else None
+    with clock("mesh"):
+        source, mesh = surface_of(
+            capture,
+            command.mesh,
+            voxel=command.voxel,
+            seed=command.seed,
+            repair=command.repair_mesh,
+            progress=bars,
+        )
+        caster = RayCaster(mesh)
+    if setup is None:
+        cameras = [capture[i].camera for i in chosen[:: -(-len(chosen) // 8)]]
+        stage = survey(caster, cameras, capture.up, getattr(capture, "anchors", None))
+        setup = named_setup(command.lights, stage)
+    run = relight_capture(
+        capture,
+        caster,
+        setup,
+        schedule,
+        command.out,
+        frames=chosen,
+        size=size,
+        mode="paper" if command.paper_mode else "hyjax",
+        shadows=command.shadows,
+        outputs=Outputs(command.save_filters, command.save_visibility),
+        settings=dataclasses.asdict(command)
+        | {"capture": str(command.capture or "built-in room"), "mesh": source, "out": str(command.out)},
+        clock=clock,
+        progress=bars,
+    )
+    if run["frames_without_surface"]:
+        names = ", ".join(run["frames_without_surface"])
+        print(f"hyjax: skipped, no ray met the mesh: {names}", file=sys.stderr)
+    print(f"{len(run['frames'])} frames relit; look at {command.out / 'contact_sheet.png'}")
+
+
+def run_info() -> None:
+    """`hyjax info`."""
+    import jax
+
+    from hyjax.cache import cache_folder
+    from hyjax.relighting import environment
+
+    record = environment()
+    for name, version in record["versions"].items():
+        print(f"{name:<14}{version}")
+    print(f"{'devices':<14}{', '.join(f'{d.platform} ({d.device_kind})' for d in jax.devices())}")
+    print(f"{'cpu cores':<14}{record['cpu_count']}")
+    print(f"{'cache':<14}{cache_folder()}")
+
+
+def _schedule(text: str) -> "Schedule":
+    from hyjax.schedule import Schedule
+
+    if Path(text).suffix.lower() != ".json":
+        return Schedule.preset(text)
+    try:
+        return Schedule.from_json(Path(text).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{text}: cannot read the schedule ({getattr(error, 'strerror', error)})") from None
+    except InputError as error:
+        raise InputError(f"{text}: {error}") from None
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    fields = text.lower().split("x")
+    if not 1 <= len(fields) <= 2 or not all(f.isdigit() and int(f) >= 8 for f in fields):
+        raise InputError(f"size: {text!r} must be a number (512) or width x height (640x480), at least 8 each")
+    return int(fields[-1]), int(fields[0])
+
+
+if __name__ == "__main__":
+    warnings.filterwarnings("default")
+    main()

@@ -1,0 +1,224 @@
+"""Named set-ups, placed in whatever room a capture shows.
+
+A capture that knows its windows and lamps (the built-in room) gets them lit. Any other gets a virtual window in the
+free space beside what the cameras look at, and lamps above it; `survey` finds the places by ray casting.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.data.light_file import LightSetup, parse_lights
+from hyjax.errors import InputError
+from hyjax.scene.camera import Camera
+from hyjax.scene.raycast import RayCaster
+
+Vector = Float[np.ndarray, "3"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Stage:
+    """Where light can come from in a captured room. Metres, world axes.
+
+    Attributes:
+        up: against gravity.
+        focus: what the cameras look at.
+        lamps: places for lamps, at least two.
+        window: centre of a window.
+        inward: unit normal of the window, into the room.
+        width, height: of the window.
+        open_window: whether the mesh has a real opening there, through which sun and moon can shine.
+    """
+
+    up: Vector
+    focus: Vector
+    lamps: list[Vector]
+    window: Vector
+    inward: Vector
+    width: float
+    height: float
+    open_window: bool
+
+
+def survey(
+    caster: RayCaster, cameras: Sequence[Camera], up: Vector, anchors: dict[str, dict[str, Any]] | None = None
+) -> Stage:
+    """Find places for lights.
+
+    Args:
+        caster: the captured surface.
+        cameras: of the frames that will be relit.
+        up: unit vector against gravity.
+        anchors: places the capture knows: `window_0` with center, normal, width, height, and `lamp_0`, `lamp_1`, …
+            with position. What is missing is made up.
+
+    Raises:
+        InputError: no camera sees any surface.
+    """
+    focus, eye = _focus(caster, cameras)
+    forward = _unit(_level(focus - eye, up))
+    anchors = anchors or {}
+    lamps = [np.asarray(v["position"], float) for k, v in sorted(anchors.items()) if k.startswith("lamp")]
+    if len(lamps) < 2:
+        lamps += _lamps(caster, focus, eye, forward, up)[len(lamps) :]
+    window = anchors.get("window_0")
+    if window:
+        center, inward = (np.asarray(window[k], float) for k in ("center", "normal"))
+        return Stage(up, focus, lamps, center, inward, window["width"], window["height"], open_window=True)
+    # Beside the view, on the side with more room, a head above what the cameras look at.
+    middle = 0.5 * (focus + eye) + 0.4 * up
+    sides = [_unit(np.cross(forward, up)) * s for s in (1.0, -1.0)]
+    free = [min(_free(caster, middle, side), 2.5) for side in sides]
+    best = int(np.argmax(free))
+    return Stage(
+        up, focus, lamps, middle + 0.9 * free[best] * sides[best], -sides[best], 1.6, 1.2, open_window=False
+    )
+
+
+def noon_window(stage: Stage) -> dict[str, Any]:
+    """A bright day: sky through the window, the sun too if the window is a real opening."""
+    lights = [_window_light(stage, 5000.0, 6800), {"kind": "ambient", "illuminance": 45, "temperature": 6000}]
+    if stage.open_window:
+        lights.append(_through(stage, 32.0, 1600.0) | {"temperature": 5600})
+    return {"reference_lux": 300, "lights": lights}
+
+
+def golden_hour(stage: Stage) -> dict[str, Any]:
+    """Low warm sun."""
+    lights = [_window_light(stage, 1300.0, 9000), {"kind": "ambient", "illuminance": 22, "temperature": 4300}]
+    if stage.open_window:
+        lights.append(_through(stage, 14.0, 1100.0) | {"temperature": 2500})
+    else:
+        lights[0] |= {"power": 3000.0, "temperature": 3000}
+    return {"reference_lux": 250, "lights": lights}
+
+
+def evening_lamps(stage: Stage) -> dict[str, Any]:
+    """Lamps lit, blue dusk outside."""
+    lamps = [
+        {"kind": "point", "position": lamp.tolist(), "power": 900, "temperature": 2700, "radius": 0.06}
+        for lamp in stage.lamps[:3]
+    ]
+    dusk = _window_light(stage, 120.0, 12000)
+    return {
+        "reference_lux": 150,
+        "lights": [*lamps, dusk, {"kind": "ambient", "illuminance": 8, "temperature": 3000}],
+    }
+
+
+def night_moon(stage: Stage) -> dict[str, Any]:
+    """Dark, with moonlight; exposed as a camera at night would."""
+    lights = [
+        _window_light(stage, 9.0, 14000) | {"color": [0.55, 0.75, 1.35]},
+        {"kind": "ambient", "illuminance": 0.12, "color": [0.6, 0.8, 1.3]},
+    ]
+    del lights[0]["temperature"]
+    if stage.open_window:
+        lights.append(_through(stage, 38.0, 6.0) | {"color": [0.7, 0.85, 1.2]})
+    return {"reference_lux": 3.0, "lights": lights}
+
+
+def center_point(stage: Stage) -> dict[str, Any]:
+    """The paper's first benchmark: one bright point in the middle of the room."""
+    light = {"kind": "point", "position": _middle(stage).tolist(), "power": 9000}
+    return {"reference_lux": 300, "lights": [light]}
+
+
+def two_colors(stage: Stage) -> dict[str, Any]:
+    """The paper's second benchmark: two dim points of different colours."""
+    a, b = stage.lamps[:2]
+    return {
+        "reference_lux": 300,
+        "lights": [
+            {"kind": "point", "position": a.tolist(), "power": 2500, "color": [1.0, 0.45, 0.2]},
+            {"kind": "point", "position": b.tolist(), "power": 2500, "color": [0.2, 0.5, 1.0]},
+        ],
+    }
+
+
+SETUPS: dict[str, Callable[[Stage], dict[str, Any]]] = {
+    "noon-window": noon_window,
+    "golden-hour": golden_hour,
+    "evening-lamps": evening_lamps,
+    "night-moon": night_moon,
+    "center-point": center_point,
+    "two-colors": two_colors,
+}
+
+
+def named_setup(name: str, stage: Stage) -> LightSetup:
+    """Place one of `SETUPS` on a stage.
+
+    Raises:
+        InputError: unknown name.
+    """
+    if name not in SETUPS:
+        raise InputError(f"lights: no set-up {name!r}; there are {', '.join(SETUPS)}, or give a YAML or JSON file")
+    return parse_lights(SETUPS[name](stage), stage.up, name)
+
+
+def _window_light(stage: Stage, power: float, kelvin: float) -> dict[str, Any]:
+    return {
+        "kind": "rect",
+        "center": (stage.window + 0.01 * stage.inward).tolist(),
+        "normal": stage.inward.tolist(),
+        "up": stage.up.tolist(),
+        "width": stage.width,
+        "height": stage.height,
+        "power": power,
+        "temperature": kelvin,
+    }
+
+
+def _through(stage: Stage, elevation: float, illuminance: float) -> dict[str, Any]:
+    """Parallel light that falls through the window from `elevation` degrees, a little from one side."""
+    aside = np.cross(stage.up, stage.inward)
+    level = np.deg2rad(elevation)
+    direction = np.cos(level) * _unit(stage.inward + 0.35 * aside) - np.sin(level) * stage.up
+    return {"kind": "directional", "direction": direction.tolist(), "illuminance": illuminance}
+
+
+def _middle(stage: Stage) -> Vector:
+    return np.mean(stage.lamps[:2], axis=0)
+
+
+def _focus(caster: RayCaster, cameras: Sequence[Camera]) -> tuple[Vector, Vector]:
+    """Median of the surface points that a few cameras see, and the cameras' mean position."""
+    chosen = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, 8).round().astype(int))]
+    points = []
+    for camera in chosen:
+        small = camera.intrinsics.resize(24, 32)
+        rays = Camera(small, camera.pose).rays().reshape(-1, 3)
+        hits = caster.cast(camera.origin, rays)
+        points.append(camera.origin + rays[hits.hit] * hits.distance[hits.hit, None])
+    seen = np.concatenate(points)
+    if not len(seen):
+        raise InputError("no camera sees the mesh; are the mesh and the poses in the same coordinates (metres)?")
+    return np.median(seen, axis=0), np.mean([c.origin for c in chosen], axis=0)
+
+
+def _lamps(caster: RayCaster, focus: Vector, eye: Vector, forward: Vector, up: Vector) -> list[Vector]:
+    """Two places in free space: above what is looked at, and above and beside the viewer."""
+    aside = _unit(np.cross(forward, up))
+    starts = [focus - 0.4 * forward + 0.3 * up, 0.5 * (focus + eye) - 0.2 * forward]
+    shifts = [0.5 * up + 0.35 * aside, 0.6 * up - 0.9 * aside]
+    return [
+        start + _unit(s) * min(np.linalg.norm(s), 0.7 * _free(caster, start, s)) for start, s in zip(starts, shifts)
+    ]
+
+
+def _free(caster: RayCaster, start: Vector, direction: Vector) -> float:
+    """Metres from `start` to the first surface in `direction`."""
+    return float(caster.cast(start[None], _unit(direction)[None]).distance[0])
+
+
+def _level(vector: Vector, up: Vector) -> Vector:
+    flat = vector - np.dot(vector, up) * up
+    return flat if np.linalg.norm(flat) > 1e-6 else np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+
+
+def _unit(vector: Vector) -> Vector:
+    return vector / np.linalg.norm(vector)

@@ -1,0 +1,102 @@
+"""The mesh that a capture is relit with: given, measured, or what a headset would have made."""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import trimesh
+
+from hyjax.cache import cache_folder
+from hyjax.data.capture import Capture, Frame
+from hyjax.data.room import RoomCapture
+from hyjax.errors import InputError
+from hyjax.scene.mesh import load_mesh, save_mesh
+from hyjax.scene.scan import ScanConfig, simulate_scan
+from hyjax.scene.tsdf import fuse
+
+VERSION = 1
+"""Of how surfaces are made. Add one whenever a fusion or a scan comes out differently."""
+MAX_FUSED_FRAMES = 150
+WORDS = ("scan", "fused", "true")
+
+
+def surface_of(
+    capture: Capture,
+    mesh: str | None = None,
+    *,
+    voxel: float = 0.03,
+    seed: int = 0,
+    repair: bool = False,
+    progress: bool = True,
+) -> tuple[str, trimesh.Trimesh]:
+    """The mesh to relight a capture with. Meshes made here are kept in the cache folder.
+
+    Args:
+        capture: whose rooms to get.
+        mesh: a file, or `"fused"` (all of the capture's depth, at `voxel` metres), `"scan"` (what a headset would
+            have made of it, rough and with holes, drawn from `seed`), `"true"` (built-in room only). By default the
+            built-in room gets its scan and any other capture its fusion.
+        repair: drop unusable triangles of a mesh file instead of refusing it.
+        progress: show bars on stderr.
+
+    Returns:
+        What was taken, in a few words, and the mesh.
+
+    Raises:
+        InputError: the file cannot be used, the capture has no depth to make a mesh of, or there is no true mesh.
+    """
+    builtin = isinstance(capture, RoomCapture)
+    mesh = mesh or ("scan" if builtin else "fused")
+    if mesh not in WORDS:
+        return mesh, load_mesh(Path(mesh), repair)
+    if mesh == "true":
+        if not isinstance(capture, RoomCapture):
+            raise InputError("mesh: only the built-in room has a true mesh; use 'fused', 'scan' or a file")
+        return "true mesh", capture.mesh
+    if capture[0].depth is None:
+        raise InputError(f"{capture.name}: the capture has no depth to make a mesh of; give one with --mesh FILE")
+    description = f"simulated scan, seed {seed}" if mesh == "scan" else f"fused at {voxel:g} m"
+    file = cache_folder() / f"surface-{_key(capture, description)}.ply"
+    if file.is_file():
+        try:
+            return description, load_mesh(file)
+        except InputError:
+            file.unlink(missing_ok=True)  # damaged: made again below
+    if mesh == "scan":
+        made = simulate_scan(capture, ScanConfig(), seed, progress)
+    else:
+        made = fuse(_Spread(capture), voxel, progress=progress)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    save_mesh(file, made)
+    return description, load_mesh(file)
+
+
+class _Spread:
+    """Evenly chosen frames of a long capture, read when asked for."""
+
+    def __init__(self, capture: Capture) -> None:
+        self._capture = capture
+        self._indices = range(0, len(capture), -(-len(capture) // MAX_FUSED_FRAMES))
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self._capture[index] for index in self._indices)
+
+
+def _key(capture: Capture, description: str) -> str:
+    """A name for the surface that changes with the capture's files."""
+    parts = [str(VERSION), description, capture.name, str(len(capture))]
+    folder = getattr(capture, "path", None)
+    if folder is not None:
+        parts += [
+            str(folder),
+            *sorted(f"{e.name} {e.stat().st_size} {e.stat().st_mtime_ns}" for e in os.scandir(folder)),
+        ]
+    else:
+        parts.append(
+            hashlib.sha256(capture[0].image.tobytes() + capture[len(capture) - 1].image.tobytes()).hexdigest()
+        )
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
