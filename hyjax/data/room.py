@@ -16,7 +16,7 @@ from hyjax.errors import InputError
 from hyjax.scene.camera import Camera, Intrinsics
 from hyjax.scene.room import camera_path, make_room, render_room
 
-VERSION = 3
+VERSION = 4
 """Of what `hyjax.scene.room` makes. Add one whenever its geometry or its pictures change."""
 FRAME_RATE = 2.0
 """Pictures a second: the walk takes twelve seconds."""

@@ -30,6 +30,7 @@ def view(direction: Float[np.ndarray, "n 3"], foliage: Float[np.ndarray, "n 3"])
     crown = np.clip((crown_edge - direction[:, 2]) / 0.02, 0, 1)[:, None]
     lawn = np.clip((-0.20 - direction[:, 2]) / 0.03, 0, 1)[:, None]
     sky = np.array([1.7, 1.85, 2.0], np.float32)
-    trees = np.array([0.38, 0.42, 0.33], np.float32) + 2.6 * foliage
+    shade = np.clip(1.15 + 2.2 * (direction[:, 2:] - crown_edge[:, None]), 0.6, 1.2)
+    trees = (np.array([0.33, 0.36, 0.30], np.float32) + 2.6 * foliage) * shade
     grass = np.array([0.80, 0.90, 0.62], np.float32) + 0.6 * foliage
     return ((sky * (1 - crown) + trees * crown) * (1 - lawn) + grass * lawn).astype(np.float32)

@@ -16,7 +16,7 @@ from hyjax.scene.raycast import RayCaster
 from hyjax.scene.room.daylight import sky_radiance
 from hyjax.scene.room.lightmap import Texels, at_hits
 from hyjax.scene.room.shell import THICK, WINDOW
-from hyjax.scene.room.surface import Surface
+from hyjax.scene.room.surface import Surface, rows
 
 BOUNCES = 6
 CHUNK = 1 << 17
@@ -77,7 +77,7 @@ def bake(
         reflectance = np.where(valid[:, None], albedo[texels.chart], 0.0).astype(np.float32)
         total = direct
         for _ in range(BOUNCES):
-            # One dark row more: rays that leave, or meet a back side, point at it with -1.
+            # One dark row more: rays that leave, or meet a back side, point at it.
             radiance = np.concatenate([reflectance * total, np.zeros((1, 3), np.float32)])
             indirect = np.concatenate(list(pool.map(lambda p: _mean_of(radiance, p.seen), parts)))  # noqa: B023
             total = direct + indirect
@@ -88,7 +88,7 @@ def bake(
 def _mean_of(values: Float[np.ndarray, "t 3"], index: Int[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
     total = np.zeros((len(index), 3), np.float32)
     for k in range(index.shape[1]):
-        total += values[index[:, k]]
+        total += rows(values, index[:, k])
     return total / index.shape[1]
 
 
@@ -125,12 +125,12 @@ def _gather(surface: Surface, caster: RayCaster, texels: Texels, chunk: slice, s
     flat = direction.reshape(-1, 3)
     origins = np.repeat(origin, rays, axis=0)
     hits = caster.cast(origins, flat)
-    front = np.einsum("nk,nk->n", surface.mesh.face_normals[hits.face], flat) < 0
-    seen = np.full(n * rays, -1, np.int32)
+    front = np.einsum("nk,nk->n", rows(surface.mesh.face_normals, hits.face), flat) < 0
+    seen = np.full(n * rays, len(texels), np.int32)
     lit = hits.hit & front
     chosen = dataclasses.replace(hits, distance=hits.distance[lit], face=hits.face[lit],
                                  barycentric=hits.barycentric[lit])  # fmt: skip
-    seen[lit] = texels.nearest(surface.chart[chosen.face], at_hits(surface.st, chosen))
+    seen[lit] = texels.nearest(rows(surface.chart, chosen.face), at_hits(surface.st, chosen))
     miss = ~hits.hit & (flat[:, 0] < 0)
     escaped = np.zeros((n * rays, 3), np.float32)
     if miss.any():

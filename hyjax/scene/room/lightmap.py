@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hyjax.scene.raycast import Hits
-from hyjax.scene.room.surface import Surface
+from hyjax.scene.room.surface import Surface, rows
 
 MAX_TEXELS = 512
 """Along one side of a chart."""
@@ -27,6 +27,7 @@ class Texels:
         self.columns, self.rows = count.T
         self.pitch = (size / count).max(axis=1)
         self.start = np.concatenate([[0], np.cumsum(self.columns * self.rows)])
+        self._shape = np.stack([self.columns, self.rows, self.start[:-1]], axis=1).astype(np.int32)
         self.chart = np.repeat(np.arange(len(count)), self.columns * self.rows)
         local = np.arange(len(self.chart)) - self.start[self.chart]
         self.i, self.j = local % self.columns[self.chart], local // self.columns[self.chart]
@@ -57,24 +58,24 @@ class Texels:
 
     def nearest(self, chart: Int[np.ndarray, "n"], st: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n"]:
         """Index of the texel that contains (s, t)."""
-        columns, rows = self.columns[chart], self.rows[chart]
-        i = np.clip((st[:, 0] * columns).astype(np.int64), 0, columns - 1)
-        j = np.clip((st[:, 1] * rows).astype(np.int64), 0, rows - 1)
-        return self.start[chart] + j * columns + i
+        columns, lines, start = rows(self._shape, chart).T
+        i = np.clip((st[:, 0] * columns).astype(np.int32), 0, columns - 1)
+        j = np.clip((st[:, 1] * lines).astype(np.int32), 0, lines - 1)
+        return start + j * columns + i
 
     def lookup(
         self, values: Float[np.ndarray, "t d"], chart: Int[np.ndarray, "n"], st: Float[np.ndarray, "n 2"]
     ) -> Float[np.ndarray, "n d"]:
         """Texel values interpolated at (s, t)."""
-        columns, rows, start = self.columns[chart], self.rows[chart], self.start[chart]
+        columns, lines, start = rows(self._shape, chart).T
         x = np.clip(st[:, 0] * columns - 0.5, 0, columns - 1)
-        y = np.clip(st[:, 1] * rows - 0.5, 0, rows - 1)
-        x0, y0 = x.astype(np.int64), y.astype(np.int64)
+        y = np.clip(st[:, 1] * lines - 0.5, 0, lines - 1)
+        x0, y0 = x.astype(np.int32), y.astype(np.int32)
         fx, fy = (x - x0).astype(np.float32)[:, None], (y - y0).astype(np.float32)[:, None]
-        x1, y1 = np.minimum(x0 + 1, columns - 1), np.minimum(y0 + 1, rows - 1)
+        x1, y1 = np.minimum(x0 + 1, columns - 1), np.minimum(y0 + 1, lines - 1)
         top, bottom = start + y0 * columns, start + y1 * columns
-        upper = values[top + x0] * (1 - fx) + values[top + x1] * fx
-        lower = values[bottom + x0] * (1 - fx) + values[bottom + x1] * fx
+        upper = rows(values, top + x0) * (1 - fx) + rows(values, top + x1) * fx
+        lower = rows(values, bottom + x0) * (1 - fx) + rows(values, bottom + x1) * fx
         return upper * (1 - fy) + lower * fy
 
 
@@ -88,6 +89,6 @@ def _lengths(grid: Float[np.ndarray, "t s 3"]) -> tuple[float, float]:
 
 def at_hits(corner_values: Float[np.ndarray, "f 3 d"], hits: Hits) -> Float[np.ndarray, "n d"]:
     """Interpolate per-corner values of the faces at hits (all of which must have hit)."""
-    corners = corner_values[hits.face]
+    corners = rows(corner_values, hits.face)
     weight = hits.barycentric
     return corners[:, 0] * weight[:, :1] + corners[:, 1] * weight[:, 1:2] + corners[:, 2] * weight[:, 2:]

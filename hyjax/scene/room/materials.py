@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hyjax.scene.room import patterns
+from hyjax.scene.room.surface import rows
 
 Image = Float[np.ndarray, "n n 3"]
 
@@ -91,11 +92,11 @@ class Textures:
         footprint: Float[np.ndarray, "n"],
     ) -> Float[np.ndarray, "n 3"]:
         """Linear albedo at `uv` (metres), filtered to `footprint` (metres a pixel)."""
-        last = self._last[material]
-        texel = (TILE / np.exp2(self._last))[material]
+        last = rows(self._last, material)
+        texel = rows(TILE / np.exp2(self._last, dtype=np.float32), material)
         level = np.clip(np.log2(np.maximum(footprint / texel, 1e-6)), 0.0, last).astype(np.float32)
         low = np.minimum(level.astype(np.int32), last)
-        unit = uv / TILE[material][:, None]
+        unit = uv / rows(TILE, material)[:, None]
         fine = self._bilinear(material, unit, low, last)
         coarse = self._bilinear(material, unit, np.minimum(low + 1, last), last)
         return fine + (coarse - fine) * (level - low)[:, None]
@@ -106,11 +107,11 @@ class Textures:
         x0, y0 = np.floor(x), np.floor(y)
         fx, fy = (x - x0)[:, None], (y - y0)[:, None]
         i0, j0 = x0.astype(np.int32), y0.astype(np.int32)
-        start = self._start[material, level]
+        start = rows(self._start.ravel(), 16 * material + level)
         mask = n - 1
         left, right = i0 & mask, (i0 + 1) & mask
         top, bottom = start + (j0 & mask) * n, start + ((j0 + 1) & mask) * n
         p = self._pixels
-        upper = p[top + left] * (1 - fx) + p[top + right] * fx
-        lower = p[bottom + left] * (1 - fx) + p[bottom + right] * fx
+        upper = rows(p, top + left) * (1 - fx) + rows(p, top + right) * fx
+        lower = rows(p, bottom + left) * (1 - fx) + rows(p, bottom + right) * fx
         return upper * (1 - fy) + lower * fy

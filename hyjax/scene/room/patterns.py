@@ -67,10 +67,10 @@ def planks(n: int, rng: np.random.Generator) -> Image:
     count = rows * boards
     shift_u, shift_v = rng.integers(0, n, (2, count))
     i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
-    value = grain[(i + shift_v[board]) % n, (j + shift_u[board]) % n]
-    value = value + rng.normal(0, 0.12, count).astype(np.float32)[board]
+    value = grain.ravel().take((i + shift_v.take(board)) % n * n + (j + shift_u.take(board)) % n)
+    value = value + rng.normal(0, 0.12, count).astype(np.float32).take(board)
     image = mix((0.20, 0.115, 0.058), (0.52, 0.355, 0.21), value)
-    image *= (1 + 0.05 * rng.standard_normal((count, 3)) * (1, 0.3, -0.8)).astype(np.float32)[board]
+    image *= (1 + 0.05 * rng.standard_normal((count, 3)) * (1, 0.3, -0.8)).astype(np.float32).take(board, axis=0)
     gap = np.minimum(np.arange(n) * rows % n, (-np.arange(n) - 1) * rows % n) < rows * 0.6
     across = column[row] != np.roll(column[row], 1, axis=1)
     image[gap] *= 0.5

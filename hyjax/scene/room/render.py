@@ -13,14 +13,14 @@ from hyjax.scene.room.daylight import sky_radiance, view
 from hyjax.scene.room.light import Light
 from hyjax.scene.room.lightmap import at_hits
 from hyjax.scene.room.materials import BLUR, GLOSS, LEAF, Textures
-from hyjax.scene.room.surface import Surface
+from hyjax.scene.room.surface import Surface, rows
 
 BALANCE = np.array([0.975, 1.0, 1.035], np.float32)
 """White balance: most of the warmth that the walls and the floor lend to the light is taken out."""
 CONTRAST = 0.3
 SHARPNESS = 0.7
 """Texture filter width in pixels; the lens blurs them a little more."""
-EDGE_SAMPLES = 5
+EDGE_SAMPLES = 7
 """Rays through a pixel that more than one surface shares."""
 BLURS = (0.0, 2.0, 6.0)
 """Smears of the mirror image that rough reflections are mixed from, in pixels at a width of 640."""
@@ -73,13 +73,13 @@ def _diffuse(
     radiance[miss] = _outside(studio, rays[miss])
     seen = select(hits, hits.hit)
     direction = rays[hits.hit]
-    normal = surface.mesh.face_normals[seen.face]
+    normal = rows(surface.mesh.face_normals, seen.face)
     cosine = np.abs(np.einsum("nk,nk->n", normal, direction)) / np.linalg.norm(direction, axis=1)
     width = np.broadcast_to(pixel, hits.face.shape)[hits.hit] * seen.distance / np.sqrt(np.maximum(cosine, 0.02))
     uv_st = at_hits(studio.corners, seen)
-    albedo = studio.textures(surface.material[seen.face], uv_st[:, :2], SHARPNESS * width)
-    irradiance = studio.light.texels.lookup(studio.light.irradiance, surface.chart[seen.face], uv_st[:, 2:])
-    radiance[hits.hit] = albedo * surface.tint[seen.face] * irradiance
+    albedo = studio.textures(rows(surface.material, seen.face), uv_st[:, :2], SHARPNESS * width)
+    irradiance = studio.light.texels.lookup(studio.light.irradiance, rows(surface.chart, seen.face), uv_st[:, 2:])
+    radiance[hits.hit] = albedo * rows(surface.tint, seen.face) * irradiance
     return radiance
 
 
@@ -118,7 +118,7 @@ def _supersample(
     turn = camera.pose[:3, :3]
     total = np.zeros_like(centre)
     place = np.arange(EDGE_SAMPLES)
-    offsets = np.stack([(place + 0.5) / EDGE_SAMPLES, ((place * 2) % EDGE_SAMPLES + 0.5) / EDGE_SAMPLES], -1)
+    offsets = np.stack([(place + 0.5) / EDGE_SAMPLES, ((place * 3) % EDGE_SAMPLES + 0.5) / EDGE_SAMPLES], -1)
     for dx, dy in offsets:
         x = (columns + dx - k.cx) / k.fx
         y = (rows + dy - k.cy) / k.fy
@@ -135,8 +135,8 @@ def _mirror(
     """Reflections on varnish, glaze and glass: mirror rays, smeared on the picture by distance and roughness."""
     h, w = camera.intrinsics.shape
     surface = studio.surface
-    material = surface.material[hits.face]
-    glossy = hits.hit & (GLOSS[material] > 0)
+    material = rows(surface.material, hits.face)
+    glossy = hits.hit & (rows(GLOSS, material) > 0)
     seen, direction = select(hits, glossy), rays[glossy]
     length = np.linalg.norm(direction, axis=1, keepdims=True)
     direction = direction / length
@@ -188,13 +188,8 @@ def _develop(linear: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Fl
     """Lens, sensor and tone curve: exposed linear light → display-encoded picture in 8-bit steps."""
     h, w, _ = linear.shape
     scale = w / 640
-    # Glare is smooth: half the pixels each way are enough for the narrow one, an eighth for the wide one.
-    low = np.minimum(linear, 3.0)[: h // 2 * 2, : w // 2 * 2].reshape(h // 2, 2, w // 2, 2, 3).mean(axis=(1, 3))
-    near = gaussian_filter(low, (2.5 * scale, 2.5 * scale, 0), truncate=2.5)
-    wide = gaussian_filter(near[::4, ::4], (3.2 * scale, 3.2 * scale, 0), truncate=3)
-    glare = 0.025 * resize(near, linear.shape, order=1) + 0.02 * resize(wide, linear.shape, order=1)
     sharp = gaussian_filter(linear, (0.42 * scale, 0.42 * scale, 0), truncate=3)
-    image = 0.955 * sharp + glare
+    image = 0.955 * sharp + _glare(linear, scale)
     y, x = np.mgrid[0:h, 0:w]
     radius2 = ((x + 0.5) / w - 0.5) ** 2 + (((y + 0.5) / h - 0.5) * h / w) ** 2
     image *= (1 - 0.45 * radius2)[..., None]
@@ -206,6 +201,18 @@ def _develop(linear: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Fl
     # A slight S, as every camera's picture style has.
     display += CONTRAST * (display * display * (3 - 2 * display) - display)
     return (np.round(display * 255) / 255).astype(np.float32)
+
+
+def _glare(linear: Float[np.ndarray, "h w 3"], scale: float) -> Float[np.ndarray, "h w 3"]:
+    """Light scattered in the lens: 2.5 % nearby, 2 % far. Smooth, so it is made at half the size and less."""
+    h, w, _ = linear.shape
+    half = np.minimum(linear[: h // 2 * 2, : w // 2 * 2], 3.0)
+    half = (half[::2, ::2] + half[1::2, ::2] + half[::2, 1::2] + half[1::2, 1::2]) / 4
+    near = gaussian_filter(half, (2.5 * scale, 2.5 * scale, 0), truncate=2.5)
+    far = gaussian_filter(near[::4, ::4], (3.2 * scale, 3.2 * scale, 0), truncate=3)
+    glare = 0.025 * near + 0.02 * resize(far, near.shape, order=1)
+    row, column = (np.minimum(np.arange(n) // 2, n // 2 - 1) for n in (h, w))
+    return glare[row[:, None], column].astype(np.float32)
 
 
 def tone(x: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:

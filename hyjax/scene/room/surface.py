@@ -72,6 +72,11 @@ def even_st(shape: tuple[int, int]) -> Float[np.ndarray, "t s 2"]:
     return np.stack([s, t], axis=-1)
 
 
+def rows(values: np.ndarray, index: Int[np.ndarray, "n"]) -> np.ndarray:
+    """`values[index]` for indices known to be in range: `take` copies whole rows, several times as fast."""
+    return values.take(index, axis=0, mode="clip")
+
+
 def weld(grids: Sequence[Float[np.ndarray, "t s 3"]]) -> tuple[np.ndarray, list[np.ndarray]]:
     """Merge equal points of several grids, so that normals are smooth across their seams."""
     points = np.concatenate([g.reshape(-1, 3) for g in grids])
