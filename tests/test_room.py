@@ -214,3 +214,22 @@ def test_anchors_are_plain_data(capture: RoomCapture) -> None:
 def test_bad_input_is_named(bad: dict[str, float], tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"^room: "):
         load_room(cache_dir=tmp_path, **{**TINY, **bad})
+
+
+def test_unwritable_cache_is_no_obstacle(
+    capture: RoomCapture,
+    folder: Path,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A cache folder that is a file: the room comes back all the same, with one line of warning."""
+    import hyjax.data.room as module
+
+    (tmp_path / "file").write_text("in the way")
+    arrays = module._read(next(folder.glob("*.npz")))
+    monkeypatch.setattr(module, "_render", lambda *_: arrays)
+    with caplog.at_level(logging.WARNING):
+        again = load_room(0, cache_dir=tmp_path / "file", **TINY)
+    assert same_frames(capture, again)
+    assert len(caplog.records) == 1

@@ -3,7 +3,6 @@
 import json
 import logging
 import tempfile
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from hyjax.errors import InputError
 from hyjax.scene.camera import Camera, Intrinsics
 from hyjax.scene.room import camera_path, make_room, render_room
 
-VERSION = 4
+VERSION = 5
 """Of what `hyjax.scene.room` makes. Add one whenever its geometry or its pictures change."""
 FRAME_RATE = 2.0
 """Pictures a second: the walk takes twelve seconds."""
@@ -96,7 +95,7 @@ def load_room(
     if file.is_file():
         try:
             return _capture(_read(file))
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        except Exception as error:  # Damage shows itself in a dozen ways; all mean the same.
             _log.warning("%s: damaged (%s), rendering the room again", file, error)
     arrays = _render(seed, n_frames, width, height, quality, progress)
     _write(file, arrays)
@@ -148,5 +147,6 @@ def _write(file: Path, arrays: Arrays) -> None:
         part.replace(file)
     except OSError as error:
         _log.warning("%s: cannot keep the rendered room (%s)", file, error)
+    finally:
         if part is not None:
             part.unlink(missing_ok=True)

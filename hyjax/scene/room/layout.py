@@ -107,7 +107,7 @@ def _shelf_wall(build: Builder) -> None:
             things.storage_box(build, 0.40, 0.26, 0.20, (0.42, 0.30, 0.19))
         build.anchors["bookcase"] = {"position": build.world((0, -0.3, 1.0))}
     with build.placed(3.22, DEPTH, 1.50):
-        things.framed_picture(build, 0.50, 0.66, furniture.OAK)
+        things.framed_picture(build, 0.50, 0.66, furniture.OAK, 0.75)
     with build.placed(3.12, DEPTH - 0.34):
         things.basket(build, 0.20, 0.34)
         with build.placed(0, 0, 0.10, 30):
@@ -127,8 +127,8 @@ def _door_wall(build: Builder) -> None:
         with build.placed(0.08, -0.2, 0.78):
             things.storage_box(build, 0.24, 0.18, 0.12, (0.50, 0.46, 0.38))
     for k, x in enumerate((1.02, 1.48, 1.94)):
-        with build.placed(x, 0, 1.62 + 0.0 * k, 180):
-            things.framed_picture(build, 0.36, 0.46, furniture.OAK)
+        with build.placed(x, 0, 1.62, 180):
+            things.framed_picture(build, 0.36, 0.46, furniture.OAK, 0.31 * k + 0.2)
     with build.placed(WIDTH, 1.25, 0, -90):
         box(build, (-0.55, -0.22, 1.36), (0.55, 0.0, 1.39), m.WOOD, furniture.OAK, bevel=0.003)
         things.book_row(build, -0.50, -0.12, 1.39, 0.3)

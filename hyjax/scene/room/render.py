@@ -20,6 +20,8 @@ BALANCE = np.array([0.975, 1.0, 1.035], np.float32)
 CONTRAST = 0.3
 SHARPNESS = 0.7
 """Texture filter width in pixels; the lens blurs them a little more."""
+DEPTH_JUMP = 0.025
+"""Of the depth itself: more than a floor seen at a grazing angle changes from one pixel to the next."""
 EDGE_SAMPLES = 7
 """Rays through a pixel that more than one surface shares."""
 BLURS = (0.0, 2.0, 6.0)
@@ -98,10 +100,12 @@ def select(hits: Hits, chosen: Bool[np.ndarray, "n"]) -> Hits:
 
 
 def _shared_pixels(surface: Surface, hits: Hits, depth: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels on the borders between charts that look different, where one ray a pixel would leave stairs."""
-    chart = np.where(hits.hit, surface.chart[hits.face], -1).reshape(depth.shape)
+    """Pixels on borders between charts and on jumps of depth, where one ray a pixel would leave stairs."""
+    chart = np.where(hits.hit, rows(surface.chart, hits.face), -1).reshape(depth.shape)
     edge = np.zeros(depth.shape, dtype=bool)
     across, down = chart[:, 1:] != chart[:, :-1], chart[1:] != chart[:-1]
+    across |= np.abs(np.diff(depth, axis=1)) > DEPTH_JUMP * depth[:, 1:]
+    down |= np.abs(np.diff(depth, axis=0)) > DEPTH_JUMP * depth[1:]
     edge[:, 1:] |= across
     edge[:, :-1] |= across
     edge[1:] |= down

@@ -22,11 +22,11 @@ def panel(
     tint: Colour = WHITE,
     holes: Sequence[tuple[float, float, float, float]] = (),
     texel: float = 0.045,
-    stretch: bool = False,
+    stretch: float | None = None,
 ) -> None:
     """A flat rectangle with normal s × t; `holes` are (s0, t0, s1, t1) in metres from `origin`.
 
-    The texture is laid on in metres, or with `stretch` once over the whole rectangle's unit square.
+    The texture is laid on in metres, or once over the whole rectangle, shifted sideways by the share `stretch`.
     """
     o, ds, dt = (np.asarray(v, dtype=float) for v in (origin, along_s, along_t))
     size = np.array([np.linalg.norm(ds), np.linalg.norm(dt)])
@@ -44,7 +44,13 @@ def panel(
     st = np.stack([s, t], axis=-1) / size
     points = o + st[..., :1] * ds + st[..., 1:] * dt
     index = np.arange(s.size).reshape(s.shape)
-    build.add(points.reshape(-1, 3), [Grid(index, st if stretch else st * size, st, keep)], material, tint, texel)
+    build.add(
+        points.reshape(-1, 3),
+        [Grid(index, st * size if stretch is None else st + np.array([stretch, 0.0]), st, keep)],
+        material,
+        tint,
+        texel,
+    )
 
 
 def box(

@@ -95,7 +95,7 @@ def fruit(build: Builder, radius: float, tint: Colour) -> None:
             m.LACQUER, tint, 24)  # fmt: skip
 
 
-def framed_picture(build: Builder, width: float, height: float, tint: Colour) -> None:
+def framed_picture(build: Builder, width: float, height: float, tint: Colour, shift: float = 0.0) -> None:
     """A picture under glass, its back on the local plane y = 0, centred on the origin."""
     half, tall, bar, mat = width / 2, height / 2, 0.022, 0.06
     for low, high in (
@@ -108,7 +108,7 @@ def framed_picture(build: Builder, width: float, height: float, tint: Colour) ->
     a, b = half - bar, tall - bar
     panel(build, (-a, -0.008, -b), (2 * a, 0, 0), (0, 0, 2 * b), m.CERAMIC, (0.80, 0.79, 0.75), texel=0.03)
     a, b = a - mat, b - mat
-    panel(build, (-a, -0.0095, -b), (2 * a, 0, 0), (0, 0, 2 * b), m.PICTURE, texel=0.03, stretch=True)
+    panel(build, (-a, -0.0095, -b), (2 * a, 0, 0), (0, 0, 2 * b), m.PICTURE, texel=0.03, stretch=shift)
 
 
 def storage_box(build: Builder, wide: float, deep: float, tall: float, tint: Colour) -> None:
