@@ -1,0 +1,264 @@
+"""Eq. 4 against the literal loops, the schedules that drive it, and its gradients."""
+
+import dataclasses
+import json
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference import paper
+from reference.differences import assert_gradients
+
+from hyjax import InputError, Level, Schedule, cascade, conductance, diffuse, downsample, level_edges, upsample
+from hyjax.schedule import PRESETS
+
+
+def picture(seed: int, size: tuple[int, int], channels: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1.0, 2.0, (*size, channels))
+
+
+def schedule_of(factors: list[tuple[int, int]], seed: int, **options: Any) -> Schedule:
+    """Random λ for every step and random κ for every level."""
+    rng = np.random.default_rng(seed)
+    levels = [Level(f, rng.uniform(0.02, 0.249, n), rng.uniform(0.2, 2.0)) for f, n in factors]
+    return Schedule(tuple(levels), **options)
+
+
+CASES = [
+    ((17, 13), [(8, 3), (4, 2), (2, 4)]),
+    ((9, 14), [(6, 2), (3, 0), (1, 3)]),
+    ((5, 7), [(16, 2), (4, 2)]),
+    ((1, 11), [(2, 3)]),
+]
+
+
+@pytest.mark.parametrize("norm", ["l2", "mean_abs"])
+@pytest.mark.parametrize("pooling", ["edges", "guide"])
+@pytest.mark.parametrize("case", CASES)
+def test_against_the_literal_form(case: tuple, pooling: str, norm: str) -> None:
+    size, factors = case
+    for seed, channels in ((0, 1), (1, 3)):
+        y, guide = picture(seed, size, channels), picture(seed + 9, size, 2)
+        schedule = schedule_of(factors, seed, pooling=pooling, norm=norm)
+        levels = [(level.factor, level.step_sizes, level.kappa) for level in schedule.levels]
+        expected = paper.cascade(y, guide, levels, pooling, norm)
+        with jax.enable_x64(True):
+            got = cascade(jnp.asarray(y), jnp.asarray(guide), schedule)
+            assert got.dtype == np.float64
+            np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-12)
+        got = cascade(jnp.asarray(y, jnp.float32), jnp.asarray(guide, jnp.float32), schedule)
+        assert got.dtype == np.float32
+        np.testing.assert_allclose(got, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("pooling", ["edges", "guide"])
+def test_level_edges_are_the_literal_ones(pooling: str) -> None:
+    guide = picture(0, (17, 13), 3)
+    schedule = schedule_of([(8, 1), (2, 1)], 0, pooling=pooling)
+    with jax.enable_x64(True):
+        for level, edges in zip(schedule.levels, level_edges(jnp.asarray(guide), schedule), strict=True):
+            if pooling == "edges":
+                want = paper.min_pool(paper.conductance(guide, level.kappa), level.factor)
+            else:
+                want = paper.conductance(paper.downsample(guide, level.factor), level.kappa)
+            for a, b in zip(edges, want, strict=True):
+                np.testing.assert_allclose(a, b, rtol=1e-12)
+
+
+def test_naive_is_plain_diffusion_between_down_and_up() -> None:
+    size = (18, 27)
+    y, guide = (jnp.asarray(picture(k, size, 3), jnp.float32) for k in (0, 1))
+    schedule = dataclasses.replace(Schedule.preset("naive-50", kappa=0.6), pooling="guide")
+    plain = diffuse(downsample(y, 2), conductance(downsample(guide, 2), 0.6), np.full(50, 0.24, np.float32))
+    np.testing.assert_allclose(cascade(y, guide, schedule), upsample(plain, 2, size), atol=2e-6)
+
+
+def test_flip_symmetry() -> None:
+    size = (16, 24)
+    y, guide = (picture(k, size, 2) for k in (0, 1))
+    schedule = schedule_of([(8, 3), (2, 3)], 0)
+    with jax.enable_x64(True):
+        plain = np.asarray(cascade(jnp.asarray(y), jnp.asarray(guide), schedule))
+        for turn in (lambda a: a[::-1], lambda a: a[:, ::-1], lambda a: a.transpose(1, 0, 2)):
+            got = cascade(jnp.asarray(turn(y)), jnp.asarray(turn(guide)), schedule)
+            np.testing.assert_allclose(got, turn(plain), rtol=1e-11, atol=1e-13)
+
+
+def test_range_and_mean_are_kept() -> None:
+    y, guide = (jnp.asarray(picture(k, (16, 24), 3), jnp.float32) for k in (0, 1))
+    out = np.asarray(cascade(y, guide, Schedule.uniform([(8, 9), (4, 9)])))
+    assert out.min() >= y.min() and out.max() <= y.max()
+    np.testing.assert_allclose(out.mean((0, 1)), np.mean(y, (0, 1)), atol=1e-5)
+
+
+def test_gradients_reach_everything() -> None:
+    """λ of every step, κ of every level, the guide and the filter, for both readings of the pooling."""
+    size = (7, 10)
+    y, guide, target = (picture(k, size, 2) for k in (0, 1, 2))
+    for pooling in ("edges", "guide"):
+        schedule = schedule_of([(4, 2), (2, 3)], 3, pooling=pooling)
+
+        def loss(y: jax.Array, guide: jax.Array, schedule: Schedule) -> jax.Array:
+            return jnp.sum((cascade(y, guide, schedule) - target) ** 2)
+
+        with jax.enable_x64(True):
+            assert_gradients(loss, y, guide, schedule)
+            # every single entry: each step and each level matters
+            grad = jax.grad(loss, argnums=2)(jnp.asarray(y), jnp.asarray(guide), schedule)
+            for level in grad.levels:
+                assert np.all(np.asarray(level.step_sizes) != 0) and level.kappa != 0
+
+
+def test_jit_and_vmap() -> None:
+    batch = jnp.asarray(np.stack([picture(k, (16, 24), 3) for k in range(3)]), jnp.float32)
+    schedule = Schedule.uniform([(8, 9), (4, 9)])
+    mapped = jax.jit(jax.vmap(cascade, in_axes=(0, 0, None)))(batch, batch, schedule)
+    for one, y in zip(mapped, batch, strict=True):
+        np.testing.assert_allclose(one, cascade(y, y, schedule), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes"),
+    [
+        ("paper-50", {32: 5, 64: 10, 128: 15, 256: 20}),
+        ("paper-80", {32: 10, 64: 15, 128: 25, 256: 30}),
+        ("naive-50", {256: 50}),
+        ("naive-1000", {256: 1000}),
+    ],
+)
+def test_presets_are_the_papers(name: str, sizes: dict[int, int]) -> None:
+    """The paper writes size:steps for frames of 512²."""
+    schedule = Schedule.preset(name)
+    assert [(512 // level.factor, level.steps) for level in schedule.levels] == list(sizes.items())
+    assert schedule.name == name and schedule.pooling == "edges" and schedule.norm == "l2"
+    assert name in PRESETS
+
+
+def test_preset_options_and_refusal() -> None:
+    schedule = Schedule.preset("paper-50", kappa=0.5, lam=0.125)
+    assert all(level.kappa == 0.5 and np.all(level.step_sizes == 0.125) for level in schedule.levels)
+    with pytest.raises(InputError, match=r"^schedule: no preset 'paper-5'; there are paper-50, "):
+        Schedule.preset("paper-5")
+
+
+lams = st.floats(2**-12, 0.2490234375, width=32)
+
+
+@st.composite
+def schedules(draw: st.DrawFn) -> Schedule:
+    factor, levels = 1, []
+    for _ in range(draw(st.integers(1, 4))):
+        kappa = draw(st.floats(2**-20, 2**20, width=32))
+        levels.append(Level(factor, np.array(draw(st.lists(lams, max_size=5)), np.float32), np.float32(kappa)))
+        factor *= draw(st.integers(2, 4))
+    pooling, norm = draw(st.sampled_from(["edges", "guide"])), draw(st.sampled_from(["l2", "mean_abs"]))
+    return Schedule(tuple(levels[::-1]), pooling, norm, draw(st.text(max_size=8)))
+
+
+@settings(max_examples=100)
+@given(schedules())
+def test_json_round_trip_is_exact(schedule: Schedule) -> None:
+    again = Schedule.from_json(schedule.to_json())
+    assert (again.pooling, again.norm, again.name) == (schedule.pooling, schedule.norm, schedule.name)
+    for a, b in zip(again.levels, schedule.levels, strict=True):
+        assert a.factor == b.factor and a.kappa == b.kappa and a.kappa.dtype == np.float32
+        assert a.step_sizes.dtype == np.float32
+        np.testing.assert_array_equal(a.step_sizes, b.step_sizes)
+    assert again.to_json() == schedule.to_json()
+
+
+def test_json_is_short_and_by_hand() -> None:
+    assert json.loads(Schedule.preset("naive-50").to_json())["levels"] == [
+        {"factor": 2, "steps": 50, "lam": 0.24, "kappa": 0.05}
+    ]
+    by_hand = Schedule.from_json('{"levels": [{"factor": 2, "steps": 3, "kappa": 1}]}')
+    assert by_hand.name == "custom" and np.all(by_hand.levels[0].step_sizes == np.float32(0.24))
+
+
+def test_table() -> None:
+    levels = (Level(4, np.array([0.1, 0.2]), 0.5), Level(2, np.zeros(0), 0.25))
+    lines = str(Schedule(levels, name="mine")).splitlines()
+    assert lines[0] == "mine: 2 steps, pooling edges, norm l2"
+    assert [line.split() for line in lines[1:]] == [
+        ["factor", "steps", "kappa", "lam"],
+        ["4", "2", "0.5", "0.1..0.2"],
+        ["2", "0", "0.25", "-"],
+    ]
+    assert len({len(line) for line in lines[1:]}) == 1, "columns are not aligned"
+    seen = []
+    jax.jit(lambda s: seen.append(str(s)))(Schedule(levels))
+    assert seen[0].splitlines()[2].split() == ["4", "2", "traced", "traced"]
+
+
+LEVEL = Level(2, np.array([0.1]), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("levels", "options", "message"),
+    [
+        ((), {}, "needs at least one level"),
+        ((LEVEL,), {"pooling": "mean"}, "'mean' is unknown; use one of edges, guide"),
+        ((LEVEL,), {"norm": "l1"}, "'l1' is unknown; use one of l2, mean_abs"),
+        ((Level(0, np.array([0.1]), 0.5),), {}, "a factor is a whole number >= 1, got 0"),
+        ((Level(-2, np.array([0.1]), 0.5),), {}, "a factor is a whole number >= 1, got -2"),
+        ((Level(2.0, np.array([0.1]), 0.5),), {}, "a factor is a whole number >= 1, got 2.0"),
+        ((LEVEL, LEVEL), {}, "coarse to fine, got factor 2 after 2"),
+        ((LEVEL, dataclasses.replace(LEVEL, factor=4)), {}, "coarse to fine, got factor 4 after 2"),
+        ((dataclasses.replace(LEVEL, factor=5), LEVEL), {}, "factor 5 is no multiple of the next finer factor 2"),
+        ((dataclasses.replace(LEVEL, kappa=0.0),), {}, "factor 2, kappa: must be finite and > 0, got 0.0"),
+        ((dataclasses.replace(LEVEL, kappa=float("nan")),), {}, "kappa: must be finite and > 0, got nan"),
+        ((dataclasses.replace(LEVEL, step_sizes=np.array([0.1, 0.25])),), {}, "factor 2, lam: .* got 0.25"),
+        ((dataclasses.replace(LEVEL, step_sizes=np.array([0.1, -1])),), {}, "factor 2, lam: .* got -1"),
+    ],
+)
+def test_check_refuses(levels: tuple, options: dict, message: str) -> None:
+    schedule = Schedule(levels, name="bad", **options)
+    with pytest.raises(InputError, match=f"^schedule bad.*{message}"):
+        schedule.check()
+    with pytest.raises(InputError, match=f"^schedule bad.*{message}"):
+        cascade(jnp.zeros((8, 8, 1)), jnp.zeros((8, 8, 1)), schedule)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "not JSON"),
+        ("[]", "must be a JSON object, got list"),
+        ("{}", "key 'levels' is missing"),
+        ('{"levels": 3}', "'levels' must be a list"),
+        ('{"levels": [], "pool": 1}', "unknown key 'pool'"),
+        ('{"levels": []}', "needs at least one level"),
+        ('{"levels": [3]}', "level 0: must be a JSON object, got int"),
+        ('{"levels": [{"factor": 2, "steps": 3}]}', "level 0: key 'kappa' is missing"),
+        ('{"levels": [{"factor": 2, "steps": 3, "kappa": 1, "lamb": 1}]}', "level 0: unknown key 'lamb'"),
+        ('{"levels": [{"factor": 2, "steps": 1.5, "kappa": 1}]}', "'steps' must be a whole number"),
+        ('{"levels": [{"factor": 2, "steps": true, "kappa": 1}]}', "'steps' must be a whole number"),
+        ('{"levels": [{"factor": 2, "steps": -1, "kappa": 1}]}', "'steps' must be a whole number"),
+        ('{"levels": [{"factor": 2, "steps": 2, "kappa": "x"}]}', "must be numbers"),
+        ('{"levels": [{"factor": 2, "steps": 2, "kappa": 1, "lam": [0.1]}]}', "'lam' has 1 entries for 2 steps"),
+        ('{"levels": [{"factor": 2, "steps": 2, "kappa": 1, "lam": [[0.1]]}]}', "'lam' has 1 entries"),
+        ('{"levels": [{"factor": 2, "steps": 2, "kappa": [1, 2]}]}', "kappa"),
+        ('{"levels": [{"factor": 2, "steps": 2, "kappa": null}]}', "kappa"),
+        ('{"levels": [{"factor": 2, "steps": 2, "kappa": 1, "lam": 0.3}]}', "lam.*got 0.3"),
+        ('{"levels": [{"factor": 2, "steps": 2, "kappa": NaN}]}', "kappa.*got nan"),
+        ('{"levels": [{"factor": "2", "steps": 2, "kappa": 1}]}', "whole number >= 1, got '2'"),
+        ('{"levels": [{"factor": true, "steps": 2, "kappa": 1}]}', "whole number >= 1, got True"),
+        ('{"levels": [{"factor": 2, "steps": 2, "kappa": 1}], "norm": ["l2"]}', "unknown"),
+        ('{"levels": [{"factor": 2, "steps": 2, "kappa": 1}], "name": 3}', "name"),
+    ],
+)
+def test_bad_json_is_refused(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=f"^schedule.*{message}"):
+        Schedule.from_json(text)
+
+
+def test_negative_steps_and_sizes_that_differ_are_refused() -> None:
+    with pytest.raises(InputError, match=r"^schedule custom: number of steps must be >= 0, got -1 at factor 2$"):
+        Schedule.uniform([(2, -1)])
+    for y, guide in (((4, 4, 1), (4, 5, 1)), ((4, 4), (4, 4, 1)), ((4, 4, 1), (4, 4))):
+        with pytest.raises(InputError, match=r"^cascade: filter .* same H x W$"):
+            cascade(jnp.zeros(y), jnp.zeros(guide), Schedule.preset("naive-50"))

@@ -1,0 +1,73 @@
+"""The sRGB curve, luminance and black bodies."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hyjax import blackbody, luminance, to_display, to_linear
+
+
+def test_known_values() -> None:
+    """IEC 61966-2-1: mid grey 128/255 is 21.586 % of white, 18 % grey is 117.65/255; 12.92 below the toe."""
+    np.testing.assert_allclose(to_linear(jnp.array([0.0, 128 / 255, 1.0])), [0.0, 0.2158605, 1.0], rtol=1e-5)
+    np.testing.assert_allclose(to_display(jnp.array([0.0, 0.18, 1.0])) * 255, [0.0, 117.6465, 255.0], rtol=1e-4)
+    np.testing.assert_allclose(to_linear(jnp.array([0.02])), [0.02 / 12.92], rtol=1e-6)
+    np.testing.assert_allclose(to_display(jnp.array([0.001])), [0.01292], rtol=1e-6)
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4))
+def test_round_trip(values: list[float]) -> None:
+    with jax.enable_x64(True):
+        x = jnp.array(values)
+        np.testing.assert_allclose(to_linear(to_display(x)), x, atol=1e-8)
+        np.testing.assert_allclose(to_display(to_linear(x)), x, atol=2e-7)
+
+
+def test_monotone_without_a_jump_and_gradients_are_finite() -> None:
+    x = jnp.linspace(0.0, 1.0, 4097)
+    for curve in (to_linear, to_display):
+        y = np.asarray(curve(x))
+        assert np.all(np.diff(y) > 0) and np.diff(y).max() < 14 / 4096
+        gradient = np.asarray(jax.vmap(jax.grad(curve))(x))
+        assert np.all(np.isfinite(gradient)) and np.all(gradient[:-1] > 0)
+        np.testing.assert_allclose(gradient[1], 12.92 if curve is to_display else 1 / 12.92, rtol=1e-5)
+
+
+def test_display_clips() -> None:
+    x = jnp.array([-1.0, 1.5, 300.0])
+    np.testing.assert_allclose(to_display(x), [0.0, 1.0, 1.0], rtol=1e-6)
+    assert np.all(np.isfinite(jax.vmap(jax.grad(to_display))(x)))
+    assert np.all(np.isfinite(jax.vmap(jax.grad(to_linear))(jnp.array([-0.5, 2.0]))))
+
+
+def test_luminance() -> None:
+    np.testing.assert_allclose(luminance(jnp.eye(3)), [0.2126, 0.7152, 0.0722], rtol=1e-6)
+    np.testing.assert_allclose(luminance(jnp.ones((2, 5, 3))), np.ones((2, 5)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("kelvin", [1667.0, 1900.0, 2222.0, 2700.0, 4000.0, 6500.0, 10000.0, 25000.0])
+def test_blackbody_has_luminance_one(kelvin: float) -> None:
+    rgb = blackbody(kelvin)
+    np.testing.assert_allclose(luminance(rgb), 1.0, rtol=1e-5)
+    assert np.all(np.asarray(rgb) >= 0)
+
+
+def test_blackbody_hue() -> None:
+    """Lamps are orange, D65 is about white, the sky is blue, and there is no jump where the fits meet."""
+    lamp, day, sky = np.asarray(blackbody(2700.0)), np.asarray(blackbody(6504.0)), np.asarray(blackbody(15000.0))
+    assert lamp[0] > lamp[1] > lamp[2] and sky[2] > sky[1] > sky[0]
+    np.testing.assert_allclose(day, 1.0, atol=0.05)
+    # Planck's law integrated with the CIE 1931 observer: chromaticity of 2700 K is (0.4599, 0.4106).
+    to_xyz = np.array(
+        [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+    )
+    xyz = to_xyz @ lamp
+    np.testing.assert_allclose(xyz[:2] / xyz.sum(), [0.4599, 0.4106], atol=2e-3)
+    kelvin = jnp.linspace(1700.0, 20000.0, 2000)
+    ratio = np.asarray(jax.vmap(blackbody)(kelvin))
+    blue_to_red = ratio[:, 2] / ratio[:, 0]
+    assert np.all(np.diff(blue_to_red) >= -1e-6) and np.diff(blue_to_red).max() < 0.02
+    assert np.isfinite(jax.grad(lambda k: blackbody(k)[2])(4000.0))
