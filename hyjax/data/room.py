@@ -15,7 +15,7 @@ from hyjax.errors import InputError
 from hyjax.scene.camera import Camera, Intrinsics
 from hyjax.scene.room import camera_path, make_room, render_room
 
-VERSION = 5
+VERSION = 6
 """Of what `hyjax.scene.room` makes. Add one whenever its geometry or its pictures change."""
 FRAME_RATE = 2.0
 """Pictures a second: the walk takes twelve seconds."""

@@ -27,10 +27,11 @@ def view(direction: Float[np.ndarray, "n 3"], foliage: Float[np.ndarray, "n 3"])
     crown_edge = 0.05 + 0.6 * (foliage[:, 1] - 0.2)
     for k, (rate, height) in enumerate(((3.1, 0.09), (7.3, 0.05), (17.0, 0.03), (41.0, 0.015))):
         crown_edge = crown_edge + height * np.sin(rate * azimuth + 1.7 * k)
-    crown = np.clip((crown_edge - direction[:, 2]) / 0.02, 0, 1)[:, None]
+    crown = np.clip((crown_edge - direction[:, 2]) / 0.045, 0, 1)[:, None]
     lawn = np.clip((-0.20 - direction[:, 2]) / 0.03, 0, 1)[:, None]
     sky = np.array([1.7, 1.85, 2.0], np.float32)
     shade = np.clip(1.15 + 2.2 * (direction[:, 2:] - crown_edge[:, None]), 0.6, 1.2)
-    trees = (np.array([0.33, 0.36, 0.30], np.float32) + 2.6 * foliage) * shade
-    grass = np.array([0.80, 0.90, 0.62], np.float32) + 0.6 * foliage
+    leaves = 2.4 * foliage * np.array([1.1, 0.8, 1.2], np.float32)
+    trees = (np.array([0.60, 0.62, 0.54], np.float32) + leaves) * shade
+    grass = np.array([0.92, 0.98, 0.80], np.float32) + 0.6 * foliage
     return ((sky * (1 - crown) + trees * crown) * (1 - lawn) + grass * lawn).astype(np.float32)
