@@ -111,7 +111,8 @@ def _parts(path: Path) -> Iterator[Part]:
 
 def _transformed(part: trimesh.Trimesh, transform: Float[np.ndarray, "4 4"]) -> Part:
     linear = transform[:3, :3]
-    vertices = np.asarray(part.vertices) @ linear.T + transform[:3, 3]
+    with np.errstate(invalid="ignore"):  # infinite vertices are reported later, with their number
+        vertices = np.asarray(part.vertices) @ linear.T + transform[:3, 3]
     faces = np.asarray(part.faces, dtype=np.int64).reshape(-1, 3)
     # A mirroring transform turns triangles inside out; wind them back.
     if np.linalg.det(linear) < 0:

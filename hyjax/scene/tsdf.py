@@ -30,6 +30,7 @@ BLOCK = 8
 CHUNK = 64  # blocks updated at once: arrays of 128 KiB, which stay in the cache
 NO_READING = -1e6  # in place of a depth: every voxel is then far behind the surface, hence not updated
 MAX_BLOCKS = 1 << 20  # 4 GiB of voxels
+MAX_CANDIDATES = 8_000_000  # blocks in the box around one view
 
 
 def fuse(
@@ -178,6 +179,11 @@ def _blocks_in_view(
     rim = np.array([[(u - k.cx) / k.fx, (v - k.cy) / k.fy, 1.0] for u in (0, k.width) for v in (0, k.height)])
     reach = np.concatenate([[camera.origin], camera.origin + far * rim @ camera.pose[:3, :3].T])
     low, high = np.floor(reach.min(axis=0) / size).astype(int), np.floor(reach.max(axis=0) / size).astype(int)
+    if np.prod(high - low + 1.0) > MAX_CANDIDATES:
+        raise InputError(
+            f"fuse: one view spans {np.prod(high - low + 1.0):.0e} blocks of 8³ voxels of {size / BLOCK:g} m; "
+            "take a coarser voxel or a smaller max depth"
+        )
     blocks = np.stack(np.meshgrid(*map(np.arange, low, high + 1), indexing="ij"), axis=-1).reshape(-1, 3)
     local = ((blocks + 0.5) * size - camera.origin) @ camera.pose[:3, :3]
     radius = size * np.sqrt(3.0) / 2.0
