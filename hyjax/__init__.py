@@ -10,7 +10,7 @@ from hyjax.compositing import composite
 from hyjax.diffusion import conductance, diffuse, diffuse_step
 from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
-from hyjax.lights import AmbientLight, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
+from hyjax.lights import AmbientLight, Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
 from hyjax.pipeline import Relit, cascade_known, relight, shadow_pass
 from hyjax.pyramid import downsample, min_pool, upsample
 from hyjax.schedule import Level, Schedule
@@ -21,6 +21,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "AmbientLight",
+    "Aperture",
     "DirectionalLight",
     "GBuffer",
     "InputError",

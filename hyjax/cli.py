@@ -81,6 +81,9 @@ def main() -> None:
 def run_relight(command: Relight) -> None:
     """`hyjax relight`."""
     # Heavy imports wait until the command line is known to be right.
+    import jax
+
+    from hyjax.cache import cache_folder
     from hyjax.data.light_file import read_lights
     from hyjax.data.light_setups import named_setup, survey
     from hyjax.data.open import open_capture
@@ -90,6 +93,7 @@ def run_relight(command: Relight) -> None:
     from hyjax.scene.raycast import RayCaster
     from hyjax.tuning.latency import StageClock
 
+    jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "compiled"))
     # All that can be checked is checked before the first slow step.
     clock, bars = StageClock(), not command.quiet
     schedule = _schedule(command.schedule)

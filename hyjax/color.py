@@ -23,9 +23,9 @@ def to_linear(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
 @jax.jit
 def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Linear light → display-encoded values in [0, 1]; anything brighter than 1 is clipped to white."""
-    linear = jnp.clip(linear, 0.0, 1.0)
-    power = 1.055 * jnp.maximum(linear, 0.0031308) ** (1.0 / 2.4) - 0.055
-    return jnp.where(linear <= 0.0031308, linear * 12.92, power)
+    power = 1.055 * jnp.clip(linear, 0.0031308, 1.0) ** (1.0 / 2.4) - 0.055
+    # `where` and not `maximum`, whose gradient at a tie is half: black pixels keep the slope of the light they get.
+    return jnp.where(linear < 0.0, 0.0, jnp.where(linear <= 0.0031308, linear * 12.92, power))
 
 
 def luminance(linear: Float[Array, "*s 3"]) -> Float[Array, "*s"]:

@@ -89,7 +89,7 @@ def conductance(guide: Float[Array, "h w f"], kappa: Float[ArrayLike, ""], *, no
 def _step(y: Float[Array, "c h w"], edges: Edges, lam: Float[Array, ""]) -> Float[Array, "c h w"]:
     """y + λ div(c ∇y) (Eq. 2), channels first."""
     vertical, horizontal = gradient(y)
-    return y + lam * divergence((edges[0] * vertical, edges[1] * horizontal))
+    return y + lam * divergence((edges[0][None] * vertical, edges[1][None] * horizontal))
 
 
 @jax.jit

@@ -69,16 +69,28 @@ class SpotLight:
 
 
 @_pytree
+class Aperture:
+    """An opening, such as a window: the rectangle with corners centre ± right ± up."""
+
+    center: Float[Array, "3"]
+    right: Float[Array, "3"]
+    up: Float[Array, "3"]
+
+
+@_pytree
 class DirectionalLight:
     """Sun or moon: parallel light travelling along `direction`; `illuminance` is on a surface facing it.
 
-    E = E₀ cos θ. `angular_radius` of the disc softens its shadows (sun and moon: 0.0047).
+    E = E₀ cos θ. `angular_radius` of the disc softens its shadows (sun and moon: 0.0047). With an `aperture` the
+    light comes in through that opening alone, and the shadow map says where it falls: a scanned room has no outer
+    walls to keep the sun out, and often no hole where the window is.
     """
 
     direction: Float[Array, "3"]
     illuminance: Float[Array, ""]
     color: Float[Array, "3"]
     angular_radius: Float[Array, ""]
+    aperture: Aperture | None = None
 
     def irradiance(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
         cosine = jnp.maximum(dot(-n, unit(self.direction)), 0.0)

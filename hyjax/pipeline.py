@@ -6,8 +6,8 @@ a pass of its own, multiply the two, multiply with the frame.
 
 import dataclasses
 import functools
-from collections.abc import Sequence
-from typing import Literal, get_args
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,8 @@ from hyjax.color import to_display, to_linear
 from hyjax.compositing import composite
 from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
-from hyjax.lights import Light
+from hyjax.lights import TINY, Light
+from hyjax.pyramid import downsample
 from hyjax.schedule import Schedule
 from hyjax.shading import shade_each
 from hyjax.shadow import ShadowMap, shadow_ratio, visibility
@@ -91,6 +92,36 @@ def relight(
         InputError: sizes differ, no lights, another number of shadow maps than lights, unknown mode, or a schedule
             that cannot be run.
     """
+    *_, (_, relit) = relight_stages(
+        frame,
+        gbuffer,
+        lights,
+        guide,
+        schedule,
+        shadow_maps=shadow_maps,
+        shadow_schedule=shadow_schedule,
+        reference_lux=reference_lux,
+        mode=mode,
+    )
+    return relit
+
+
+def relight_stages(
+    frame: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+    lights: Sequence[Light],
+    guide: Float[Array, "h w f"],
+    schedule: Schedule,
+    *,
+    shadow_maps: Sequence[ShadowMap | None] | None = None,
+    shadow_schedule: Schedule | None = None,
+    reference_lux: Float[ArrayLike, ""] = REFERENCE_LUX,
+    mode: Mode = "hyjax",
+) -> Iterator[tuple[str, Any]]:
+    """`relight` stage by stage: yields each stage's name with what it made, and last ("composite", `Relit`).
+
+    For whoever wants to time, look at or stop between the stages. Arguments and errors are those of `relight`.
+    """
     if mode not in get_args(Mode):
         raise InputError(f"mode: {mode!r} is unknown; use one of {', '.join(get_args(Mode))}")
     if not lights:
@@ -103,41 +134,46 @@ def relight(
     maps = (None,) * len(lights) if shadow_maps is None else tuple(shadow_maps)
     if len(maps) != len(lights):
         raise InputError(f"relight: {len(maps)} shadow maps for {len(lights)} lights; give one each, or None")
+    lights = tuple(lights)
     shadow_schedule = Schedule.preset("shadow") if shadow_schedule is None else shadow_schedule
     schedule.check(), shadow_schedule.check()
-    return _relight(
-        frame, gbuffer, tuple(lights), guide, schedule, maps, shadow_schedule, jnp.asarray(reference_lux), mode=mode
-    )
+
+    each = shade_each(gbuffer, lights)
+    shading, backdrop = _filter_and_backdrop(each, frame, reference_lux, mode=mode)
+    yield "shading", shading
+    seen = [visibility(gbuffer, light, shadow_map) for light, shadow_map in zip(lights, maps, strict=True)]
+    raw_visibility = shadow_ratio(each, seen)
+    yield "visibility", raw_visibility
+    known = gbuffer.hit if mode == "hyjax" else None
+    refined = cascade_known(shading, known, guide, schedule)
+    yield "cascade", refined
+    refined_visibility = shadow_pass(raw_visibility, known, guide, shadow_schedule, schedule)
+    yield "shadow pass", refined_visibility
+    relit = _finish(shading, refined, raw_visibility, refined_visibility, backdrop, mode=mode)
+    yield "composite", relit
 
 
 @functools.partial(jax.jit, static_argnames="mode")
-def _relight(
+def _filter_and_backdrop(
+    each: tuple[Float[Array, "h w 3"], ...],
     frame: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
-    lights: tuple[Light, ...],
-    guide: Float[Array, "h w f"],
-    schedule: Schedule,
-    shadow_maps: tuple[ShadowMap | None, ...],
-    shadow_schedule: Schedule,
-    reference_lux: Float[Array, ""],
+    reference_lux: Float[ArrayLike, ""],
+    mode: Mode,
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
+    """The raw filter R and what it will multiply, both linear or (paper) both display-encoded."""
+    shading = functools.reduce(jnp.add, each) / reference_lux
+    return (shading, frame) if mode == "hyjax" else (to_display(shading), to_display(frame))
+
+
+@functools.partial(jax.jit, static_argnames="mode")
+def _finish(
+    shading: Float[Array, "h w 3"],
+    refined: Float[Array, "h w 3"],
+    raw_visibility: Float[Array, "h w 3"],
+    refined_visibility: Float[Array, "h w 3"],
+    backdrop: Float[Array, "h w 3"],
     mode: Mode,
 ) -> Relit:
-    each = shade_each(gbuffer, lights)
-    shading = jnp.sum(each, axis=0) / reference_lux
-    seen = [visibility(gbuffer, light, shadow_map) for light, shadow_map in zip(lights, shadow_maps, strict=True)]
-    raw_visibility = shadow_ratio(each, seen)
-    if mode == "paper":
-        shading, backdrop = to_display(shading), to_display(frame)
-        refined = cascade(shading, guide, schedule)
-        seen_everywhere = raw_visibility
-    else:
-        backdrop = frame
-        refined = cascade_known(shading, gbuffer.hit, guide, schedule)
-        # What lies in a hole is shadowed as its surroundings are. The coarse levels reach far enough to tell.
-        coarse = dataclasses.replace(schedule, levels=schedule.levels[:-1] or schedule.levels)
-        filled = cascade_known(raw_visibility, gbuffer.hit, guide, coarse)
-        seen_everywhere = jnp.where(gbuffer.hit[..., None], raw_visibility, filled)
-    refined_visibility = shadow_pass(seen_everywhere, guide, shadow_schedule)
     relight_filter = refined * refined_visibility
     image = composite(relight_filter, backdrop)
     unrefined = composite(shading * raw_visibility, backdrop)
@@ -146,33 +182,55 @@ def _relight(
     return Relit(shading, refined, raw_visibility, refined_visibility, relight_filter, unrefined, image)
 
 
+@jax.jit
 def cascade_known(
-    y: Float[Array, "h w c"], known: Bool[Array, "h w"], guide: Float[Array, "h w f"], schedule: Schedule
+    y: Float[Array, "h w c"], known: Bool[Array, "h w"] | None, guide: Float[Array, "h w f"], schedule: Schedule
 ) -> Float[Array, "h w c"]:
     """`cascade` that treats pixels outside `known` as missing instead of taking their value for real.
 
     Diffuses (w y, w) with w = 1 on known pixels and divides, so that a hole takes on its surroundings' value
     instead of darkening them. Where no known pixel is within reach the mean of all known pixels stands in.
 
+    Args:
+        y: the filter to repair.
+        known: where its values mean anything; None for everywhere, which is `cascade` itself.
+        guide: see `cascade`.
+        schedule: see `cascade`.
+
     Source: Knutsson and Westin, *Normalized and differential convolution*, CVPR 1993.
     """
+    if known is None:
+        return cascade(y, guide, schedule)
     weight = known[..., None].astype(y.dtype)
-    weighted = y * weight
-    mean = jnp.sum(weighted, axis=(0, 1)) / jnp.maximum(jnp.sum(weight), 1.0)
-    diffused = cascade(jnp.concatenate([weighted, weight], axis=-1), guide, schedule)
+    weighted = jnp.concatenate([y * weight, weight], axis=-1)
+    total = jnp.sum(downsample(weighted, schedule.levels[0].factor), axis=(0, 1))
+    mean = total[:-1] / jnp.maximum(total[-1], TINY)
+    diffused = cascade(weighted, guide, schedule)
     return (diffused[..., :-1] + HOLE_FLOOR * mean) / (diffused[..., -1:] + HOLE_FLOOR)
 
 
+@jax.jit
 def shadow_pass(
-    raw: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule
+    raw: Float[Array, "h w c"],
+    known: Bool[Array, "h w"] | None,
+    guide: Float[Array, "h w f"],
+    schedule: Schedule,
+    fill_schedule: Schedule,
 ) -> Float[Array, "h w c"]:
     """Refine visibility by few steps at high resolution, which softens shadows and keeps their shape.
 
-    The same diffusion as for the shading: the guide keeps a shadow from leaking onto the next object.
+    The same diffusion as for the shading: the guide keeps a shadow from leaking onto the next object. Pixels
+    outside `known` are first filled from their surroundings by the coarse levels of `fill_schedule`, which reach
+    across holes.
 
     Args:
         raw: visibility from shadow maps, in [0, 1].
+        known: where the mesh has a surface; None takes `raw` as it is.
         guide: as for `cascade`.
         schedule: few steps at factor 1 or 2, such as `Schedule.preset("shadow")`.
+        fill_schedule: the cascade that the shading is refined with; its finest level is left out.
     """
+    if known is not None:
+        coarse = dataclasses.replace(fill_schedule, levels=fill_schedule.levels[:-1] or fill_schedule.levels)
+        raw = jnp.where(known[..., None], raw, cascade_known(raw, known, guide, coarse))
     return cascade(raw, guide, schedule)

@@ -25,7 +25,7 @@ from hyjax.data.light_file import LightSetup, write_lights
 from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
 from hyjax.images import resize, write_exr, write_png
-from hyjax.pipeline import Mode, Relit, relight
+from hyjax.pipeline import Mode, Relit, relight_stages
 from hyjax.scene.camera import Camera, Intrinsics
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
@@ -114,19 +114,17 @@ def relight_capture(
             skipped.append(frame.name)
             continue
         display = jnp.asarray(frame.image)
-        with clock("relight"):
-            relit = jax.block_until_ready(
-                relight(
-                    to_linear(display),
-                    gbuffer,
-                    setup.lights,
-                    display,
-                    schedule,
-                    shadow_maps=maps,
-                    reference_lux=setup.reference_lux,
-                    mode=mode,
-                )
-            )
+        stages = relight_stages(
+            to_linear(display),
+            gbuffer,
+            setup.lights,
+            display,
+            schedule,
+            shadow_maps=maps,
+            reference_lux=setup.reference_lux,
+            mode=mode,
+        )
+        relit = clock.follow(stages)
         with clock("write"):
             _write_frame(out, frame.name, relit, gbuffer, mode, outputs)
         written.append(frame.name)

@@ -89,9 +89,9 @@ class Schedule:
         Example:
             >>> print(Schedule.uniform([(4, 15), (2, 20)], kappa=0.1))
             custom: 35 steps, pooling edges, norm l2
-              factor  steps   kappa     lam
-                   4     15     0.1    0.24
-                   2     20     0.1    0.24
+              factor  steps    kappa           lam
+                   4     15      0.1          0.24
+                   2     20      0.1          0.24
 
         Raises:
             InputError: anything `check` refuses.
@@ -129,7 +129,7 @@ class Schedule:
                 raise InputError(f"{where}: {value!r} is unknown; use one of {', '.join(known)}")
         factors = [level.factor for level in self.levels]
         for factor in factors:
-            if not isinstance(factor, int) or factor < 1:
+            if not isinstance(factor, int) or isinstance(factor, bool) or factor < 1:
                 raise InputError(f"{where}: a factor is a whole number >= 1, got {factor!r}")
         for coarse, fine in itertools.pairwise(factors):
             if fine >= coarse:
@@ -170,6 +170,8 @@ class Schedule:
         content = _keys("schedule", content, {"levels"}, {"name", "pooling", "norm"})
         if not isinstance(content["levels"], list):
             raise InputError("schedule: 'levels' must be a list of levels, coarse to fine")
+        if not isinstance(content.get("name", ""), str):
+            raise InputError(f"schedule: 'name' must be a text, got {content['name']!r}")
         levels = tuple(_read_level(index, level) for index, level in enumerate(content["levels"]))
         rest = {key: content[key] for key in ("name", "pooling", "norm") if key in content}
         return cls(levels, **rest).check()
@@ -177,13 +179,13 @@ class Schedule:
     def __str__(self) -> str:
         total = sum(level.steps for level in self.levels)
         lines = [f"{self.name}: {total} steps, pooling {self.pooling}, norm {self.norm}"]
-        lines.append(f"{'factor':>8}{'steps':>7}{'kappa':>8}{'lam':>8}")
+        lines.append(f"{'factor':>8}{'steps':>7}{'kappa':>9}{'lam':>14}")
         for level in self.levels:
             lam = concrete(level.step_sizes)
             kappa = concrete(level.kappa)
             lam_text = "traced" if lam is None else _span(lam)
             kappa_text = "traced" if kappa is None else f"{float(kappa):.4g}"
-            lines.append(f"{level.factor:>8}{level.steps:>7}{kappa_text:>8}{lam_text:>8}")
+            lines.append(f"{level.factor:>8}{level.steps:>7}{kappa_text:>9}{lam_text:>14}")
         return "\n".join(lines)
 
 
@@ -223,7 +225,7 @@ def _read_level(index: int, content: Any) -> Level:
     if not isinstance(steps, int) or isinstance(steps, bool) or steps < 0:
         raise InputError(f"{where}: 'steps' must be a whole number >= 0, got {steps!r}")
     try:
-        kappa = np.float32(content["kappa"])
+        kappa = np.asarray(content["kappa"], np.float32).reshape(())
         step_sizes = np.zeros(0, np.float32) if steps == 0 else np.asarray(lam, np.float32)
     except (TypeError, ValueError):
         raise InputError(f"{where}: 'kappa' and 'lam' must be numbers") from None

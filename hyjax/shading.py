@@ -1,5 +1,6 @@
 """Lambert shading of what the camera sees: the raw relight filter R of Eq. 1, without shadows."""
 
+import functools
 from collections.abc import Sequence
 
 import jax
@@ -29,15 +30,17 @@ def shade(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w 3"]:
     """
     if not lights:
         raise InputError("shade: no lights; give at least one")
-    return jnp.sum(shade_each(gbuffer, lights), axis=0)
-
-
-def shade_each(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "l h w 3"]:
-    """As `shade`, each light by itself."""
-    return _shade_each(gbuffer, tuple(lights))
+    return _total(shade_each(gbuffer, lights))
 
 
 @jax.jit
-def _shade_each(gbuffer: GBuffer, lights: tuple[Light, ...]) -> Float[Array, "l h w 3"]:
-    each = jnp.stack([light.irradiance(gbuffer.position, gbuffer.normal) for light in lights])
-    return jnp.where(gbuffer.hit[..., None], each, 0.0)
+def shade_each(gbuffer: GBuffer, lights: Sequence[Light]) -> tuple[Float[Array, "h w 3"], ...]:
+    """As `shade`, each light by itself."""
+    each = (light.irradiance(gbuffer.position, gbuffer.normal) for light in lights)
+    return tuple(jnp.where(gbuffer.hit[..., None], lux, 0.0) for lux in each)
+
+
+@jax.jit
+def _total(each: tuple[Float[Array, "h w 3"], ...]) -> Float[Array, "h w 3"]:
+    # Added one by one: XLA's CPU backend takes many times as long to reduce a stack.
+    return functools.reduce(jnp.add, each)

@@ -41,7 +41,8 @@ class ShadowMap:
     """Distances from a light to the nearest surface, seen from `v` points of the light.
 
     Attributes:
-        depth: metres along the map's rays, infinite where nothing is hit; s texels a side, gutter included.
+        depth: metres along the map's rays, infinite where nothing is hit, −infinite where no light starts; s texels
+            a side, gutter included.
         origin: where each view looks from (orthographic: the centre of its plane), world metres.
         axes: rows are the view's axes in world coordinates. The last row is the unit viewing direction; for
             perspective and orthographic views the first two are scaled so that the map spans [-1, 1].
@@ -171,8 +172,9 @@ def _filtered_comparison(
     return upper + (y - row) * (lower - upper)
 
 
+@jax.jit
 def shadow_ratio(
-    each: Float[Array, "l h w 3"], visibilities: Sequence[Float[Array, "h w"]]
+    each: Sequence[Float[Array, "h w 3"]], visibilities: Sequence[Float[Array, "h w"]]
 ) -> Float[Array, "h w 3"]:
     """One visibility for all lights together: shadowed over unshadowed shading, for each colour.
 
@@ -186,6 +188,6 @@ def shadow_ratio(
     Returns:
         Values in [0, 1]; 1 where there is no light to lose.
     """
-    lit = sum(e * v[..., None] for e, v in zip(each, visibilities, strict=True))
-    total = jnp.sum(each, axis=0)
+    total = functools.reduce(jnp.add, each)
+    lit = functools.reduce(jnp.add, [e * v[..., None] for e, v in zip(each, visibilities, strict=True)])
     return jnp.where(total > 0, lit / jnp.where(total > 0, total, 1.0), 1.0)

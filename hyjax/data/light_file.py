@@ -11,14 +11,15 @@
 |-------------|-----------------------------------------|----------------------------------------------|
 | point       | position, power                         | radius                                       |
 | spot        | position, target or direction, power    | inner_degrees, outer_degrees, radius         |
-| directional | direction, illuminance                  | angular_degrees                              |
+| directional | direction, illuminance                  | angular_degrees, aperture                    |
 | rect        | center, normal, width, height, power    | up                                           |
 | sky         | illuminance                             | up                                           |
 | ambient     | illuminance                             |                                              |
 
 Every kind may have `color` (linear RGB, default white) or `temperature` (kelvin), and a `name`. Positions and
 lengths are in metres in the capture's world axes, power in lumens, illuminance in lux; angles of a spot are half
-angles, the `angular_degrees` of a sun its radius. `up` defaults to the capture's.
+angles, the `angular_degrees` of a sun its radius. `up` defaults to the capture's. `aperture` is the window that a
+sun shines through: a mapping with center, normal, width, height and maybe up; it shows in the shadows.
 """
 
 import dataclasses
@@ -35,15 +36,25 @@ from jaxtyping import Float
 
 from hyjax.color import blackbody
 from hyjax.errors import InputError
-from hyjax.lights import AmbientLight, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
+from hyjax.lights import (
+    AmbientLight,
+    Aperture,
+    DirectionalLight,
+    Light,
+    PointLight,
+    RectLight,
+    SkyLight,
+    SpotLight,
+)
 from hyjax.pipeline import REFERENCE_LUX
 
+RECTANGLE = {"center", "normal", "up", "width", "height"}
 COMMON = {"kind", "name", "color", "temperature"}
 KEYS: dict[str, set[str]] = {
     "point": {"position", "power", "radius"},
     "spot": {"position", "target", "direction", "power", "inner_degrees", "outer_degrees", "radius"},
-    "directional": {"direction", "illuminance", "angular_degrees"},
-    "rect": {"center", "normal", "up", "width", "height", "power"},
+    "directional": {"direction", "illuminance", "angular_degrees", "aperture"},
+    "rect": {*RECTANGLE, "power"},
     "sky": {"illuminance", "up"},
     "ambient": {"illuminance"},
 }
@@ -113,21 +124,28 @@ def describe(light: Light) -> dict[str, Any]:
     elif isinstance(light, DirectionalLight):
         entry = {"kind": "directional", "direction": _list(light.direction)}
         entry["angular_degrees"] = _scalar(np.rad2deg(light.angular_radius))
+        if light.aperture is not None:
+            entry["aperture"] = _describe_rectangle(light.aperture)
     elif isinstance(light, RectLight):
-        right, up = np.asarray(light.right, np.float64), np.asarray(light.up, np.float64)
-        entry = {
-            "kind": "rect",
-            "center": _list(light.center),
-            "normal": _list(np.cross(right, up)),
-            "up": _list(up),
-        }
-        entry |= {"width": _scalar(2 * np.linalg.norm(right)), "height": _scalar(2 * np.linalg.norm(up))}
+        entry = {"kind": "rect"} | _describe_rectangle(light)
     elif isinstance(light, SkyLight):
         entry = {"kind": "sky", "up": _list(light.up)}
     else:
         entry = {"kind": "ambient"}
     strength = "power" if hasattr(light, "power") else "illuminance"
     return entry | {strength: _scalar(getattr(light, strength)), "color": _list(light.color)}
+
+
+def _describe_rectangle(rectangle: RectLight | Aperture) -> dict[str, Any]:
+    right, up = np.asarray(rectangle.right, np.float64), np.asarray(rectangle.up, np.float64)
+    normal = np.cross(right, up)
+    return {
+        "center": _list(rectangle.center),
+        "normal": _list(normal / np.linalg.norm(normal)),
+        "up": _list(up / np.linalg.norm(up)),
+        "width": _scalar(2 * np.linalg.norm(right)),
+        "height": _scalar(2 * np.linalg.norm(up)),
+    }
 
 
 def _light(where: str, entry: Any, world_up: Float[np.ndarray, "3"]) -> Light:
@@ -147,10 +165,12 @@ def _light(where: str, entry: Any, world_up: Float[np.ndarray, "3"]) -> Light:
     if kind == "spot":
         return _spot(where, entry, amount, color)
     if kind == "directional":
-        radius = np.deg2rad(_number(where, entry, "angular_degrees", default=SUN_DEGREES))
-        return DirectionalLight(_direction(where, entry, "direction"), amount, color, jnp.float32(radius))
+        radius = jnp.float32(np.deg2rad(_number(where, entry, "angular_degrees", default=SUN_DEGREES)))
+        direction = _direction(where, entry, "direction")
+        aperture = _aperture(where, entry["aperture"], world_up) if "aperture" in entry else None
+        return DirectionalLight(direction, amount, color, radius, aperture)
     if kind == "rect":
-        return _rect(where, entry, amount, color, world_up)
+        return RectLight(*_rectangle(where, entry, world_up), amount, color)
     if kind == "sky":
         return SkyLight(_direction(where, {"up": _list(world_up)} | entry, "up"), amount, color)
     return AmbientLight(amount, color)
@@ -172,7 +192,16 @@ def _spot(where: str, entry: dict[str, Any], power: Any, color: Any) -> SpotLigh
     return SpotLight(position, direction, power, color, inner_angle, outer_angle, radius)
 
 
-def _rect(where: str, entry: dict[str, Any], power: Any, color: Any, world_up: Float[np.ndarray, "3"]) -> RectLight:
+def _aperture(where: str, entry: Any, world_up: Float[np.ndarray, "3"]) -> Aperture:
+    where = f"{where}: aperture"
+    if not isinstance(entry, dict):
+        raise InputError(f"{where}: must be a mapping with {', '.join(sorted(RECTANGLE))}")
+    _check_keys(where, entry, RECTANGLE)
+    return Aperture(*_rectangle(where, entry, world_up))
+
+
+def _rectangle(where: str, entry: dict[str, Any], world_up: Float[np.ndarray, "3"]) -> tuple[Any, Any, Any]:
+    """Centre and half-axes, right × up along the normal, which is the side that a rectangle emits to."""
     normal = np.asarray(_direction(where, entry, "normal"), np.float64)
     up = np.asarray(_direction(where, {"up": _list(world_up)} | entry, "up"), np.float64)
     up = up - np.dot(up, normal) * normal
@@ -182,10 +211,8 @@ def _rect(where: str, entry: dict[str, Any], power: Any, color: Any, world_up: F
         up = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])  # a ceiling panel: any way round will do
     up /= np.linalg.norm(up)
     width, height = (_number(where, entry, key, positive=True) for key in ("width", "height"))
-    # right × up must be the normal, the side that the rectangle emits to.
-    right = np.cross(up, normal) * (0.5 * width)
-    half_right, half_up = (jnp.asarray(v, jnp.float32) for v in (right, up * (0.5 * height)))
-    return RectLight(_vector(where, entry, "center"), half_right, half_up, power, color)
+    half_right = jnp.asarray(np.cross(up, normal) * (0.5 * width), jnp.float32)
+    return _vector(where, entry, "center"), half_right, jnp.asarray(up * (0.5 * height), jnp.float32)
 
 
 def _check_keys(where: str, entry: dict[str, Any], known: set[str]) -> None:

@@ -30,7 +30,6 @@ class Stage:
         window: centre of a window.
         inward: unit normal of the window, into the room.
         width, height: of the window.
-        open_window: whether the mesh has a real opening there, through which sun and moon can shine.
     """
 
     up: Vector
@@ -40,7 +39,6 @@ class Stage:
     inward: Vector
     width: float
     height: float
-    open_window: bool
 
 
 def survey(
@@ -67,58 +65,54 @@ def survey(
     window = anchors.get("window_0")
     if window:
         center, inward = (np.asarray(window[k], float) for k in ("center", "normal"))
-        return Stage(up, focus, lamps, center, inward, window["width"], window["height"], open_window=True)
+        return Stage(up, focus, lamps, center, inward, window["width"], window["height"])
     # Beside the view, on the side with more room, a head above what the cameras look at.
     middle = 0.5 * (focus + eye) + 0.4 * up
     sides = [_unit(np.cross(forward, up)) * s for s in (1.0, -1.0)]
     free = [min(_free(caster, middle, side), 2.5) for side in sides]
     best = int(np.argmax(free))
-    return Stage(
-        up, focus, lamps, middle + 0.9 * free[best] * sides[best], -sides[best], 1.6, 1.2, open_window=False
-    )
+    return Stage(up, focus, lamps, middle + 0.9 * free[best] * sides[best], -sides[best], 1.6, 1.2)
 
 
 def noon_window(stage: Stage) -> dict[str, Any]:
-    """A bright day: sky through the window, the sun too if the window is a real opening."""
-    lights = [_window_light(stage, 5000.0, 6800), {"kind": "ambient", "illuminance": 45, "temperature": 6000}]
-    if stage.open_window:
-        lights.append(_through(stage, 32.0, 1600.0) | {"temperature": 5600})
+    """A bright day: sky and sun through the window."""
+    lights = [
+        _window_light(stage, 3200.0, 7000),
+        {"kind": "ambient", "illuminance": 60, "temperature": 6000},
+        _through(stage, 35.0, 900.0) | {"temperature": 5600},
+    ]
     return {"reference_lux": 300, "lights": lights}
 
 
 def golden_hour(stage: Stage) -> dict[str, Any]:
     """Low warm sun."""
-    lights = [_window_light(stage, 1300.0, 9000), {"kind": "ambient", "illuminance": 22, "temperature": 4300}]
-    if stage.open_window:
-        lights.append(_through(stage, 14.0, 1100.0) | {"temperature": 2500})
-    else:
-        lights[0] |= {"power": 3000.0, "temperature": 3000}
-    return {"reference_lux": 250, "lights": lights}
+    lights = [
+        _window_light(stage, 1000.0, 9000),
+        {"kind": "ambient", "illuminance": 28, "temperature": 4800},
+        _through(stage, 13.0, 700.0) | {"temperature": 3000},
+    ]
+    return {"reference_lux": 200, "lights": lights}
 
 
 def evening_lamps(stage: Stage) -> dict[str, Any]:
-    """Lamps lit, blue dusk outside."""
+    """Lamps lit, blue dusk outside. The camera's white balance leaves of 2700 K what looks like 3600 K."""
     lamps = [
-        {"kind": "point", "position": lamp.tolist(), "power": 900, "temperature": 2700, "radius": 0.06}
+        {"kind": "point", "position": lamp.tolist(), "power": 900, "temperature": 3600, "radius": 0.06}
         for lamp in stage.lamps[:3]
     ]
-    dusk = _window_light(stage, 120.0, 12000)
-    return {
-        "reference_lux": 150,
-        "lights": [*lamps, dusk, {"kind": "ambient", "illuminance": 8, "temperature": 3000}],
-    }
+    rest = [_window_light(stage, 120.0, 12000), {"kind": "ambient", "illuminance": 8, "temperature": 4000}]
+    return {"reference_lux": 110, "lights": lamps + rest}
 
 
 def night_moon(stage: Stage) -> dict[str, Any]:
-    """Dark, with moonlight; exposed as a camera at night would."""
+    """Dark, with moonlight through the window; exposed as a camera at night would."""
+    night = {"color": [0.62, 0.8, 1.3]}
     lights = [
-        _window_light(stage, 9.0, 14000) | {"color": [0.55, 0.75, 1.35]},
-        {"kind": "ambient", "illuminance": 0.12, "color": [0.6, 0.8, 1.3]},
+        _window_light(stage, 7.0, None) | night,
+        {"kind": "ambient", "illuminance": 0.15} | night,
+        _through(stage, 38.0, 4.0) | {"color": [0.8, 0.92, 1.15]},
     ]
-    del lights[0]["temperature"]
-    if stage.open_window:
-        lights.append(_through(stage, 38.0, 6.0) | {"color": [0.7, 0.85, 1.2]})
-    return {"reference_lux": 3.0, "lights": lights}
+    return {"reference_lux": 2.5, "lights": lights}
 
 
 def center_point(stage: Stage) -> dict[str, Any]:
@@ -160,16 +154,18 @@ def named_setup(name: str, stage: Stage) -> LightSetup:
     return parse_lights(SETUPS[name](stage), stage.up, name)
 
 
-def _window_light(stage: Stage, power: float, kelvin: float) -> dict[str, Any]:
+def _window_light(stage: Stage, power: float, kelvin: float | None) -> dict[str, Any]:
+    tint = {} if kelvin is None else {"temperature": kelvin}
+    return {"kind": "rect", "power": power} | _window(stage) | tint
+
+
+def _window(stage: Stage) -> dict[str, Any]:
     return {
-        "kind": "rect",
         "center": (stage.window + 0.01 * stage.inward).tolist(),
         "normal": stage.inward.tolist(),
         "up": stage.up.tolist(),
         "width": stage.width,
         "height": stage.height,
-        "power": power,
-        "temperature": kelvin,
     }
 
 
@@ -178,7 +174,12 @@ def _through(stage: Stage, elevation: float, illuminance: float) -> dict[str, An
     aside = np.cross(stage.up, stage.inward)
     level = np.deg2rad(elevation)
     direction = np.cos(level) * _unit(stage.inward + 0.35 * aside) - np.sin(level) * stage.up
-    return {"kind": "directional", "direction": direction.tolist(), "illuminance": illuminance}
+    return {
+        "kind": "directional",
+        "direction": direction.tolist(),
+        "illuminance": illuminance,
+        "aperture": _window(stage),
+    }
 
 
 def _middle(stage: Stage) -> Vector:

@@ -6,14 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.lights import AmbientLight, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
+from hyjax.lights import AmbientLight, Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
 from hyjax.scene.raycast import RayCaster
 from hyjax.shadow import Projection, ShadowMap, map_rays
 
 RESOLUTION = 1024  # texels a side of a map with one view
 VIEW_RESOLUTION = 512  # of each view, where there are several
-VIEWS = 16  # of a light with an extent
-SKY_VIEWS = 32
+BULB_VIEWS, SUN_VIEWS, WINDOW_VIEWS, SKY_VIEWS = 8, 4, 16, 32  # of lights with an extent
 WIDEST_PERSPECTIVE = np.deg2rad(60.0)  # beyond, a perspective map wastes its texels on the rim
 
 
@@ -25,7 +24,7 @@ def cast_shadow_maps(
     Args:
         caster: the mesh that throws the shadows.
         lights: any kinds.
-        scale: of the resolution (1 means 1024² for a light without extent, 16 or 32 times 512² for one with).
+        scale: of the resolution (1 means 1024² for a light without extent, 4 to 32 times 512² for one with).
     """
     return tuple(_cast(caster, light, scale) for light in lights)
 
@@ -36,7 +35,7 @@ def _cast(caster: RayCaster, light: Light, scale: float) -> ShadowMap | None:
         return None
     if isinstance(light, PointLight | SpotLight):
         position, radius = np.asarray(light.position, np.float64), float(light.radius)
-        origins = position + radius * fibonacci_sphere(VIEWS) if radius > 0 else position[None]
+        origins = position + radius * fibonacci_sphere(BULB_VIEWS) if radius > 0 else position[None]
         size = many if radius > 0 else single
         if isinstance(light, PointLight):
             return _cast_radial(caster, origins, np.eye(3), "octahedral", np.sqrt(4 * np.pi), size)
@@ -48,15 +47,17 @@ def _cast(caster: RayCaster, light: Light, scale: float) -> ShadowMap | None:
         return _cast_radial(caster, origins, axes / [[spread], [spread], [1.0]], "perspective", 2 * spread, size)
     if isinstance(light, RectLight):
         right, up = np.asarray(light.right, np.float64), np.asarray(light.up, np.float64)
-        s, t = r2_sequence(VIEWS).T[..., None] * 2.0 - 1.0
+        s, t = r2_sequence(WINDOW_VIEWS).T[..., None] * 2.0 - 1.0
         origins = np.asarray(light.center, np.float64) + s * right + t * up
         return _cast_radial(caster, origins, _frame(np.cross(right, up)), "hemisphere", np.sqrt(2 * np.pi), many)
     if isinstance(light, DirectionalLight):
-        direction, spread = _unit(light.direction), float(light.angular_radius)
-        if spread == 0:
-            return _cast_parallel(caster, direction[None], single)
-        disc = fibonacci_disc(VIEWS) * spread
-        return _cast_parallel(caster, _unit(direction + disc @ _frame(direction)[:2]), many)
+        directions, spread, size = _unit(light.direction)[None], float(light.angular_radius), single
+        if spread > 0:
+            disc, size = fibonacci_disc(SUN_VIEWS) * spread, many
+            directions = _unit(directions + disc @ _frame(directions[0])[:2])
+        if light.aperture is not None:
+            return _cast_through(caster, directions, light.aperture, size)
+        return _cast_parallel(caster, directions, size)
     assert isinstance(light, SkyLight)
     dome = fibonacci_sphere(2 * SKY_VIEWS)[:SKY_VIEWS]  # its first half has z > 0
     return _cast_parallel(caster, -dome @ _frame(light.up), many)
@@ -98,6 +99,27 @@ def _cast_parallel(caster: RayCaster, directions: Float[np.ndarray, "v 3"], size
         starts = (origin + half * (local @ frame)).reshape(-1, 3)
         depth.append(caster.cast(starts, np.broadcast_to(frame[2], starts.shape)).distance)
     axes = frames / np.array([[half], [half], [1.0]])
+    return _shadow_map(np.stack(depth), size, origins, axes, 2 * half / size, "orthographic")
+
+
+def _cast_through(
+    caster: RayCaster, directions: Float[np.ndarray, "v 3"], aperture: Aperture, size: int
+) -> ShadowMap:
+    """Maps of parallel rays that start in an opening. Beside the opening no light starts: all is dark."""
+    centre, right, up = (np.asarray(a, np.float64) for a in (aperture.center, aperture.right, aperture.up))
+    normal, half = np.cross(right, up), 1.02 * float(np.hypot(np.linalg.norm(right), np.linalg.norm(up)))
+    local, _ = _texel_rays(size, "orthographic")
+    frames = np.stack([_frame(d) for d in directions])
+    depth = []
+    for frame in frames:
+        starts = (half * (local @ frame)).reshape(-1, 3)  # relative to the centre, on a plane across the light
+        to_opening = -(starts @ normal) / (frame[2] @ normal)
+        starts = starts + to_opening[:, None] * frame[2]
+        inside = (np.abs(starts @ right) <= right @ right) & (np.abs(starts @ up) <= up @ up)
+        hit = caster.cast(centre + starts, np.broadcast_to(frame[2], starts.shape)).distance
+        depth.append(np.where(inside, to_opening + hit, -np.inf))
+    axes = frames / np.array([[half], [half], [1.0]])
+    origins = np.broadcast_to(centre, (len(directions), 3))
     return _shadow_map(np.stack(depth), size, origins, axes, 2 * half / size, "orthographic")
 
 

@@ -3,10 +3,13 @@
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
+
+
+T = TypeVar("T")
 
 
 class StageClock:
@@ -24,6 +27,16 @@ class StageClock:
         start = time.perf_counter()
         yield
         self.seconds.setdefault(stage, []).append(time.perf_counter() - start)
+
+    def follow(self, stages: Iterator[tuple[str, T]]) -> T:
+        """Run a generator of (stage, result) to its end, time each stage, and return the last result."""
+        start = time.perf_counter()
+        for stage, result in stages:
+            jax.block_until_ready(result)
+            now = time.perf_counter()
+            self.seconds.setdefault(stage, []).append(now - start)
+            start = now
+        return result
 
     def summary(self) -> dict[str, dict[str, float | int]]:
         """Milliseconds by stage: `first_ms` and, over the runs after it, `median_ms`, `p95_ms`, `count`."""
