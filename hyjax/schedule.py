@@ -20,7 +20,7 @@ Pooling = Literal["edges", "guide"]
 
 # Metzger's step size. The paper names neither λ nor κ; κ is ours, for display-encoded RGB guides in [0, 1].
 DEFAULT_LAM = 0.24
-DEFAULT_KAPPA = 0.05
+DEFAULT_KAPPA = 0.03
 
 # Steps at each downsampling factor of the full frame; the paper writes 512/factor instead.
 PRESETS: dict[str, tuple[tuple[int, int], ...]] = {

@@ -26,7 +26,8 @@ class Stage:
     Attributes:
         up: against gravity.
         focus: what the cameras look at.
-        lamps: places for lamps, at least two.
+        points: two places in free space, above what is looked at and nearer to the viewer.
+        lamps: the room's own lamps; `points` where it has none.
         window: centre of a window.
         inward: unit normal of the window, into the room.
         width, height: of the window.
@@ -34,6 +35,7 @@ class Stage:
 
     up: Vector
     focus: Vector
+    points: list[Vector]
     lamps: list[Vector]
     window: Vector
     inward: Vector
@@ -59,19 +61,18 @@ def survey(
     focus, eye = _focus(caster, cameras)
     forward = _unit(_level(focus - eye, up))
     anchors = anchors or {}
-    lamps = [np.asarray(v["position"], float) for k, v in sorted(anchors.items()) if k.startswith("lamp")]
-    if len(lamps) < 2:
-        lamps += _lamps(caster, focus, eye, forward, up)[len(lamps) :]
+    points = _points(caster, focus, eye, forward, up)
+    lamps = [np.asarray(v["position"], float) for k, v in sorted(anchors.items()) if k.startswith("lamp")] or points
     window = anchors.get("window_0")
     if window:
         center, inward = (np.asarray(window[k], float) for k in ("center", "normal"))
-        return Stage(up, focus, lamps, center, inward, window["width"], window["height"])
+        return Stage(up, focus, points, lamps, center, inward, window["width"], window["height"])
     # Beside the view, on the side with more room, a head above what the cameras look at.
     middle = 0.5 * (focus + eye) + 0.4 * up
     sides = [_unit(np.cross(forward, up)) * s for s in (1.0, -1.0)]
     free = [min(_free(caster, middle, side), 2.5) for side in sides]
     best = int(np.argmax(free))
-    return Stage(up, focus, lamps, middle + 0.9 * free[best] * sides[best], -sides[best], 1.6, 1.2)
+    return Stage(up, focus, points, lamps, middle + 0.9 * free[best] * sides[best], -sides[best], 1.6, 1.2)
 
 
 def noon_window(stage: Stage) -> dict[str, Any]:
@@ -81,7 +82,7 @@ def noon_window(stage: Stage) -> dict[str, Any]:
         {"kind": "ambient", "illuminance": 60, "temperature": 6000},
         _through(stage, 35.0, 900.0) | {"temperature": 5600},
     ]
-    return {"reference_lux": 300, "lights": lights}
+    return {"reference_lux": 200, "lights": lights}
 
 
 def golden_hour(stage: Stage) -> dict[str, Any]:
@@ -101,7 +102,7 @@ def evening_lamps(stage: Stage) -> dict[str, Any]:
         for lamp in stage.lamps[:3]
     ]
     rest = [_window_light(stage, 120.0, 12000), {"kind": "ambient", "illuminance": 8, "temperature": 4000}]
-    return {"reference_lux": 110, "lights": lamps + rest}
+    return {"reference_lux": 70, "lights": lamps + rest}
 
 
 def night_moon(stage: Stage) -> dict[str, Any]:
@@ -117,13 +118,13 @@ def night_moon(stage: Stage) -> dict[str, Any]:
 
 def center_point(stage: Stage) -> dict[str, Any]:
     """The paper's first benchmark: one bright point in the middle of the room."""
-    light = {"kind": "point", "position": _middle(stage).tolist(), "power": 9000}
+    light = {"kind": "point", "position": np.mean(stage.points, axis=0).tolist(), "power": 9000}
     return {"reference_lux": 300, "lights": [light]}
 
 
 def two_colors(stage: Stage) -> dict[str, Any]:
     """The paper's second benchmark: two dim points of different colours."""
-    a, b = stage.lamps[:2]
+    a, b = stage.points
     return {
         "reference_lux": 300,
         "lights": [
@@ -182,10 +183,6 @@ def _through(stage: Stage, elevation: float, illuminance: float) -> dict[str, An
     }
 
 
-def _middle(stage: Stage) -> Vector:
-    return np.mean(stage.lamps[:2], axis=0)
-
-
 def _focus(caster: RayCaster, cameras: Sequence[Camera]) -> tuple[Vector, Vector]:
     """Median of the surface points that a few cameras see, and the cameras' mean position."""
     chosen = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, 8).round().astype(int))]
@@ -201,7 +198,7 @@ def _focus(caster: RayCaster, cameras: Sequence[Camera]) -> tuple[Vector, Vector
     return np.median(seen, axis=0), np.mean([c.origin for c in chosen], axis=0)
 
 
-def _lamps(caster: RayCaster, focus: Vector, eye: Vector, forward: Vector, up: Vector) -> list[Vector]:
+def _points(caster: RayCaster, focus: Vector, eye: Vector, forward: Vector, up: Vector) -> list[Vector]:
     """Two places in free space: above what is looked at, and above and beside the viewer."""
     aside = _unit(np.cross(forward, up))
     starts = [focus - 0.4 * forward + 0.3 * up, 0.5 * (focus + eye) - 0.2 * forward]

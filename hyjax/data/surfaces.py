@@ -12,12 +12,16 @@ from hyjax.data.capture import Capture, Frame
 from hyjax.data.room import RoomCapture
 from hyjax.errors import InputError
 from hyjax.scene.mesh import load_mesh, save_mesh
-from hyjax.scene.scan import ScanConfig, simulate_scan
+from hyjax.scene.room import camera_path, make_room
+from hyjax.scene.scan import RenderedDepths, ScanConfig, simulate_scan
 from hyjax.scene.tsdf import fuse
 
-VERSION = 1
+VERSION = 2
 """Of how surfaces are made. Add one whenever a fusion or a scan comes out differently."""
 MAX_FUSED_FRAMES = 150
+ROOM_SCAN = ScanConfig(
+    frames=64, width=160, max_depth=6.0, noise=0.004, min_weight=0.05, missing=0.03, grazing_cosine=0.15
+)
 WORDS = ("scan", "fused", "true")
 
 
@@ -63,7 +67,11 @@ def surface_of(
             return description, load_mesh(file)
         except InputError:
             file.unlink(missing_ok=True)  # damaged: made again below
-    if mesh == "scan":
+    if mesh == "scan" and isinstance(capture, RoomCapture):
+        # A person with a headset sees more of a room than the pictures show, and sees it more than once.
+        walk = camera_path(make_room(), ROOM_SCAN.frames, 256, 192)
+        made = simulate_scan(RenderedDepths(capture.mesh, walk), ROOM_SCAN, seed, progress)
+    elif mesh == "scan":
         made = simulate_scan(capture, ScanConfig(), seed, progress)
     else:
         made = fuse(_Spread(capture), voxel, progress=progress)

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
-
 T = TypeVar("T")
 
 
