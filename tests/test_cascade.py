@@ -16,6 +16,8 @@ from reference.differences import assert_gradients
 from hyjax import InputError, Level, Schedule, cascade, conductance, diffuse, downsample, level_edges, upsample
 from hyjax.schedule import PRESETS
 
+pytestmark = pytest.mark.usefixtures("strict_ranks")
+
 
 def picture(seed: int, size: tuple[int, int], channels: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1.0, 2.0, (*size, channels))

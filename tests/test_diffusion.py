@@ -13,6 +13,8 @@ from hyjax import InputError, conductance, diffuse, diffuse_step
 from hyjax.diffusion import edge_stopping, guide_distance
 from hyjax.stencil import divergence, gradient
 
+pytestmark = pytest.mark.usefixtures("strict_ranks")
+
 SIZES = [(1, 1), (1, 6), (5, 1), (3, 7), (9, 8)]  # few: every one is compiled anew
 sizes = st.sampled_from(SIZES)
 seeds = st.integers(0, 2**31)
@@ -203,6 +205,16 @@ def test_flat_guides_have_finite_gradients() -> None:
 def test_small_kappa_in_half_precision() -> None:
     vertical, _ = edge_stopping(guide_distance(jnp.array([[[0.0]], [[0.01]]], jnp.float16)), 0.01)
     np.testing.assert_allclose(np.asarray(vertical, np.float32), 0.5, rtol=0.01)
+
+
+@pytest.mark.parametrize(("y_type", "guide_type"), [("float16", "float32"), ("float32", "float16")])
+def test_mixed_precision(y_type: str, guide_type: str) -> None:
+    """The result has the type of what is diffused, whatever the guide comes in."""
+    y, guide = jnp.asarray(picture(0, (5, 4), 2), y_type), jnp.asarray(picture(1, (5, 4), 3), guide_type)
+    got = diffuse(y, conductance(guide, 0.5), np.array([0.1, 0.2]))
+    assert got.dtype == y_type
+    want = paper.diffuse(np.asarray(y), paper.conductance(np.asarray(guide), 0.5), np.array([0.1, 0.2]))
+    np.testing.assert_allclose(np.asarray(got, np.float64), want, atol=5e-3)
 
 
 @pytest.mark.parametrize("kappa", [0.0, -1.0, float("nan"), float("inf")])

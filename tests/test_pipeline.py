@@ -1,0 +1,291 @@
+"""One frame, whole: the order of the stages, holes, units of light, transformations and gradients."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from reference.differences import assert_gradients
+
+from hyjax import (
+    AmbientLight,
+    GBuffer,
+    InputError,
+    Level,
+    PointLight,
+    RectLight,
+    Relit,
+    Schedule,
+    cascade,
+    cascade_known,
+    composite,
+    relight,
+    shade,
+    shade_each,
+    shadow_pass,
+    shadow_ratio,
+    to_display,
+    to_linear,
+    visibility,
+)
+from hyjax.scene.camera import Camera, Intrinsics, look_at
+from hyjax.scene.raycast import RayCaster
+from hyjax.scene.shadow_caster import cast_shadow_maps
+
+H, W = 45, 62
+STAGES = ("shading", "refined", "raw_visibility", "visibility", "relight_filter", "unrefined", "image")
+LIGHTS = (
+    PointLight(jnp.array([0.5, -0.8, 2.0]), jnp.array(3000.0), jnp.array([1.0, 0.8, 0.6]), jnp.array(0.0)),
+    RectLight(
+        jnp.array([-1.5, 0.0, 1.2]),
+        jnp.array([0.0, 0.5, 0.0]),
+        jnp.array([0.0, 0.0, 0.4]),
+        jnp.array(2000.0),
+        jnp.ones(3),
+    ),
+    AmbientLight(jnp.array(40.0), jnp.ones(3)),
+)
+SCHEDULE = Schedule.uniform([(8, 3), (4, 4), (2, 4)], kappa=0.3)
+SHADOWS = Schedule.uniform([(2, 3)], kappa=0.3)
+
+
+@pytest.fixture(scope="module")
+def caster() -> RayCaster:
+    """A box on a square floor; from the side the corners of the picture look past the floor."""
+    box = trimesh.creation.box(extents=(0.5, 0.4, 0.6)).apply_translation((0.0, 0.0, 0.3))
+    floor = trimesh.creation.box(extents=(3.4, 3.4, 0.02)).apply_translation((0.0, 0.0, -0.01))
+    mesh = trimesh.util.concatenate([box, floor])
+    mesh.unmerge_vertices()
+    return RayCaster(mesh)
+
+
+@pytest.fixture(scope="module")
+def gbuffer(caster: RayCaster) -> GBuffer:
+    k = Intrinsics(W, H, 50.0, 50.0, W / 2, H / 2)
+    return caster.gbuffer(Camera(k, look_at((1.8, -2.0, 1.6), (0.0, 0.0, 0.2), (0, 0, 1))))
+
+
+@pytest.fixture(scope="module")
+def maps(caster: RayCaster) -> tuple:
+    return cast_shadow_maps(caster, LIGHTS, 0.1)
+
+
+@pytest.fixture(scope="module")
+def frame() -> jax.Array:
+    return jnp.asarray(np.random.default_rng(0).uniform(0.02, 0.98, (H, W, 3)), jnp.float32)
+
+
+def assert_same(a: Relit, b: dict[str, Any], atol: float = 2e-6, rtol: float = 1e-5) -> None:
+    for stage in STAGES:
+        np.testing.assert_allclose(getattr(a, stage), b[stage], atol=atol, rtol=rtol, err_msg=stage)
+
+
+def test_the_scene_has_what_the_tests_need(gbuffer: GBuffer, maps: tuple) -> None:
+    assert 0.05 < 1 - np.mean(gbuffer.hit) < 0.5
+    assert maps[0].depth.shape[0] == 1 and maps[1].depth.shape[0] > 1 and maps[2] is None
+
+
+def test_paper_mode_is_the_composition_of_its_pieces(frame: jax.Array, gbuffer: GBuffer, maps: tuple) -> None:
+    """Eq. 1 to 4 on display values; the shadow pass by itself, multiplied in last."""
+    guide = to_display(frame)
+    got = relight(
+        frame,
+        gbuffer,
+        LIGHTS,
+        guide,
+        SCHEDULE,
+        shadow_maps=maps,
+        shadow_schedule=SHADOWS,
+        reference_lux=200.0,
+        mode="paper",
+    )
+    shading = to_display(shade(gbuffer, LIGHTS) / 200.0)
+    seen = [visibility(gbuffer, light, m) for light, m in zip(LIGHTS, maps, strict=True)]
+    raw = shadow_ratio(shade_each(gbuffer, LIGHTS), seen)
+    refined, shadows = cascade(shading, guide, SCHEDULE), shadow_pass(raw, None, guide, SHADOWS, SCHEDULE)
+    expected = {
+        "shading": shading,
+        "refined": refined,
+        "raw_visibility": raw,
+        "visibility": shadows,
+        "relight_filter": refined * shadows,
+        "unrefined": to_linear(composite(shading * raw, guide)),
+        "image": to_linear(composite(refined * shadows, guide)),
+    }
+    assert_same(got, expected)
+    assert np.all(np.asarray(got.shading)[~np.asarray(gbuffer.hit)] == 0)
+    assert np.asarray(got.raw_visibility).min() < 0.6  # there is a shadow in the picture
+
+
+def test_without_holes_hyjax_mode_is_the_cascade_of_the_shading(frame: jax.Array, maps: tuple) -> None:
+    rng = np.random.default_rng(1)
+    x, y = np.meshgrid(np.linspace(-1, 1, W), np.linspace(-1, 1, H))
+    position = np.stack([x, y, 0.3 + 0 * x], axis=-1)
+    normal = rng.normal(size=(H, W, 3)) * 0.1 + [0, 0, 1]
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    whole = GBuffer(*(jnp.asarray(a, jnp.float32) for a in (position, normal, 1 + 0 * x)), jnp.ones((H, W), bool))
+    got = relight(frame, whole, LIGHTS, frame, SCHEDULE, shadow_maps=maps, shadow_schedule=SHADOWS)
+    shading = shade(whole, LIGHTS) / 300.0
+    raw = shadow_ratio(
+        shade_each(whole, LIGHTS), [visibility(whole, light, m) for light, m in zip(LIGHTS, maps, strict=True)]
+    )
+    refined, shadows = cascade(shading, frame, SCHEDULE), shadow_pass(raw, whole.hit, frame, SHADOWS, SCHEDULE)
+    expected = {
+        "shading": shading,
+        "refined": refined,
+        "raw_visibility": raw,
+        "visibility": shadows,
+        "relight_filter": refined * shadows,
+        "unrefined": shading * raw * frame,
+        "image": refined * shadows * frame,
+    }
+    # A thousandth of the mean is always mixed in, for holes that no known pixel reaches.
+    assert_same(got, expected, rtol=1.5e-3)
+
+
+def test_holes_darken_their_surroundings_in_paper_mode_alone(gbuffer: GBuffer) -> None:
+    """Uniform light on a grey frame: hyjax gives it back everywhere, the paper's black holes bleed."""
+    light = [AmbientLight(jnp.array(300.0), jnp.ones(3))]
+    grey = jnp.full((H, W, 3), 0.4)
+    ours = relight(grey, gbuffer, light, grey, SCHEDULE)
+    np.testing.assert_allclose(ours.image, grey, atol=1e-5)
+    papers = relight(grey, gbuffer, light, grey, SCHEDULE, mode="paper")
+    hit = np.asarray(gbuffer.hit)
+    bled = np.asarray(papers.refined)[..., 0][hit]
+    assert bled.min() < 0.8 and np.mean(bled < 0.99) > 0.05
+    assert np.all(np.asarray(papers.unrefined)[~hit] == 0)
+
+
+def test_cascade_known_fills_from_its_side_of_an_edge() -> None:
+    """Two halves of different value, the guide says where they part; a hole takes its own half's value."""
+    y = jnp.where(jnp.arange(32) < 16, 1.0, 5.0)[None, :, None] * jnp.ones((24, 1, 1))
+    guide = jnp.where(jnp.arange(32) < 16, 0.0, 100.0)[None, :, None] * jnp.ones((24, 1, 1))
+    known = np.ones((24, 32), bool)
+    known[8:13, 3:9], known[6:10, 20:25] = False, False
+    schedule = Schedule.uniform([(4, 30), (2, 30), (1, 30)], kappa=0.01)
+
+    def run(fill: float, known: np.ndarray) -> np.ndarray:
+        garbage = jnp.where(jnp.asarray(known)[..., None], y, fill)
+        return np.asarray(cascade_known(garbage, jnp.asarray(known), guide, schedule))
+
+    np.testing.assert_array_equal(run(1e3, known), run(0.0, known))  # what a hole holds does not matter
+    np.testing.assert_allclose(run(0.0, known), cascade(y, guide, schedule), rtol=0.08)  # as if there were no hole
+    np.testing.assert_allclose(run(0.0, np.ones_like(known)), cascade(y, guide, schedule), rtol=2e-3)
+    assert np.all(np.isfinite(run(0.0, np.zeros_like(known))))
+
+
+def test_a_hole_out_of_reach_takes_the_mean() -> None:
+    y, known = jnp.full((24, 32, 1), 3.0), np.zeros((24, 32), bool)
+    known[:, :4] = True
+    y = y.at[:, :2].set(1.0)
+    out = cascade_known(y, jnp.asarray(known), y, Schedule.uniform([(1, 2)], kappa=1e6))
+    np.testing.assert_allclose(np.asarray(out)[:, 8:], 2.0, rtol=1e-5)
+
+
+def test_reference_light_leaves_the_frame(frame: jax.Array, gbuffer: GBuffer) -> None:
+    for lux in (300.0, 80.0):
+        light = [AmbientLight(jnp.array(lux), jnp.ones(3))]
+        got = relight(frame, gbuffer, light, frame, SCHEDULE, reference_lux=lux)
+        np.testing.assert_allclose(got.image, frame, atol=1e-5)
+
+
+def test_linear_in_light(frame: jax.Array, gbuffer: GBuffer) -> None:
+    """Without shadows the picture is linear: power scales it, lights add."""
+
+    def image(*lights: Any) -> np.ndarray:
+        return np.asarray(relight(frame, gbuffer, lights, frame, SCHEDULE).image)
+
+    a, b, ambient = LIGHTS
+    double = jax.tree.map(lambda x: x, a)
+    object.__setattr__(double, "power", 2 * a.power)
+    np.testing.assert_allclose(image(double), 2 * image(a), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(image(a, b, ambient), image(a) + image(b) + image(ambient), rtol=1e-4, atol=1e-5)
+
+
+def test_jit_and_vmap_over_frames(frame: jax.Array, gbuffer: GBuffer, maps: tuple) -> None:
+    frames = jnp.stack([frame, frame[::-1], 0.5 * frame])
+    buffers = jax.tree.map(lambda a: jnp.stack([a, a[::-1], a[:, ::-1]]), gbuffer)
+
+    def one(frame: jax.Array, buffer: GBuffer) -> Relit:
+        return relight(frame, buffer, LIGHTS, frame, SCHEDULE, shadow_maps=maps, shadow_schedule=SHADOWS)
+
+    batch = jax.jit(jax.vmap(one))(frames, buffers)
+    for k in range(3):
+        single = one(frames[k], jax.tree.map(lambda a, k=k: a[k], buffers))
+        # tolerances: a point at the very border of a texel may be judged differently by the fused program
+        error = np.abs(np.asarray(batch.image[k]) - np.asarray(single.image))
+        assert np.mean(error > 1e-4) < 0.01 and error.max() < 0.5
+
+
+@pytest.mark.parametrize("mode", ["hyjax", "paper"])
+def test_gradients_reach_everything(frame: jax.Array, gbuffer: GBuffer, mode: str) -> None:
+    """Finite, not zero and right: frame, guide, κ and λ of both schedules, and the lights' parameters."""
+    small = jax.tree.map(lambda a: a[10:21, 12:26], gbuffer)
+    rng = np.random.default_rng(2)
+    target = rng.uniform(size=(11, 14, 3))
+    seen = rng.uniform(size=(11, 14, 3))
+    schedule = Schedule((Level(4, np.array([0.2, 0.1]), 0.4), Level(2, np.array([0.15, 0.05]), 0.3)))
+    shadows = Schedule((Level(1, np.array([0.2, 0.1]), 0.5),))
+
+    def loss(
+        frame: jax.Array,
+        guide: jax.Array,
+        schedule: Schedule,
+        shadows: Schedule,
+        position: jax.Array,
+        power: jax.Array,
+    ) -> jax.Array:
+        lights = (PointLight(position, power, jnp.array([1.0, 0.8, 0.6]), jnp.array(0.0)), LIGHTS[2])
+        got = relight(
+            frame, small, lights, guide, schedule, shadow_schedule=shadows, reference_lux=600.0, mode=mode
+        )  # the mesh casts no shadow here: the shadow pass gets its share below
+        shadow = shadow_pass(jnp.asarray(seen), None, guide, shadows, schedule)
+        return jnp.sum((got.image * shadow - target) ** 2)
+
+    with jax.enable_x64(True):
+        small = jax.tree.map(lambda a: jnp.asarray(a, bool if a.dtype == bool else jnp.float64), small)
+        arguments = (
+            frame[10:21, 12:26],
+            frame[8:19, 20:34],
+            schedule,
+            shadows,
+            LIGHTS[0].position,
+            LIGHTS[0].power,
+        )
+        assert_gradients(loss, *arguments, rtol=2e-4, eps=1e-6)
+
+
+def test_refusals(frame: jax.Array, gbuffer: GBuffer, maps: tuple) -> None:
+    def run(**change: Any) -> Relit:
+        arguments = {
+            "frame": frame,
+            "gbuffer": gbuffer,
+            "lights": LIGHTS,
+            "guide": frame,
+            "schedule": SCHEDULE,
+        } | change
+        return relight(**arguments)
+
+    for change, message in (
+        ({"mode": "papers"}, r"^mode: 'papers' is unknown; use one of hyjax, paper$"),
+        ({"lights": ()}, r"^relight: no lights; give at least one$"),
+        ({"frame": frame[1:]}, r"^relight: frame .* must be of one size$"),
+        ({"guide": frame[:, 1:]}, r"^relight: frame .* must be of one size$"),
+        ({"shadow_maps": maps[:2]}, r"^relight: 2 shadow maps for 3 lights"),
+        ({"schedule": Schedule((Level(2, np.array([0.3]), 0.1),))}, r"^schedule custom, factor 2, lam"),
+        ({"shadow_schedule": Schedule(())}, r"^schedule custom: needs at least one level"),
+    ):
+        with pytest.raises(InputError, match=message):
+            run(**change)
+
+
+def test_composite() -> None:
+    """Eq. 1: S = R ⊙ C; one channel or three."""
+    r, c = (np.random.default_rng(k).uniform(size=(4, 5, 3)).astype(np.float32) for k in (0, 1))
+    np.testing.assert_array_equal(composite(jnp.asarray(r), jnp.asarray(c)), r * c)
+    np.testing.assert_array_equal(composite(jnp.asarray(r[..., :1]), jnp.asarray(c)), r[..., :1] * c)
+    for bad in (r[1:], r[..., :2]):
+        with pytest.raises(InputError, match=r"^composite: filter .* does not fit the frame"):
+            composite(jnp.asarray(bad), jnp.asarray(c))
