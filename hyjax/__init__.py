@@ -11,11 +11,11 @@ from hyjax.diffusion import conductance, diffuse, diffuse_step
 from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
 from hyjax.lights import AmbientLight, Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
-from hyjax.pipeline import Relit, cascade_known, relight, shadow_pass
+from hyjax.pipeline import Relit, cascade_known, fill_visibility, relight, relight_stages, shadow_pass, shadow_ratio
 from hyjax.pyramid import downsample, min_pool, upsample
 from hyjax.schedule import Level, Schedule
-from hyjax.shading import shade, shade_each
-from hyjax.shadow import ShadowMap, shadow_ratio, visibility
+from hyjax.shading import colored, shade, shade_each
+from hyjax.shadow import ShadowMap, visibilities, visibility
 
 __version__ = "0.1.0"
 
@@ -37,15 +37,18 @@ __all__ = [
     "blackbody",
     "cascade",
     "cascade_known",
+    "colored",
     "composite",
     "conductance",
     "diffuse",
     "diffuse_step",
     "downsample",
+    "fill_visibility",
     "level_edges",
     "luminance",
     "min_pool",
     "relight",
+    "relight_stages",
     "shade",
     "shade_each",
     "shadow_pass",
@@ -53,5 +56,6 @@ __all__ = [
     "to_display",
     "to_linear",
     "upsample",
+    "visibilities",
     "visibility",
 ]

@@ -4,7 +4,8 @@ Units: positions and lengths in metres, angles in radians, `power` in lumens (of
 in lux (lumens per square metre). `color` is linear RGB and multiplies them, so that a lamp of 800 lm with colour
 (1, 1, 1) is white. All lights are pytrees whose every field is an array: anything may be optimised.
 
-Irradiance functions take a world position p and a unit normal n, both (..., 3), and return lux (..., 3).
+Every light's `lux(p, n)` is the illuminance that it would throw on a surface if it were white: p world positions
+and n unit normals, both (..., 3), the result (...). Its `irradiance` is that times the colour, (..., 3).
 """
 
 import dataclasses
@@ -26,8 +27,19 @@ def _pytree(cls: type[T]) -> type[T]:
     return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True)(cls))
 
 
+class _Light:
+    color: Float[Array, "3"]
+
+    def lux(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
+        raise NotImplementedError
+
+    def irradiance(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
+        """Lux for red, green and blue."""
+        return self.lux(p, n)[..., None] * self.color
+
+
 @_pytree
-class PointLight:
+class PointLight(_Light):
     """Shines equally in all directions; a small ball of `radius` when shadows are cast.
 
     E = Φ/(4π) · cos θ / r².
@@ -38,13 +50,13 @@ class PointLight:
     color: Float[Array, "3"]
     radius: Float[Array, ""]
 
-    def irradiance(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
+    def lux(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
         cosine, inverse_square, _ = _towards(self.position, p, n)
-        return _rgb(self.power / (4 * jnp.pi) * cosine * inverse_square, self.color)
+        return self.power / (4 * jnp.pi) * cosine * inverse_square
 
 
 @_pytree
-class SpotLight:
+class SpotLight(_Light):
     """A cone around `direction`, full inside `inner_angle`, dark outside `outer_angle` (half angles).
 
     Intensity I(θ) = I₀ s(cos θ) with s a smoothstep between the two cosines; I₀ = Φ / (2π (1 − mean of the two
@@ -59,13 +71,13 @@ class SpotLight:
     outer_angle: Float[Array, ""]
     radius: Float[Array, ""]
 
-    def irradiance(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
+    def lux(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
         cosine, inverse_square, to_light = _towards(self.position, p, n)
         inner, outer = jnp.cos(self.inner_angle), jnp.cos(self.outer_angle)
         t = (dot(-to_light, unit(self.direction)) - outer) / jnp.maximum(inner - outer, 1e-6)
         t = jnp.clip(t, 0.0, 1.0)
         peak = self.power / (2 * jnp.pi * (1.0 - 0.5 * (inner + outer)))
-        return _rgb(peak * t * t * (3.0 - 2.0 * t) * cosine * inverse_square, self.color)
+        return peak * t * t * (3.0 - 2.0 * t) * cosine * inverse_square
 
 
 @_pytree
@@ -78,7 +90,7 @@ class Aperture:
 
 
 @_pytree
-class DirectionalLight:
+class DirectionalLight(_Light):
     """Sun or moon: parallel light travelling along `direction`; `illuminance` is on a surface facing it.
 
     E = E₀ cos θ. `angular_radius` of the disc softens its shadows (sun and moon: 0.0047). With an `aperture` the
@@ -92,13 +104,12 @@ class DirectionalLight:
     angular_radius: Float[Array, ""]
     aperture: Aperture | None = None
 
-    def irradiance(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
-        cosine = jnp.maximum(dot(-n, unit(self.direction)), 0.0)
-        return _rgb(self.illuminance * cosine, self.color)
+    def lux(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
+        return self.illuminance * jnp.maximum(dot(-n, unit(self.direction)), 0.0)
 
 
 @_pytree
-class RectLight:
+class RectLight(_Light):
     """A window or panel: a Lambertian rectangle that emits to the side of `right` × `up`.
 
     `right` and `up` are half-axes: the corners are centre ± right ± up. Radiance is L = Φ/(π A); irradiance is
@@ -111,18 +122,18 @@ class RectLight:
     power: Float[Array, ""]
     color: Float[Array, "3"]
 
-    def irradiance(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
+    def lux(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
         normal = cross(self.right, self.up)
         area = 4.0 * jnp.sqrt(dot(normal, normal))
         corners = [self.center + s * self.right + t * self.up for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
         in_front = dot(p - self.center, normal) > 0
         form_factor = polygon_form_factor([c - p for c in corners], n)
         # E = π L F with L = Φ/(π A)
-        return _rgb(jnp.where(in_front, form_factor, 0.0) * (self.power / area), self.color)
+        return jnp.where(in_front, form_factor, 0.0) * (self.power / area)
 
 
 @_pytree
-class SkyLight:
+class SkyLight(_Light):
     """A uniform sky: light from the whole hemisphere around `up`; `illuminance` is on an open surface facing up.
 
     E = E₀ (1 + n·up)/2.
@@ -132,19 +143,19 @@ class SkyLight:
     illuminance: Float[Array, ""]
     color: Float[Array, "3"]
 
-    def irradiance(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
-        return _rgb(self.illuminance * 0.5 * (1.0 + dot(n, unit(self.up))), self.color)
+    def lux(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
+        return self.illuminance * 0.5 * (1.0 + dot(n, unit(self.up)))
 
 
 @_pytree
-class AmbientLight:
+class AmbientLight(_Light):
     """The same illuminance on every surface: what is left of light that has bounced many times. No shadow."""
 
     illuminance: Float[Array, ""]
     color: Float[Array, "3"]
 
-    def irradiance(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
-        return jnp.broadcast_to(self.illuminance * self.color, p.shape)
+    def lux(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
+        return jnp.broadcast_to(self.illuminance, p.shape[:-1])
 
 
 Light = PointLight | SpotLight | DirectionalLight | RectLight | SkyLight | AmbientLight
@@ -205,7 +216,3 @@ def _towards(
     inverse_square = 1.0 / (dot(offset, offset) + TINY)
     to_light = offset * jnp.sqrt(inverse_square)[..., None]
     return jnp.maximum(dot(to_light, n), 0.0), inverse_square, to_light
-
-
-def _rgb(amount: Float[Array, "*s"], color: Float[Array, "3"]) -> Float[Array, "*s 3"]:
-    return amount[..., None] * color

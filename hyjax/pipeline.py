@@ -1,7 +1,9 @@
 """One frame, whole: G-buffer + lights + frame + guide + schedule → relit picture.
 
 Order, as in the paper: shade the mesh without shadows, repair the shading by the cascade, refine the visibility in
-a pass of its own, multiply the two, multiply with the frame.
+a pass of its own, multiply the two, multiply with the frame. Diffusion is linear and every light has one colour, so
+in our own mode each light is a single channel of both passes: shading and shadow of one light never mix with those
+of another, and a sun that is mostly shadowed leaves no trace in what the sky lights.
 """
 
 import dataclasses
@@ -21,8 +23,8 @@ from hyjax.gbuffer import GBuffer
 from hyjax.lights import TINY, Light
 from hyjax.pyramid import downsample
 from hyjax.schedule import Schedule
-from hyjax.shading import shade_each
-from hyjax.shadow import ShadowMap, shadow_ratio, visibility
+from hyjax.shading import colored, shade_each
+from hyjax.shadow import ShadowMap, visibilities
 
 Mode = Literal["hyjax", "paper"]
 
@@ -36,21 +38,19 @@ HOLE_FLOOR = 1e-3
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Relit:
-    """What `relight` made of a frame, stage by stage. All linear in mode `hyjax`; see `relight` for `paper`.
+    """What `relight` made of a frame. Filters are linear in mode `hyjax`, display-encoded in mode `paper`.
 
     Attributes:
         shading: raw relight filter R without shadows; zero where the mesh has no surface.
-        refined: the filter after the cascade.
-        raw_visibility: shadows as the mesh throws them, in [0, 1].
-        visibility: after the shadow pass.
-        relight_filter: refined filter times visibility, what the frame is multiplied with.
+        refined: the filter after the cascade, without shadows.
+        visibility: what the refined shadows leave of it, in [0, 1].
+        relight_filter: refined filter with refined shadows: what the frame is multiplied with.
         unrefined: the frame times the raw filter with its raw shadows, to compare with; linear.
         image: the relit frame; linear.
     """
 
     shading: Float[Array, "h w 3"]
     refined: Float[Array, "h w 3"]
-    raw_visibility: Float[Array, "h w 3"]
     visibility: Float[Array, "h w 3"]
     relight_filter: Float[Array, "h w 3"]
     unrefined: Float[Array, "h w 3"]
@@ -82,8 +82,7 @@ def relight(
         reference_lux: illuminance under which the frame is taken to have been photographed. Light of this strength
             leaves the frame as it is.
         mode: `"hyjax"` multiplies linear light and treats pixels without surface as unknown; `"paper"` clips and
-            display-encodes the filter, leaves holes black, and multiplies display values. In `"paper"` the filter
-            fields of the result are display-encoded.
+            display-encodes the filter, leaves holes black, and multiplies display values.
 
     Returns:
         All stages; `image` and `unrefined` are linear in both modes.
@@ -139,98 +138,124 @@ def relight_stages(
     schedule.check(), shadow_schedule.check()
 
     each = shade_each(gbuffer, lights)
-    shading, backdrop = _filter_and_backdrop(each, frame, reference_lux, mode=mode)
-    yield "shading", shading
-    seen = [visibility(gbuffer, light, shadow_map) for light, shadow_map in zip(lights, maps, strict=True)]
-    raw_visibility = shadow_ratio(each, seen)
-    yield "visibility", raw_visibility
-    known = gbuffer.hit if mode == "hyjax" else None
-    refined = cascade_known(shading, known, guide, schedule)
+    channels = to_display(colored(each, lights) / reference_lux) if mode == "paper" else each
+    yield "shading", channels
+    seen = visibilities(gbuffer, lights, maps)
+    if mode == "paper":
+        seen = shadow_ratio(each, seen, lights)
+    yield "visibility", seen
+    if mode == "paper":
+        refined = cascade(channels, guide, schedule)
+    else:
+        refined = cascade_known(channels, gbuffer.hit[..., None], guide, schedule)
     yield "cascade", refined
-    refined_visibility = shadow_pass(raw_visibility, known, guide, shadow_schedule, schedule)
-    yield "shadow pass", refined_visibility
-    relit = _finish(shading, refined, raw_visibility, refined_visibility, backdrop, mode=mode)
-    yield "composite", relit
+    filled = seen if mode == "paper" else fill_visibility(seen, each > 0, guide, schedule)
+    refined_seen = shadow_pass(filled, guide, shadow_schedule)
+    yield "shadow pass", refined_seen
+    yield "composite", _finish(frame, channels, refined, seen, refined_seen, lights, reference_lux, mode=mode)
 
 
-@functools.partial(jax.jit, static_argnames="mode")
-def _filter_and_backdrop(
-    each: tuple[Float[Array, "h w 3"], ...],
-    frame: Float[Array, "h w 3"],
-    reference_lux: Float[ArrayLike, ""],
-    mode: Mode,
-) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
-    """The raw filter R and what it will multiply, both linear or (paper) both display-encoded."""
-    shading = functools.reduce(jnp.add, each) / reference_lux
-    return (shading, frame) if mode == "hyjax" else (to_display(shading), to_display(frame))
+@jax.jit
+def shadow_ratio(
+    each: Float[Array, "h w l"], seen: Float[Array, "h w l"], lights: Sequence[Light]
+) -> Float[Array, "h w 3"]:
+    """One visibility for all lights together: shadowed over unshadowed shading, for each colour.
+
+    Args:
+        each: unshadowed illuminance from each light, from `shade_each`.
+        seen: `visibilities` of the lights.
+        lights: for their colours.
+
+    Returns:
+        Values in [0, 1]; 1 where there is no light to lose.
+    """
+    return _ratio(colored(each * seen, lights), colored(each, lights))
+
+
+def _ratio(part: Float[Array, "h w 3"], whole: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
+    return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 1.0)
 
 
 @functools.partial(jax.jit, static_argnames="mode")
 def _finish(
-    shading: Float[Array, "h w 3"],
-    refined: Float[Array, "h w 3"],
-    raw_visibility: Float[Array, "h w 3"],
-    refined_visibility: Float[Array, "h w 3"],
-    backdrop: Float[Array, "h w 3"],
+    frame: Float[Array, "h w 3"],
+    each: Float[Array, "h w k"],
+    refined: Float[Array, "h w k"],
+    seen: Float[Array, "h w k"],
+    refined_seen: Float[Array, "h w k"],
+    lights: Sequence[Light],
+    reference_lux: Float[ArrayLike, ""],
     mode: Mode,
 ) -> Relit:
-    relight_filter = refined * refined_visibility
+    """Channels to filters, and filters times the frame (Eq. 1)."""
+    if mode == "paper":
+        backdrop, to_filter = to_display(frame), lambda channels: channels
+    else:
+        backdrop, to_filter = frame, lambda channels: colored(channels, lights) / reference_lux
+    relight_filter, unshadowed = to_filter(refined * refined_seen), to_filter(refined)
     image = composite(relight_filter, backdrop)
-    unrefined = composite(shading * raw_visibility, backdrop)
+    unrefined = composite(to_filter(each * seen), backdrop)
     if mode == "paper":
         image, unrefined = to_linear(image), to_linear(unrefined)
-    return Relit(shading, refined, raw_visibility, refined_visibility, relight_filter, unrefined, image)
+    visible = _ratio(relight_filter, unshadowed)
+    return Relit(to_filter(each), unshadowed, visible, relight_filter, unrefined, image)
 
 
 @jax.jit
 def cascade_known(
-    y: Float[Array, "h w c"], known: Bool[Array, "h w"] | None, guide: Float[Array, "h w f"], schedule: Schedule
+    y: Float[Array, "h w c"], known: Bool[Array, "h w k"], guide: Float[Array, "h w f"], schedule: Schedule
 ) -> Float[Array, "h w c"]:
-    """`cascade` that treats pixels outside `known` as missing instead of taking their value for real.
+    """`cascade` that treats values outside `known` as missing instead of taking them for real.
 
-    Diffuses (w y, w) with w = 1 on known pixels and divides, so that a hole takes on its surroundings' value
-    instead of darkening them. Where no known pixel is within reach the mean of all known pixels stands in.
+    Diffuses (w y, w) with w = 1 on what is known and divides, so that a hole takes on its surroundings' value
+    instead of darkening them. Where nothing known is within reach the mean of all that is known stands in.
 
     Args:
         y: the filter to repair.
-        known: where its values mean anything; None for everywhere, which is `cascade` itself.
+        known: where its values mean anything; one channel for all of y's or one for each.
         guide: see `cascade`.
         schedule: see `cascade`.
 
     Source: Knutsson and Westin, *Normalized and differential convolution*, CVPR 1993.
     """
-    if known is None:
-        return cascade(y, guide, schedule)
-    weight = known[..., None].astype(y.dtype)
+    weight, channels = known.astype(y.dtype), y.shape[-1]
     weighted = jnp.concatenate([y * weight, weight], axis=-1)
     total = jnp.sum(downsample(weighted, schedule.levels[0].factor), axis=(0, 1))
-    mean = total[:-1] / jnp.maximum(total[-1], TINY)
+    mean = total[:channels] / jnp.maximum(total[channels:], TINY)
     diffused = cascade(weighted, guide, schedule)
-    return (diffused[..., :-1] + HOLE_FLOOR * mean) / (diffused[..., -1:] + HOLE_FLOOR)
+    return (diffused[..., :channels] + HOLE_FLOOR * mean) / (diffused[..., channels:] + HOLE_FLOOR)
 
 
 @jax.jit
 def shadow_pass(
-    raw: Float[Array, "h w c"],
-    known: Bool[Array, "h w"] | None,
-    guide: Float[Array, "h w f"],
-    schedule: Schedule,
-    fill_schedule: Schedule,
+    raw: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule
 ) -> Float[Array, "h w c"]:
     """Refine visibility by few steps at high resolution, which softens shadows and keeps their shape.
 
-    The same diffusion as for the shading: the guide keeps a shadow from leaking onto the next object. Pixels
-    outside `known` are first filled from their surroundings by the coarse levels of `fill_schedule`, which reach
-    across holes.
+    The same diffusion as for the shading: the guide keeps a shadow from leaking onto the next object.
 
     Args:
-        raw: visibility from shadow maps, in [0, 1].
-        known: where the mesh has a surface; None takes `raw` as it is.
+        raw: visibility, in [0, 1].
         guide: as for `cascade`.
         schedule: few steps at factor 1 or 2, such as `Schedule.preset("shadow")`.
-        fill_schedule: the cascade that the shading is refined with; its finest level is left out.
     """
-    if known is not None:
-        coarse = dataclasses.replace(fill_schedule, levels=fill_schedule.levels[:-1] or fill_schedule.levels)
-        raw = jnp.where(known[..., None], raw, cascade_known(raw, known, guide, coarse))
     return cascade(raw, guide, schedule)
+
+
+@jax.jit
+def fill_visibility(
+    raw: Float[Array, "h w l"], known: Bool[Array, "h w l"], guide: Float[Array, "h w f"], schedule: Schedule
+) -> Float[Array, "h w l"]:
+    """Visibility where the mesh does not tell it, from the surroundings, by the coarse levels of a schedule.
+
+    Nothing is known in holes, nor of a light on surfaces turned away from it. What lies there in truth may well be
+    lit or shadowed as its neighbours are, and must not bring light (or darkness) of its own into the picture.
+
+    Args:
+        raw: visibility, a channel for each light.
+        known: where it means anything.
+        guide: as for `cascade`.
+        schedule: as for the shading; its finest level is left out, since only the coarse ones reach across holes.
+    """
+    coarse = dataclasses.replace(schedule, levels=schedule.levels[:-1] or schedule.levels)
+    return jnp.where(known, raw, cascade_known(raw, known, guide, coarse))

@@ -235,10 +235,12 @@ def _write_frame(out: Path, name: str, relit: Relit, gbuffer: GBuffer, mode: Mod
 
 def _sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, "h w 3"]]:
     paper = mode == "paper"
+    # Filters brighter than white are dimmed, both alike, until their structure shows.
+    dim = 1.0 if paper else max(1.0, float(np.percentile(np.asarray(relit.refined), 98)))
     return [
         frame.image,
-        _shown(relit.shading, encoded=paper),
-        _shown(relit.refined, encoded=paper),
+        _shown(relit.shading / dim, encoded=paper),
+        _shown(relit.refined / dim, encoded=paper),
         _shown(relit.visibility, encoded=True),
         _shown(relit.unrefined),
         _shown(relit.image),

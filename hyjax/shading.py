@@ -30,17 +30,22 @@ def shade(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w 3"]:
     """
     if not lights:
         raise InputError("shade: no lights; give at least one")
-    return _total(shade_each(gbuffer, lights))
+    return colored(shade_each(gbuffer, lights), lights)
 
 
 @jax.jit
-def shade_each(gbuffer: GBuffer, lights: Sequence[Light]) -> tuple[Float[Array, "h w 3"], ...]:
-    """As `shade`, each light by itself."""
-    each = (light.irradiance(gbuffer.position, gbuffer.normal) for light in lights)
-    return tuple(jnp.where(gbuffer.hit[..., None], lux, 0.0) for lux in each)
+def shade_each(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w l"]:
+    """Illuminance from each light by itself, before its colour; see `shade`.
+
+    Returns:
+        Lux, a channel for each light; zero where the camera's ray missed the mesh.
+    """
+    each = [jnp.where(gbuffer.hit, light.lux(gbuffer.position, gbuffer.normal), 0.0) for light in lights]
+    return jnp.stack(each, axis=-1)
 
 
 @jax.jit
-def _total(each: tuple[Float[Array, "h w 3"], ...]) -> Float[Array, "h w 3"]:
-    # Added one by one: XLA's CPU backend takes many times as long to reduce a stack.
-    return functools.reduce(jnp.add, each)
+def colored(each: Float[Array, "h w l"], lights: Sequence[Light]) -> Float[Array, "h w 3"]:
+    """Sum of one channel for each light, times the lights' colours."""
+    # Added one by one: XLA's CPU backend takes many times as long to reduce an axis.
+    return functools.reduce(jnp.add, [each[..., k, None] * light.color for k, light in enumerate(lights)])

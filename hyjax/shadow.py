@@ -172,22 +172,9 @@ def _filtered_comparison(
     return upper + (y - row) * (lower - upper)
 
 
-@jax.jit
-def shadow_ratio(
-    each: Sequence[Float[Array, "h w 3"]], visibilities: Sequence[Float[Array, "h w"]]
-) -> Float[Array, "h w 3"]:
-    """One visibility for all lights together: shadowed over unshadowed shading, for each colour.
-
-    With it the picture needs one shadow pass however many lights there are, and coloured lights cast coloured
-    shadows.
-
-    Args:
-        each: unshadowed shading by each light, from `shade_each`.
-        visibilities: `visibility` of each light.
-
-    Returns:
-        Values in [0, 1]; 1 where there is no light to lose.
-    """
-    total = functools.reduce(jnp.add, each)
-    lit = functools.reduce(jnp.add, [e * v[..., None] for e, v in zip(each, visibilities, strict=True)])
-    return jnp.where(total > 0, lit / jnp.where(total > 0, total, 1.0), 1.0)
+def visibilities(
+    gbuffer: GBuffer, lights: Sequence[Light], shadow_maps: Sequence[ShadowMap | None]
+) -> Float[Array, "h w l"]:
+    """`visibility` of each light, a channel for each."""
+    each = [visibility(gbuffer, light, shadow_map) for light, shadow_map in zip(lights, shadow_maps, strict=True)]
+    return jnp.stack(each, axis=-1)
