@@ -38,23 +38,21 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("norm", ["l2", "mean_abs"])
-@pytest.mark.parametrize("pooling", ["edges", "guide"])
+@pytest.mark.parametrize(("pooling", "norm"), [("edges", "l2"), ("guide", "l2"), ("edges", "mean_abs")])
 @pytest.mark.parametrize("case", CASES)
 def test_against_the_literal_form(case: tuple, pooling: str, norm: str) -> None:
     size, factors = case
-    for seed, channels in ((0, 1), (1, 3)):
-        y, guide = picture(seed, size, channels), picture(seed + 9, size, 2)
-        schedule = schedule_of(factors, seed, pooling=pooling, norm=norm)
-        levels = [(level.factor, level.step_sizes, level.kappa) for level in schedule.levels]
-        expected = paper.cascade(y, guide, levels, pooling, norm)
-        with jax.enable_x64(True):
-            got = cascade(jnp.asarray(y), jnp.asarray(guide), schedule)
-            assert got.dtype == np.float64
-            np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-12)
-        got = cascade(jnp.asarray(y, jnp.float32), jnp.asarray(guide, jnp.float32), schedule)
-        assert got.dtype == np.float32
-        np.testing.assert_allclose(got, expected, atol=1e-5)
+    y, guide = picture(0, size, 3), picture(9, size, 2)
+    schedule = schedule_of(factors, 0, pooling=pooling, norm=norm)
+    levels = [(level.factor, level.step_sizes, level.kappa) for level in schedule.levels]
+    expected = paper.cascade(y, guide, levels, pooling, norm)
+    with jax.enable_x64(True):
+        got = cascade(jnp.asarray(y), jnp.asarray(guide), schedule)
+        assert got.dtype == np.float64
+        np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-12)
+    got = cascade(jnp.asarray(y, jnp.float32), jnp.asarray(guide, jnp.float32), schedule)
+    assert got.dtype == np.float32
+    np.testing.assert_allclose(got, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("pooling", ["edges", "guide"])
@@ -108,10 +106,9 @@ def test_gradients_reach_everything() -> None:
             return jnp.sum((cascade(y, guide, schedule) - target) ** 2)
 
         with jax.enable_x64(True):
-            assert_gradients(loss, y, guide, schedule)
+            *_, gradient = assert_gradients(loss, y, guide, schedule)
             # every single entry: each step and each level matters
-            grad = jax.grad(loss, argnums=2)(jnp.asarray(y), jnp.asarray(guide), schedule)
-            for level in grad.levels:
+            for level in gradient.levels:
                 assert np.all(np.asarray(level.step_sizes) != 0) and level.kappa != 0
 
 
@@ -174,7 +171,7 @@ def test_json_round_trip_is_exact(schedule: Schedule) -> None:
 
 
 def test_json_is_short_and_by_hand() -> None:
-    assert json.loads(Schedule.preset("naive-50").to_json())["levels"] == [
+    assert json.loads(Schedule.preset("naive-50", kappa=0.05).to_json())["levels"] == [
         {"factor": 2, "steps": 50, "lam": 0.24, "kappa": 0.05}
     ]
     by_hand = Schedule.from_json('{"levels": [{"factor": 2, "steps": 3, "kappa": 1}]}')

@@ -10,16 +10,19 @@ import numpy as np
 
 def assert_gradients(
     function: Callable[..., Any], *arguments: Any, eps: float = 1e-6, rtol: float = 1e-5, atol: float = 1e-8
-) -> None:
+) -> Any:
     """Compare jax.grad of a scalar `function` with differences, in two random directions of every array leaf.
 
     Call it under `jax.enable_x64(True)`. Each leaf is moved by itself, so that a wrong gradient of a small one (a
     single κ) cannot hide behind a large one (a whole guide); each gradient must also be finite and not all zero.
+
+    Returns:
+        The gradient, with the structure of `arguments`.
     """
     function = jax.jit(function)
     leaves, structure = jax.tree.flatten(arguments)
     leaves = [jnp.asarray(leaf, jnp.float64) for leaf in leaves]
-    gradient = jax.grad(lambda values: function(*jax.tree.unflatten(structure, values)))(leaves)
+    gradient = jax.jit(jax.grad(lambda values: function(*jax.tree.unflatten(structure, values))))(leaves)
     rng = np.random.default_rng(0)
     for index, leaf in enumerate(leaves):
         assert np.all(np.isfinite(gradient[index])), f"leaf {index}: gradient not finite"
@@ -40,3 +43,4 @@ def assert_gradients(
                 atol=atol,
                 err_msg=f"leaf {index}",
             )
+    return jax.tree.unflatten(structure, gradient)
