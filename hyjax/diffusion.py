@@ -133,6 +133,8 @@ def diffuse(y: Float[Array, "h w c"], edges: Edges, step_sizes: Float[ArrayLike,
             f"edges: shapes {edges[0].shape} and {edges[1].shape} do not belong to a picture of {h}x{w} pixels, "
             f"which has {(h - 1, w)} and {(h, w - 1)}"
         )
+    vertical, horizontal = edges
+    edges = vertical.astype(y.dtype), horizontal.astype(y.dtype)
     return _scan_steps(y, edges, jnp.asarray(step_sizes, y.dtype))
 
 

@@ -223,7 +223,9 @@ def cascade_known(
     total = jnp.sum(downsample(weighted, schedule.levels[0].factor), axis=(0, 1))
     mean = total[:channels] / jnp.maximum(total[channels:], TINY)
     diffused = cascade(weighted, guide, schedule)
-    return (diffused[..., :channels] + HOLE_FLOOR * mean) / (diffused[..., channels:] + HOLE_FLOOR)
+    reached = diffused[..., channels:]
+    floor = HOLE_FLOOR * (1.0 - reached)  # nothing where everything is known
+    return (diffused[..., :channels] + floor * mean) / (reached + floor)
 
 
 @jax.jit

@@ -226,10 +226,11 @@ def test_shade_adds_up_and_leaves_misses_dark() -> None:
     )
     lights = [jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), light) for light in ALL]
     each, total = np.asarray(shade_each(gbuffer, lights)), np.asarray(shade(gbuffer, lights))
-    assert each.shape == (6, 5, 7, 3)
-    np.testing.assert_allclose(total, each.sum(axis=0), rtol=1e-6)
+    assert each.shape == (5, 7, 6)
+    np.testing.assert_allclose(total, each @ np.stack([np.asarray(light.color) for light in ALL]), rtol=1e-5)
     assert np.all(total[~hit] == 0) and np.all(total[hit] > 0)
     for k, light in enumerate(ALL):
-        np.testing.assert_allclose(each[k][hit], irradiance(light, position, normal)[hit], rtol=2e-3, atol=1.0)
+        expected = irradiance(light, position, normal)[hit][:, 0] / light.color[0]
+        np.testing.assert_allclose(each[hit][:, k], expected, rtol=2e-3, atol=1.0)
     with pytest.raises(InputError, match=r"^shade: no lights; give at least one$"):
         shade(gbuffer, [])

@@ -251,11 +251,13 @@ def test_ambient_light_casts_none_and_misses_are_lit() -> None:
 
 
 def test_shadow_ratio_gives_back_the_shadowed_sum() -> None:
+    """Ratio times unshadowed sum is Σ E V color, for each colour by itself."""
     rng = np.random.default_rng(0)
-    each = rng.uniform(0, 100, (3, 5, 7, 3)).astype(np.float32)
-    each[:, 2, 3] = 0.0
-    seen = rng.uniform(0, 1, (3, 5, 7)).astype(np.float32)
-    ratio = np.asarray(shadow_ratio(jnp.asarray(each), list(jnp.asarray(seen))))
-    expected = sum(e * v[..., None] for e, v in zip(each, seen, strict=True))
-    np.testing.assert_allclose(ratio * each.sum(axis=0), expected, rtol=1e-5)
-    assert ratio.min() >= 0 and ratio.max() <= 1 and np.all(ratio[2, 3] == 1)
+    each = rng.uniform(0, 100, (5, 7, 3)).astype(np.float32)
+    each[2, 3] = 0.0
+    seen = rng.uniform(0, 1, (5, 7, 3)).astype(np.float32)
+    colors = np.array([[1.0, 0.5, 0.2], [0.1, 0.9, 1.0], [1.0, 1.0, 0.0]], np.float32)
+    lights = [AmbientLight(vec(1.0)[0], jnp.asarray(c)) for c in colors]
+    ratio = np.asarray(shadow_ratio(jnp.asarray(each), jnp.asarray(seen), lights))
+    np.testing.assert_allclose(ratio * (each @ colors), (each * seen) @ colors, rtol=1e-5)
+    assert ratio.min() >= 0 and ratio.max() <= 1 + 1e-6 and np.all(ratio[2, 3] == 1)
