@@ -11,7 +11,6 @@ from jaxtyping import Bool, Float, Int
 from hyjax.gbuffer import GBuffer
 from hyjax.scene.camera import Camera
 
-
 # A few float32 steps off the ray, towards no axis and no diagonal: 3 µm at a metre.
 NUDGE = 3e-6 * np.array([0.61, 0.53, 0.59], dtype=np.float32)
 
@@ -64,7 +63,7 @@ class RayCaster:
         """Nearest hit of each ray. `origins` may be one point (shape (3,) or (1, 3)) for all directions."""
         starts, rays = self._float32(origins, directions)
         result = self._scene.run(starts, rays, output=True)
-        # Edges are watertight, but a ray aimed exactly at a vertex may slip through: misses get a second try beside it.
+        # Edges are watertight, but a ray aimed exactly at a vertex may slip through: misses get a second try.
         missed = np.flatnonzero(result["primID"] < 0)
         if missed.size:
             length = np.linalg.norm(rays[missed], axis=1, keepdims=True)
