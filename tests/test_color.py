@@ -1,4 +1,4 @@
-"""The sRGB curve, luminance and black bodies."""
+"""The sRGB curve, luminance, black bodies, and filter times frame."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyjax import blackbody, luminance, to_display, to_linear
+from hyjax import InputError, blackbody, composite, luminance, to_display, to_linear
 
 
 def test_known_values() -> None:
@@ -71,3 +71,13 @@ def test_blackbody_hue() -> None:
     blue_to_red = ratio[:, 2] / ratio[:, 0]
     assert np.all(np.diff(blue_to_red) >= -1e-6) and np.diff(blue_to_red).max() < 0.02
     assert np.isfinite(jax.grad(lambda k: blackbody(k)[2])(4000.0))
+
+
+def test_composite() -> None:
+    """Eq. 1: S = R ⊙ C; one channel or three."""
+    r, c = (np.random.default_rng(k).uniform(size=(4, 5, 3)).astype(np.float32) for k in (0, 1))
+    np.testing.assert_array_equal(composite(jnp.asarray(r), jnp.asarray(c)), r * c)
+    np.testing.assert_array_equal(composite(jnp.asarray(r[..., :1]), jnp.asarray(c)), r[..., :1] * c)
+    for bad in (r[1:], r[..., :2]):
+        with pytest.raises(InputError, match=r"^composite: filter .* does not fit the frame"):
+            composite(jnp.asarray(bad), jnp.asarray(c))

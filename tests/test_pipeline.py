@@ -295,13 +295,3 @@ def test_refusals(frame: jax.Array, gbuffer: GBuffer, maps: tuple) -> None:
     ):
         with pytest.raises(InputError, match=message):
             run(**change)
-
-
-def test_composite() -> None:
-    """Eq. 1: S = R ⊙ C; one channel or three."""
-    r, c = (np.random.default_rng(k).uniform(size=(4, 5, 3)).astype(np.float32) for k in (0, 1))
-    np.testing.assert_array_equal(composite(jnp.asarray(r), jnp.asarray(c)), r * c)
-    np.testing.assert_array_equal(composite(jnp.asarray(r[..., :1]), jnp.asarray(c)), r[..., :1] * c)
-    for bad in (r[1:], r[..., :2]):
-        with pytest.raises(InputError, match=r"^composite: filter .* does not fit the frame"):
-            composite(jnp.asarray(bad), jnp.asarray(c))
