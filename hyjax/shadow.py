@@ -117,7 +117,8 @@ def visibility(gbuffer: GBuffer, light: Light, shadow_map: ShadowMap | None) -> 
         shadow_map: None for a light that casts no shadow.
 
     Returns:
-        1 lit, 0 in full shadow; 1 where the camera's ray missed the mesh.
+        1 lit, 0 in full shadow; 1 where nothing is known: where the camera's ray missed the mesh, and on surfaces
+        turned away from the light.
     """
     if shadow_map is None:
         return jnp.ones_like(gbuffer.depth)
