@@ -54,6 +54,11 @@ class Capture(Protocol):
     up: Float[np.ndarray, "3"]
     """Unit vector against gravity in world coordinates."""
 
+    @property
+    def fingerprint(self) -> str:
+        """Changes whenever the capture's content does; what is made from a capture is cached under it."""
+        ...
+
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int) -> Frame: ...

@@ -1,5 +1,6 @@
 """The built-in room as a capture, kept in the cache folder once it has been rendered."""
 
+import hashlib
 import json
 import logging
 import tempfile
@@ -51,6 +52,11 @@ class RoomCapture:
         self._images = images
         self._depth = depth
         self._cameras = cameras
+
+    @property
+    def fingerprint(self) -> str:
+        """See `Capture`."""
+        return hashlib.sha256(np.ascontiguousarray(self.mesh.vertices).tobytes()).hexdigest()
 
     def __len__(self) -> int:
         return len(self._cameras)

@@ -1,7 +1,6 @@
 """The mesh that a capture is relit with: given, measured, or what a headset would have made."""
 
 import hashlib
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -61,7 +60,8 @@ def surface_of(
     if capture[0].depth is None:
         raise InputError(f"{capture.name}: the capture has no depth to make a mesh of; give one with --mesh FILE")
     description = f"simulated scan, seed {seed}" if mesh == "scan" else f"fused at {voxel:g} m"
-    file = cache_folder() / f"surface-{_key(capture, description)}.ply"
+    key = hashlib.sha256(f"{VERSION} {description} {capture.fingerprint}".encode()).hexdigest()[:16]
+    file = cache_folder() / f"surface-{key}.ply"
     if file.is_file():
         try:
             return description, load_mesh(file)
@@ -92,19 +92,3 @@ class _Spread:
 
     def __iter__(self) -> Iterator[Frame]:
         return (self._capture[index] for index in self._indices)
-
-
-def _key(capture: Capture, description: str) -> str:
-    """A name for the surface that changes with the capture's files."""
-    parts = [str(VERSION), description, capture.name, str(len(capture))]
-    folder = getattr(capture, "path", None)
-    if folder is not None:
-        parts += [
-            str(folder),
-            *sorted(f"{e.name} {e.stat().st_size} {e.stat().st_mtime_ns}" for e in os.scandir(folder)),
-        ]
-    else:
-        parts.append(
-            hashlib.sha256(capture[0].image.tobytes() + capture[len(capture) - 1].image.tobytes()).hexdigest()
-        )
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
