@@ -40,6 +40,9 @@ def _read(path: Path, kind: str) -> np.ndarray:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file")
+    # libpng would complain to stderr by itself, beside our one line; a PNG that was cut off has lost its last chunk.
+    if path.suffix.lower() == ".png" and not _ends_with(path, b"IEND"):
+        raise InputError(f"{path}: damaged or truncated picture (its end is missing)")
     source = oiio.ImageInput.open(str(path))
     if source is None:
         raise InputError(f"{path}: not a readable picture ({_first_line(oiio.geterror())})")
@@ -52,6 +55,12 @@ def _read(path: Path, kind: str) -> np.ndarray:
     if pixels is None or error:
         raise InputError(f"{path}: damaged or truncated picture ({_first_line(error)})")
     return pixels
+
+
+def _ends_with(path: Path, mark: bytes, within: int = 64) -> bool:
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - within))
+        return mark in file.read()
 
 
 def write_png(path: Path, display: Float[np.ndarray, "h w c"]) -> None:

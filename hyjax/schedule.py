@@ -18,8 +18,9 @@ from hyjax.values import concrete
 
 Pooling = Literal["edges", "guide"]
 
-# Metzger's step size. The paper names neither λ nor κ; κ is ours, for display-encoded RGB guides in [0, 1] and norm
-# l2, from the tuning frames of experiments/kappa_sweep.py (best for our mode 0.005 to 0.02, the paper's 0.05 to 0.2).
+# Metzger's step size. The paper names neither λ nor κ; κ is ours, for display-encoded RGB guides in [0, 1] and
+# norm l2, from the tuning frames of experiments/kappa_sweep.py (best for our mode 0.005 to 0.02, the paper's 0.05
+# to 0.2).
 DEFAULT_LAM = 0.24
 DEFAULT_KAPPA = 0.02
 
