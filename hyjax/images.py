@@ -40,7 +40,7 @@ def _read(path: Path, kind: str) -> np.ndarray:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    # libpng would complain to stderr by itself, beside our one line; a PNG that was cut off has lost its last chunk.
+    # libpng complains on stderr by itself, beside our one line. A PNG that was cut off has lost its last chunk.
     if path.suffix.lower() == ".png" and not _ends_with(path, b"IEND"):
         raise InputError(f"{path}: damaged or truncated picture (its end is missing)")
     source = oiio.ImageInput.open(str(path))
