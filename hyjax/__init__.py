@@ -11,8 +11,9 @@ from hyjax.diffusion import conductance, diffuse, diffuse_step
 from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
 from hyjax.lights import AmbientLight, Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
-from hyjax.pipeline import Relit, cascade_known, fill_visibility, relight, relight_stages, shadow_pass, shadow_ratio
+from hyjax.pipeline import Relit, relight, relight_stages
 from hyjax.pyramid import downsample, min_pool, upsample
+from hyjax.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.schedule import Level, Schedule
 from hyjax.shading import colored, shade, shade_each
 from hyjax.shadow import ShadowMap, visibilities, visibility
@@ -52,7 +53,6 @@ __all__ = [
     "shade",
     "shade_each",
     "shadow_pass",
-    "shadow_ratio",
     "to_display",
     "to_linear",
     "upsample",

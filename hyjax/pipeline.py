@@ -7,21 +7,20 @@ of another, and a sun that is mostly shadowed leaves no trace in what the sky li
 """
 
 import dataclasses
-import functools
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.cascade import cascade
 from hyjax.color import to_display, to_linear
 from hyjax.compositing import composite
 from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
-from hyjax.lights import TINY, Light
-from hyjax.pyramid import downsample
+from hyjax.lights import Light
+from hyjax.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.schedule import Schedule
 from hyjax.shading import colored, shade_each
 from hyjax.shadow import ShadowMap, visibilities
@@ -30,9 +29,6 @@ Mode = Literal["hyjax", "paper"]
 
 # Illuminance under which the frame is taken to have been photographed: an ordinary room in daylight or lamplight.
 REFERENCE_LUX = 300.0
-
-# Weight below which a hole counts as too far from any surface to be filled from its surroundings.
-HOLE_FLOOR = 1e-3
 
 
 @jax.tree_util.register_dataclass
@@ -137,127 +133,96 @@ def relight_stages(
     shadow_schedule = Schedule.preset("shadow") if shadow_schedule is None else shadow_schedule
     schedule.check(), shadow_schedule.check()
 
+    run = _paper_stages if mode == "paper" else _stages
+    yield from run(frame, gbuffer, lights, guide, schedule, maps, shadow_schedule, reference_lux)
+
+
+def _stages(
+    frame: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+    lights: tuple[Light, ...],
+    guide: Float[Array, "h w f"],
+    schedule: Schedule,
+    maps: tuple[ShadowMap | None, ...],
+    shadow_schedule: Schedule,
+    reference_lux: Float[ArrayLike, ""],
+) -> Iterator[tuple[str, Any]]:
+    """Our mode: a channel for each light, holes unknown, linear light."""
     each = shade_each(gbuffer, lights)
-    channels = to_display(colored(each, lights) / reference_lux) if mode == "paper" else each
-    yield "shading", channels
+    yield "shading", each
     seen = visibilities(gbuffer, lights, maps)
-    if mode == "paper":
-        seen = shadow_ratio(each, seen, lights)
     yield "visibility", seen
-    if mode == "paper":
-        refined = cascade(channels, guide, schedule)
-    else:
-        refined = cascade_known(channels, gbuffer.hit[..., None], guide, schedule)
+    refined = cascade_known(each, gbuffer.hit[..., None], guide, schedule)
     yield "cascade", refined
-    filled = seen if mode == "paper" else fill_visibility(seen, each > 0, guide, schedule)
-    refined_seen = shadow_pass(filled, guide, shadow_schedule)
+    refined_seen = shadow_pass(fill_visibility(seen, each > 0, guide, schedule), guide, shadow_schedule)
     yield "shadow pass", refined_seen
-    yield "composite", _finish(frame, channels, refined, seen, refined_seen, lights, reference_lux, mode=mode)
+    yield "composite", _composite_channels(frame, each, seen, refined, refined_seen, lights, reference_lux)
 
 
 @jax.jit
-def shadow_ratio(
-    each: Float[Array, "h w l"], seen: Float[Array, "h w l"], lights: Sequence[Light]
-) -> Float[Array, "h w 3"]:
-    """One visibility for all lights together: shadowed over unshadowed shading, for each colour.
-
-    Args:
-        each: unshadowed illuminance from each light, from `shade_each`.
-        seen: `visibilities` of the lights.
-        lights: for their colours.
-
-    Returns:
-        Values in [0, 1]; 1 where there is no light to lose.
-    """
-    return _ratio(colored(each * seen, lights), colored(each, lights))
-
-
-def _ratio(part: Float[Array, "h w 3"], whole: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
-    return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 1.0)
-
-
-@functools.partial(jax.jit, static_argnames="mode")
-def _finish(
+def _composite_channels(
     frame: Float[Array, "h w 3"],
-    each: Float[Array, "h w k"],
-    refined: Float[Array, "h w k"],
-    seen: Float[Array, "h w k"],
-    refined_seen: Float[Array, "h w k"],
+    each: Float[Array, "h w l"],
+    seen: Float[Array, "h w l"],
+    refined: Float[Array, "h w l"],
+    refined_seen: Float[Array, "h w l"],
     lights: Sequence[Light],
     reference_lux: Float[ArrayLike, ""],
-    mode: Mode,
 ) -> Relit:
-    """Channels to filters, and filters times the frame (Eq. 1)."""
-    if mode == "paper":
-        backdrop, to_filter = to_display(frame), lambda channels: channels
-    else:
-        backdrop, to_filter = frame, lambda channels: colored(channels, lights) / reference_lux
-    relight_filter, unshadowed = to_filter(refined * refined_seen), to_filter(refined)
-    image = composite(relight_filter, backdrop)
-    unrefined = composite(to_filter(each * seen), backdrop)
-    if mode == "paper":
-        image, unrefined = to_linear(image), to_linear(unrefined)
+    raw, raw_shadowed, unshadowed, relight_filter = (
+        colored(channels, lights) / reference_lux
+        for channels in (each, each * seen, refined, refined * refined_seen)
+    )
     visible = _ratio(relight_filter, unshadowed)
-    return Relit(to_filter(each), unshadowed, visible, relight_filter, unrefined, image)
+    unrefined, image = composite(raw_shadowed, frame), composite(relight_filter, frame)
+    return Relit(raw, unshadowed, visible, relight_filter, unrefined, image)
+
+
+def _paper_stages(
+    frame: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+    lights: tuple[Light, ...],
+    guide: Float[Array, "h w f"],
+    schedule: Schedule,
+    maps: tuple[ShadowMap | None, ...],
+    shadow_schedule: Schedule,
+    reference_lux: Float[ArrayLike, ""],
+) -> Iterator[tuple[str, Any]]:
+    """The paper: the filter is a rendered picture, clipped and display-encoded, black where there is no mesh."""
+    each = shade_each(gbuffer, lights)
+    raw = _rendered(each, lights, reference_lux)
+    yield "shading", raw
+    raw_shadowed = _rendered(each * visibilities(gbuffer, lights, maps), lights, reference_lux)
+    raw_visible = _ratio(raw_shadowed, raw)
+    yield "visibility", raw_visible
+    refined = cascade(raw, guide, schedule)
+    yield "cascade", refined
+    visible = shadow_pass(raw_visible, guide, shadow_schedule)
+    yield "shadow pass", visible
+    yield "composite", _composite_display(frame, raw, raw_shadowed, refined, visible)
 
 
 @jax.jit
-def cascade_known(
-    y: Float[Array, "h w c"], known: Bool[Array, "h w k"], guide: Float[Array, "h w f"], schedule: Schedule
-) -> Float[Array, "h w c"]:
-    """`cascade` that treats values outside `known` as missing instead of taking them for real.
-
-    Diffuses (w y, w) with w = 1 on what is known and divides, so that a hole takes on its surroundings' value
-    instead of darkening them. Where nothing known is within reach the mean of all that is known stands in.
-
-    Args:
-        y: the filter to repair.
-        known: where its values mean anything; one channel for all of y's or one for each.
-        guide: see `cascade`.
-        schedule: see `cascade`.
-
-    Source: Knutsson and Westin, *Normalized and differential convolution*, CVPR 1993.
-    """
-    weight, channels = known.astype(y.dtype), y.shape[-1]
-    weighted = jnp.concatenate([y * weight, weight], axis=-1)
-    total = jnp.sum(downsample(weighted, schedule.levels[0].factor), axis=(0, 1))
-    mean = total[:channels] / jnp.maximum(total[channels:], TINY)
-    diffused = cascade(weighted, guide, schedule)
-    reached = diffused[..., channels:]
-    floor = HOLE_FLOOR * (1.0 - reached)  # nothing where everything is known
-    return (diffused[..., :channels] + floor * mean) / (reached + floor)
+def _rendered(
+    each: Float[Array, "h w l"], lights: Sequence[Light], reference_lux: Float[ArrayLike, ""]
+) -> Float[Array, "h w 3"]:
+    return to_display(colored(each, lights) / reference_lux)
 
 
 @jax.jit
-def shadow_pass(
-    raw: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule
-) -> Float[Array, "h w c"]:
-    """Refine visibility by few steps at high resolution, which softens shadows and keeps their shape.
-
-    The same diffusion as for the shading: the guide keeps a shadow from leaking onto the next object.
-
-    Args:
-        raw: visibility, in [0, 1].
-        guide: as for `cascade`.
-        schedule: few steps at factor 1 or 2, such as `Schedule.preset("shadow")`.
-    """
-    return cascade(raw, guide, schedule)
+def _composite_display(
+    frame: Float[Array, "h w 3"],
+    raw: Float[Array, "h w 3"],
+    raw_shadowed: Float[Array, "h w 3"],
+    refined: Float[Array, "h w 3"],
+    visible: Float[Array, "h w 3"],
+) -> Relit:
+    display, relight_filter = to_display(frame), refined * visible
+    unrefined, image = (to_linear(composite(f, display)) for f in (raw_shadowed, relight_filter))
+    return Relit(raw, refined, visible, relight_filter, unrefined, image)
 
 
 @jax.jit
-def fill_visibility(
-    raw: Float[Array, "h w l"], known: Bool[Array, "h w l"], guide: Float[Array, "h w f"], schedule: Schedule
-) -> Float[Array, "h w l"]:
-    """Visibility where the mesh does not tell it, from the surroundings, by the coarse levels of a schedule.
-
-    Nothing is known in holes, nor of a light on surfaces turned away from it. What lies there in truth may well be
-    lit or shadowed as its neighbours are, and must not bring light (or darkness) of its own into the picture.
-
-    Args:
-        raw: visibility, a channel for each light.
-        known: where it means anything.
-        guide: as for `cascade`.
-        schedule: as for the shading; its finest level is left out, since only the coarse ones reach across holes.
-    """
-    coarse = dataclasses.replace(schedule, levels=schedule.levels[:-1] or schedule.levels)
-    return jnp.where(known, raw, cascade_known(raw, known, guide, coarse))
+def _ratio(part: Float[Array, "h w 3"], whole: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
+    """What is left of `whole`, in [0, 1]; 1 where there is nothing to lose."""
+    return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 1.0)

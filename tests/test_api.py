@@ -115,6 +115,7 @@ LAYERS: list[set[str]] = [
     {"cascade"},
     {"lights", "gbuffer"},
     {"shading", "shadow", "compositing", "color"},
+    {"refine"},
     {"pipeline"},
     {""},  # hyjax/__init__.py: the public names
     {"losses", "metrics"},

@@ -18,7 +18,6 @@ from hyjax import (
     RectLight,
     SkyLight,
     SpotLight,
-    shadow_ratio,
     visibility,
 )
 from hyjax.scene.camera import Camera, Intrinsics, look_at
@@ -248,16 +247,3 @@ def test_ambient_light_casts_none_and_misses_are_lit() -> None:
     zeros = {k: jnp.where(hit[..., None], getattr(gbuffer, k), 0.0) for k in ("position", "normal")}
     got = np.asarray(visibility(GBuffer(**zeros, depth=gbuffer.depth, hit=jnp.asarray(hit)), lights[1], maps[1]))
     assert np.all(got[~hit] == 1) and np.all(got[hit] == 0)
-
-
-def test_shadow_ratio_gives_back_the_shadowed_sum() -> None:
-    """Ratio times unshadowed sum is Σ E V color, for each colour by itself."""
-    rng = np.random.default_rng(0)
-    each = rng.uniform(0, 100, (5, 7, 3)).astype(np.float32)
-    each[2, 3] = 0.0
-    seen = rng.uniform(0, 1, (5, 7, 3)).astype(np.float32)
-    colors = np.array([[1.0, 0.5, 0.2], [0.1, 0.9, 1.0], [1.0, 1.0, 0.0]], np.float32)
-    lights = [AmbientLight(vec(1.0)[0], jnp.asarray(c)) for c in colors]
-    ratio = np.asarray(shadow_ratio(jnp.asarray(each), jnp.asarray(seen), lights))
-    np.testing.assert_allclose(ratio * (each @ colors), (each * seen) @ colors, rtol=1e-5)
-    assert ratio.min() >= 0 and ratio.max() <= 1 + 1e-6 and np.all(ratio[2, 3] == 1)
