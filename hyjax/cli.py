@@ -5,6 +5,7 @@ import logging
 import os
 import sys
 import warnings
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,6 +15,9 @@ from hyjax.errors import InputError
 
 if TYPE_CHECKING:
     from hyjax.schedule import Schedule
+
+
+LARGEST = 16384  # pixels a side
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +34,7 @@ class Relight:
     lights: str = "noon-window"
     """noon-window, golden-hour, evening-lamps, night-moon, center-point, two-colors, or a YAML or JSON file."""
     schedule: str = "paper-80"
-    """paper-50, paper-80, naive-50, naive-1000, or a JSON file."""
+    """paper-50, paper-80, naive-50, naive-1000, shadow, or a JSON file."""
     size: str | None = None
     """Work at this size: 512 (square) or 640x480 (width x height). Default: as captured."""
     guide: Literal["rgb"] = "rgb"
@@ -67,6 +71,9 @@ def main() -> None:
     """Entry point of the `hyjax` command. Bad input: one line on stderr and exit status 2."""
     logging.basicConfig(level=logging.WARNING, format="hyjax: %(message)s")
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    if sys.argv[1:] == ["--version"]:
+        print(f"hyjax {metadata.version('hyjax')}")
+        return
     command = tyro.cli(Command, prog="hyjax", description="Relight camera frames of real rooms.")
     try:
         run_relight(command) if isinstance(command, Relight) else run_info()
@@ -85,7 +92,7 @@ def run_relight(command: Relight) -> None:
 
     from hyjax.cache import cache_folder
     from hyjax.data.light_file import read_lights
-    from hyjax.data.light_setups import named_setup, survey
+    from hyjax.data.light_setups import check_setup_name, named_setup, survey
     from hyjax.data.open import open_capture
     from hyjax.data.room import load_room
     from hyjax.data.surfaces import surface_of
@@ -98,11 +105,13 @@ def run_relight(command: Relight) -> None:
     clock, bars = StageClock(), not command.quiet
     schedule = _schedule(command.schedule)
     size = _size(command.size)
+    from_file = Path(command.lights).suffix.lower() in (".yaml", ".yml", ".json")
+    if not from_file:
+        check_setup_name(command.lights)
     make_writable(command.out)
     with clock("capture"):
         capture = load_room(progress=bars) if command.capture is None else open_capture(command.capture)
     chosen = select_frames(command.frames, len(capture))
-    from_file = Path(command.lights).suffix.lower() in (".yaml", ".yml", ".json")
     setup = read_lights(Path(command.lights), capture.up) if from_file else None
     with clock("mesh"):
         source, mesh = surface_of(
@@ -172,8 +181,9 @@ def _size(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
     fields = text.lower().split("x")
-    if not 1 <= len(fields) <= 2 or not all(f.isdigit() and int(f) >= 8 for f in fields):
-        raise InputError(f"size: {text!r} must be a number (512) or width x height (640x480), at least 8 each")
+    numbers = all(f.isascii() and f.isdecimal() and len(f) < 6 and 8 <= int(f) <= LARGEST for f in fields)
+    if not 1 <= len(fields) <= 2 or not numbers:
+        raise InputError(f"size: {text!r} must be a number (512) or width x height (640x480), each 8 to {LARGEST}")
     return int(fields[-1]), int(fields[0])
 
 

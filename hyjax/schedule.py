@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from hyjax.diffusion import Norm, check_kappa, check_step_sizes
-from hyjax.errors import InputError
+from hyjax.errors import InputError, did_you_mean
 from hyjax.values import concrete
 
 Pooling = Literal["edges", "guide"]
@@ -113,7 +113,9 @@ class Schedule:
             InputError: unknown name.
         """
         if name not in PRESETS:
-            raise InputError(f"schedule: no preset {name!r}; there are {', '.join(PRESETS)}")
+            raise InputError(
+                f"schedule: no preset {name!r}{did_you_mean(name, PRESETS)}; there are {', '.join(PRESETS)}"
+            )
         return cls.uniform(PRESETS[name], kappa=kappa, lam=lam, name=name)
 
     def check(self) -> "Schedule":

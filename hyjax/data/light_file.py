@@ -23,7 +23,6 @@ sun shines through: a mapping with center, normal, width, height and maybe up; i
 """
 
 import dataclasses
-import difflib
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -35,7 +34,7 @@ import yaml
 from jaxtyping import Float
 
 from hyjax.color import blackbody
-from hyjax.errors import InputError
+from hyjax.errors import InputError, did_you_mean
 from hyjax.lights import (
     AmbientLight,
     Aperture,
@@ -153,7 +152,7 @@ def _light(where: str, entry: Any, world_up: Float[np.ndarray, "3"]) -> Light:
         raise InputError(f"{where}: must be a mapping, got {entry!r}")
     kind = entry.get("kind")
     if kind not in KEYS:
-        hint = _nearest(str(kind), KEYS)
+        hint = did_you_mean(str(kind), KEYS)
         raise InputError(f"{where}: unknown kind {kind!r}{hint}; there are {', '.join(KEYS)}")
     where = f"{where} ({kind})"
     _check_keys(where, entry, COMMON | KEYS[kind])
@@ -218,13 +217,8 @@ def _rectangle(where: str, entry: dict[str, Any], world_up: Float[np.ndarray, "3
 def _check_keys(where: str, entry: dict[str, Any], known: set[str]) -> None:
     for key in entry:
         if key not in known:
-            hint = _nearest(str(key), known)
+            hint = did_you_mean(str(key), known)
             raise InputError(f"{where}: unknown key {key!r}{hint}; there are {', '.join(sorted(known))}")
-
-
-def _nearest(word: str, known: set[str] | dict[str, set[str]]) -> str:
-    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
-    return f" (did you mean {close[0]!r}?)" if close else ""
 
 
 def _number(

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.light_file import LightSetup, parse_lights
-from hyjax.errors import InputError
+from hyjax.errors import InputError, did_you_mean
 from hyjax.scene.camera import Camera
 from hyjax.scene.raycast import RayCaster
 
@@ -144,14 +144,22 @@ SETUPS: dict[str, Callable[[Stage], dict[str, Any]]] = {
 }
 
 
+def check_setup_name(name: str) -> None:
+    """Raise `InputError` unless `name` is one of `SETUPS`."""
+    if name not in SETUPS:
+        hint = did_you_mean(name, SETUPS)
+        raise InputError(
+            f"lights: no set-up {name!r}{hint}; there are {', '.join(SETUPS)}, or give a .yaml or .json file"
+        )
+
+
 def named_setup(name: str, stage: Stage) -> LightSetup:
     """Place one of `SETUPS` on a stage.
 
     Raises:
         InputError: unknown name.
     """
-    if name not in SETUPS:
-        raise InputError(f"lights: no set-up {name!r}; there are {', '.join(SETUPS)}, or give a YAML or JSON file")
+    check_setup_name(name)
     return parse_lights(SETUPS[name](stage), stage.up, name)
 
 

@@ -49,9 +49,15 @@ def surface_of(
     Raises:
         InputError: the file cannot be used, the capture has no depth to make a mesh of, or there is no true mesh.
     """
+    if not 0 < voxel <= 1:
+        raise InputError(f"voxel: must lie in (0, 1] metres, got {voxel:g}")
+    if seed < 0:
+        raise InputError(f"seed: must be >= 0, got {seed}")
     builtin = isinstance(capture, RoomCapture)
     mesh = mesh or ("scan" if builtin else "fused")
     if mesh not in WORDS:
+        if not Path(mesh).suffix and not Path(mesh).exists():
+            raise InputError(f"mesh: no file {mesh!r}; give a PLY, OBJ or GLB file, or one of {', '.join(WORDS)}")
         return mesh, load_mesh(Path(mesh), repair)
     if mesh == "true":
         if not isinstance(capture, RoomCapture):
