@@ -1,0 +1,106 @@
+"""The timer: the first run apart, everything waited for."""
+
+import time
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hyjax.tuning import latency
+from hyjax.tuning.latency import StageClock, measure
+
+
+@pytest.fixture
+def ticks(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """A clock that a test sets: `perf_counter` returns ticks[0]."""
+    now = [0.0]
+    monkeypatch.setattr(latency.time, "perf_counter", lambda: now[0])
+    return now
+
+
+def test_first_run_is_apart_from_the_rest(ticks: list[float]) -> None:
+    clock = StageClock()
+    for duration in (9.0, 1.0, 2.0, 6.0):
+        with clock("a"):
+            ticks[0] += duration
+        ticks[0] += 100.0  # between the blocks, not to be counted
+    assert clock.summary() == {"a": {"first_ms": 9000.0, "count": 3, "median_ms": 2000.0, "p95_ms": 5600.0}}
+
+
+def test_a_single_run_has_no_median(ticks: list[float]) -> None:
+    clock = StageClock()
+    with clock("once"):
+        ticks[0] += 0.25
+    assert clock.summary() == {"once": {"first_ms": 250.0, "count": 0}}
+
+
+def test_stages_keep_their_order_and_stay_apart(ticks: list[float]) -> None:
+    clock = StageClock()
+    for stage, duration in (("b", 1.0), ("a", 2.0), ("b", 3.0)):
+        with clock(stage):
+            ticks[0] += duration
+    summary = clock.summary()
+    assert list(summary) == ["b", "a"]
+    assert summary["b"]["median_ms"] == 3000.0 and summary["a"]["first_ms"] == 2000.0
+
+
+def test_a_failed_block_is_not_recorded() -> None:
+    clock = StageClock()
+    with pytest.raises(RuntimeError), clock("a"):
+        raise RuntimeError
+    assert clock.summary() == {}
+
+
+def test_follow_gives_each_stage_its_own_time_and_returns_the_last(ticks: list[float]) -> None:
+    def stages() -> Iterator[tuple[str, int]]:
+        ticks[0] += 1.0
+        yield "one", 1
+        ticks[0] += 2.0
+        yield "two", 2
+
+    clock = StageClock()
+    assert clock.follow(stages()) == 2
+    assert clock.summary() == {"one": {"first_ms": 1000.0, "count": 0}, "two": {"first_ms": 2000.0, "count": 0}}
+
+
+def slow(x: jax.Array) -> jax.Array:
+    """Dispatched at once, done 30 ms later at the earliest."""
+
+    def wait(v: np.ndarray) -> np.ndarray:
+        time.sleep(0.03)
+        return v
+
+    return jax.pure_callback(wait, jax.ShapeDtypeStruct(x.shape, x.dtype), x)
+
+
+def test_follow_waits_for_what_runs_asynchronously() -> None:
+    compiled = jax.jit(slow)
+    clock = StageClock()
+    for _ in range(2):
+        clock.follow(("slow", compiled(x)) for x in [jnp.ones(3)])
+    assert clock.summary()["slow"]["median_ms"] >= 29
+
+
+def test_measure_calls_and_counts() -> None:
+    calls = []
+
+    def function(a: jax.Array, b: jax.Array) -> jax.Array:
+        calls.append(None)
+        return a + b
+
+    result = measure(function, jnp.ones(3), jnp.ones(3), repeats=4)
+    assert len(calls) == 5
+    assert set(result) == {"first_ms", "count", "median_ms", "p95_ms"}
+    assert result["count"] == 4
+
+
+def test_measure_waits_and_keeps_compilation_out_of_the_median() -> None:
+    def traced_slowly(x: jax.Array) -> jax.Array:
+        time.sleep(0.3)
+        return slow(x)
+
+    result = measure(jax.jit(traced_slowly), jnp.ones(3), repeats=3)
+    assert result["first_ms"] >= 300
+    assert 29 <= result["median_ms"] < 300
