@@ -77,9 +77,12 @@ def main() -> None:
     command = tyro.cli(Command, prog="hyjax", description="Relight camera frames of real rooms.")
     try:
         run_relight(command) if isinstance(command, Relight) else run_info()
+        sys.stdout.flush()
     except InputError as error:
         print(f"hyjax: {error}", file=sys.stderr)
         sys.exit(2)
+    except BrokenPipeError:  # whoever read our output (`| head`) has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         print("hyjax: interrupted; the files written so far are whole", file=sys.stderr)
         sys.exit(130)

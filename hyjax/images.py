@@ -1,6 +1,5 @@
 """Pictures in and out through OpenImageIO. Every write goes to a temporary name first and is then renamed."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +7,7 @@ import OpenImageIO as oiio
 from jaxtyping import Float
 
 from hyjax.errors import InputError
+from hyjax.files import whole
 
 
 def read_image(path: Path) -> Float[np.ndarray, "h w c"]:
@@ -29,14 +29,14 @@ def read_depth(path: Path, unit: float = 0.001) -> Float[np.ndarray, "h w"]:
     Raises:
         InputError: the file is missing, truncated or not a one-channel 16-bit picture.
     """
-    raw = _read(path, "uint16")
+    raw = _read(path, "uint16", only="uint16")
     if raw.shape[2] != 1:
         raise InputError(f"{path}: a depth map has one channel, this picture has {raw.shape[2]}")
     depth = raw[..., 0].astype(np.float32) * unit
     return np.where(raw[..., 0] == 65535, 0.0, depth).astype(np.float32)
 
 
-def _read(path: Path, kind: str) -> np.ndarray:
+def _read(path: Path, kind: str, only: str | None = None) -> np.ndarray:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file")
@@ -46,6 +46,10 @@ def _read(path: Path, kind: str) -> np.ndarray:
     source = oiio.ImageInput.open(str(path))
     if source is None:
         raise InputError(f"{path}: not a readable picture ({_first_line(oiio.geterror())})")
+    stored = str(source.spec().format)
+    if only is not None and stored != only:
+        source.close()
+        raise InputError(f"{path}: stored as {stored}, must be {only}")
     try:
         pixels = source.read_image(kind)
         error = source.geterror()
@@ -83,8 +87,7 @@ def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str]
     spec = oiio.ImageSpec(width, height, channels, kind)
     for name, value in attributes.items():
         spec.attribute(name, value)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
+    with whole(path) as temporary:
         target = oiio.ImageOutput.create(str(temporary))
         if target is None or not target.open(str(temporary), spec):
             raise InputError(f"{path}: cannot write ({_first_line(oiio.geterror())})")
@@ -93,9 +96,6 @@ def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str]
         target.close()
         if not written:
             raise InputError(f"{path}: cannot write ({_first_line(error)})")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _first_line(text: str) -> str:

@@ -23,6 +23,7 @@ from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.light_file import LightSetup, write_lights
 from hyjax.errors import InputError
+from hyjax.files import write_text
 from hyjax.gbuffer import GBuffer
 from hyjax.images import resize, write_exr, write_png
 from hyjax.pipeline import Mode, Relit, relight_stages
@@ -149,7 +150,7 @@ def relight_capture(
         "milliseconds": clock.summary(),
         "peak_memory_mib": round(peak_memory_mib()),
     } | environment()
-    _write_text(out / "run.json", json.dumps(run, indent=2) + "\n")
+    write_text(out / "run.json", json.dumps(run, indent=2) + "\n")
     return run
 
 
@@ -255,9 +256,3 @@ def _version(package: str) -> str:
     with contextlib.suppress(metadata.PackageNotFoundError):
         return metadata.version(package)
     return "not installed"
-
-
-def _write_text(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)

@@ -35,6 +35,7 @@ from jaxtyping import Float
 
 from hyjax.color import blackbody
 from hyjax.errors import InputError, did_you_mean
+from hyjax.files import write_text
 from hyjax.lights import (
     AmbientLight,
     Aperture,
@@ -47,6 +48,7 @@ from hyjax.lights import (
 )
 from hyjax.pipeline import REFERENCE_LUX
 
+LARGEST = float(np.finfo(np.float32).max)
 RECTANGLE = {"center", "normal", "up", "width", "height"}
 COMMON = {"kind", "name", "color", "temperature"}
 KEYS: dict[str, set[str]] = {
@@ -106,9 +108,7 @@ def parse_lights(content: Any, up: Float[np.ndarray, "3"], where: str = "lights"
 def write_lights(path: Path, setup: LightSetup) -> None:
     """Write a set-up as a JSON lights file that `read_lights` takes back."""
     content = {"reference_lux": setup.reference_lux, "lights": [describe(light) for light in setup.lights]}
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    temporary.replace(path)
+    write_text(path, json.dumps(content, indent=2) + "\n")
 
 
 def describe(light: Light) -> dict[str, Any]:
@@ -151,7 +151,7 @@ def _light(where: str, entry: Any, world_up: Float[np.ndarray, "3"]) -> Light:
     if not isinstance(entry, dict):
         raise InputError(f"{where}: must be a mapping, got {entry!r}")
     kind = entry.get("kind")
-    if kind not in KEYS:
+    if not isinstance(kind, str) or kind not in KEYS:
         hint = did_you_mean(str(kind), KEYS)
         raise InputError(f"{where}: unknown kind {kind!r}{hint}; there are {', '.join(KEYS)}")
     where = f"{where} ({kind})"
@@ -229,11 +229,16 @@ def _number(
     if key not in entry:
         raise InputError(f"{where}: key {key!r} is missing")
     value = entry[key]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+    if not _is_number(value):
         raise InputError(f"{where}: {key!r} must be a finite number, got {value!r}")
     if value < 0 or (positive and value == 0):
         raise InputError(f"{where}: {key!r} must be {'> 0' if positive else '>= 0'}, got {value:g}")
     return float(value)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether `value` is a number that float32 can hold."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
 def _length(where: str, entry: dict[str, Any], key: str) -> Any:
@@ -244,12 +249,7 @@ def _vector(where: str, entry: dict[str, Any], key: str) -> Any:
     if key not in entry:
         raise InputError(f"{where}: key {key!r} is missing")
     value = entry[key]
-    numbers = (
-        isinstance(value, Sequence)
-        and len(value) == 3
-        and all(isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v) for v in value)
-    )
-    if not numbers:
+    if not isinstance(value, Sequence) or len(value) != 3 or not all(_is_number(v) for v in value):
         raise InputError(f"{where}: {key!r} must be three finite numbers, got {value!r}")
     return jnp.asarray(value, jnp.float32)
 

@@ -1,6 +1,5 @@
 """Triangle meshes in and out, checked once at the door so that nothing behind it has to."""
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from trimesh.exchange.gltf import export_glb
 from trimesh.exchange.ply import export_ply
 
 from hyjax.errors import InputError
+from hyjax.files import whole
 
 READABLE = (".ply", ".obj", ".glb", ".gltf")
 WRITABLE = (".ply", ".glb")
@@ -63,14 +63,8 @@ def save_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
     if kind not in WRITABLE:
         raise InputError(f"{path}: meshes are written as {' or '.join(WRITABLE)}, not '{path.suffix}'")
     data: Any = export_ply(mesh, vertex_normal=True) if kind == ".ply" else export_glb(mesh, include_normals=True)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
+    with whole(path) as temporary:
         temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot write ({error.strerror})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def degenerate_faces(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m"]:
