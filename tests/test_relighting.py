@@ -1,0 +1,259 @@
+"""A capture relit from Python: which frames, at which size, what is written, what is skipped."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from hyjax.data.capture import Frame
+from hyjax.data.light_file import LightSetup, parse_lights, read_lights
+from hyjax.errors import InputError
+from hyjax.images import read_image
+from hyjax.relighting import Outputs, fit, make_writable, relight_capture, select_frames
+from hyjax.scene.camera import Camera, Intrinsics, look_at
+from hyjax.scene.raycast import RayCaster
+from hyjax.schedule import Schedule
+
+UP = np.array([0.0, 0.0, 1.0])
+SCHEDULE = Schedule.uniform([(2, 2)])
+ALL = list(range(24))
+
+
+@pytest.mark.parametrize(
+    "text, chosen",
+    [
+        ("all", ALL),
+        (" all ", ALL),
+        ("7", [7]),
+        ("-1", [23]),
+        ("-24", [0]),
+        ("0:24:10", [0, 10, 20]),
+        ("0:24", ALL),
+        (":3", [0, 1, 2]),
+        ("22:", [22, 23]),
+        ("-2:", [22, 23]),
+        (":", ALL),
+        ("::12", [0, 12]),
+        ("::-12", [23, 11]),
+        ("0,5,9:12", [0, 5, 9, 10, 11]),
+        ("0, 5 , 9 : 12", [0, 5, 9, 10, 11]),
+        ("23,0", [23, 0]),
+    ],
+)
+def test_select_frames(text: str, chosen: list[int]) -> None:
+    assert select_frames(text, 24) == chosen
+
+
+@pytest.mark.parametrize("text", ["24", "-25", "0:25", "24:", "0:300:30", "0,24", "3:-25", "-25:"])
+def test_frames_past_the_end_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="past the end; the capture has frames 0 to 23"):
+        select_frames(text, 24)
+
+
+@pytest.mark.parametrize(
+    "text", ["", " ", ",", "0,", "a", "1.5", "0:1:2:3", "0:5:0", "0-5", "all:3", "1 2", "0x1", "²"]
+)
+def test_frames_of_another_form_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="is not of the form"):
+        select_frames(text, 24)
+
+
+@pytest.mark.parametrize("text", ["3:3", "5:2", "2:5:-1"])
+def test_selecting_nothing_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="selects no frame"):
+        select_frames(text, 24)
+
+
+def test_no_frame_comes_twice() -> None:
+    """It would be computed and counted twice and written to one file."""
+    assert select_frames("0,0:2,0", 24) == [0, 1]
+
+
+# Spots on a plane at 2 m, seen by a lens whose centre is not the picture's.
+LENS = Intrinsics(240, 160, 200.0, 210.0, 113.0, 86.0)
+SPOTS = np.array([[0.0, 0.0, 2.0], [0.3, -0.2, 2.0], [-0.35, 0.25, 2.0], [0.25, 0.3, 2.0]])
+
+
+def spot_frame() -> Frame:
+    camera = Camera(LENS, np.eye(4))
+    y, x = np.mgrid[0:160, 0:240] + 0.5
+    (xy, _), image = camera.project(SPOTS), np.zeros((160, 240, 3))
+    for px, py in xy:
+        image += np.exp(-((x - px) ** 2 + (y - py) ** 2) / (2 * 3.0**2))[..., None]
+    return Frame("spots", image.clip(0, 1).astype(np.float32), camera, 0.0, np.full((160, 240), 2.0, np.float32))
+
+
+SIZES = [(80, 120), (320, 480), (100, 100), (64, 200), (150, 90), (53, 71), (161, 239)]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_fit_keeps_picture_and_intrinsics_aligned(size: tuple[int, int]) -> None:
+    """A known point is found in the picture where the new intrinsics project it, far better than half a pixel."""
+    frame = fit(spot_frame(), size)
+    assert frame.image.shape == (*size, 3) and frame.camera.intrinsics.shape == size
+    assert frame.image.dtype == np.float32 and frame.depth is None
+    xy, _ = frame.camera.project(SPOTS)
+    radius = 6.0 * size[0] / 160 * max(1.0, 160 / size[0] * 0.6)
+    found = 0
+    y, x = np.mgrid[0 : size[0], 0 : size[1]] + 0.5
+    linear = np.asarray(frame.image[..., 0], float) ** 2.2
+    for px, py in xy:
+        if not (radius < px < size[1] - radius and radius < py < size[0] - radius):
+            continue
+        weight = np.where(np.hypot(x - px, y - py) < radius, linear, 0.0)
+        assert abs((weight * x).sum() / weight.sum() - px) < 0.15
+        assert abs((weight * y).sum() / weight.sum() - py) < 0.15
+        found += 1
+    assert found >= 2
+
+
+@pytest.mark.parametrize("size", [*SIZES, (160, 240), None])
+def test_fit_takes_the_largest_centred_window(size: tuple[int, int] | None) -> None:
+    frame = fit(spot_frame(), size)
+    height, width = size or (160, 240)
+    k, scale = frame.camera.intrinsics, max(height / 160, width / 240)
+    # The same angle per pixel along both axes as before, but for the window's rounding to whole pixels.
+    assert k.fx == pytest.approx(LENS.fx * scale, rel=0.01) and k.fy == pytest.approx(LENS.fy * scale, rel=0.01)
+    assert k.cx / scale - 113 == pytest.approx(width / scale / 2 - 120, abs=1)
+    assert k.cy / scale - 86 == pytest.approx(height / scale / 2 - 80, abs=1)
+    assert frame.depth is None and frame.depth_intrinsics is None
+
+
+def test_fit_averages_light_and_not_display_values() -> None:
+    image = np.zeros((160, 240, 3), np.float32)
+    image[:, ::2] = 1.0
+    small = fit(Frame("stripes", image, Camera(LENS, np.eye(4)), 0.0), (80, 120)).image[10:-10, 10:-10]
+    np.testing.assert_allclose(small.mean(), 0.735, atol=0.01)  # sRGB of one half
+    assert small.min() >= 0 and small.max() <= 1
+
+
+def test_fit_stays_in_range_at_hard_edges() -> None:
+    image = np.zeros((160, 240, 3), np.float32)
+    image[40:120, 60:180] = 1.0
+    for size in SIZES:
+        fitted = fit(Frame("box", image, Camera(LENS, np.eye(4)), 0.0), size).image
+        assert np.isfinite(fitted).all() and fitted.min() >= 0 and fitted.max() <= 1
+
+
+def test_a_narrow_window_beside_the_principal_point_is_possible() -> None:
+    """The middle 10 columns do not hold cx = 113; the picture is none the worse for it."""
+    frame = fit(spot_frame(), (160, 10))
+    assert frame.image.shape == (160, 10, 3)
+
+
+class Corner:
+    """Three frames of a room's corner; the middle one looks away from the mesh."""
+
+    name = "corner"
+    up = UP
+    fingerprint = "corner"
+
+    def __len__(self) -> int:
+        return 3
+
+    def __getitem__(self, index: int) -> Frame:
+        number = range(3)[index]
+        target = np.array([2.0, 0.2 * number, -0.3]) * (-1.0 if number == 1 else 1.0)
+        camera = Camera(Intrinsics(48, 32, 40.0, 40.0, 24.0, 16.0), look_at(np.zeros(3), target, UP))
+        image = np.random.default_rng(number).uniform(0.2, 0.8, (32, 48, 3)).astype(np.float32)
+        return Frame(f"f{number}", image, camera, float(number))
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[i] for i in range(3))
+
+
+@pytest.fixture(scope="module")
+def wall() -> RayCaster:
+    corners = [[2, -5, -5], [2, 5, -5], [2, 5, 5], [2, -5, 5.0]]
+    return RayCaster(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False))
+
+
+@pytest.fixture(scope="module")
+def setup() -> LightSetup:
+    lights = [
+        {"kind": "point", "position": [0.5, 0.5, 0.5], "power": 3000},
+        {"kind": "ambient", "illuminance": 50, "color": [0.5, 0.7, 1.0]},
+    ]
+    return parse_lights({"reference_lux": 250, "lights": lights}, UP)
+
+
+@pytest.fixture(scope="module")
+def run(wall: RayCaster, setup: LightSetup, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
+    out = tmp_path_factory.mktemp("run") / "made" / "here"
+    kinds = Outputs(filters=True, visibility=True)
+    settings = {"note": "für immer"}
+    return relight_capture(
+        Corner(), wall, setup, SCHEDULE, out, outputs=kinds, settings=settings, progress=False
+    ), out
+
+
+def test_run_is_summarised(run: tuple[dict, Path], setup: LightSetup) -> None:
+    summary, out = run
+    assert json.loads((out / "run.json").read_text(encoding="utf-8")) == summary
+    assert summary["frames"] == ["f0", "f2"]
+    assert summary["frames_without_surface"] == ["f1"]
+    assert summary["size"] == [32, 48] and summary["mode"] == "hyjax" and summary["mesh_faces"] == 2
+    assert summary["reference_lux"] == 250 and summary["settings"] == {"note": "für immer"}
+    assert Schedule.from_json(json.dumps(summary["schedule"])).to_json() == SCHEDULE.to_json()
+    assert summary["peak_memory_mib"] > 50
+    stages = summary["milliseconds"]
+    assert {"read", "g-buffer", "shading", "visibility", "cascade", "shadow pass", "composite", "write"} <= set(
+        stages
+    )
+    assert {stages[stage]["count"] for stage in ("shading", "cascade", "composite", "write")} == {1}
+    assert stages["read"]["count"] == 2 and stages["shadow maps"]["count"] == 0
+    assert stages["cascade"]["first_ms"] > stages["cascade"]["median_ms"] > 0
+    again = read_lights(out / "lights.json", UP)
+    assert again.reference_lux == 250 and len(again.lights) == len(setup.lights)
+
+
+def test_all_files_of_a_run_are_there_and_whole(run: tuple[dict, Path]) -> None:
+    _, out = run
+    kinds = ("relit", "filter", "refined", "visibility")
+    pictures = {f"{name}.{kind}.{suffix}" for name in ("f0", "f2") for kind in kinds for suffix in ("png", "exr")}
+    assert {entry.name for entry in out.iterdir()} == pictures | {"contact_sheet.png", "run.json", "lights.json"}
+    for name in pictures:
+        picture = read_image(out / name)
+        assert picture.shape == (32, 48, 3) and np.isfinite(picture).all() and picture.max() > 0
+    linear, shown = (read_image(out / f"f0.relit.{suffix}") for suffix in ("exr", "png"))
+    dark = linear < 0.9
+    curve = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+    np.testing.assert_allclose(shown[dark], curve[dark], atol=0.6 / 255 + 1e-3)
+
+
+def test_frames_size_and_mode_are_obeyed(wall: RayCaster, setup: LightSetup, tmp_path: Path) -> None:
+    options = {"frames": [2], "size": (20, 20), "mode": "paper", "shadows": False, "progress": False}
+    summary = relight_capture(Corner(), wall, setup, SCHEDULE, tmp_path, **options)
+    assert summary["frames"] == ["f2"] and summary["size"] == [20, 20] and summary["mode"] == "paper"
+    names = {entry.name for entry in tmp_path.iterdir()}
+    assert names == {"f2.relit.png", "f2.relit.exr", "contact_sheet.png", "run.json", "lights.json"}
+    assert read_image(tmp_path / "f2.relit.exr").shape == (20, 20, 3)
+
+
+def test_all_frames_without_surface_is_an_error(wall: RayCaster, setup: LightSetup, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="corner: no ray of any chosen frame met the mesh") as caught:
+        relight_capture(Corner(), wall, setup, SCHEDULE, tmp_path, frames=[1], progress=False)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_make_writable(tmp_path: Path) -> None:
+    make_writable(tmp_path / "a" / "b")
+    make_writable(tmp_path / "a" / "b")
+    assert not list((tmp_path / "a" / "b").iterdir())
+    (tmp_path / "file").write_text("")
+    for out in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/none")):
+        with pytest.raises(InputError, match="cannot write there"):
+            make_writable(out)
+
+
+def test_a_folder_in_the_way_of_a_file_is_one_line(wall: RayCaster, setup: LightSetup, tmp_path: Path) -> None:
+    for name in ("run.json", "lights.json", "contact_sheet.png", "f0.relit.png"):
+        out = tmp_path / name.replace(".", "-")
+        (out / name).mkdir(parents=True)
+        with pytest.raises(InputError, match=name):
+            relight_capture(Corner(), wall, setup, SCHEDULE, out, frames=[0], shadows=False, progress=False)
+        assert not [entry.name for entry in out.iterdir() if entry.name.startswith(".")]
