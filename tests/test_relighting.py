@@ -190,6 +190,7 @@ def run(wall: RayCaster, setup: LightSetup, tmp_path_factory: pytest.TempPathFac
     ), out
 
 
+@pytest.mark.slow
 def test_run_is_summarised(run: tuple[dict, Path], setup: LightSetup) -> None:
     summary, out = run
     assert json.loads((out / "run.json").read_text(encoding="utf-8")) == summary
@@ -210,6 +211,7 @@ def test_run_is_summarised(run: tuple[dict, Path], setup: LightSetup) -> None:
     assert again.reference_lux == 250 and len(again.lights) == len(setup.lights)
 
 
+@pytest.mark.slow
 def test_all_files_of_a_run_are_there_and_whole(run: tuple[dict, Path]) -> None:
     _, out = run
     kinds = ("relit", "filter", "refined", "visibility")

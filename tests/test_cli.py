@@ -1,0 +1,186 @@
+"""The commands as a person runs them: as processes."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from hyjax.images import read_image
+from hyjax.schedule import Schedule
+
+HYJAX = str(Path(sys.executable).with_name("hyjax"))
+POINT = {"kind": "point", "position": [2.2, 2.6, 1.5], "power": 2000}
+Done = subprocess.CompletedProcess[str]
+
+
+def hyjax(*arguments: object, **environment: str) -> Done:
+    command = [HYJAX, *map(str, arguments)]
+    env = os.environ | environment
+    return subprocess.run(command, capture_output=True, text=True, env=env, timeout=300, check=False)
+
+
+def relight(*arguments: object, **environment: str) -> Done:
+    done = hyjax("relight", "--quiet", *arguments, **environment)
+    assert done.returncode == 0, done.stderr
+    assert "Warning" not in done.stderr
+    return done
+
+
+def opens(out: Path) -> int:
+    """Every picture in the folder is whole and nothing temporary is left; how many there are."""
+    pictures = [entry for entry in out.iterdir() if entry.suffix in (".png", ".exr")]
+    for picture in pictures:
+        assert np.isfinite(read_image(picture)).all()
+    assert not [entry.name for entry in out.iterdir() if entry.name.startswith(".") or "part" in entry.name]
+    return len(pictures)
+
+
+def record(out: Path) -> dict:
+    return json.loads((out / "run.json").read_text())
+
+
+def closeness(a: Path, b: Path) -> float:
+    """Largest relative difference of two EXRs."""
+    x, y = read_image(a), read_image(b)
+    assert x.shape == y.shape
+    return float((np.abs(x - y) / (0.05 + np.abs(x))).max())
+
+
+@pytest.fixture(scope="session")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two small frames of the built-in room with everything written."""
+    out = tmp_path_factory.mktemp("first") / "out"
+    extras = ("--save-filters", "--save-visibility")
+    done = relight("--frames", "0:24:12", "--size", "160x120", "--lights", "two-colors", *extras, "--out", out)
+    assert "2 frames relit" in done.stdout and str(out / "contact_sheet.png") in done.stdout and done.stderr == ""
+    return out
+
+
+def test_info() -> None:
+    done = hyjax("info")
+    assert done.returncode == 0 and done.stderr == ""
+    for name in ("hyjax", "python", "jax", "numpy", "OpenImageIO", "devices", "cpu cores", "cache"):
+        assert re.search(rf"^{name} +\S", done.stdout, re.MULTILINE), name
+
+
+@pytest.mark.parametrize(
+    "arguments, hint",
+    [
+        ((), "relight"),
+        (("relite",), "relight"),
+        (("relight", "--sice", "512"), "--size"),
+        (("relight", "--frames"), "--frames"),
+        (("relight", "--guide", "unet"), "rgb"),
+        (("relight", "--voxel", "fine"), "--voxel"),
+    ],
+)
+def test_a_wrong_command_line_is_helped(arguments: tuple[str, ...], hint: str) -> None:
+    start = time.monotonic()
+    done = hyjax(*arguments)
+    assert done.returncode == 2 and hint in done.stderr and "Traceback" not in done.stderr
+    assert time.monotonic() - start < 8
+
+
+def test_help_names_every_option() -> None:
+    text = hyjax("relight", "--help").stdout
+    for option in ("capture", "mesh", "frames", "lights", "schedule", "size", "guide", "paper-mode", "out", "seed"):
+        assert f"--{option}" in text
+    for preset in ("noon-window", "evening-lamps", "night-moon", "paper-50", "paper-80"):
+        assert preset in text
+
+
+@pytest.mark.slow
+def test_a_run_on_the_built_in_room(first: Path) -> None:
+    kinds = ("relit", "filter", "refined", "visibility")
+    names = {f"{n}.{kind}.{suffix}" for n in ("000", "012") for kind in kinds for suffix in ("png", "exr")}
+    assert {entry.name for entry in first.iterdir()} == names | {"contact_sheet.png", "run.json", "lights.json"}
+    assert opens(first) == 17
+    for name in names:
+        assert read_image(first / name).shape == (120, 160, 3)
+    assert read_image(first / "000.relit.png").std() > 0.05
+    visible = read_image(first / "000.visibility.exr")
+    assert visible.min() >= 0 and visible.max() <= 1 and visible.std() > 0.05
+
+
+@pytest.mark.slow
+def test_the_record_of_a_run(first: Path) -> None:
+    run = record(first)
+    assert run["frames"] == ["000", "012"] and run["frames_without_surface"] == []
+    assert run["size"] == [120, 160] and run["mode"] == "hyjax" and run["schedule"]["name"] == "paper-80"
+    assert run["versions"]["hyjax"] and run["versions"]["jax"] and run["device"] and run["cpu_count"] > 0
+    settings = run["settings"]
+    assert settings["frames"] == "0:24:12" and settings["lights"] == "two-colors" and settings["save_filters"]
+    assert settings["capture"] == "built-in room" and "scan" in settings["mesh"] and settings["out"] == str(first)
+    for stage in ("read", "g-buffer", "shading", "visibility", "cascade", "shadow pass", "composite", "write"):
+        times = run["milliseconds"][stage]
+        assert times["count"] == 1 and times["first_ms"] > 0 and times["median_ms"] > 0
+    assert run["milliseconds"]["cascade"]["first_ms"] > run["milliseconds"]["cascade"]["median_ms"]
+
+
+@pytest.mark.slow
+def test_a_second_run_replaces_files_and_takes_the_lights_back(first: Path, tmp_path: Path) -> None:
+    """The lights that a run wrote give the same picture again; other files in the folder stay."""
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("000.relit.exr", "000.relit.png", "run.json", "contact_sheet.png"):
+        (out / name).write_text("old")
+    (out / "mine.txt").write_text("mine")
+    relight("--frames", 0, "--size", "160x120", "--lights", first / "lights.json", "--out", out)
+    assert opens(out) == 3 and (out / "mine.txt").read_text() == "mine"
+    assert record(out)["frames"] == ["000"]
+    assert closeness(first / "000.relit.exr", out / "000.relit.exr") < 0.01
+    assert (out / "lights.json").read_text() == (first / "lights.json").read_text()
+
+
+@pytest.mark.slow
+def test_paper_mode_schedule_and_lights_from_files(first: Path, tmp_path: Path) -> None:
+    """Lights in YAML and in JSON give one picture; paper mode and no shadows show in it."""
+    schedule = Schedule.uniform([(4, 3), (2, 2)], kappa=0.1, name="mine")
+    (tmp_path / "mine.json").write_text(schedule.to_json())
+    lights = {"reference_lux": 300, "lights": [POINT, {"kind": "ambient", "illuminance": 20}]}
+    (tmp_path / "lights.yaml").write_text(yaml.safe_dump(lights))
+    (tmp_path / "lights.json").write_text(json.dumps(lights))
+    options = ("--paper-mode", "--no-shadows", "--schedule", tmp_path / "mine.json", "--frames", "-1", "--size", 64)
+    for kind in ("yaml", "json"):
+        extra = ("--save-visibility", "--save-filters") if kind == "yaml" else ()
+        relight(*options, *extra, "--lights", tmp_path / f"lights.{kind}", "--out", tmp_path / kind)
+    run = record(tmp_path / "yaml")
+    assert run["mode"] == "paper" and run["size"] == [64, 64] and run["frames"] == ["023"]
+    assert run["schedule"] == json.loads(schedule.to_json()) and run["reference_lux"] == 300
+    assert not run["settings"]["shadows"]
+    assert closeness(tmp_path / "yaml/023.relit.exr", tmp_path / "json/023.relit.exr") == 0
+    np.testing.assert_array_equal(read_image(tmp_path / "yaml/023.visibility.exr"), 1.0)
+    assert read_image(tmp_path / "yaml/023.filter.exr").max() <= 1  # display values
+
+
+@pytest.mark.slow
+def test_interrupted_runs_leave_whole_files(tmp_path: Path) -> None:
+    command = [HYJAX, "relight", "--size", "320x240", "--save-filters", "--lights", "center-point", "--out"]
+    with subprocess.Popen([*command, str(tmp_path)], stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 240
+        while len(list(tmp_path.glob("*.exr"))) < 4 and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert stderr.splitlines()[-1] == "hyjax: interrupted; the files written so far are whole"
+    assert "Traceback" not in stderr
+    assert 4 <= opens(tmp_path) < 24 * 6
+    assert not (tmp_path / "run.json").exists()
+
+
+@pytest.mark.slow
+def test_the_kitchen(kitchen: Path, tmp_path: Path) -> None:
+    relight("--capture", kitchen, "--frames", "0:300:150", "--size", "160x120", "--out", tmp_path)
+    assert opens(tmp_path) == 5 and record(tmp_path)["mesh_faces"] > 10_000
+    assert record(tmp_path)["frames"] == ["frame-000000", "frame-000300"]
+    picture = read_image(tmp_path / "frame-000000.relit.png")
+    assert picture.shape == (120, 160, 3) and 0.05 < picture.mean() < 0.8 and picture.std() > 0.05

@@ -1,0 +1,200 @@
+"""Bad input on the command line: exit status 2, one clear line, nothing half-written."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import trimesh
+import yaml
+
+from hyjax.data.room import RoomCapture, load_room
+from hyjax.images import read_image, write_png
+
+HYJAX = str(Path(sys.executable).with_name("hyjax"))
+POINT = {"kind": "point", "position": [2.2, 2.6, 1.5], "power": 2000}
+Done = subprocess.CompletedProcess[str]
+
+
+def relight(*arguments: object, **environment: str) -> Done:
+    command = [HYJAX, "relight", "--quiet", *map(str, arguments)]
+    env = os.environ | environment
+    return subprocess.run(command, capture_output=True, text=True, env=env, timeout=300, check=False)
+
+
+def refuses(out: Path, done: Done, *parts: str) -> None:
+    """Exit 2, one line on stderr that holds all `parts`, no half-written file."""
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1 and lines[0].startswith("hyjax: "), done.stderr
+    assert done.returncode == 2 and done.stdout == ""
+    for part in parts:
+        assert part in lines[0]
+    assert not out.is_dir() or not list(out.iterdir())
+
+
+@pytest.fixture(scope="session")
+def room() -> RoomCapture:
+    return load_room(n_frames=2, width=160, height=120, quality=0.25, progress=False)
+
+
+@pytest.fixture(scope="session")
+def true_mesh(room: RoomCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mesh") / "true.ply"
+    room.mesh.export(path)
+    return path
+
+
+@pytest.fixture
+def capture(room: RoomCapture, tmp_path: Path) -> Path:
+    """Two frames of the room in the 7-Scenes layout, without depth."""
+    folder = tmp_path / "capture"
+    folder.mkdir()
+    for number, frame in enumerate(room):
+        write_png(folder / f"frame-{number:06d}.color.png", frame.image)
+        np.savetxt(folder / f"frame-{number:06d}.pose.txt", frame.camera.pose)
+    np.savetxt(folder / "camera-intrinsics.txt", room[0].camera.intrinsics.matrix)
+    np.savetxt(folder / "gravity-direction.txt", [0.0, 0.0, -1.0])
+    return folder
+
+
+# Each spoils a capture or writes a file, and returns the options to give.
+Spoil = Callable[[Path], list[object]]
+
+
+def spoil(name: str, content: Callable[[Path], bytes]) -> Spoil:
+    def apply(folder: Path) -> list[object]:
+        (folder / name).write_bytes(content(folder / name))
+        return ["--capture", folder]
+
+    return apply
+
+
+def cut(path: Path) -> bytes:
+    return path.read_bytes()[: path.stat().st_size // 2]
+
+
+def truncated_jpeg(folder: Path) -> list[object]:
+    for png in folder.glob("*.color.png"):
+        oiio.ImageBuf(str(png)).write(str(png.with_suffix(".jpg")))
+        png.unlink()
+        png.with_suffix(".jpg").write_bytes(cut(png.with_suffix(".jpg")))
+    return ["--capture", folder]
+
+
+def option(name: str, suffix: str, text: str) -> Spoil:
+    def apply(folder: Path) -> list[object]:
+        (folder / f"given{suffix}").write_text(text)
+        return [name, folder / f"given{suffix}", "--capture", folder]
+
+    return apply
+
+
+def lights(**changes: object) -> Spoil:
+    return option("--lights", ".yaml", yaml.safe_dump({"lights": [POINT | changes]}))
+
+
+def schedule(*levels: dict[str, object]) -> Spoil:
+    full = [{"factor": 2, "steps": 2, "kappa": 0.1, "lam": 0.2} | level for level in levels]
+    return option("--schedule", ".json", json.dumps({"levels": full}))
+
+
+def plain(*options: object) -> Spoil:
+    return lambda folder: ["--capture", folder, *options]
+
+
+THIN = "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"
+NAN = "v 0 0 0\nv nan 0 0\nv 1 1 0\nf 1 2 3\n"
+COLOR, POSE = "frame-000001.color.png", "frame-000001.pose.txt"
+
+
+def mesh(text: str) -> Spoil:
+    return option("--mesh", ".obj", text)
+
+
+def truncated_ply(folder: Path) -> list[object]:
+    file = folder / "given.ply"
+    trimesh.creation.icosphere(3).export(file)
+    file.write_bytes(cut(file))
+    return ["--mesh", file, "--capture", folder]
+
+
+def empty(folder: Path) -> list[object]:
+    for entry in folder.iterdir():
+        entry.unlink()
+    return ["--capture", folder]
+
+
+SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
+    "missing capture": (lambda folder: ["--capture", folder / "none"], ("none", "no such folder")),
+    "empty capture": (empty, ("capture", "7-Scenes")),
+    "truncated PNG": (spoil(COLOR.replace("1", "0"), cut), ("frame-000000.color.png", "truncated")),
+    "truncated JPEG": (truncated_jpeg, ("frame-000000.color.jpg", "truncated")),
+    "pose not rigid": (spoil(POSE, lambda p: b"2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"), (POSE, "rigid")),
+    "intrinsics of another size": (
+        spoil("camera-intrinsics.txt", lambda p: b"600 0 320 0 600 240 0 0 1"),
+        ("camera-intrinsics.txt", "160x120"),
+    ),
+    "no depth and no mesh": (plain(), ("no depth", "--mesh")),
+    "truncated PLY": (truncated_ply, ("given.ply", "truncated")),
+    "mesh without faces": (mesh("v 0 0 0\nv 1 0 0\nv 1 1 0\n"), ("given.obj", "no faces")),
+    "mesh with NaN": (mesh(NAN), ("given.obj", "--repair-mesh")),
+    "degenerate triangle": (mesh(THIN), ("given.obj", "--repair-mesh")),
+    "all rays missing": (mesh("v 900 0 0\nv 901 0 0\nv 901 1 0\nf 1 2 3\n"), ("poses", "coordinates")),
+    "kappa 0": (schedule({"kappa": 0}), ("given.json", "kappa")),
+    "lambda 1/4": (schedule({"lam": 0.25}), ("given.json", "lam")),
+    "factor 0": (schedule({"factor": 0}), ("given.json", "factor", ">= 1")),
+    "fine to coarse": (schedule({}, {"factor": 4}), ("given.json", "coarse to fine")),
+    "schedule not JSON": (option("--schedule", ".json", "{"), ("given.json", "not JSON")),
+    "light kind": (lights(kind="pint"), ("given.yaml", "'pint'", "'point'")),
+    "light power": (lights(power=-5), ("given.yaml", "'power'", "-5")),
+    "light key": (lights(postion=1), ("given.yaml", "'postion'", "'position'")),
+    "lights unknown": (plain("--lights", "noon-windows"), ("'noon-windows'", "noon-window")),
+    "frames past the end": (plain("--frames", "0:3"), ("past the end", "0 to 1")),
+    "size superscript": (plain("--size", "64²"), ("64²",)),
+    "size gigantic": (plain("--size", "99999999"), ("99999999",)),
+    "seed": (plain("--seed", "-1"), ("seed",)),
+    "voxel": (plain("--voxel", "0"), ("voxel",)),
+}
+NEEDS_MESH = {"truncated PNG", "truncated JPEG", "seed", "voxel", "frames past the end", "size gigantic"} | {
+    name for name in SPOILT if name.startswith(("light", "schedule", "kappa", "lambda", "factor", "fine"))
+}
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_bad_input_is_one_line(name: str, capture: Path, true_mesh: Path, tmp_path: Path) -> None:
+    apply, parts = SPOILT[name]
+    options = apply(capture) + (["--mesh", true_mesh] if name in NEEDS_MESH else [])
+    refuses(tmp_path / "out", relight("--out", tmp_path / "out", *options), *parts)
+
+
+@pytest.mark.parametrize("out", ["file", "file/below"])
+def test_an_output_folder_that_cannot_be_made(out: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    refuses(tmp_path / out, relight("--out", tmp_path / out), str(tmp_path / out), "cannot write")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.slow
+def test_a_damaged_frame_amid_a_run_leaves_whole_files(capture: Path, true_mesh: Path, tmp_path: Path) -> None:
+    options = lights()(capture)  # a file: nothing has to be looked at in order to place them
+    (capture / COLOR).write_bytes(cut(capture / COLOR))
+    out = tmp_path / "out"
+    done = relight(*options, "--mesh", true_mesh, "--no-shadows", "--out", out)
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and COLOR in done.stderr
+    assert {entry.name for entry in out.iterdir()} == {"frame-000000.relit.png", "frame-000000.relit.exr"}
+    for entry in out.iterdir():
+        assert np.isfinite(read_image(entry)).all()
+
+
+@pytest.mark.slow
+def test_a_cache_that_cannot_be_written_is_no_obstacle(capture: Path, true_mesh: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    options = ("--capture", capture, "--mesh", true_mesh, "--lights", "center-point", "--no-shadows", "--frames", 0)
+    done = relight(*options, "--out", tmp_path / "out", HYJAX_CACHE=str(tmp_path / "file" / "cache"))
+    assert done.returncode == 0, done.stderr
+    assert len(done.stderr.splitlines()) <= 1
