@@ -76,7 +76,7 @@ class Bench:
         )
         self.capture = capture
         self.rough, self.accurate = RayCaster(surface_of(capture, "scan")[1]), RayCaster(accurate[1])
-        cameras = [capture[i].camera for i in range(0, len(capture), max(1, len(capture) // 8))]
+        cameras = [capture[i].camera for i in range(0, len(capture), -(-len(capture) // 8))]
         stage = survey(self.accurate, cameras, capture.up, getattr(capture, "anchors", None))
         self.setup = named_setup("two-colors", stage)
         self.maps = cast_shadow_maps(self.rough, self.setup.lights)

@@ -1,6 +1,7 @@
 """Relight camera frames of real rooms: the Hybrelighter pipeline as pure JAX functions.
 
-Everything here takes and returns arrays and works under jit, grad and vmap. Cameras, meshes and ray casting are in
+The functions here take and return arrays and work under jit, grad and vmap (checks of values, such as κ > 0, happen
+only where the values are known). Cameras, meshes and ray casting are in
 `hyjax.scene`, captures in `hyjax.data`.
 """
 

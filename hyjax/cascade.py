@@ -1,6 +1,7 @@
 """Coarse-to-fine diffusion (Eq. 4)."""
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hyjax.diffusion import diffuse, edge_stopping, guide_distance
@@ -32,6 +33,8 @@ def cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Sc
         raise InputError(
             f"cascade: filter {y.shape} and guide {guide.shape} must both be H x W x channels, same H x W"
         )
+    if not (jnp.issubdtype(y.dtype, jnp.floating) and jnp.issubdtype(guide.dtype, jnp.floating)):
+        raise InputError(f"cascade: filter and guide must be floating point, got {y.dtype} and {guide.dtype}")
     return _cascade(y, guide, schedule)
 
 

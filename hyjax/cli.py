@@ -1,5 +1,6 @@
 """The commands. Thin: everything here is one call into the package."""
 
+import contextlib
 import dataclasses
 import logging
 import os
@@ -30,13 +31,16 @@ class Relight:
     """PLY, OBJ or GLB file in the capture's world coordinates; or 'scan' (simulated headset scan), 'fused' (from
     depth maps), 'true' (built-in room only). Default: scan for the built-in room, fused for a capture."""
     frames: str = "all"
-    """Which frames: all, 7, 0:300:30, or a list such as 0,5,9:12."""
+    """Which frames, by position in the capture: all, 7, 0:300:30, or a list such as 0,5,9:12."""
     lights: str = "noon-window"
     """noon-window, golden-hour, evening-lamps, night-moon, center-point, two-colors, or a YAML or JSON file."""
     schedule: str = "paper-80"
     """paper-50, paper-80, naive-50, naive-1000, shadow, or a JSON file."""
+    kappa: float | None = None
+    """Edge sensitivity of a named schedule. Default: 0.02, in paper mode 0.05."""
     size: str | None = None
-    """Work at this size: 512 (square) or 640x480 (width x height). Default: as captured."""
+    """Work at this size: 512 (square) or 640x480 (width x height), of the largest centred part of that shape.
+    Default: as captured."""
     guide: Literal["rgb"] = "rgb"
     """What guides the diffusion: rgb is the frame itself."""
     paper_mode: bool = False
@@ -97,25 +101,32 @@ def run_relight(command: Relight) -> None:
     from hyjax.data.light_file import read_lights
     from hyjax.data.light_setups import check_setup_name, named_setup, survey
     from hyjax.data.open import open_capture
+    from hyjax.data.room import UP as ROOM_UP
     from hyjax.data.room import load_room
-    from hyjax.data.surfaces import surface_of
+    from hyjax.data.surfaces import check_mesh_name, surface_of
     from hyjax.relighting import Outputs, make_writable, relight_capture, select_frames
     from hyjax.scene.raycast import RayCaster
     from hyjax.tuning.latency import StageClock
 
-    jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "compiled"))
+    with contextlib.suppress(InputError):  # an unwritable cache folder costs time only
+        compiled = cache_folder() / "compiled"
+        make_writable(compiled)
+        jax.config.update("jax_compilation_cache_dir", str(compiled))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     # All that can be checked is checked before the first slow step.
     clock, bars = StageClock(), not command.quiet
-    schedule = _schedule(command.schedule)
+    schedule = _schedule(command)
     size = _size(command.size)
     from_file = Path(command.lights).suffix.lower() in (".yaml", ".yml", ".json")
     if not from_file:
         check_setup_name(command.lights)
+    check_mesh_name(command.mesh)
+    capture = None if command.capture is None else open_capture(command.capture)
+    setup = read_lights(Path(command.lights), ROOM_UP if capture is None else capture.up) if from_file else None
     make_writable(command.out)
     with clock("capture"):
-        capture = load_room(progress=bars) if command.capture is None else open_capture(command.capture)
+        capture = capture or load_room(progress=bars)
     chosen = select_frames(command.frames, len(capture))
-    setup = read_lights(Path(command.lights), capture.up) if from_file else None
     with clock("mesh"):
         source, mesh = surface_of(
             capture,
@@ -127,7 +138,8 @@ def run_relight(command: Relight) -> None:
         )
         caster = RayCaster(mesh)
     if setup is None:
-        cameras = [capture[i].camera for i in chosen[:: -(-len(chosen) // 8)]]
+        # Placed by the whole capture, so that its frames are lit alike however they are chosen.
+        cameras = [capture[i].camera for i in range(0, len(capture), -(-len(capture) // 8))]
         stage = survey(caster, cameras, capture.up, getattr(capture, "anchors", None))
         setup = named_setup(command.lights, stage)
     run = relight_capture(
@@ -149,7 +161,8 @@ def run_relight(command: Relight) -> None:
     if run["frames_without_surface"]:
         names = ", ".join(run["frames_without_surface"])
         print(f"hyjax: skipped, no ray met the mesh: {names}", file=sys.stderr)
-    print(f"{len(run['frames'])} frames relit; look at {command.out / 'contact_sheet.png'}")
+    count = len(run["frames"])
+    print(f"{count} frame{'s' * (count != 1)} relit; look at {command.out / 'contact_sheet.png'}")
 
 
 def run_info() -> None:
@@ -157,21 +170,27 @@ def run_info() -> None:
     import jax
 
     from hyjax.cache import cache_folder
-    from hyjax.relighting import environment
+    from hyjax.relighting import OPTIONAL, environment, package_version
 
     record = environment()
     for name, version in record["versions"].items():
         print(f"{name:<14}{version}")
+    for name in OPTIONAL:
+        print(f"{name:<14}{package_version(name)} (optional)")
     print(f"{'devices':<14}{', '.join(f'{d.platform} ({d.device_kind})' for d in jax.devices())}")
     print(f"{'cpu cores':<14}{record['cpu_count']}")
     print(f"{'cache':<14}{cache_folder()}")
 
 
-def _schedule(text: str) -> "Schedule":
-    from hyjax.schedule import Schedule
+def _schedule(command: Relight) -> "Schedule":
+    from hyjax.schedule import DEFAULT_KAPPA, PAPER_KAPPA, Schedule
 
+    text = command.schedule
     if Path(text).suffix.lower() != ".json":
-        return Schedule.preset(text)
+        usual = PAPER_KAPPA if command.paper_mode else DEFAULT_KAPPA
+        return Schedule.preset(text, kappa=usual if command.kappa is None else command.kappa)
+    if command.kappa is not None:
+        raise InputError(f"kappa: {text} brings its own; give --kappa with a named schedule only")
     try:
         return Schedule.from_json(Path(text).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:

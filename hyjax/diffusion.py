@@ -11,6 +11,7 @@ Diffusion*, CVPR 2023; Perona and Malik, *Scale-space and edge detection using a
 """
 
 import functools
+import math
 import operator
 from collections.abc import Iterable
 from typing import Literal, get_args
@@ -24,6 +25,9 @@ from hyjax.stencil import Edges, divergence, gradient
 from hyjax.values import concrete
 
 Norm = Literal["l2", "mean_abs"]
+
+# Steps beyond which the gradient trades a second forward pass for memory.
+LONG_RUN = 64
 
 
 @functools.partial(jax.jit, static_argnames="norm")
@@ -62,9 +66,15 @@ def _total(terms: Iterable[Array]) -> Array:
 def edge_stopping(distance: Edges, kappa: Float[ArrayLike, ""]) -> Edges:
     """κ² / (κ² + d²) on every edge (Eq. 3), from the squared distances of `guide_distance`."""
     vertical, horizontal = distance
-    # Divided through by κ², so that the square of a small κ cannot underflow in half precision.
-    scale = jnp.asarray(kappa, vertical.dtype) ** -2
-    return 1.0 / (1.0 + vertical * scale), 1.0 / (1.0 + horizontal * scale)
+    # In half precision a small κ squared is zero, and flat regions would become 0/0: at least float32, and there at
+    # least the smallest κ whose square is not rounded to zero.
+    dtype = jnp.promote_types(vertical.dtype, jnp.float32)
+    scale = jnp.maximum(jnp.asarray(kappa, dtype), 1.01 * float(jnp.finfo(dtype).tiny) ** 0.5) ** -2
+
+    def conductance_of(squared: Array) -> Array:
+        return (1.0 / (1.0 + squared.astype(dtype) * scale)).astype(squared.dtype)
+
+    return conductance_of(vertical), conductance_of(horizontal)
 
 
 def conductance(guide: Float[Array, "h w f"], kappa: Float[ArrayLike, ""], *, norm: Norm = "l2") -> Edges:
@@ -85,19 +95,29 @@ def conductance(guide: Float[Array, "h w f"], kappa: Float[ArrayLike, ""], *, no
     return edge_stopping(guide_distance(guide, norm=norm), kappa)
 
 
-@jax.jit
 def _step(y: Float[Array, "c h w"], edges: Edges, lam: Float[Array, ""]) -> Float[Array, "c h w"]:
     """y + λ div(c ∇y) (Eq. 2), channels first."""
     vertical, horizontal = gradient(y)
-    return y + lam * divergence((edges[0][None] * vertical, edges[1][None] * horizontal))
+    return y + lam * divergence((edges[0] * vertical, edges[1] * horizontal))
 
 
 @jax.jit
 def _scan_steps(y: Float[Array, "h w c"], edges: Edges, step_sizes: Float[Array, "n"]) -> Float[Array, "h w c"]:
-    # Channels first inside the loop: with three channels innermost the CPU's vector units run half empty.
-    # The checkpoint keeps y alone for the backward pass instead of every product inside the step.
-    step = jax.checkpoint(lambda state, lam: (_step(state, edges, lam), None))
-    state, _ = jax.lax.scan(step, jnp.moveaxis(y, -1, 0), step_sizes)
+    """All steps. Long runs go in √n blocks of √n: the backward pass keeps a state a block and redoes the rest."""
+    # Channels first inside the loop: with three channels innermost the CPU's vector units run half empty. One copy
+    # of the edges for each channel, so that their gradient is added up once, after the loop: XLA is slow to reduce.
+    state = jnp.moveaxis(y, -1, 0)
+    vertical, horizontal = (jnp.stack([edge] * y.shape[-1]) for edge in edges)
+
+    def steps(state: Array, sizes: Array) -> tuple[Array, None]:
+        step = jax.checkpoint(lambda x, lam: (_step(x, (vertical, horizontal), lam), None))
+        return jax.lax.scan(step, state, sizes)
+
+    if len(step_sizes) > LONG_RUN:
+        block = math.isqrt(len(step_sizes))
+        blocks, step_sizes = step_sizes[: block**2].reshape(block, block), step_sizes[block**2 :]
+        state, _ = jax.lax.scan(jax.checkpoint(steps), state, blocks)
+    state, _ = steps(state, step_sizes)
     return jnp.moveaxis(state, 0, -1)
 
 

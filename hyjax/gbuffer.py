@@ -7,13 +7,13 @@ from jaxtyping import Array, Bool, Float
 
 
 @jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class GBuffer:
     """Surface points seen by a camera, one a pixel.
 
     Attributes:
         position: world position in metres; zero where no surface was hit.
-        normal: unit surface normal in world axes, turned towards the camera; zero where no surface was hit.
+        normal: unit surface normal in world axes, on the side that the camera sees; zero where no surface was hit.
         depth: distance along the camera's axis in metres; zero where no surface was hit.
         hit: whether the pixel's ray met the mesh.
     """

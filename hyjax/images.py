@@ -92,9 +92,9 @@ def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str]
         if target is None or not target.open(str(temporary), spec):
             raise InputError(f"{path}: cannot write ({_first_line(oiio.geterror())})")
         written = target.write_image(np.ascontiguousarray(pixels))
+        closed = target.close()  # where a full disk shows
         error = target.geterror()
-        target.close()
-        if not written:
+        if not (written and closed):
             raise InputError(f"{path}: cannot write ({_first_line(error)})")
 
 

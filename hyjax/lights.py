@@ -22,9 +22,9 @@ T = TypeVar("T")
 TINY = 1e-12  # keeps divisions finite at the light itself, in square metres
 
 
-@dataclass_transform(frozen_default=True)
+@dataclass_transform(frozen_default=True, eq_default=False)
 def _pytree(cls: type[T]) -> type[T]:
-    return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True)(cls))
+    return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True, eq=False)(cls))
 
 
 class _Light:
@@ -42,13 +42,14 @@ class _Light:
 class PointLight(_Light):
     """Shines equally in all directions; a small ball of `radius` when shadows are cast.
 
-    E = Φ/(4π) · cos θ / r².
+    E = Φ/(4π) · cos θ / r². Nothing nearer than `clearance` casts a shadow (the lamp's own shade).
     """
 
     position: Float[Array, "3"]
     power: Float[Array, ""]
     color: Float[Array, "3"]
-    radius: Float[Array, ""]
+    radius: Float[Array, ""] | float = 0.0
+    clearance: Float[Array, ""] | float = 0.0
 
     def lux(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
         cosine, inverse_square, _ = _towards(self.position, p, n)
@@ -69,7 +70,8 @@ class SpotLight(_Light):
     color: Float[Array, "3"]
     inner_angle: Float[Array, ""]
     outer_angle: Float[Array, ""]
-    radius: Float[Array, ""]
+    radius: Float[Array, ""] | float = 0.0
+    clearance: Float[Array, ""] | float = 0.0
 
     def lux(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
         cosine, inverse_square, to_light = _towards(self.position, p, n)
@@ -101,7 +103,7 @@ class DirectionalLight(_Light):
     direction: Float[Array, "3"]
     illuminance: Float[Array, ""]
     color: Float[Array, "3"]
-    angular_radius: Float[Array, ""]
+    angular_radius: Float[Array, ""] | float = 0.0
     aperture: Aperture | None = None
 
     def lux(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:

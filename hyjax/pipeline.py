@@ -32,7 +32,7 @@ REFERENCE_LUX = 300.0
 
 
 @jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Relit:
     """What `relight` made of a frame. Filters are linear in mode `hyjax`, display-encoded in mode `paper`.
 

@@ -2,7 +2,8 @@
 
 A level of factor f cuts the image into cells of f×f pixels, starting at the top left corner; where f does not
 divide the image the last cells are cut off at the border, so a level has ⌈H/f⌉ × ⌈W/f⌉ cells and frames of any
-size work. Cell centres stay where they are on the image plane at every level (no half-pixel drift).
+size work. Centres of whole cells stay where they are on the image plane at every level (no half-pixel drift); a
+cell cut off at the border stands for the pixels it has.
 """
 
 import functools
@@ -15,6 +16,9 @@ from jaxtyping import Array, Float
 
 from hyjax.errors import InputError
 from hyjax.stencil import Edges
+
+# Ratio up to which upsampling is written out by phases: faster than gathering, but slow to compile for many phases.
+MOST_PHASES = 16
 
 
 def level_shape(shape: tuple[int, int], factor: int) -> tuple[int, int]:
@@ -32,7 +36,8 @@ def downsample(y: Float[Array, "h w c"], factor: int) -> Float[Array, "h/f w/f c
     rows, columns = level_shape((h, w), factor)
     total = y
     for axis, cells in ((0, rows), (1, columns)):
-        total = _reduce_cells(total, factor, cells, axis, jnp.add, 0.0)
+        # A single cell need not be padded to its full width.
+        total = _reduce_cells(total, factor if cells > 1 else y.shape[axis], cells, axis, jnp.add, 0.0)
     count_rows = np.minimum(factor, h - factor * np.arange(rows))
     count_columns = np.minimum(factor, w - factor * np.arange(columns))
     pixels = np.outer(count_rows, count_columns)[..., None]
@@ -58,12 +63,21 @@ def upsample(y: Float[Array, "ch cw c"], factor: int, shape: tuple[int, int]) ->
         )
     if factor == 1:
         return y
+    lerp = _lerp_phases if factor <= MOST_PHASES else _lerp_gather
     for axis in (0, 1):
-        y = jax.lax.slice_in_dim(_lerp_axis(y, factor, axis), 0, shape[axis], axis=axis)
+        y = lerp(y, factor, shape[axis], axis)
     return y
 
 
-def _lerp_axis(y: Array, factor: int, axis: int) -> Array:
+def _lerp_gather(y: Array, factor: int, length: int, axis: int) -> Array:
+    position = np.clip((np.arange(length) + 0.5) / factor - 0.5, 0.0, y.shape[axis] - 1.0)
+    near = np.minimum(position.astype(int), max(y.shape[axis] - 2, 0))
+    weight = np.expand_dims(position - near, [a for a in range(y.ndim) if a != axis])
+    first, second = jnp.take(y, near, axis), jnp.take(y, np.minimum(near + 1, y.shape[axis] - 1), axis)
+    return first + jnp.asarray(weight, y.dtype) * (second - first)
+
+
+def _lerp_phases(y: Array, factor: int, length: int, axis: int) -> Array:
     """Every output pixel at the same place in its cell has the same two weights: one fused slice-add for each."""
     cells = y.shape[axis]
     padded = jnp.pad(y, [(1, 1) if a == axis else (0, 0) for a in range(y.ndim)], mode="edge")
@@ -74,7 +88,7 @@ def _lerp_axis(y: Array, factor: int, axis: int) -> Array:
         near, weight = (0, position + 1.0) if position < 0 else (1, position)
         phases.append(shifted[near] + weight * (shifted[near + 1] - shifted[near]))
     shape = (*y.shape[:axis], cells * factor, *y.shape[axis + 1 :])
-    return jnp.stack(phases, axis=axis + 1).reshape(shape)
+    return jax.lax.slice_in_dim(jnp.stack(phases, axis=axis + 1).reshape(shape), 0, length, axis=axis)
 
 
 def min_pool(edges: Edges, factor: int) -> Edges:
@@ -125,7 +139,7 @@ def _pool_vertical(
 ) -> Float[Array, "h/f-1 w/f"]:
     h, w = edges.shape[0] + 1, edges.shape[1]
     rows, columns = level_shape((h, w), factor)
-    edges = _reduce_cells(edges, factor, columns, 1, reduce, fill)
+    edges = _reduce_cells(edges, factor if columns > 1 else w, columns, 1, reduce, fill)
     # Edge e lies between pixels e and e+1. Cell centres are at pixel f·I + (f−1)/2, hence the first edge:
     first = (factor - 1) // 2
     pooled = _reduce_cells(edges[first:], factor, rows - 1, 0, reduce, fill)

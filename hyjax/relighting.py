@@ -5,7 +5,6 @@ import dataclasses
 import json
 import os
 import platform
-import resource
 import tempfile
 from collections.abc import Sequence
 from importlib import metadata
@@ -23,7 +22,7 @@ from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.light_file import LightSetup, write_lights
 from hyjax.errors import InputError
-from hyjax.files import write_text
+from hyjax.files import remove, write_text
 from hyjax.gbuffer import GBuffer
 from hyjax.images import resize, write_exr, write_png
 from hyjax.pipeline import Mode, Relit, relight_stages
@@ -35,6 +34,7 @@ from hyjax.tuning.latency import StageClock
 
 HEADINGS = ("frame", "raw filter", "refined filter", "visibility", "raw filter x frame", "relit")
 SHEET_ROWS = 12
+OPTIONAL = ("matplotlib", "pytest", "hypothesis")
 PACKAGES = (
     "jax",
     "jaxlib",
@@ -101,12 +101,14 @@ def relight_capture(
     outputs, clock = outputs or Outputs(), clock or StageClock()
     chosen = range(len(capture)) if frames is None else frames
     make_writable(out)
+    for summary in ("run.json", "lights.json", "contact_sheet.png"):
+        remove(out / summary)  # of an earlier run, whose pictures are about to be replaced
     with clock("shadow maps"):
         maps = jax.block_until_ready(cast_shadow_maps(caster, setup.lights)) if shadows else None
     rows: list[tuple[str, list[np.ndarray]]] = []
     sheet_every = max(1, -(-len(chosen) // SHEET_ROWS))
     skipped, written = [], []
-    for number, index in enumerate(tqdm(chosen, desc="relighting", unit="frame", disable=not progress)):
+    for index in tqdm(chosen, desc="relighting", unit="frame", disable=not progress):
         with clock("read"):
             frame = fit(capture[index], size)
         with clock("g-buffer"):
@@ -129,7 +131,7 @@ def relight_capture(
         with clock("write"):
             _write_frame(out, frame.name, relit, gbuffer, mode, outputs)
         written.append(frame.name)
-        if number % sheet_every == 0:
+        if (len(written) - 1) % sheet_every == 0:
             rows.append((frame.name, _sheet_row(frame, relit, mode)))
     if not written:
         raise InputError(
@@ -148,7 +150,7 @@ def relight_capture(
         "reference_lux": setup.reference_lux,
         "settings": settings or {},
         "milliseconds": clock.summary(),
-        "peak_memory_mib": round(peak_memory_mib()),
+        "peak_memory_mib": round(peak_memory_mib(), 1),
     } | environment()
     write_text(out / "run.json", json.dumps(run, indent=2) + "\n")
     return run
@@ -193,6 +195,7 @@ def select_frames(text: str, count: int) -> list[int]:
         if not -count <= first < count or not -count <= (last or 0) <= count:
             raise InputError(f"frames: {text!r} runs past the end; the capture has frames 0 to {count - 1}")
         chosen += range(count)[slice(numbers[0], last, numbers[2] if len(numbers) > 2 else None)]
+    chosen = list(dict.fromkeys(chosen))
     if not chosen:
         raise InputError(f"frames: {text!r} selects no frame of 0 to {count - 1}")
     return chosen
@@ -200,14 +203,18 @@ def select_frames(text: str, count: int) -> list[int]:
 
 def environment() -> dict[str, Any]:
     """Versions and devices, for the record."""
-    versions = {"hyjax": _version("hyjax"), "python": platform.python_version()}
-    versions |= {name: _version(name) for name in PACKAGES}
+    versions = {"hyjax": package_version("hyjax"), "python": platform.pythonpackage_version()}
+    versions |= {name: package_version(name) for name in PACKAGES}
     device = jax.devices()[0]
     return {"versions": versions, "device": f"{device.platform}: {device.device_kind}", "cpu_count": os.cpu_count()}
 
 
 def peak_memory_mib() -> float:
-    """Largest resident set of this process so far, in MiB."""
+    """Largest resident set of this process so far, in MiB; NaN where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return float("nan")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (2**20 if platform.system() == "Darwin" else 2**10)
 
@@ -231,7 +238,8 @@ def _write_frame(out: Path, name: str, relit: Relit, gbuffer: GBuffer, mode: Mod
     for kind, picture in pictures.items():
         shown = _shown(picture, encoded=kind == "visibility" or (mode == "paper" and kind != "relit"))
         write_png(out / f"{name}.{kind}.png", shown)
-        write_exr(out / f"{name}.{kind}.exr", np.asarray(picture))
+        encoded_filter = mode == "paper" and kind in ("filter", "refined")
+        write_exr(out / f"{name}.{kind}.exr", np.asarray(to_linear(picture) if encoded_filter else picture))
 
 
 def _sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, "h w 3"]]:
@@ -252,7 +260,8 @@ def _shown(picture: Any, encoded: bool = False) -> Float[np.ndarray, "h w 3"]:
     return np.asarray(picture if encoded else to_display(picture))
 
 
-def _version(package: str) -> str:
+def package_version(package: str) -> str:
+    """The installed version of a package, or "not installed"."""
     with contextlib.suppress(metadata.PackageNotFoundError):
         return metadata.version(package)
     return "not installed"

@@ -23,6 +23,10 @@ Pooling = Literal["edges", "guide"]
 # to 0.2).
 DEFAULT_LAM = 0.24
 DEFAULT_KAPPA = 0.02
+PAPER_KAPPA = 0.05
+
+MOST_STEPS = 1_000_000
+COARSEST = 4096
 
 # Steps at each downsampling factor of the full frame; the paper writes 512/factor instead.
 PRESETS: dict[str, tuple[tuple[int, int], ...]] = {
@@ -36,7 +40,7 @@ PRESETS: dict[str, tuple[tuple[int, int], ...]] = {
 
 
 @functools.partial(jax.tree_util.register_dataclass, data_fields=["step_sizes", "kappa"], meta_fields=["factor"])
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Level:
     """Diffusion at one resolution.
 
@@ -58,9 +62,12 @@ class Level:
 @functools.partial(
     jax.tree_util.register_dataclass, data_fields=["levels"], meta_fields=["pooling", "norm", "name"]
 )
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Schedule:
     """Levels from coarse to fine. Step sizes and κ are leaves of a pytree; the rest is static.
+
+    An optimiser that steps on the leaves themselves may leave the allowed range, which inside `jit` nothing checks:
+    optimise log κ and the logit of 4 λ instead, and build the schedule from them.
 
     Attributes:
         levels: factors fall strictly, each a multiple of the next.
@@ -91,9 +98,9 @@ class Schedule:
         Example:
             >>> print(Schedule.uniform([(4, 15), (2, 20)], kappa=0.1))
             custom: 35 steps, pooling edges, norm l2
-              factor  steps    kappa           lam
-                   4     15      0.1          0.24
-                   2     20      0.1          0.24
+              factor  steps       kappa                 lam
+                   4     15         0.1                0.24
+                   2     20         0.1                0.24
 
         Raises:
             InputError: anything `check` refuses.
@@ -135,6 +142,8 @@ class Schedule:
         for factor in factors:
             if not isinstance(factor, int) or isinstance(factor, bool) or factor < 1:
                 raise InputError(f"{where}: a factor is a whole number >= 1, got {factor!r}")
+            if factor > COARSEST:
+                raise InputError(f"{where}: factor {factor} is too coarse for any picture; at most {COARSEST}")
         for coarse, fine in itertools.pairwise(factors):
             if fine >= coarse:
                 raise InputError(f"{where}: levels must go from coarse to fine, got factor {fine} after {coarse}")
@@ -183,13 +192,13 @@ class Schedule:
     def __str__(self) -> str:
         total = sum(level.steps for level in self.levels)
         lines = [f"{self.name}: {total} steps, pooling {self.pooling}, norm {self.norm}"]
-        lines.append(f"{'factor':>8}{'steps':>7}{'kappa':>9}{'lam':>14}")
+        lines.append(f"{'factor':>8}{'steps':>7}{'kappa':>12}{'lam':>20}")
         for level in self.levels:
             lam = concrete(level.step_sizes)
             kappa = concrete(level.kappa)
             lam_text = "traced" if lam is None else _span(lam)
             kappa_text = "traced" if kappa is None else f"{float(kappa):.4g}"
-            lines.append(f"{level.factor:>8}{level.steps:>7}{kappa_text:>9}{lam_text:>14}")
+            lines.append(f"{level.factor:>8}{level.steps:>7}{kappa_text:>12}{lam_text:>20}")
         return "\n".join(lines)
 
 
@@ -228,8 +237,10 @@ def _read_level(index: int, content: Any) -> Level:
     factor, steps, lam = content["factor"], content["steps"], content.get("lam", DEFAULT_LAM)
     if not isinstance(steps, int) or isinstance(steps, bool) or steps < 0:
         raise InputError(f"{where}: 'steps' must be a whole number >= 0, got {steps!r}")
+    if steps > MOST_STEPS:
+        raise InputError(f"{where}: {steps} steps are too many; at most {MOST_STEPS}")
     try:
-        kappa = np.asarray(content["kappa"], np.float32).reshape(())
+        kappa = np.float32(content["kappa"] + 0.0)  # a list or a text has no sum with a number
         step_sizes = np.zeros(0, np.float32) if steps == 0 else np.asarray(lam, np.float32)
     except (TypeError, ValueError):
         raise InputError(f"{where}: 'kappa' and 'lam' must be numbers") from None

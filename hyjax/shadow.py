@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hyjax.gbuffer import GBuffer
-from hyjax.lights import Light, RectLight
+from hyjax.lights import DirectionalLight, Light, RectLight
 from hyjax.vectors import cross, dot
 
 Projection = Literal["octahedral", "hemisphere", "perspective", "orthographic"]
@@ -36,7 +36,7 @@ DEPTH_BIAS = 1.0
 @functools.partial(
     jax.tree_util.register_dataclass, data_fields=["depth", "origin", "axes", "texel"], meta_fields=["projection"]
 )
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class ShadowMap:
     """Distances from a light to the nearest surface, seen from `v` points of the light.
 
@@ -130,6 +130,11 @@ def visibility(gbuffer: GBuffer, light: Light, shadow_map: ShadowMap | None) -> 
     zero = jnp.zeros_like(gbuffer.depth)
     views = (shadow_map.depth, shadow_map.origin, shadow_map.axes)
     (lit, weight), _ = jax.lax.scan(add_view, (zero, zero), views)
+    if isinstance(light, DirectionalLight) and light.aperture is not None:
+        # What lies before the opening, on the sun's side, is not lit through it.
+        normal = cross(light.aperture.right, light.aperture.up)
+        side = dot(gbuffer.position - light.aperture.center, normal) * dot(light.direction, normal)
+        lit = jnp.where(side > 0, lit, 0.0)
     return jnp.where(gbuffer.hit & (weight > 0), lit / jnp.where(weight > 0, weight, 1.0), 1.0)
 
 

@@ -98,7 +98,8 @@ def test_classes_are_frozen_pytrees(name: str) -> None:
         filler = {"levels": (hyjax.Level(2, np.zeros(1), 1.0),)}
     value = cls(**filler)
     leaves, structure = jax.tree.flatten(value)
-    assert leaves and jax.tree.unflatten(structure, leaves) == value
+    again = jax.tree.unflatten(structure, leaves)
+    assert leaves and type(again) is cls and jax.tree.flatten(again) == (leaves, structure)
     for annotation in typing.get_type_hints(cls).values():
         for part in parts(annotation):
             assert part not in (jax.Array, np.ndarray), "an array without its shape: use jaxtyping"

@@ -140,7 +140,9 @@ def test_presets_are_the_papers(name: str, sizes: dict[int, int]) -> None:
 def test_preset_options_and_refusal() -> None:
     schedule = Schedule.preset("paper-50", kappa=0.5, lam=0.125)
     assert all(level.kappa == 0.5 and np.all(level.step_sizes == 0.125) for level in schedule.levels)
-    with pytest.raises(InputError, match=r"^schedule: no preset 'paper-5'; there are paper-50, "):
+    with pytest.raises(
+        InputError, match=r"^schedule: no preset 'paper-5' \(did you mean 'paper-[58]0'\?\); there are paper-50, "
+    ):
         Schedule.preset("paper-5")
 
 

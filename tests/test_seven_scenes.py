@@ -138,7 +138,7 @@ def test_bad_pose_is_named(folder: Path, content: str, problem: str) -> None:
     ("matrix", "problem"),
     [
         ([[30, 0, 16], [0, 30, 12], [0, 0, 1]], "picture size"),
-        ([[585, 0, 320], [0, 585, 240], [0, 0, 1]], "another image size"),
+        ([[585, 0, 320], [0, 585, 240], [0, 0, 1]], "picture size"),
         ([[0, 0, 8], [0, 15, 6], [0, 0, 1]], "focal lengths"),
         ([[15, 0, 0], [0, 15, 0], [8, 6, 1]], "row by row"),
     ],

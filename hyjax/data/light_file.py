@@ -7,19 +7,20 @@
         power: 800
         temperature: 2700
 
-| kind        | needs                                   | may have                                     |
-|-------------|-----------------------------------------|----------------------------------------------|
-| point       | position, power                         | radius                                       |
-| spot        | position, target or direction, power    | inner_degrees, outer_degrees, radius         |
-| directional | direction, illuminance                  | angular_degrees, aperture                    |
-| rect        | center, normal, width, height, power    | up                                           |
-| sky         | illuminance                             | up                                           |
-| ambient     | illuminance                             |                                              |
+| kind        | needs                                   | may have                                        |
+|-------------|-----------------------------------------|-------------------------------------------------|
+| point       | position, power                         | radius, clearance                               |
+| spot        | position, target or direction, power    | inner_degrees, outer_degrees, radius, clearance |
+| directional | direction, illuminance                  | angular_degrees, aperture                       |
+| rect        | center, normal, width, height, power    | up                                              |
+| sky         | illuminance                             | up                                              |
+| ambient     | illuminance                             |                                                 |
 
 Every kind may have `color` (linear RGB, default white) or `temperature` (kelvin), and a `name`. Positions and
 lengths are in metres in the capture's world axes, power in lumens, illuminance in lux; angles of a spot are half
 angles, the `angular_degrees` of a sun its radius. `up` defaults to the capture's. `aperture` is the window that a
 sun shines through: a mapping with center, normal, width, height and maybe up; it shows in the shadows.
+Nothing nearer to a lamp than its `clearance` casts a shadow: what a scan makes of a lampshade is rarely hollow.
 """
 
 import dataclasses
@@ -52,8 +53,8 @@ LARGEST = float(np.finfo(np.float32).max)
 RECTANGLE = {"center", "normal", "up", "width", "height"}
 COMMON = {"kind", "name", "color", "temperature"}
 KEYS: dict[str, set[str]] = {
-    "point": {"position", "power", "radius"},
-    "spot": {"position", "target", "direction", "power", "inner_degrees", "outer_degrees", "radius"},
+    "point": {"position", "power", "radius", "clearance"},
+    "spot": {"position", "target", "direction", "power", "inner_degrees", "outer_degrees", "radius", "clearance"},
     "directional": {"direction", "illuminance", "angular_degrees", "aperture"},
     "rect": {*RECTANGLE, "power"},
     "sky": {"illuminance", "up"},
@@ -116,10 +117,11 @@ def describe(light: Light) -> dict[str, Any]:
     entry: dict[str, Any]
     if isinstance(light, PointLight):
         entry = {"kind": "point", "position": _list(light.position), "radius": _scalar(light.radius)}
+        entry["clearance"] = _scalar(light.clearance)
     elif isinstance(light, SpotLight):
         entry = {"kind": "spot", "position": _list(light.position), "direction": _list(light.direction)}
         entry |= {f"{k}_degrees": _scalar(np.rad2deg(getattr(light, f"{k}_angle"))) for k in ("inner", "outer")}
-        entry["radius"] = _scalar(light.radius)
+        entry |= {"radius": _scalar(light.radius), "clearance": _scalar(light.clearance)}
     elif isinstance(light, DirectionalLight):
         entry = {"kind": "directional", "direction": _list(light.direction)}
         entry["angular_degrees"] = _scalar(np.rad2deg(light.angular_radius))
@@ -160,13 +162,19 @@ def _light(where: str, entry: Any, world_up: Float[np.ndarray, "3"]) -> Light:
     strength = _number(where, entry, "power" if "power" in KEYS[kind] else "illuminance")
     amount = jnp.float32(strength)
     if kind == "point":
-        return PointLight(_vector(where, entry, "position"), amount, color, _length(where, entry, "radius"))
+        radius, clearance = (_length(where, entry, key) for key in ("radius", "clearance"))
+        return PointLight(_vector(where, entry, "position"), amount, color, radius, clearance)
     if kind == "spot":
         return _spot(where, entry, amount, color)
     if kind == "directional":
-        radius = jnp.float32(np.deg2rad(_number(where, entry, "angular_degrees", default=SUN_DEGREES)))
+        degrees = _number(where, entry, "angular_degrees", default=SUN_DEGREES)
+        if degrees > 45:
+            raise InputError(f"{where}: 'angular_degrees' must be at most 45, got {degrees:g}; use a sky for more")
+        radius = jnp.float32(np.deg2rad(degrees))
         direction = _direction(where, entry, "direction")
         aperture = _aperture(where, entry["aperture"], world_up) if "aperture" in entry else None
+        if aperture is not None and abs(_cosine(direction, aperture)) < 0.01:
+            raise InputError(f"{where}: 'direction' runs along the aperture's plane; no light can come through")
         return DirectionalLight(direction, amount, color, radius, aperture)
     if kind == "rect":
         return RectLight(*_rectangle(where, entry, world_up), amount, color)
@@ -187,8 +195,8 @@ def _spot(where: str, entry: dict[str, Any], power: Any, color: Any) -> SpotLigh
         raise InputError(f"{where}: need inner_degrees < outer_degrees <= 90, got {inner:g} and {outer:g}")
     inner_angle, outer_angle = (jnp.float32(np.deg2rad(a)) for a in (inner, outer))
     direction = _direction(where, entry, "direction")
-    radius = _length(where, entry, "radius")
-    return SpotLight(position, direction, power, color, inner_angle, outer_angle, radius)
+    radius, clearance = (_length(where, entry, key) for key in ("radius", "clearance"))
+    return SpotLight(position, direction, power, color, inner_angle, outer_angle, radius, clearance)
 
 
 def _aperture(where: str, entry: Any, world_up: Float[np.ndarray, "3"]) -> Aperture:
@@ -197,6 +205,11 @@ def _aperture(where: str, entry: Any, world_up: Float[np.ndarray, "3"]) -> Apert
         raise InputError(f"{where}: must be a mapping with {', '.join(sorted(RECTANGLE))}")
     _check_keys(where, entry, RECTANGLE)
     return Aperture(*_rectangle(where, entry, world_up))
+
+
+def _cosine(direction: Any, rectangle: Aperture) -> float:
+    normal = np.cross(rectangle.right, rectangle.up)
+    return float(np.dot(direction, normal) / np.linalg.norm(normal))
 
 
 def _rectangle(where: str, entry: dict[str, Any], world_up: Float[np.ndarray, "3"]) -> tuple[Any, Any, Any]:

@@ -98,7 +98,8 @@ def golden_hour(stage: Stage) -> dict[str, Any]:
 def evening_lamps(stage: Stage) -> dict[str, Any]:
     """Lamps lit, blue dusk outside. The camera's white balance leaves of 2700 K what looks like 3600 K."""
     lamps = [
-        {"kind": "point", "position": lamp.tolist(), "power": 900, "temperature": 3600, "radius": 0.06}
+        {"kind": "point", "position": lamp.tolist(), "power": 900, "temperature": 3600}
+        | {"radius": 0.06, "clearance": 0.3}
         for lamp in stage.lamps[:3]
     ]
     rest = [_window_light(stage, 120.0, 12000), {"kind": "ambient", "illuminance": 8, "temperature": 4000}]

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import logging
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from jaxtyping import Float, UInt8
 from hyjax.cache import cache_folder
 from hyjax.data.capture import Frame
 from hyjax.errors import InputError
+from hyjax.files import whole
 from hyjax.scene.camera import Camera, Intrinsics
 from hyjax.scene.room import camera_path, make_room, render_room
 
@@ -20,6 +20,8 @@ VERSION = 6
 """Of what `hyjax.scene.room` makes. Add one whenever its geometry or its pictures change."""
 FRAME_RATE = 2.0
 """Pictures a second: the walk takes twelve seconds."""
+
+UP = np.array([0.0, 0.0, 1.0])
 
 Arrays = dict[str, np.ndarray]
 
@@ -46,7 +48,7 @@ class RoomCapture:
         mesh: trimesh.Trimesh,
         anchors: dict[str, dict[str, object]],
     ) -> None:
-        self.up: Float[np.ndarray, 3] = np.array([0.0, 0.0, 1.0])
+        self.up = UP
         self.mesh = mesh
         self.anchors = anchors
         self._images = images
@@ -56,7 +58,9 @@ class RoomCapture:
     @property
     def fingerprint(self) -> str:
         """See `Capture`."""
-        return hashlib.sha256(np.ascontiguousarray(self.mesh.vertices).tobytes()).hexdigest()
+        poses = np.stack([camera.pose for camera in self._cameras])
+        parts = (self.mesh.vertices, self._images[:: max(1, len(self) // 4)], self._depth.shape, poses)
+        return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
 
     def __len__(self) -> int:
         return len(self._cameras)
@@ -143,16 +147,10 @@ def _read(file: Path) -> Arrays:
 
 
 def _write(file: Path, arrays: Arrays) -> None:
-    """Write under another name, then rename: of two processes that render at once, each leaves a whole file."""
-    part = None
+    """Keep the room if the cache folder lets us; of two processes that render at once, each leaves a whole file."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=f".{file.stem}.", delete=False) as target:
-            part = Path(target.name)
-            np.savez(target, **arrays)  # type: ignore[arg-type]
-        part.replace(file)
-    except OSError as error:
+        with whole(file) as part:
+            np.savez(part, **arrays)  # type: ignore[arg-type]
+    except (OSError, InputError) as error:
         _log.warning("%s: cannot keep the rendered room (%s)", file, error)
-    finally:
-        if part is not None:
-            part.unlink(missing_ok=True)

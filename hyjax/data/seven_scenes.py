@@ -11,6 +11,7 @@ CVPR 2013.
 """
 
 import hashlib
+import logging
 import os
 import re
 from pathlib import Path
@@ -26,6 +27,7 @@ from hyjax.scene.camera import Camera, Intrinsics, check_pose
 FRAME = re.compile(r"frame-(\d+)\.color\.(?:jpe?g|png)")
 FRAMES_PER_SECOND = 30.0
 # The original release has no intrinsics file; its page gives these for the Kinect's 640×480.
+_log = logging.getLogger(__name__)
 KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 
 
@@ -148,6 +150,7 @@ def _read_intrinsics(path: Path, height: int, width: int) -> Intrinsics:
             raise InputError(
                 f"{path}: missing; the 7-Scenes default is for 640x480 pictures, these are {width}x{height}"
             )
+        _log.warning("%s: missing; taking those of the 7-Scenes Kinect, 585 585 320 240", path)
         return KINECT
     k = _read_numbers(path, (3, 3))
     if not np.allclose(k[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], (0, 0, 0, 0, 1)):
@@ -156,7 +159,7 @@ def _read_intrinsics(path: Path, height: int, width: int) -> Intrinsics:
         intrinsics = Intrinsics(width, height, *(float(v) for v in k[[0, 1, 0, 1], [0, 1, 2, 2]]))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    # Intrinsics of twice the size still pass the check above, their principal point sitting on the corner.
+    # Intrinsics of another picture size betray themselves by their principal point.
     if not (0.25 < intrinsics.cx / width < 0.75 and 0.25 < intrinsics.cy / height < 0.75):
         raise InputError(
             f"{path}: principal point ({intrinsics.cx:g}, {intrinsics.cy:g}) is far from the centre of the "

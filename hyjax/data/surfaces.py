@@ -1,6 +1,7 @@
 """The mesh that a capture is relit with: given, measured, or what a headset would have made."""
 
 import hashlib
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,15 +10,16 @@ import trimesh
 from hyjax.cache import cache_folder
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.room import RoomCapture
-from hyjax.errors import InputError
+from hyjax.errors import InputError, did_you_mean
 from hyjax.scene.mesh import load_mesh, save_mesh
-from hyjax.scene.room import camera_path, make_room
+from hyjax.scene.room import path
 from hyjax.scene.scan import RenderedDepths, ScanConfig, simulate_scan
 from hyjax.scene.tsdf import fuse
 
 VERSION = 2
 """Of how surfaces are made. Add one whenever a fusion or a scan comes out differently."""
 MAX_FUSED_FRAMES = 150
+_log = logging.getLogger(__name__)
 ROOM_SCAN = ScanConfig(
     frames=64, width=160, max_depth=6.0, noise=0.004, min_weight=0.05, missing=0.03, grazing_cosine=0.15
 )
@@ -37,9 +39,9 @@ def surface_of(
 
     Args:
         capture: whose rooms to get.
-        mesh: a file, or `"fused"` (all of the capture's depth, at `voxel` metres), `"scan"` (what a headset would
-            have made of it, rough and with holes, drawn from `seed`), `"true"` (built-in room only). By default the
-            built-in room gets its scan and any other capture its fusion.
+        mesh: a file, or `"fused"` (from at most 150 of the capture's depth maps, at `voxel` metres), `"scan"` (what
+            a headset would have made of it, rough and with holes, drawn from `seed`), `"true"` (built-in room only).
+            By default the built-in room gets its scan and any other capture its fusion.
         repair: drop unusable triangles of a mesh file instead of refusing it.
         progress: show bars on stderr.
 
@@ -56,9 +58,11 @@ def surface_of(
     builtin = isinstance(capture, RoomCapture)
     mesh = mesh or ("scan" if builtin else "fused")
     if mesh not in WORDS:
-        if not Path(mesh).suffix and not Path(mesh).exists():
-            raise InputError(f"mesh: no file {mesh!r}; give a PLY, OBJ or GLB file, or one of {', '.join(WORDS)}")
-        return mesh, load_mesh(Path(mesh), repair)
+        check_mesh_name(mesh)
+        loaded = load_mesh(Path(mesh), repair)
+        if not 0.1 < max(loaded.extents) < 1000:
+            raise InputError(f"{mesh}: spans {max(loaded.extents):.3g} m; a room's mesh must be in metres")
+        return mesh, loaded
     if mesh == "true":
         if not isinstance(capture, RoomCapture):
             raise InputError("mesh: only the built-in room has a true mesh; use 'fused', 'scan' or a file")
@@ -75,15 +79,26 @@ def surface_of(
             file.unlink(missing_ok=True)  # damaged: made again below
     if mesh == "scan" and isinstance(capture, RoomCapture):
         # A person with a headset sees more of a room than the pictures show, and sees it more than once.
-        walk = camera_path(make_room(), ROOM_SCAN.frames, 256, 192)
+        walk = path.camera_path(ROOM_SCAN.frames, 256, 192)
         made = simulate_scan(RenderedDepths(capture.mesh, walk), ROOM_SCAN, seed, progress)
     elif mesh == "scan":
         made = simulate_scan(capture, ScanConfig(), seed, progress)
     else:
         made = fuse(_Spread(capture), voxel, progress=progress)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    save_mesh(file, made)
-    return description, load_mesh(file)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        save_mesh(file, made)
+        return description, load_mesh(file)  # as any later run will find it
+    except (OSError, InputError) as error:
+        _log.warning("the mesh is not kept for the next time: %s", error)
+        return description, made
+
+
+def check_mesh_name(mesh: str | None) -> None:
+    """Raise `InputError` unless `mesh` is one of `WORDS` or an existing file."""
+    if mesh is not None and mesh not in WORDS and not Path(mesh).is_file():
+        hint = did_you_mean(mesh, WORDS)
+        raise InputError(f"{mesh}: no such file{hint}; give a PLY, OBJ or GLB file, or one of {', '.join(WORDS)}")
 
 
 class _Spread:

@@ -32,12 +32,7 @@ class Intrinsics:
         if self.width < 1 or self.height < 1:
             raise InputError(f"intrinsics: image size {self.width}x{self.height} must be at least 1x1")
         if not np.all(np.isfinite(values)) or self.fx <= 0 or self.fy <= 0:
-            raise InputError(f"intrinsics: focal lengths fx={self.fx}, fy={self.fy} must be finite and > 0")
-        if not (0 <= self.cx <= self.width and 0 <= self.cy <= self.height):
-            raise InputError(
-                f"intrinsics: principal point ({self.cx}, {self.cy}) lies outside the "
-                f"{self.width}x{self.height} image; do the intrinsics belong to another image size?"
-            )
+            raise InputError(f"intrinsics: focal lengths fx={self.fx}, fy={self.fy} must be > 0, all values finite")
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -48,6 +48,7 @@ class RayCaster:
         vertices = np.ascontiguousarray(mesh.vertices - self._centre, dtype=np.float32)
         mesh_construction.TriangleMesh(self._scene, vertices, np.ascontiguousarray(mesh.faces, dtype=np.int32))
         self._normals = np.asarray(mesh.vertex_normals, dtype=np.float32)
+        self._face_normals = np.asarray(mesh.face_normals, dtype=np.float32)
         self._faces = np.asarray(mesh.faces)
 
     def _float32(
@@ -96,15 +97,18 @@ class RayCaster:
         return np.where(hits.hit[:, None] & (length > 0), normal / np.maximum(length, 1e-20), 0.0)
 
     def gbuffer(self, camera: Camera) -> GBuffer:
-        """What `camera` sees of the mesh. Normals are interpolated from the vertices and face the camera."""
+        """What `camera` sees of the mesh. Normals are interpolated from the vertices, on the side that it sees."""
         directions = camera.rays().reshape(-1, 3)
         hits = self.cast(camera.origin, directions)
         # Directions have unit depth, so that Embree's ray parameter is the depth itself.
         depth = np.where(hits.hit, hits.distance, 0.0)
         position = np.where(hits.hit[:, None], camera.origin + directions * depth[:, None], 0.0)
-        normal = self.interpolated_normals(hits)
-        facing = np.sum(normal * directions, axis=-1, keepdims=True)
-        normal = np.where(facing > 0, -normal, normal)
+        # The triangle decides which side is seen. Near a silhouette an interpolated normal may lean a little away
+        # from the camera in all honesty; turned round it would be lit from the wrong side.
+        normal, face_normal = self.interpolated_normals(hits), self._face_normals[hits.face]
+        seen_from_behind = np.sum(face_normal * directions, axis=-1) > 0
+        against_face = np.sum(face_normal * normal, axis=-1) < 0
+        normal = np.where((seen_from_behind != against_face)[:, None], -normal, normal)
         h, w = camera.intrinsics.shape
         return GBuffer(
             position=jnp.asarray(position.reshape(h, w, 3), jnp.float32),

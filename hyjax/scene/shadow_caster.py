@@ -36,15 +36,16 @@ def _cast(caster: RayCaster, light: Light, scale: float) -> ShadowMap | None:
     if isinstance(light, PointLight | SpotLight):
         position, radius = np.asarray(light.position, np.float64), float(light.radius)
         origins = position + radius * fibonacci_sphere(BULB_VIEWS) if radius > 0 else position[None]
-        size = many if radius > 0 else single
+        size, near = many if radius > 0 else single, float(light.clearance)
         if isinstance(light, PointLight):
-            return _cast_radial(caster, origins, np.eye(3), "octahedral", np.sqrt(4 * np.pi), size)
+            return _cast_radial(caster, origins, np.eye(3), "octahedral", np.sqrt(4 * np.pi), size, near)
         axes, angle = _frame(light.direction), float(light.outer_angle)
         if angle > WIDEST_PERSPECTIVE:
-            return _cast_radial(caster, origins, axes, "hemisphere", np.sqrt(2 * np.pi), size)
+            return _cast_radial(caster, origins, axes, "hemisphere", np.sqrt(2 * np.pi), size, near)
         # The sources of a wide lamp see the rim of the cone from aside: a margin on the cone's angle.
         spread = np.tan(angle) * 1.05
-        return _cast_radial(caster, origins, axes / [[spread], [spread], [1.0]], "perspective", 2 * spread, size)
+        axes = axes / [[spread], [spread], [1.0]]
+        return _cast_radial(caster, origins, axes, "perspective", 2 * spread, size, near)
     if isinstance(light, RectLight):
         right, up = np.asarray(light.right, np.float64), np.asarray(light.up, np.float64)
         s, t = r2_sequence(WINDOW_VIEWS).T[..., None] * 2.0 - 1.0
@@ -78,12 +79,17 @@ def _cast_radial(
     projection: Projection,
     extent: float,
     size: int,
+    near: float = 0.0,
 ) -> ShadowMap:
-    """Maps of rays that start in one point each. `extent` is the map's width in radians, or in tangents."""
+    """Maps of rays that start in one point each, `near` away from it.
+
+    `extent` is the map's width in radians, or in tangents.
+    """
     _, local = _texel_rays(size, projection)
     # The rows of `axes` are orthogonal: its inverse is its transpose over their squared lengths.
     directions = (local @ (axes * np.sum(axes**2, axis=1, keepdims=True) ** -1)).reshape(-1, 3)
-    depth = np.stack([caster.cast(origin, directions).distance for origin in origins])
+    starts = near * directions
+    depth = near + np.stack([caster.cast(origin + starts, directions).distance for origin in origins])
     return _shadow_map(depth, size, origins, np.broadcast_to(axes, (len(origins), 3, 3)), extent / size, projection)
 
 
