@@ -203,7 +203,7 @@ def select_frames(text: str, count: int) -> list[int]:
 
 def environment() -> dict[str, Any]:
     """Versions and devices, for the record."""
-    versions = {"hyjax": package_version("hyjax"), "python": platform.pythonpackage_version()}
+    versions = {"hyjax": package_version("hyjax"), "python": platform.python_version()}
     versions |= {name: package_version(name) for name in PACKAGES}
     device = jax.devices()[0]
     return {"versions": versions, "device": f"{device.platform}: {device.device_kind}", "cpu_count": os.cpu_count()}

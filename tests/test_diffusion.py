@@ -244,3 +244,19 @@ def test_foreign_edges_and_guides_are_refused() -> None:
         conductance(jnp.zeros((3, 4)), 1.0)
     with pytest.raises(InputError, match=r"(?m)^norm: 'l1' is unknown; use one of l2, mean_abs$"):
         conductance(jnp.zeros((3, 4, 1)), 1.0, norm="l1")  # type: ignore[arg-type]
+
+
+def test_no_kappa_is_too_small_for_flat_regions() -> None:
+    for dtype, kappa in ((jnp.float16, 1e-3), (jnp.float32, 1e-25)):
+        for edge in conductance(jnp.ones((3, 4, 2), dtype), kappa):
+            assert edge.dtype == dtype and np.all(np.asarray(edge) == 1)
+
+
+def test_gradient_memory_of_a_long_run_grows_like_its_root() -> None:
+    y = jnp.ones((64, 64, 3))
+
+    def temporary_bytes(steps: int) -> int:
+        loss = jax.grad(lambda edges: diffuse(y, edges, np.full(steps, 0.2, np.float32)).sum())
+        return jax.jit(loss).lower(conductance(y, 0.1)).compile().memory_analysis().temp_size_in_bytes
+
+    assert temporary_bytes(1600) < 4 * temporary_bytes(100)

@@ -1,11 +1,17 @@
 """The squares of directions that shadow maps are."""
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hyjax import Aperture, DirectionalLight, GBuffer, PointLight, visibility
+from hyjax.scene.raycast import RayCaster
+from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.shadow import map_coordinates, map_rays
 
 unit_range = st.floats(-0.999, 0.999)
@@ -49,3 +55,26 @@ def test_the_gutter_continues_the_map(projection: str) -> None:
         for a, b in (((edge, 0.3), (edge * 1.00002, 0.3)), ((-0.6, edge), (-0.6, edge * 1.00002))):
             inside, outside = (np.array(map_rays(jnp.array(p[0]), jnp.array(p[1]), projection)) for p in (a, b))
             np.testing.assert_allclose(inside, outside, atol=1e-4)
+
+
+def test_before_the_opening_nothing_is_lit_through_it() -> None:
+    """A floor that runs under a window, seen on both sides of it: the sun comes in on one alone."""
+    floor = trimesh.Trimesh([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
+    vec = functools.partial(jnp.array, dtype=jnp.float32)
+    window = Aperture(vec([0.0, 0, 1]), vec([0.0, 1, 0]), vec([0.0, 0, 0.5]))
+    sun = DirectionalLight(vec([1.0, 0, -1]), vec(500.0), vec([1.0, 1, 1]), aperture=window)
+    (shadow_map,) = cast_shadow_maps(RayCaster(floor), [sun], 0.25)
+    x = vec([-1.0, -0.5, 0.7, 1.0, 1.3, 2.0])
+    position = jnp.stack([x, 0 * x, 0 * x], axis=-1)[None]
+    points = GBuffer(position, jnp.zeros_like(position).at[..., 2].set(1.0), x[None], jnp.ones((1, 6), bool))
+    np.testing.assert_array_equal(np.asarray(visibility(points, sun, shadow_map))[0], [0, 0, 1, 1, 1, 0])
+
+
+def test_within_its_clearance_a_lamp_throws_no_shadow() -> None:
+    shade = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
+    vec = functools.partial(jnp.array, dtype=jnp.float32)
+    point = GBuffer(vec([[[0.0, 0, -1]]]), vec([[[0.0, 0, 1]]]), vec([[1.0]]), jnp.ones((1, 1), bool))
+    for clearance, lit in ((0.0, 0.0), (0.3, 1.0)):
+        lamp = PointLight(vec([0.0, 0, 0]), vec(100.0), vec([1.0, 1, 1]), clearance=clearance)
+        (shadow_map,) = cast_shadow_maps(RayCaster(shade), [lamp], 0.1)
+        assert np.asarray(visibility(point, lamp, shadow_map)).item() == lit

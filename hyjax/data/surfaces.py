@@ -40,8 +40,8 @@ def surface_of(
     Args:
         capture: whose rooms to get.
         mesh: a file, or `"fused"` (from at most 150 of the capture's depth maps, at `voxel` metres), `"scan"` (what
-            a headset would have made of it, rough and with holes, drawn from `seed`), `"true"` (built-in room only).
-            By default the built-in room gets its scan and any other capture its fusion.
+            a headset would have made of it, rough and with holes, drawn from `seed`), `"true"` (the built-in room's
+            own). By default the built-in room gets its scan and any other capture its fusion.
         repair: drop unusable triangles of a mesh file instead of refusing it.
         progress: show bars on stderr.
 
