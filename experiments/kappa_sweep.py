@@ -25,6 +25,7 @@ import tyro
 from tqdm import tqdm
 
 import hyjax
+from experiments.plotting import new_figure
 from hyjax.data.capture import Capture
 from hyjax.data.light_setups import named_setup, survey
 from hyjax.data.open import open_capture
@@ -167,12 +168,9 @@ def markdown(name: str, results: list[dict[str, Any]], baselines: dict[str, floa
 
 
 def figure(path: Path, name: str, rows: list[dict[str, Any]]) -> None:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        print("no figure: pip install 'hyjax[experiments]' for matplotlib", file=sys.stderr)
+    fig = new_figure(6, 4)
+    if fig is None:
         return
-    fig = Figure(figsize=(6, 4), layout="constrained")
     axes = fig.subplots()
     for variant in dict.fromkeys(row["variant"] for row in rows):
         points = [(row["kappa"], row["tuning_db"]) for row in rows if row["variant"] == variant]

@@ -3,8 +3,8 @@
     python -m experiments.stage_times [--capture PATH] [--repeats 30] [--out results/stage_times]
 
 Takes about a minute on two cores (more the first time, when the built-in room is made). Prints the table of the
-README and writes it with its raw figures to `stage_times.md` and `stage_times.json`. The first call contains the
-compilation, with no cache to help it; the rest are timed one by one, waiting for each result.
+README and writes it to `stage_times.md`, its raw figures to `stage_times.json` and a plot to `stage_times.png`. The
+first call contains the compilation, with no cache to help it; the rest are timed one by one, waiting for each result.
 
 Expect: the visibility of soft lights and the G-buffer are the dearest; a cascade costs about what its steps and
 conductances cost when they are measured alone.
@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import tyro
 
 import hyjax
+from experiments.plotting import new_figure
 from hyjax.data.light_setups import named_setup, survey
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
@@ -91,6 +92,7 @@ def main(config: Config) -> None:
     record |= {"peak_memory_mib": round(peak_memory_mib()), "config": str(config)} | environment()
     table = markdown(record)
     print(table)
+    figure(config.out / "stage_times.png", record)
     (config.out / "stage_times.md").write_text(table + "\n", encoding="utf-8")
     (config.out / "stage_times.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
@@ -113,6 +115,20 @@ def alone(y: Any, guide: Any, schedule: hyjax.Schedule, repeats: int) -> dict[st
         up = jax.jit(lambda x, ratio=ratio, shape=shape: hyjax.upsample(x, ratio, shape))
         parts[f"1/{level.factor} to 1/{next_factor}"] = measure(up, state, repeats=repeats)
     return parts
+
+
+def figure(path: Path, record: dict[str, Any]) -> None:
+    """Median milliseconds of every stage, p95 as a tick."""
+    fig = new_figure(7, 3.5)
+    if fig is None:
+        return
+    shown = {name: t for name, t in record["times"].items() if not name.startswith("  alone")}
+    axes = fig.subplots()
+    axes.barh(list(shown), [t["median_ms"] for t in shown.values()])
+    axes.plot([t["p95_ms"] for t in shown.values()], list(shown), "k|")
+    axes.invert_yaxis()
+    axes.set(xscale="log", xlabel="milliseconds: median (bar), p95 (tick)", title=record["device"])
+    fig.savefig(path, dpi=120)
 
 
 def markdown(record: dict[str, Any]) -> str:
