@@ -2,9 +2,9 @@
 
     python -m experiments.stage_times [--capture PATH] [--repeats 30] [--out results/stage_times]
 
-Takes about a minute on two cores (more the first time, when the built-in room is made). Prints the table of the
-README and writes it to `stage_times.md`, its raw figures to `stage_times.json` and a plot to `stage_times.png`. The
-first call contains the compilation, with no cache to help it; the rest are timed one by one, waiting for each result.
+Takes about a minute on two cores (more the first time, when the built-in room is made). Prints the README's table and
+writes `stage_times.md`, `stage_times.json` with the raw figures, and the plot `stage_times.png`. The first call
+contains the compilation, with no cache to help it; the rest are timed one by one, waiting for each result.
 
 Expect: the visibility of soft lights and the G-buffer are the dearest; a cascade costs about what its steps and
 conductances cost when they are measured alone.
