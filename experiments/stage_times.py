@@ -2,8 +2,8 @@
 
     python -m experiments.stage_times [--capture PATH] [--repeats 30] [--out results/stage_times]
 
-Takes about a minute on two cores (more the first time, when the built-in room is made). Prints the README's table and
-writes `stage_times.md`, `stage_times.json` with the raw figures, and the plot `stage_times.png`. The first call
+Takes about a minute on two cores (more the first time, when the built-in room is made). Prints the README's table,
+and writes `stage_times.md`, `stage_times.json` with the raw figures, and the plot `stage_times.png`. The first call
 contains the compilation, with no cache to help it; the rest are timed one by one, waiting for each result.
 
 Expect: the visibility of soft lights and the G-buffer are the dearest; a cascade costs about what its steps and
