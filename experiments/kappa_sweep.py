@@ -27,7 +27,7 @@ from tqdm import tqdm
 import hyjax
 from experiments.plotting import new_figure
 from hyjax.data.capture import Capture
-from hyjax.data.light_setups import named_setup, survey
+from hyjax.data.light_setups import named_setup, survey_capture
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.data.surfaces import surface_of
@@ -77,9 +77,7 @@ class Bench:
         )
         self.capture = capture
         self.rough, self.accurate = RayCaster(surface_of(capture, "scan")[1]), RayCaster(accurate[1])
-        cameras = [capture[i].camera for i in range(0, len(capture), -(-len(capture) // 8))]
-        stage = survey(self.accurate, cameras, capture.up, getattr(capture, "anchors", None))
-        self.setup = named_setup("two-colors", stage)
+        self.setup = named_setup("two-colors", survey_capture(self.accurate, capture))
         self.maps = cast_shadow_maps(self.rough, self.setup.lights)
         self.accurate_maps = cast_shadow_maps(self.accurate, self.setup.lights)
 

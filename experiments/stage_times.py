@@ -23,7 +23,7 @@ import tyro
 
 import hyjax
 from experiments.plotting import new_figure
-from hyjax.data.light_setups import named_setup, survey
+from hyjax.data.light_setups import named_setup, survey_capture
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.data.surfaces import surface_of
@@ -51,8 +51,7 @@ def main(config: Config) -> None:
     source, mesh = surface_of(capture)
     caster = RayCaster(mesh)
     frame = fit(capture[config.frame], (512, 512))
-    stage = survey(caster, [frame.camera], capture.up, getattr(capture, "anchors", None))
-    setup = named_setup(config.lights, stage)
+    setup = named_setup(config.lights, survey_capture(caster, capture))
 
     gbuffer = caster.gbuffer(frame.camera)
     maps = cast_shadow_maps(caster, setup.lights)

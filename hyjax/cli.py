@@ -15,6 +15,7 @@ import tyro
 from hyjax.errors import InputError
 
 if TYPE_CHECKING:
+    from hyjax.data.capture import Capture
     from hyjax.schedule import Schedule
 
 
@@ -99,7 +100,7 @@ def run_relight(command: Relight) -> None:
 
     from hyjax.cache import cache_folder
     from hyjax.data.light_file import read_lights
-    from hyjax.data.light_setups import check_setup_name, named_setup, survey
+    from hyjax.data.light_setups import check_setup_name, named_setup, survey_capture
     from hyjax.data.open import open_capture
     from hyjax.data.room import UP as ROOM_UP
     from hyjax.data.room import load_room
@@ -121,11 +122,15 @@ def run_relight(command: Relight) -> None:
     if not from_file:
         check_setup_name(command.lights)
     check_mesh_name(command.mesh)
-    capture = None if command.capture is None else open_capture(command.capture)
+    capture: Capture | None = None
+    if command.capture is not None:
+        with clock("capture"):
+            capture = open_capture(command.capture)
     setup = read_lights(Path(command.lights), ROOM_UP if capture is None else capture.up) if from_file else None
     make_writable(command.out)
-    with clock("capture"):
-        capture = capture or load_room(progress=bars)
+    if capture is None:
+        with clock("capture"):
+            capture = load_room(progress=bars)
     chosen = select_frames(command.frames, len(capture))
     with clock("mesh"):
         source, mesh = surface_of(
@@ -138,10 +143,7 @@ def run_relight(command: Relight) -> None:
         )
         caster = RayCaster(mesh)
     if setup is None:
-        # Placed by the whole capture, so that its frames are lit alike however they are chosen.
-        cameras = [capture[i].camera for i in range(0, len(capture), -(-len(capture) // 8))]
-        stage = survey(caster, cameras, capture.up, getattr(capture, "anchors", None))
-        setup = named_setup(command.lights, stage)
+        setup = named_setup(command.lights, survey_capture(caster, capture))
     run = relight_capture(
         capture,
         caster,

@@ -23,7 +23,6 @@ from hyjax.data.capture import Capture, Frame
 from hyjax.data.light_file import LightSetup, write_lights
 from hyjax.errors import InputError
 from hyjax.files import remove, write_text
-from hyjax.gbuffer import GBuffer
 from hyjax.images import resize, write_exr, write_png
 from hyjax.pipeline import Mode, Relit, relight_stages
 from hyjax.scene.camera import Camera, Intrinsics
@@ -129,7 +128,7 @@ def relight_capture(
         )
         relit = clock.follow(stages)
         with clock("write"):
-            _write_frame(out, frame.name, relit, gbuffer, mode, outputs)
+            _write_frame(out, frame.name, relit, mode, outputs)
         written.append(frame.name)
         if (len(written) - 1) % sheet_every == 0:
             rows.append((frame.name, _sheet_row(frame, relit, mode)))
@@ -229,7 +228,7 @@ def make_writable(out: Path) -> None:
         raise InputError(f"{out}: cannot write there ({error.strerror}); choose another --out") from None
 
 
-def _write_frame(out: Path, name: str, relit: Relit, gbuffer: GBuffer, mode: Mode, outputs: Outputs) -> None:
+def _write_frame(out: Path, name: str, relit: Relit, mode: Mode, outputs: Outputs) -> None:
     pictures = {"relit": relit.image}
     if outputs.filters:
         pictures |= {"filter": relit.shading, "refined": relit.refined}

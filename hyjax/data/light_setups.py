@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from hyjax.data.capture import Capture
 from hyjax.data.light_file import LightSetup, parse_lights
 from hyjax.errors import InputError, did_you_mean
 from hyjax.scene.camera import Camera
@@ -50,7 +51,7 @@ def survey(
 
     Args:
         caster: the captured surface.
-        cameras: of the frames that will be relit.
+        cameras: a few, spread over the capture.
         up: unit vector against gravity.
         anchors: places the capture knows: `window_0` with center, normal, width, height, and `lamp_0`, `lamp_1`, …
             with position. What is missing is made up.
@@ -73,6 +74,12 @@ def survey(
     free = [min(_free(caster, middle, side), 2.5) for side in sides]
     best = int(np.argmax(free))
     return Stage(up, focus, points, lamps, middle + 0.9 * free[best] * sides[best], -sides[best], 1.6, 1.2)
+
+
+def survey_capture(caster: RayCaster, capture: Capture) -> Stage:
+    """`survey` with cameras from the whole capture, so that its frames are lit alike however they are chosen."""
+    cameras = [capture[i].camera for i in range(0, len(capture), -(-len(capture) // 8))]
+    return survey(caster, cameras, capture.up, getattr(capture, "anchors", None))
 
 
 def noon_window(stage: Stage) -> dict[str, Any]:
