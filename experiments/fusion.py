@@ -15,10 +15,10 @@ import numpy as np
 import tyro
 
 from hyjax.data.open import open_capture
+from hyjax.environment import environment, peak_memory_mib
 from hyjax.errors import InputError
-from hyjax.files import write_text
+from hyjax.files import make_writable, write_text
 from hyjax.images import write_png
-from hyjax.relighting import environment, make_writable, peak_memory_mib
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.tsdf import fuse
 from hyjax.tuning.latency import StageClock

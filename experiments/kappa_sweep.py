@@ -27,12 +27,14 @@ from tqdm import tqdm
 import hyjax
 from experiments.plotting import new_figure
 from hyjax.data.capture import Capture
+from hyjax.data.frames import fit
 from hyjax.data.light_setups import named_setup, survey_capture
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.data.surfaces import surface_of
+from hyjax.environment import environment
 from hyjax.errors import InputError
-from hyjax.relighting import environment, fit, make_writable
+from hyjax.files import make_writable
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.schedule import PRESETS, Schedule

@@ -23,12 +23,14 @@ import tyro
 
 import hyjax
 from experiments.plotting import new_figure
+from hyjax.data.frames import fit
 from hyjax.data.light_setups import named_setup, survey_capture
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.data.surfaces import surface_of
+from hyjax.environment import environment, peak_memory_mib
 from hyjax.errors import InputError
-from hyjax.relighting import environment, fit, make_writable, peak_memory_mib
+from hyjax.files import make_writable
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.tuning.latency import measure

@@ -99,13 +99,15 @@ def run_relight(command: Relight) -> None:
     import jax
 
     from hyjax.cache import cache_folder
+    from hyjax.data.frames import select_frames
     from hyjax.data.light_file import read_lights
     from hyjax.data.light_setups import check_setup_name, named_setup, survey_capture
     from hyjax.data.open import open_capture
     from hyjax.data.room import UP as ROOM_UP
     from hyjax.data.room import load_room
     from hyjax.data.surfaces import check_mesh_name, surface_of
-    from hyjax.relighting import Outputs, make_writable, relight_capture, select_frames
+    from hyjax.files import make_writable
+    from hyjax.relighting import Outputs, relight_capture
     from hyjax.scene.raycast import RayCaster
     from hyjax.tuning.latency import StageClock
 
@@ -172,7 +174,7 @@ def run_info() -> None:
     import jax
 
     from hyjax.cache import cache_folder
-    from hyjax.relighting import OPTIONAL, environment, package_version
+    from hyjax.environment import OPTIONAL, environment, package_version
 
     record = environment()
     for name, version in record["versions"].items():

@@ -1,13 +1,8 @@
 """Relighting a capture from end to end: everything that `hyjax relight` does, as a function."""
 
-import contextlib
 import dataclasses
 import json
-import os
-import platform
-import tempfile
 from collections.abc import Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +15,13 @@ from tqdm import tqdm
 from hyjax.color import to_display, to_linear
 from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.capture import Capture, Frame
+from hyjax.data.frames import fit
 from hyjax.data.light_file import LightSetup, write_lights
+from hyjax.environment import environment, peak_memory_mib
 from hyjax.errors import InputError
-from hyjax.files import remove, write_text
-from hyjax.images import resize, write_exr, write_png
+from hyjax.files import make_writable, remove, write_text
+from hyjax.images import write_exr, write_png
 from hyjax.pipeline import Mode, Relit, relight_stages
-from hyjax.scene.camera import Camera, Intrinsics
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.schedule import Schedule
@@ -33,19 +29,6 @@ from hyjax.tuning.latency import StageClock
 
 HEADINGS = ("frame", "raw filter", "refined filter", "visibility", "raw filter x frame", "relit")
 SHEET_ROWS = 12
-OPTIONAL = ("matplotlib", "pytest", "hypothesis")
-PACKAGES = (
-    "jax",
-    "jaxlib",
-    "flax",
-    "optax",
-    "jaxopt",
-    "numpy",
-    "trimesh",
-    "embreex",
-    "scikit-image",
-    "OpenImageIO",
-)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,79 +138,6 @@ def relight_capture(
     return run
 
 
-def fit(frame: Frame, size: tuple[int, int] | None) -> Frame:
-    """The frame's largest centred window with the proportions of `size` (height, width), resampled to that size.
-
-    Resampling averages light, hence happens in linear values. Depth is dropped: nothing here needs it.
-    """
-    if size is None or size == frame.camera.intrinsics.shape:
-        return dataclasses.replace(frame, depth=None, depth_intrinsics=None)
-    height, width = size
-    h, w = frame.camera.intrinsics.shape
-    scale = min(h / height, w / width)
-    window_h, window_w = min(h, round(height * scale)), min(w, round(width * scale))
-    top, left = (h - window_h) // 2, (w - window_w) // 2
-    linear = np.asarray(to_linear(jnp.asarray(frame.image[top : top + window_h, left : left + window_w])))
-    image = np.asarray(to_display(jnp.asarray(resize(linear, height, width))))
-    intrinsics: Intrinsics = frame.camera.intrinsics.crop(top, left, window_h, window_w).resize(height, width)
-    camera = Camera(intrinsics, frame.camera.pose)
-    return dataclasses.replace(frame, image=image, camera=camera, depth=None, depth_intrinsics=None)
-
-
-def select_frames(text: str, count: int) -> list[int]:
-    """Frame indices from `all`, `7`, `0:300:30` (as Python slices) or a comma-separated list of these.
-
-    Raises:
-        InputError: not of this form, past the end of the capture, or nothing selected.
-    """
-    chosen: list[int] = []
-    for part in text.split(","):
-        fields = ["", "", ""] if part.strip() == "all" else part.strip().split(":")
-        try:
-            numbers = [int(field) if field.strip() else None for field in fields]
-        except ValueError:
-            numbers = []
-        if not 1 <= len(numbers) <= 3 or numbers == [None] or numbers[2:] == [0]:
-            raise InputError(f"frames: {text!r} is not of the form all, 7, 0:{count}:10 or a list of these")
-        first = numbers[0] or 0
-        last = numbers[1] if len(numbers) > 1 else first + 1 if first != -1 else None
-        if not -count <= first < count or not -count <= (last or 0) <= count:
-            raise InputError(f"frames: {text!r} runs past the end; the capture has frames 0 to {count - 1}")
-        chosen += range(count)[slice(numbers[0], last, numbers[2] if len(numbers) > 2 else None)]
-    chosen = list(dict.fromkeys(chosen))
-    if not chosen:
-        raise InputError(f"frames: {text!r} selects no frame of 0 to {count - 1}")
-    return chosen
-
-
-def environment() -> dict[str, Any]:
-    """Versions and devices, for the record."""
-    versions = {"hyjax": package_version("hyjax"), "python": platform.python_version()}
-    versions |= {name: package_version(name) for name in PACKAGES}
-    device = jax.devices()[0]
-    return {"versions": versions, "device": f"{device.platform}: {device.device_kind}", "cpu_count": os.cpu_count()}
-
-
-def peak_memory_mib() -> float:
-    """Largest resident set of this process so far, in MiB; NaN where the system does not tell."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return float("nan")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (2**20 if platform.system() == "Darwin" else 2**10)
-
-
-def make_writable(out: Path) -> None:
-    """Make the output folder, or raise `InputError` if files cannot be written there."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out):
-            pass
-    except OSError as error:
-        raise InputError(f"{out}: cannot write there ({error.strerror}); choose another --out") from None
-
-
 def _write_frame(out: Path, name: str, relit: Relit, mode: Mode, outputs: Outputs) -> None:
     pictures = {"relit": relit.image}
     if outputs.filters:
@@ -257,10 +167,3 @@ def _sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray,
 
 def _shown(picture: Any, encoded: bool = False) -> Float[np.ndarray, "h w 3"]:
     return np.asarray(picture if encoded else to_display(picture))
-
-
-def package_version(package: str) -> str:
-    """The installed version of a package, or "not installed"."""
-    with contextlib.suppress(metadata.PackageNotFoundError):
-        return metadata.version(package)
-    return "not installed"

@@ -9,10 +9,12 @@ import pytest
 import trimesh
 
 from hyjax.data.capture import Frame
+from hyjax.data.frames import fit, select_frames
 from hyjax.data.light_file import LightSetup, parse_lights, read_lights
 from hyjax.errors import InputError
+from hyjax.files import make_writable
 from hyjax.images import read_image
-from hyjax.relighting import Outputs, fit, make_writable, relight_capture, select_frames
+from hyjax.relighting import Outputs, relight_capture
 from hyjax.scene.camera import Camera, Intrinsics, look_at
 from hyjax.scene.raycast import RayCaster
 from hyjax.schedule import Schedule

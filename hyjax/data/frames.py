@@ -1,0 +1,57 @@
+"""Choosing frames of a capture and bringing them to a size."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+from hyjax.color import to_display, to_linear
+from hyjax.data.capture import Frame
+from hyjax.errors import InputError
+from hyjax.images import resize
+from hyjax.scene.camera import Camera, Intrinsics
+
+
+def fit(frame: Frame, size: tuple[int, int] | None) -> Frame:
+    """The frame's largest centred window with the proportions of `size` (height, width), resampled to that size.
+
+    Resampling averages light, hence happens in linear values. Depth is dropped: nothing here needs it.
+    """
+    if size is None or size == frame.camera.intrinsics.shape:
+        return dataclasses.replace(frame, depth=None, depth_intrinsics=None)
+    height, width = size
+    h, w = frame.camera.intrinsics.shape
+    scale = min(h / height, w / width)
+    window_h, window_w = min(h, round(height * scale)), min(w, round(width * scale))
+    top, left = (h - window_h) // 2, (w - window_w) // 2
+    linear = np.asarray(to_linear(jnp.asarray(frame.image[top : top + window_h, left : left + window_w])))
+    image = np.asarray(to_display(jnp.asarray(resize(linear, height, width))))
+    intrinsics: Intrinsics = frame.camera.intrinsics.crop(top, left, window_h, window_w).resize(height, width)
+    camera = Camera(intrinsics, frame.camera.pose)
+    return dataclasses.replace(frame, image=image, camera=camera, depth=None, depth_intrinsics=None)
+
+
+def select_frames(text: str, count: int) -> list[int]:
+    """Frame indices from `all`, `7`, `0:300:30` (as Python slices) or a comma-separated list of these.
+
+    Raises:
+        InputError: not of this form, past the end of the capture, or nothing selected.
+    """
+    chosen: list[int] = []
+    for part in text.split(","):
+        fields = ["", "", ""] if part.strip() == "all" else part.strip().split(":")
+        try:
+            numbers = [int(field) if field.strip() else None for field in fields]
+        except ValueError:
+            numbers = []
+        if not 1 <= len(numbers) <= 3 or numbers == [None] or numbers[2:] == [0]:
+            raise InputError(f"frames: {text!r} is not of the form all, 7, 0:{count}:10 or a list of these")
+        first = numbers[0] or 0
+        last = numbers[1] if len(numbers) > 1 else first + 1 if first != -1 else None
+        if not -count <= first < count or not -count <= (last or 0) <= count:
+            raise InputError(f"frames: {text!r} runs past the end; the capture has frames 0 to {count - 1}")
+        chosen += range(count)[slice(numbers[0], last, numbers[2] if len(numbers) > 2 else None)]
+    chosen = list(dict.fromkeys(chosen))
+    if not chosen:
+        raise InputError(f"frames: {text!r} selects no frame of 0 to {count - 1}")
+    return chosen
