@@ -1,0 +1,94 @@
+"""What a tuning run found."""
+
+import dataclasses
+from typing import Any
+
+from hyjax.schedule import Schedule
+
+
+@dataclasses.dataclass(frozen=True)
+class Milliseconds:
+    """How long something takes: the median and the 95th percentile of single calls."""
+
+    median: float
+    p95: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Scores:
+    """Quality of the relit frames against the target's, mean over frames.
+
+    Attributes:
+        loss: what was minimised, see `hyjax.losses`.
+        psnr: dB, display values, where the target is known.
+        ssim: structural similarity, likewise.
+    """
+
+    loss: float
+    psnr: float
+    ssim: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Budget:
+    """A time that something has to fit in.
+
+    Attributes:
+        label: what the user called it, such as "60 fps" or "8 ms".
+        milliseconds: the time.
+    """
+
+    label: str
+    milliseconds: float
+
+    @property
+    def slug(self) -> str:
+        """The label as part of a file's name: `60fps`, `8ms`."""
+        return self.label.replace(" ", "")
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """A schedule with what is known about it.
+
+    Attributes:
+        schedule: named after where it comes from: `tuned-60fps`, `paper-50`, ...
+        predicted: by the latency table.
+        measured: on the clock; None if it never was.
+        tuning: scores on the tuning frames.
+        held_out: scores on the frames that nothing was chosen on; None if there are none.
+    """
+
+    schedule: Schedule
+    predicted: Milliseconds
+    measured: Milliseconds | None = None
+    tuning: Scores | None = None
+    held_out: Scores | None = None
+
+    @property
+    def name(self) -> str:
+        return self.schedule.name
+
+
+@dataclasses.dataclass(frozen=True)
+class Tuned:
+    """What `hyjax.tune` returns.
+
+    Attributes:
+        schedule: the best one for the first budget, measured to fit.
+        best: the best for each budget, in the order given; measured to fit.
+        budgets: the budgets asked for.
+        front: everything tuned that was timed and that nothing timed beats in both time and tuning loss, by time.
+        baselines: the paper's schedules and the naive ones.
+        history: one entry for each step of the search: `seconds` since its start, `budget`, `phase`, `loss` (best
+            so far on the tuning frames).
+        record: settings, device, versions, latency table's error, frames: JSON's types.
+    """
+
+    schedule: Schedule
+    best: list[Candidate]
+    budgets: list[Budget]
+    front: list[Candidate]
+    baselines: list[Candidate]
+    history: list[dict[str, Any]]
+    record: dict[str, Any]
