@@ -1,14 +1,19 @@
 """The only timer of the package."""
 
 import contextlib
+import datetime
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import jax
 import numpy as np
+from tqdm import tqdm
 
 T = TypeVar("T")
+
+# Rounds that a time limit does not take away.
+FEWEST_ROUNDS = 10
 
 
 class StageClock:
@@ -48,11 +53,43 @@ def measure(function: Callable[..., Any], *arguments: Any, repeats: int = 20) ->
     Returns:
         As an entry of `StageClock.summary`.
     """
+    return measure_each({"call": lambda: function(*arguments)}, repeats)["call"]
+
+
+def measure_each(
+    calls: Mapping[str, Callable[[], Any]],
+    repeats: int,
+    *,
+    most_seconds: float | None = None,
+    progress: bool = False,
+) -> dict[str, dict[str, float | int]]:
+    """Time several calls in turns, A B C A B C ..., so that a machine that slows down slows all of them alike.
+
+    Every call runs once before anything else, which compiles it and is kept apart; each is waited for.
+
+    Args:
+        calls: what to time, by name.
+        repeats: rounds after the first one.
+        most_seconds: begin no further round after so long a time, if each call has run ten times by then.
+        progress: show a bar on stderr.
+
+    Returns:
+        By name, in the order of `calls`, as `StageClock.summary`.
+    """
     clock = StageClock()
-    for _ in range(repeats + 1):
-        with clock("call"):
-            jax.block_until_ready(function(*arguments))
-    return clock.summary()["call"]
+    start = time.perf_counter()
+    for count in tqdm(range(repeats + 1), "timing", unit="round", leave=False, disable=not progress):
+        if most_seconds is not None and count > FEWEST_ROUNDS and time.perf_counter() - start > most_seconds:
+            break
+        for name, call in calls.items():
+            with clock(name):
+                jax.block_until_ready(call())
+    return clock.summary()
+
+
+def timestamp() -> str:
+    """Now, in UTC, to the second, as ISO 8601 writes it."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
 def _statistics(seconds: list[float]) -> dict[str, float | int]:
