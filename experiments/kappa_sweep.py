@@ -169,8 +169,6 @@ def markdown(name: str, results: list[dict[str, Any]], baselines: dict[str, floa
 
 def figure(path: Path, name: str, rows: list[dict[str, Any]]) -> None:
     fig = new_figure(6, 4)
-    if fig is None:
-        return
     axes = fig.subplots()
     for variant in dict.fromkeys(row["variant"] for row in rows):
         points = [(row["kappa"], row["tuning_db"]) for row in rows if row["variant"] == variant]

@@ -1,14 +1,8 @@
-"""Figures need matplotlib, which nothing else here does."""
+"""What every figure here starts from."""
 
-import sys
-from typing import Any
+from matplotlib.figure import Figure
 
 
-def new_figure(width: float, height: float) -> Any:
-    """An empty matplotlib figure, or None (and a line on stderr) without matplotlib."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        print("no figure: pip install 'hyjax[experiments]' brings matplotlib", file=sys.stderr)
-        return None
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of so many inches, without a window."""
     return Figure(figsize=(width, height), layout="constrained")

@@ -121,8 +121,6 @@ def alone(y: Any, guide: Any, schedule: hyjax.Schedule, repeats: int) -> dict[st
 def figure(path: Path, record: dict[str, Any]) -> None:
     """Median milliseconds of every stage, p95 as a tick."""
     fig = new_figure(7, 3.5)
-    if fig is None:
-        return
     shown = {name: t for name, t in record["times"].items() if not name.startswith("  alone")}
     axes = fig.subplots()
     axes.barh(list(shown), [t["median_ms"] for t in shown.values()])

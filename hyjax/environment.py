@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 
-OPTIONAL = ("matplotlib", "pytest", "hypothesis")
+OPTIONAL = ("pytest", "hypothesis")
 PACKAGES = (
     "jax",
     "jaxlib",
@@ -20,6 +20,7 @@ PACKAGES = (
     "embreex",
     "scikit-image",
     "OpenImageIO",
+    "matplotlib",
 )
 
 
