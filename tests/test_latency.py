@@ -1,5 +1,6 @@
 """The timer: the first run apart, everything waited for."""
 
+import datetime
 import time
 from collections.abc import Iterator
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from hyjax.tuning import latency
-from hyjax.tuning.latency import StageClock, measure
+from hyjax.tuning.latency import StageClock, measure, measure_each, timestamp
 
 
 @pytest.fixture
@@ -104,3 +105,47 @@ def test_measure_waits_and_keeps_compilation_out_of_the_median() -> None:
     result = measure(jax.jit(traced_slowly), jnp.ones(3), repeats=3)
     assert result["first_ms"] >= 300
     assert 29 <= result["median_ms"] < 300
+
+
+def test_measure_each_takes_turns_and_keeps_the_first_round_apart(ticks: list[float]) -> None:
+    order = []
+
+    def call(name: str, seconds: float) -> None:
+        order.append(name)
+        ticks[0] += seconds * (100 if len(order) <= 2 else 1)  # the first round compiles
+
+    summary = measure_each({"b": lambda: call("b", 1.0), "a": lambda: call("a", 2.0)}, 3)
+    assert "".join(order) == "ba" * 4
+    assert list(summary) == ["b", "a"]
+    assert summary["b"] == {"first_ms": 100e3, "count": 3, "median_ms": 1000.0, "p95_ms": 1000.0}
+    assert summary["a"] == {"first_ms": 200e3, "count": 3, "median_ms": 2000.0, "p95_ms": 2000.0}
+
+
+def test_measure_each_spreads_a_slow_spell_over_all(ticks: list[float]) -> None:
+    """A machine ten times slower in a fifth of the rounds moves nobody's median."""
+    calls = [0]
+
+    def call() -> None:
+        ticks[0] += 10.0 if calls[0] // 3 in (4, 5) else 1.0
+        calls[0] += 1
+
+    summary = measure_each(dict.fromkeys("abc", call), 10)
+    assert [entry["median_ms"] for entry in summary.values()] == [1000.0] * 3
+
+
+def test_measure_each_ends_early_but_not_before_ten_rounds(ticks: list[float]) -> None:
+    def call() -> None:
+        ticks[0] += 1.0
+
+    assert measure_each({"a": call}, 50, most_seconds=3.0)["a"]["count"] == 10
+    assert measure_each({"a": call}, 50, most_seconds=30.0)["a"]["count"] == 30
+    assert measure_each({"a": call}, 5, most_seconds=0.0)["a"]["count"] == 5
+
+
+def test_measure_each_waits() -> None:
+    compiled = jax.jit(slow)
+    assert measure_each({"slow": lambda: compiled(jnp.ones(3))}, 2)["slow"]["median_ms"] >= 29
+
+
+def test_timestamp_says_its_time_zone() -> None:
+    assert datetime.datetime.fromisoformat(timestamp()).utcoffset() == datetime.timedelta(0)

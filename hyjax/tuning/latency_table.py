@@ -56,6 +56,8 @@ REPEATS = 60
 # Large pictures get fewer rounds instead of minutes.
 MOST_SECONDS = 30.0
 PROBE_REPEATS = 40
+# No measured time is taken to be shorter, in milliseconds: what the clock's record is rounded to.
+SHORTEST = 1e-3
 # A stored table is believed while a probe takes between 1/1.3 and 1.3 times as long as it did then.
 PROBE_TOLERANCE = 1.3
 
@@ -95,7 +97,7 @@ class Workload:
                 raise InputError(f"workload: {name} must be a whole number >= 1, got {value!r}")
         if self.dtype not in DTYPES:
             raise InputError(f"workload: dtype {self.dtype!r} is unknown; use one of {', '.join(DTYPES)}")
-        if self.dtype == "float64" and not jax.config.jax_enable_x64:
+        if self.dtype == "float64" and jax.dtypes.canonicalize_dtype("float64") != "float64":
             raise InputError("workload: dtype float64 needs JAX_ENABLE_X64=1")
 
     def arguments(self) -> Arguments:
@@ -151,7 +153,7 @@ class LatencyTable:
         median: model of the median time.
         p95: model of the 95th percentile, nowhere below `median`.
         error: `median_relative` and `worst_relative` of the median model on the calibration's schedules, each
-            predicted from all the others.
+            predicted from all the others. The worst is a level on its own, of whose cost no other schedule tells.
         probe: a paper-like schedule timed on its own, to recognise later whether the device still is as fast.
         calibration: the schedules timed: `steps`, `median_ms`, `p95_ms`.
         stages: fixed costs of other stages, by name, see `time_stages`.
@@ -220,7 +222,7 @@ class LatencyTable:
             return _read_table(content)
         except InputError as error:
             raise InputError(f"latency table: {error}") from None
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
             raise InputError(f"latency table: {type(error).__name__}: {error}".replace("\n", " ")) from None
 
 
@@ -269,7 +271,7 @@ def _number(value: Any) -> float:
 # ---- ladders and schedules ----
 
 
-def ladder_for(height: int, width: int, *, ladder: Sequence[int] = LADDER) -> tuple[int, ...]:
+def ladder_for(height: int, width: int, ladder: Sequence[int] = LADDER) -> tuple[int, ...]:
     """The factors of a ladder that are not too coarse for a picture of this size.
 
     Raises:
@@ -371,20 +373,20 @@ def fit(steps: Sequence[Sequence[int]], times: Sequence[float], *, above: CostMo
         times: milliseconds, > 0.
         above: a model whose coefficients bound the new ones from below.
     """
-    design, measured = np.stack([_row(row) for row in steps]), np.asarray(times, float)
+    design, measured = np.stack([_row(row) for row in steps]), np.maximum(np.asarray(times, float), SHORTEST)
     count = len(steps[0])
     low = np.zeros(design.shape[1])
     if above is not None:
         low = np.concatenate([[above.fixed], above.level, above.step, above.finest])
     # The last level is never anything but the finest: the two costs cannot be told apart, `level` has both.
-    free = np.arange(design.shape[1] - 1)
-    relative, target = design[:, free] / measured[:, None], 1.0 - design @ low / measured
+    relative, target = design[:, :-1] / measured[:, None], 1.0 - design @ low / measured
+    free = relative.shape[1]
     # A constant may move between `fixed` and all of `finest`: a trace of a penalty decides.
     penalty = 1e-7 * np.diag(np.linalg.norm(relative, axis=0))
     weight = np.ones(len(measured))
     for _ in range(50):
         rows = np.concatenate([relative * weight[:, None], penalty])
-        solution, _ = nnls(rows, np.concatenate([target * weight, np.zeros(len(free))]), maxiter=100 * len(free))
+        solution, _ = nnls(rows, np.concatenate([target * weight, np.zeros(free)]), maxiter=100 * free)
         residual = np.abs(relative @ solution - target)
         scale = max(1.4826 * float(np.median(residual)), 1e-4)
         new = np.sqrt(np.minimum(1.0, 1.345 * scale / np.maximum(residual, 1e-12)))
@@ -392,12 +394,7 @@ def fit(steps: Sequence[Sequence[int]], times: Sequence[float], *, above: CostMo
             break
         weight = new
     values = low + np.append(solution, 0.0)
-    fixed, level, step, finest = (
-        values[0],
-        values[1 : count + 1],
-        values[count + 1 : 2 * count + 1],
-        values[2 * count + 1 :],
-    )
+    fixed, (level, step, finest) = values[0], values[1:].reshape(3, count)
     if above is None:  # what every schedule pays belongs to `fixed`
         shared = min([level[-1], *finest[:-1]])
         fixed, finest[:-1], level[-1] = fixed + shared, finest[:-1] - shared, level[-1] - shared
@@ -452,7 +449,7 @@ def _milliseconds(
 
 
 def calibrate(
-    workload: Workload, *, ladder: Sequence[int] = LADDER, repeats: int = REPEATS, progress: bool = True
+    workload: Workload, ladder: Sequence[int] = LADDER, *, repeats: int = REPEATS, progress: bool = True
 ) -> LatencyTable:
     """Time some thirty schedules and fit the model to them. Takes about half a minute at 512×512 on two cores.
 
@@ -465,7 +462,7 @@ def calibrate(
     Raises:
         InputError: a ladder that no schedule can have, or no repeats.
     """
-    ladder = ladder_for(workload.height, workload.width, ladder=ladder)
+    ladder = ladder_for(workload.height, workload.width, ladder)
     arguments = workload.arguments()
     steps = calibration_steps(ladder)
     calls = _compile_all([_schedule(ladder, row) for row in steps], arguments, progress=progress)
@@ -536,7 +533,7 @@ def time_schedules(
         table: for its workload and its memory; `save_table` keeps what it learns.
         schedules: any; those that differ in λ and κ alone take the same time and are timed once.
         arguments: filter, known and guide to time on; the workload's if not given.
-        repeats: times each schedule runs.
+        repeats: times each schedule runs, fewer (at least ten) if that would take more than a minute.
         again: also time those that the table remembers.
         progress: show bars on stderr.
 
@@ -548,7 +545,8 @@ def time_schedules(
     if wanted:
         arguments = _on_device(table.workload, arguments)
         calls = _compile_all(list(wanted.values()), arguments, progress=progress)
-        table.timed.update(_milliseconds(dict(zip(wanted, calls)), repeats, progress=progress))
+        named = dict(zip(wanted, calls))
+        table.timed.update(_milliseconds(named, repeats, progress=progress, most_seconds=2 * MOST_SECONDS))
     return [table.timed[key] for key in keys]
 
 
@@ -609,8 +607,8 @@ def save_table(table: LatencyTable) -> None:
 
 def load_table(
     workload: Workload,
-    *,
     ladder: Sequence[int] = LADDER,
+    *,
     recalibrate: bool = False,
     progress: bool = True,
 ) -> tuple[LatencyTable, str]:
@@ -628,14 +626,14 @@ def load_table(
     Raises:
         InputError: a ladder that no schedule can have.
     """
-    ladder = ladder_for(workload.height, workload.width, ladder=ladder)
+    ladder = ladder_for(workload.height, workload.width, ladder)
     reason = "asked for"
     if not recalibrate:
         found = _from_cache(workload, ladder)
         if isinstance(found, LatencyTable):
             return found, f"from the cache (calibrated {found.created})"
         reason = found
-    table = calibrate(workload, ladder=ladder, progress=progress)
+    table = calibrate(workload, ladder, progress=progress)
     save_table(table)
     return table, f"calibrated anew: {reason}"
 
@@ -658,8 +656,8 @@ def _from_cache(workload: Workload, ladder: tuple[int, ...]) -> LatencyTable | s
         changed = [name for name, value in table.key().items() if value != key[name]]
         return f"{path.name} in the cache is of another {', '.join(changed)}"
     (probe,) = _compile_all([_schedule(ladder, probe_steps(ladder))], workload.arguments(), progress=False)
-    for _ in range(2):  # a burst of other work on the machine is no reason yet
-        now = _milliseconds({"probe": probe}, PROBE_REPEATS, progress=False)["probe"].median
-        if 1 / PROBE_TOLERANCE < now / table.probe.median < PROBE_TOLERANCE:
+    for repeats in (PROBE_REPEATS, 3 * PROBE_REPEATS):  # a burst of other work on the machine is no reason yet
+        now = _milliseconds({"probe": probe}, repeats, progress=False)["probe"].median
+        if now <= PROBE_TOLERANCE * table.probe.median and table.probe.median <= PROBE_TOLERANCE * now:
             return table
     return f"a schedule that took {table.probe.median:.2f} ms then takes {now:.2f} ms now"
