@@ -1,0 +1,116 @@
+"""The files that a tuning run leaves: schedules, a table, a plot and a page to show."""
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from hyjax.files import whole, write_text
+from hyjax.tuning.report_html import page
+from hyjax.tuning.report_pictures import Example, contact_sheet_rows
+from hyjax.tuning.report_plots import draw_pareto
+from hyjax.tuning.report_text import best_for, candidates, kappa_text, lam_text, steps_text, summary
+from hyjax.tuning.result import Milliseconds, Scores, Tuned
+
+__all__ = [
+    "CSV_COLUMNS",
+    "Example",
+    "contact_sheet_rows",
+    "draw_pareto",
+    "summary",
+    "write_pareto_csv",
+    "write_pareto_plot",
+    "write_report",
+    "write_schedules",
+]
+
+CSV_COLUMNS = (
+    *("name", "kind", "best_for", "schedule", "pooling", "norm", "kappa", "lam"),
+    *("predicted_median_ms", "predicted_p95_ms", "measured_median_ms", "measured_p95_ms"),
+    *("tuning_loss", "tuning_psnr_db", "tuning_ssim", "held_out_loss", "held_out_psnr_db", "held_out_ssim"),
+)
+
+
+def write_schedules(out: Path, tuned: Tuned) -> list[Path]:
+    """Write `schedule.json`, for the first budget; with several budgets also `schedule-60fps.json` and so on.
+
+    Args:
+        out: a folder that is there.
+        tuned: what was found.
+
+    Returns:
+        The files, `schedule.json` first.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    texts = {"schedule.json": tuned.schedule.to_json()}
+    if len(tuned.budgets) > 1:
+        for budget, best in zip(tuned.budgets, tuned.best, strict=True):
+            slug = re.sub(r"[^A-Za-z0-9.]+", "-", budget.slug).strip("-.") or "budget"
+            name, count = f"schedule-{slug}.json", 2
+            while name in texts:
+                name, count = f"schedule-{slug}-{count}.json", count + 1
+            texts[name] = best.schedule.to_json()
+    for name, text in texts.items():
+        write_text(out / name, text + "\n")
+    return [out / name for name in texts]
+
+
+def write_pareto_csv(path: Path, tuned: Tuned) -> None:
+    """Write a row for each candidate: the front, the best for each budget, the baselines, each once.
+
+    Columns are `CSV_COLUMNS`: `schedule` is factor:steps of each level, coarse to fine; `kappa` and `lam` have one
+    entry for each level, and a level's λ are joined by `/` where its steps differ. What is not known is empty.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    buffer = io.StringIO()
+    table = csv.writer(buffer, lineterminator="\n")
+    table.writerow(CSV_COLUMNS)
+    for kind, candidate in candidates(tuned):
+        schedule = candidate.schedule
+        table.writerow(
+            [
+                *(candidate.name, kind, ", ".join(best_for(tuned, candidate)) if kind == "tuned" else ""),
+                *(steps_text(schedule), schedule.pooling, schedule.norm, kappa_text(schedule), lam_text(schedule)),
+                *(*_times(candidate.predicted), *_times(candidate.measured)),
+                *(*_scores(candidate.tuning), *_scores(candidate.held_out)),
+            ]
+        )
+    write_text(path, buffer.getvalue())
+
+
+def _times(time: Milliseconds | None) -> list[str]:
+    return ["", ""] if time is None else [f"{time.median:.6g}", f"{time.p95:.6g}"]
+
+
+def _scores(scores: Scores | None) -> list[str]:
+    return ["", "", ""] if scores is None else [f"{x:.6g}" for x in (scores.loss, scores.psnr, scores.ssim)]
+
+
+def write_pareto_plot(path: Path, tuned: Tuned) -> None:
+    """Write time against quality as a picture, 1800 pixels wide; the suffix says which kind, PNG or SVG.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    figure = draw_pareto(tuned)
+    with whole(path) as temporary:
+        figure.savefig(temporary, dpi=200)
+
+
+def write_report(path: Path, tuned: Tuned, examples: Sequence[Example]) -> None:
+    """Write the whole story as one HTML file of at most 8 MB or so, which needs nothing else and no network.
+
+    Args:
+        path: the file.
+        tuned: what was found.
+        examples: frames to look at; may be empty.
+
+    Raises:
+        InputError: the file cannot be written, or there are more examples than fit.
+    """
+    write_text(path, page(tuned, examples))
