@@ -1,0 +1,325 @@
+"""The best schedule inside a budget: relax, round exactly, polish.
+
+Symbols of this file: n are the steps over the ladder, as in `hyjax.tuning.relaxation`; a *cost* is the latency
+table's model of the 95th percentile, in milliseconds; u_l = n_l · step_l / budget is the share of the budget that
+the steps of level l take. Shares are what the relaxation steps in: in them one learning rate suits all levels.
+"""
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxopt.projection import projection_box
+from jaxtyping import Array, Float
+from scipy.optimize import minimize
+
+from hyjax.tuning.budget import Steps, fits, moves, neighbours, project
+from hyjax.tuning.latency_table import CostModel
+from hyjax.tuning.relaxation import (
+    KAPPA_RANGE,
+    LAM_RANGE,
+    Plan,
+    Prepared,
+    evaluate,
+    evaluate_with_gradient,
+    logit,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Effort:
+    """How long to look. The defaults take about half a minute a budget at 512 x 512 on two cores.
+
+    Attributes:
+        sampled: starting points looked at.
+        relaxed: of these, how many are relaxed.
+        iterations: of the relaxation, one frame each.
+        rounded: integer neighbours of the relaxed optimum that are evaluated.
+        polished: how many of these get their κ and λ polished.
+        polishing: iterations of the polishing, all frames each.
+        descents: rounds of looking at all neighbours of the best.
+    """
+
+    sampled: int = 24
+    relaxed: int = 4
+    iterations: int = 40
+    rounded: int = 40
+    polished: int = 2
+    polishing: int = 10
+    descents: int = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class Objective:
+    """Mean loss over the tuning frames; what every search method here and in the experiments minimises."""
+
+    prepared: Sequence[Prepared]
+    ladder: tuple[int, ...]
+
+    def __call__(self, plan: Plan) -> float:
+        return float(np.mean([evaluate(plan, frame, self.ladder) for frame in self.prepared]))
+
+    def gradient(self, plan: Plan, frames: Iterable[int] | None = None) -> tuple[float, Plan]:
+        """Mean loss over some of the frames (all by default) and its gradient."""
+        chosen = range(len(self.prepared)) if frames is None else list(frames)
+        parts = [evaluate_with_gradient(plan, self.prepared[i], self.ladder) for i in chosen]
+        return jax.tree.map(lambda *x: np.mean(x, axis=0), *parts)
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """A plan of whole steps with its loss on the tuning frames."""
+
+    plan: Plan
+    loss: float
+
+    @property
+    def steps(self) -> Steps:
+        return whole(self.plan)
+
+
+def whole(plan: Plan) -> Steps:
+    """The plan's steps, rounded."""
+    return tuple(int(n) for n in np.round(np.asarray(plan.steps)))
+
+
+def with_steps(plan: Plan, steps: Sequence[float] | np.ndarray) -> Plan:
+    """The plan with other steps. A level that was not there takes κ and λ of the nearest that was."""
+    there = np.flatnonzero(np.asarray(plan.steps) > 0)
+    if there.size == 0:
+        there = np.arange(len(steps))
+    nearest = np.array([there[np.argmin(np.abs(there - i))] for i in range(len(steps))])
+    return Plan(jnp.asarray(steps, jnp.float32), plan.log_kappa[nearest], plan.logit_lam[nearest])
+
+
+# ---- relax ----
+
+
+def starts(count: int, cost: CostModel, budget: float, seed: int) -> Iterator[Float[np.ndarray, "l"]]:
+    """Step counts to start from, within the budget: time shared evenly between runs of levels, then at random."""
+    size = len(cost.step)
+    even = [range(first, last) for first in range(size) for last in range(first + 1, size + 1)]
+    rng = np.random.default_rng(seed)
+    rng.shuffle(even)
+    longest_first = sorted(even, key=len, reverse=True)
+    per_step = np.maximum(cost.step, 1e-6 * budget)
+    for i in range(count):
+        if i < len(longest_first) and i < count // 2:
+            shares = np.isin(np.arange(size), longest_first[i]).astype(float)
+        else:
+            shares = rng.dirichlet(np.ones(size)) * (rng.random(size) < 0.6)
+        total = shares.sum()
+        if total:
+            yield project(shares / total * budget / per_step, cost, budget)
+
+
+def relax(objective: Objective, start: Plan, cost: CostModel, budget: float, iterations: int, seed: int) -> Plan:
+    """Projected stochastic descent (Adam) on real-valued steps, log κ and logit λ, one frame an iteration."""
+    unit = jnp.asarray(budget / np.maximum(cost.step, 1e-6 * budget), jnp.float32)  # steps in the whole budget
+    optimizer = optax.adam(optax.cosine_decay_schedule(0.08, iterations), b2=0.99)
+
+    @jax.jit
+    def advance(plan: Plan, slope: Plan, state: optax.OptState) -> tuple[Plan, optax.OptState]:
+        shares = dataclasses.replace(slope, steps=slope.steps * unit)
+        updates, state = optimizer.update(shares, state)
+        updates = dataclasses.replace(updates, steps=updates.steps * unit)
+        return bounded(optax.apply_updates(plan, updates)), state
+
+    plan, state = start, optimizer.init(start)
+    rng = np.random.default_rng(seed)
+    order = itertools.chain.from_iterable(rng.permutation(len(objective.prepared)) for _ in itertools.count())
+    for frame in itertools.islice(order, iterations):
+        plan, state = advance(plan, objective.gradient(plan, [int(frame)])[1], state)
+        plan = dataclasses.replace(plan, steps=jnp.asarray(project(np.asarray(plan.steps), cost, budget)))
+    return plan
+
+
+def bounded(plan: Plan) -> Plan:
+    """κ and λ brought back into their ranges."""
+    low, high = bounds()
+    return Plan(
+        plan.steps,
+        projection_box(plan.log_kappa, (low[0], high[0])),
+        projection_box(plan.logit_lam, (low[1], high[1])),
+    )
+
+
+def bounds() -> tuple[tuple[float, float], tuple[float, float]]:
+    """Lowest and highest (log κ, logit 4 λ)."""
+    kappa, lam = np.log(KAPPA_RANGE), [logit(4.0 * x) for x in LAM_RANGE]
+    return (float(kappa[0]), lam[0]), (float(kappa[1]), lam[1])
+
+
+# ---- round ----
+
+
+def promising(candidates: Sequence[Steps], plan: Plan, slope: Plan, count: int) -> list[Steps]:
+    """The candidates with the lowest loss to first order around the relaxed plan."""
+    real, gradient = np.asarray(plan.steps, float), np.asarray(slope.steps, float)
+    return sorted(candidates, key=lambda steps: (float((np.array(steps) - real) @ gradient), steps))[:count]
+
+
+# ---- polish ----
+
+
+def polish(objective: Objective, plan: Plan, iterations: int) -> Found:
+    """κ and λ of the levels that are there, by bounded quasi-Newton steps on all frames, the step counts fixed.
+
+    Source: Byrd, Lu, Nocedal and Zhu, *A limited memory algorithm for bound constrained optimization*, 1995.
+    """
+    there = np.flatnonzero(np.asarray(plan.steps) > 0)
+    best = Found(plan, objective(plan))
+
+    def placed(x: np.ndarray) -> Plan:
+        kappa, lam = np.split(x.astype(np.float32), 2)
+        return Plan(plan.steps, plan.log_kappa.at[there].set(kappa), plan.logit_lam.at[there].set(lam))
+
+    def loss(x: np.ndarray) -> tuple[float, np.ndarray]:
+        nonlocal best
+        candidate = placed(x)
+        value, slope = objective.gradient(candidate)
+        if value < best.loss:
+            best = Found(candidate, float(value))
+        gradient = np.concatenate([np.asarray(slope.log_kappa)[there], np.asarray(slope.logit_lam)[there]])
+        return SCALE * float(value), SCALE * gradient.astype(float)
+
+    low, high = bounds()
+    box = [(low[k], high[k]) for k in (0, 1) for _ in there]
+    first = np.concatenate([np.asarray(plan.log_kappa)[there], np.asarray(plan.logit_lam)[there]]).astype(float)
+    # float32 losses are smooth to about seven digits: SciPy's own stopping rule would chase the noise.
+    options = {"maxiter": iterations, "maxfun": 2 * iterations, "ftol": 1e-5}
+    minimize(loss, np.clip(first, *np.array(box).T), jac=True, method="L-BFGS-B", bounds=box, options=options)
+    return best
+
+
+SCALE = 100.0
+"""Losses are around 0.01, where L-BFGS-B's first step, of the gradient's length, would be short."""
+
+
+class Search:
+    """Looks for schedules within budgets, on one objective and one cost model. Deterministic, given the seed.
+
+    Args:
+        objective: what is minimised.
+        cost: milliseconds of a schedule.
+        effort: how long to look.
+        seed: of starting points and frame order.
+        remember: called as `remember(key, compute)`; returns `compute()` (JSON's types), or what it returned
+            for the same key in an interrupted run.
+        report: called with (phase, best loss so far) now and then.
+    """
+
+    def __init__(
+        self,
+        objective: Objective,
+        cost: CostModel,
+        *,
+        effort: Effort | None = None,
+        seed: int = 0,
+        remember: Callable[[str, Callable[[], Any]], Any] = lambda key, compute: compute(),
+        report: Callable[[str, float], None] = lambda phase, loss: None,
+    ) -> None:
+        self.objective, self.cost, self.effort, self.seed = objective, cost, effort or Effort(), seed
+        self.remember, self.report = remember, report
+        self.found: dict[bytes, Found] = {}
+
+    def run(self, budget: float, warm: Sequence[Plan] = ()) -> list[Found]:
+        """All that was evaluated within the budget, best first; empty if nothing fits.
+
+        Args:
+            budget: milliseconds, against the cost model.
+            warm: plans to start from besides the usual ones, brought within the budget.
+        """
+        size = len(self.cost.step)
+        singles = (tuple(int(i == k) for i in range(size)) for k in range(size))
+        if not any(fits(steps, self.cost, budget) for steps in singles):
+            return []
+        for plan in self._relaxed(budget, warm):
+            _, slope = self.objective.gradient(plan)
+            near = promising(
+                neighbours(np.asarray(plan.steps), self.cost, budget), plan, slope, self.effort.rounded
+            )
+            for steps in near:
+                self._evaluate(with_steps(plan, steps), "round")
+        for found in self.ranked(budget)[: self.effort.polished]:
+            self._polish(found.plan)
+        for _ in range(self.effort.descents):
+            if not self.descend(budget):
+                break
+        return self.ranked(budget)
+
+    def descend(self, budget: float) -> bool:
+        """Look at all neighbours of the best; polish the best of them if it is better. Whether it was."""
+        best = self.ranked(budget)[0]
+        for steps in moves(best.steps, self.cost, budget):
+            self._evaluate(with_steps(best.plan, steps), "descend")
+        better = self.ranked(budget)[0]
+        if better.steps == best.steps:
+            return False
+        self._polish(better.plan)
+        return True
+
+    def ranked(self, budget: float) -> list[Found]:
+        """All that was evaluated and fits, best first, the best κ and λ of each step counts only."""
+        best: dict[Steps, Found] = {}
+        for found in sorted(self.found.values(), key=lambda f: f.loss):
+            if found.steps not in best and fits(found.steps, self.cost, budget):
+                best[found.steps] = found
+        return list(best.values())
+
+    def _relaxed(self, budget: float, warm: Sequence[Plan]) -> list[Plan]:
+        cold = [Plan.of(steps) for steps in starts(self.effort.sampled, self.cost, budget, self.seed)]
+        brought = [with_steps(plan, project(np.asarray(plan.steps), self.cost, budget)) for plan in warm]
+        candidates = [plan for plan in (*brought, *cold) if np.any(np.asarray(plan.steps) > 0)]
+        losses = [self._loss(plan) for plan in candidates]
+        order = np.argsort(losses, kind="stable")[: self.effort.relaxed]
+        relaxed = []
+        for i in order:
+            key = f"relax {budget!r} {_bytes(candidates[i]).hex()}"
+            compute = functools.partial(self._relax, candidates[i], budget)
+            relaxed.append(_plan(self.remember(key, compute)))
+            self.report("relax", self._loss(relaxed[-1]))
+        # Rounding only where it may matter: the better half.
+        losses = [self._loss(plan) for plan in relaxed]
+        return [relaxed[i] for i in np.argsort(losses, kind="stable")[: (len(relaxed) + 1) // 2]]
+
+    def _relax(self, start: Plan, budget: float) -> list[list[float]]:
+        return _lists(relax(self.objective, start, self.cost, budget, self.effort.iterations, self.seed))
+
+    def _loss(self, plan: Plan) -> float:
+        return self.remember(f"loss {_bytes(plan).hex()}", lambda: self.objective(plan))
+
+    def _evaluate(self, plan: Plan, phase: str) -> None:
+        key = _bytes(plan)
+        if key not in self.found:
+            self.found[key] = Found(plan, self._loss(plan))
+            self.report(phase, self.found[key].loss)
+
+    def _polish(self, plan: Plan) -> None:
+        def compute() -> Any:
+            found = polish(self.objective, plan, self.effort.polishing)
+            return [_lists(found.plan), found.loss]
+
+        lists, loss = self.remember(f"polish {_bytes(plan).hex()}", compute)
+        polished = _plan(lists)
+        self.found[_bytes(polished)] = Found(polished, loss)
+        self.report("polish", loss)
+
+
+def _bytes(plan: Plan) -> bytes:
+    return np.concatenate([np.asarray(x, np.float32) for x in jax.tree.leaves(plan)]).tobytes()
+
+
+def _lists(plan: Plan) -> list[list[float]]:
+    return [[float(x) for x in np.asarray(leaf)] for leaf in jax.tree.leaves(plan)]
+
+
+def _plan(lists: list[list[float]]) -> Plan:
+    leaves: list[Array] = [jnp.asarray(values, jnp.float32) for values in lists]
+    return Plan(*leaves)
