@@ -5,6 +5,8 @@ only where the values are known). Cameras, meshes and ray casting are in
 `hyjax.scene`, captures in `hyjax.data`.
 """
 
+import importlib
+
 from hyjax.cascade import cascade, level_edges
 from hyjax.color import blackbody, luminance, to_display, to_linear
 from hyjax.compositing import composite
@@ -20,6 +22,14 @@ from hyjax.shading import colored, shade, shade_each
 from hyjax.shadow import ShadowMap, visibilities, visibility
 
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> object:
+    """`hyjax.tune`, which needs the whole upper half of the package: loaded when it is first asked for."""
+    if name == "tune":
+        return importlib.import_module("hyjax.tuning.tune").tune
+    raise AttributeError(f"module 'hyjax' has no attribute {name!r}")
+
 
 __all__ = [
     "AmbientLight",
@@ -56,6 +66,7 @@ __all__ = [
     "shadow_pass",
     "to_display",
     "to_linear",
+    "tune",
     "upsample",
     "visibilities",
     "visibility",

@@ -65,11 +65,62 @@ class Relight:
 
 
 @dataclasses.dataclass(frozen=True)
+class Tune:
+    """Find the schedule that makes the best picture within a time budget on this device."""
+
+    fps: tuple[float, ...] = ()
+    """Frame rates to reach, such as 60, or several: 30 60 120."""
+    budget_ms: tuple[float, ...] = ()
+    """Budgets in milliseconds, besides or instead of frame rates."""
+    stage: Literal["cascade", "frame"] = "cascade"
+    """Whether the budget is for the diffusion alone or for the whole frame."""
+    capture: Path | None = None
+    """Folder of a capture (7-Scenes layout). Default: the built-in room."""
+    mesh: str = "scan"
+    """The rough mesh: a file, 'scan' (simulated headset scan), or 'fused' (from depth maps)."""
+    target: str | None = None
+    """The accurate mesh that the picture should look like: a file, 'true', 'fused' (at 2 cm), or 'converged' (1000
+    steps of diffusion on the rough mesh). Default: true for the built-in room, else fused where there is depth."""
+    lights: str = "two-colors"
+    """A named set-up, or a YAML or JSON file; see relight."""
+    frames: str | None = None
+    """Which frames to tune on, see relight. Default: four of the first three quarters."""
+    holdout: str | None = None
+    """Which frames are only reported on. Default: four of the last quarter."""
+    size: str = "512"
+    """Work at this size: 512 (square) or 640x480 (width x height)."""
+    guide: Literal["rgb"] = "rgb"
+    """What guides the diffusion: rgb is the frame itself."""
+    voxel: float = 0.03
+    """Voxel of a fused rough mesh in metres."""
+    repair_mesh: bool = False
+    """Drop unusable triangles of a mesh file instead of refusing it."""
+    seed: int = 0
+    """Of the search and of the simulated scan."""
+    time_limit: float | None = None
+    """Seconds after which the search only finishes what it has."""
+    extra: bool = True
+    """Also tune for a few more budgets, to draw the curve of quality against time."""
+    recalibrate: bool = False
+    """Measure the device anew instead of using the latency table from the cache."""
+    out: Path = Path("tuned")
+    """Folder for schedule.json, pareto.csv, pareto.png, contact_sheet.png and report.html."""
+    resume: bool = False
+    """Go on with the interrupted run in the out folder."""
+    quiet: bool = False
+    """No progress bars."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Info:
     """Print versions, devices and what optional parts are installed."""
 
 
-Command = Annotated[Relight, tyro.conf.subcommand("relight")] | Annotated[Info, tyro.conf.subcommand("info")]
+Command = (
+    Annotated[Relight, tyro.conf.subcommand("relight")]
+    | Annotated[Tune, tyro.conf.subcommand("tune")]
+    | Annotated[Info, tyro.conf.subcommand("info")]
+)
 
 
 def main() -> None:
@@ -81,7 +132,12 @@ def main() -> None:
         return
     command = tyro.cli(Command, prog="hyjax", description="Relight camera frames of real rooms.")
     try:
-        run_relight(command) if isinstance(command, Relight) else run_info()
+        if isinstance(command, Relight):
+            run_relight(command)
+        elif isinstance(command, Tune):
+            run_tune(command)
+        else:
+            run_info()
         sys.stdout.flush()
     except InputError as error:
         print(f"hyjax: {error}", file=sys.stderr)
@@ -96,9 +152,6 @@ def main() -> None:
 def run_relight(command: Relight) -> None:
     """`hyjax relight`."""
     # Heavy imports wait until the command line is known to be right.
-    import jax
-
-    from hyjax.cache import cache_folder
     from hyjax.data.frames import select_frames
     from hyjax.data.light_file import read_lights
     from hyjax.data.light_setups import check_setup_name, named_setup, survey_capture
@@ -111,11 +164,7 @@ def run_relight(command: Relight) -> None:
     from hyjax.scene.raycast import RayCaster
     from hyjax.tuning.latency import StageClock
 
-    with contextlib.suppress(InputError):  # an unwritable cache folder costs time only
-        compiled = cache_folder() / "compiled"
-        make_writable(compiled)
-        jax.config.update("jax_compilation_cache_dir", str(compiled))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    _keep_compiled()
     # All that can be checked is checked before the first slow step.
     clock, bars = StageClock(), not command.quiet
     schedule = _schedule(command)
@@ -167,6 +216,56 @@ def run_relight(command: Relight) -> None:
         print(f"hyjax: skipped, no ray met the mesh: {names}", file=sys.stderr)
     count = len(run["frames"])
     print(f"{count} frame{'s' * (count != 1)} relit; look at {command.out / 'contact_sheet.png'}")
+
+
+def run_tune(command: Tune) -> None:
+    """`hyjax tune`."""
+    from hyjax.tuning.report import summary
+    from hyjax.tuning.tune import tune
+
+    _keep_compiled()
+    tuned = tune(
+        command.fps,
+        command.budget_ms,
+        capture=command.capture,
+        mesh=command.mesh,
+        target=command.target,
+        lights=command.lights,
+        stage=command.stage,
+        frames=command.frames,
+        holdout=command.holdout,
+        size=_size(command.size),
+        guide=command.guide,
+        seed=command.seed,
+        time_limit=command.time_limit,
+        extra=command.extra,
+        recalibrate=command.recalibrate,
+        voxel=command.voxel,
+        repair_mesh=command.repair_mesh,
+        out=command.out,
+        resume=command.resume,
+        settings=dataclasses.asdict(command)
+        | {"capture": str(command.capture or "built-in room"), "out": str(command.out)},
+        progress=not command.quiet,
+    )
+    print(tuned.schedule)
+    for sentence in summary(tuned):
+        print(sentence)
+    print(f"Look at {command.out / 'report.html'}; relight with --schedule {command.out / 'schedule.json'}")
+
+
+def _keep_compiled() -> None:
+    """Keep what XLA compiles in the cache folder."""
+    import jax
+
+    from hyjax.cache import cache_folder
+    from hyjax.files import make_writable
+
+    with contextlib.suppress(InputError):  # an unwritable cache folder costs time only
+        compiled = cache_folder() / "compiled"
+        make_writable(compiled)
+        jax.config.update("jax_compilation_cache_dir", str(compiled))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
 def run_info() -> None:

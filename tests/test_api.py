@@ -124,8 +124,8 @@ LAYERS: list[set[str]] = [
     {"scene"},
     {"data"},
     {"guide", "training"},
-    {"tuning"},
     {"contact_sheet"},
+    {"tuning"},
     {"relighting", "tour"},
     {"cli", "__main__"},
 ]

@@ -61,6 +61,11 @@ def fits(steps: Sequence[int], cost: CostModel, budget: float) -> bool:
     return any(steps) and max(steps) <= MOST_STEPS and cost(steps) <= budget
 
 
+def single_steps(size: int) -> list[Steps]:
+    """One step at each level of the ladder alone: the cheapest schedules."""
+    return [tuple(int(i == k) for i in range(size)) for k in range(size)]
+
+
 def fill(steps: Steps, cost: CostModel, budget: float, order: Sequence[int]) -> Steps:
     """Spend what is left of the budget: more steps for the levels that have some, in this order."""
     filled = list(steps)

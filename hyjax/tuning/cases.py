@@ -4,27 +4,15 @@ import dataclasses
 from collections.abc import Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-import trimesh
 from jaxtyping import Array, Bool, Float
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
-from tqdm import tqdm
 
-from hyjax.color import to_display, to_linear
-from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import fit
-from hyjax.data.light_file import LightSetup
-from hyjax.errors import InputError
+from hyjax.color import to_display
 from hyjax.losses import filter_loss
 from hyjax.refine import cascade_known
-from hyjax.scene.raycast import RayCaster
 from hyjax.schedule import Schedule
-from hyjax.shading import colored, shade_each
 from hyjax.tuning.result import Scores
-
-CONVERGED = "naive-1000"
-"""Stands in for the truth where there is no better mesh: what the paper's cascade approximates."""
 
 
 @jax.tree_util.register_dataclass
@@ -49,75 +37,6 @@ class Case:
     colors: Float[Array, "l 3"]
     target: Float[Array, "h w 3"]
     valid: Bool[Array, "h w"]
-
-
-class Workbench:
-    """A capture under lights, on a rough mesh and on an accurate one.
-
-    Args:
-        capture: frames with poses.
-        rough: the mesh that has to be made do with.
-        accurate: the mesh that the target is shaded from; None to aim at the converged diffusion of the rough one.
-        setup: lights.
-        size: (height, width) to work at; None as captured.
-    """
-
-    def __init__(
-        self,
-        capture: Capture,
-        rough: trimesh.Trimesh,
-        accurate: trimesh.Trimesh | None,
-        setup: LightSetup,
-        size: tuple[int, int] | None = (512, 512),
-    ) -> None:
-        self.capture, self.setup, self.size = capture, setup, size
-        self.rough = RayCaster(rough)
-        self.accurate = None if accurate is None else RayCaster(accurate)
-
-    def frame(self, index: int) -> Frame:
-        return fit(self.capture[index], self.size)
-
-    def case(self, index: int) -> Case | None:
-        """Frame `index` as a case; None if no ray meets the rough mesh or none meets the accurate one.
-
-        Raises:
-            InputError: the frame cannot be read.
-        """
-        frame = self.frame(index)
-        seen = self.rough.gbuffer(frame.camera)
-        truth = None if self.accurate is None else self.accurate.gbuffer(frame.camera)
-        if not bool(seen.hit.any()) or (truth is not None and not bool(truth.hit.any())):
-            return None
-        guide = jnp.asarray(frame.image)
-        lights = tuple(self.setup.lights)
-        shading, known = shade_each(seen, lights), seen.hit[..., None]
-        colors = colored(jnp.eye(len(lights))[None], lights)[0] / self.setup.reference_lux
-        if truth is None:
-            target = cascade_known(shading, known, guide, Schedule.preset(CONVERGED))
-            valid = jnp.ones_like(seen.hit)
-        else:
-            target, valid = shade_each(truth, lights), truth.hit
-        return Case(shading, known, guide, to_linear(guide), colors, mix(target, colors), valid)
-
-    def cases(self, indices: Sequence[int], what: str, progress: bool = True) -> tuple[list[Case], list[str]]:
-        """The frames that make cases, and the names of those that see no surface.
-
-        Raises:
-            InputError: a frame cannot be read, or none sees any surface.
-        """
-        cases, blind = [], []
-        for index in tqdm(indices, desc=f"{what} frames", unit="frame", disable=not progress):
-            case = self.case(index)
-            if case is None:
-                blind.append(self.capture[index].name)
-            else:
-                cases.append(case)
-        if not cases and indices:
-            raise InputError(
-                f"{self.capture.name}: no ray of any of {len(indices)} {what} frames met the mesh; are the mesh "
-                "and the poses in the same coordinates (metres, camera-to-world)?"
-            )
-        return cases, blind
 
 
 def mix(channels: Float[Array, "h w l"], colors: Float[Array, "l 3"]) -> Float[Array, "h w 3"]:

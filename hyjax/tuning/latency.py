@@ -16,6 +16,21 @@ T = TypeVar("T")
 FEWEST_ROUNDS = 10
 
 
+class Stopwatch:
+    """Seconds since it was made.
+
+    Args:
+        already: seconds that an earlier run has taken.
+    """
+
+    def __init__(self, already: float = 0.0) -> None:
+        self._start = time.perf_counter() - already
+
+    @property
+    def seconds(self) -> float:
+        return time.perf_counter() - self._start
+
+
 class StageClock:
     """Collects wall-clock times by stage, the first run of each stage apart from the rest.
 

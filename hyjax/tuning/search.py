@@ -19,7 +19,7 @@ from jaxopt.projection import projection_box
 from jaxtyping import Array, Float
 from scipy.optimize import minimize
 
-from hyjax.tuning.budget import Steps, fits, moves, neighbours, project
+from hyjax.tuning.budget import Steps, fits, moves, neighbours, project, single_steps
 from hyjax.tuning.latency_table import CostModel
 from hyjax.tuning.relaxation import (
     KAPPA_RANGE,
@@ -34,7 +34,7 @@ from hyjax.tuning.relaxation import (
 
 @dataclasses.dataclass(frozen=True)
 class Effort:
-    """How long to look. The defaults take about half a minute a budget at 512 x 512 on two cores.
+    """How long to look.
 
     Attributes:
         sampled: starting points looked at.
@@ -208,11 +208,11 @@ class Search:
     Args:
         objective: what is minimised.
         cost: milliseconds of a schedule.
-        effort: how long to look.
         seed: of starting points and frame order.
         remember: called as `remember(key, compute)`; returns `compute()` (JSON's types), or what it returned
             for the same key in an interrupted run.
-        report: called with (phase, best loss so far) now and then.
+        report: called with (phase, loss) for everything that is evaluated.
+        expired: whether the time is up; asked between the parts of the work.
     """
 
     def __init__(
@@ -220,49 +220,50 @@ class Search:
         objective: Objective,
         cost: CostModel,
         *,
-        effort: Effort | None = None,
         seed: int = 0,
         remember: Callable[[str, Callable[[], Any]], Any] = lambda key, compute: compute(),
         report: Callable[[str, float], None] = lambda phase, loss: None,
+        expired: Callable[[], bool] = lambda: False,
     ) -> None:
-        self.objective, self.cost, self.effort, self.seed = objective, cost, effort or Effort(), seed
-        self.remember, self.report = remember, report
+        self.objective, self.cost, self.seed = objective, cost, seed
+        self.remember, self.report, self.expired = remember, report, expired
         self.found: dict[bytes, Found] = {}
 
-    def run(self, budget: float, warm: Sequence[Plan] = ()) -> list[Found]:
-        """All that was evaluated within the budget, best first; empty if nothing fits.
+    def run(self, budget: float, effort: Effort | None = None, warm: Sequence[Plan] = ()) -> list[Found]:
+        """All that was evaluated so far and lies within the budget, best first; empty if nothing can.
 
         Args:
             budget: milliseconds, against the cost model.
+            effort: how long to look.
             warm: plans to start from besides the usual ones, brought within the budget.
         """
-        size = len(self.cost.step)
-        singles = (tuple(int(i == k) for i in range(size)) for k in range(size))
-        if not any(fits(steps, self.cost, budget) for steps in singles):
+        effort, size = effort or Effort(), len(self.cost.step)
+        if not any(fits(steps, self.cost, budget) for steps in single_steps(size)):
             return []
-        for plan in self._relaxed(budget, warm):
-            _, slope = self.objective.gradient(plan)
-            near = promising(
-                neighbours(np.asarray(plan.steps), self.cost, budget), plan, slope, self.effort.rounded
-            )
-            for steps in near:
+        for plan in self._relaxed(budget, effort, warm):
+            near = neighbours(np.asarray(plan.steps), self.cost, budget)
+            if len(near) > effort.rounded:
+                near = promising(near, plan, self.objective.gradient(plan)[1], effort.rounded)
+            for steps in near[: 1 if self.expired() else None]:
                 self._evaluate(with_steps(plan, steps), "round")
-        for found in self.ranked(budget)[: self.effort.polished]:
-            self._polish(found.plan)
-        for _ in range(self.effort.descents):
-            if not self.descend(budget):
+        for found in self.ranked(budget)[: effort.polished]:
+            self._polish(found.plan, effort)
+        for _ in range(effort.descents):
+            if not self._descend(budget, effort):
                 break
         return self.ranked(budget)
 
-    def descend(self, budget: float) -> bool:
+    def _descend(self, budget: float, effort: Effort) -> bool:
         """Look at all neighbours of the best; polish the best of them if it is better. Whether it was."""
         best = self.ranked(budget)[0]
         for steps in moves(best.steps, self.cost, budget):
+            if self.expired():
+                break
             self._evaluate(with_steps(best.plan, steps), "descend")
         better = self.ranked(budget)[0]
         if better.steps == best.steps:
             return False
-        self._polish(better.plan)
+        self._polish(better.plan, effort)
         return True
 
     def ranked(self, budget: float) -> list[Found]:
@@ -273,24 +274,30 @@ class Search:
                 best[found.steps] = found
         return list(best.values())
 
-    def _relaxed(self, budget: float, warm: Sequence[Plan]) -> list[Plan]:
-        cold = [Plan.of(steps) for steps in starts(self.effort.sampled, self.cost, budget, self.seed)]
+    def _relaxed(self, budget: float, effort: Effort, warm: Sequence[Plan]) -> list[Plan]:
+        """The better half of the relaxed starting points."""
+        cold = [Plan.of(steps) for steps in starts(effort.sampled, self.cost, budget, self.seed)]
         brought = [with_steps(plan, project(np.asarray(plan.steps), self.cost, budget)) for plan in warm]
         candidates = [plan for plan in (*brought, *cold) if np.any(np.asarray(plan.steps) > 0)]
-        losses = [self._loss(plan) for plan in candidates]
-        order = np.argsort(losses, kind="stable")[: self.effort.relaxed]
+        if not candidates:  # hardly room for a step
+            singles = single_steps(len(self.cost.step))
+            candidates = [Plan.of(steps) for steps in singles if fits(steps, self.cost, budget)]
         relaxed = []
-        for i in order:
-            key = f"relax {budget!r} {_bytes(candidates[i]).hex()}"
-            compute = functools.partial(self._relax, candidates[i], budget)
-            relaxed.append(_plan(self.remember(key, compute)))
+        for plan in self._best(candidates, effort.relaxed):
+            if self.expired():
+                relaxed.append(plan)
+                break
+            key = f"relax {effort.iterations} {budget!r} {self.cost} {_bytes(plan).hex()}"
+            relaxed.append(_plan(self.remember(key, functools.partial(self._relax, plan, budget, effort))))
             self.report("relax", self._loss(relaxed[-1]))
-        # Rounding only where it may matter: the better half.
-        losses = [self._loss(plan) for plan in relaxed]
-        return [relaxed[i] for i in np.argsort(losses, kind="stable")[: (len(relaxed) + 1) // 2]]
+        return self._best(relaxed, (len(relaxed) + 1) // 2)
 
-    def _relax(self, start: Plan, budget: float) -> list[list[float]]:
-        return _lists(relax(self.objective, start, self.cost, budget, self.effort.iterations, self.seed))
+    def _best(self, plans: Sequence[Plan], count: int) -> list[Plan]:
+        losses = [self._loss(plan) for plan in plans]
+        return [plans[i] for i in np.argsort(losses, kind="stable")[:count]]
+
+    def _relax(self, start: Plan, budget: float, effort: Effort) -> list[list[float]]:
+        return _lists(relax(self.objective, start, self.cost, budget, effort.iterations, self.seed))
 
     def _loss(self, plan: Plan) -> float:
         return self.remember(f"loss {_bytes(plan).hex()}", lambda: self.objective(plan))
@@ -301,12 +308,15 @@ class Search:
             self.found[key] = Found(plan, self._loss(plan))
             self.report(phase, self.found[key].loss)
 
-    def _polish(self, plan: Plan) -> None:
+    def _polish(self, plan: Plan, effort: Effort) -> None:
+        if self.expired():
+            return
+
         def compute() -> Any:
-            found = polish(self.objective, plan, self.effort.polishing)
+            found = polish(self.objective, plan, effort.polishing)
             return [_lists(found.plan), found.loss]
 
-        lists, loss = self.remember(f"polish {_bytes(plan).hex()}", compute)
+        lists, loss = self.remember(f"polish {effort.polishing} {_bytes(plan).hex()}", compute)
         polished = _plan(lists)
         self.found[_bytes(polished)] = Found(polished, loss)
         self.report("polish", loss)

@@ -1,0 +1,200 @@
+"""What the budget is for: the diffusion alone, or the whole frame. Predicts and times schedules."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, Protocol
+
+import jax
+import jax.numpy as jnp
+
+from hyjax.color import to_linear
+from hyjax.compositing import composite
+from hyjax.errors import InputError
+from hyjax.pipeline import relight
+from hyjax.refine import fill_visibility, shadow_pass
+from hyjax.scene.shadow_caster import cast_shadow_maps
+from hyjax.schedule import Schedule
+from hyjax.shading import shade_each
+from hyjax.shadow import visibilities
+from hyjax.tuning.bench import Workbench
+from hyjax.tuning.cases import Case
+from hyjax.tuning.latency import measure_each
+from hyjax.tuning.latency_table import (
+    CostModel,
+    LatencyTable,
+    Workload,
+    load_table,
+    save_table,
+    schedule_key,
+    time_schedules,
+    time_stages,
+)
+from hyjax.tuning.result import Milliseconds
+
+Stage = Literal["cascade", "frame"]
+REPEATS = 100
+STAGE_REPEATS = 20
+
+
+class Clocked(Protocol):
+    """Something whose time depends on a schedule."""
+
+    table: LatencyTable
+    """Where its times are kept."""
+
+    cost: CostModel
+    """Of the 95th percentile, over the ladder: what the search keeps below the budget."""
+
+    def predict(self, schedule: Schedule) -> Milliseconds:
+        """By the latency table."""
+        ...
+
+    def measure(self, schedules: Sequence[Schedule], progress: bool = True) -> list[Milliseconds]:
+        """On the clock, in turns; what was timed on this table before is not timed again."""
+        ...
+
+    def parts(self) -> dict[str, float]:
+        """Milliseconds (95th percentile) of what no schedule can change, dearest first."""
+        ...
+
+
+def workload_of(case: Case) -> Workload:
+    """The shapes of a case."""
+    h, w, lights = case.shading.shape
+    return Workload(h, w, lights, case.guide.shape[-1], str(case.shading.dtype))
+
+
+class CascadeClock:
+    """The diffusion stage: `cascade_known`, from the shading to the refined filter.
+
+    Args:
+        case: the arrays to time on.
+        recalibrate: whether to make the latency table anew.
+        progress: show bars on stderr.
+    """
+
+    def __init__(self, case: Case, *, recalibrate: bool = False, progress: bool = True) -> None:
+        self.table, self.source = load_table(workload_of(case), recalibrate=recalibrate, progress=progress)
+        self.arguments = case.shading, case.known, case.guide
+        self.cost = self.table.p95
+
+    def predict(self, schedule: Schedule) -> Milliseconds:
+        return self.table.predict(self.table.steps_of(schedule))
+
+    def measure(self, schedules: Sequence[Schedule], progress: bool = True) -> list[Milliseconds]:
+        times = time_schedules(self.table, schedules, arguments=self.arguments, repeats=REPEATS, progress=progress)
+        save_table(self.table)
+        return times
+
+    def parts(self) -> dict[str, float]:
+        cheapest = min(level + finest for level, finest in zip(self.table.p95.level, self.table.p95.finest))
+        return {"reading, weighting and upsampling the filter": self.table.p95.fixed, "one level": cheapest}
+
+
+class FrameClock:
+    """A whole frame: G-buffer, guide, shading, visibility, diffusion, shadow pass and composite, without files.
+
+    The schedule's coarse levels are run twice in a frame, once more to fill unseen visibility.
+
+    Args:
+        cascade: for the table.
+        bench: what renders the frame.
+        index: of the frame to time on, which must see the mesh.
+        progress: show bars on stderr.
+    """
+
+    def __init__(self, cascade: CascadeClock, bench: Workbench, index: int, progress: bool = True) -> None:
+        self.cascade, self.table = cascade, cascade.table
+        frame, self.caster = bench.frame(index), bench.rough
+        self.camera, self.lights = frame.camera, tuple(bench.setup.lights)
+        self.display, self.reference_lux = jnp.asarray(frame.image), bench.setup.reference_lux
+        self.maps = cast_shadow_maps(self.caster, self.lights)
+        self.probe = Schedule.uniform([(factor, 8) for factor in self.table.ladder], name="probe")
+        self.names = list(self._calls())
+        kinds = ", ".join(type(light).__name__ for light in self.lights)
+        self.stages = {name: f"{name} ({kinds}; {len(self.caster.mesh.faces)} triangles)" for name in self.names}
+        if any(stage not in self.table.stages for stage in self.stages.values()):
+            calls = self._calls()
+            time_stages(self.table, {self.stages[n]: calls[n] for n in self.names}, STAGE_REPEATS)
+            save_table(self.table)
+        coarse = dataclasses.replace(self.probe, levels=self.probe.levels[:-1])
+        alone = self.table.predict(self.table.steps_of(coarse)).median
+        self.fill_ratio = self._stage("fill of visibility").median / alone
+        p95, more = self.table.p95, 1.0 + self.fill_ratio
+        self.rest = Milliseconds(
+            sum(self._stage(name).median for name in self.names if name != "fill of visibility"),
+            sum(self._stage(name).p95 for name in self.names if name != "fill of visibility"),
+        )
+        self.cost = CostModel(
+            self.rest.p95 + more * p95.fixed,
+            *(tuple(more * x for x in part) for part in (p95.level, p95.step, p95.finest)),
+        )
+
+    def _stage(self, name: str) -> Milliseconds:
+        return self.table.stages[self.stages[name]]
+
+    def _calls(self) -> Mapping[str, Callable[[], Any]]:
+        """Each stage by itself."""
+        gbuffer = self.caster.gbuffer(self.camera)
+        each, shadow = shade_each(gbuffer, self.lights), Schedule.preset("shadow")
+        seen, linear = visibilities(gbuffer, self.lights, self.maps), to_linear(self.display)
+        return {
+            "G-buffer": lambda: self.caster.gbuffer(self.camera),
+            "guide rgb": lambda: jnp.asarray(self.display),
+            "shading": lambda: shade_each(gbuffer, self.lights),
+            "visibility": lambda: visibilities(gbuffer, self.lights, self.maps),
+            "fill of visibility": lambda: fill_visibility(seen, each > 0, self.display, self.probe),
+            "shadow pass": lambda: shadow_pass(seen, self.display, shadow),
+            "composite": lambda: composite(linear, linear),
+        }
+
+    def predict(self, schedule: Schedule) -> Milliseconds:
+        own = self.cascade.predict(schedule)
+        coarse = dataclasses.replace(schedule, levels=schedule.levels[:-1] or schedule.levels)
+        again = self.cascade.predict(coarse)
+        return Milliseconds(
+            self.rest.median + own.median + self.fill_ratio * again.median,
+            self.rest.p95 + own.p95 + self.fill_ratio * again.p95,
+        )
+
+    def measure(self, schedules: Sequence[Schedule], progress: bool = True) -> list[Milliseconds]:
+        where = self.stages["G-buffer"]
+        keys = [f"whole frame {schedule_key(schedule)} {where}" for schedule in schedules]
+        wanted = {key: schedule for key, schedule in zip(keys, schedules) if key not in self.table.timed}
+        if wanted:
+            calls = {key: (lambda s=schedule: self._frame(s)) for key, schedule in wanted.items()}
+            for key, time in measure_each(calls, REPEATS, most_seconds=60.0, progress=progress).items():
+                self.table.timed[key] = Milliseconds(time["median_ms"], time["p95_ms"])
+            save_table(self.table)
+        return [self.table.timed[key] for key in keys]
+
+    def _frame(self, schedule: Schedule) -> jax.Array:
+        gbuffer = self.caster.gbuffer(self.camera)
+        return relight(
+            to_linear(self.display),
+            gbuffer,
+            self.lights,
+            self.display,
+            schedule,
+            shadow_maps=self.maps,
+            reference_lux=self.reference_lux,
+        ).image
+
+    def parts(self) -> dict[str, float]:
+        own = self.cascade.parts()
+        times = {name: self._stage(name).p95 for name in self.names if name != "fill of visibility"}
+        times["diffusion and fill of visibility"] = (1.0 + self.fill_ratio) * sum(own.values())
+        return dict(sorted(times.items(), key=lambda item: -item[1]))
+
+
+def check_reachable(clock: Clocked, milliseconds: float) -> None:
+    """Raise `InputError` if even the smallest schedule, on the clock, takes longer than the budget."""
+    singles = [Schedule.uniform([(factor, 1)], name=f"1 step at 1/{factor}") for factor in clock.table.ladder]
+    cheapest = sorted(singles, key=lambda s: clock.predict(s).p95)[:2]
+    fastest = min(time.p95 for time in clock.measure(cheapest, progress=False))
+    if fastest > milliseconds:
+        parts = ", ".join(f"{name} {time:.2f} ms" for name, time in clock.parts().items())
+        raise InputError(
+            f"budget {milliseconds:.3g} ms: out of reach on this device; the smallest reachable time (p95) is "
+            f"{fastest:.2f} ms ({parts}); give at least --budget-ms {fastest * 1.05:.3g}, or a smaller --size"
+        )

@@ -1,0 +1,82 @@
+"""What a search has computed, on disk as it goes, so that an interrupted one goes on from where it was."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from hyjax.errors import InputError
+
+NAME = "journal.jsonl"
+
+
+class Journal:
+    """Remembers results by key: a file of JSON lines, the first with the settings they depend on.
+
+    Lines are appended; the last one, cut off by a crash, is ignored when the file is read again.
+
+    Args:
+        folder: where `journal.jsonl` is kept; None keeps it in memory only.
+        settings: all that decides the results, as JSON's types.
+        resume: go on with the journal that is there.
+
+    Raises:
+        InputError: there is a journal and `resume` is not set, or it was written with other settings.
+    """
+
+    def __init__(self, folder: Path | None, settings: dict[str, Any], resume: bool = False) -> None:
+        self.known: dict[str, Any] = {}
+        self.path = None if folder is None else folder / NAME
+        if self.path is None:
+            return
+        settings = json.loads(json.dumps(settings))
+        check_free(self.path.parent, resume)
+        lines = self._read()
+        if lines and "settings" in lines[0]:
+            _compare(self.path.parent, lines[0]["settings"], settings)
+            self.known = {line["key"]: line["value"] for line in lines[1:]}
+        entries = [{"settings": settings}, *({"key": k, "value": v} for k, v in self.known.items())]
+        try:
+            self.path.write_text("".join(json.dumps(entry) + "\n" for entry in entries), encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot write ({error.strerror or error})") from None
+
+    def remember(self, key: str, compute: Callable[[], Any]) -> Any:
+        """What `compute` returns, computed at most once for each key."""
+        if key not in self.known:
+            self.known[key] = json.loads(json.dumps(compute()))  # as it will be read back
+            if self.path is not None:
+                with self.path.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"key": key, "value": self.known[key]}) + "\n")
+        return self.known[key]
+
+    def _read(self) -> list[dict[str, Any]]:
+        lines: list[dict[str, Any]] = []
+        if self.path is None or not self.path.is_file():
+            return lines
+        for line in self.path.read_text(encoding="utf-8", errors="replace").splitlines():
+            try:
+                entry = json.loads(line)
+            except json.JSONDecodeError:
+                break  # cut off by a crash: nothing after it was acted upon
+            if not isinstance(entry, dict) or not ("settings" in entry or {"key", "value"} <= entry.keys()):
+                break
+            lines.append(entry)
+        return lines
+
+
+def check_free(folder: Path, resume: bool) -> None:
+    """Raise `InputError` if the folder holds a run that is not to be resumed."""
+    if not resume and (folder / NAME).exists():
+        raise InputError(
+            f"{folder}: holds the results of another run; add --resume to go on with it, or choose another --out"
+        )
+
+
+def _compare(folder: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
+    for key in old.keys() | new.keys():
+        if old.get(key) != new.get(key):
+            raise InputError(
+                f"{folder}: cannot resume, that run had {key} {old.get(key)!r} and this one has {new.get(key)!r}; "
+                "give the same options, or choose another --out"
+            )

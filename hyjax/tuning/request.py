@@ -1,0 +1,65 @@
+"""What a tuning run is asked for: budgets, and frames to tune on and to hold out."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hyjax.data.frames import select_frames
+from hyjax.errors import InputError
+from hyjax.tuning.result import Budget
+
+TUNING_FRAMES = 4
+HELD_OUT_FRAMES = 4
+
+
+def parse_budgets(fps: Sequence[float], budget_ms: Sequence[float]) -> list[Budget]:
+    """Budgets from frame rates and milliseconds, without repetitions.
+
+    Raises:
+        InputError: none, or one that is not finite and > 0.
+    """
+    budgets = {}
+    for values, unit in ((fps, "fps"), (budget_ms, "ms")):
+        for value in values:
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"{unit}: a budget must be finite and > 0, got {value:g}")
+            time = 1e3 / value if unit == "fps" else value
+            budgets[f"{value:g} {unit}"] = Budget(f"{value:g} {unit}", time)
+    if not budgets:
+        raise InputError("budget: none given; ask for --fps 60 or --budget-ms 16.7")
+    return list(budgets.values())
+
+
+def split_frames(count: int, frames: str | None, holdout: str | None) -> tuple[list[int], list[int]]:
+    """Indices to tune on and indices that are only reported on.
+
+    Args:
+        count: frames in the capture.
+        frames: as for `select_frames`; by default a few, spread over what is not held out.
+        holdout: likewise; by default a few of the last quarter, or none if the capture is a single frame.
+
+    Raises:
+        InputError: not of this form, past the end, or nothing left to tune on.
+    """
+    last = range(count - max(1, count // 4), count)
+    if holdout is not None:
+        held = select_frames(holdout, count)
+    else:
+        held = _spread(last, HELD_OUT_FRAMES) if count > 1 else []
+    # By default neighbours of held-out frames, which show the same, are not tuned on either.
+    free = [i for i in range(count) if i not in held and (holdout is not None or i not in last or count == 1)]
+    if frames is not None:
+        chosen = [i for i in select_frames(frames, count) if i not in held]
+    else:
+        chosen = _spread(free, TUNING_FRAMES)
+    if not chosen:
+        raise InputError("frames: all that were chosen are held out, none is left to tune on; give more --frames")
+    return chosen, held
+
+
+def _spread(indices: Sequence[int], count: int) -> list[int]:
+    """At most `count` of the indices, first and last among them; none if there are none."""
+    if not indices:
+        return []
+    return [indices[i] for i in sorted({int(i) for i in np.linspace(0, len(indices) - 1, count).round()})]

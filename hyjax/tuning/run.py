@@ -1,0 +1,312 @@
+"""One tuning run: calibrate, search, time the finalists, keep what fits, write it down."""
+
+import contextlib
+import hashlib
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+from tqdm import tqdm
+
+from hyjax.data.capture import Capture
+from hyjax.environment import environment, peak_memory_mib
+from hyjax.errors import InputError
+from hyjax.files import make_writable
+from hyjax.scene.raycast import RayCaster
+from hyjax.schedule import PRESETS, Schedule
+from hyjax.tuning.bench import Workbench
+from hyjax.tuning.cases import Case, refined_filter, scores
+from hyjax.tuning.clocked import CascadeClock, Clocked, FrameClock, Stage, check_reachable
+from hyjax.tuning.examples import write_report_with_pictures
+from hyjax.tuning.journal import Journal, check_free
+from hyjax.tuning.latency import Stopwatch
+from hyjax.tuning.relaxation import Plan, prepare
+from hyjax.tuning.report import write_pareto_csv, write_pareto_plot, write_schedules
+from hyjax.tuning.result import Budget, Candidate, Milliseconds, Tuned
+from hyjax.tuning.search import Effort, Objective, Search
+
+BASELINES = ("paper-50", "paper-80", "naive-50", "naive-1000")
+QUICK = Effort(sampled=12, relaxed=1, iterations=30, rounded=16, polished=1, polishing=8, descents=2)
+"""For the budgets that only complete the curve of quality against time."""
+MOST_EXTRA = 4
+ATTEMPTS = 4
+FINALISTS = 3
+
+
+def tune_bench(
+    bench: Workbench,
+    budgets: Sequence[Budget],
+    *,
+    frames: Sequence[int],
+    holdout: Sequence[int] = (),
+    stage: Stage = "cascade",
+    seed: int = 0,
+    time_limit: float | None = None,
+    effort: Effort | None = None,
+    extra: bool = True,
+    recalibrate: bool = False,
+    out: Path | None = None,
+    resume: bool = False,
+    settings: dict[str, Any] | None = None,
+    progress: bool = True,
+) -> Tuned:
+    """Find the schedule whose relit frames are closest to the target's within each budget.
+
+    Args:
+        bench: the capture, its meshes and lights.
+        budgets: see `parse_budgets`; the first one's schedule is the main result.
+        frames: indices to tune on.
+        holdout: indices that are only reported on.
+        stage: whether the budget is for the diffusion or for the whole frame.
+        seed: of the search. The same seed on the same latency table gives the same schedule, unless a time limit
+            cuts the search short.
+        time_limit: seconds after which the search only finishes what it has; None for no limit.
+        effort: how long to look at each budget.
+        extra: also tune for a few more budgets, which draw the curve of quality against time.
+        recalibrate: make the latency table anew.
+        out: folder for the results, written as they are found; None writes nothing.
+        resume: go on with what an interrupted run left in `out`.
+        settings: recorded as they are.
+        progress: show bars on stderr.
+
+    Raises:
+        InputError: no frame left to tune on or none that sees the mesh, a budget that cannot be reached, an `out`
+            that cannot be used, or a device that failed.
+    """
+    chosen = [index for index in frames if index not in holdout]
+    if not chosen:
+        raise InputError("frames: none is left to tune on; give frames that are not held out")
+    if not budgets:
+        raise InputError("budget: none given; see parse_budgets")
+    if time_limit is not None and not time_limit > 0:
+        raise InputError(f"time limit: must be > 0 seconds, got {time_limit:g}")
+    watch = _Watch(time_limit, progress)
+    if out is not None:
+        make_writable(out)
+        check_free(out, resume)
+    capture = bench.capture
+    record: dict[str, Any] = {"capture": capture.name, "stage": stage, "seed": seed, "settings": settings or {}}
+    decisive = {
+        "capture": capture.fingerprint,
+        "meshes": [_fingerprint(caster) for caster in (bench.rough, bench.accurate)],
+        "lights": str(bench.setup),
+        "frames": [int(index) for index in chosen],
+        "size": None if bench.size is None else list(bench.size),
+        "seed": seed,
+        "device": environment()["device"],
+    }
+    try:
+        journal = Journal(out, decisive, resume)
+        cases, blind = bench.cases(chosen, "tuning", progress)
+        held, held_blind = bench.cases(list(holdout), "held-out", progress)
+        cascade = CascadeClock(cases[0], recalibrate=recalibrate, progress=progress)
+        seeing = next(i for i in chosen if capture[i].name not in blind)
+        frame_clock = FrameClock(cascade, bench, seeing)  # also tells what the other stages cost
+        clock: Clocked = frame_clock if stage == "frame" else cascade
+        for budget in budgets:
+            check_reachable(clock, budget.milliseconds)
+        ladder = cascade.table.ladder
+        record |= {
+            "frames": {"tuned on": _names(capture, chosen), "held out": _names(capture, holdout)},
+            "frames without surface": blind + held_blind,
+            "latency": _latency(cascade),
+        } | environment()
+        run = _Run(clock, cases, held, watch, budgets, record)
+        run.add_baselines([Schedule.preset(name) for name in BASELINES if _reaches(name, ladder)], progress)
+        search = Search(
+            Objective([prepare(case, ladder) for case in cases], ladder),
+            clock.cost,
+            seed=seed,
+            remember=journal.remember,
+            report=watch.note,
+            expired=watch.expired,
+        )
+        try:
+            run.write(out)  # the paper's best that fits, until there is better
+            for budget in budgets:
+                run.search(search, budget, effort or Effort())
+                run.write(out)
+            for budget in run.extra_budgets() if extra else ():
+                if not watch.expired():
+                    run.search(search, budget, QUICK)
+                    run.write(out)
+        finally:  # an interrupted run shows what it has
+            if out is not None:
+                write_report_with_pictures(out, run.result(), bench, list(holdout) or chosen)
+    except jax.errors.JaxRuntimeError as error:
+        kept = f"; what was found so far is in {out}, and --resume goes on from there" if out else ""
+        line = str(error).splitlines()[0]
+        raise InputError(f"device: {jax.default_backend()} no longer works ({line}){kept}") from None
+    return run.result()
+
+
+class _Watch:
+    """Time limit, progress bar and history of a run."""
+
+    def __init__(self, limit: float | None, progress: bool) -> None:
+        self.clock, self.limit, self.progress = Stopwatch(), limit, progress
+        self.history: list[dict[str, Any]] = []
+        self.label, self.best, self.bar = "", math.inf, tqdm(disable=True)
+
+    def expired(self) -> bool:
+        return self.limit is not None and self.clock.seconds > self.limit
+
+    @contextlib.contextmanager
+    def watching(self, label: str) -> Iterator[None]:
+        self.label, self.best = label, math.inf
+        with tqdm(desc=f"tuning for {label}", unit="candidate", disable=not self.progress) as self.bar:
+            yield
+
+    def note(self, phase: str, loss: float) -> None:
+        """Called by the search with everything it evaluates."""
+        self.bar.update()
+        if loss < self.best:
+            self.best = loss
+            entry = {"seconds": round(self.clock.seconds, 3), "budget": self.label, "phase": phase, "loss": loss}
+            self.history.append(entry)
+        self.bar.set_postfix_str(f"{phase}, best loss {self.best:.5f}", refresh=False)
+
+
+class _Run:
+    """What has been found so far."""
+
+    def __init__(
+        self,
+        clock: Clocked,
+        cases: list[Case],
+        held: list[Case],
+        watch: _Watch,
+        budgets: Sequence[Budget],
+        record: dict[str, Any],
+    ) -> None:
+        self.clock, self.cases, self.held, self.watch = clock, cases, held, watch
+        self.budgets, self.record = list(budgets), record
+        self.best: dict[str, Candidate] = {}
+        self.baselines: list[Candidate] = []
+        self.plans: list[Plan] = []
+
+    def add_baselines(self, schedules: list[Schedule], progress: bool) -> None:
+        times = self.clock.measure(schedules, progress)
+        self.baselines = [self.judge(schedule, time) for schedule, time in zip(schedules, times)]
+
+    def judge(self, schedule: Schedule, measured: Milliseconds) -> Candidate:
+        """A schedule with its scores, by the functions that `relight` runs."""
+        tuning, held = (
+            scores(cases, [refined_filter(case, schedule) for case in cases]) if cases else None
+            for cases in (self.cases, self.held)
+        )
+        return Candidate(schedule, self.clock.predict(schedule), measured, tuning, held)
+
+    def search(self, search: Search, budget: Budget, effort: Effort) -> None:
+        """Tune for a budget: search, time the finalists, and search again where the table was wrong.
+
+        The best whose measured p95 fits is kept. If none fits, the search aims at a smaller time; if there is room
+        left, at a larger one.
+        """
+        with self.watch.watching(budget.label):
+            aim, limit, fitting = budget.milliseconds, budget.milliseconds, {}
+            for attempt in range(ATTEMPTS):
+                # After the first attempt the best are only moved to where the clock says the budget is.
+                found = search.run(aim, effort if attempt == 0 else AGAIN, self.plans)
+                if not found:
+                    break
+                finalists = [
+                    f.plan.schedule(search.objective.ladder, f"tuned-{budget.slug}") for f in found[:FINALISTS]
+                ]
+                times = self.clock.measure(finalists, progress=False)
+                for f, schedule, time in zip(found, finalists, times):
+                    if time.p95 <= limit:
+                        fitting[f.loss] = (f.plan, schedule, time)
+                slowest = max(time.p95 for time in times)
+                wanted = search.cost(found[0].steps)
+                if any(time.p95 <= limit for time in times):
+                    room = limit / times[0].p95
+                    if attempt or wanted < 0.9 * aim or room < 1.1:
+                        break
+                    aim *= min(room, 1.3) * 0.97
+                else:
+                    aim = 0.97 * min(aim, wanted) * min(1.0, limit / slowest)
+                if self.watch.expired():
+                    break
+        if not fitting:  # no tuned schedule came out in time: the fastest there is, which was checked to fit
+            return
+        plan, schedule, time = fitting[min(fitting)]
+        self.plans.append(plan)
+        self.best[budget.label] = self.judge(schedule, time)
+
+    def extra_budgets(self) -> list[Budget]:
+        """Times at which a comparison is wanted: the paper's schedules', half of that, and below the budgets."""
+        paper = [c.measured.p95 for c in self.baselines if c.name.startswith("paper") and c.measured]
+        least = min(b.milliseconds for b in self.budgets)
+        wanted = [*paper, 0.5 * max(paper, default=least), 0.5 * least, 0.25 * least]
+        lowest = min(self.clock.predict(Schedule.uniform([(f, 1)])).p95 for f in self.clock.table.ladder)
+        taken = [b.milliseconds for b in self.budgets]
+        extra = []
+        for time in wanted:
+            if time > 1.1 * lowest and all(abs(math.log(time / other)) > 0.1 for other in taken):
+                taken.append(time)
+                extra.append(Budget(f"{time:.2f} ms", time))
+        return extra[:MOST_EXTRA]
+
+    def result(self) -> Tuned:
+        """All of it, with the best baseline in the place of what is not tuned yet."""
+        best = [self.best.get(budget.label) or self._stand_in(budget) for budget in self.budgets]
+        self.record["seconds"] = round(self.watch.clock.seconds, 1)
+        self.record["peak memory, MiB"] = round(peak_memory_mib())
+        front = _front(list(self.best.values()))
+        return Tuned(best[0].schedule, best, self.budgets, front, self.baselines, self.watch.history, self.record)
+
+    def _stand_in(self, budget: Budget) -> Candidate:
+        fits = [c for c in self.baselines if c.measured and c.measured.p95 <= budget.milliseconds and c.tuning]
+        if fits:
+            return min(fits, key=lambda c: c.tuning.loss if c.tuning else math.inf)
+        singles = [Schedule.uniform([(f, 1)], name=f"1 step at 1/{f}") for f in self.clock.table.ladder]
+        fastest = min(singles, key=lambda schedule: self.clock.predict(schedule).p95)
+        return self.judge(fastest, self.clock.measure([fastest], progress=False)[0])
+
+    def write(self, out: Path | None) -> None:
+        if out is not None:
+            result = self.result()
+            write_schedules(out, result)
+            write_pareto_csv(out / "pareto.csv", result)
+            write_pareto_plot(out / "pareto.png", result)
+
+
+AGAIN = Effort(sampled=0, relaxed=1, iterations=15, rounded=16, polished=1, polishing=6, descents=2)
+
+
+def _front(candidates: list[Candidate]) -> list[Candidate]:
+    """Those that no other beats in both measured median and tuning loss, by time."""
+    front: list[Candidate] = []
+    for candidate in sorted(candidates, key=lambda c: (c.measured.median, c.tuning.loss)):  # type: ignore[union-attr]
+        if not front or candidate.tuning.loss < front[-1].tuning.loss:  # type: ignore[union-attr]
+            front.append(candidate)
+    return front
+
+
+def _reaches(name: str, ladder: Sequence[int]) -> bool:
+    return all(factor in ladder for factor, _ in PRESETS[name])
+
+
+def _fingerprint(caster: RayCaster | None) -> str | None:
+    if caster is None:
+        return None
+    mesh = caster.mesh
+    return hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest()[:16]
+
+
+def _names(capture: Capture, indices: Sequence[int]) -> list[str]:
+    return [capture[index].name for index in indices]
+
+
+def _latency(cascade: CascadeClock) -> dict[str, Any]:
+    table = cascade.table
+    return {
+        "table": cascade.source,
+        "workload": str(table.workload),
+        "median relative error": table.error["median_relative"],
+        "worst relative error": table.error["worst_relative"],
+        "median ms of other stages": {name: time.median for name, time in table.stages.items()},
+    }

@@ -1,0 +1,103 @@
+"""The best schedule for a frame rate on this device: what `hyjax tune` does, as a function."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from hyjax.data.capture import Capture
+from hyjax.errors import InputError
+from hyjax.files import make_writable
+from hyjax.tuning.bench import check_names, open_bench
+from hyjax.tuning.clocked import Stage
+from hyjax.tuning.journal import check_free
+from hyjax.tuning.request import parse_budgets, split_frames
+from hyjax.tuning.result import Tuned
+from hyjax.tuning.run import tune_bench
+from hyjax.tuning.search import Effort
+
+
+def tune(
+    fps: float | Sequence[float] = (),
+    budget_ms: float | Sequence[float] = (),
+    *,
+    capture: Capture | Path | str | None = None,
+    mesh: str | None = "scan",
+    target: str | None = None,
+    lights: str = "two-colors",
+    stage: Stage = "cascade",
+    frames: str | None = None,
+    holdout: str | None = None,
+    size: tuple[int, int] | None = (512, 512),
+    guide: Literal["rgb"] = "rgb",
+    seed: int = 0,
+    time_limit: float | None = None,
+    effort: Effort | None = None,
+    extra: bool = True,
+    recalibrate: bool = False,
+    voxel: float = 0.03,
+    repair_mesh: bool = False,
+    out: Path | None = None,
+    resume: bool = False,
+    settings: dict[str, Any] | None = None,
+    progress: bool = True,
+) -> Tuned:
+    """Find, on this device, the schedule whose relit frames come closest to the target's within each time budget.
+
+    Args:
+        fps: frame rates, one or several.
+        budget_ms: budgets in milliseconds, besides or instead.
+        capture, mesh, target, lights, size, voxel: see `open_bench`.
+        stage: whether the budgets are for the diffusion (`"cascade"`) or for the whole frame (`"frame"`).
+        frames: what to tune on, as for `hyjax relight --frames`; default: four of the first three quarters.
+        holdout: what is only reported on; default: four of the last quarter.
+        guide: what guides the diffusion; `"rgb"` is the frame itself.
+        seed: of the search and of the simulated scan. The same seed on the same latency table gives the same
+            schedule, unless a time limit cuts the search short.
+        time_limit: seconds after which the search only finishes what it has.
+        effort: how long to look at each budget.
+        extra: also tune for a few more budgets, which draw the curve of quality against time.
+        recalibrate: make the device's latency table anew.
+        repair_mesh: drop unusable triangles of a mesh file instead of refusing it.
+        out: folder for schedules, table, plot and report, written as they are found; None writes nothing.
+        resume: go on with what an interrupted run left in `out`.
+        settings: recorded as they are.
+        progress: show bars on stderr.
+
+    Returns:
+        Schedules, measured, with their history and the front of quality against time. Its `schedule` goes into
+        `hyjax.relight` as it is.
+
+    Raises:
+        InputError: any of these cannot be used, or a budget is out of reach on this device.
+    """
+    budgets = parse_budgets(_several(fps), _several(budget_ms))
+    if guide != "rgb":
+        raise InputError(f"guide: {guide!r} is unknown; there is rgb")
+    check_names(mesh, target, lights)
+    if out is not None:
+        make_writable(out)
+        check_free(out, resume)
+    bench = open_bench(
+        capture, mesh, target, lights, size=size, voxel=voxel, seed=seed, repair=repair_mesh, progress=progress
+    )
+    chosen, held = split_frames(len(bench.capture), frames, holdout)
+    return tune_bench(
+        bench,
+        budgets,
+        frames=chosen,
+        holdout=held,
+        stage=stage,
+        seed=seed,
+        time_limit=time_limit,
+        effort=effort,
+        extra=extra,
+        recalibrate=recalibrate,
+        out=out,
+        resume=resume,
+        settings=(settings or {}) | {"meshes": bench.description},
+        progress=progress,
+    )
+
+
+def _several(values: float | Sequence[float]) -> Sequence[float]:
+    return (values,) if isinstance(values, int | float) else values
