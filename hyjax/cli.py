@@ -225,8 +225,8 @@ def run_tune(command: Tune) -> None:
 
     _keep_compiled()
     tuned = tune(
-        command.fps,
-        command.budget_ms,
+        fps=command.fps,
+        budget_ms=command.budget_ms,
         capture=command.capture,
         mesh=command.mesh,
         target=command.target,

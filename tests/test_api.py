@@ -27,6 +27,7 @@ METHODS = {
     if not attribute.startswith("_") and cls.__module__ == getattr(inspect.unwrap(thing), "__module__", None)
 }
 CALLABLES = {**FUNCTIONS, **METHODS}
+LAZY = {"tune"}  # loaded when it is first asked for
 # The first parameters may be given by place: what is worked on, what guides it, and the numbers of the equation.
 MOST_POSITIONAL = 5
 
@@ -45,7 +46,7 @@ def test_all_is_sorted_and_complete() -> None:
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    assert imported == set(hyjax.__all__)
+    assert imported | LAZY == set(hyjax.__all__)
 
 
 @pytest.mark.parametrize("name", [*FUNCTIONS, *CLASSES])
@@ -186,7 +187,8 @@ def test_imports_run_downwards() -> None:
 
 def test_the_package_itself_imports_the_core_alone() -> None:
     for line, module in imports(PACKAGE / "__init__.py"):
-        assert LAYER[layer_name(module)] <= LAYER["pipeline"], f"__init__.py:{line}: {module}"
+        if module.split(".")[0] == "hyjax":
+            assert LAYER[layer_name(module)] <= LAYER["pipeline"], f"__init__.py:{line}: {module}"
 
 
 @pytest.mark.parametrize(

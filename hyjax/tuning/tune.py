@@ -17,9 +17,9 @@ from hyjax.tuning.search import Effort
 
 
 def tune(
+    *,
     fps: float | Sequence[float] = (),
     budget_ms: float | Sequence[float] = (),
-    *,
     capture: Capture | Path | str | None = None,
     mesh: str | None = "scan",
     target: str | None = None,
@@ -46,10 +46,14 @@ def tune(
     Args:
         fps: frame rates, one or several.
         budget_ms: budgets in milliseconds, besides or instead.
-        capture, mesh, target, lights, size, voxel: see `open_bench`.
+        capture: frames with poses, or the folder that holds them; None for the built-in room.
+        mesh: the rough one, see `open_bench`.
+        target: the accurate one, see `open_bench`.
+        lights: a named set-up or a lights file.
         stage: whether the budgets are for the diffusion (`"cascade"`) or for the whole frame (`"frame"`).
         frames: what to tune on, as for `hyjax relight --frames`; default: four of the first three quarters.
         holdout: what is only reported on; default: four of the last quarter.
+        size: (height, width) to work at; None as captured.
         guide: what guides the diffusion; `"rgb"` is the frame itself.
         seed: of the search and of the simulated scan. The same seed on the same latency table gives the same
             schedule, unless a time limit cuts the search short.
@@ -57,6 +61,7 @@ def tune(
         effort: how long to look at each budget.
         extra: also tune for a few more budgets, which draw the curve of quality against time.
         recalibrate: make the device's latency table anew.
+        voxel: of a fused `mesh`, in metres.
         repair_mesh: drop unusable triangles of a mesh file instead of refusing it.
         out: folder for schedules, table, plot and report, written as they are found; None writes nothing.
         resume: go on with what an interrupted run left in `out`.
