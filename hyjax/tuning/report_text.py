@@ -110,8 +110,30 @@ def loss_of(candidate: Candidate, beside: Candidate) -> float | None:
 
 
 def summary(tuned: Tuned) -> list[str]:
-    """One sentence for each budget: what fits it, how long it takes, and what it is worth against the paper's."""
-    return [sentence(tuned, budget, best) for budget, best in zip(tuned.budgets, tuned.best, strict=True)]
+    """One sentence for each budget: what fits it, how long it takes, and what it is worth against the paper's.
+
+    And one more if a much faster schedule is nearly as good, which is worth knowing before a budget is spent.
+    """
+    sentences = [sentence(tuned, budget, best) for budget, best in zip(tuned.budgets, tuned.best, strict=True)]
+    return sentences + bargain(tuned)
+
+
+def bargain(tuned: Tuned) -> list[str]:
+    """The fastest tuned schedule within 1 % of the main result's loss, if it takes less than two thirds the time."""
+    best = tuned.best[0]
+    if best.tuning is None:
+        return []
+    for cheap in tuned.front:
+        if cheap.tuning is None or cheap.tuning.loss > 1.01 * best.tuning.loss:
+            continue
+        ours, theirs = time_of(cheap).median, time_of(best).median
+        more = 100.0 * (cheap.tuning.loss / best.tuning.loss - 1.0)
+        if 1.5 * ours < theirs:
+            return [
+                f"A bargain: {steps_text(cheap.schedule)} takes {milliseconds(ours)} ms, {theirs / ours:.1f} times less, "
+                f"for {max(more, 0.0):.1f} % more loss (tuning frames)."
+            ]
+    return []
 
 
 def sentence(tuned: Tuned, budget: Budget, best: Candidate) -> str:

@@ -25,12 +25,10 @@ from hyjax.tuning.latency import Stopwatch
 from hyjax.tuning.relaxation import Plan, prepare
 from hyjax.tuning.report import write_pareto_csv, write_pareto_plot, write_schedules
 from hyjax.tuning.result import Budget, Candidate, Milliseconds, Tuned
-from hyjax.tuning.search import Effort, Objective, Search
+from hyjax.tuning.search import AGAIN, QUICK, Effort, Objective, Search
 
 BASELINES = ("paper-50", "paper-80", "naive-50", "naive-1000")
-QUICK = Effort(sampled=12, relaxed=1, iterations=30, rounded=16, polished=1, polishing=8, descents=2)
-"""For the budgets that only complete the curve of quality against time."""
-MOST_EXTRA = 4
+MOST_EXTRA = 3
 ATTEMPTS = 4
 FINALISTS = 3
 
@@ -207,11 +205,13 @@ class _Run:
         """
         with self.watch.watching(budget.label):
             aim, limit, fitting = budget.milliseconds, budget.milliseconds, {}
+            warm = list(self.plans)
             for attempt in range(ATTEMPTS):
                 # After the first attempt the best are only moved to where the clock says the budget is.
-                found = search.run(aim, effort if attempt == 0 else AGAIN, self.plans)
+                found = search.run(aim, effort if attempt == 0 else AGAIN, warm)
                 if not found:
                     break
+                warm = [found[0].plan]
                 finalists = [
                     f.plan.schedule(search.objective.ladder, f"tuned-{budget.slug}") for f in found[:FINALISTS]
                 ]
@@ -272,9 +272,6 @@ class _Run:
             write_schedules(out, result)
             write_pareto_csv(out / "pareto.csv", result)
             write_pareto_plot(out / "pareto.png", result)
-
-
-AGAIN = Effort(sampled=0, relaxed=1, iterations=15, rounded=16, polished=1, polishing=6, descents=2)
 
 
 def _front(candidates: list[Candidate]) -> list[Candidate]:

@@ -46,13 +46,19 @@ class Effort:
         descents: rounds of looking at all neighbours of the best.
     """
 
-    sampled: int = 24
-    relaxed: int = 4
-    iterations: int = 40
-    rounded: int = 40
+    sampled: int = 16
+    relaxed: int = 3
+    iterations: int = 30
+    rounded: int = 24
     polished: int = 2
-    polishing: int = 10
-    descents: int = 4
+    polishing: int = 8
+    descents: int = 3
+
+
+QUICK = Effort(sampled=8, relaxed=1, iterations=20, rounded=12, polished=1, polishing=6, descents=1)
+"""For budgets that only complete the curve of quality against time, with schedules of others to start from."""
+AGAIN = Effort(sampled=0, relaxed=1, iterations=10, rounded=12, polished=1, polishing=5, descents=1)
+"""For moving the best to a slightly different budget."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -193,7 +199,7 @@ def polish(objective: Objective, plan: Plan, iterations: int) -> Found:
     box = [(low[k], high[k]) for k in (0, 1) for _ in there]
     first = np.concatenate([np.asarray(plan.log_kappa)[there], np.asarray(plan.logit_lam)[there]]).astype(float)
     # float32 losses are smooth to about seven digits: SciPy's own stopping rule would chase the noise.
-    options = {"maxiter": iterations, "maxfun": 2 * iterations, "ftol": 1e-5}
+    options = {"maxiter": iterations, "maxfun": iterations + 4, "ftol": 1e-5}
     minimize(loss, np.clip(first, *np.array(box).T), jac=True, method="L-BFGS-B", bounds=box, options=options)
     return best
 
