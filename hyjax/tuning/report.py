@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from hyjax.files import whole, write_text
+from hyjax.files import make_writable, whole, write_text
 from hyjax.tuning.report_html import page
 from hyjax.tuning.report_pictures import Example, contact_sheet_rows
 from hyjax.tuning.report_plots import draw_pareto
@@ -19,6 +19,7 @@ __all__ = [
     "contact_sheet_rows",
     "draw_pareto",
     "summary",
+    "write_front",
     "write_pareto_csv",
     "write_pareto_plot",
     "write_report",
@@ -48,7 +49,7 @@ def write_schedules(out: Path, tuned: Tuned) -> list[Path]:
     texts = {"schedule.json": tuned.schedule.to_json()}
     if len(tuned.budgets) > 1:
         for budget, best in zip(tuned.budgets, tuned.best, strict=True):
-            slug = re.sub(r"[^A-Za-z0-9.]+", "-", budget.slug).strip("-.") or "budget"
+            slug = _file_name(budget.slug)
             name, count = f"schedule-{slug}.json", 2
             while name in texts:
                 name, count = f"schedule-{slug}-{count}.json", count + 1
@@ -56,6 +57,21 @@ def write_schedules(out: Path, tuned: Tuned) -> list[Path]:
     for name, text in texts.items():
         write_text(out / name, text + "\n")
     return [out / name for name in texts]
+
+
+def write_front(folder: Path, tuned: Tuned) -> None:
+    """Write the schedules of the front as `tuned-3.41ms.json` and so on, into a folder of their own.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    make_writable(folder)
+    for candidate in tuned.front:
+        write_text(folder / f"{_file_name(candidate.name)}.json", candidate.schedule.to_json() + "\n")
+
+
+def _file_name(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.") or "schedule"
 
 
 def write_pareto_csv(path: Path, tuned: Tuned) -> None:

@@ -119,7 +119,7 @@ def summary(tuned: Tuned) -> list[str]:
 
 
 def bargain(tuned: Tuned) -> list[str]:
-    """The fastest tuned schedule within 1 % of the main result's loss, if it takes less than two thirds the time."""
+    """The fastest schedule within 1 % of the main result's loss, if it takes less than two thirds of its time."""
     best = tuned.best[0]
     if best.tuning is None:
         return []
@@ -130,8 +130,8 @@ def bargain(tuned: Tuned) -> list[str]:
         more = 100.0 * (cheap.tuning.loss / best.tuning.loss - 1.0)
         if 1.5 * ours < theirs:
             return [
-                f"A bargain: {steps_text(cheap.schedule)} takes {milliseconds(ours)} ms, {theirs / ours:.1f} times less, "
-                f"for {max(more, 0.0):.1f} % more loss (tuning frames)."
+                f"A bargain: {cheap.name} ({steps_text(cheap.schedule)}) takes {milliseconds(ours)} ms, "
+                f"{theirs / ours:.1f} times less, for {max(more, 0.0):.1f} % more loss (tuning frames)."
             ]
     return []
 

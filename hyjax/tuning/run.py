@@ -23,7 +23,7 @@ from hyjax.tuning.examples import write_report_with_pictures
 from hyjax.tuning.journal import Journal, check_free
 from hyjax.tuning.latency import Stopwatch
 from hyjax.tuning.relaxation import Plan, prepare
-from hyjax.tuning.report import write_pareto_csv, write_pareto_plot, write_schedules
+from hyjax.tuning.report import write_front, write_pareto_csv, write_pareto_plot, write_schedules
 from hyjax.tuning.result import Budget, Candidate, Milliseconds, Tuned
 from hyjax.tuning.search import AGAIN, QUICK, Effort, Objective, Search
 
@@ -270,6 +270,7 @@ class _Run:
         if out is not None:
             result = self.result()
             write_schedules(out, result)
+            write_front(out / "front", result)
             write_pareto_csv(out / "pareto.csv", result)
             write_pareto_plot(out / "pareto.png", result)
 
