@@ -1,4 +1,4 @@
-"""The latency table: the fit on synthetic times, the file, the cache; one small calibration for real."""
+"""The latency table: its calibration on a fake machine, the file, the cache; one small calibration for real."""
 
 import copy
 import dataclasses
@@ -12,22 +12,18 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from reference.costs import TRUTH, random_steps
 
 from hyjax.errors import InputError
 from hyjax.schedule import Schedule
-from hyjax.tuning import latency, latency_table
+from hyjax.tuning import calibration, latency, latency_table
+from hyjax.tuning.calibration import calibration_steps, probe_steps
 from hyjax.tuning.latency_table import (
     LADDER,
-    CostModel,
     LatencyTable,
     Workload,
-    calibrate,
-    calibration_steps,
-    fit,
-    ladder_for,
-    leave_one_out,
     load_table,
-    probe_steps,
+    new_table,
     save_table,
     schedule_key,
     time_schedules,
@@ -35,13 +31,6 @@ from hyjax.tuning.latency_table import (
 )
 from hyjax.tuning.result import Milliseconds
 
-# Roughly what 512x512 with two lights costs on two cores.
-TRUTH = CostModel(
-    fixed=1.2,
-    level=(0.5, 0.3, 0.5, 0.5, 0.8, 1.0),
-    step=(0.002, 0.003, 0.004, 0.016, 0.076, 0.34),
-    finest=(3.5, 0.4, 0.3, 0.1, 0.2, 0.0),
-)
 WORKLOAD = Workload(512, 512, 2)
 
 
@@ -77,9 +66,9 @@ class FakeMachine:
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakeMachine:
     fake = FakeMachine()
-    monkeypatch.setattr(latency_table, "_compile_all", fake.compile)
+    monkeypatch.setattr(calibration, "compile_all", fake.compile)
     monkeypatch.setattr(latency, "measure_each", fake.measure)
-    monkeypatch.setattr(latency_table, "_own_stages", lambda table, arguments: {"conductance": int})
+    monkeypatch.setattr(calibration, "own_stages", lambda ladder, arguments: {"conductance": int})
     monkeypatch.setattr(Workload, "arguments", lambda self: ())
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
     return fake
@@ -87,72 +76,7 @@ def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakeMachine:
 
 @pytest.fixture
 def table(machine: FakeMachine) -> LatencyTable:
-    return calibrate(WORKLOAD, progress=False)
-
-
-def random_steps(count: int = 40) -> list[list[int]]:
-    rng = np.random.default_rng(3)
-    rows = (rng.integers(0, 2, len(LADDER)) * rng.integers(1, 40, len(LADDER)) for _ in range(2 * count))
-    return [row.tolist() for row in rows if row.any()][:count]
-
-
-# ---- the model and its fit ----
-
-
-def test_the_cost_model_adds_up() -> None:
-    assert TRUTH([0, 5, 0, 0, 20, 0]) == pytest.approx(1.2 + 0.3 + 0.8 + 5 * 0.003 + 20 * 0.076 + 0.2)
-    assert TRUTH([0.5, 0, 0, 0, 0, 0]) == pytest.approx(1.2 + 0.5 + 0.001 + 3.5)
-
-
-@pytest.mark.parametrize("steps", [[1, 2], [0] * 6, [1, 0, 0, 0, 0, -1], [1, 0, 0, 0, 0, float("nan")]])
-def test_the_cost_model_refuses_what_is_no_schedule(steps: list[float]) -> None:
-    with pytest.raises(InputError, match="steps: "):
-        TRUTH(steps)
-
-
-@pytest.mark.parametrize("ladder", [LADDER, (16, 8, 4, 2), (4, 2, 1), (2, 1), (8,)])
-def test_calibration_schedules_are_valid_and_tell_all_costs_apart(ladder: tuple[int, ...]) -> None:
-    steps = calibration_steps(ladder)
-    assert len(set(steps)) == len(steps) and len(steps) <= 32
-    assert probe_steps(ladder) in steps
-    for row in steps:
-        latency_table._schedule(ladder, row)  # checks it
-    # Two costs cannot be told apart by any schedules: the last level's two constants, and a constant moved from
-    # `fixed` to every possible finest level.
-    design = np.stack([latency_table._row(row) for row in steps])
-    assert np.linalg.matrix_rank(design) == design.shape[1] - 2
-
-
-def test_the_fit_recovers_an_additive_model() -> None:
-    steps = calibration_steps(LADDER)
-    model = fit(steps, [TRUTH(row) for row in steps])
-    for row in random_steps():
-        assert model(row) == pytest.approx(TRUTH(row), rel=1e-4)
-    assert model.step == pytest.approx(TRUTH.step, rel=1e-2)
-    assert min(model.finest[:-1]) == 0.0 or model.level[-1] == 0.0  # what all pay is in `fixed`
-    assert leave_one_out(steps, [TRUTH(row) for row in steps]).max() < 0.3
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_the_fit_withstands_outliers_in_a_tenth_of_the_times(seed: int) -> None:
-    """Among the schedules that share their coefficients with others; a level's only evidence is beyond help."""
-    rng = np.random.default_rng(seed)
-    steps = calibration_steps(LADDER)
-    times = np.array([TRUTH(row) for row in steps]) * rng.normal(1.0, 0.01, len(steps))
-    ladders = [i for i, row in enumerate(steps) if np.count_nonzero(row) > 2]
-    times[rng.choice(ladders, len(steps) // 10, replace=False)] *= rng.uniform(1.5, 4.0, len(steps) // 10)
-    model = fit(steps, times)
-    errors = [abs(model(row) / TRUTH(row) - 1.0) for row in random_steps()]
-    assert np.median(errors) < 0.05 and max(errors) < 0.2
-
-
-def test_the_fit_never_goes_below_its_bound() -> None:
-    steps = calibration_steps(LADDER)
-    rng = np.random.default_rng(1)
-    model = fit(steps, [TRUTH(row) * rng.uniform(0.8, 1.8) for row in steps], above=TRUTH)
-    assert model.fixed >= TRUTH.fixed
-    for name in ("level", "step", "finest"):
-        assert (np.array(getattr(model, name)) >= getattr(TRUTH, name)).all()
+    return new_table(WORKLOAD, progress=False)
 
 
 # ---- calibration on the fake machine ----
@@ -173,40 +97,10 @@ def test_all_calibration_schedules_are_timed_in_the_same_rounds(machine: FakeMac
     assert len(machine.rounds[0]) == len(calibration_steps(LADDER)) == len(table.calibration)
 
 
-def test_ladders_keep_what_fits_the_size() -> None:
-    assert ladder_for(512, 512) == LADDER
-    assert ladder_for(64, 64) == (16, 8, 4, 2, 1)
-    assert ladder_for(100, 20, (8, 4)) == (4,)
-    assert ladder_for(1, 1) == (1,)
-    with pytest.raises(InputError, match="too coarse for 8x8"):
-        ladder_for(8, 8, ladder=(16, 8))
-
-
 @pytest.mark.parametrize("ladder", [(), (2, 4), (4, 4), (6, 4), (4, 0), (4.0, 2.0), (2, True)])
 def test_bad_ladders_are_refused(ladder: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match="ladder: "):
-        calibrate(WORKLOAD, ladder=ladder, progress=False)
-
-
-@pytest.mark.parametrize("change", [{"height": 0}, {"lights": 1.5}, {"width": True}, {"dtype": "int8"}])
-def test_bad_workloads_are_refused(change: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=f"workload: .*{next(iter(change))}"):
-        dataclasses.replace(WORKLOAD, **change)
-
-
-def test_float64_needs_jax_to_have_it() -> None:
-    with pytest.raises(InputError, match="JAX_ENABLE_X64"):
-        Workload(8, 8, 1, dtype="float64")
-
-
-@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
-def test_arguments_are_the_same_every_time(dtype: str) -> None:
-    workload = Workload(6, 5, 2, guide_channels=4, dtype=dtype)
-    y, known, guide = workload.arguments()
-    assert (y.shape, known.shape, guide.shape) == ((6, 5, 2), (6, 5, 1), (6, 5, 4))
-    assert (y.dtype, known.dtype, guide.dtype) == (dtype, bool, dtype)
-    for first, second in zip((y, known, guide), workload.arguments()):
-        assert (first == second).all()
+        new_table(WORKLOAD, ladder=ladder, progress=False)
 
 
 # ---- schedules and stages timed for real ----
@@ -217,14 +111,6 @@ def test_steps_of_a_schedule(table: LatencyTable) -> None:
     assert table.steps_of(Schedule.uniform([(8, 3), (2, 0)])) == (0, 0, 3, 0, 0, 0)
     with pytest.raises(InputError, match=r"custom: factor 6 .* 32, 16"):
         table.steps_of(Schedule.uniform([(6, 3), (2, 1)]))
-
-
-def test_schedule_key_has_what_decides_the_time() -> None:
-    schedule = Schedule.uniform([(16, 5), (8, 10)])
-    assert schedule_key(schedule) == "16:5 8:10"
-    assert schedule_key(Schedule.uniform([(16, 5), (8, 10)], kappa=0.3, lam=0.1, name="x")) == "16:5 8:10"
-    other = dataclasses.replace(schedule, pooling="guide", norm="mean_abs")
-    assert schedule_key(other) == "16:5 8:10 pooling=guide norm=mean_abs"
 
 
 def test_timed_schedules_are_remembered(machine: FakeMachine, table: LatencyTable) -> None:
@@ -352,7 +238,7 @@ CHANGES: dict[str, Callable[[pytest.MonkeyPatch], tuple[Workload, tuple[int, ...
     "guide": lambda patch: (dataclasses.replace(WORKLOAD, guide_channels=64), LADDER),
     "dtype": lambda patch: (dataclasses.replace(WORKLOAD, dtype="bfloat16"), LADDER),
     "ladder": lambda patch: (WORKLOAD, LADDER[1:]),
-    "cores": lambda patch: (patch.setattr(latency_table, "_cores", lambda: 99), (WORKLOAD, LADDER))[1],
+    "cores": lambda patch: (patch.setattr(calibration, "cores", lambda: 99), (WORKLOAD, LADDER))[1],
     "flags": lambda patch: (patch.setenv("XLA_FLAGS", "--x"), (WORKLOAD, LADDER))[1],
     "version": lambda patch: (
         patch.setattr(latency_table, "environment", other_version),
@@ -416,7 +302,7 @@ def test_an_unwritable_cache_is_a_warning(
 @pytest.mark.slow
 def test_a_small_calibration_for_real(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path))
-    table = calibrate(Workload(24, 20, 2), (8, 4, 2), repeats=3, progress=False)
+    table = new_table(Workload(24, 20, 2), (8, 4, 2), repeats=3, progress=False)
     assert table.ladder == (4, 2)
     assert len(table.calibration) == len(calibration_steps((4, 2)))
     assert set(table.stages) == {"conductance", "resampling"}
@@ -430,18 +316,3 @@ def test_a_small_calibration_for_real(monkeypatch: pytest.MonkeyPatch, tmp_path:
     y, known, guide = table.workload.arguments()
     host = np.asarray(y), np.asarray(known), np.asarray(guide)
     time_schedules(table, schedules[:1], arguments=host, again=True, repeats=1, progress=False)
-
-
-def test_what_is_timed_is_the_pipelines_cascade() -> None:
-    arguments = Workload(16, 12, 1).arguments()
-    schedules = [Schedule.uniform([(4, 2), (2, 3)]), Schedule.uniform([(2, 1)])]
-    calls = latency_table._compile_all(schedules, arguments, progress=False)
-    for call, schedule in zip(calls, schedules):
-        np.testing.assert_allclose(call(), latency_table.cascade_known(*arguments, schedule), rtol=1e-6)
-
-
-def test_an_error_while_compiling_comes_out() -> None:
-    arguments = Workload(16, 12, 1).arguments()
-    broken = Schedule((Schedule.uniform([(4, 2)]).levels[0],) * 2)  # the same level twice
-    with pytest.raises(InputError, match="coarse to fine"):
-        latency_table._compile_all([broken, Schedule.uniform([(2, 1)])], arguments, progress=False)

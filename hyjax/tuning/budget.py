@@ -13,7 +13,7 @@ import numpy as np
 from jaxopt.projection import projection_box_section
 from jaxtyping import Float
 
-from hyjax.tuning.latency_table import CostModel
+from hyjax.tuning.cost_model import CostModel
 
 MOST_STEPS = 64
 """Of one level. Twice as far is reached at a quarter of the cost one level coarser."""

@@ -7,7 +7,6 @@ import dataclasses
 import hashlib
 import json
 import logging
-import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -19,9 +18,9 @@ from hyjax.errors import InputError
 from hyjax.files import write_text
 from hyjax.schedule import Schedule
 from hyjax.tuning import calibration, latency
-from hyjax.tuning.cost_model import CostModel, checked_steps
+from hyjax.tuning.cost_model import CostModel, checked_steps, number, read_model
 from hyjax.tuning.result import Milliseconds
-from hyjax.tuning.workload import LADDER, Arguments, Workload, check_ladder, ladder_for
+from hyjax.tuning.workload import LADDER, Arguments, Workload, check_ladder, ladder_for, schedule_key
 
 log = logging.getLogger(__name__)
 
@@ -120,14 +119,8 @@ def _read_table(content: dict[str, Any]) -> LatencyTable:
     ladder = tuple(content["ladder"])
     check_ladder(ladder)
 
-    def model(entry: dict[str, Any]) -> CostModel:
-        parts = [tuple(map(_number, entry[name])) for name in ("level", "step", "finest")]
-        if any(len(part) != len(ladder) for part in parts):
-            raise ValueError("a cost for each level of the ladder is needed")
-        return CostModel(_number(entry["fixed"]), *parts)
-
     def milliseconds(entry: dict[str, Any]) -> Milliseconds:
-        return Milliseconds(_number(entry["median"]), _number(entry["p95"]))
+        return Milliseconds(number(entry["median"]), number(entry["p95"]))
 
     return LatencyTable(
         workload=Workload(**content["workload"]),
@@ -135,15 +128,15 @@ def _read_table(content: dict[str, Any]) -> LatencyTable:
         device=dict(content["device"]),
         versions={name: str(version) for name, version in content["versions"].items()},
         created=str(content["created"]),
-        median=model(content["median"]),
-        p95=model(content["p95"]),
-        error={name: _number(content["error"][name]) for name in ("median_relative", "worst_relative")},
+        median=read_model(content["median"], len(ladder)),
+        p95=read_model(content["p95"], len(ladder)),
+        error={name: number(content["error"][name]) for name in ("median_relative", "worst_relative")},
         probe=milliseconds(content["probe"]),
         calibration=[
             {
                 "steps": list(checked_steps(entry["steps"], len(ladder))),
-                "median_ms": _number(entry["median_ms"]),
-                "p95_ms": _number(entry["p95_ms"]),
+                "median_ms": number(entry["median_ms"]),
+                "p95_ms": number(entry["p95_ms"]),
             }
             for entry in content["calibration"]
         ],
@@ -152,23 +145,7 @@ def _read_table(content: dict[str, Any]) -> LatencyTable:
     )
 
 
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
-        raise ValueError(f"{value!r} is no time or error")
-    return float(value)
-
-
 # ---- timing ----
-
-
-def schedule_key(schedule: Schedule) -> str:
-    """What decides a schedule's time: `16:5 8:10`, factor and steps, with pooling and norm if not the defaults."""
-    text = " ".join(f"{level.factor}:{level.steps}" for level in schedule.levels)
-    if schedule.pooling != "edges":
-        text += f" pooling={schedule.pooling}"
-    if schedule.norm != "l2":
-        text += f" norm={schedule.norm}"
-    return text
 
 
 def new_table(
@@ -243,7 +220,7 @@ def time_schedules(
     keys = [schedule_key(schedule.check()) for schedule in schedules]
     wanted = {key: schedule for key, schedule in zip(keys, schedules) if again or key not in table.timed}
     if wanted:
-        arguments = table.workload.on_device(arguments) if arguments else table.workload.arguments()
+        arguments = table.workload.arguments() if arguments is None else table.workload.on_device(arguments)
         calls = calibration.compile_all(list(wanted.values()), arguments, progress=progress)
         named = dict(zip(wanted, calls))
         most = 2 * calibration.MOST_SECONDS

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from scipy.optimize import minimize
 
 from hyjax.tuning.budget import Steps, fits, moves, neighbours, project, single_steps
-from hyjax.tuning.latency_table import CostModel
+from hyjax.tuning.cost_model import CostModel
 from hyjax.tuning.relaxation import (
     KAPPA_RANGE,
     LAM_RANGE,

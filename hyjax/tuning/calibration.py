@@ -1,0 +1,192 @@
+"""Which schedules are timed to know what all others cost, and their timing: some thirty of them, in turns."""
+
+import concurrent.futures
+import dataclasses
+import functools
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+from hyjax.cascade import level_edges
+from hyjax.errors import InputError
+from hyjax.pyramid import downsample, upsample
+from hyjax.refine import cascade_known
+from hyjax.schedule import PRESETS, Schedule
+from hyjax.tuning import latency
+from hyjax.tuning.cost_model import CostModel, fit, leave_one_out
+from hyjax.tuning.result import Milliseconds
+from hyjax.tuning.workload import Arguments
+
+REPEATS = 60
+# Large pictures get fewer rounds instead of minutes.
+MOST_SECONDS = 30.0
+PROBE_REPEATS = 40
+
+# Steps by factor that make a level's steps cost about as much as the rest of a single-level schedule.
+MANY_STEPS = {1: 10, 2: 24, 4: 40, 8: 80}
+MANY_COARSE_STEPS = 240
+FEW_STEPS = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class Calibration:
+    """What `calibrate` found out; the attributes are described where they are kept, in `LatencyTable`."""
+
+    median: CostModel
+    p95: CostModel
+    error: dict[str, float]
+    probe: Milliseconds
+    schedules: list[dict[str, Any]]
+    stages: dict[str, Milliseconds]
+
+
+# ---- the choice ----
+
+
+def schedule_of(ladder: Sequence[int], steps: Sequence[int]) -> Schedule:
+    """The schedule with these steps over the ladder."""
+    return Schedule.uniform([(factor, count) for factor, count in zip(ladder, steps) if count])
+
+
+def probe_steps(ladder: Sequence[int]) -> tuple[int, ...]:
+    """The paper's 50 steps as far as the ladder has their levels; two a level if it has none of them."""
+    paper = dict(PRESETS["paper-50"])
+    steps = tuple(paper.get(factor, 0) for factor in ladder)
+    return steps if any(steps) else (FEW_STEPS,) * len(ladder)
+
+
+def calibration_steps(ladder: Sequence[int]) -> list[tuple[int, ...]]:
+    """The schedules that `calibrate` times, as steps over the ladder.
+
+    Each level alone with few and with many steps, every entry and every finest level of longer ladders, two
+    schedules of the paper, every other level, and some mixtures, so that all coefficients can be told apart and an
+    outlier cannot carry one of them alone.
+    """
+    count = len(ladder)
+    many = [MANY_STEPS.get(factor, MANY_COARSE_STEPS) for factor in ladder]
+    rng = np.random.default_rng(0)
+
+    def mixed(present: Iterable[int]) -> tuple[int, ...]:
+        chosen = set(present)
+        return tuple(
+            int(rng.integers(FEW_STEPS, max(most // 2, 3))) if i in chosen else 0 for i, most in enumerate(many)
+        )
+
+    rows = [probe_steps(ladder)]
+    paper = dict(PRESETS["paper-80"])
+    rows += [tuple(paper.get(factor, 0) for factor in ladder)]
+    for i in range(count):
+        rows += [tuple(steps if j == i else 0 for j in range(count)) for steps in (FEW_STEPS, many[i])]
+    rows += [mixed(range(i, count)) for i in range(count - 1)]  # every entry
+    rows += [mixed(range(i + 1)) for i in range(1, count - 1)]  # every finest level
+    rows += [mixed(range(0, count, 2)), mixed(range(1, count, 2))]
+    rows += [mixed((i, i + 1)) for i in range(1, count - 1)]
+    return [row for row in dict.fromkeys(rows) if any(row)]
+
+
+# ---- the timing ----
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on this system
+        return os.cpu_count() or 1
+
+
+def compile_all(schedules: Sequence[Schedule], arguments: Arguments, *, progress: bool) -> list[Callable[[], Any]]:
+    """`cascade_known` compiled for each schedule, with its arguments bound and already on the device.
+
+    Two at a time; all are ready before anything is timed.
+    """
+    y, known, guide = arguments
+
+    def compiled(schedule: Schedule) -> Callable[[], Any]:
+        schedule = jax.device_put(schedule)
+        return functools.partial(
+            cascade_known.lower(y, known, guide, schedule).compile(), y, known, guide, schedule
+        )
+
+    with concurrent.futures.ThreadPoolExecutor(min(2, cores())) as pool:
+        jobs = [pool.submit(compiled, schedule) for schedule in schedules]
+        try:
+            finished = concurrent.futures.as_completed(jobs)
+            bar = tqdm(finished, "compiling", len(jobs), unit="schedule", leave=False, disable=not progress)
+            for job in bar:
+                job.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [job.result() for job in jobs]
+
+
+def time_calls(
+    calls: Mapping[str, Callable[[], Any]],
+    repeats: int,
+    *,
+    most_seconds: float | None = MOST_SECONDS,
+    progress: bool = False,
+) -> dict[str, Milliseconds]:
+    """Time calls in turns, by name, see `measure_each`.
+
+    Raises:
+        InputError: no repeats.
+    """
+    if repeats < 1:
+        raise InputError(f"repeats: must be at least 1, got {repeats}")
+    summary = latency.measure_each(calls, repeats, most_seconds=most_seconds, progress=progress)
+    return {name: Milliseconds(entry["median_ms"], entry["p95_ms"]) for name, entry in summary.items()}
+
+
+def calibrate(
+    arguments: Arguments, ladder: Sequence[int], *, repeats: int = REPEATS, progress: bool = True
+) -> Calibration:
+    """Time some thirty schedules and fit the model to them. Takes about half a minute at 512×512 on two cores.
+
+    Args:
+        arguments: filter, known and guide to time on.
+        ladder: factors, coarse to fine.
+        repeats: times each schedule runs, fewer if that would take more than half a minute.
+        progress: show bars on stderr.
+
+    Raises:
+        InputError: no repeats.
+    """
+    steps = calibration_steps(ladder)
+    calls = compile_all([schedule_of(ladder, row) for row in steps], arguments, progress=progress)
+    named = {str(index): call for index, call in enumerate(calls)}
+    times = list(time_calls(named, repeats, progress=progress).values())
+    medians, p95s = [t.median for t in times], [t.p95 for t in times]
+    median = fit(steps, medians)
+    errors = leave_one_out(steps, medians)
+    return Calibration(
+        median=median,
+        p95=fit(steps, p95s, above=median),
+        error={"median_relative": float(np.median(errors)), "worst_relative": float(errors.max())},
+        probe=time_probe(calls[steps.index(probe_steps(ladder))]),
+        schedules=[{"steps": list(row), "median_ms": t.median, "p95_ms": t.p95} for row, t in zip(steps, times)],
+        stages=time_calls(own_stages(ladder, arguments), repeats),
+    )
+
+
+def time_probe(probe: Callable[[], Any], repeats: int = PROBE_REPEATS) -> Milliseconds:
+    """How long the probe, compiled, takes on its own."""
+    return time_calls({"probe": probe}, repeats, most_seconds=None)["probe"]
+
+
+def own_stages(ladder: Sequence[int], arguments: Arguments) -> dict[str, Callable[[], Any]]:
+    """Parts of the paper's cascade alone: the conductances of its levels; down to its entry level and up again."""
+    y, _, guide = arguments
+    schedule = jax.device_put(schedule_of(ladder, probe_steps(ladder)))
+    entry, full = schedule.levels[0].factor, y.shape[:2]
+    edges = jax.jit(level_edges)
+    resample = jax.jit(lambda picture: upsample(downsample(picture, entry), entry, full))
+    return {
+        "conductance": functools.partial(edges, guide, schedule),
+        "resampling": functools.partial(resample, y),
+    }

@@ -1,0 +1,119 @@
+"""What is timed: the shapes that a cascade runs on, and the ladder of factors that its schedules may use.
+
+A *ladder* is a row of factors, coarse to fine; *steps* over a ladder are a number for each of them, 0 where a level
+is left out.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from hyjax.errors import InputError
+from hyjax.pyramid import level_shape
+from hyjax.schedule import Schedule
+
+LADDER = (32, 16, 8, 4, 2, 1)
+# Cells that the shorter side of a level must have to be worth a place in a ladder.
+FEWEST_CELLS = 4
+
+DTYPES = ("float16", "bfloat16", "float32", "float64")
+
+Arguments = tuple[Float[Array, "h w lights"], Bool[Array, "h w 1"], Float[Array, "h w f"]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Workload:
+    """The shapes that a cascade is timed on: `cascade_known` with one channel a light.
+
+    Attributes:
+        height: pixels.
+        width: pixels.
+        lights: channels of the filter.
+        guide_channels: features of the guide.
+        dtype: of filter and guide.
+
+    Raises:
+        InputError: a size below 1, an unknown dtype, or float64 while JAX runs without it.
+    """
+
+    height: int
+    width: int
+    lights: int
+    guide_channels: int = 3
+    dtype: str = "float32"
+
+    def __post_init__(self) -> None:
+        for name in ("height", "width", "lights", "guide_channels"):
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+                raise InputError(f"workload: {name} must be a whole number >= 1, got {value!r}")
+        if self.dtype not in DTYPES:
+            raise InputError(f"workload: dtype {self.dtype!r} is unknown; use one of {', '.join(DTYPES)}")
+        if self.dtype == "float64" and jax.dtypes.canonicalize_dtype("float64") != "float64":
+            raise InputError("workload: dtype float64 needs JAX_ENABLE_X64=1")
+
+    def arguments(self) -> Arguments:
+        """Filter, known and guide of these shapes: pseudo-random, the same every time, on the default device."""
+        rng = np.random.default_rng(0)
+        size = self.height, self.width
+        y = rng.random((*size, self.lights), np.float32)
+        known = rng.random((*size, 1)) > 0.1
+        guide = rng.random((*size, self.guide_channels), np.float32)
+        return jnp.asarray(y, self.dtype), jnp.asarray(known), jnp.asarray(guide, self.dtype)
+
+    def on_device(self, arguments: Arguments) -> Arguments:
+        """Filter, known and guide on the default device.
+
+        Raises:
+            InputError: not of these shapes.
+        """
+        size = self.height, self.width
+        shapes = (*size, self.lights), (*size, 1), (*size, self.guide_channels)
+        for name, array, shape in zip(("filter", "known", "guide"), arguments, shapes, strict=True):
+            if array.shape != shape:
+                raise InputError(f"{name}: shape {array.shape} is not the latency table's {shape}")
+        y, known, guide = (jnp.asarray(array) for array in arguments)
+        return y, known, guide
+
+    def __str__(self) -> str:
+        lights = f"{self.lights} light{'s' if self.lights > 1 else ''}"
+        return f"{self.height}x{self.width}, {lights}, {self.guide_channels} guide channels, {self.dtype}"
+
+
+def ladder_for(height: int, width: int, ladder: Sequence[int] = LADDER) -> tuple[int, ...]:
+    """The factors of a ladder that are not too coarse for a picture of this size.
+
+    Raises:
+        InputError: factors do not fall, are no multiples of each other, or are all too coarse.
+    """
+    check_ladder(ladder)
+    fitting = tuple(f for f in ladder if f == 1 or min(level_shape((height, width), f)) >= FEWEST_CELLS)
+    if not fitting:
+        raise InputError(f"ladder: every factor of {tuple(ladder)} is too coarse for {height}x{width} pixels")
+    return fitting
+
+
+def check_ladder(ladder: Sequence[int]) -> None:
+    """See that a ladder can be one.
+
+    Raises:
+        InputError: no factors, one that is no whole number >= 1 or no multiple of the next.
+    """
+    whole = all(isinstance(f, int) and not isinstance(f, bool) and f >= 1 for f in ladder)
+    if not ladder or not whole or any(c <= f or c % f for c, f in itertools.pairwise(ladder)):
+        raise InputError(f"ladder: factors must fall, each a multiple of the next, got {tuple(ladder)}")
+
+
+def schedule_key(schedule: Schedule) -> str:
+    """What decides a schedule's time: `16:5 8:10`, factor and steps, with pooling and norm if not the defaults."""
+    text = " ".join(f"{level.factor}:{level.steps}" for level in schedule.levels)
+    if schedule.pooling != "edges":
+        text += f" pooling={schedule.pooling}"
+    if schedule.norm != "l2":
+        text += f" norm={schedule.norm}"
+    return text

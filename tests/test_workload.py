@@ -1,0 +1,54 @@
+"""What is timed: shapes, ladders, and what decides a schedule's time."""
+
+import dataclasses
+from typing import Any
+
+import pytest
+
+from hyjax.errors import InputError
+from hyjax.schedule import Schedule
+from hyjax.tuning.workload import LADDER, Workload, check_ladder, ladder_for, schedule_key
+
+
+def test_ladders_keep_what_fits_the_size() -> None:
+    assert ladder_for(512, 512) == LADDER
+    assert ladder_for(64, 64) == (16, 8, 4, 2, 1)
+    assert ladder_for(100, 20, (8, 4)) == (4,)
+    assert ladder_for(1, 1) == (1,)
+    with pytest.raises(InputError, match="too coarse for 8x8"):
+        ladder_for(8, 8, ladder=(16, 8))
+
+
+@pytest.mark.parametrize("ladder", [(), (2, 4), (4, 4), (6, 4), (4, 0), (4.0, 2.0), (2, True)])
+def test_bad_ladders_are_refused(ladder: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="ladder: "):
+        check_ladder(ladder)
+
+
+@pytest.mark.parametrize("change", [{"height": 0}, {"lights": 1.5}, {"width": True}, {"dtype": "int8"}])
+def test_bad_workloads_are_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=f"workload: .*{next(iter(change))}"):
+        dataclasses.replace(Workload(512, 512, 2), **change)
+
+
+def test_float64_needs_jax_to_have_it() -> None:
+    with pytest.raises(InputError, match="JAX_ENABLE_X64"):
+        Workload(8, 8, 1, dtype="float64")
+
+
+@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
+def test_arguments_are_the_same_every_time(dtype: str) -> None:
+    workload = Workload(6, 5, 2, guide_channels=4, dtype=dtype)
+    y, known, guide = workload.arguments()
+    assert (y.shape, known.shape, guide.shape) == ((6, 5, 2), (6, 5, 1), (6, 5, 4))
+    assert (y.dtype, known.dtype, guide.dtype) == (dtype, bool, dtype)
+    for first, second in zip((y, known, guide), workload.arguments()):
+        assert (first == second).all()
+
+
+def test_schedule_key_has_what_decides_the_time() -> None:
+    schedule = Schedule.uniform([(16, 5), (8, 10)])
+    assert schedule_key(schedule) == "16:5 8:10"
+    assert schedule_key(Schedule.uniform([(16, 5), (8, 10)], kappa=0.3, lam=0.1, name="x")) == "16:5 8:10"
+    other = dataclasses.replace(schedule, pooling="guide", norm="mean_abs")
+    assert schedule_key(other) == "16:5 8:10 pooling=guide norm=mean_abs"
