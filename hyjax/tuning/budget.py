@@ -7,10 +7,7 @@ schedule, in milliseconds.
 import itertools
 from collections.abc import Sequence
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxopt.projection import projection_box_section
 from jaxtyping import Float
 
 from hyjax.tuning.cost_model import CostModel
@@ -20,40 +17,31 @@ MOST_STEPS = 64
 
 Steps = tuple[int, ...]
 
-_project_section = jax.jit(projection_box_section)  # its bisection compiles anew in every call otherwise
-
 
 def project(steps: Float[np.ndarray, "l"], cost: CostModel, budget: float) -> Float[np.ndarray, "l"]:
-    """The nearest step counts (in shares of the budget) whose cost fits.
+    """Step counts brought within the budget: every level gives up the same part of the time its steps take.
 
-    A level with less than half a step is dropped, with all it costs; levels are dropped, cheapest first, until the
-    rest fits at all.
+    That is the nearest point in relative entropy of the times spent, the projection of mirror descent; the Euclidean
+    one would take as much from a cheap coarse level as from a dear fine one, and so wipe it out. A level left with
+    less than half a step is dropped, the smallest first, and what it cost goes back to the others.
 
     Returns:
-        0 ≤ n ≤ `MOST_STEPS`; all zero if no single level fits the budget.
+        0 ≤ n ≤ `MOST_STEPS`, all 0 if not even half a step of a single level fits.
+
+    Source: Beck and Teboulle, *Mirror descent and nonlinear projected subgradient methods*, 2003.
     """
-    steps = np.where(steps < 0.5, 0.0, np.minimum(steps, MOST_STEPS)).astype(np.float32)
-    per_step = np.maximum(cost.step, 1e-6 * budget)
+    steps = np.where(steps < 0.5, 0.0, np.minimum(steps, MOST_STEPS))
     while steps.any():
-        present = steps > 0
         if cost(steps.tolist()) <= budget:
-            return steps
-        finest = int(np.flatnonzero(present)[-1])
-        left = budget - cost.fixed - float(np.sum(np.array(cost.level)[present])) - cost.finest[finest]
-        low, high = np.where(present, 0.5, 0.0) * per_step / budget, present * MOST_STEPS * per_step / budget
-        if left / budget >= low.sum():
-            shares = _project_section(
-                jnp.asarray(steps * per_step / budget), (low, high, np.ones_like(low), left / budget)
-            )
-            projected = np.asarray(shares) * budget / per_step
-            projected = np.where(present, np.clip(projected, 0.5, MOST_STEPS), 0.0)
-            if not (present & (projected <= 0.5)).any():
-                return projected.astype(np.float32)
-            steps = np.where(projected <= 0.5, 0.0, projected)  # with its fixed cost the others may do more
-        else:
-            weakest = np.argmin(np.where(present, steps * per_step, np.inf))
-            steps = np.where(np.arange(len(steps)) == weakest, 0.0, steps)
-    return steps
+            return steps.astype(np.float32)
+        present = steps > 0
+        spent = float(steps @ np.asarray(cost.step))
+        left = budget - (cost(steps.tolist()) - spent)
+        scaled = steps * max(left, 0.0) / max(spent, 1e-9) * (1.0 - 1e-6)
+        if scaled[present].min() >= 0.5:
+            return scaled.astype(np.float32)
+        steps = np.where(np.arange(len(steps)) == np.argmin(np.where(present, scaled, np.inf)), 0.0, steps)
+    return steps.astype(np.float32)
 
 
 def fits(steps: Sequence[int], cost: CostModel, budget: float) -> bool:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hyjax.errors import InputError
+from hyjax.files import write_text
 
 NAME = "journal.jsonl"
 
@@ -36,10 +37,7 @@ class Journal:
             _compare(self.path.parent, lines[0]["settings"], settings)
             self.known = {line["key"]: line["value"] for line in lines[1:]}
         entries = [{"settings": settings}, *({"key": k, "value": v} for k, v in self.known.items())]
-        try:
-            self.path.write_text("".join(json.dumps(entry) + "\n" for entry in entries), encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{self.path}: cannot write ({error.strerror or error})") from None
+        write_text(self.path, "".join(json.dumps(entry) + "\n" for entry in entries))
 
     def remember(self, key: str, compute: Callable[[], Any]) -> Any:
         """What `compute` returns, computed at most once for each key."""
