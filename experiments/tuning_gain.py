@@ -9,7 +9,8 @@ frames: these tell what κ and λ gain from what the steps' places gain. All tim
 turns. Takes about half an hour on two cores. Writes `tuning_gain.json`, `.md` and `.png`.
 
 Expect: tuned at the paper's time a lower loss than the paper's schedule, and than the polished one; at half the
-time still no worse than the paper's. `naive-50` is a strong rival where its time is allowed. Intervals are wide, being over six frames.
+time still no worse than the paper's. `naive-50` is a strong rival where its time is allowed.
+Intervals are wide, being over six frames.
 """
 
 import dataclasses
