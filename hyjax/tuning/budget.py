@@ -21,9 +21,9 @@ Steps = tuple[int, ...]
 def project(steps: Float[np.ndarray, "l"], cost: CostModel, budget: float) -> Float[np.ndarray, "l"]:
     """Step counts brought within the budget: every level gives up the same part of the time its steps take.
 
-    That is the nearest point in relative entropy of the times spent, the projection of mirror descent; the Euclidean
-    one would take as much from a cheap coarse level as from a dear fine one, and so wipe it out. A level left with
-    less than half a step is dropped, the smallest first, and what it cost goes back to the others.
+    That is the nearest point in relative entropy of the times spent, the projection of mirror descent. The
+    Euclidean one would take as much from a cheap coarse level as from a dear fine one, and so wipe it out. A level
+    left with less than half a step is dropped, the smallest first, and what it cost goes back to the others.
 
     Returns:
         0 ≤ n ≤ `MOST_STEPS`, all 0 if not even half a step of a single level fits.
