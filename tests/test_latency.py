@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hyjax.tuning import latency
-from hyjax.tuning.latency import StageClock, measure, measure_each, timestamp
+from hyjax.tuning.latency import StageClock, Stopwatch, measure, measure_each, timestamp
 
 
 @pytest.fixture
@@ -19,6 +19,15 @@ def ticks(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     now = [0.0]
     monkeypatch.setattr(latency.time, "perf_counter", lambda: now[0])
     return now
+
+
+def test_a_stopwatch_counts_from_when_it_was_made(ticks: list[float]) -> None:
+    ticks[0] = 100.0
+    watch, resumed = Stopwatch(), Stopwatch(already=2.5)
+    assert (watch.seconds, resumed.seconds) == (0.0, 2.5)
+    ticks[0] += 4.0
+    assert (watch.seconds, resumed.seconds) == (4.0, 6.5)
+    assert watch.seconds == 4.0  # looking does not stop it
 
 
 def test_first_run_is_apart_from_the_rest(ticks: list[float]) -> None:
