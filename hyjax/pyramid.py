@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from hyjax.errors import InputError
 from hyjax.stencil import Edges
 
-# Ratio up to which upsampling is written out by phases: faster than gathering, but slow to compile for many phases.
+# Ratio up to which upsampling is written out by phases, which is slow to compile for many phases.
 MOST_PHASES = 16
 
 
@@ -63,18 +63,27 @@ def upsample(y: Float[Array, "ch cw c"], factor: int, shape: tuple[int, int]) ->
         )
     if factor == 1:
         return y
-    lerp = _lerp_phases if factor <= MOST_PHASES else _lerp_gather
+    lerp = _lerp_phases if factor <= MOST_PHASES else _lerp_intervals
     for axis in (0, 1):
         y = lerp(y, factor, shape[axis], axis)
     return y
 
 
-def _lerp_gather(y: Array, factor: int, length: int, axis: int) -> Array:
-    position = np.clip((np.arange(length) + 0.5) / factor - 0.5, 0.0, y.shape[axis] - 1.0)
-    near = np.minimum(position.astype(int), max(y.shape[axis] - 2, 0))
-    weight = np.expand_dims(position - near, [a for a in range(y.ndim) if a != axis])
-    first, second = jnp.take(y, near, axis), jnp.take(y, np.minimum(near + 1, y.shape[axis] - 1), axis)
-    return first + jnp.asarray(weight, y.dtype) * (second - first)
+def _lerp_intervals(y: Array, factor: int, length: int, axis: int) -> Array:
+    """Between two neighbouring cell centres lie `factor` output pixels, with the same weights everywhere."""
+    cells = y.shape[axis]
+    if cells == 1:  # however much wider than the picture the cell is
+        return jnp.broadcast_to(y, (*y.shape[:axis], length, *y.shape[axis + 1 :]))
+    padded = jnp.pad(y, [(1, 1) if a == axis else (0, 0) for a in range(y.ndim)], mode="edge")
+    first, second = (
+        jnp.expand_dims(jax.lax.slice_in_dim(padded, k, k + cells + 1, axis=axis), axis + 1) for k in (0, 1)
+    )
+    position = (np.arange(factor) + (0.5 if factor % 2 == 0 else 0.0)) / factor  # from the first of two centres
+    weight = jnp.asarray(np.expand_dims(position, [a for a in range(y.ndim + 1) if a != axis + 1]), y.dtype)
+    shape = (*y.shape[:axis], (cells + 1) * factor, *y.shape[axis + 1 :])
+    pixels = (first + weight * (second - first)).reshape(shape)
+    start = (factor + 1) // 2  # pixels between the centre of the cell before the first one and the picture
+    return jax.lax.slice_in_dim(pixels, start, start + length, axis=axis)
 
 
 def _lerp_phases(y: Array, factor: int, length: int, axis: int) -> Array:

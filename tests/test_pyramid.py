@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from reference import paper
+from reference.differences import assert_gradients
 
 from hyjax import InputError, conductance, downsample, min_pool, upsample
 from hyjax.diffusion import edge_stopping, guide_distance
@@ -216,12 +217,37 @@ def test_bad_factors_and_shapes_are_refused() -> None:
     assert upsample(y, 2, (9, 13)).shape == (9, 13, 1)
 
 
-def test_a_far_coarser_level_interpolates_as_the_formula_says() -> None:
-    """Beyond the ratio that is written out by phases: gathered, same result."""
-    cells = np.random.default_rng(0).uniform(size=(3, 2, 1))
+FAR = [(17, (40, 33)), (18, (37, 19)), (32, (100, 64)), (33, (34, 7)), (40, (101, 67)), (64, (5, 130))]
+
+
+@pytest.mark.parametrize("factor,size", FAR)
+def test_a_far_coarser_level_interpolates_as_the_paper_says(factor: int, size: tuple[int, int]) -> None:
+    """Beyond the ratio that is written out by phases: same result, also for one cell, odd ratios and in a batch."""
+    cells = picture(factor, (-(-size[0] // factor), -(-size[1] // factor)))
+    want = paper.upsample(cells, factor, size)
     with jax.enable_x64(True):
-        got = np.asarray(upsample(jnp.asarray(cells), 40, (101, 67)))
-    centres = [(np.arange(n) + 0.5) * 40 for n in (3, 2)]
-    rows = np.stack([np.interp(np.arange(101) + 0.5, centres[0], cells[:, j, 0]) for j in range(2)], axis=1)
-    want = np.stack([np.interp(np.arange(67) + 0.5, centres[1], row) for row in rows])
-    np.testing.assert_allclose(got[..., 0], want, atol=1e-12)
+        got = upsample(jnp.asarray(cells), factor, size)
+        assert got.dtype == np.float64
+        np.testing.assert_allclose(got, want, rtol=1e-12, atol=1e-13)
+        batch = jax.vmap(lambda y: upsample(y, factor, size))(jnp.stack([cells, 2 * cells]))
+        np.testing.assert_allclose(batch, [want, 2 * want], rtol=1e-12, atol=1e-13)
+        assert_gradients(lambda y: jnp.sum(jnp.sin(upsample(y, factor, size))), jnp.asarray(cells))
+
+
+@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
+@pytest.mark.parametrize("factor,size", FAR)
+def test_far_upsampling_keeps_constants_and_order(factor: int, size: tuple[int, int], dtype: str) -> None:
+    rows, columns = -(-size[0] // factor), -(-size[1] // factor)
+    constant = jnp.full((rows, columns, 1), 0.3, dtype)
+    got = upsample(constant, factor, size)
+    assert got.dtype == dtype and (got == jnp.full((*size, 1), 0.3, dtype)).all()
+    rising = jnp.arange(rows * columns, dtype=dtype).reshape(rows, columns, 1) / 7
+    rounding = float(jnp.finfo(dtype).eps * rising.max())
+    for axis in (0, 1):
+        slopes = np.diff(np.asarray(upsample(rising, factor, size), np.float32), axis=axis)
+        assert (slopes >= -rounding).all()
+
+
+def test_a_cell_far_larger_than_the_picture_is_no_trouble() -> None:
+    y = jnp.full((1, 1, 3), 0.3)
+    assert (upsample(y, 10**9, (4, 5)) == jnp.full((4, 5, 3), 0.3)).all()
