@@ -49,8 +49,10 @@ class Clocked(Protocol):
         """By the latency table."""
         ...
 
-    def measure(self, schedules: Sequence[Schedule], progress: bool = True) -> list[Milliseconds]:
-        """On the clock, in turns; what was timed on this table before is not timed again."""
+    def measure(
+        self, schedules: Sequence[Schedule], *, again: bool = False, progress: bool = True
+    ) -> list[Milliseconds]:
+        """On the clock, in turns; what was timed on this table before is timed again only if asked for."""
         ...
 
     def parts(self) -> dict[str, float]:
@@ -81,8 +83,12 @@ class CascadeClock:
     def predict(self, schedule: Schedule) -> Milliseconds:
         return self.table.predict(self.table.steps_of(schedule))
 
-    def measure(self, schedules: Sequence[Schedule], progress: bool = True) -> list[Milliseconds]:
-        times = time_schedules(self.table, schedules, arguments=self.arguments, repeats=REPEATS, progress=progress)
+    def measure(
+        self, schedules: Sequence[Schedule], *, again: bool = False, progress: bool = True
+    ) -> list[Milliseconds]:
+        times = time_schedules(
+            self.table, schedules, arguments=self.arguments, repeats=REPEATS, again=again, progress=progress
+        )
         save_table(self.table)
         return times
 
@@ -157,10 +163,12 @@ class FrameClock:
             self.rest.p95 + own.p95 + self.fill_ratio * again.p95,
         )
 
-    def measure(self, schedules: Sequence[Schedule], progress: bool = True) -> list[Milliseconds]:
+    def measure(
+        self, schedules: Sequence[Schedule], *, again: bool = False, progress: bool = True
+    ) -> list[Milliseconds]:
         where = self.stages["G-buffer"]
         keys = [f"whole frame {schedule_key(schedule)} {where}" for schedule in schedules]
-        wanted = {key: schedule for key, schedule in zip(keys, schedules) if key not in self.table.timed}
+        wanted = {key: schedule for key, schedule in zip(keys, schedules) if again or key not in self.table.timed}
         if wanted:
             calls = {key: (lambda s=schedule: self._frame(s)) for key, schedule in wanted.items()}
             for key, time in measure_each(calls, REPEATS, most_seconds=60.0, progress=progress).items():

@@ -17,6 +17,7 @@ from hyjax.files import make_writable
 from hyjax.scene.raycast import RayCaster
 from hyjax.schedule import PRESETS, Schedule
 from hyjax.tuning.bench import Workbench
+from hyjax.tuning.budget import MOST_STEPS
 from hyjax.tuning.cases import Case, refined_filter, scores
 from hyjax.tuning.clocked import CascadeClock, Clocked, FrameClock, Stage, check_reachable
 from hyjax.tuning.examples import write_report_with_pictures
@@ -25,7 +26,7 @@ from hyjax.tuning.latency import Stopwatch
 from hyjax.tuning.relaxation import Plan, prepare
 from hyjax.tuning.report import write_front, write_pareto_csv, write_pareto_plot, write_schedules
 from hyjax.tuning.result import Budget, Candidate, Milliseconds, Tuned
-from hyjax.tuning.search import AGAIN, QUICK, Effort, Objective, Search
+from hyjax.tuning.search import AGAIN, QUICK, Effort, Found, Objective, Search
 
 BASELINES = ("paper-50", "paper-80", "naive-50", "naive-1000")
 MOST_EXTRA = 3
@@ -186,8 +187,10 @@ class _Run:
         self.plans: list[Plan] = []
 
     def add_baselines(self, schedules: list[Schedule], progress: bool) -> None:
-        times = self.clock.measure(schedules, progress)
+        times = self.clock.measure(schedules, progress=progress)
         self.baselines = [self.judge(schedule, time) for schedule, time in zip(schedules, times)]
+        counts = [self.clock.table.steps_of(schedule) for schedule in schedules]
+        self.plans = [Plan.of(steps) for steps in counts if max(steps) <= MOST_STEPS]  # not to end worse than these
 
     def judge(self, schedule: Schedule, measured: Milliseconds) -> Candidate:
         """A schedule with its scores, by the functions that `relight` runs."""
@@ -203,38 +206,34 @@ class _Run:
         The best whose measured p95 fits is kept. If none fits, the search aims at a smaller time; if there is room
         left, at a larger one.
         """
+        limit = aim = budget.milliseconds
+        fitting: list[tuple[Found, Schedule, Milliseconds]] = []
+        warm = self.plans
         with self.watch.watching(budget.label):
-            aim, limit, fitting = budget.milliseconds, budget.milliseconds, {}
-            warm = list(self.plans)
             for attempt in range(ATTEMPTS):
                 # After the first attempt the best are only moved to where the clock says the budget is.
                 found = search.run(aim, effort if attempt == 0 else AGAIN, warm)
                 if not found:
                     break
                 warm = [found[0].plan]
-                finalists = [
-                    f.plan.schedule(search.objective.ladder, f"tuned-{budget.slug}") for f in found[:FINALISTS]
-                ]
+                name = f"tuned-{budget.slug}"
+                finalists = [f.plan.schedule(search.objective.ladder, name) for f in found[:FINALISTS]]
                 times = self.clock.measure(finalists, progress=False)
-                for f, schedule, time in zip(found, finalists, times):
-                    if time.p95 <= limit:
-                        fitting[f.loss] = (f.plan, schedule, time)
-                slowest = max(time.p95 for time in times)
-                wanted = search.cost(found[0].steps)
-                if any(time.p95 <= limit for time in times):
-                    room = limit / times[0].p95
-                    if attempt or wanted < 0.9 * aim or room < 1.1:
-                        break
-                    aim *= min(room, 1.3) * 0.97
-                else:
-                    aim = 0.97 * min(aim, wanted) * min(1.0, limit / slowest)
+                fits = [row for row in zip(found, finalists, times) if row[2].p95 <= limit]
+                fitting += fits
+                wanted, room = search.cost(found[0].steps), limit / max(times[0].p95, 1e-9)
+                if fits and (attempt or wanted < 0.9 * aim or room < 1.1):
+                    break
+                aim = aim * min(room, 1.3) * 0.97 if fits else 0.97 * min(aim, wanted) * min(1.0, room)
                 if self.watch.expired():
                     break
-        if not fitting:  # no tuned schedule came out in time: the fastest there is, which was checked to fit
-            return
-        plan, schedule, time = fitting[min(fitting)]
-        self.plans.append(plan)
-        self.best[budget.label] = self.judge(schedule, time)
+            # Timed once more, alone: a lucky time must not win.
+            for found_one, schedule, _ in sorted(fitting, key=lambda row: (row[0].loss, row[2].median)):
+                time = self.clock.measure([schedule], progress=False, again=True)[0]
+                if time.p95 <= limit:
+                    self.plans.append(found_one.plan)
+                    self.best[budget.label] = self.judge(schedule, time)
+                    return
 
     def extra_budgets(self) -> list[Budget]:
         """Times at which a comparison is wanted: the paper's schedules', half of that, and below the budgets."""
