@@ -1,0 +1,273 @@
+"""How far our search ends from the true optimum, where the true optimum can be had by trying everything.
+
+    python -m experiments.tuning_optimum [--size 512] [--frames 2] [--out results/tuning_optimum]
+
+Takes about four minutes on two cores, once the built-in room is made. On the paper's ladder with eight step counts
+a level, all 4095 schedules are evaluated, once: each budget's optimum on this grid is known for sure. The search
+gets the same objective, cost model and budgets, and the same fixed κ and λ; its step counts may be any whole
+numbers. Two kinds of regret, relative to the loss of the grid's optimum:
+
+- of what it found, below zero where finer step counts help;
+- of that rounded down to the grid, which leaves unspent what the rounding freed. Next to it the best of all ways to
+  round, down or up level by level, that fit: near zero if the search was in the right place.
+
+Both wall times are given; compilation is before either. Writes `tuning_optimum.json`, `.md` and `.png`.
+
+Expect: a regret of what was found within one percent of zero, for each budget in a tenth of brute force's
+evaluations. With the default κ the best schedules have few steps, and more time than those take is of no use.
+"""
+
+import collections
+import dataclasses
+import itertools
+import json
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from jaxtyping import Float
+from tqdm import tqdm
+
+from experiments.plotting import new_figure
+from hyjax.environment import environment
+from hyjax.errors import InputError
+from hyjax.files import make_writable, whole, write_text
+from hyjax.schedule import DEFAULT_KAPPA, DEFAULT_LAM
+from hyjax.tuning.bench import open_bench
+from hyjax.tuning.budget import MOST_STEPS, Steps, fits, project
+from hyjax.tuning.clocked import workload_of
+from hyjax.tuning.cost_model import CostModel
+from hyjax.tuning.latency import Stopwatch
+from hyjax.tuning.latency_table import LatencyTable, load_table
+from hyjax.tuning.relaxation import Plan, prepare
+from hyjax.tuning.request import TUNING_FRAMES, split_frames
+from hyjax.tuning.search import Effort, Objective, Search
+from hyjax.tuning.workload import LADDER
+
+EFFORT = Effort(polished=0, polishing=0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    size: int = 512
+    """Side of the pictures, in pixels."""
+    frames: int = 2
+    """How many of the default tuning frames, at most four."""
+    ladder: tuple[int, ...] = (16, 8, 4, 2)
+    counts: tuple[int, ...] = (0, 1, 2, 4, 8, 16, 24, 32)
+    """Steps that a level of the grid may have; 0 and 1 must be among them."""
+    budgets: int = 5
+    """How many, evenly spread in ratio from the cheapest schedule of the grid to its best, the last budget."""
+    kappa: float = DEFAULT_KAPPA
+    lam: float = DEFAULT_LAM
+    recalibrate: bool = False
+    """Make the latency table anew."""
+    seed: int = 0
+    out: Path = Path("results/tuning_optimum")
+
+
+@dataclasses.dataclass(frozen=True)
+class Counted(Objective):
+    """The objective, counting the frames that it is evaluated on."""
+
+    frames: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
+
+    def __call__(self, plan: Plan) -> float:
+        self.frames["loss"] += len(self.prepared)
+        return super().__call__(plan)
+
+    def gradient(self, plan: Plan, frames: Iterable[int] | None = None) -> tuple[float, Plan]:
+        chosen = range(len(self.prepared)) if frames is None else list(frames)
+        self.frames["gradient"] += len(chosen)
+        return super().gradient(plan, chosen)
+
+
+@dataclasses.dataclass(frozen=True)
+class StepsOnly(Counted):
+    """Of a plan's steps alone: κ and λ are these whatever the plan says, so its slopes in them are zero."""
+
+    kappa: float = DEFAULT_KAPPA
+    lam: float = DEFAULT_LAM
+
+    def fixed(self, plan: Plan) -> Plan:
+        return Plan.of(np.asarray(plan.steps), self.kappa, self.lam)
+
+    def __call__(self, plan: Plan) -> float:
+        return super().__call__(self.fixed(plan))
+
+    def gradient(self, plan: Plan, frames: Iterable[int] | None = None) -> tuple[float, Plan]:
+        loss, slope = super().gradient(self.fixed(plan), frames)
+        zero = np.zeros_like(slope.log_kappa)
+        return loss, dataclasses.replace(slope, log_kappa=zero, logit_lam=zero)
+
+
+def prepare_room(
+    size: int, frames: int, ladder: Sequence[int] = LADDER, recalibrate: bool = False
+) -> tuple[list[Any], LatencyTable, list[str]]:
+    """The built-in room's tuning frames, prepared; the latency table for them; the frames' names.
+
+    Raises:
+        InputError: not so many tuning frames, or a size or ladder that no schedule can have.
+    """
+    if not 1 <= frames <= TUNING_FRAMES:
+        raise InputError(f"frames: give 1 to {TUNING_FRAMES} of the tuning frames, got {frames}")
+    if size < 16:
+        raise InputError(f"size: must be at least 16 pixels, got {size}")
+    bench = open_bench(size=(size, size))
+    tuning, _ = split_frames(len(bench.capture), None, None)
+    chosen = [tuning[i] for i in np.linspace(0, len(tuning) - 1, frames).round().astype(int)]
+    cases, _ = bench.cases(chosen, "tuning")
+    table, _ = load_table(workload_of(cases[0]), ladder, recalibrate=recalibrate)
+    return [prepare(case, table.ladder) for case in cases], table, [bench.capture[i].name for i in chosen]
+
+
+def warm_up(objective: Objective, cost: CostModel) -> None:
+    """Compile everything that is compiled once in a process: loss, gradient and projection."""
+    plan = Plan.of([1] * len(objective.ladder))
+    objective(plan)
+    objective.gradient(plan)
+    project(
+        np.full(len(objective.ladder), MOST_STEPS / 2), cost, 0.7 * cost([MOST_STEPS / 2] * len(objective.ladder))
+    )
+
+
+def main(config: Config) -> None:
+    make_writable(config.out)
+    counts = sorted(set(config.counts))
+    if counts[:2] != [0, 1] or counts[-1] > MOST_STEPS:
+        raise InputError(f"counts: need 0, 1 and others up to {MOST_STEPS}, got {counts}")
+    if config.budgets < 1:
+        raise InputError(f"budgets: must be at least 1, got {config.budgets}")
+    prepared, table, names = prepare_room(config.size, config.frames, config.ladder, config.recalibrate)
+    cost, objective = table.p95, StepsOnly(prepared, table.ladder, kappa=config.kappa, lam=config.lam)
+    warm_up(objective, cost)
+
+    grid = [steps for steps in itertools.product(counts, repeat=len(table.ladder)) if any(steps)]
+    costs = np.array([cost(steps) for steps in grid])
+    watch = Stopwatch()
+    losses = dict(zip(grid, (objective(Plan.of(steps)) for steps in tqdm(grid, "brute force", unit="schedule"))))
+    brute = {"seconds": watch.seconds, "schedules": len(grid)}
+
+    rows = []
+    dearest = cost(min(losses, key=losses.__getitem__))  # a larger budget would not bind
+    for budget in tqdm([*np.geomspace(costs.min(), dearest, config.budgets + 1)[1:-1].tolist(), dearest], "search"):
+        rows.append(compare(budget, losses, counts, cost, objective, config.seed))
+    record = {
+        "config": str(config),
+        "frames": names,
+        "ladder": table.ladder,
+        "cost_ms": dataclasses.asdict(cost),
+        "brute_force": brute | {"steps": counts, "loss": [round(loss, 8) for loss in losses.values()]},
+        "budgets": rows,
+    } | environment()
+    write_text(config.out / "tuning_optimum.json", json.dumps(record, indent=1) + "\n")
+    text = markdown(rows, brute, len(names))
+    write_text(config.out / "tuning_optimum.md", text + "\n")
+    print(text)
+    with whole(config.out / "tuning_optimum.png") as path:
+        figure(path, costs, np.array(list(losses.values())), rows, f"{config.size} pixels, ladder {table.ladder}")
+
+
+def compare(
+    budget: float, losses: dict[Steps, float], counts: list[int], cost: CostModel, objective: StepsOnly, seed: int
+) -> dict[str, Any]:
+    """One budget: the grid's optimum, ours, and ours brought to the grid."""
+    optimum = min((steps for steps in losses if fits(steps, cost, budget)), key=losses.__getitem__)
+    objective.frames.clear()
+    watch = Stopwatch()
+    ours = Search(objective, cost, seed=seed).run(budget, EFFORT)[0].plan
+    seconds, frames = watch.seconds, dict(objective.frames)
+    steps = tuple(int(n) for n in np.asarray(ours.steps))
+    down = tuple(max(k for k in counts if k <= n) for n in steps)
+    around = [{below, min((k for k in counts if k >= n), default=below)} for n, below in zip(steps, down)]
+    roundings = [near for near in itertools.product(*around) if fits(near, cost, budget)]
+    nearest = min(roundings, key=losses.__getitem__)
+    # Evaluated once more because the search may keep the gradient's loss, which differs in the last digit.
+    loss, best = objective(ours), losses[optimum]
+    return {
+        "budget_ms": budget,
+        "brute_force": {"steps": optimum, "loss": best, "cost_ms": cost(optimum)},
+        "ours": {
+            "steps": steps,
+            "loss": loss,
+            "cost_ms": cost(steps),
+            "regret": loss / best - 1,
+            "seconds": seconds,
+            "frames_evaluated": frames,
+        },
+        "rounded_down": _on_grid(down, losses, cost, best),
+        "best_rounding": _on_grid(nearest, losses, cost, best),
+    }
+
+
+def _on_grid(steps: Steps, losses: dict[Steps, float], cost: CostModel, best: float) -> dict[str, Any]:
+    return {"steps": steps, "loss": losses[steps], "cost_ms": cost(steps), "regret": losses[steps] / best - 1}
+
+
+def markdown(rows: list[dict[str, Any]], brute: dict[str, Any], frames: int) -> str:
+    lines = [
+        "| budget, ms | brute force | loss | ours | loss | regret | rounded down | regret | best rounding | regret "
+        "| evaluations | gradients | seconds |",
+        "|---:|---|---:|---|---:|---:|---|---:|---|---:|---:|---:|---:|",
+    ]
+    for row in rows:
+        cells = [f"{row['budget_ms']:.2f}"]
+        for name in ("brute_force", "ours", "rounded_down", "best_rounding"):
+            entry = row[name]
+            cells.append(" ".join(map(str, entry["steps"])))
+            cells += [f"{entry['loss']:.5f}"] if name in ("brute_force", "ours") else []
+            cells += [f"{100 * entry['regret']:+.2f} %"] if "regret" in entry else []
+        spent = row["ours"]["frames_evaluated"]
+        cells += [f"{spent[name] / frames:.0f}" for name in ("loss", "gradient")]
+        lines.append(f"| {' | '.join(cells)} | {row['ours']['seconds']:.1f} |")
+    total = sum(row["ours"]["seconds"] for row in rows)
+    lines += [
+        "",
+        f"Brute force: {brute['schedules']} schedules in {brute['seconds']:.0f} s, once for all budgets. "
+        f"Ours: {total:.0f} s for {len(rows)} budgets. Evaluations and gradients are of all {frames} frames.",
+    ]
+    return "\n".join(lines)
+
+
+def figure(
+    path: Path,
+    costs: Float[np.ndarray, "n"],
+    losses: Float[np.ndarray, "n"],
+    rows: list[dict[str, Any]],
+    title: str,
+) -> None:
+    fig = new_figure(7, 4.5)
+    axes = fig.subplots()
+    axes.scatter(
+        costs, losses, s=3, color="0.75", linewidths=0, label="every schedule of the grid", rasterized=True
+    )
+    order = np.lexsort((losses, costs))
+    front = np.minimum.accumulate(losses[order])
+    axes.step(costs[order], front, where="post", color="black", linewidth=1, label="brute-force front")
+    for name, style, label in (
+        ("rounded_down", {"marker": "v", "markerfacecolor": "none", "color": "tab:blue"}, "ours, rounded down"),
+        ("ours", {"marker": "o", "color": "tab:red"}, "ours"),
+    ):
+        points = [(row[name]["cost_ms"], row[name]["loss"]) for row in rows]
+        axes.plot(*zip(*points, strict=True), linestyle="none", markersize=6, label=label, **style)
+    for row in rows:
+        axes.axvline(row["budget_ms"], color="0.6", linewidth=0.6, linestyle=":", zorder=0)
+    axes.set(xscale="log", yscale="log", title=title)
+    axes.set(xlabel="predicted 95th percentile, ms (dotted: budgets)", ylabel="loss on tuning frames")
+    axes.minorticks_on()
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("{x:g}")
+    axes.tick_params(which="minor", labelsize=7)
+    axes.legend(markerscale=1.0)
+    fig.savefig(path, dpi=120)
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Config))
+    except InputError as error:
+        sys.exit(f"tuning_optimum: {error}")

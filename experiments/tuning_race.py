@@ -1,0 +1,305 @@
+"""Loss reached against wall time: our search, two of Optuna's and random search, inside the same budget.
+
+    pip install -e ".[experiments]"
+    python -m experiments.tuning_race [--budget-ms 4] [--seconds 60] [--seeds 5] [--out results/tuning_race]
+
+Takes methods x seeds x seconds, 20 minutes by default on two cores, once the built-in room and its latency table
+are made; leave the machine alone meanwhile. The methods run one after another, seed by seed, on the same objective
+(the default tuning frames) and the same cost model (95th percentile by the latency table). All start cold. The loss
+and its gradient are compiled before any clock starts; whatever else a method compiles is on its clock.
+
+- Ours: `Search` with its default effort, which may end before the time is up. Its relaxed, real-valued plans are
+  not schedules and do not count; neither does anything that comes in after the time.
+- Optuna's TPE and NSGA-II, in their default settings with the budget as a constraint: whole steps from 0 to 64 for
+  each level of the ladder, κ on a logarithmic scale and λ in the ranges that ours has. A trial over the budget is
+  recognised before it is evaluated and costs them next to nothing; its value is not looked at, only by how much it
+  is over.
+- Random search: uniform in the same space, redrawn until within the budget.
+
+Writes `tuning_race.json`, `.md` and `.png`.
+
+Expect: random search first, because it has something to show at once, then ours, once it has relaxed its starting
+points; TPE last, which spends its time on getting into the budget.
+"""
+
+import dataclasses
+import functools
+import importlib.util
+import json
+import math
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from experiments.plotting import new_figure
+from experiments.tuning_optimum import Counted, prepare_room, warm_up
+from hyjax.environment import environment
+from hyjax.errors import InputError
+from hyjax.files import make_writable, whole, write_text
+from hyjax.tuning.budget import MOST_STEPS, fits, single_steps
+from hyjax.tuning.cost_model import CostModel
+from hyjax.tuning.latency import Stopwatch
+from hyjax.tuning.relaxation import KAPPA_RANGE, LAM_RANGE, Plan
+from hyjax.tuning.search import Search
+
+DRAWS = 20_000
+OVER_BUDGET = 1.0
+"""Stands for the loss of what does not fit; with constraints no sampler compares it with any other."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    budget_ms: float = 4.0
+    seconds: float = 60.0
+    """For each method and seed."""
+    seeds: int = 5
+    size: int = 512
+    """Side of the pictures, in pixels."""
+    frames: int = 4
+    """How many of the default tuning frames, at most four."""
+    recalibrate: bool = False
+    """Make the latency table anew."""
+    out: Path = Path("results/tuning_race")
+
+
+class Run:
+    """One method with one seed against the clock.
+
+    Args:
+        objective: what it minimises.
+        cost: milliseconds of a schedule.
+        budget: what these have to stay within.
+        seed: of the method.
+        seconds: after which nothing counts any more.
+        bar: progress in seconds.
+    """
+
+    def __init__(
+        self, objective: Counted, cost: CostModel, budget: float, seed: int, seconds: float, bar: tqdm
+    ) -> None:
+        self.objective, self.cost, self.budget, self.seed, self.seconds = objective, cost, budget, seed, seconds
+        self.curve: list[tuple[float, float]] = []
+        """(seconds, best loss so far), an entry for each improvement."""
+        self.best, self.over_budget = math.inf, 0
+        objective.frames.clear()
+        self.bar, self.shown, self.clock = bar, 0.0, Stopwatch()
+
+    def expired(self) -> bool:
+        now = min(self.clock.seconds, self.seconds)
+        self.bar.update(now - self.shown)
+        self.shown = now
+        return now >= self.seconds
+
+    def note(self, loss: float) -> None:
+        """A schedule within the budget has this loss."""
+        if not self.expired() and loss < self.best:
+            self.best = loss
+            self.curve.append((self.clock.seconds, loss))
+
+    def evaluate(self, steps: list[int], kappa: list[float], lam: list[float]) -> float:
+        quarters = 4.0 * np.array(lam)
+        parts = np.array(steps), np.log(kappa), np.log(quarters) - np.log1p(-quarters)
+        loss = self.objective(Plan(*(jnp.asarray(part, jnp.float32) for part in parts)))
+        self.note(loss)
+        return loss
+
+    def result(self, method: str) -> dict[str, Any]:
+        seconds, count = self.clock.seconds, len(self.objective.prepared)
+        self.bar.update(self.seconds - self.shown)
+        return {
+            "method": method,
+            "seed": self.seed,
+            "seconds": seconds,
+            "loss": self.best,
+            "evaluations": self.objective.frames["loss"] / count,
+            "gradients": self.objective.frames["gradient"] / count,
+            "over_budget": self.over_budget,
+            "curve": self.curve,
+        }
+
+
+# ---- methods ----
+
+
+def ours(run: Run) -> None:
+    def report(phase: str, loss: float) -> None:
+        if phase != "relax":
+            run.note(loss)
+
+    search = Search(run.objective, run.cost, seed=run.seed, report=report, expired=run.expired)
+    search.run(run.budget)
+
+
+def optuna_search(run: Run, sampler: str) -> None:
+    import optuna
+
+    def loss(trial: optuna.Trial) -> float:
+        ladder = run.objective.ladder
+        steps = [trial.suggest_int(f"steps {factor}", 0, MOST_STEPS) for factor in ladder]
+        kappa = [trial.suggest_float(f"kappa {factor}", *KAPPA_RANGE, log=True) for factor in ladder]
+        lam = [trial.suggest_float(f"lam {factor}", *LAM_RANGE) for factor in ladder]
+        over = run.cost(steps) - run.budget if any(steps) else run.budget
+        trial.set_user_attr("over", over)
+        if over > 0:
+            run.over_budget += 1
+            run.expired()
+            return OVER_BUDGET
+        return run.evaluate(steps, kappa, lam)
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    with warnings.catch_warnings():
+        # Optuna 5 has another way to say it, Optuna 4 has only this one.
+        warnings.filterwarnings("ignore", message=".*constraints_func.*")
+        make = getattr(optuna.samplers, sampler)
+        study = optuna.create_study(
+            sampler=make(seed=run.seed, constraints_func=lambda trial: (trial.user_attrs["over"],))
+        )
+        study.optimize(loss, timeout=run.seconds)
+
+
+def random_search(run: Run) -> None:
+    rng, size = np.random.default_rng(run.seed), len(run.objective.ladder)
+    while not run.expired():
+        draws = rng.integers(0, MOST_STEPS + 1, (DRAWS, size))
+        # What levels and steps cost alone tells most of those that do not fit, all at once.
+        least = run.cost.fixed + (draws > 0) @ np.array(run.cost.level) + draws @ np.array(run.cost.step)
+        left = draws[least <= run.budget].tolist()
+        fitting = [steps for steps in left if fits(steps, run.cost, run.budget)]
+        run.over_budget += len(draws) - len(fitting)
+        for steps in fitting:
+            if run.expired():
+                break
+            kappa = np.exp(rng.uniform(*np.log(KAPPA_RANGE), size))
+            run.evaluate(steps, kappa.tolist(), rng.uniform(*LAM_RANGE, size).tolist())
+
+
+OURS = "ours"
+METHODS: dict[str, Callable[[Run], None]] = {
+    OURS: ours,
+    "Optuna TPE": functools.partial(optuna_search, sampler="TPESampler"),
+    "Optuna NSGA-II": functools.partial(optuna_search, sampler="NSGAIISampler"),
+    "random": random_search,
+}
+
+
+def main(config: Config) -> None:
+    make_writable(config.out)
+    if importlib.util.find_spec("optuna") is None:
+        raise InputError('optuna is not installed; pip install -e ".[experiments]"')
+    if not (config.seeds >= 1 and config.seconds > 0):
+        raise InputError(f"need at least 1 seed and > 0 seconds, got {config.seeds} and {config.seconds:g}")
+    prepared, table, names = prepare_room(config.size, config.frames, recalibrate=config.recalibrate)
+    cost, objective = table.p95, Counted(prepared, table.ladder)
+    singles = single_steps(len(table.ladder))
+    if not any(fits(steps, cost, config.budget_ms) for steps in singles):
+        least = min(cost(steps) for steps in singles)
+        raise InputError(
+            f"budget: no schedule takes {config.budget_ms:g} ms or less; the fastest takes {least:.2f}"
+        )
+    warm_up(objective, cost)
+    import optuna  # noqa: F401  before any clock starts
+
+    results = []
+    total = len(METHODS) * config.seeds * config.seconds
+    form = "{desc}: {percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} s"
+    with tqdm(total=total, bar_format=form) as bar:
+        for seed in range(config.seeds):
+            for method, search in METHODS.items():
+                bar.set_description(f"{method}, seed {seed}")
+                run = Run(objective, cost, config.budget_ms, seed, config.seconds, bar)
+                search(run)
+                results.append(run.result(method))
+    record = {
+        "config": str(config),
+        "frames": names,
+        "ladder": table.ladder,
+        "cost_ms": dataclasses.asdict(cost),
+        "runs": [r | {"loss": r["loss"] if math.isfinite(r["loss"]) else None} for r in results],
+    } | environment()
+    write_text(config.out / "tuning_race.json", json.dumps(record, indent=1) + "\n")
+    text = markdown(results, config)
+    write_text(config.out / "tuning_race.md", text + "\n")
+    print(text)
+    with whole(config.out / "tuning_race.png") as path:
+        figure(path, results, config)
+
+
+def reached(curve: list[tuple[float, float]], loss: float) -> float:
+    """Seconds until a loss was reached; infinite if it never was."""
+    return next((seconds for seconds, value in curve if value <= loss), math.inf)
+
+
+def markdown(results: list[dict[str, Any]], config: Config) -> str:
+    mine = {r["seed"]: r["curve"] for r in results if r["method"] == OURS}
+    lines = [
+        "| method | final loss, median | min to max | ours there after | evaluations | gradients | over budget |",
+        "|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    for method in METHODS:
+        runs = [r for r in results if r["method"] == method]
+        losses = [r["loss"] for r in runs]
+        times = [reached(mine[r["seed"]], r["loss"]) for r in runs]
+        there = _seconds(times)
+        spent = " | ".join(
+            f"{np.median([r[name] for r in runs]):.0f}" for name in ("evaluations", "gradients", "over_budget")
+        )
+        lines.append(
+            f"| {method} | {np.median(losses):.5f} | {min(losses):.5f} to {max(losses):.5f} | {there} | {spent} |"
+        )
+    ended = _seconds([r["seconds"] for r in results if r["method"] == OURS])
+    lines += [
+        "",
+        f"Budget {config.budget_ms:g} ms, {config.seeds} seeds, {config.seconds:g} s each; ours "
+        f"ended after {ended}. Medians over seeds. Evaluations and gradients are of all {config.frames} frames; "
+        "what is over the budget is not evaluated.",
+    ]
+    return "\n".join(lines)
+
+
+def _seconds(times: list[float]) -> str:
+    """Median and range, in words."""
+    low, middle, high = (
+        f"{value:.1f} s" if math.isfinite(value) else "never"
+        for value in (min(times), np.median(times), max(times))
+    )
+    return f"{middle} ({low} to {high})"
+
+
+def figure(path: Path, results: list[dict[str, Any]], config: Config) -> None:
+    fig = new_figure(7, 4.5)
+    axes = fig.subplots()
+    first = min((r["curve"][0][0] for r in results if r["curve"]), default=0.1)
+    times = np.geomspace(min(first, 0.5 * config.seconds), config.seconds, 400)
+    for method in METHODS:
+        curves = []
+        for r in (r for r in results if r["method"] == method):
+            at, losses = np.array([(0.0, math.inf), *r["curve"]]).T
+            curves.append(losses[np.searchsorted(at, times, side="right") - 1])
+        low, middle, high = (f(curves, axis=0) for f in (np.min, np.median, np.max))
+        line = axes.plot(times, np.where(np.isfinite(middle), middle, np.nan), label=method)[0]
+        axes.fill_between(
+            times, low, high, where=np.isfinite(high), color=line.get_color(), alpha=0.15, linewidth=0
+        )
+    title = f"Within {config.budget_ms:g} ms: median and range of {config.seeds} seeds"
+    axes.set(xscale="log", yscale="log", xlabel="wall time, s", ylabel="best loss so far", title=title)
+    axes.minorticks_on()
+    axes.xaxis.set_major_formatter("{x:g}")
+    for format_ticks in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+        format_ticks("{x:.3g}")
+    axes.tick_params(which="minor", labelsize=7)
+    axes.legend()
+    fig.savefig(path, dpi=120)
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Config))
+    except InputError as error:
+        sys.exit(f"tuning_race: {error}")
