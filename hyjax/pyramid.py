@@ -38,10 +38,16 @@ def downsample(y: Float[Array, "h w c"], factor: int) -> Float[Array, "h/f w/f c
     for axis, cells in ((0, rows), (1, columns)):
         # A single cell need not be padded to its full width.
         total = _reduce_cells(total, factor if cells > 1 else y.shape[axis], cells, axis, jnp.add, 0.0)
-    count_rows = np.minimum(factor, h - factor * np.arange(rows))
-    count_columns = np.minimum(factor, w - factor * np.arange(columns))
-    pixels = np.outer(count_rows, count_columns)[..., None]
-    return total * jnp.asarray(1.0 / pixels, y.dtype)
+    return total * jnp.asarray(1.0 / cell_pixels((h, w), factor), y.dtype)
+
+
+def cell_pixels(shape: tuple[int, int], factor: int) -> Float[np.ndarray, "h/f w/f 1"]:
+    """How many pixels of a picture of `shape` each cell of a level has."""
+    counts = [
+        np.minimum(factor, length - factor * np.arange(cells))
+        for length, cells in zip(shape, level_shape(shape, factor))
+    ]
+    return np.outer(*counts)[..., None].astype(float)
 
 
 @functools.partial(jax.jit, static_argnames=("factor", "shape"))

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from hyjax.cascade import cascade
 from hyjax.lights import TINY
-from hyjax.pyramid import downsample
+from hyjax.pyramid import cell_pixels, downsample
 from hyjax.schedule import Schedule
 
 # Weight below which a hole counts as too far from any surface to be filled from its surroundings.
@@ -34,7 +34,10 @@ def cascade_known(
     """
     weight, channels = known.astype(y.dtype), y.shape[-1]
     weighted = jnp.concatenate([y * weight, weight], axis=-1)
-    total = jnp.sum(downsample(weighted, schedule.levels[0].factor), axis=(0, 1))
+    # Summed over the coarsest cells, which the cascade needs anyhow: XLA's CPU backend is slow to sum over pixels.
+    factor = schedule.levels[0].factor
+    pixels = jnp.asarray(cell_pixels((y.shape[0], y.shape[1]), factor), y.dtype)
+    total = jnp.sum(downsample(weighted, factor) * pixels, axis=(0, 1))
     mean = total[:channels] / jnp.maximum(total[channels:], TINY)
     diffused = cascade(weighted, guide, schedule)
     reached = diffused[..., channels:]

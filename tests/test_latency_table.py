@@ -31,7 +31,7 @@ from hyjax.tuning.latency_table import (
 )
 from hyjax.tuning.result import Milliseconds
 
-WORKLOAD = Workload(512, 512, 2)
+WORKLOAD = Workload(1024, 1024, 2)
 
 
 def truth(schedule: Schedule) -> float:
@@ -132,7 +132,7 @@ def test_timed_schedules_are_remembered(machine: FakeMachine, table: LatencyTabl
 
 
 def test_arguments_of_other_shapes_are_refused(table: LatencyTable) -> None:
-    wrong = jnp.zeros((512, 512, 2)), jnp.zeros((512, 512, 1), bool), jnp.zeros((512, 500, 3))
+    wrong = jnp.zeros((1024, 1024, 2)), jnp.zeros((1024, 1024, 1), bool), jnp.zeros((1024, 1000, 3))
     with pytest.raises(InputError, match="guide: shape"):
         time_schedules(table, [Schedule.preset("shadow")], arguments=wrong, progress=False)
 
@@ -302,7 +302,7 @@ def test_an_unwritable_cache_is_a_warning(
 @pytest.mark.slow
 def test_a_small_calibration_for_real(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path))
-    table = new_table(Workload(24, 20, 2), (8, 4, 2), repeats=3, progress=False)
+    table = new_table(Workload(120, 100, 2), (8, 4, 2), repeats=3, progress=False)
     assert table.ladder == (4, 2)
     assert len(table.calibration) == len(calibration_steps((4, 2)))
     assert set(table.stages) == {"conductance", "resampling"}

@@ -93,7 +93,6 @@ def test_levels_may_vanish_anywhere(cases: dict, size: tuple[int, int], steps: t
     np.testing.assert_allclose(filter_of(prepared, plan, LADDER), want, rtol=2e-5, atol=2e-5)
 
 
-@pytest.mark.xfail(strict=True, reason="prepare's mean is over pixels, cascade_known's over the coarsest cells")
 @pytest.mark.parametrize("steps", [(1, 0), (0, 1)])
 def test_the_mean_in_far_holes_is_the_real_one(steps: tuple[int, int]) -> None:
     """Far from anything known, in a picture of which the factors leave cut-off cells, and those the brightest."""

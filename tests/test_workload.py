@@ -11,9 +11,10 @@ from hyjax.tuning.workload import LADDER, Workload, check_ladder, ladder_for, sc
 
 
 def test_ladders_keep_what_fits_the_size() -> None:
-    assert ladder_for(512, 512) == LADDER
-    assert ladder_for(64, 64) == (16, 8, 4, 2, 1)
-    assert ladder_for(100, 20, (8, 4)) == (4,)
+    assert ladder_for(1080, 1920) == LADDER
+    assert ladder_for(512, 512) == (16, 8, 4, 2, 1)
+    assert ladder_for(64, 64) == (2, 1)
+    assert ladder_for(200, 100, (8, 4)) == (4,)
     assert ladder_for(1, 1) == (1,)
     with pytest.raises(InputError, match="too coarse for 8x8"):
         ladder_for(8, 8, ladder=(16, 8))

@@ -54,6 +54,11 @@ def single_steps(size: int) -> list[Steps]:
     return [tuple(int(i == k) for i in range(size)) for k in range(size)]
 
 
+def swap(steps: Steps, level: int, count: int) -> Steps:
+    """The steps with another count at one level."""
+    return (*steps[:level], count, *steps[level + 1 :])
+
+
 def fill(steps: Steps, cost: CostModel, budget: float, order: Sequence[int]) -> Steps:
     """Spend what is left of the budget: more steps for the levels that have some, in this order."""
     filled = list(steps)
@@ -91,12 +96,17 @@ def moves(steps: Steps, cost: CostModel, budget: float) -> list[Steps]:
         for target in {n + 1, n + 2, n + max(3, n // 2), n - 1, n - 2, n // 2, 0}:
             if target == n or not 0 <= target <= MOST_STEPS:
                 continue
-            changed = (*steps[:level], target, *steps[level + 1 :])
+            changed = swap(steps, level, target)
             others = [k for k in range(size) if k != level]
             if fits(changed, cost, budget):
                 found[changed] = None
                 for other in others:
                     found[fill(changed, cost, budget, [other])] = None
+            if target == n + 1:  # in exchange for much of another level, though there was room
+                for other in others:
+                    for less in {1, steps[other] // 2} - {steps[other]}:
+                        if less < steps[other] and fits(swap(changed, other, less), cost, budget):
+                            found[swap(changed, other, less)] = None
             for other in others:
                 paid = list(changed)
                 while paid[other] and not fits(paid, cost, budget):

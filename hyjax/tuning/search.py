@@ -8,7 +8,7 @@ the steps of level l take. Shares are what the relaxation steps in: in them one 
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -19,6 +19,7 @@ from jaxopt.projection import projection_box
 from jaxtyping import Array, Float
 from scipy.optimize import minimize
 
+from hyjax.schedule import DEFAULT_KAPPA
 from hyjax.tuning.budget import Steps, fits, moves, neighbours, project, single_steps
 from hyjax.tuning.cost_model import CostModel
 from hyjax.tuning.relaxation import (
@@ -107,41 +108,65 @@ def with_steps(plan: Plan, steps: Sequence[float] | np.ndarray) -> Plan:
 # ---- relax ----
 
 
-def starts(count: int, cost: CostModel, budget: float, seed: int) -> Iterator[Float[np.ndarray, "l"]]:
-    """Step counts to start from, within the budget: time shared evenly between runs of levels, then at random."""
+SPENT = (1.0, 0.5, 0.25, 0.1)
+"""Parts of the budget that starting points spend: the best schedule need not be the dearest."""
+START_KAPPA = (0.005, 0.2)
+
+
+def starts(count: int, cost: CostModel, budget: float, seed: int) -> list[Plan]:
+    """Whole schedules within the budget to start from: time shared between runs of levels, or at random."""
     size = len(cost.step)
-    even = [range(first, last) for first in range(size) for last in range(first + 1, size + 1)]
     rng = np.random.default_rng(seed)
-    rng.shuffle(even)
-    longest_first = sorted(even, key=len, reverse=True)
+    runs = [range(first, last) for first in range(size) for last in range(first + 1, size + 1)]
+    runs = [runs[i] for i in rng.permutation(len(runs))]
     per_step = np.maximum(cost.step, 1e-6 * budget)
+    plans = [Plan.of(steps) for steps in single_steps(size) if fits(steps, cost, budget)]
     for i in range(count):
-        if i < len(longest_first) and i < count // 2:
-            shares = np.isin(np.arange(size), longest_first[i]).astype(float)
+        if i % 2 == 0:
+            shares = np.isin(np.arange(size), runs[i % len(runs)]).astype(float)
         else:
             shares = rng.dirichlet(np.ones(size)) * (rng.random(size) < 0.6)
-        total = shares.sum()
-        if total:
-            yield project(shares / total * budget / per_step, cost, budget)
+        kappa = DEFAULT_KAPPA if i % 4 < 2 else float(np.exp(rng.uniform(*np.log(START_KAPPA))))
+        time = shares / max(shares.sum(), 1e-9) * SPENT[i % len(SPENT)] * budget
+        steps = tuple(int(n) for n in project(time / per_step, cost, budget))
+        if fits(steps, cost, budget):
+            plans.append(Plan.of(steps, kappa))
+    return plans
 
 
-def relax(objective: Objective, start: Plan, cost: CostModel, budget: float, iterations: int, seed: int) -> Plan:
+RATE = 0.08
+_adam = optax.scale_by_adam(b2=0.99)
+
+
+@jax.jit
+def _advance(
+    plan: Plan, slope: Plan, state: optax.OptState, unit: Float[Array, "l"], rate: Float[Array, ""]
+) -> tuple[Plan, optax.OptState]:
+    """One step of Adam in shares of the budget, log κ and logit λ."""
+    updates, state = _adam.update(dataclasses.replace(slope, steps=slope.steps * unit), state)
+    updates = dataclasses.replace(updates, steps=updates.steps * unit)
+    return bounded(jax.tree.map(lambda x, u: x - rate * u, plan, updates)), state
+
+
+def relax(
+    objective: Objective,
+    start: Plan,
+    cost: CostModel,
+    budget: float,
+    iterations: int,
+    seed: int,
+    expired: Callable[[], bool] = lambda: False,
+) -> Plan:
     """Projected stochastic descent (Adam) on real-valued steps, log κ and logit λ, one frame an iteration."""
     unit = jnp.asarray(budget / np.maximum(cost.step, 1e-6 * budget), jnp.float32)  # steps in the whole budget
-    optimizer = optax.adam(optax.cosine_decay_schedule(0.08, iterations), b2=0.99)
-
-    @jax.jit
-    def advance(plan: Plan, slope: Plan, state: optax.OptState) -> tuple[Plan, optax.OptState]:
-        shares = dataclasses.replace(slope, steps=slope.steps * unit)
-        updates, state = optimizer.update(shares, state)
-        updates = dataclasses.replace(updates, steps=updates.steps * unit)
-        return bounded(optax.apply_updates(plan, updates)), state
-
-    plan, state = start, optimizer.init(start)
+    plan, state = start, _adam.init(start)
     rng = np.random.default_rng(seed)
     order = itertools.chain.from_iterable(rng.permutation(len(objective.prepared)) for _ in itertools.count())
-    for frame in itertools.islice(order, iterations):
-        plan, state = advance(plan, objective.gradient(plan, [int(frame)])[1], state)
+    for i, frame in enumerate(itertools.islice(order, iterations)):
+        if expired():
+            break
+        rate = 0.5 * RATE * (1.0 + np.cos(np.pi * i / iterations))
+        plan, state = _advance(plan, objective.gradient(plan, [int(frame)])[1], state, unit, jnp.float32(rate))
         plan = dataclasses.replace(plan, steps=jnp.asarray(project(np.asarray(plan.steps), cost, budget)))
     return plan
 
@@ -282,12 +307,11 @@ class Search:
 
     def _relaxed(self, budget: float, effort: Effort, warm: Sequence[Plan]) -> list[Plan]:
         """The better half of the relaxed starting points."""
-        cold = [Plan.of(steps) for steps in starts(effort.sampled, self.cost, budget, self.seed)]
+        cold = starts(effort.sampled, self.cost, budget, self.seed)
         brought = [with_steps(plan, project(np.asarray(plan.steps), self.cost, budget)) for plan in warm]
         candidates = [plan for plan in (*brought, *cold) if np.any(np.asarray(plan.steps) > 0)]
-        if not candidates:  # hardly room for a step
-            singles = single_steps(len(self.cost.step))
-            candidates = [Plan.of(steps) for steps in singles if fits(steps, self.cost, budget)]
+        for plan in cold:
+            self._evaluate(plan, "start")
         relaxed = []
         for plan in self._best(candidates, effort.relaxed):
             if self.expired():
@@ -303,7 +327,8 @@ class Search:
         return [plans[i] for i in np.argsort(losses, kind="stable")[:count]]
 
     def _relax(self, start: Plan, budget: float, effort: Effort) -> list[list[float]]:
-        return _lists(relax(self.objective, start, self.cost, budget, effort.iterations, self.seed))
+        cost, iterations = self.cost, effort.iterations
+        return _lists(relax(self.objective, start, cost, budget, iterations, self.seed, self.expired))
 
     def _loss(self, plan: Plan) -> float:
         return self.remember(f"loss {_bytes(plan).hex()}", lambda: self.objective(plan))
@@ -315,7 +340,7 @@ class Search:
             self.report(phase, self.found[key].loss)
 
     def _polish(self, plan: Plan, effort: Effort) -> None:
-        if self.expired():
+        if self.expired() or effort.polishing == 0:
             return
 
         def compute() -> Any:
