@@ -1,0 +1,430 @@
+"""A tuning run from end to end, in small pictures and on a clock that always says the same; once a real one."""
+
+import contextlib
+import csv
+import dataclasses
+import functools
+import os
+import re
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hyjax import InputError, Schedule, tune
+from hyjax.cli import main
+from hyjax.data.room import RoomCapture, load_room
+from hyjax.images import read_image, write_png
+from hyjax.tuning import calibration, clocked, latency
+from hyjax.tuning.journal import NAME
+from hyjax.tuning.request import parse_budgets, split_frames
+from hyjax.tuning.result import Tuned
+from hyjax.tuning.search import Effort, Search
+
+SIZE = (48, 64)  # a ladder of two levels: the gradient is quick to compile
+TINY = Effort(sampled=3, relaxed=1, iterations=3, rounded=3, polished=1, polishing=2, descents=1)
+OPTIONS: dict[str, Any] = {
+    "budget_ms": 3.0,
+    "frames": "0:2",
+    "holdout": "3",
+    "size": SIZE,
+    "effort": TINY,
+    "extra": False,
+    "progress": False,
+}
+
+
+def machine_time(key: str) -> float:
+    """Milliseconds of a schedule by its `schedule_key`: 0.5, 0.2 a level, and for each step 1 / factor²."""
+    levels = [tuple(map(int, level.split(":"))) for level in key.split()]
+    return 0.5 + sum(0.2 + steps / factor**2 for factor, steps in levels)
+
+
+def steady_clock(patch: pytest.MonkeyPatch, slowness: float = 1.0) -> None:
+    """Schedules take what `machine_time` says, everything else 0.1 ms; nothing is compiled to be timed."""
+
+    def compile_all(schedules: Sequence[Schedule], *_: object, **__: object) -> list[Callable[[], str]]:
+        keys = [" ".join(f"{level.factor}:{level.steps}" for level in s.levels) for s in schedules]
+        return [functools.partial(str, key) for key in keys]
+
+    def measure_each(calls: Mapping[str, Callable[[], Any]], repeats: int, **_: object) -> dict[str, dict]:
+        times = {}
+        for name, call in calls.items():
+            time = 0.1
+            if isinstance(call, functools.partial) and call.func is str:
+                time = slowness * machine_time(call.args[0])
+            elif match := re.match("whole frame ([0-9: ]+[0-9]) ", name):
+                time = 0.6 + 2.0 * machine_time(match[1])
+            times[name] = {"first_ms": 9.0, "count": repeats, "median_ms": time, "p95_ms": 1.1 * time}
+        return times
+
+    patch.setattr(calibration, "compile_all", compile_all)
+    patch.setattr(latency, "measure_each", measure_each)
+    patch.setattr(clocked, "measure_each", measure_each)
+
+
+@pytest.fixture(scope="module")
+def room() -> RoomCapture:
+    return load_room(n_frames=6, width=160, height=120, quality=0.25, progress=False)
+
+
+@pytest.fixture(scope="module")
+def surroundings(tmp_path_factory: pytest.TempPathFactory, room: RoomCapture) -> Iterator[dict[str, Any]]:
+    """Options for quick runs that keep their table to themselves: the steady clock, meshes as files."""
+    folder = tmp_path_factory.mktemp("tune")
+    rough = room.mesh.copy()
+    rough.vertices = rough.vertices + np.random.default_rng(0).normal(scale=0.01, size=rough.vertices.shape)
+    rough.export(folder / "rough.ply")
+    room.mesh.export(folder / "true.ply")
+    with pytest.MonkeyPatch.context() as patch:
+        steady_clock(patch)
+        patch.setenv("HYJAX_CACHE", str(folder / "cache"))
+        yield OPTIONS | {
+            "capture": room,
+            "mesh": str(folder / "rough.ply"),
+            "target": str(folder / "true.ply"),
+            "repair_mesh": True,
+        }
+
+
+@pytest.fixture(scope="module")
+def tuned(surroundings: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> tuple[Tuned, Path]:
+    """Two budgets, one run, never interrupted."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    return tune(**surroundings | {"budget_ms": (3.0, 1.5), "out": out}), out
+
+
+def test_everything_is_written(tuned: tuple[Tuned, Path]) -> None:
+    result, out = tuned
+    names = {path.name for path in out.iterdir()}
+    assert {"schedule.json", "schedule-3ms.json", "schedule-1.5ms.json", "pareto.csv", "pareto.png"} <= names
+    assert {"report.html", "contact_sheet.png", NAME, "front"} <= names
+    assert not [path for path in out.rglob("*") if ".part" in path.name]
+    for name, schedule in (("schedule.json", result.schedule), ("schedule-1.5ms.json", result.best[1].schedule)):
+        assert Schedule.from_json((out / name).read_text()).to_json() == schedule.to_json()
+    assert (out / "schedule-3ms.json").read_text() == (out / "schedule.json").read_text()
+    for picture in ("pareto.png", "contact_sheet.png"):
+        assert np.isfinite(read_image(out / picture)).all()
+    with (out / "pareto.csv").open() as file:
+        assert {"tuned-3ms", "tuned-1.5ms"} <= {row["name"] for row in csv.DictReader(file)}
+    assert "</html>" in (out / "report.html").read_text()
+
+
+def test_each_budget_is_kept(tuned: tuple[Tuned, Path]) -> None:
+    result, _ = tuned
+    assert [b.label for b in result.budgets] == ["3 ms", "1.5 ms"]
+    for budget, best in zip(result.budgets, result.best, strict=True):
+        assert best.measured is not None and best.measured.p95 <= budget.milliseconds
+        assert best.predicted.p95 == pytest.approx(best.measured.p95, rel=0.05)
+        assert best.name == f"tuned-{budget.slug}"
+    assert result.schedule is result.best[0].schedule
+    assert result.best[0].tuning.loss <= result.best[1].tuning.loss
+    assert result.best[0].held_out is not None and np.isfinite(result.best[0].held_out.loss)
+
+
+def test_no_baseline_that_fits_is_better(tuned: tuple[Tuned, Path]) -> None:
+    result, _ = tuned
+    assert result.baselines
+    for budget, best in zip(result.budgets, result.best, strict=True):
+        for baseline in result.baselines:
+            if (
+                baseline.measured.p95 <= budget.milliseconds
+                and max(x.steps for x in baseline.schedule.levels) <= 64
+            ):
+                assert best.tuning.loss <= baseline.tuning.loss * (1 + 1e-5)
+
+
+def test_the_record_says_what_was_done(tuned: tuple[Tuned, Path], room: RoomCapture) -> None:
+    result, _ = tuned
+    names = [room[i].name for i in range(6)]
+    assert result.record["frames"] == {"tuned on": names[:2], "held out": [names[3]]}
+    assert result.record["stage"] == "cascade" and result.record["seed"] == 0
+    assert "calibrated anew" in result.record["latency"]["table"]
+    assert {entry["budget"] for entry in result.history} == {"3 ms", "1.5 ms"}
+    seconds = [entry["seconds"] for entry in result.history]
+    assert seconds == sorted(seconds)
+
+
+def run_again(surroundings: dict[str, Any], out: Path, **options: Any) -> str:
+    tune(**surroundings | {"budget_ms": (3.0, 1.5), "out": out} | options)
+    return (out / "schedule.json").read_text() + (out / "schedule-1.5ms.json").read_text()
+
+
+def schedules(out: Path) -> str:
+    return (out / "schedule.json").read_text() + (out / "schedule-1.5ms.json").read_text()
+
+
+def test_same_seed_same_table_same_schedules(
+    tuned: tuple[Tuned, Path], surroundings: dict[str, Any], tmp_path: Path
+) -> None:
+    assert run_again(surroundings, tmp_path / "out") == schedules(tuned[1])
+
+
+@contextlib.contextmanager
+def broken_off(error: BaseException, after: int) -> Iterator[None]:
+    """The search raises `error` when it reports for the `after`-th time."""
+    original, left = Search.__init__, [after]
+
+    def init(self: Search, *arguments: Any, report: Callable[[str, float], None], **options: Any) -> None:
+        def counting(phase: str, loss: float) -> None:
+            report(phase, loss)
+            left[0] -= 1
+            if not left[0]:
+                raise error
+
+        original(self, *arguments, report=counting, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Search, "__init__", init)
+        yield
+
+
+@pytest.mark.parametrize("after", [1, 6])
+def test_broken_off_and_resumed(
+    after: int, tuned: tuple[Tuned, Path], surroundings: dict[str, Any], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    with broken_off(KeyboardInterrupt(), after), pytest.raises(KeyboardInterrupt):
+        run_again(surroundings, out)
+    # What is there is whole and can be used.
+    for name in ("schedule.json", "schedule-1.5ms.json"):
+        Schedule.from_json((out / name).read_text()).check()
+    assert "</html>" in (out / "report.html").read_text() and (out / "pareto.csv").stat().st_size
+    assert not [path for path in out.rglob("*") if ".part" in path.name]
+    before = len((out / NAME).read_text().splitlines())
+    assert run_again(surroundings, out, resume=True) == schedules(tuned[1])
+    assert (out / NAME).read_text().splitlines()[:before] != [] and before > 1
+
+
+def test_a_finished_run_resumed_computes_nothing(
+    tuned: tuple[Tuned, Path], surroundings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, out = tuned
+    before, want = (out / NAME).read_bytes(), schedules(out)
+    assert run_again(surroundings, out, resume=True) == want
+    assert (out / NAME).read_bytes() == before
+
+
+def test_more_budgets_on_resuming_keep_what_is_there(
+    tuned: tuple[Tuned, Path], surroundings: dict[str, Any], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    tune(**surroundings | {"out": out})
+    first = (out / "schedule.json").read_text()
+    run_again(surroundings, out, resume=True)
+    assert (out / "schedule.json").read_text() == first and schedules(out) == schedules(tuned[1])
+
+
+KILLED = """
+import os, signal, sys
+import pytest
+sys.path.insert(0, {tests!r})
+from test_tune import OPTIONS, broken_off, load_room, steady_clock, tune
+from hyjax.tuning import search
+
+class Killed(BaseException):
+    def __init__(self):
+        pass
+
+steady_clock(pytest.MonkeyPatch())
+original = search.Search.__init__
+left = [5]
+
+def init(self, *arguments, report, **options):
+    def counting(phase, loss):
+        left[0] -= 1
+        if not left[0]:
+            os.kill(os.getpid(), signal.SIGKILL)
+    original(self, *arguments, report=counting, **options)
+
+search.Search.__init__ = init
+room = load_room(n_frames=6, width=160, height=120, quality=0.25, progress=False)
+os.environ["HYJAX_CACHE"] = {cache!r}
+from pathlib import Path
+options = OPTIONS | dict(capture=room, mesh={mesh!r}, target={target!r}, repair_mesh=True)
+tune(**options | dict(budget_ms=(3.0, 1.5), out=Path({out!r})))
+"""
+
+
+@pytest.mark.slow
+def test_killed_and_resumed(tuned: tuple[Tuned, Path], surroundings: dict[str, Any], tmp_path: Path) -> None:
+    out, cache = tmp_path / "out", os.environ["HYJAX_CACHE"]
+    script = KILLED.format(
+        tests=str(Path(__file__).parent),
+        cache=cache,
+        mesh=surroundings["mesh"],
+        target=surroundings["target"],
+        out=str(out),
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "HYJAX_CACHE"}
+    command = [sys.executable, "-c", textwrap.dedent(script)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    Schedule.from_json((out / "schedule.json").read_text()).check()
+    assert len((out / NAME).read_text().splitlines()) > 2
+    assert run_again(surroundings, out, resume=True) == schedules(tuned[1])
+
+
+def test_time_is_up_at_once(surroundings: dict[str, Any], tmp_path: Path) -> None:
+    result = tune(**surroundings | {"time_limit": 1e-3, "out": tmp_path / "out"})
+    assert result.best[0].measured.p95 <= 3.0
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_without_a_folder_nothing_is_written(
+    surroundings: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert tune(**surroundings).best[0].measured.p95 <= 3.0
+    assert not list(tmp_path.iterdir())
+
+
+def test_towards_convergence(surroundings: dict[str, Any]) -> None:
+    """The target is the same mesh diffused for 1000 steps: more steps come closer."""
+    result = tune(**surroundings | {"target": "converged", "budget_ms": (6.0, 1.2)})
+    assert "1000 steps" in result.record["settings"]["meshes"]
+    assert result.best[0].tuning.loss < result.best[1].tuning.loss
+    assert 0.8 * 6.0 < result.best[0].measured.p95 <= 6.0, "more steps were better, and there was time for them"
+    naive = {c.name: c for c in result.baselines}
+    assert naive["naive-1000"].tuning.loss < 1e-6
+
+
+def test_extra_budgets_draw_the_curve(surroundings: dict[str, Any]) -> None:
+    result = tune(**surroundings | {"extra": True})
+    assert len(result.front) > 1
+    losses, times = [c.tuning.loss for c in result.front], [c.measured.median for c in result.front]
+    assert times == sorted(times) and losses == sorted(losses, reverse=True)
+    assert len(result.best) == 1 and result.best[0].measured.p95 <= 3.0
+
+
+def test_a_whole_frame(surroundings: dict[str, Any]) -> None:
+    result = tune(**surroundings | {"stage": "frame", "budget_ms": 8.0})
+    assert result.record["stage"] == "frame"
+    best = result.best[0]
+    assert 0.5 * 8.0 < best.measured.p95 <= 8.0
+    assert best.measured.p95 == pytest.approx(1.1 * (0.6 + 2.0 * machine_time(key_of(best.schedule))))
+
+
+def key_of(schedule: Schedule) -> str:
+    return " ".join(f"{level.factor}:{level.steps}" for level in schedule.levels)
+
+
+def test_a_whole_frame_out_of_reach_says_what_takes_the_time(surroundings: dict[str, Any], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(InputError, match=r"^budget 0\.5 ms: out of reach .* smallest reachable time") as caught:
+        tune(**surroundings | {"stage": "frame", "budget_ms": 0.5, "out": out})
+    for part in ("G-buffer", "shading", "visibility", "diffusion", "composite", "--budget-ms"):
+        assert part in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_clock_that_says_more_than_the_table(surroundings: dict[str, Any], tmp_path: Path) -> None:
+    """The machine became slower after the table was made: what is returned still fits, on the clock."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
+        tune(**surroundings | {"time_limit": 1e-3})  # makes the table
+        steady_clock(patch, slowness=1.25)  # within what the probe tolerates
+        result = tune(**surroundings)
+    assert "from the cache" in result.record["latency"]["table"]
+    best = result.best[0]
+    assert best.measured.p95 <= 3.0 < 1.25 * 3.0
+    assert best.measured.p95 == pytest.approx(1.25 * 1.1 * machine_time(key_of(best.schedule)))
+
+
+# ---- what is asked for ----
+
+
+def test_budgets() -> None:
+    got = parse_budgets([60, 30.0], [4, 60])
+    assert [(b.label, round(b.milliseconds, 3)) for b in got] == [
+        ("60 fps", 16.667),
+        ("30 fps", 33.333),
+        ("4 ms", 4.0),
+        ("60 ms", 60.0),
+    ]
+    assert [b.label for b in parse_budgets([60, 60.0], [])] == ["60 fps"]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 24, 1000])
+def test_frames_by_default(count: int) -> None:
+    chosen, held = split_frames(count, None, None)
+    assert chosen and len(chosen) <= 4 and len(held) <= 4 and not set(chosen) & set(held)
+    assert all(0 <= i < count for i in [*chosen, *held])
+    if count > 1:
+        assert held and max(chosen) < min(held), "later frames are held out, and none beside them tuned on"
+
+
+def test_frames_as_asked() -> None:
+    assert split_frames(24, "0:6", "3") == ([0, 1, 2, 4, 5], [3])
+    chosen, held = split_frames(24, None, "0:4")
+    assert held == [0, 1, 2, 3] and chosen[0] == 4 and chosen[-1] == 23
+    with pytest.raises(InputError, match="held out, none is left to tune on"):
+        split_frames(24, None, "all")
+
+
+# ---- the command ----
+
+
+@pytest.fixture
+def folder(room: RoomCapture, tmp_path: Path) -> Path:
+    """The first four frames in the 7-Scenes layout, without depth."""
+    folder = tmp_path / "capture"
+    folder.mkdir()
+    for number in range(4):
+        write_png(folder / f"frame-{number:06d}.color.png", room[number].image)
+        np.savetxt(folder / f"frame-{number:06d}.pose.txt", room[number].camera.pose)
+    np.savetxt(folder / "camera-intrinsics.txt", room[0].camera.intrinsics.matrix)
+    np.savetxt(folder / "gravity-direction.txt", [0.0, 0.0, -1.0])
+    return folder
+
+
+@pytest.mark.slow
+def test_the_command_on_the_real_clock(folder: Path, surroundings: dict[str, Any], tmp_path: Path) -> None:
+    """At 64x64; then the schedule that came out is relit with."""
+    hyjax, out = str(Path(sys.executable).with_name("hyjax")), tmp_path / "out"
+    meshes = ["--mesh", surroundings["mesh"], "--repair-mesh"]
+    common = ["--quiet", "--capture", str(folder), "--size", "64", *meshes]
+    command = [hyjax, "tune", *common, "--target", surroundings["target"], "--frames", "0", "--holdout", "3"]
+    command += ["--budget-ms", "50", "5", "--time-limit", "1", "--no-extra", "--out", str(out)]
+    environment = {name: value for name, value in os.environ.items() if name != "HYJAX_CACHE"}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=400, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "schedule.json" in done.stdout and done.stderr == ""
+    again = [hyjax, "relight", *common, "--frames", "1", "--schedule", str(out / "schedule.json")]
+    again += ["--out", str(tmp_path / "relit")]
+    done = subprocess.run(again, capture_output=True, text=True, env=environment, timeout=400, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "relit" / "contact_sheet.png").is_file()
+
+
+def test_the_command_hands_its_options_on(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
+    got: dict[str, Any] = {}
+
+    def fake(**options: Any) -> None:
+        got.update(options)
+        raise InputError("enough")
+
+    monkeypatch.setattr("hyjax.tuning.tune.tune", fake)
+    monkeypatch.setattr("hyjax.cli._keep_compiled", lambda: None)
+    line = "tune --fps 60 30 --budget-ms 2.5 --stage frame --size 48x32 --frames 0:3 --seed 4 --no-extra --resume"
+    monkeypatch.setattr(sys, "argv", ["hyjax", *line.split()])
+    with pytest.raises(SystemExit) as exit_:
+        main()
+    assert exit_.value.code == 2 and capsys.readouterr().err == "hyjax: enough\n"
+    want = {
+        "fps": (60.0, 30.0),
+        "budget_ms": (2.5,),
+        "stage": "frame",
+        "size": (32, 48),
+        "frames": "0:3",
+        "seed": 4,
+    }
+    want |= {"extra": False, "resume": True, "progress": True, "out": Path("tuned"), "mesh": "scan", "target": None}
+    assert {key: got[key] for key in want} == want
+    assert {field.name for field in dataclasses.fields(Effort)} >= {"sampled"} and "effort" not in got
