@@ -40,7 +40,7 @@ def project(steps: Float[np.ndarray, "l"], cost: CostModel, budget: float) -> Fl
         scaled = steps * max(left, 0.0) / max(spent, 1e-9) * (1.0 - 1e-6)
         if scaled[present].min() >= 0.5:
             return scaled.astype(np.float32)
-        steps = np.where(np.arange(len(steps)) == np.argmin(np.where(present, scaled, np.inf)), 0.0, steps)
+        steps = np.where(np.arange(len(steps)) == np.argmin(np.where(present, steps, np.inf)), 0.0, steps)
     return steps.astype(np.float32)
 
 

@@ -123,7 +123,7 @@ class FrameClock:
             calls = self._calls()
             time_stages(self.table, {self.stages[n]: calls[n] for n in self.names}, STAGE_REPEATS)
             save_table(self.table)
-        coarse = dataclasses.replace(self.probe, levels=self.probe.levels[:-1])
+        coarse = dataclasses.replace(self.probe, levels=self.probe.levels[:-1] or self.probe.levels)
         alone = self.table.predict(self.table.steps_of(coarse)).median
         self.fill_ratio = self._stage("fill of visibility").median / alone
         p95, more = self.table.p95, 1.0 + self.fill_ratio
