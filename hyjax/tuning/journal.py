@@ -30,23 +30,35 @@ class Journal:
         self.path = None if folder is None else folder / NAME
         if self.path is None:
             return
-        settings = json.loads(json.dumps(settings))
+        self.settings = json.loads(json.dumps(settings))
         check_free(self.path.parent, resume)
         lines = self._read()
-        if lines and "settings" in lines[0]:
-            _compare(self.path.parent, lines[0]["settings"], settings)
+        if len(lines) > 1 and "settings" in lines[0]:
+            _compare(self.path.parent, lines[0]["settings"], self.settings)
             self.known = {line["key"]: line["value"] for line in lines[1:]}
-        entries = [{"settings": settings}, *({"key": k, "value": v} for k, v in self.known.items())]
-        write_text(self.path, "".join(json.dumps(entry) + "\n" for entry in entries))
+            self._write()  # without what a crash cut off
 
     def remember(self, key: str, compute: Callable[[], Any]) -> Any:
         """What `compute` returns, computed at most once for each key."""
         if key not in self.known:
             self.known[key] = json.loads(json.dumps(compute()))  # as it will be read back
-            if self.path is not None:
-                with self.path.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps({"key": key, "value": self.known[key]}) + "\n")
+            if self.path is not None and len(self.known) == 1:
+                self._write()  # not before: a run that was refused blocks no folder
+            elif self.path is not None:
+                self._append(self.path, {"key": key, "value": self.known[key]})
         return self.known[key]
+
+    def _write(self) -> None:
+        assert self.path is not None
+        entries = [{"settings": self.settings}, *({"key": k, "value": v} for k, v in self.known.items())]
+        write_text(self.path, "".join(json.dumps(entry) + "\n" for entry in entries))
+
+    def _append(self, path: Path, entry: dict[str, Any]) -> None:
+        try:
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(entry) + "\n")
+        except OSError as error:
+            raise InputError(f"{path}: cannot write ({error.strerror or error})") from None
 
     def _read(self) -> list[dict[str, Any]]:
         lines: list[dict[str, Any]] = []
