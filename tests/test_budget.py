@@ -106,7 +106,6 @@ def test_a_level_with_less_than_half_a_step_goes_with_all_it_costs() -> None:
     np.testing.assert_array_equal(project(np.array([0.4, 9.0], np.float32), cost, BUDGET), [0.0, 9.0])
 
 
-@pytest.mark.xfail(strict=True, reason="where there is no room for any steps, the coarsest goes")
 def test_the_smallest_level_goes_first() -> None:
     cost = CostModel(1.0, (3.0, 3.0, 3.0), (0.1, 0.1, 0.1), (0.0, 0.0, 0.0))
     got = project(np.array([10.0, 5.0, 20.0], np.float32), cost, BUDGET)

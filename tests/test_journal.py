@@ -136,7 +136,7 @@ def test_a_kill_while_resuming_loses_nothing(tmp_path: Path, monkeypatch: pytest
 
 def test_resume_in_an_empty_folder_starts(tmp_path: Path) -> None:
     assert Journal(tmp_path, SETTINGS, resume=True).remember("a", lambda: 1) == 1
-    assert (tmp_path / NAME).is_file()
+    assert Journal(tmp_path, SETTINGS, resume=True).remember("a", forbidden) == 1
 
 
 @pytest.mark.parametrize(
@@ -164,4 +164,20 @@ def test_another_runs_folder_is_refused(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot write"):
-        Journal(tmp_path / "none", SETTINGS)
+        Journal(tmp_path / "none", SETTINGS).remember("a", lambda: 1)
+
+
+def test_a_folder_that_goes_away_amid_a_run(tmp_path: Path) -> None:
+    path = filled(tmp_path)
+    journal = Journal(tmp_path, SETTINGS, resume=True)
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(InputError, match="cannot write"):
+        journal.remember("c", lambda: 1)
+
+
+def test_without_results_it_blocks_nothing(tmp_path: Path) -> None:
+    """A run that was refused before it found anything can be given again, with other options."""
+    Journal(tmp_path, SETTINGS)
+    assert not list(tmp_path.iterdir())
+    assert Journal(tmp_path, SETTINGS | {"seed": 1}).remember("a", lambda: 1) == 1

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hyjax.tuning.budget import Steps, fits
+from hyjax.tuning.budget import Steps, fits, project
 from hyjax.tuning.latency_table import CostModel
 from hyjax.tuning.relaxation import KAPPA_RANGE, LAM_RANGE, Plan, logit
 from hyjax.tuning.search import (
@@ -138,7 +138,8 @@ def test_time_is_up_at_once() -> None:
     objective = bowl_objective()
     found = Search(objective, COST, expired=lambda: True).run(BUDGET, FAST)
     assert found and all(fits(f.steps, COST, BUDGET) for f in found)
-    assert objective.calls["loss"] <= FAST.sampled + 3 and objective.calls["gradient"] <= 1
+    assert objective.calls["loss"] <= 2 * (FAST.sampled + 3) + 3, "the starting points, and what is rounded"
+    assert objective.calls["gradient"] <= 1
 
 
 @pytest.mark.parametrize("after", [1, 5, 20])
@@ -173,17 +174,25 @@ def test_room_for_a_step_or_two(budget: float) -> None:
 
 
 def test_warm_plans_are_used() -> None:
-    """Without any cold starts the warm plan is all there is."""
-    effort = dataclasses.replace(AGAIN, iterations=1, descents=0)
-    found = Search(bowl_objective(), COST).run(BUDGET, effort, [Plan.of([6, 6, 6])])
-    assert all(min(f.steps) > 0 for f in found)
+    """Brought within the budget; the best of them is what is relaxed, not a single step."""
+    effort, asked = dataclasses.replace(AGAIN, descents=0), []
+
+    def remember(key: str, compute: Callable[[], Any]) -> Any:
+        asked.append(key)
+        return compute()
+
+    for steps, start in (((6, 6, 6), (6, 6, 6)), ((60, 60, 60), project(np.full(3, 60.0), COST, BUDGET))):
+        Search(bowl_objective(), COST, remember=remember).run(BUDGET, effort, [Plan.of(steps)])
+        relaxed = [key for key in asked if key.startswith("relax")]
+        want = np.concatenate(jax.tree.leaves(Plan.of(start))).tobytes().hex()
+        assert relaxed and relaxed[-1].endswith(want)
     assert Search(bowl_objective(), COST).run(BUDGET, effort, [Plan.of([0, 0, 0])]), "an empty one is no obstacle"
 
 
 def test_reports_every_phase() -> None:
     seen: list[tuple[str, float]] = []
     found = Search(bowl_objective(), COST, report=lambda *entry: seen.append(entry)).run(BUDGET, FAST)
-    assert {phase for phase, _ in seen} == {"relax", "round", "polish", "descend"}
+    assert {phase for phase, _ in seen} == {"start", "relax", "round", "polish", "descend"}
     assert min(loss for phase, loss in seen if phase != "relax") == found[0].loss
 
 
@@ -247,15 +256,20 @@ def test_another_effort_budget_or_cost_is_another_key() -> None:
 
 
 def test_starts_fit_and_are_the_same_again() -> None:
-    first = list(starts(20, COST, BUDGET, 5))
-    again = list(starts(20, COST, BUDGET, 5))
-    other = list(starts(20, COST, BUDGET, 6))
-    np.testing.assert_array_equal(first, again)
-    assert len(first) != len(other) or not np.array_equal(first, other)
-    assert 10 <= len(first) <= 20
-    for steps in first:
-        assert steps.any() and COST(steps.tolist()) <= BUDGET * (1 + 1e-4)
-    assert len({tuple(steps > 0) for steps in first}) >= 4, "different levels"
+    first, again, other = (starts(20, COST, BUDGET, seed) for seed in (5, 5, 6))
+
+    def rows(plans: list[Plan]) -> list[bytes]:
+        return [np.concatenate([np.asarray(x) for x in jax.tree.leaves(plan)]).tobytes() for plan in plans]
+
+    assert rows(first) == rows(again) != rows(other)
+    assert len(first) >= 13 and all(fits(whole(plan), COST, BUDGET) for plan in first)
+    for plan in first:
+        np.testing.assert_array_equal(whole(plan), plan.steps)
+        jax.tree.map(np.testing.assert_array_equal, bounded(plan), plan)
+    assert len({tuple(n > 0 for n in whole(plan)) for plan in first}) >= 5, "different levels"
+    assert len({float(plan.log_kappa[0]) for plan in first}) >= 3, "different κ"
+    assert {whole(plan) for plan in starts(0, COST, BUDGET, 0)} == {(1, 0, 0), (0, 1, 0), (0, 0, 1)}
+    assert starts(20, COST, 1.0, 0) == []
 
 
 def test_relaxing_improves_and_stays_inside() -> None:

@@ -40,6 +40,10 @@ OPTIONS: dict[str, Any] = {
 }
 
 
+ENVIRONMENT = dict(os.environ)
+"""With the user's cache folder, where the room is."""
+
+
 def machine_time(key: str) -> float:
     """Milliseconds of a schedule by its `schedule_key`: 0.5, 0.2 a level, and for each step 1 / factor²."""
     levels = [tuple(map(int, level.split(":"))) for level in key.split()]
@@ -262,9 +266,8 @@ def test_killed_and_resumed(tuned: tuple[Tuned, Path], surroundings: dict[str, A
         target=surroundings["target"],
         out=str(out),
     )
-    environment = {name: value for name, value in os.environ.items() if name != "HYJAX_CACHE"}
     command = [sys.executable, "-c", textwrap.dedent(script)]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT, timeout=300, check=False)
     assert done.returncode == -signal.SIGKILL, done.stderr
     Schedule.from_json((out / "schedule.json").read_text()).check()
     assert len((out / NAME).read_text().splitlines()) > 2
@@ -392,13 +395,12 @@ def test_the_command_on_the_real_clock(folder: Path, surroundings: dict[str, Any
     common = ["--quiet", "--capture", str(folder), "--size", "64", *meshes]
     command = [hyjax, "tune", *common, "--target", surroundings["target"], "--frames", "0", "--holdout", "3"]
     command += ["--budget-ms", "50", "5", "--time-limit", "1", "--no-extra", "--out", str(out)]
-    environment = {name: value for name, value in os.environ.items() if name != "HYJAX_CACHE"}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=400, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT, timeout=400, check=False)
     assert done.returncode == 0, done.stderr
     assert "schedule.json" in done.stdout and done.stderr == ""
     again = [hyjax, "relight", *common, "--frames", "1", "--schedule", str(out / "schedule.json")]
     again += ["--out", str(tmp_path / "relit")]
-    done = subprocess.run(again, capture_output=True, text=True, env=environment, timeout=400, check=False)
+    done = subprocess.run(again, capture_output=True, text=True, env=ENVIRONMENT, timeout=400, check=False)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "relit" / "contact_sheet.png").is_file()
 

@@ -17,7 +17,6 @@ from hyjax.data.room import RoomCapture, load_room
 from hyjax.images import write_png
 from hyjax.schedule import Schedule
 from hyjax.tuning import latency, run
-from hyjax.tuning.journal import NAME
 from hyjax.tuning.search import Effort, Objective
 
 ROOT = logging.getLogger()
@@ -163,11 +162,10 @@ def test_bad_lights_file(tune: Tune, given: Path, tmp_path: Path) -> None:
 def test_a_mesh_far_away(tune: Tune, given: Path, tmp_path: Path) -> None:
     parts = ("no ray of any of 1 tuning frames met the mesh", "poses", "coordinates")
     refused(tune("--mesh", given / "far.obj"), *parts)
-    assert {path.name for path in (tmp_path / "out").iterdir()} <= {NAME}
+    assert not list((tmp_path / "out").iterdir())
     refused(tune("--target", given / "far.obj", "--out", tmp_path / "other"), *parts)
 
 
-@pytest.mark.xfail(strict=True, reason="the journal is there already, with nothing in it")
 def test_the_same_folder_after_a_refusal(tune: Tune, given: Path, tmp_path: Path) -> None:
     """What was refused before anything was found is no run that would have to be resumed."""
     refused(tune("--mesh", given / "far.obj"))
@@ -185,7 +183,7 @@ def test_a_budget_below_the_smallest(tune: Tune, tmp_path: Path) -> None:
         tune("--budget-ms", "0.0001"), "budget 0.0001 ms", "out of reach", "smallest reachable time (p95)"
     )
     assert "--budget-ms" in line and "--size" in line
-    assert {path.name for path in (tmp_path / "out").iterdir()} <= {NAME}
+    assert not list((tmp_path / "out").iterdir())
     advised = float(line.split("give at least --budget-ms ")[1].split(",")[0])
     assert tune("--budget-ms", advised, "--out", tmp_path / "other")[0] == 0, "what it advises is possible"
 
@@ -262,7 +260,7 @@ def test_a_device_that_fails_while_calibrating(tune: Tune, monkeypatch: pytest.M
 
     monkeypatch.setattr(latency, "measure_each", failing)
     refused(tune("--recalibrate"), "device", "INTERNAL: the device fell off")
-    assert {path.name for path in (tmp_path / "out").iterdir()} <= {NAME}
+    assert not list((tmp_path / "out").iterdir())
 
 
 # ---- as a process ----
