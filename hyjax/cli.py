@@ -248,6 +248,10 @@ def run_tune(command: Tune) -> None:
         | {"capture": str(command.capture or "built-in room"), "out": str(command.out)},
         progress=not command.quiet,
     )
+    if tuned.record["frames without surface"]:
+        names = ", ".join(tuned.record["frames without surface"])
+        print(f"hyjax: left out, no ray met the mesh: {names}", file=sys.stderr)
+    print(f"latency table: {tuned.record['latency']['table']}")
     print(tuned.schedule)
     for sentence in summary(tuned):
         print(sentence)

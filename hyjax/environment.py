@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 
-OPTIONAL = ("pytest", "hypothesis")
+OPTIONAL = ("optuna", "pytest", "hypothesis")
 PACKAGES = (
     "jax",
     "jaxlib",

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import jax.numpy as jnp
+import numpy as np
 import trimesh
 from tqdm import tqdm
 
@@ -13,7 +14,7 @@ from hyjax.data.frames import fit
 from hyjax.data.light_file import LightSetup, read_lights
 from hyjax.data.light_setups import check_setup_name, named_setup, survey_capture
 from hyjax.data.open import open_capture
-from hyjax.data.room import load_room
+from hyjax.data.room import RoomCapture, load_room
 from hyjax.data.surfaces import check_mesh_name, surface_of
 from hyjax.errors import InputError
 from hyjax.refine import cascade_known
@@ -92,6 +93,9 @@ class Workbench:
                 blind.append(self.capture[index].name)
             else:
                 cases.append(case)
+        shapes = {case.known.shape[:2] for case in cases}
+        if len(shapes) > 1:
+            raise InputError(f"{self.capture.name}: frames of different sizes, {sorted(shapes)}; give a --size")
         if not cases and indices:
             raise InputError(
                 f"{self.capture.name}: no ray of any of {len(indices)} {what} frames met the mesh; are the mesh "
@@ -145,7 +149,7 @@ def open_bench(
     elif not isinstance(capture, Capture):
         capture = open_capture(Path(capture))
     if target is None:
-        with_depth = "true" if capture.name == "room" else "fused"
+        with_depth = "true" if isinstance(capture, RoomCapture) else "fused"
         target = CONVERGED if capture[0].depth is None else with_depth
     source, rough = surface_of(capture, mesh, voxel=voxel, seed=seed, repair=repair, progress=progress)
     if target == CONVERGED:
@@ -154,6 +158,8 @@ def open_bench(
         description, accurate = surface_of(
             capture, target, voxel=TARGET_VOXEL, seed=seed, repair=repair, progress=progress
         )
+    if accurate is not None and np.array_equal(rough.vertices, accurate.vertices):
+        raise InputError(f"target: {description} is the rough mesh itself, which needs no repair; choose another")
     if _is_file(lights):
         setup = read_lights(Path(lights), capture.up)
     else:

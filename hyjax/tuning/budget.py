@@ -68,10 +68,13 @@ def fill(steps: Steps, cost: CostModel, budget: float, order: Sequence[int]) -> 
     return tuple(filled)
 
 
-def neighbours(real: Float[np.ndarray, "l"], cost: CostModel, budget: float) -> list[Steps]:
-    """All whole step counts around these real ones that fit and leave no room for one more step within reach.
+def neighbours(
+    real: Float[np.ndarray, "l"], cost: CostModel, budget: float, *, maximal: bool = True
+) -> list[Steps]:
+    """All whole step counts around these real ones that fit, each level at up to two below and above.
 
-    The table makes this a small knapsack, so it is listed completely: each level at up to two below and above.
+    The table makes this a small knapsack, so it is listed completely. With `maximal`, only those are kept that
+    leave no room for one more step within reach: where the budget binds, the others have no reason to be better.
     """
     choices = []
     for n in real:
@@ -84,7 +87,7 @@ def neighbours(real: Float[np.ndarray, "l"], cost: CostModel, budget: float) -> 
     def can_grow(steps: Steps) -> bool:
         return any(n and (*steps[:level], n + 1, *steps[level + 1 :]) in there for level, n in enumerate(steps))
 
-    return [steps for steps in listed if not can_grow(steps)]
+    return [steps for steps in listed if not (maximal and can_grow(steps))]
 
 
 def moves(steps: Steps, cost: CostModel, budget: float) -> list[Steps]:

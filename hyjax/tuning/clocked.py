@@ -1,6 +1,7 @@
 """What the budget is for: the diffusion alone, or the whole frame. Predicts and times schedules."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, Protocol
 
@@ -15,7 +16,7 @@ from hyjax.refine import fill_visibility, shadow_pass
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.schedule import Schedule
 from hyjax.shading import shade_each
-from hyjax.shadow import visibilities
+from hyjax.shadow import ShadowMap, visibilities
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.cases import Case
 from hyjax.tuning.latency import measure_each
@@ -106,35 +107,39 @@ class FrameClock:
         cascade: for the table.
         bench: what renders the frame.
         index: of the frame to time on, which must see the mesh.
-        progress: show bars on stderr.
     """
 
-    def __init__(self, cascade: CascadeClock, bench: Workbench, index: int, progress: bool = True) -> None:
+    NAMES = ("G-buffer", "guide rgb", "shading", "visibility", "fill of visibility", "shadow pass", "composite")
+
+    def __init__(self, cascade: CascadeClock, bench: Workbench, index: int) -> None:
         self.cascade, self.table = cascade, cascade.table
         frame, self.caster = bench.frame(index), bench.rough
         self.camera, self.lights = frame.camera, tuple(bench.setup.lights)
         self.display, self.reference_lux = jnp.asarray(frame.image), bench.setup.reference_lux
-        self.maps = cast_shadow_maps(self.caster, self.lights)
         self.probe = Schedule.uniform([(factor, 8) for factor in self.table.ladder], name="probe")
-        self.names = list(self._calls())
         kinds = ", ".join(type(light).__name__ for light in self.lights)
-        self.stages = {name: f"{name} ({kinds}; {len(self.caster.mesh.faces)} triangles)" for name in self.names}
+        self.stages = {name: f"{name} ({kinds}; {len(self.caster.mesh.faces)} triangles)" for name in self.NAMES}
         if any(stage not in self.table.stages for stage in self.stages.values()):
             calls = self._calls()
-            time_stages(self.table, {self.stages[n]: calls[n] for n in self.names}, STAGE_REPEATS)
+            time_stages(self.table, {self.stages[n]: calls[n] for n in self.NAMES}, STAGE_REPEATS)
             save_table(self.table)
         coarse = dataclasses.replace(self.probe, levels=self.probe.levels[:-1] or self.probe.levels)
         alone = self.table.predict(self.table.steps_of(coarse)).median
         self.fill_ratio = self._stage("fill of visibility").median / alone
         p95, more = self.table.p95, 1.0 + self.fill_ratio
         self.rest = Milliseconds(
-            sum(self._stage(name).median for name in self.names if name != "fill of visibility"),
-            sum(self._stage(name).p95 for name in self.names if name != "fill of visibility"),
+            sum(self._stage(name).median for name in self.NAMES if name != "fill of visibility"),
+            sum(self._stage(name).p95 for name in self.NAMES if name != "fill of visibility"),
         )
         self.cost = CostModel(
             self.rest.p95 + more * p95.fixed,
             *(tuple(more * x for x in part) for part in (p95.level, p95.step, p95.finest)),
         )
+
+    @functools.cached_property
+    def maps(self) -> list[ShadowMap | None]:
+        """Made when first needed: stages that the table knows need none."""
+        return list(cast_shadow_maps(self.caster, self.lights))
 
     def _stage(self, name: str) -> Milliseconds:
         return self.table.stages[self.stages[name]]
@@ -190,7 +195,7 @@ class FrameClock:
 
     def parts(self) -> dict[str, float]:
         own = self.cascade.parts()
-        times = {name: self._stage(name).p95 for name in self.names if name != "fill of visibility"}
+        times = {name: self._stage(name).p95 for name in self.NAMES if name != "fill of visibility"}
         times["diffusion and fill of visibility"] = (1.0 + self.fill_ratio) * sum(own.values())
         return dict(sorted(times.items(), key=lambda item: -item[1]))
 
@@ -200,6 +205,8 @@ def check_reachable(clock: Clocked, milliseconds: float) -> None:
     singles = [Schedule.uniform([(factor, 1)], name=f"1 step at 1/{factor}") for factor in clock.table.ladder]
     cheapest = sorted(singles, key=lambda s: clock.predict(s).p95)[:2]
     fastest = min(time.p95 for time in clock.measure(cheapest, progress=False))
+    if fastest > milliseconds:  # not to refuse for a bad moment that the table remembers
+        fastest = min(time.p95 for time in clock.measure(cheapest, again=True, progress=False))
     if fastest > milliseconds:
         parts = ", ".join(f"{name} {time:.2f} ms" for name, time in clock.parts().items())
         raise InputError(

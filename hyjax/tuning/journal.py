@@ -35,7 +35,7 @@ class Journal:
         lines = self._read()
         if len(lines) > 1 and "settings" in lines[0]:
             _compare(self.path.parent, lines[0]["settings"], self.settings)
-            self.known = {line["key"]: line["value"] for line in lines[1:]}
+            self.known = {line["key"]: line["value"] for line in lines[1:] if "key" in line}
             self._write()  # without what a crash cut off
 
     def remember(self, key: str, compute: Callable[[], Any]) -> Any:
@@ -64,7 +64,11 @@ class Journal:
         lines: list[dict[str, Any]] = []
         if self.path is None or not self.path.is_file():
             return lines
-        for line in self.path.read_text(encoding="utf-8", errors="replace").splitlines():
+        try:
+            text = self.path.read_text(encoding="utf-8", errors="replace")
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot read ({error.strerror or error})") from None
+        for line in text.splitlines():
             try:
                 entry = json.loads(line)
             except json.JSONDecodeError:
@@ -84,7 +88,7 @@ def check_free(folder: Path, resume: bool) -> None:
 
 
 def _compare(folder: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
-    for key in old.keys() | new.keys():
+    for key in sorted(old.keys() | new.keys()):
         if old.get(key) != new.get(key):
             raise InputError(
                 f"{folder}: cannot resume, that run had {key} {old.get(key)!r} and this one has {new.get(key)!r}; "

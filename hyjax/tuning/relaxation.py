@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from hyjax.diffusion import diffuse, edge_stopping, guide_distance
 from hyjax.lights import TINY
@@ -109,7 +109,7 @@ class Prepared:
     colors: Float[Array, "l 3"]
     frame: Float[Array, "h w 3"]
     target_seen: Float[Array, "h w 3"]
-    valid: Float[Array, "h w"]
+    valid: Bool[Array, "h w"]
 
 
 @functools.partial(jax.jit, static_argnames="ladder")

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from hyjax.files import make_writable, whole, write_text
+from hyjax.files import make_writable, remove, whole, write_text
 from hyjax.tuning.report_html import page
 from hyjax.tuning.report_pictures import Example, contact_sheet_rows
 from hyjax.tuning.report_plots import draw_pareto
@@ -66,8 +66,12 @@ def write_front(folder: Path, tuned: Tuned) -> None:
         InputError: a file cannot be written.
     """
     make_writable(folder)
-    for candidate in tuned.front:
-        write_text(folder / f"{_file_name(candidate.name)}.json", candidate.schedule.to_json() + "\n")
+    texts = {f"{_file_name(c.name)}.json": c.schedule.to_json() + "\n" for c in tuned.front}
+    for path in folder.glob("tuned-*.json"):
+        if path.name not in texts:
+            remove(path)  # beaten since
+    for name, text in texts.items():
+        write_text(folder / name, text)
 
 
 def _file_name(text: str) -> str:

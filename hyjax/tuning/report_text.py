@@ -96,7 +96,7 @@ def budget_text(budget: Budget) -> str:
 def rival(tuned: Tuned, budget: Budget, best: Candidate) -> Candidate | None:
     """The baseline to compare with: the best of those that fit the budget, or else the fastest."""
     known = [c for c in tuned.baselines if loss_of(c, best) is not None]
-    fitting = [c for c in known if time_of(c).median <= budget.milliseconds]
+    fitting = [c for c in known if time_of(c).p95 <= budget.milliseconds]
     if fitting:
         return min(fitting, key=lambda c: loss_of(c, best) or 0.0)
     return min(known, key=_order, default=None)
@@ -150,7 +150,7 @@ def sentence(tuned: Tuned, budget: Budget, best: Candidate) -> str:
         return text + ("." if own is None else f"; loss {own:.4g}.")
     own = loss_of(best, other)
     time = milliseconds(time_of(other).median)
-    late = "" if time_of(other).median <= budget.milliseconds else ", which does not fit"
+    late = "" if time_of(other).p95 <= budget.milliseconds else ", which does not fit"
     frames = "held-out" if best.held_out is not None and other.held_out is not None else "tuning"
     return text + (
         f"; loss {number(own, '.4g')} against {against:.4g} of {other.name} at {time} ms{late} ({frames} frames)."

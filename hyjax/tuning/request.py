@@ -46,7 +46,9 @@ def split_frames(count: int, frames: str | None, holdout: str | None) -> tuple[l
     if holdout is not None:
         held = select_frames(holdout, count)
     else:
-        held = _spread(last, HELD_OUT_FRAMES) if count > 1 else []
+        asked = [] if frames is None else select_frames(frames, count)
+        rest = [i for i in last if i not in asked]
+        held = _spread(rest, HELD_OUT_FRAMES) if count > 1 else []
     # By default neighbours of held-out frames, which show the same, are not tuned on either.
     free = [i for i in range(count) if i not in held and (holdout is not None or i not in last or count == 1)]
     if frames is not None:

@@ -78,7 +78,8 @@ class Tuned:
         schedule: the best one for the first budget, measured to fit.
         best: the best for each budget, in the order given; measured to fit.
         budgets: the budgets asked for.
-        front: everything tuned that was timed and that nothing timed beats in both time and tuning loss, by time.
+        front: the results for these budgets and the extra ones, without those that another beats in both measured
+            time and tuning loss; by time.
         baselines: the paper's schedules and the naive ones.
         history: one entry for each step of the search: `seconds` since its start, `budget`, `phase`, `loss` (best
             so far on the tuning frames).

@@ -1,14 +1,12 @@
 """One tuning run: calibrate, search, time the finalists, keep what fits, write it down."""
 
-import contextlib
 import hashlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
-from tqdm import tqdm
 
 from hyjax.data.capture import Capture
 from hyjax.environment import environment, peak_memory_mib
@@ -17,16 +15,16 @@ from hyjax.files import make_writable
 from hyjax.scene.raycast import RayCaster
 from hyjax.schedule import PRESETS, Schedule
 from hyjax.tuning.bench import Workbench
-from hyjax.tuning.budget import MOST_STEPS
+from hyjax.tuning.budget import MOST_STEPS, Steps
 from hyjax.tuning.cases import Case, refined_filter, scores
 from hyjax.tuning.clocked import CascadeClock, Clocked, FrameClock, Stage, check_reachable
 from hyjax.tuning.examples import write_report_with_pictures
 from hyjax.tuning.journal import Journal, check_free
-from hyjax.tuning.latency import Stopwatch
 from hyjax.tuning.relaxation import Plan, prepare
 from hyjax.tuning.report import write_front, write_pareto_csv, write_pareto_plot, write_schedules
 from hyjax.tuning.result import Budget, Candidate, Milliseconds, Tuned
 from hyjax.tuning.search import AGAIN, QUICK, Effort, Found, Objective, Search
+from hyjax.tuning.watch import Watch
 
 BASELINES = ("paper-50", "paper-80", "naive-50", "naive-1000")
 MOST_EXTRA = 3
@@ -59,8 +57,8 @@ def tune_bench(
         frames: indices to tune on.
         holdout: indices that are only reported on.
         stage: whether the budget is for the diffusion or for the whole frame.
-        seed: of the search. The same seed on the same latency table gives the same schedule, unless a time limit
-            cuts the search short.
+        seed: of the search. The same seed on the same latency table makes the same search (unless a time limit cuts
+            it short); the clock has the last word on what fits.
         time_limit: seconds after which the search only finishes what it has; None for no limit.
         effort: how long to look at each budget.
         extra: also tune for a few more budgets, which draw the curve of quality against time.
@@ -81,7 +79,7 @@ def tune_bench(
         raise InputError("budget: none given; see parse_budgets")
     if time_limit is not None and not time_limit > 0:
         raise InputError(f"time limit: must be > 0 seconds, got {time_limit:g}")
-    watch = _Watch(time_limit, progress)
+    watch = Watch(time_limit, progress)
     if out is not None:
         make_writable(out)
         check_free(out, resume)
@@ -95,6 +93,7 @@ def tune_bench(
         "size": None if bench.size is None else list(bench.size),
         "seed": seed,
         "device": environment()["device"],
+        "versions": {name: environment()["versions"][name] for name in ("hyjax", "jax", "jaxlib")},
     }
     try:
         journal = Journal(out, decisive, resume)
@@ -136,36 +135,9 @@ def tune_bench(
                 write_report_with_pictures(out, run.result(), bench, list(holdout) or chosen)
     except jax.errors.JaxRuntimeError as error:
         kept = f"; what was found so far is in {out}, and --resume goes on from there" if out else ""
-        line = str(error).splitlines()[0]
+        line = [*str(error).splitlines(), type(error).__name__][0]
         raise InputError(f"device: {jax.default_backend()} no longer works ({line}){kept}") from None
     return run.result()
-
-
-class _Watch:
-    """Time limit, progress bar and history of a run."""
-
-    def __init__(self, limit: float | None, progress: bool) -> None:
-        self.clock, self.limit, self.progress = Stopwatch(), limit, progress
-        self.history: list[dict[str, Any]] = []
-        self.label, self.best, self.bar = "", math.inf, tqdm(disable=True)
-
-    def expired(self) -> bool:
-        return self.limit is not None and self.clock.seconds > self.limit
-
-    @contextlib.contextmanager
-    def watching(self, label: str) -> Iterator[None]:
-        self.label, self.best = label, math.inf
-        with tqdm(desc=f"tuning for {label}", unit="candidate", disable=not self.progress) as self.bar:
-            yield
-
-    def note(self, phase: str, loss: float) -> None:
-        """Called by the search with everything it evaluates."""
-        self.bar.update()
-        if loss < self.best:
-            self.best = loss
-            entry = {"seconds": round(self.clock.seconds, 3), "budget": self.label, "phase": phase, "loss": loss}
-            self.history.append(entry)
-        self.bar.set_postfix_str(f"{phase}, best loss {self.best:.5f}", refresh=False)
 
 
 class _Run:
@@ -176,18 +148,18 @@ class _Run:
         clock: Clocked,
         cases: list[Case],
         held: list[Case],
-        watch: _Watch,
+        watch: Watch,
         budgets: Sequence[Budget],
         record: dict[str, Any],
     ) -> None:
         self.clock, self.cases, self.held, self.watch = clock, cases, held, watch
         self.budgets, self.record = list(budgets), record
-        self.best: dict[str, Candidate] = {}
+        self.tuned: dict[Budget, Candidate] = {}
         self.baselines: list[Candidate] = []
         self.plans: list[Plan] = []
 
     def add_baselines(self, schedules: list[Schedule], progress: bool) -> None:
-        times = self.clock.measure(schedules, progress=progress)
+        times = self.clock.measure(schedules, again=True, progress=progress)
         self.baselines = [self.judge(schedule, time) for schedule, time in zip(schedules, times)]
         counts = [self.clock.table.steps_of(schedule) for schedule in schedules]
         self.plans = [Plan.of(steps) for steps in counts if max(steps) <= MOST_STEPS]  # not to end worse than these
@@ -207,7 +179,8 @@ class _Run:
         left, at a larger one.
         """
         limit = aim = budget.milliseconds
-        fitting: list[tuple[Found, Schedule, Milliseconds]] = []
+        best: tuple[Found, Schedule, Milliseconds] | None = None
+        too_slow: set[Steps] = set()
         warm = self.plans
         with self.watch.watching(budget.label):
             for attempt in range(ATTEMPTS):
@@ -219,21 +192,24 @@ class _Run:
                 name = f"tuned-{budget.slug}"
                 finalists = [f.plan.schedule(search.objective.ladder, name) for f in found[:FINALISTS]]
                 times = self.clock.measure(finalists, progress=False)
-                fits = [row for row in zip(found, finalists, times) if row[2].p95 <= limit]
-                fitting += fits
+                for f, schedule, time in zip(found, finalists, times):
+                    better = best is None or f.loss < best[0].loss
+                    if time.p95 <= limit and better and f.steps not in too_slow:
+                        # Timed once more, alone: a lucky time must not win.
+                        time = self.clock.measure([schedule], progress=False, again=True)[0]
+                        if time.p95 <= limit:
+                            best = f, schedule, time
+                            break
+                        too_slow.add(f.steps)
                 wanted, room = search.cost(found[0].steps), limit / max(times[0].p95, 1e-9)
-                if fits and (attempt or wanted < 0.9 * aim or room < 1.1):
+                if best is not None and (attempt or wanted < 0.9 * aim or room < 1.1):
                     break
-                aim = aim * min(room, 1.3) * 0.97 if fits else 0.97 * min(aim, wanted) * min(1.0, room)
+                aim = aim * min(room, 1.3) * 0.97 if best is not None else 0.95 * min(aim, wanted) * min(1.0, room)
                 if self.watch.expired():
                     break
-            # Timed once more, alone: a lucky time must not win.
-            for found_one, schedule, _ in sorted(fitting, key=lambda row: (row[0].loss, row[2].median)):
-                time = self.clock.measure([schedule], progress=False, again=True)[0]
-                if time.p95 <= limit:
-                    self.plans.append(found_one.plan)
-                    self.best[budget.label] = self.judge(schedule, time)
-                    return
+        if best is not None:
+            self.plans.append(best[0].plan)
+            self.tuned[budget] = self.judge(best[1], best[2])
 
     def extra_budgets(self) -> list[Budget]:
         """Times at which a comparison is wanted: the paper's schedules', half of that, and below the budgets."""
@@ -250,17 +226,19 @@ class _Run:
         return extra[:MOST_EXTRA]
 
     def result(self) -> Tuned:
-        """All of it, with the best baseline in the place of what is not tuned yet."""
-        best = [self.best.get(budget.label) or self._stand_in(budget) for budget in self.budgets]
+        """All of it so far."""
+        best = [self._best(budget) for budget in self.budgets]
         self.record["seconds"] = round(self.watch.clock.seconds, 1)
         self.record["peak memory, MiB"] = round(peak_memory_mib())
-        front = _front(list(self.best.values()))
+        front = _front(list(self.tuned.values()))
         return Tuned(best[0].schedule, best, self.budgets, front, self.baselines, self.watch.history, self.record)
 
-    def _stand_in(self, budget: Budget) -> Candidate:
-        fits = [c for c in self.baselines if c.measured and c.measured.p95 <= budget.milliseconds and c.tuning]
-        if fits:
-            return min(fits, key=lambda c: c.tuning.loss if c.tuning else math.inf)
+    def _best(self, budget: Budget) -> Candidate:
+        """The best of all that is measured to fit, whatever budget it was tuned for, the baselines included."""
+        known = [*self.tuned.values(), *self.baselines]
+        fitting = [c for c in known if c.measured and c.measured.p95 <= budget.milliseconds]
+        if fitting:
+            return min(fitting, key=lambda c: c.tuning.loss if c.tuning else math.inf)
         singles = [Schedule.uniform([(f, 1)], name=f"1 step at 1/{f}") for f in self.clock.table.ladder]
         fastest = min(singles, key=lambda schedule: self.clock.predict(schedule).p95)
         return self.judge(fastest, self.clock.measure([fastest], progress=False)[0])

@@ -233,6 +233,14 @@ SCALE = 100.0
 """Losses are around 0.01, where L-BFGS-B's first step, of the gradient's length, would be short."""
 
 
+class _CutShort(Exception):
+    """The time was up before the relaxation was through."""
+
+    def __init__(self, plan: Plan) -> None:
+        super().__init__()
+        self.plan = plan
+
+
 class Search:
     """Looks for schedules within budgets, on one objective and one cost model. Deterministic, given the seed.
 
@@ -259,6 +267,7 @@ class Search:
         self.objective, self.cost, self.seed = objective, cost, seed
         self.remember, self.report, self.expired = remember, report, expired
         self.found: dict[bytes, Found] = {}
+        self._losses: dict[bytes, float] = {}
 
     def run(self, budget: float, effort: Effort | None = None, warm: Sequence[Plan] = ()) -> list[Found]:
         """All that was evaluated so far and lies within the budget, best first; empty if nothing can.
@@ -272,7 +281,8 @@ class Search:
         if not any(fits(steps, self.cost, budget) for steps in single_steps(size)):
             return []
         for plan in self._relaxed(budget, effort, warm):
-            near = neighbours(np.asarray(plan.steps), self.cost, budget)
+            real = np.asarray(plan.steps)
+            near = neighbours(real, self.cost, budget, maximal=self.cost(real.tolist()) > 0.95 * budget)
             if len(near) > effort.rounded:
                 near = promising(near, plan, self.objective.gradient(plan)[1], effort.rounded)
             for steps in near[: 1 if self.expired() else None]:
@@ -310,15 +320,22 @@ class Search:
         cold = starts(effort.sampled, self.cost, budget, self.seed)
         brought = [with_steps(plan, project(np.asarray(plan.steps), self.cost, budget)) for plan in warm]
         candidates = [plan for plan in (*brought, *cold) if np.any(np.asarray(plan.steps) > 0)]
-        for plan in cold:
+        wholes = [with_steps(plan, whole(plan)) for plan in brought]
+        wholes = [plan for plan in wholes if fits(whole(plan), self.cost, budget)] + cold
+        for plan in wholes[: 1 if self.expired() else None]:
             self._evaluate(plan, "start")
         relaxed = []
+        if self.expired():
+            return candidates[:1]
         for plan in self._best(candidates, effort.relaxed):
             if self.expired():
                 relaxed.append(plan)
                 break
             key = f"relax {effort.iterations} {budget!r} {self.cost} {_bytes(plan).hex()}"
-            relaxed.append(_plan(self.remember(key, functools.partial(self._relax, plan, budget, effort))))
+            try:
+                relaxed.append(_plan(self.remember(key, functools.partial(self._relax, plan, budget, effort))))
+            except _CutShort as cut:  # not remembered: a resumed run has more time
+                relaxed.append(cut.plan)
             self.report("relax", self._loss(relaxed[-1]))
         return self._best(relaxed, (len(relaxed) + 1) // 2)
 
@@ -328,10 +345,16 @@ class Search:
 
     def _relax(self, start: Plan, budget: float, effort: Effort) -> list[list[float]]:
         cost, iterations = self.cost, effort.iterations
-        return _lists(relax(self.objective, start, cost, budget, iterations, self.seed, self.expired))
+        plan = relax(self.objective, start, cost, budget, iterations, self.seed, self.expired)
+        if self.expired():
+            raise _CutShort(plan)
+        return _lists(plan)
 
     def _loss(self, plan: Plan) -> float:
-        return self.remember(f"loss {_bytes(plan).hex()}", lambda: self.objective(plan))
+        key = _bytes(plan)
+        if key not in self._losses:
+            self._losses[key] = self.remember(f"loss {key.hex()}", lambda: self.objective(plan))
+        return self._losses[key]
 
     def _evaluate(self, plan: Plan, phase: str) -> None:
         key = _bytes(plan)

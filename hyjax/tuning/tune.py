@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from hyjax.data.capture import Capture
 from hyjax.errors import InputError
 from hyjax.files import make_writable
@@ -36,7 +38,7 @@ def tune(
     recalibrate: bool = False,
     voxel: float = 0.03,
     repair_mesh: bool = False,
-    out: Path | None = None,
+    out: Path | str | None = None,
     resume: bool = False,
     settings: dict[str, Any] | None = None,
     progress: bool = True,
@@ -55,8 +57,8 @@ def tune(
         holdout: what is only reported on; default: four of the last quarter.
         size: (height, width) to work at; None as captured.
         guide: what guides the diffusion; `"rgb"` is the frame itself.
-        seed: of the search and of the simulated scan. The same seed on the same latency table gives the same
-            schedule, unless a time limit cuts the search short.
+        seed: of the search and of the simulated scan. The same seed on the same latency table makes the same search
+            (unless a time limit cuts it short); the clock has the last word on what fits.
         time_limit: seconds after which the search only finishes what it has.
         effort: how long to look at each budget.
         extra: also tune for a few more budgets, which draw the curve of quality against time.
@@ -79,7 +81,10 @@ def tune(
     if guide != "rgb":
         raise InputError(f"guide: {guide!r} is unknown; there is rgb")
     check_names(mesh, target, lights)
+    if time_limit is not None and not time_limit > 0:
+        raise InputError(f"time limit: must be > 0 seconds, got {time_limit:g}")
     if out is not None:
+        out = Path(out)
         make_writable(out)
         check_free(out, resume)
     bench = open_bench(
@@ -104,5 +109,5 @@ def tune(
     )
 
 
-def _several(values: float | Sequence[float]) -> Sequence[float]:
-    return (values,) if isinstance(values, int | float) else values
+def _several(values: float | Sequence[float]) -> list[float]:
+    return [float(value) for value in np.atleast_1d(np.asarray(values, float))]
