@@ -327,7 +327,7 @@ class Search:
         relaxed = []
         if self.expired():
             return candidates[:1]
-        for plan in self._best(candidates, effort.relaxed):
+        for plan in self._spread(candidates, budget, effort.relaxed):
             if self.expired():
                 relaxed.append(plan)
                 break
@@ -338,6 +338,16 @@ class Search:
                 relaxed.append(cut.plan)
             self.report("relax", self._loss(relaxed[-1]))
         return self._best(relaxed, (len(relaxed) + 1) // 2)
+
+    def _spread(self, plans: Sequence[Plan], budget: float, count: int) -> list[Plan]:
+        """The best of those that spend much of the budget and of those that spend little, by turns, much first.
+
+        Before κ is tuned a few steps may look better than many, which have more to gain from it.
+        """
+        much = [self.cost(np.asarray(plan.steps).tolist()) > 0.4 * budget for plan in plans]
+        groups = [self._best([p for p, m in zip(plans, much) if m is wanted], count) for wanted in (True, False)]
+        turns = itertools.chain.from_iterable(itertools.zip_longest(*groups))
+        return [plan for plan in turns if plan is not None][:count]
 
     def _best(self, plans: Sequence[Plan], count: int) -> list[Plan]:
         losses = [self._loss(plan) for plan in plans]
