@@ -40,11 +40,12 @@ from hyjax.tuning.bench import open_bench
 from hyjax.tuning.budget import MOST_STEPS, Steps, fits, project
 from hyjax.tuning.clocked import workload_of
 from hyjax.tuning.cost_model import CostModel
+from hyjax.tuning.descent import Objective
 from hyjax.tuning.latency import Stopwatch
 from hyjax.tuning.latency_table import LatencyTable, load_table
 from hyjax.tuning.relaxation import Plan, prepare
 from hyjax.tuning.request import TUNING_FRAMES, split_frames
-from hyjax.tuning.search import Effort, Objective, Search
+from hyjax.tuning.search import Effort, Search
 from hyjax.tuning.workload import LADDER
 
 EFFORT = Effort(polished=0, polishing=0)

@@ -6,8 +6,8 @@ Tunes once on the built-in room and once on the capture, at the same budget, and
 `paper-80` with our default κ and λ, on held-out frames (of the last quarter) of both. All times are taken afresh at
 the end, in turns. Takes about ten minutes on two cores. Writes `tuning_transfer.json`, `.md` and `.png`.
 
-Expect: the schedule tuned elsewhere a few percent of loss behind the scene's own, much less than what separates
-either from a filter that was not refined.
+Expect: the schedule tuned elsewhere within a few percent of the scene's own loss, on either side, and ahead of
+`paper-80`.
 """
 
 import dataclasses

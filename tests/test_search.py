@@ -12,14 +12,8 @@ import numpy as np
 import pytest
 
 from hyjax.tuning.budget import Steps, fits, project
-from hyjax.tuning.latency_table import CostModel
-from hyjax.tuning.relaxation import KAPPA_RANGE, LAM_RANGE, Plan, logit
-from hyjax.tuning.search import (
-    AGAIN,
-    QUICK,
-    Effort,
+from hyjax.tuning.descent import (
     Objective,
-    Search,
     bounded,
     bounds,
     polish,
@@ -29,6 +23,9 @@ from hyjax.tuning.search import (
     whole,
     with_steps,
 )
+from hyjax.tuning.latency_table import CostModel
+from hyjax.tuning.relaxation import KAPPA_RANGE, LAM_RANGE, Plan, logit
+from hyjax.tuning.search import AGAIN, QUICK, Effort, Search
 
 COST = CostModel(1.0, (0.3, 0.4, 0.6), (0.1, 0.2, 0.5), (0.8, 0.2, 0.0))
 BUDGET = 8.0

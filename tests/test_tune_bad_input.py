@@ -17,7 +17,8 @@ from hyjax.data.room import RoomCapture, load_room
 from hyjax.images import write_png
 from hyjax.schedule import Schedule
 from hyjax.tuning import latency, run
-from hyjax.tuning.search import Effort, Objective
+from hyjax.tuning.descent import Objective
+from hyjax.tuning.search import Effort
 
 ROOT = logging.getLogger()
 

@@ -44,7 +44,7 @@ class Plan:
     """A point of the search space; all are real numbers without bounds, so that optimisers may step freely.
 
     Attributes:
-        steps: n_l ≥ 0 (kept by projection, see `hyjax.tuning.search`).
+        steps: n_l ≥ 0 (kept by projection, see `hyjax.tuning.budget.project`).
         log_kappa: κ = exp(·).
         logit_lam: λ = sigmoid(·)/4, inside (0, 1/4).
     """

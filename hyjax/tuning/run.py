@@ -18,12 +18,13 @@ from hyjax.tuning.bench import Workbench
 from hyjax.tuning.budget import MOST_STEPS, Steps
 from hyjax.tuning.cases import Case, refined_filter, scores
 from hyjax.tuning.clocked import CascadeClock, Clocked, FrameClock, Stage, check_reachable
+from hyjax.tuning.descent import Found, Objective
 from hyjax.tuning.examples import write_report_with_pictures
 from hyjax.tuning.journal import Journal, check_free
 from hyjax.tuning.relaxation import Plan, prepare
 from hyjax.tuning.report import write_front, write_pareto_csv, write_pareto_plot, write_schedules
 from hyjax.tuning.result import Budget, Candidate, Milliseconds, Tuned
-from hyjax.tuning.search import AGAIN, QUICK, Effort, Found, Objective, Search
+from hyjax.tuning.search import AGAIN, QUICK, Effort, Search
 from hyjax.tuning.watch import Watch
 
 BASELINES = ("paper-50", "paper-80", "naive-50", "naive-1000")

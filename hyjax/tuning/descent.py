@@ -1,0 +1,202 @@
+"""The continuous part of the search: starting points, relaxed projected descent, polishing of κ and λ.
+
+Symbols of this file: n are the steps over the ladder, as in `hyjax.tuning.relaxation`; a *cost* is the latency
+table's model of the 95th percentile, in milliseconds; u_l = n_l · step_l / budget is the share of the budget that
+the steps of level l take. Shares are what the relaxation steps in: in them one learning rate suits all levels.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxopt.projection import projection_box
+from jaxtyping import Array, Float
+from scipy.optimize import minimize
+
+from hyjax.schedule import DEFAULT_KAPPA
+from hyjax.tuning.budget import Steps, fits, project, single_steps
+from hyjax.tuning.cost_model import CostModel
+from hyjax.tuning.relaxation import (
+    KAPPA_RANGE,
+    LAM_RANGE,
+    Plan,
+    Prepared,
+    evaluate,
+    evaluate_with_gradient,
+    logit,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Objective:
+    """Mean loss over the tuning frames; what every search method here and in the experiments minimises."""
+
+    prepared: Sequence[Prepared]
+    ladder: tuple[int, ...]
+
+    def __call__(self, plan: Plan) -> float:
+        return float(np.mean([evaluate(plan, frame, self.ladder) for frame in self.prepared]))
+
+    def gradient(self, plan: Plan, frames: Iterable[int] | None = None) -> tuple[float, Plan]:
+        """Mean loss over some of the frames (all by default) and its gradient."""
+        chosen = range(len(self.prepared)) if frames is None else list(frames)
+        parts = [evaluate_with_gradient(plan, self.prepared[i], self.ladder) for i in chosen]
+        return jax.tree.map(lambda *x: np.mean(x, axis=0), *parts)
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """A plan of whole steps with its loss on the tuning frames."""
+
+    plan: Plan
+    loss: float
+
+    @property
+    def steps(self) -> Steps:
+        return whole(self.plan)
+
+
+def whole(plan: Plan) -> Steps:
+    """The plan's steps, rounded."""
+    return tuple(int(n) for n in np.round(np.asarray(plan.steps)))
+
+
+def with_steps(plan: Plan, steps: Sequence[float] | np.ndarray) -> Plan:
+    """The plan with other steps. A level that was not there takes κ and λ of the nearest that was."""
+    there = np.flatnonzero(np.asarray(plan.steps) > 0)
+    if there.size == 0:
+        there = np.arange(len(steps))
+    nearest = np.array([there[np.argmin(np.abs(there - i))] for i in range(len(steps))])
+    return Plan(jnp.asarray(steps, jnp.float32), plan.log_kappa[nearest], plan.logit_lam[nearest])
+
+
+# ---- relax ----
+
+
+SPENT = (1.0, 0.5, 0.25, 0.1)
+"""Parts of the budget that starting points spend: the best schedule need not be the dearest."""
+START_KAPPA = (0.005, 0.2)
+
+
+def starts(count: int, cost: CostModel, budget: float, seed: int) -> list[Plan]:
+    """Whole schedules within the budget to start from: time shared between runs of levels, or at random."""
+    size = len(cost.step)
+    rng = np.random.default_rng(seed)
+    runs = [range(first, last) for first in range(size) for last in range(first + 1, size + 1)]
+    runs = [runs[i] for i in rng.permutation(len(runs))]
+    per_step = np.maximum(cost.step, 1e-6 * budget)
+    plans = [Plan.of(steps) for steps in single_steps(size) if fits(steps, cost, budget)]
+    for i in range(count):
+        if i % 2 == 0:
+            shares = np.isin(np.arange(size), runs[i % len(runs)]).astype(float)
+        else:
+            shares = rng.dirichlet(np.ones(size)) * (rng.random(size) < 0.6)
+        kappa = DEFAULT_KAPPA if i % 4 < 2 else float(np.exp(rng.uniform(*np.log(START_KAPPA))))
+        time = shares / max(shares.sum(), 1e-9) * SPENT[i % len(SPENT)] * budget
+        steps = tuple(int(n) for n in project(time / per_step, cost, budget))
+        if fits(steps, cost, budget):
+            plans.append(Plan.of(steps, kappa))
+    return plans
+
+
+RATE = 0.08
+_adam = optax.scale_by_adam(b2=0.99)
+
+
+@jax.jit
+def _advance(
+    plan: Plan, slope: Plan, state: optax.OptState, unit: Float[Array, "l"], rate: Float[Array, ""]
+) -> tuple[Plan, optax.OptState]:
+    """One step of Adam in shares of the budget, log κ and logit λ."""
+    updates, state = _adam.update(dataclasses.replace(slope, steps=slope.steps * unit), state)
+    updates = dataclasses.replace(updates, steps=updates.steps * unit)
+    return bounded(jax.tree.map(lambda x, u: x - rate * u, plan, updates)), state
+
+
+def relax(
+    objective: Objective,
+    start: Plan,
+    cost: CostModel,
+    budget: float,
+    iterations: int,
+    seed: int,
+    expired: Callable[[], bool] = lambda: False,
+) -> Plan:
+    """Projected stochastic descent (Adam) on real-valued steps, log κ and logit λ, one frame an iteration."""
+    unit = jnp.asarray(budget / np.maximum(cost.step, 1e-6 * budget), jnp.float32)  # steps in the whole budget
+    plan, state = start, _adam.init(start)
+    rng = np.random.default_rng(seed)
+    order = itertools.chain.from_iterable(rng.permutation(len(objective.prepared)) for _ in itertools.count())
+    for i, frame in enumerate(itertools.islice(order, iterations)):
+        if expired():
+            break
+        rate = 0.5 * RATE * (1.0 + np.cos(np.pi * i / iterations))
+        plan, state = _advance(plan, objective.gradient(plan, [int(frame)])[1], state, unit, jnp.float32(rate))
+        plan = dataclasses.replace(plan, steps=jnp.asarray(project(np.asarray(plan.steps), cost, budget)))
+    return plan
+
+
+def bounded(plan: Plan) -> Plan:
+    """κ and λ brought back into their ranges."""
+    low, high = bounds()
+    return Plan(
+        plan.steps,
+        projection_box(plan.log_kappa, (low[0], high[0])),
+        projection_box(plan.logit_lam, (low[1], high[1])),
+    )
+
+
+def bounds() -> tuple[tuple[float, float], tuple[float, float]]:
+    """Lowest and highest (log κ, logit 4 λ)."""
+    kappa, lam = np.log(KAPPA_RANGE), [logit(4.0 * x) for x in LAM_RANGE]
+    return (float(kappa[0]), lam[0]), (float(kappa[1]), lam[1])
+
+
+# ---- round ----
+
+
+def promising(candidates: Sequence[Steps], plan: Plan, slope: Plan, count: int) -> list[Steps]:
+    """The candidates with the lowest loss to first order around the relaxed plan."""
+    real, gradient = np.asarray(plan.steps, float), np.asarray(slope.steps, float)
+    return sorted(candidates, key=lambda steps: (float((np.array(steps) - real) @ gradient), steps))[:count]
+
+
+# ---- polish ----
+
+
+def polish(objective: Objective, plan: Plan, iterations: int) -> Found:
+    """κ and λ of the levels that are there, by bounded quasi-Newton steps on all frames, the step counts fixed.
+
+    Source: Byrd, Lu, Nocedal and Zhu, *A limited memory algorithm for bound constrained optimization*, 1995.
+    """
+    there = np.flatnonzero(np.asarray(plan.steps) > 0)
+    best = Found(plan, objective(plan))
+
+    def placed(x: np.ndarray) -> Plan:
+        kappa, lam = np.split(x.astype(np.float32), 2)
+        return Plan(plan.steps, plan.log_kappa.at[there].set(kappa), plan.logit_lam.at[there].set(lam))
+
+    def loss(x: np.ndarray) -> tuple[float, np.ndarray]:
+        nonlocal best
+        candidate = placed(x)
+        value, slope = objective.gradient(candidate)
+        if value < best.loss:
+            best = Found(candidate, float(value))
+        gradient = np.concatenate([np.asarray(slope.log_kappa)[there], np.asarray(slope.logit_lam)[there]])
+        return SCALE * float(value), SCALE * gradient.astype(float)
+
+    low, high = bounds()
+    box = [(low[k], high[k]) for k in (0, 1) for _ in there]
+    first = np.concatenate([np.asarray(plan.log_kappa)[there], np.asarray(plan.logit_lam)[there]]).astype(float)
+    # float32 losses are smooth to about seven digits: SciPy's own stopping rule would chase the noise.
+    options = {"maxiter": iterations, "maxfun": iterations + 4, "ftol": 1e-5}
+    minimize(loss, np.clip(first, *np.array(box).T), jac=True, method="L-BFGS-B", bounds=box, options=options)
+    return best
+
+
+SCALE = 100.0
+"""Losses are around 0.01, where L-BFGS-B's first step, of the gradient's length, would be short."""
