@@ -9,8 +9,8 @@ frames: these tell what κ and λ gain from what the steps' places gain. All tim
 turns. Takes about ten minutes on two cores. Writes `tuning_gain.json`, `.md` and `.png`.
 
 Expect: tuned schedules five to ten percent below the paper's loss in a third of `paper-80`'s time; level with the
-polished ones, so that κ and λ make the quality and the places of the steps the speed. `naive-50` is as good where its
-time is allowed. Intervals are wide, being over six frames.
+polished ones, so that κ and λ make the quality and the places of the steps the speed. `naive-50` is as good where
+its time is allowed. Intervals are wide, being over six frames.
 """
 
 import dataclasses

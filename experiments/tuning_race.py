@@ -5,7 +5,8 @@
 
 Takes methods x seeds x seconds, 20 minutes by default on two cores, once the built-in room and its latency table
 are made; leave the machine alone meanwhile. The methods run one after another, seed by seed, on the same objective
-(the default tuning frames) and the same cost model (95th percentile by the latency table). All start cold. The loss
+(the default tuning frames) and the same cost model (95th percentile by the latency table). All start cold,
+but ours knows the defaults of κ and λ and tries them first. The loss
 and its gradient are compiled before any clock starts; whatever else a method compiles is on its clock.
 
 - Ours: `Search` with its default effort, which may end before the time is up. Its relaxed, real-valued plans are
