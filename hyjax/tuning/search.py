@@ -150,6 +150,7 @@ class Search:
             except _CutShort as cut:  # not remembered: a resumed run has more time
                 relaxed.append(cut.plan)
             self.report("relax", self._loss(relaxed[-1]))
+        relaxed = [plan for plan in relaxed if np.any(np.asarray(plan.steps) > 0)]  # not those that gave up all
         return self._best(relaxed, (len(relaxed) + 1) // 2)
 
     def _spread(self, plans: Sequence[Plan], budget: float, count: int) -> list[Plan]:
