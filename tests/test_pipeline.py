@@ -271,7 +271,8 @@ def test_gradients_reach_everything(frame: jax.Array, gbuffer: GBuffer, mode: st
             LIGHTS[0].position,
             LIGHTS[0].power,
         )
-        assert_gradients(loss, *arguments, rtol=2e-4, eps=1e-6)
+        # The differences are good to the round-off of a loss of about 100, divided by 2 eps.
+        assert_gradients(loss, *arguments, rtol=2e-4, eps=1e-6, atol=5e-7)
 
 
 def test_refusals(frame: jax.Array, gbuffer: GBuffer, maps: tuple) -> None:
