@@ -5,11 +5,10 @@
 Tunes the diffusion stage at 512 x 512 for 15, 30, 60 and 120 fps and for 1, 2, 4 and 8 ms, each in a run of its
 own, on the built-in room and on a capture. At the end all winners are timed afresh, in turns: the choice has not
 seen these times, so they tell what its promise (measured p95 inside the budget) is worth. A budget that is out of
-reach is recorded as such. Takes most of an hour on two cores. Writes `tuning_promise.json`, `.md` and `.png`.
+reach is recorded as such. Takes a quarter of an hour on two cores. Writes `tuning_promise.json`, `.md` and `.png`.
 
-Expect: on a quiet machine predicted medians within ten percent of the measured ones and every p95 inside its budget
-or a few percent above: the choice is the best of several that fitted, so a lucky time is chosen rather than an
-unlucky one. Other work on the machine shows in the p95 first.
+Expect: on a quiet machine every p95 inside its budget, and predicted medians ten to twenty percent off, which is
+the machine's drift since the calibration. Other work on the machine shows in the p95 first.
 """
 
 import dataclasses
