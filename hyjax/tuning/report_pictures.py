@@ -56,6 +56,11 @@ def data_uris(examples: Sequence[Example], most_bytes: int = MOST_BYTES) -> list
     raise InputError(f"report: {len(examples)} examples are too many for one file; show fewer")
 
 
+def data_uri(picture: Float[np.ndarray, "h w 3"], kind: str = "jpg", width: int = 2048) -> str:
+    """One picture as a `data:` address, `png` or `jpg`, no wider than `width`."""
+    return _uri(_encode(picture, kind, width), kind)
+
+
 def _uri(content: bytes, kind: str) -> str:
     return f"data:image/{'png' if kind == 'png' else 'jpeg'};base64,{base64.b64encode(content).decode()}"
 

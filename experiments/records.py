@@ -1,0 +1,152 @@
+"""Results as JSON lines: every row says what it takes to make it again.
+
+A run writes `rows.jsonl` in its own folder, a line at a time, so that an interrupted run goes on where it was.
+Tables, figures and pages are made from these rows alone (`experiments.report`).
+"""
+
+import dataclasses
+import json
+import math
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from hyjax.environment import environment, peak_memory_mib
+from hyjax.errors import InputError
+from hyjax.files import make_writable, write_text
+
+FILE = "rows.jsonl"
+ROOT = Path(__file__).parents[1]
+UNSETTLED = ("out", "resume")
+"""Options that decide nothing about the results."""
+Row = dict[str, Any]
+
+
+class Results:
+    """The rows of one run.
+
+    Every row carries `experiment`, `settings`, `seed`, `commit`, `device`, `cpu_count` and `versions` besides its
+    own values. The last row of a finished run is `{"kind": "finished"}`.
+
+    Args:
+        out: the run's folder.
+        experiment: name of the module.
+        config: the run's options, a dataclass; `out` and `resume` in it are not compared.
+        resume: go on with the rows that are there.
+
+    Raises:
+        InputError: the folder cannot be written, holds an interrupted run and `resume` is not set, or was written
+            with other settings.
+    """
+
+    def __init__(self, out: Path, experiment: str, config: Any, *, resume: bool = False) -> None:
+        make_writable(out)
+        self.path = out / FILE
+        settings = {key: value for key, value in dataclasses.asdict(config).items() if key not in UNSETTLED}
+        self._stamp = _clean(
+            {
+                "experiment": experiment,
+                "settings": settings,
+                "seed": settings.get("seed"),
+                "commit": commit(),
+            }
+            | environment()
+        )
+        self.rows: list[Row] = []
+        earlier = read_rows(self.path) if self.path.is_file() else []
+        if resume:
+            self.rows = [row for row in earlier if row.get("kind") != "finished"]
+            for row in self.rows:
+                self._compare(row)
+        elif earlier and not is_finished(earlier):
+            raise InputError(
+                f"{out}: holds an interrupted run of {len(earlier)} rows; add --resume to go on with it, or choose "
+                "another --out"
+            )
+        # Anew without what a crash cut off; with --resume and nothing there, an empty file.
+        write_text(self.path, "".join(json.dumps(row) + "\n" for row in self.rows))
+
+    def add(self, **values: Any) -> Row:
+        """Append a row and return it. Numbers that are not finite become None, arrays become lists."""
+        row: Row = _clean(values) | self._stamp
+        try:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot write ({error.strerror or error})") from None
+        self.rows.append(row)
+        return row
+
+    def finish(self) -> list[Row]:
+        """Mark the run as finished and return its rows."""
+        self.add(kind="finished", peak_memory_mib=round(peak_memory_mib()))
+        return self.rows
+
+    def _compare(self, row: Row) -> None:
+        for key in ("experiment", "settings"):
+            old, new = row.get(key), self._stamp[key]
+            if old == new:
+                continue
+            if isinstance(old, dict):
+                name = next(k for k in sorted({*old, *new}) if old.get(k) != new.get(k))
+                old, new, key = old.get(name), new.get(name), name
+            raise InputError(
+                f"{self.path.parent}: cannot resume, that run had {key} {old!r} and this one has {new!r}; give the "
+                "same options, or choose another --out"
+            )
+
+
+def read_rows(path: Path) -> list[Row]:
+    """All whole rows of a file; a last line that a crash cut off is left out.
+
+    Raises:
+        InputError: no such file, or a line in its midst is not a row.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise InputError(f"{path}: cannot read ({error.strerror or error})") from None
+    rows: list[Row] = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            row = json.loads(line)
+        except json.JSONDecodeError:
+            row = None
+        if isinstance(row, dict) and "experiment" in row:
+            rows.append(row)
+        elif number < len(lines):
+            raise InputError(f"{path}: line {number} is not a row of results; remove it or the file")
+    return rows
+
+
+def is_finished(rows: list[Row]) -> bool:
+    """Whether a run came to its end."""
+    return bool(rows) and rows[-1].get("kind") == "finished"
+
+
+def commit() -> str:
+    """The checkout's commit, with `-dirty` after it if tracked files differ; `unknown` outside of a checkout."""
+    try:
+        head = _git("rev-parse", "HEAD")
+        return head + ("-dirty" if _git("status", "--porcelain", "--untracked-files=no") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def _git(*arguments: str) -> str:
+    return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def _clean(value: Any) -> Any:
+    """As JSON's types."""
+    if isinstance(value, dict):
+        return {str(key): _clean(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_clean(item) for item in value]
+    if hasattr(value, "tolist"):
+        return _clean(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return str(value)

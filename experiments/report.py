@@ -1,0 +1,115 @@
+"""One page with the tables, figures and pictures of all runs that are found, made from their rows alone.
+
+    python -m experiments.report [--results results] [--out results/report.html]
+
+Takes seconds. Every `rows.jsonl` below the results folder is a run; interrupted ones are shown as far as they got
+and say so. The page is a single file with everything in it.
+
+Expect: a section for each run, in the order of `EXPERIMENTS`, with settings, commit and machine at its foot.
+"""
+
+import dataclasses
+import importlib
+import importlib.resources
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from experiments.blocks import html
+from experiments.command import run
+from experiments.records import FILE, Row, is_finished, read_rows
+from hyjax.errors import InputError
+from hyjax.files import make_writable, write_text
+from hyjax.tuning.report_markup import Html, join, tag
+
+EXPERIMENTS = (
+    "paper_table",
+    "ablation_cascade",
+    "ablation_shadow",
+    "structure",
+    "conductances",
+)
+"""Modules with a `TITLE` and `blocks(rows, folder)`, in the page's order."""
+
+STYLE = """
+table { margin: 0 0 .6rem; }
+caption { text-align: left; color: var(--quiet); padding-bottom: .4rem; max-width: 60rem; }
+td:not(:first-child), th:not(:first-child) { text-align: right; padding-left: 1.2rem; }
+figure { margin: 1.4rem 0; } figure svg, figure img { display: block; width: auto; max-width: 100%; height: auto; }
+figure svg { background: #fff; border-radius: .4rem; } figcaption { color: var(--quiet); font-size: .9rem; }
+section p { max-width: 62rem; }
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    results: Path = Path("results")
+    """Folder with the runs."""
+    out: Path = Path("results/report.html")
+
+
+def main(config: Config) -> None:
+    """Read all runs and write the page."""
+    if not config.results.is_dir():
+        raise InputError(f"{config.results}: no such folder; run an experiment first, or give --results")
+    runs = list(find_runs(config.results))
+    if not runs:
+        raise InputError(f"{config.results}: no {FILE} in it or below; run an experiment first")
+    make_writable(config.out.parent)
+    write_text(config.out, page(runs))
+    print(f"{len(runs)} runs; look at {config.out}")
+
+
+def find_runs(results: Path) -> Iterator[tuple[Path, list[Row]]]:
+    """(folder, rows) of every run with rows, in the order of `EXPERIMENTS`, then by folder."""
+    found = [(path.parent, read_rows(path)) for path in sorted(results.rglob(FILE))]
+    for folder, rows in sorted(((f, r) for f, r in found if r), key=lambda found: _place(*found)):
+        if rows[0]["experiment"] not in EXPERIMENTS:
+            raise InputError(f"{folder}: rows of an unknown experiment {rows[0]['experiment']!r}")
+        yield folder, rows
+
+
+def page(runs: list[tuple[Path, list[Row]]]) -> str:
+    """The whole page."""
+    sections = [(f"run-{n}", *_section(folder, rows)) for n, (folder, rows) in enumerate(runs)]
+    body = [
+        tag("header", tag("p", "hyjax", class_="kicker"), tag("h1", "Experiments")),
+        tag("nav", [tag("a", title, href=f"#{key}") for key, title, _ in sections]),
+        tag("main", [tag("section", tag("h2", title), content, id=key) for key, title, content in sections]),
+    ]
+    style = importlib.resources.files("hyjax.tuning").joinpath("report.css").read_text(encoding="utf-8") + STYLE
+    head = tag(
+        "head",
+        tag("meta", charset="utf-8"),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("title", "hyjax experiments"),
+        tag("style", Html(style)),
+    )
+    return "<!doctype html>\n" + tag("html", head, tag("body", body), lang="en")
+
+
+def _place(folder: Path, rows: list[Row]) -> tuple[int, str]:
+    name = rows[0]["experiment"]
+    return (EXPERIMENTS.index(name) if name in EXPERIMENTS else len(EXPERIMENTS)), str(folder)
+
+
+def _section(folder: Path, rows: list[Row]) -> tuple[str, Html]:
+    """Title and content of one run."""
+    module: Any = importlib.import_module(f"experiments.{rows[0]['experiment']}")
+    title = f"{module.TITLE}: {folder.name}"
+    unfinished = "" if is_finished(rows) else tag("p", "This run did not come to its end.", class_="lead")
+    return title, join([unfinished, html(module.blocks(rows, folder)), footer(rows)])
+
+
+def footer(rows: list[Row]) -> Html:
+    """Where the rows come from."""
+    last = rows[-1]
+    commits = ", ".join(dict.fromkeys(row["commit"][:12] + row["commit"][40:] for row in rows))
+    machine = f"{last['device']}, {last['cpu_count']} cores, jax {last['versions']['jax']}"
+    settings = ", ".join(f"{key} {json.dumps(value)}" for key, value in last["settings"].items())
+    return tag("p", f"{len(rows)} rows; commit {commits}; {machine}; settings: {settings}.", class_="quiet")
+
+
+if __name__ == "__main__":
+    run(main, Config)
