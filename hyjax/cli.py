@@ -153,7 +153,7 @@ def run_relight(command: Relight) -> None:
     """`hyjax relight`."""
     # Heavy imports wait until the command line is known to be right.
     from hyjax.data.frames import select_frames
-    from hyjax.data.light_file import read_lights
+    from hyjax.data.light_file import is_light_file, read_lights
     from hyjax.data.light_setups import check_setup_name, named_setup, survey_capture
     from hyjax.data.open import open_capture
     from hyjax.data.room import UP as ROOM_UP
@@ -169,7 +169,7 @@ def run_relight(command: Relight) -> None:
     clock, bars = StageClock(), not command.quiet
     schedule = _schedule(command)
     size = _size(command.size)
-    from_file = Path(command.lights).suffix.lower() in (".yaml", ".yml", ".json")
+    from_file = is_light_file(command.lights)
     if not from_file:
         check_setup_name(command.lights)
     check_mesh_name(command.mesh)

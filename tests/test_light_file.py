@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from hyjax.color import blackbody
-from hyjax.data.light_file import KEYS, LightSetup, parse_lights, read_lights, write_lights
+from hyjax.data.light_file import KEYS, LightSetup, is_light_file, parse_lights, read_lights, write_lights
 from hyjax.errors import InputError
 from hyjax.lights import DirectionalLight, PointLight, RectLight, SkyLight
 from hyjax.pipeline import REFERENCE_LUX
@@ -59,6 +59,11 @@ def test_yaml_and_json_say_the_same(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps(ALL))
     same(read_lights(tmp_path / "a.yaml", UP), read_lights(tmp_path / "a.json", UP))
     same(read_lights(tmp_path / "a.yaml", UP), parse_lights(ALL, UP))
+
+
+def test_lights_files_are_known_by_their_ending() -> None:
+    assert all(is_light_file(text) for text in ("a.yaml", "folder/a.yml", "A.JSON"))
+    assert not any(is_light_file(text) for text in ("evening-lamps", "a.json.txt", "json"))
 
 
 def test_written_set_ups_read_back(tmp_path: Path) -> None:

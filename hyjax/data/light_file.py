@@ -71,6 +71,11 @@ class LightSetup:
     reference_lux: float = REFERENCE_LUX
 
 
+def is_light_file(text: str) -> bool:
+    """Whether this means a lights file, by its ending, and not a named set-up."""
+    return Path(text).suffix.lower() in (".yaml", ".yml", ".json")
+
+
 def read_lights(path: Path, up: Float[np.ndarray, "3"]) -> LightSetup:
     """Read a lights file; see the module's docstring for its form.
 

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from hyjax.color import to_linear
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit
-from hyjax.data.light_file import LightSetup, read_lights
+from hyjax.data.light_file import LightSetup, is_light_file, read_lights
 from hyjax.data.light_setups import check_setup_name, named_setup, survey_capture
 from hyjax.data.open import open_capture
 from hyjax.data.room import RoomCapture, load_room
@@ -106,7 +106,7 @@ class Workbench:
 
 def check_names(mesh: str | None, target: str | None, lights: str) -> None:
     """Raise `InputError` unless these can be opened: whatever can be known before the capture is read."""
-    if not _is_file(lights):
+    if not is_light_file(lights):
         check_setup_name(lights)
     check_mesh_name(mesh)
     if target != CONVERGED:
@@ -160,12 +160,8 @@ def open_bench(
         )
     if accurate is not None and np.array_equal(rough.vertices, accurate.vertices):
         raise InputError(f"target: {description} is the rough mesh itself, which needs no repair; choose another")
-    if _is_file(lights):
+    if is_light_file(lights):
         setup = read_lights(Path(lights), capture.up)
     else:
         setup = named_setup(lights, survey_capture(RayCaster(rough if accurate is None else accurate), capture))
     return Workbench(capture, rough, accurate, setup, size, description=f"{source} against {description}")
-
-
-def _is_file(lights: str) -> bool:
-    return Path(lights).suffix.lower() in (".yaml", ".yml", ".json")
