@@ -8,15 +8,13 @@ Takes well under a minute for the 300 frames of the red kitchen on two cores. Wr
 
 import dataclasses
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
-import tyro
 
+from experiments.command import run
 from hyjax.data.open import open_capture
 from hyjax.environment import environment, peak_memory_mib
-from hyjax.errors import InputError
 from hyjax.files import make_writable, write_text
 from hyjax.images import write_png
 from hyjax.scene.raycast import RayCaster
@@ -54,7 +52,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Config))
-    except InputError as error:
-        sys.exit(f"fusion: {error}")
+    run(main, Config)

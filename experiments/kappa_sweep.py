@@ -14,17 +14,16 @@ flat around their tops. A filter of the mean colour is in the table because it, 
 
 import dataclasses
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 from tqdm import tqdm
 
 import hyjax
+from experiments.command import run
 from experiments.plotting import new_figure
 from hyjax.data.capture import Capture
 from hyjax.data.frames import fit
@@ -33,7 +32,6 @@ from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.data.surfaces import surface_of
 from hyjax.environment import environment
-from hyjax.errors import InputError
 from hyjax.files import make_writable
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
@@ -179,7 +177,4 @@ def figure(path: Path, name: str, rows: list[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Config))
-    except InputError as error:
-        sys.exit(f"kappa_sweep: {error}")
+    run(main, Config)

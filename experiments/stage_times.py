@@ -12,16 +12,15 @@ conductances cost when they are measured alone.
 
 import dataclasses
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import tyro
 
 import hyjax
+from experiments.command import run
 from experiments.plotting import new_figure
 from hyjax.data.frames import fit
 from hyjax.data.light_setups import named_setup, survey_capture
@@ -29,7 +28,6 @@ from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.data.surfaces import surface_of
 from hyjax.environment import environment, peak_memory_mib
-from hyjax.errors import InputError
 from hyjax.files import make_writable
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
@@ -151,7 +149,4 @@ def markdown(record: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Config))
-    except InputError as error:
-        sys.exit(f"stage_times: {error}")
+    run(main, Config)

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
-import tyro
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from experiments.command import run
 from experiments.plotting import new_figure
 from experiments.tuning_scenes import (
     Scene,
@@ -221,7 +221,4 @@ KINDS = {"tuned": "C0", "paper": "C1", "naive": "C2"}
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Config))
-    except InputError as error:
-        sys.exit(f"tuning_gain: {error}")
+    run(main, Config)

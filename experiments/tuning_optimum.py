@@ -21,16 +21,15 @@ import collections
 import dataclasses
 import itertools
 import json
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 from jaxtyping import Float
 from tqdm import tqdm
 
+from experiments.command import run
 from experiments.plotting import new_figure
 from hyjax.environment import environment
 from hyjax.errors import InputError
@@ -268,7 +267,4 @@ def figure(
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Config))
-    except InputError as error:
-        sys.exit(f"tuning_optimum: {error}")
+    run(main, Config)

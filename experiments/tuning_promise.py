@@ -12,14 +12,13 @@ the machine's drift since the calibration. Other work on the machine shows in th
 """
 
 import dataclasses
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 from matplotlib.figure import Figure
 
+from experiments.command import run
 from experiments.plotting import new_figure
 from experiments.tuning_scenes import Scene, footer, open_scenes, retime, write_results
 from hyjax.errors import InputError
@@ -181,7 +180,4 @@ def figure(rows: list[dict[str, Any]]) -> Figure:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Config))
-    except InputError as error:
-        sys.exit(f"tuning_promise: {error}")
+    run(main, Config)

@@ -28,7 +28,6 @@ import functools
 import importlib.util
 import json
 import math
-import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -36,9 +35,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import tyro
 from tqdm import tqdm
 
+from experiments.command import run
 from experiments.plotting import new_figure
 from experiments.tuning_optimum import Counted, prepare_room, warm_up
 from hyjax.environment import environment
@@ -300,7 +299,4 @@ def figure(path: Path, results: list[dict[str, Any]], config: Config) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Config))
-    except InputError as error:
-        sys.exit(f"tuning_race: {error}")
+    run(main, Config)

@@ -11,13 +11,12 @@ Expect: the schedule tuned elsewhere within a few percent of the scene's own los
 """
 
 import dataclasses
-import sys
 from pathlib import Path
 from typing import Any
 
-import tyro
 from matplotlib.figure import Figure
 
+from experiments.command import run
 from experiments.plotting import new_figure
 from experiments.tuning_scenes import (
     compare,
@@ -145,7 +144,4 @@ def figure(record: dict[str, Any]) -> Figure:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Config))
-    except InputError as error:
-        sys.exit(f"tuning_transfer: {error}")
+    run(main, Config)

@@ -1,0 +1,29 @@
+"""What every experiment's command line does alike."""
+
+import inspect
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import tyro
+
+from hyjax.errors import InputError
+
+Config = TypeVar("Config")
+
+
+def run(main: Callable[[Config], None], config_type: type[Config]) -> None:
+    """Call `main` with the options of the command line. Ends the process as `hyjax` does.
+
+    Bad input: one line on stderr and exit status 2; interrupted: one line and 130.
+    """
+    name = Path(inspect.getfile(main)).stem
+    try:
+        main(tyro.cli(config_type))
+    except InputError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted", file=sys.stderr)
+        sys.exit(130)
