@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.command import run
+from hyjax.data.frames import spread
 from hyjax.data.open import open_capture
 from hyjax.environment import environment, peak_memory_mib
 from hyjax.files import make_writable, write_text
@@ -43,8 +44,8 @@ def main(config: Config) -> None:
     print({key: record[key] for key in ("frames", "faces", "seconds", "peak_memory_mib")})
     write_text(config.out / "fusion.json", json.dumps(record, indent=2) + "\n")
     caster, views = RayCaster(mesh), []
-    for index in np.linspace(0, len(capture) - 1, 4).astype(int):
-        camera = capture[int(index)].camera
+    for index in spread(range(len(capture)), 4):
+        camera = capture[index].camera
         rays, seen = camera.rays(), caster.gbuffer(camera)
         facing = -np.sum(np.asarray(seen.normal) * rays, axis=-1) / np.linalg.norm(rays, axis=-1)
         views.append(np.where(np.asarray(seen.hit)[..., None], np.clip(facing, 0, 1)[..., None], (0.3, 0.0, 0.0)))

@@ -31,6 +31,7 @@ from tqdm import tqdm
 
 from experiments.command import run
 from experiments.plotting import new_figure
+from hyjax.data.frames import spread
 from hyjax.environment import environment
 from hyjax.errors import InputError
 from hyjax.files import make_writable, whole, write_text
@@ -118,7 +119,7 @@ def prepare_room(
         raise InputError(f"size: must be at least 16 pixels, got {size}")
     bench = open_bench(size=(size, size))
     tuning, _ = split_frames(len(bench.capture), None, None)
-    chosen = [tuning[i] for i in np.linspace(0, len(tuning) - 1, frames).round().astype(int)]
+    chosen = spread(tuning, frames)
     cases, _ = bench.cases(chosen, "tuning")
     table, _ = load_table(workload_of(cases[0]), ladder, recalibrate=recalibrate)
     return [prepare(case, table.ladder) for case in cases], table, [bench.capture[i].name for i in chosen]

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
+from hyjax.data.frames import spread
 from hyjax.environment import environment, peak_memory_mib
 from hyjax.errors import InputError
 from hyjax.files import whole, write_text
@@ -71,14 +72,10 @@ def open_scenes(kitchen: Path | None, size: tuple[int, int], tuning: int = 6, he
         bench = open_bench(capture, size=size)
         count = len(bench.capture)
         first = count - max(1, count // 4)
-        frames, holdout = _spread(0, first - 1, tuning), _spread(first, count - 1, held_out)
+        parts = (range(max(first, 1)), tuning), (range(first, count), held_out)
+        frames, holdout = (",".join(map(str, spread(*part))) for part in parts)
         scenes.append(Scene(bench.capture.name, bench, *split_frames(count, frames, holdout)))
     return scenes
-
-
-def _spread(first: int, last: int, count: int) -> str:
-    """At most `count` indices from `first` to `last`, as `--frames` takes them."""
-    return ",".join(str(i) for i in sorted({int(i) for i in np.linspace(first, last, count).round()}))
 
 
 def retime(runs: Sequence[tuple[Case, Sequence[Schedule]]], repeats: int) -> list[list[Milliseconds]]:

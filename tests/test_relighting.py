@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hyjax.data.capture import Frame
-from hyjax.data.frames import fit, select_frames
+from hyjax.data.frames import fit, select_frames, spread
 from hyjax.data.light_file import LightSetup, parse_lights, read_lights
 from hyjax.errors import InputError
 from hyjax.files import make_writable
@@ -72,6 +74,18 @@ def test_selecting_nothing_is_refused(text: str) -> None:
 def test_no_frame_comes_twice() -> None:
     """It would be computed and counted twice and written to one file."""
     assert select_frames("0,0:2,0", 24) == [0, 1]
+
+
+@given(size=st.integers(1, 400), count=st.integers(1, 12))
+def test_spread(size: int, count: int) -> None:
+    got = spread(range(size), count)
+    assert len(got) == min(size, count) and got[0] == 0 and (count == 1 or got[-1] == size - 1)
+    gaps = np.diff(got)
+    assert np.all(gaps > 0) and (len(gaps) == 0 or gaps.max() - gaps.min() <= 1)
+
+
+def test_nothing_to_spread() -> None:
+    assert spread([], 4) == []
 
 
 # Spots on a plane at 2 m, seen by a lens whose centre is not the picture's.

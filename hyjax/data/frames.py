@@ -1,6 +1,8 @@
 """Choosing frames of a capture and bringing them to a size."""
 
 import dataclasses
+from collections.abc import Sequence
+from typing import TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +12,8 @@ from hyjax.data.capture import Frame
 from hyjax.errors import InputError
 from hyjax.images import resize
 from hyjax.scene.camera import Camera, Intrinsics
+
+T = TypeVar("T")
 
 
 def fit(frame: Frame, size: tuple[int, int] | None) -> Frame:
@@ -55,3 +59,10 @@ def select_frames(text: str, count: int) -> list[int]:
     if not chosen:
         raise InputError(f"frames: {text!r} selects no frame of 0 to {count - 1}")
     return chosen
+
+
+def spread(items: Sequence[T], count: int) -> list[T]:
+    """At most `count` of the items, evenly spread, first and last among them; none if there are none."""
+    if not items:
+        return []
+    return [items[i] for i in sorted({int(i) for i in np.linspace(0, len(items) - 1, count).round()})]

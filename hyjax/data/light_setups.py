@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import Capture
+from hyjax.data.frames import spread
 from hyjax.data.light_file import LightSetup, parse_lights
 from hyjax.errors import InputError, did_you_mean
 from hyjax.scene.camera import Camera
@@ -201,8 +202,7 @@ def _through(stage: Stage, elevation: float, illuminance: float) -> dict[str, An
 
 def _focus(caster: RayCaster, cameras: Sequence[Camera]) -> tuple[Vector, Vector]:
     """Median of the surface points that a few cameras see, and the cameras' mean position."""
-    chosen = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, 8).round().astype(int))]
-    points = []
+    chosen, points = spread(cameras, 8), []
     for camera in chosen:
         small = camera.intrinsics.resize(24, 32)
         rays = Camera(small, camera.pose).rays().reshape(-1, 3)

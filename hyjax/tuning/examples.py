@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from hyjax.color import to_display
 from hyjax.contact_sheet import contact_sheet
+from hyjax.data.frames import spread
 from hyjax.images import write_png
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.cases import Case, mix, refined_filter
@@ -30,10 +31,9 @@ def equal_time(tuned: Tuned) -> tuple[Candidate, Candidate]:
 def examples(tuned: Tuned, bench: Workbench, indices: Sequence[int]) -> list[Example]:
     """At most four frames: frame, filters and relit pictures, raw, paper's, tuned and target."""
     paper, ours = equal_time(tuned)
-    spread = sorted({indices[int(i)] for i in np.linspace(0, len(indices) - 1, MOST_EXAMPLES).round()})
     note = ", ".join(f"{c.name} {c.measured.median:.2f} ms" for c in (paper, ours) if c.measured)
     made = []
-    for index in spread:
+    for index in spread(indices, MOST_EXAMPLES):
         case = bench.case(index)
         if case is not None:
             made.append(Example(bench.capture[index].name, _pictures(case, paper, ours), note))

@@ -3,9 +3,7 @@
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
-from hyjax.data.frames import select_frames
+from hyjax.data.frames import select_frames, spread
 from hyjax.errors import InputError
 from hyjax.tuning.result import Budget
 
@@ -48,20 +46,13 @@ def split_frames(count: int, frames: str | None, holdout: str | None) -> tuple[l
     else:
         asked = [] if frames is None else select_frames(frames, count)
         rest = [i for i in last if i not in asked]
-        held = _spread(rest, HELD_OUT_FRAMES) if count > 1 else []
+        held = spread(rest, HELD_OUT_FRAMES) if count > 1 else []
     # By default neighbours of held-out frames, which show the same, are not tuned on either.
     free = [i for i in range(count) if i not in held and (holdout is not None or i not in last or count == 1)]
     if frames is not None:
         chosen = [i for i in select_frames(frames, count) if i not in held]
     else:
-        chosen = _spread(free, TUNING_FRAMES)
+        chosen = spread(free, TUNING_FRAMES)
     if not chosen:
         raise InputError("frames: all that were chosen are held out, none is left to tune on; give more --frames")
     return chosen, held
-
-
-def _spread(indices: Sequence[int], count: int) -> list[int]:
-    """At most `count` of the indices, first and last among them; none if there are none."""
-    if not indices:
-        return []
-    return [indices[i] for i in sorted({int(i) for i in np.linspace(0, len(indices) - 1, count).round()})]
