@@ -25,6 +25,7 @@ from hyjax.errors import InputError
 from hyjax.scene.camera import Camera
 from hyjax.scene.depth_map import NEAR, View, clean_depth, posed_depths, view_cosine
 from hyjax.scene.surface import extract_surface
+from hyjax.scene.voxels import voxel_coordinates, voxel_keys
 
 BLOCK = 8
 CHUNK = 64  # blocks updated at once: arrays of 128 KiB, which stay in the cache
@@ -93,7 +94,7 @@ class Volume:
         """Block coordinates, mean signed distance (as a share of the truncation, in [-1, 1]), weight."""
         sums, weights = self._sums[self._slots], self._weights[self._slots]
         sums /= np.maximum(weights, np.float32(1e-12)) * np.float32(self.truncation)
-        return _decode(self._keys), sums, weights
+        return voxel_coordinates(self._keys), sums, weights
 
     def integrate(
         self, depth: Float[np.ndarray, "h w"], camera: Camera, max_depth: float, pool: ThreadPoolExecutor
@@ -108,7 +109,7 @@ class Volume:
         # A rim of "no reading" takes the voxels that project outside the picture.
         padded = np.pad(reading, 1, constant_values=NO_READING), np.pad(weight, 1)
         coordinates = _blocks_in_view(depth, camera, self.voxel * BLOCK, self.truncation)
-        slots = self._slots_of(_encode(coordinates))
+        slots = self._slots_of(voxel_keys(coordinates))
         chunks = [slice(start, start + CHUNK) for start in range(0, len(slots), CHUNK)]
         # Chunks are disjoint, so the result does not depend on how the threads take turns.
         list(pool.map(lambda part: self._update(coordinates[part], slots[part], *padded, camera), chunks))
@@ -226,12 +227,3 @@ def _farthest_around(
 def _pool_max(values: Float[np.ndarray, "h w"], tile: int) -> Float[np.ndarray, "ht wt"]:
     rows, columns = (np.arange(0, n, tile) for n in values.shape)
     return np.maximum.reduceat(np.maximum.reduceat(values, rows, axis=0), columns, axis=1)
-
-
-def _encode(coordinates: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
-    x, y, z = (coordinates.astype(np.int64) + (1 << 20)).T
-    return (x << 42) | (y << 21) | z
-
-
-def _decode(keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n 3"]:
-    return np.stack([keys >> 42, (keys >> 21) & 0x1FFFFF, keys & 0x1FFFFF], axis=-1) - (1 << 20)
