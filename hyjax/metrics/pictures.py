@@ -1,0 +1,67 @@
+"""What every metric asks of the two pictures it is given."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from hyjax.errors import InputError
+from hyjax.values import concrete
+
+ROUND_OFF = 1e-4  # how far outside [0, 1] a value may lie
+
+
+def as_pictures(
+    *, channels: int | None = None, smallest: int = 1, **pictures: Float[ArrayLike, "h w c"]
+) -> list[Float[Array, "h w c"]]:
+    """The pictures as arrays, all of one size and in [0, 1].
+
+    Args:
+        channels: how many they must have; None for any number.
+        smallest: least height and width.
+        pictures: display values by the name that messages give them.
+
+    Raises:
+        InputError: no H x W x C picture of floats, sizes or channels that do not fit, or (unless jax is tracing) a
+            value that is not a number or outside [0, 1] by more than `ROUND_OFF`.
+    """
+    shapes = {name: jnp.shape(picture) for name, picture in pictures.items()}
+    for name, picture in pictures.items():
+        shape, kind = shapes[name], jnp.result_type(picture)
+        if len(shape) != 3 or shape[2] != (channels or shape[2]) or 0 in shape:
+            raise InputError(f"{name}: must be a picture of shape H x W x {channels or 'C'}, got shape {shape}")
+        if min(shape[:2]) < smallest:
+            raise InputError(
+                f"{name}: must be at least {smallest} x {smallest} pixels, got {shape[0]} x {shape[1]}"
+            )
+        if not jnp.issubdtype(kind, jnp.floating):
+            raise InputError(f"{name}: must hold floats in [0, 1], got {kind} (8-bit values: divide by 255)")
+    if len(set(shapes.values())) > 1:
+        told = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise InputError(f"pictures must be of the same shape, got {told}")
+    for name, picture in pictures.items():
+        _check_values(name, picture)
+    return [jnp.asarray(picture) for picture in pictures.values()]
+
+
+def _check_values(name: str, picture: Float[ArrayLike, "h w c"]) -> None:
+    values = concrete(picture)
+    if values is None:
+        return
+    low, high = float(values.min()), float(values.max())
+    if np.isnan(low):  # both extremes are, if a single value is
+        raise InputError(f"{name}: has values that are not numbers (NaN)")
+    if low < -ROUND_OFF or high > 1.0 + ROUND_OFF:
+        raise InputError(f"{name}: display values must lie in [0, 1], got {low:.6g} to {high:.6g}")
+
+
+def check_valid(valid: Bool[ArrayLike, "h w"] | None, shape: tuple[int, ...], *, border: int = 0) -> None:
+    """Raise `InputError` unless `valid` is None or a mask of this shape with something in it inside the border."""
+    if valid is None:
+        return
+    if jnp.shape(valid) != shape or jnp.result_type(valid) != jnp.bool_:
+        got = f"{jnp.result_type(valid)} of shape {jnp.shape(valid)}"
+        raise InputError(f"valid: must be booleans of shape {shape}, got {got}")
+    values = concrete(valid)
+    if values is not None and not values[border : shape[0] - border, border : shape[1] - border].any():
+        place = f", {border} pixels or more from the border," if border else ""
+        raise InputError(f"valid: no pixel{place} is valid, so there is nothing to compare")
