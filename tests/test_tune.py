@@ -21,7 +21,7 @@ from hyjax import InputError, Schedule, tune
 from hyjax.cli import main
 from hyjax.data.room import RoomCapture, load_room
 from hyjax.images import read_image, write_png
-from hyjax.tuning import calibration, clocked, latency
+from hyjax.tuning import calibration, latency
 from hyjax.tuning.journal import NAME
 from hyjax.tuning.request import parse_budgets, split_frames
 from hyjax.tuning.result import Tuned
@@ -70,7 +70,6 @@ def steady_clock(patch: pytest.MonkeyPatch, slowness: float = 1.0) -> None:
 
     patch.setattr(calibration, "compile_all", compile_all)
     patch.setattr(latency, "measure_each", measure_each)
-    patch.setattr(clocked, "measure_each", measure_each)
 
 
 @pytest.fixture(scope="module")

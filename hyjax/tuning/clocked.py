@@ -17,9 +17,9 @@ from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.schedule import Schedule
 from hyjax.shading import shade_each
 from hyjax.shadow import ShadowMap, visibilities
+from hyjax.tuning import calibration
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.cases import Case
-from hyjax.tuning.latency import measure_each
 from hyjax.tuning.latency_table import (
     CostModel,
     LatencyTable,
@@ -109,7 +109,9 @@ class FrameClock:
         index: of the frame to time on, which must see the mesh.
     """
 
-    NAMES = ("G-buffer", "guide rgb", "shading", "visibility", "fill of visibility", "shadow pass", "composite")
+    FILL = "fill of visibility"
+    """The one stage whose time hangs on the schedule."""
+    NAMES = ("G-buffer", "guide rgb", "shading", "visibility", FILL, "shadow pass", "composite")
 
     def __init__(self, cascade: CascadeClock, bench: Workbench, index: int) -> None:
         self.cascade, self.table = cascade, cascade.table
@@ -125,11 +127,11 @@ class FrameClock:
             save_table(self.table)
         coarse = dataclasses.replace(self.probe, levels=self.probe.levels[:-1] or self.probe.levels)
         alone = self.table.predict(self.table.steps_of(coarse)).median
-        self.fill_ratio = self._stage("fill of visibility").median / alone
+        self.fill_ratio = self._stage(self.FILL).median / alone
         p95, more = self.table.p95, 1.0 + self.fill_ratio
         self.rest = Milliseconds(
-            sum(self._stage(name).median for name in self.NAMES if name != "fill of visibility"),
-            sum(self._stage(name).p95 for name in self.NAMES if name != "fill of visibility"),
+            sum(self._stage(name).median for name in self.NAMES if name != self.FILL),
+            sum(self._stage(name).p95 for name in self.NAMES if name != self.FILL),
         )
         self.cost = CostModel(
             self.rest.p95 + more * p95.fixed,
@@ -154,7 +156,7 @@ class FrameClock:
             "guide rgb": lambda: jnp.asarray(self.display),
             "shading": lambda: shade_each(gbuffer, self.lights),
             "visibility": lambda: visibilities(gbuffer, self.lights, self.maps),
-            "fill of visibility": lambda: fill_visibility(seen, each > 0, self.display, self.probe),
+            self.FILL: lambda: fill_visibility(seen, each > 0, self.display, self.probe),
             "shadow pass": lambda: shadow_pass(seen, self.display, shadow),
             "composite": lambda: composite(linear, linear),
         }
@@ -176,8 +178,8 @@ class FrameClock:
         wanted = {key: schedule for key, schedule in zip(keys, schedules) if again or key not in self.table.timed}
         if wanted:
             calls = {key: (lambda s=schedule: self._frame(s)) for key, schedule in wanted.items()}
-            for key, time in measure_each(calls, REPEATS, most_seconds=60.0, progress=progress).items():
-                self.table.timed[key] = Milliseconds(time["median_ms"], time["p95_ms"])
+            most = 2 * calibration.MOST_SECONDS
+            self.table.timed.update(calibration.time_calls(calls, REPEATS, most_seconds=most, progress=progress))
             save_table(self.table)
         return [self.table.timed[key] for key in keys]
 
@@ -195,15 +197,20 @@ class FrameClock:
 
     def parts(self) -> dict[str, float]:
         own = self.cascade.parts()
-        times = {name: self._stage(name).p95 for name in self.NAMES if name != "fill of visibility"}
-        times["diffusion and fill of visibility"] = (1.0 + self.fill_ratio) * sum(own.values())
+        times = {name: self._stage(name).p95 for name in self.NAMES if name != self.FILL}
+        times[f"diffusion and {self.FILL}"] = (1.0 + self.fill_ratio) * sum(own.values())
         return dict(sorted(times.items(), key=lambda item: -item[1]))
+
+
+def smallest_schedules(clock: Clocked) -> list[Schedule]:
+    """One step at each level of the clock's ladder alone, the fastest first, by the latency table."""
+    singles = [Schedule.uniform([(factor, 1)], name=f"1 step at 1/{factor}") for factor in clock.table.ladder]
+    return sorted(singles, key=lambda schedule: clock.predict(schedule).p95)
 
 
 def check_reachable(clock: Clocked, milliseconds: float) -> None:
     """Raise `InputError` if even the smallest schedule, on the clock, takes longer than the budget."""
-    singles = [Schedule.uniform([(factor, 1)], name=f"1 step at 1/{factor}") for factor in clock.table.ladder]
-    cheapest = sorted(singles, key=lambda s: clock.predict(s).p95)[:2]
+    cheapest = smallest_schedules(clock)[:2]
     fastest = min(time.p95 for time in clock.measure(cheapest, progress=False))
     if fastest > milliseconds:  # not to refuse for a bad moment that the table remembers
         fastest = min(time.p95 for time in clock.measure(cheapest, again=True, progress=False))

@@ -17,7 +17,7 @@ from hyjax.schedule import PRESETS, Schedule
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.budget import MOST_STEPS, Steps
 from hyjax.tuning.cases import Case, refined_filter, scores
-from hyjax.tuning.clocked import CascadeClock, Clocked, FrameClock, Stage, check_reachable
+from hyjax.tuning.clocked import CascadeClock, Clocked, FrameClock, Stage, check_reachable, smallest_schedules
 from hyjax.tuning.descent import Found, Objective
 from hyjax.tuning.examples import write_report_with_pictures
 from hyjax.tuning.journal import Journal, check_free
@@ -217,7 +217,7 @@ class _Run:
         paper = [c.measured.p95 for c in self.baselines if c.name.startswith("paper") and c.measured]
         least = min(b.milliseconds for b in self.budgets)
         wanted = [*paper, 0.5 * max(paper, default=least), 0.5 * least, 0.25 * least]
-        lowest = min(self.clock.predict(Schedule.uniform([(f, 1)])).p95 for f in self.clock.table.ladder)
+        lowest = self.clock.predict(smallest_schedules(self.clock)[0]).p95
         taken = [b.milliseconds for b in self.budgets]
         extra = []
         for time in wanted:
@@ -240,8 +240,7 @@ class _Run:
         fitting = [c for c in known if c.measured and c.measured.p95 <= budget.milliseconds]
         if fitting:
             return min(fitting, key=lambda c: c.tuning.loss if c.tuning else math.inf)
-        singles = [Schedule.uniform([(f, 1)], name=f"1 step at 1/{f}") for f in self.clock.table.ladder]
-        fastest = min(singles, key=lambda schedule: self.clock.predict(schedule).p95)
+        fastest = smallest_schedules(self.clock)[0]
         return self.judge(fastest, self.clock.measure([fastest], progress=False)[0])
 
     def write(self, out: Path | None) -> None:
