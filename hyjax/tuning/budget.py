@@ -61,11 +61,10 @@ def swap(steps: Steps, level: int, count: int) -> Steps:
 
 def fill(steps: Steps, cost: CostModel, budget: float, order: Sequence[int]) -> Steps:
     """Spend what is left of the budget: more steps for the levels that have some, in this order."""
-    filled = list(steps)
     for level in order:
-        while filled[level] and fits([*filled[:level], filled[level] + 1, *filled[level + 1 :]], cost, budget):
-            filled[level] += 1
-    return tuple(filled)
+        while steps[level] and fits(more := swap(steps, level, steps[level] + 1), cost, budget):
+            steps = more
+    return steps
 
 
 def neighbours(
@@ -85,7 +84,7 @@ def neighbours(
     there = set(listed)
 
     def can_grow(steps: Steps) -> bool:
-        return any(n and (*steps[:level], n + 1, *steps[level + 1 :]) in there for level, n in enumerate(steps))
+        return any(n and swap(steps, level, n + 1) in there for level, n in enumerate(steps))
 
     return [steps for steps in listed if not (maximal and can_grow(steps))]
 
