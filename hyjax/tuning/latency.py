@@ -17,14 +17,10 @@ FEWEST_ROUNDS = 10
 
 
 class Stopwatch:
-    """Seconds since it was made.
+    """Seconds since it was made."""
 
-    Args:
-        already: seconds that an earlier run has taken.
-    """
-
-    def __init__(self, already: float = 0.0) -> None:
-        self._start = time.perf_counter() - already
+    def __init__(self) -> None:
+        self._start = time.perf_counter()
 
     @property
     def seconds(self) -> float:
