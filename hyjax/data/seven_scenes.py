@@ -10,9 +10,7 @@ Source: Shotton et al., "Scene coordinate regression forests for camera relocali
 CVPR 2013.
 """
 
-import hashlib
 import logging
-import os
 import re
 from pathlib import Path
 
@@ -20,8 +18,9 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import Frame
+from hyjax.data.capture_files import fingerprint, read_colour, read_numbers
 from hyjax.errors import InputError
-from hyjax.images import read_depth, read_image
+from hyjax.images import read_depth
 from hyjax.scene.camera import Camera, Intrinsics, check_pose
 
 FRAME = re.compile(r"frame-(\d+)\.color\.(?:jpe?g|png)")
@@ -59,15 +58,14 @@ class SevenScenes:
         self._has_depth = _check_companions(self._colours)
         self._poses = [_read_pose(_companion(colour, "pose.txt")) for colour in self._colours.values()]
         self._numbers = list(self._colours)
-        height, width = _read_colour(next(iter(self._colours.values()))).shape[:2]
+        height, width = read_colour(next(iter(self._colours.values()))).shape[:2]
         self._intrinsics = _read_intrinsics(path / "camera-intrinsics.txt", height, width)
         self.up = _read_up(path / "gravity-direction.txt", self._poses)
 
     @property
     def fingerprint(self) -> str:
-        """See `Capture`. From names, sizes and times of all files, which costs no reading."""
-        files = sorted(f"{e.name} {e.stat().st_size} {e.stat().st_mtime_ns}" for e in os.scandir(self._path))
-        return hashlib.sha256("\n".join([str(self._path), *files]).encode()).hexdigest()
+        """See `Capture`."""
+        return fingerprint(self._path, [self._path])
 
     def __len__(self) -> int:
         return len(self._numbers)
@@ -80,7 +78,7 @@ class SevenScenes:
         """
         number, pose = self._numbers[index], self._poses[index]
         colour = self._colours[number]
-        image = _read_colour(colour)
+        image = read_colour(colour)
         depth = read_depth(_companion(colour, "depth.png")) if self._has_depth else None
         if depth is not None and depth.shape != image.shape[:2]:
             raise InputError(
@@ -120,26 +118,8 @@ def _check_companions(colours: dict[int, Path]) -> bool:
     return all(with_depth)
 
 
-def _read_colour(path: Path) -> Float[np.ndarray, "h w 3"]:
-    image = read_image(path)
-    if image.shape[2] < 3:
-        raise InputError(f"{path}: need a colour picture, this one has {image.shape[2]} channel(s)")
-    return image[..., :3]
-
-
-def _read_numbers(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "*shape"]:
-    try:
-        numbers = np.array(path.read_text().split(), dtype=np.float64)
-    except ValueError as error:  # UnicodeDecodeError of a binary file is one too
-        raise InputError(f"{path}: need {np.prod(shape)} plain numbers ({error})") from error
-    if numbers.size != np.prod(shape):
-        expected = "x".join(map(str, shape))
-        raise InputError(f"{path}: has {numbers.size} numbers, need {expected}, row by row")
-    return numbers.reshape(shape)
-
-
 def _read_pose(path: Path) -> Float[np.ndarray, "4 4"]:
-    pose = _read_numbers(path, (4, 4))
+    pose = read_numbers(path, (4, 4))
     check_pose(pose, where=str(path))
     return pose
 
@@ -152,7 +132,7 @@ def _read_intrinsics(path: Path, height: int, width: int) -> Intrinsics:
             )
         _log.warning("%s: missing; taking those of the 7-Scenes Kinect, 585 585 320 240", path)
         return KINECT
-    k = _read_numbers(path, (3, 3))
+    k = read_numbers(path, (3, 3))
     if not np.allclose(k[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], (0, 0, 0, 0, 1)):
         raise InputError(f"{path}: need fx 0 cx / 0 fy cy / 0 0 1 row by row (no skew), got {k.tolist()}")
     try:
@@ -171,7 +151,7 @@ def _read_intrinsics(path: Path, height: int, width: int) -> Intrinsics:
 def _read_up(path: Path, poses: list[Float[np.ndarray, "4 4"]]) -> Float[np.ndarray, "3"]:
     """Unit vector against gravity: from the file, or the mean of the cameras' -y axes where there is none."""
     if path.is_file():
-        up = -_read_numbers(path, (3,))
+        up = -read_numbers(path, (3,))
         if not abs(np.linalg.norm(up) - 1.0) < 0.01:
             raise InputError(f"{path}: need a unit vector, this one is {np.linalg.norm(up):.3g} long")
     else:

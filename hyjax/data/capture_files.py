@@ -1,0 +1,95 @@
+"""What the readers of captures on disk share: numbers in text, pictures, files named by time, fingerprints."""
+
+import hashlib
+import os
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.errors import InputError
+from hyjax.images import read_image
+
+TIMED = re.compile(r"\d+_(\d+\.\d+)")
+
+
+def read_numbers(path: Path, shape: tuple[int, ...], meaning: str = "row by row") -> Float[np.ndarray, "*shape"]:
+    """All numbers of a text file, separated by blanks and line ends.
+
+    Raises:
+        InputError: the file cannot be read, holds anything but numbers, or another number of them.
+    """
+    try:
+        numbers = np.array(path.read_text().split(), dtype=np.float64)
+    except ValueError as error:  # UnicodeDecodeError of a binary file is one too
+        raise InputError(f"{path}: need {np.prod(shape)} plain numbers ({error})") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot read ({error.strerror})") from None
+    if numbers.size != np.prod(shape):
+        expected = "x".join(map(str, shape))
+        raise InputError(f"{path}: has {numbers.size} numbers, need {expected}: {meaning}")
+    return numbers.reshape(shape)
+
+
+def read_colour(path: Path) -> Float[np.ndarray, "h w 3"]:
+    """A colour picture, without its alpha channel if it has one.
+
+    Raises:
+        InputError: it cannot be read, or has no colour.
+    """
+    image = read_image(path)
+    if image.shape[2] < 3:
+        raise InputError(f"{path}: need a colour picture, this one has {image.shape[2]} channel(s)")
+    return image[..., :3]
+
+
+class TimedFile(NamedTuple):
+    """A file and the seconds in its name."""
+
+    time: float
+    path: Path
+
+
+class TimedFiles:
+    """The files of a folder with a time in their name, as in `47333462_6845.210.png`, in order of time.
+
+    Raises:
+        InputError: two files of the same time.
+    """
+
+    def __init__(self, folder: Path, suffix: str) -> None:
+        found: dict[float, Path] = {}
+        for entry in sorted(folder.glob(f"*{suffix}")):
+            if match := TIMED.fullmatch(entry.name.removesuffix(suffix)):
+                time = float(match[1])
+                if time in found:
+                    raise InputError(f"{entry}: time {time:.3f} is also {found[time].name}; keep one of the two")
+                found[time] = entry
+        self._files = [TimedFile(time, found[time]) for time in sorted(found)]
+        self._times = np.array([file.time for file in self._files])
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def __iter__(self) -> Iterator[TimedFile]:
+        return iter(self._files)
+
+    def nearest(self, time: float, tolerance: float) -> TimedFile | None:
+        """The file nearest to `time`; None if it is further away than `tolerance` seconds."""
+        right = int(np.searchsorted(self._times, time))
+        around = self._files[max(0, right - 1) : right + 1]
+        best = min(around, key=lambda file: abs(file.time - time), default=None)
+        return best if best is not None and abs(best.time - time) <= tolerance else None
+
+
+def fingerprint(root: Path, folders: Iterable[Path]) -> str:
+    """For `Capture.fingerprint`: from names, sizes and times of all files in `folders`, which costs no reading."""
+    files = sorted(
+        f"{Path(entry.path).relative_to(root)} {entry.stat().st_size} {entry.stat().st_mtime_ns}"
+        for folder in folders
+        for entry in os.scandir(folder)
+    )
+    return hashlib.sha256("\n".join([str(root), *files]).encode()).hexdigest()
