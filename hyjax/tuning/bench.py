@@ -54,9 +54,16 @@ class Workbench:
         self.capture, self.setup, self.size = capture, setup, size
         self.rough = RayCaster(rough)
         self.accurate = None if accurate is None else RayCaster(accurate)
+        self._names: dict[int, str] = {}
 
     def frame(self, index: int) -> Frame:
-        return fit(self.capture[index], self.size)
+        frame = fit(self.capture[index], self.size)
+        self._names[index] = frame.name
+        return frame
+
+    def name(self, index: int) -> str:
+        """Of frame `index`, which is only read if it was not yet."""
+        return self._names.get(index) or self.frame(index).name
 
     def case(self, index: int) -> Case | None:
         """Frame `index` as a case; None if no ray meets the rough mesh or none meets the accurate one.
@@ -90,7 +97,7 @@ class Workbench:
         for index in tqdm(indices, desc=f"{what} frames", unit="frame", disable=not progress):
             case = self.case(index)
             if case is None:
-                blind.append(self.capture[index].name)
+                blind.append(self.name(index))
             else:
                 cases.append(case)
         shapes = {case.known.shape[:2] for case in cases}

@@ -36,7 +36,7 @@ def examples(tuned: Tuned, bench: Workbench, indices: Sequence[int]) -> list[Exa
     for index in spread(indices, MOST_EXAMPLES):
         case = bench.case(index)
         if case is not None:
-            made.append(Example(bench.capture[index].name, _pictures(case, paper, ours), note))
+            made.append(Example(bench.name(index), _pictures(case, paper, ours), note))
     return made
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import jax
 
-from hyjax.data.capture import Capture
 from hyjax.environment import environment, peak_memory_mib
 from hyjax.errors import InputError
 from hyjax.files import make_writable
@@ -20,7 +19,7 @@ from hyjax.tuning.cases import Case, refined_filter, scores
 from hyjax.tuning.clocked import CascadeClock, Clocked, FrameClock, Stage, check_reachable, smallest_schedules
 from hyjax.tuning.descent import Found, Objective
 from hyjax.tuning.examples import write_report_with_pictures
-from hyjax.tuning.journal import Journal, check_free
+from hyjax.tuning.journal import Journal
 from hyjax.tuning.relaxation import Plan, prepare
 from hyjax.tuning.report import write_front, write_pareto_csv, write_pareto_plot, write_schedules
 from hyjax.tuning.result import Budget, Candidate, Milliseconds, Tuned
@@ -78,13 +77,10 @@ def tune_bench(
         raise InputError("frames: none is left to tune on; give frames that are not held out")
     if not budgets:
         raise InputError("budget: none given; see parse_budgets")
-    if time_limit is not None and not time_limit > 0:
-        raise InputError(f"time limit: must be > 0 seconds, got {time_limit:g}")
     watch = Watch(time_limit, progress)
     if out is not None:
         make_writable(out)
-        check_free(out, resume)
-    capture = bench.capture
+    capture, machine = bench.capture, environment()
     record: dict[str, Any] = {"capture": capture.name, "stage": stage, "seed": seed, "settings": settings or {}}
     decisive = {
         "capture": capture.fingerprint,
@@ -93,25 +89,25 @@ def tune_bench(
         "frames": [int(index) for index in chosen],
         "size": None if bench.size is None else list(bench.size),
         "seed": seed,
-        "device": environment()["device"],
-        "versions": {name: environment()["versions"][name] for name in ("hyjax", "jax", "jaxlib")},
+        "device": machine["device"],
+        "versions": {name: machine["versions"][name] for name in ("hyjax", "jax", "jaxlib")},
     }
     try:
         journal = Journal(out, decisive, resume)
         cases, blind = bench.cases(chosen, "tuning", progress)
         held, held_blind = bench.cases(list(holdout), "held-out", progress)
         cascade = CascadeClock(cases[0], recalibrate=recalibrate, progress=progress)
-        seeing = next(i for i in chosen if capture[i].name not in blind)
+        seeing = next(i for i in chosen if bench.name(i) not in blind)
         frame_clock = FrameClock(cascade, bench, seeing)  # also tells what the other stages cost
         clock: Clocked = frame_clock if stage == "frame" else cascade
         for budget in budgets:
             check_reachable(clock, budget.milliseconds)
         ladder = cascade.table.ladder
         record |= {
-            "frames": {"tuned on": _names(capture, chosen), "held out": _names(capture, holdout)},
+            "frames": {"tuned on": [*map(bench.name, chosen)], "held out": [*map(bench.name, holdout)]},
             "frames without surface": blind + held_blind,
             "latency": _latency(cascade),
-        } | environment()
+        } | machine
         run = _Run(clock, cases, held, watch, budgets, record)
         run.add_baselines([Schedule.preset(name) for name in BASELINES if _reaches(name, ladder)], progress)
         search = Search(
@@ -270,10 +266,6 @@ def _fingerprint(caster: RayCaster | None) -> str | None:
         return None
     mesh = caster.mesh
     return hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest()[:16]
-
-
-def _names(capture: Capture, indices: Sequence[int]) -> list[str]:
-    return [capture[index].name for index in indices]
 
 
 def _latency(cascade: CascadeClock) -> dict[str, Any]:

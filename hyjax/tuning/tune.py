@@ -16,6 +16,7 @@ from hyjax.tuning.request import parse_budgets, split_frames
 from hyjax.tuning.result import Tuned
 from hyjax.tuning.run import tune_bench
 from hyjax.tuning.search import Effort
+from hyjax.tuning.watch import check_time_limit
 
 
 def tune(
@@ -81,8 +82,7 @@ def tune(
     if guide != "rgb":
         raise InputError(f"guide: {guide!r} is unknown; there is rgb")
     check_names(mesh, target, lights)
-    if time_limit is not None and not time_limit > 0:
-        raise InputError(f"time limit: must be > 0 seconds, got {time_limit:g}")
+    check_time_limit(time_limit)
     if out is not None:
         out = Path(out)
         make_writable(out)

@@ -7,6 +7,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from hyjax.errors import InputError
 from hyjax.tuning.latency import Stopwatch
 
 
@@ -16,9 +17,13 @@ class Watch:
     Args:
         limit: seconds that it may take; None for no limit.
         progress: show a bar on stderr.
+
+    Raises:
+        InputError: a limit that is not > 0.
     """
 
     def __init__(self, limit: float | None, progress: bool) -> None:
+        check_time_limit(limit)
         self.clock, self.limit, self.progress = Stopwatch(), limit, progress
         self.history: list[dict[str, Any]] = []
         self.label, self.best, self.bar = "", math.inf, tqdm(disable=True)
@@ -40,3 +45,9 @@ class Watch:
             entry = {"seconds": round(self.clock.seconds, 3), "budget": self.label, "phase": phase, "loss": loss}
             self.history.append(entry)
         self.bar.set_postfix_str(f"{phase}, best loss {self.best:.5f}", refresh=False)
+
+
+def check_time_limit(seconds: float | None) -> None:
+    """Raise `InputError` unless this is a time that a run can be limited to, or None."""
+    if seconds is not None and not seconds > 0:
+        raise InputError(f"time limit: must be > 0 seconds, got {seconds:g}")
