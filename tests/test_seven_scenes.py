@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from reference.arkit_export import write_depth
 
 from hyjax.data.capture import Capture
 from hyjax.data.open import open_capture
@@ -13,13 +14,6 @@ from hyjax.errors import InputError
 from hyjax.images import write_png
 
 WIDTH, HEIGHT = 16, 12
-
-
-def write_depth(path: Path, millimetres: np.ndarray) -> None:
-    target = oiio.ImageOutput.create(str(path))
-    target.open(str(path), oiio.ImageSpec(millimetres.shape[1], millimetres.shape[0], 1, "uint16"))
-    target.write_image(millimetres.astype(np.uint16)[..., None])
-    target.close()
 
 
 def pose_at(x: float) -> np.ndarray:

@@ -53,6 +53,13 @@ class Intrinsics:
         sx, sy = width / self.width, height / self.height
         return Intrinsics(width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy)
 
+    def turned(self, quarters: int) -> "Intrinsics":
+        """Intrinsics of the picture turned clockwise by `quarters` quarter turns."""
+        k = self
+        for _ in range(quarters % 4):
+            k = Intrinsics(k.height, k.width, k.fy, k.fx, k.height - k.cy, k.cx)
+        return k
+
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
@@ -63,6 +70,15 @@ class Camera:
 
     def __post_init__(self) -> None:
         check_pose(self.pose)
+
+    def turned(self, quarters: int) -> "Camera":
+        """The camera of the picture turned clockwise by `quarters` quarter turns; each pixel keeps its ray."""
+        # The new picture's x runs along the old -y, its y along the old x.
+        quarter = np.array(
+            [[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+        )
+        pose = self.pose @ np.linalg.matrix_power(quarter, quarters % 4)
+        return Camera(self.intrinsics.turned(quarters), pose)
 
     @property
     def origin(self) -> Float[np.ndarray, "3"]:
