@@ -49,7 +49,7 @@ def guide_distance(guide: Float[Array, "h w f"], *, norm: Norm = "l2") -> Edges:
         raise InputError(f"norm: {norm!r} is unknown; use one of {', '.join(get_args(Norm))}")
     if guide.ndim != 3:
         raise InputError(f"guide: need H x W x F features, got shape {guide.shape}")
-    # The sum over channels is unrolled: XLA's CPU reduction over an axis takes many times as long.
+    # The sum over channels is unrolled: XLA's CPU reduction over an axis takes longer.
     channels = [gradient(guide[..., k]) for k in range(guide.shape[-1])]
     if norm == "l2":
         return _total(v**2 for v, _ in channels), _total(h**2 for _, h in channels)

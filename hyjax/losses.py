@@ -44,10 +44,9 @@ Perceptual = Callable[[Float[Array, "h w 3"], Float[Array, "h w 3"]], Float[Arra
 class LossWeights:
     """What the terms of `seen_loss` count.
 
-    The first two are of one unit (display values) and count alike: on ten frames of the built-in room and of the
-    kitchen the pixel term is 70 % of a refined filter's loss, and the best single colour costs 1.5 to 5.6 times as
-    much as that filter. Beyond a `gradient` of 5 the finest scale would rule, and a right filter with 30 % of noise
-    would cost as much as one without shading. A perceptual distance takes a network, hence 0.
+    The first two are of one unit (display values) and count alike. With far more `gradient` the finest scale would
+    rule, and a right filter with a little noise would cost as much as one without shading. A perceptual distance
+    takes a network, hence 0.
 
     Attributes:
         pixel: difference of display values.
@@ -104,7 +103,7 @@ def as_seen(relight_filter: Float[Array, "h w 3"], frame: Float[Array, "h w 3"])
         Display values, above 1 where the product is.
     """
     linear = relight_filter * frame
-    # exp(log) because XLA's CPU power takes six times as long, and once more for its slope.
+    # exp(log) because XLA's CPU power takes longer, and once more for its slope.
     power = 1.055 * jnp.exp(jnp.log(jnp.maximum(linear, 0.0031308)) * (1.0 / 2.4)) - 0.055
     return jnp.where(linear <= 0.0031308, linear * 12.92, power)
 
@@ -222,8 +221,8 @@ def _gradient_term_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Arra
 def _term_and_slope(d: Float[Array, "3 h w"], v: Float[Array, "h w"], *, slope: bool) -> tuple[Array, Array]:
     """The gradient term and, if asked for, its derivative by d.
 
-    Written out because what JAX derives from strided slices takes XLA's CPU backend several times as long, to run
-    and to compile. The loop over channels is one because XLA would otherwise work d out anew for each use of it.
+    Written out because what JAX derives from strided slices takes XLA's CPU backend longer, to run and to compile.
+    The loop over channels is one because XLA would otherwise work d out anew for each use of it.
     """
     h, w = v.shape
     # Filled up with invalid pixels to whole cells, so that means of means are the means.

@@ -47,5 +47,5 @@ def shade_each(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w l
 @jax.jit
 def colored(each: Float[Array, "h w l"], lights: Sequence[Light]) -> Float[Array, "h w 3"]:
     """Sum of one channel for each light, times the lights' colours."""
-    # Added one by one: XLA's CPU backend takes many times as long to reduce an axis.
+    # Added one by one: XLA's CPU backend takes longer to reduce an axis.
     return functools.reduce(jnp.add, [each[..., k, None] * light.color for k, light in enumerate(lights)])

@@ -1,7 +1,7 @@
 """Sums over the three components of vectors, written out.
 
 XLA's CPU backend reduces a short last axis element by element; written out, the same sum fuses with what surrounds
-it and runs several times faster.
+it and runs faster.
 """
 
 import jax.numpy as jnp

@@ -146,7 +146,7 @@ def time_calls(
 def calibrate(
     arguments: Arguments, ladder: Sequence[int], *, repeats: int = REPEATS, progress: bool = True
 ) -> Calibration:
-    """Time some thirty schedules and fit the model to them. Takes about half a minute at 512×512 on two cores.
+    """Time some thirty schedules and fit the model to them.
 
     Args:
         arguments: filter, known and guide to time on.

@@ -19,7 +19,7 @@ from hyjax.schedule import Schedule
 
 LADDER = (32, 16, 8, 4, 2, 1)
 # Cells that the shorter side of a level must have to be worth a place in a ladder. The paper's coarsest has 32 of
-# them; one more level costs seconds of compilation and was never part of a good schedule.
+# them; one more level costs compilation and is hardly ever part of a good schedule.
 FEWEST_CELLS = 24
 
 DTYPES = ("float16", "bfloat16", "float32", "float64")

@@ -73,7 +73,7 @@ def render_room(
     Args:
         room: from `make_room`.
         cameras: one for each picture.
-        quality: 1 for pictures to look at; 0.25 builds in a second or two and shows it.
+        quality: 1 for pictures to look at; 0.25 builds much sooner and shows it.
         progress: show a bar on stderr.
 
     Returns:
