@@ -1,4 +1,4 @@
-"""Shared by all tests: strictness settings and the data folder."""
+"""Shared by all tests: strictness settings, data and weights from outside."""
 
 import os
 from collections.abc import Iterator
@@ -6,20 +6,48 @@ from pathlib import Path
 
 import hypothesis
 import jax
+import numpy as np
 import pytest
+
+from hyjax.errors import InputError
+from hyjax.images import read_image
+from hyjax.metrics import LpipsWeights, load_lpips
 
 hypothesis.settings.register_profile("hyjax", derandomize=True, deadline=None, max_examples=25, database=None)
 hypothesis.settings.load_profile("hyjax")
 
 
+def data_folder() -> Path:
+    """$HYJAX_DATA, or shared/data beside the checkout."""
+    return Path(os.environ.get("HYJAX_DATA") or Path(__file__).parents[2] / "shared" / "data")
+
+
 @pytest.fixture(scope="session")
 def kitchen() -> Path:
-    """The 7-Scenes kitchen capture, at $HYJAX_DATA/kitchen or beside the checkout in shared/data."""
-    data = os.environ.get("HYJAX_DATA") or Path(__file__).parents[2] / "shared" / "data"
-    folder = Path(data) / "kitchen"
+    """The 7-Scenes kitchen capture."""
+    folder = data_folder() / "kitchen"
     if not folder.is_dir():
         pytest.skip(f"no kitchen capture in {folder}; point HYJAX_DATA at the folder that holds kitchen/")
     return folder
+
+
+@pytest.fixture(scope="session")
+def lpips_reference() -> dict[str, np.ndarray]:
+    """The pictures of the LPIPS reference example: ref, p0 and p1, display values in [0, 1]."""
+    folder = data_folder() / "lpips_reference"
+    if not folder.is_dir():
+        pytest.skip(f"no pictures in {folder}; point HYJAX_DATA at the folder that holds lpips_reference/")
+    return {name: read_image(folder / f"ex_{name}.png") for name in ("ref", "p0", "p1")}
+
+
+@pytest.fixture(scope="session")
+def lpips_weights() -> LpipsWeights:
+    """LPIPS-Alex, from the folder `weights` beside the data, or from where a user would have it."""
+    path = data_folder().parent / "weights" / "lpips_alex_v0.1.npz"
+    try:
+        return load_lpips(path if path.is_file() else None)
+    except InputError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")

@@ -75,7 +75,7 @@ def _ssim_map(image: Float[Array, "h w c"], reference: Float[Array, "h w c"]) ->
     x, y = (jnp.moveaxis(picture, -1, 0) - 0.5 for picture in (image, reference))
     # Only the sum of the two variances is needed.
     mean_x, mean_y, squares, products = _window(jnp.stack([x, y, x * x + y * y, x * y]))
-    variances = squares - mean_x**2 - mean_y**2
+    variances = squares - (mean_x**2 + mean_y**2)
     covariance = products - mean_x * mean_y
     mean_x, mean_y = mean_x + 0.5, mean_y + 0.5
     light = (2.0 * mean_x * mean_y + K1**2) / (mean_x**2 + mean_y**2 + K1**2)
