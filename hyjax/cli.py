@@ -27,10 +27,11 @@ class Relight:
     """Relight the frames of a capture; without arguments, the built-in room."""
 
     capture: Path | None = None
-    """Folder of a capture (7-Scenes layout). Default: the built-in room."""
+    """Folder of a capture: 7-Scenes layout, or a scan of ARKitScenes. Default: the built-in room."""
     mesh: str | None = None
-    """PLY, OBJ or GLB file in the capture's world coordinates; or 'scan' (simulated headset scan), 'fused' (from
-    depth maps), 'true' (built-in room only). Default: scan for the built-in room, fused for a capture."""
+    """PLY, OBJ or GLB file in the capture's world coordinates; or 'captured' (came with the capture), 'scan'
+    (simulated headset scan), 'fused' (from depth maps), 'true' (built-in room only). Default: scan for the built-in
+    room; captured for a capture that has one, else fused."""
     frames: str = "all"
     """Which frames, by position in the capture: all, 7, 0:300:30, or a list such as 0,5,9:12."""
     lights: str = "noon-window"
@@ -75,9 +76,10 @@ class Tune:
     stage: Literal["cascade", "frame"] = "cascade"
     """Whether the budget is for the diffusion alone or for the whole frame."""
     capture: Path | None = None
-    """Folder of a capture (7-Scenes layout). Default: the built-in room."""
+    """Folder of a capture: 7-Scenes layout, or a scan of ARKitScenes. Default: the built-in room."""
     mesh: str = "scan"
-    """The rough mesh: a file, 'scan' (simulated headset scan), or 'fused' (from depth maps)."""
+    """The rough mesh: a file, 'captured' (came with the capture), 'scan' (simulated headset scan), or 'fused' (from
+    depth maps)."""
     target: str | None = None
     """The accurate mesh that the picture should look like: a file, 'true', 'fused' (at 2 cm), or 'converged' (1000
     steps of diffusion on the rough mesh). Default: true for the built-in room, else fused where there is depth."""

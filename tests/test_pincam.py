@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from reference.arkit_export import write_pincam
 
-from hyjax.data.capture_files import TimedFiles
+from hyjax.data.capture_files import timed_files
 from hyjax.data.pincam import NAME_TOLERANCE, read_pincam
 from hyjax.errors import InputError
 from hyjax.scene.camera import Intrinsics
@@ -55,7 +55,7 @@ def test_names_may_differ_by_a_millisecond(tmp_path: Path) -> None:
         (tmp_path / f"41000000_{time}.pincam").touch()
     for other in ("._41000000_6845.210.pincam", "41000000_6845.242.png", "41000000_end.pincam"):
         (tmp_path / other).touch()
-    files = TimedFiles(tmp_path, ".pincam")
+    files = timed_files(tmp_path, ".pincam")
     assert [file.time for file in files] == [6845.209, 6845.243, 6845.276]
     for time, found in ((6845.21, 6845.209), (6845.208, 6845.209), (6845.243, 6845.243), (6845.277, 6845.276)):
         file = files.nearest(time, NAME_TOLERANCE)
@@ -63,11 +63,11 @@ def test_names_may_differ_by_a_millisecond(tmp_path: Path) -> None:
     for time in (6845.207, 6845.211, 6845.241, 6845.278, 0.0):
         assert files.nearest(time, NAME_TOLERANCE) is None
     assert files.nearest(6845.25, 1.0) == files.nearest(6845.243, 0.0)
-    assert TimedFiles(tmp_path / "none", ".pincam").nearest(6845.21, 1.0) is None
+    assert timed_files(tmp_path / "none", ".pincam").nearest(6845.21, 1.0) is None
 
 
 def test_two_files_of_one_time(tmp_path: Path) -> None:
     for name in ("41000000_6845.210.png", "41000001_6845.210.png"):
         (tmp_path / name).touch()
     with pytest.raises(InputError, match=r"41000001_6845\.210\.png: time 6845\.210 is also 41000000"):
-        TimedFiles(tmp_path, ".png")
+        timed_files(tmp_path, ".png")

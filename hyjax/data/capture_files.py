@@ -54,21 +54,10 @@ class TimedFile(NamedTuple):
 
 
 class TimedFiles:
-    """The files of a folder with a time in their name, as in `47333462_6845.210.png`, in order of time.
+    """Files of different times, in order of time."""
 
-    Raises:
-        InputError: two files of the same time.
-    """
-
-    def __init__(self, folder: Path, suffix: str) -> None:
-        found: dict[float, Path] = {}
-        for entry in sorted(folder.glob(f"*{suffix}")):
-            if match := TIMED.fullmatch(entry.name.removesuffix(suffix)):
-                time = float(match[1])
-                if time in found:
-                    raise InputError(f"{entry}: time {time:.3f} is also {found[time].name}; keep one of the two")
-                found[time] = entry
-        self._files = [TimedFile(time, found[time]) for time in sorted(found)]
+    def __init__(self, files: Iterable[TimedFile]) -> None:
+        self._files = sorted(files)
         self._times = np.array([file.time for file in self._files])
 
     def __len__(self) -> int:
@@ -83,6 +72,22 @@ class TimedFiles:
         around = self._files[max(0, right - 1) : right + 1]
         best = min(around, key=lambda file: abs(file.time - time), default=None)
         return best if best is not None and abs(best.time - time) <= tolerance else None
+
+
+def timed_files(folder: Path, suffix: str) -> TimedFiles:
+    """The files of a folder that are named as `47333462_6845.210.png`: video, time in seconds, suffix.
+
+    Raises:
+        InputError: two files of the same time.
+    """
+    found: dict[float, Path] = {}
+    for entry in sorted(folder.glob(f"*{suffix}")):
+        if match := TIMED.fullmatch(entry.name.removesuffix(suffix)):
+            time = float(match[1])
+            if time in found:
+                raise InputError(f"{entry}: time {time:.3f} is also {found[time].name}; keep one of the two")
+            found[time] = entry
+    return TimedFiles(TimedFile(time, path) for time, path in found.items())
 
 
 def fingerprint(root: Path, folders: Iterable[Path]) -> str:

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
+from hyjax.data.arkit_scenes import holds_arkit_scenes, open_arkit_scenes
 from hyjax.data.capture import Capture
 from hyjax.data.seven_scenes import holds_seven_scenes, open_seven_scenes
 from hyjax.errors import InputError
@@ -19,7 +20,10 @@ class Layout:
     signs: str
 
 
-LAYOUTS = (Layout("7-Scenes", holds_seven_scenes, open_seven_scenes, "frame-NNNNNN.color.jpg|png"),)
+LAYOUTS = (
+    Layout("7-Scenes", holds_seven_scenes, open_seven_scenes, "frame-NNNNNN.color.jpg|png"),
+    Layout("ARKitScenes", holds_arkit_scenes, open_arkit_scenes, "lowres_wide.traj, vga_wide/"),
+)
 
 
 def open_capture(path: Path) -> Capture:

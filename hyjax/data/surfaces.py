@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 ROOM_SCAN = ScanConfig(
     frames=64, width=160, max_depth=6.0, noise=0.004, min_weight=0.05, missing=0.03, grazing_cosine=0.15
 )
-WORDS = ("scan", "fused", "true")
+WORDS = ("captured", "scan", "fused", "true")
 
 
 def surface_of(
@@ -49,20 +49,27 @@ def surface_of(
         What was taken, in a few words, and the mesh.
 
     Raises:
-        InputError: the file cannot be used, the capture has no depth to make a mesh of, or there is no true mesh.
+        InputError: the file cannot be used, the capture has no depth to make a mesh of, or there is no captured or
+            true mesh.
     """
     if not 0 < voxel <= 1:
         raise InputError(f"voxel: must lie in (0, 1] metres, got {voxel:g}")
     if seed < 0:
         raise InputError(f"seed: must be >= 0, got {seed}")
     builtin = isinstance(capture, RoomCapture)
-    mesh = mesh or ("scan" if builtin else "fused")
+    captured: Path | None = getattr(capture, "mesh_file", None)
+    mesh = mesh or ("scan" if builtin else "captured" if captured else "fused")
+    if mesh == "captured":
+        if captured is None:
+            raise InputError(
+                f"{capture.name}: no mesh came with this capture (of an ARKitScenes scan, download asset 'mesh'); "
+                "use 'fused', 'scan' or a file"
+            )
+        # Reconstructions made on a device have a triangle without area here and there.
+        return f"captured mesh {captured.name}", _load_in_metres(captured, repair=True)
     if mesh not in WORDS:
         check_mesh_name(mesh)
-        loaded = load_mesh(Path(mesh), repair)
-        if not 0.1 < max(loaded.extents) < 1000:
-            raise InputError(f"{mesh}: spans {max(loaded.extents):.3g} m; a room's mesh must be in metres")
-        return mesh, loaded
+        return mesh, _load_in_metres(Path(mesh), repair)
     if mesh == "true":
         if not isinstance(capture, RoomCapture):
             raise InputError("mesh: only the built-in room has a true mesh; use 'fused', 'scan' or a file")
@@ -92,6 +99,13 @@ def surface_of(
     except (OSError, InputError) as error:
         _log.warning("the mesh is not kept for the next time: %s", error)
         return description, made
+
+
+def _load_in_metres(file: Path, repair: bool) -> trimesh.Trimesh:
+    loaded = load_mesh(file, repair)
+    if not 0.1 < max(loaded.extents) < 1000:
+        raise InputError(f"{file}: spans {max(loaded.extents):.3g} m; a room's mesh must be in metres")
+    return loaded
 
 
 def check_mesh_name(mesh: str | None) -> None:

@@ -1,0 +1,287 @@
+"""ARKitScenes scans as Apple publishes them, the raw data set or the 3dod one.
+
+    <video_id>/                                   raw: all of it in here
+        <video_id>_3dod_mesh.ply                  ARKit's mesh
+        lowres_wide.traj                          see `hyjax.data.trajectory`
+        vga_wide/<video_id>_<timestamp>.png       640×480 at 30 a second; also lowres_wide/ (256×192 at 60) and,
+                                                  of some scans, wide/ (1920×1440 at 10)
+        vga_wide_intrinsics/….pincam              see `hyjax.data.pincam`
+        lowres_depth/….png                        16-bit millimetres, seen through lowres_wide's lens
+        confidence/….png                          8-bit, 0 low to 2 high
+        <video_id>_frames/                        3dod: the folders and the trajectory are in here
+
+The world is z-up, in metres; cameras look along +z with x right and y down. Devices were held any way round:
+pictures are turned upright (`hyjax.data.turning`), as the poses say.
+
+Source: Baruch et al., "ARKitScenes: a diverse real-world dataset for 3D indoor scene understanding using mobile
+RGB-D data", NeurIPS Datasets and Benchmarks 2021, and the data pages of its repository.
+"""
+
+import csv
+import dataclasses
+import itertools
+import logging
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.data.capture import Frame
+from hyjax.data.capture_files import TimedFile, TimedFiles, fingerprint, read_colour, timed_files
+from hyjax.data.pincam import NAME_TOLERANCE, read_pincam
+from hyjax.data.trajectory import Trajectory, read_trajectory
+from hyjax.data.turning import turn_frame, turns_upright
+from hyjax.errors import InputError
+from hyjax.images import read_depth, read_image
+from hyjax.scene.camera import Camera, Intrinsics
+
+TRAJECTORY = "lowres_wide.traj"
+PICTURES = ("vga_wide", "wide", "lowres_wide")
+"""Folders of pictures, best first: `wide` is larger, but has few pictures of few scans."""
+DEPTH_TOLERANCE = 1 / 60
+"""Seconds between a picture and the depth map that goes with it; depth comes sixty times a second."""
+SPLITS = ("raw_train_val_splits.csv", "metadata.csv")
+"""Tables of video and visit: the repository's, and the one that the downloader leaves beside the scans."""
+LASER = "laser_scanner_point_clouds"
+_log = logging.getLogger(__name__)
+
+
+def holds_arkit_scenes(path: Path) -> bool:
+    """Whether `path` is a scan's folder, or one of the folders above them (which `open_arkit_scenes` refuses)."""
+    return _is_scan(path) or bool(_scans_below(path))
+
+
+def open_arkit_scenes(path: Path) -> "ArkitScenes":
+    """Open the folder of one scan. Trajectory and file names are read and checked now, pictures when asked for.
+
+    Pictures whose time the trajectory does not cover, or that lack intrinsics or depth, are left out; one warning
+    says how many.
+
+    Raises:
+        InputError: no such folder, not the folder of one scan, an asset is missing (it is named as the official
+            downloader names it), a malformed trajectory, or no picture is left.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise InputError(f"{path}: no such folder; give the folder of a scan, .../<video_id>")
+    if not _is_scan(path):
+        scans = _scans_below(path)
+        hint = f"; give the folder of one, such as {' or '.join(map(str, scans))}" if scans else ""
+        raise InputError(f"{path}: not an ARKitScenes scan but a folder of scans{hint}")
+    return ArkitScenes(path)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Depth:
+    """The files of one depth map."""
+
+    map: Path
+    pincam: Path
+    confidence: Path | None
+
+
+@dataclasses.dataclass(frozen=True)
+class _Shot:
+    """The files of one frame."""
+
+    time: float
+    picture: Path
+    pincam: Path
+    depth: _Depth | None
+
+
+class ArkitScenes:
+    """A capture (`hyjax.data.capture.Capture`) in order of time, upright.
+
+    Attributes:
+        name: the video's number.
+        up: +z.
+        mesh_file: ARKit's mesh of the place; None if it was not downloaded.
+        laser_folder: the venue's laser scans (`<id>.ply` with `<id>_pose.txt`); None if they were not downloaded.
+        quarter_turns: by how many the pictures on disk are turned clockwise to be upright.
+    """
+
+    def __init__(self, path: Path) -> None:
+        assets = _assets_folder(path.resolve())
+        scan = assets.parent if assets.name.endswith("_frames") else assets
+        if not (assets / TRAJECTORY).is_file():
+            raise InputError(f"{_missing(assets, TRAJECTORY)}; about two dozen videos have none")
+        trajectory = read_trajectory(assets / TRAJECTORY)
+        pictures = _picture_folder(assets)
+        depths = _Depths(assets) if (assets / "lowres_depth").is_dir() else None
+        self._scan = scan
+        self._folders = {scan, assets, pictures, _intrinsics(pictures)} | (depths.folders if depths else set())
+        self._shots = _shots(assets, pictures, depths, trajectory)
+        self._poses = [trajectory.pose_at(shot.time) for shot in self._shots]
+        self.quarter_turns = turns_upright(self._poses)
+        self.up = np.array([0.0, 0.0, 1.0])
+        self.name = self._shots[0].picture.name.partition("_")[0]
+        mesh = scan / f"{self.name}_3dod_mesh.ply"
+        self.mesh_file = mesh if mesh.is_file() else None
+        self.laser_folder = _laser_folder(scan, self.name)
+
+    @property
+    def fingerprint(self) -> str:
+        """See `Capture`."""
+        return fingerprint(self._scan, self._folders)
+
+    def __len__(self) -> int:
+        return len(self._shots)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame at a position in order of time. IndexError beyond the end ends a `for` loop.
+
+        Depth is 0 where its confidence is low.
+
+        Raises:
+            InputError: a picture is damaged or of another size than its intrinsics, or these are malformed.
+        """
+        shot = self._shots[index]
+        image, intrinsics = read_colour(shot.picture), read_pincam(shot.pincam)
+        _check_size(shot.picture, image, intrinsics.shape, shot.pincam)
+        depth = lens = None
+        if shot.depth is not None:
+            depth, lens = _read_depth(shot.depth)
+        time = shot.time - self._shots[0].time
+        frame = Frame(shot.picture.stem, image, Camera(intrinsics, self._poses[index]), time, depth, lens)
+        return turn_frame(frame, self.quarter_turns)
+
+
+def _is_scan(path: Path) -> bool:
+    """By names alone."""
+    signs = (TRAJECTORY, "vga_wide", "lowres_wide", "lowres_depth", "[0-9]*_frames", "[0-9]*_3dod_mesh.ply")
+    return any(any(path.glob(sign)) for sign in signs)
+
+
+def _scans_below(path: Path) -> list[Path]:
+    """A few scans of a split's folder, a data set's or a download's."""
+    candidates = (
+        folder
+        for above in ("", "Training/", "Validation/", "raw/*/", "3dod/*/")
+        for folder in sorted(path.glob(f"{above}[0-9]*"))
+    )
+    return list(itertools.islice(filter(_is_scan, candidates), 2))
+
+
+def _assets_folder(path: Path) -> Path:
+    """Where the trajectory and the folders of pictures are: 3dod has them one level further down."""
+    return next((folder for folder in sorted(path.glob("[0-9]*_frames")) if folder.is_dir()), path)
+
+
+def _missing(assets: Path, asset: str) -> InputError:
+    return InputError(
+        f"{assets}: no {asset}; download asset '{asset}' (download_data.py raw --raw_dataset_assets {asset})"
+    )
+
+
+def _intrinsics(pictures: Path) -> Path:
+    return pictures.with_name(f"{pictures.name}_intrinsics")
+
+
+def _picture_folder(assets: Path) -> Path:
+    """The best folder of pictures that has its intrinsics."""
+    present = [assets / name for name in PICTURES if (assets / name).is_dir()]
+    if not present:
+        raise InputError(f"{_missing(assets, PICTURES[0])}, or one of {', '.join(PICTURES[1:])}")
+    usable = [folder for folder in present if _intrinsics(folder).is_dir()]
+    if not usable:
+        raise _missing(assets, _intrinsics(present[0]).name)
+    if usable[0] != present[0]:
+        _log.warning(
+            "%s; taking the pictures of %s", _missing(assets, _intrinsics(present[0]).name), usable[0].name
+        )
+    return usable[0]
+
+
+class _Depths:
+    """The depth maps of a scan, which have a lens and times of their own."""
+
+    def __init__(self, assets: Path) -> None:
+        maps, pincams, confidences = (
+            assets / name for name in ("lowres_depth", "lowres_wide_intrinsics", "confidence")
+        )
+        if not pincams.is_dir():
+            raise _missing(assets, pincams.name)
+        self.folders = {maps, pincams} | ({confidences} if confidences.is_dir() else set())
+        self._pincams = timed_files(pincams, ".pincam")
+        self._confidences = timed_files(confidences, ".png")
+        self._maps = TimedFiles(file for file in timed_files(maps, ".png") if self._pincam(file))
+
+    def _pincam(self, depth: TimedFile) -> TimedFile | None:
+        return self._pincams.nearest(depth.time, NAME_TOLERANCE)
+
+    def nearest(self, time: float) -> _Depth | None:
+        """The depth map with intrinsics that goes with a picture; None if there is none near it."""
+        depth = self._maps.nearest(time, DEPTH_TOLERANCE)
+        pincam = depth and self._pincam(depth)
+        if depth is None or pincam is None:
+            return None
+        confidence = self._confidences.nearest(depth.time, NAME_TOLERANCE)
+        return _Depth(depth.path, pincam.path, confidence and confidence.path)
+
+
+def _shots(assets: Path, pictures: Path, depths: _Depths | None, trajectory: Trajectory) -> list[_Shot]:
+    """The frames that have all they need; a warning counts the others."""
+    files, pincams = timed_files(pictures, ".png"), timed_files(_intrinsics(pictures), ".pincam")
+    shots: list[_Shot] = []
+    left_out: Counter[str] = Counter()
+    for time, picture in files:
+        pincam = pincams.nearest(time, NAME_TOLERANCE)
+        depth = None if depths is None else depths.nearest(time)
+        if not trajectory.covers(time):
+            left_out[f"at times that {TRAJECTORY} does not cover"] += 1
+        elif pincam is None:
+            left_out["without .pincam"] += 1
+        elif depths is not None and depth is None:
+            left_out["without depth or its .pincam"] += 1
+        else:
+            shots.append(_Shot(time, picture, pincam.path, depth))
+    reasons = ", ".join(f"{count} {reason}" for reason, count in left_out.items())
+    if not shots:
+        raise InputError(
+            f"{pictures}: none of {len(files)} pictures can be used: {reasons or 'the folder is empty'}"
+        )
+    if left_out:
+        _log.warning("%s: %d of %d pictures left out: %s", assets, left_out.total(), len(files), reasons)
+    return shots
+
+
+def _read_depth(files: _Depth) -> tuple[Float[np.ndarray, "h w"], Intrinsics]:
+    """Depth in metres, 0 where there is no reading or its confidence is low, and its intrinsics."""
+    depth, intrinsics = read_depth(files.map), read_pincam(files.pincam)
+    _check_size(files.map, depth, intrinsics.shape, files.pincam)
+    if files.confidence is not None:
+        confidence = read_image(files.confidence)[..., 0]
+        _check_size(files.confidence, confidence, depth.shape, files.map)
+        depth = np.where(confidence == 0, np.float32(0.0), depth)
+    return depth, intrinsics
+
+
+def _check_size(file: Path, pixels: np.ndarray, shape: tuple[int, ...], other: Path) -> None:
+    if pixels.shape[:2] != shape:
+        raise InputError(
+            f"{file}: is {pixels.shape[1]}x{pixels.shape[0]} but {other.parent.name}/{other.name} is for "
+            f"{shape[1]}x{shape[0]}; the two must have one size"
+        )
+
+
+def _laser_folder(scan: Path, video: str) -> Path | None:
+    """The laser scans of the venue: in the scan's own folder, or where the downloader puts them."""
+    if any((scan / LASER).glob("*.ply")):
+        return scan / LASER
+    above = list(scan.parents)[:4]
+    visits = (_visit(folder / name, video) for folder in above for name in SPLITS)
+    visit = next(filter(None, visits), None)
+    folders = (folder / LASER / visit for folder in above if visit is not None)
+    return next((folder for folder in folders if folder.is_dir()), None)
+
+
+def _visit(table: Path, video: str) -> str | None:
+    """The visit in which a video was made, from a table with columns video_id and visit_id."""
+    if not table.is_file():
+        return None
+    with table.open(newline="", encoding="utf-8", errors="replace") as file:
+        rows = [row for row in csv.DictReader(file) if row.get("video_id") == video]
+    visit = (rows[0].get("visit_id") or "") if rows else ""
+    return visit.removesuffix(".0") or None  # pandas writes a column with gaps as floats
