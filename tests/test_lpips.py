@@ -2,7 +2,6 @@
 
 import os
 import pickle
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -390,7 +389,6 @@ def test_installed_package_is_not_imported(
 
 def test_no_weights_anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("HYJAX_LPIPS", raising=False)
-    monkeypatch.setattr(sys, "path", [])
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r'pip install "hyjax\[lpips\]"') as caught:
         load_lpips()
