@@ -33,16 +33,20 @@ def surface_of(
     voxel: float = 0.03,
     seed: int = 0,
     repair: bool = False,
+    most_frames: int = MAX_FUSED_FRAMES,
     progress: bool = True,
 ) -> tuple[str, trimesh.Trimesh]:
     """The mesh to relight a capture with. Meshes made here are kept in the cache folder.
 
     Args:
         capture: whose rooms to get.
-        mesh: a file, or `"fused"` (from at most 150 of the capture's depth maps, at `voxel` metres), `"scan"` (what
+        mesh: a file, or `"captured"` (that came with the capture), `"fused"` (from the depth maps), `"scan"` (what
             a headset would have made of it, rough and with holes, drawn from `seed`), `"true"` (the built-in room's
-            own). By default the built-in room gets its scan and any other capture its fusion.
+            own). By default the built-in room gets its scan and any other capture its own mesh, or else its fusion.
+        voxel: edge of a fusion's voxels in metres.
+        seed: of a simulated scan.
         repair: drop unusable triangles of a mesh file instead of refusing it.
+        most_frames: a fusion takes no more depth maps than this, spread over the capture.
         progress: show bars on stderr.
 
     Returns:
@@ -77,6 +81,9 @@ def surface_of(
     if capture[0].depth is None:
         raise InputError(f"{capture.name}: the capture has no depth to make a mesh of; give one with --mesh FILE")
     description = f"simulated scan, seed {seed}" if mesh == "scan" else f"fused at {voxel:g} m"
+    spread = _Spread(capture, most_frames)
+    if mesh == "fused" and most_frames != MAX_FUSED_FRAMES:
+        description += f" from {len(spread)} frames"
     key = hashlib.sha256(f"{VERSION} {description} {capture.fingerprint}".encode()).hexdigest()[:16]
     file = cache_folder() / f"surface-{key}.ply"
     if file.is_file():
@@ -91,7 +98,7 @@ def surface_of(
     elif mesh == "scan":
         made = simulate_scan(capture, ScanConfig(), seed, progress)
     else:
-        made = fuse(_Spread(capture), voxel, progress=progress)
+        made = fuse(spread, voxel, progress=progress)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         save_mesh(file, made)
@@ -118,9 +125,9 @@ def check_mesh_name(mesh: str | None) -> None:
 class _Spread:
     """Evenly chosen frames of a long capture, read when asked for."""
 
-    def __init__(self, capture: Capture) -> None:
+    def __init__(self, capture: Capture, most: int) -> None:
         self._capture = capture
-        self._indices = range(0, len(capture), -(-len(capture) // MAX_FUSED_FRAMES))
+        self._indices = range(0, len(capture), -(-len(capture) // most))
 
     def __len__(self) -> int:
         return len(self._indices)

@@ -1,0 +1,206 @@
+"""The paper's first ablation: 50 cascaded steps against 50 and 1000 steps at half size, in time and in distance.
+
+    python -m experiments.ablation_cascade [--capture PATH] [--out results/ablation_cascade/room]
+
+The rough surface of a few frames is lit by two coloured points, without shadows, and its filter refined by
+`paper-50`, `naive-50` and `naive-1000`, in the paper's mode and in ours. Measured: the diffusion's time, all in
+turns after a first call that compiles; the root mean square distance of the filter, in display values, to the
+converged result (`CONVERGED` steps at half size) and to the filter of the accurate surface where that is relied
+on; and PSNR of the frames relit with the two. A sweep over the number of steps at half size tells how far
+diffusing on does any good: converged is not right, since conductances never are quite zero.
+
+Takes about two minutes on two cores, once the surfaces are made.
+
+Expect: the cascade nearer to the converged result than as many steps at half size, in about a tenth of the time of
+1000 of them. Nearer to the converged result is not nearer to the accurate surface: there the distances differ
+little."""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from tqdm import tqdm
+
+import hyjax
+from experiments.blocks import Block, Picture, Plot, Table, write_blocks
+from experiments.command import run
+from experiments.judging import summarise
+from experiments.paper_bench import ANY, GROUPS, KAPPA, Bench, View, with_kappa
+from experiments.paper_table import choose
+from experiments.plotting import new_figure
+from experiments.records import Results, Row
+from hyjax import metrics
+from hyjax.contact_sheet import write_contact_sheet
+from hyjax.data.open import open_capture
+from hyjax.data.room import load_room
+from hyjax.pipeline import Mode
+from hyjax.schedule import Schedule
+from hyjax.tuning.calibration import time_calls
+
+NAME = "ablation_cascade"
+TITLE = "Ablation: the cascade"
+LIGHTS = "two-colors"
+SCHEDULES = ("paper-50", "naive-50", "naive-1000")
+CONVERGED = 20_000
+SWEEP = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, CONVERGED)
+SHEET = ("frame", "raw filter", *SCHEDULES, f"{CONVERGED} steps", "accurate surface")
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    capture: Path | None = None
+    """Default: the built-in room."""
+    mesh: str | None = None
+    """The rough surface, as in `paper_table`."""
+    reference: str | None = None
+    """The accurate surface, as in `paper_table`."""
+    frames: int = 6
+    """How many, spread over those that `paper_table` reports on."""
+    size: int = 512
+    """Pixels a side."""
+    repeats: int = 50
+    """Rounds of the timing."""
+    seed: int = 1
+    """Of the built-in room and of the simulated scan."""
+    out: Path | None = None
+    """Default: results/ablation_cascade/NAME of the capture."""
+
+
+def main(config: Config) -> None:
+    capture = load_room(config.seed) if config.capture is None else open_capture(config.capture)
+    out = config.out or Path("results") / NAME / capture.name
+    results = Results(out, NAME, config)
+    bench = Bench(capture, Schedule.preset("paper-50"), config.mesh, config.reference, config.size, config.seed)
+    offered = choose(None, capture)
+    chosen = [offered[i] for i in np.unique(np.linspace(0, len(offered) - 1, config.frames).astype(int))]
+    sheet = []
+    for index in tqdm(chosen, desc="diffusing", unit="frame"):
+        view = bench.view(index)
+        if view.blind:
+            continue
+        for mode in GROUPS.values():
+            accurate = bench.relight(view, LIGHTS, mode, ANY, accurate=True)
+            refined = {name: bench.relight(view, LIGHTS, mode, s).refined for name, s in schedules().items()}
+            converged = refined[naive_name(CONVERGED)]
+            for name, relight_filter in refined.items():
+                results.add(
+                    kind="distance",
+                    frame=view.frame.name,
+                    mode=mode,
+                    schedule=name,
+                    to_converged=rms(relight_filter, converged, jnp.ones(view.valid.shape), mode),
+                    to_accurate=rms(relight_filter, accurate.shading, jnp.asarray(view.valid), mode),
+                    psnr=psnr(view, relight_filter, accurate.shading, mode),
+                )
+            raw = bench.relight(view, LIGHTS, mode, ANY).shading
+            shown = [raw, *(refined[name] for name in SCHEDULES), converged, accurate.shading]
+            label = f"{view.frame.name}, {mode} mode, filters"
+            sheet.append((label, [np.asarray(view.display), *(np.asarray(seen(x, mode)) for x in shown)]))
+    for mode, times in time_schedules(bench, bench.view(chosen[0]), config.repeats).items():
+        for name, time in times.items():
+            results.add(kind="time", mode=mode, schedule=name, **dataclasses.asdict(time))
+    write_contact_sheet(out / "side_by_side.png", sheet[: 2 * 4], SHEET)
+    write_blocks(out, NAME, blocks(results.finish(), out))
+
+
+def naive_name(steps: int) -> str:
+    return f"naive-{steps}"
+
+
+def schedules() -> dict[str, Schedule]:
+    """The cascade, and the sweep over steps at half size."""
+    naive = {naive_name(steps): Schedule.uniform([(2, steps)], name=naive_name(steps)) for steps in SWEEP}
+    return {"paper-50": Schedule.preset("paper-50")} | naive
+
+
+def seen(relight_filter: Float[Array, "h w 3"], mode: Mode) -> Float[Array, "h w 3"]:
+    """A filter as a picture."""
+    return jnp.clip(relight_filter if mode == "paper" else hyjax.to_display(relight_filter), 0.0, 1.0)
+
+
+def rms(a: Array, b: Array, weight: Array, mode: Mode) -> float:
+    """Root mean square difference of two filters' display values."""
+    squared = jnp.mean((seen(a, mode) - seen(b, mode)) ** 2, axis=-1)
+    return float(jnp.sqrt(jnp.sum(squared * weight) / jnp.sum(weight)))
+
+
+def psnr(view: View, relight_filter: Array, accurate: Array, mode: Mode) -> float:
+    """Of the relit frame against that of the accurate surface, where this is relied on, in dB."""
+    linear = hyjax.to_linear(view.display)
+    a, b = (
+        jnp.clip(f * view.display if mode == "paper" else hyjax.to_display(f * linear), 0.0, 1.0)
+        for f in (relight_filter, accurate)
+    )
+    return float(metrics.psnr(a, b, valid=jnp.asarray(view.valid)))
+
+
+def time_schedules(bench: Bench, view: View, repeats: int) -> dict[Mode, dict[str, Any]]:
+    """Milliseconds of the diffusion of one filter, all schedules and both modes in turns."""
+    setup = bench.setups[LIGHTS]
+    each, known = hyjax.shade_each(view.rough, setup.lights), view.rough.hit[..., None]
+    raw = bench.relight(view, LIGHTS, "paper", ANY).shading
+    calls = {}
+    for name in SCHEDULES:
+        paper, ours = (jax.device_put(with_kappa(Schedule.preset(name), KAPPA[mode])) for mode in GROUPS.values())
+        calls[f"paper {name}"] = functools.partial(hyjax.cascade, raw, view.display, paper)
+        calls[f"hyjax {name}"] = functools.partial(hyjax.cascade_known, each, known, view.display, ours)
+    times = time_calls(calls, repeats, progress=True)
+    return {mode: {name: times[f"{mode} {name}"] for name in SCHEDULES} for mode in GROUPS.values()}
+
+
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Table, figure and picture from the rows."""
+    distances = [row for row in rows if row.get("kind") == "distance"]
+    times = {(row["mode"], row["schedule"]): row for row in rows if row.get("kind") == "time"}
+    lines = []
+    for mode in GROUPS.values():
+        for name in (*SCHEDULES, naive_name(CONVERGED)):
+            own = [row for row in distances if (row["mode"], row["schedule"]) == (mode, name)]
+            time = times.get((mode, name))
+            cells = [f"{time['median']:.2f}", f"{time['p95']:.2f}"] if time else ["–", "–"]
+            for key, digits in (("to_converged", 4), ("to_accurate", 4), ("psnr", 2)):
+                found = summarise([row[key] for row in own])
+                cells.append("–" if found is None else found.text(digits))
+            lines.append([f"{mode} mode, {name}", *cells])
+    frames = len({row["frame"] for row in distances})
+    caption = (
+        f"Diffusion of one filter, two lights; {frames} frames, mean ± 95 % interval; distances are RMS of display "
+        f"values. Converged: {CONVERGED} steps at half size."
+    )
+    header = ["", "median ms", "p95 ms", "to converged", "to accurate surface", "relit PSNR dB"]
+    return [
+        Table(caption, header, lines),
+        Plot("steps", "Steps at half size; dashed: the 50 steps of the cascade.", figure(distances)),
+        Picture(folder / "side_by_side.png", "Filters, side by side."),
+    ]
+
+
+def figure(distances: Sequence[Row]) -> Any:
+    """Distance against the number of steps at half size, to the converged result and to the accurate surface."""
+    fig = new_figure(10, 4)
+    axes = fig.subplots(1, 2)
+    for ax, key, title in zip(axes, ("to_converged", "to_accurate"), ("converged result", "accurate surface")):
+        for k, mode in enumerate(GROUPS.values()):
+            own = [row for row in distances if row["mode"] == mode]
+            if not own:
+                continue
+            names = dict.fromkeys(row["schedule"] for row in own)
+            mean = {name: np.mean([row[key] for row in own if row["schedule"] == name]) for name in names}
+            steps = [n for n in SWEEP if key == "to_accurate" or n != CONVERGED]
+            label, color = f"{mode} mode", f"C{k}"
+            ax.semilogx(steps, [mean[naive_name(n)] for n in steps], marker="o", color=color, label=label)
+            ax.axhline(mean["paper-50"], color=color, linestyle="--", linewidth=1)
+        ax.set(xlabel="steps at half size", ylabel="RMS of display values", title=f"distance to the {title}")
+        ax.set_ylim(bottom=0)
+    axes[0].legend()
+    return fig
+
+
+if __name__ == "__main__":
+    run(main, Config)

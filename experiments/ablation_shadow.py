@@ -1,0 +1,296 @@
+"""The paper's second ablation: shadows diffused together with the filter, against a pass of their own.
+
+    python -m experiments.ablation_shadow [--capture PATH] [--out results/ablation_shadow/room]
+
+Of each light, what it leaves visible is estimated three ways: looked up in a surface's shadow map (*raw*); as the
+ratio of the filter diffused with its shadows in it to the filter diffused without (*together*); and refined by a
+pass of its own with few steps at high resolution (*separate*). All are compared with the shadow that the accurate
+surface throws on itself, where that is relied on and the light is not dim, by
+
+- *overlap*: intersection over union of the shadows (visibility below one half);
+- *edge error*: mean difference of visibility within `EDGE` of the true shadow's border;
+- *border offset*: mean distance in pixels between the two borders, both ways, none counted for more than
+  `FARTHEST`.
+
+Once on the rough surface, as in use; and once on the accurate surface, where raw is the truth itself, so that what
+is lost is the diffusion's doing alone. A sweep tells what the steps of the separate pass do, at full and at half
+size. Takes about three minutes on two cores, once the surfaces are made.
+
+Expect: on the accurate surface together loses most of the shadow and separate keeps it; the fewer its steps the
+better. On the rough surface what it throws wrongly outweighs either.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+from jaxtyping import Array, Bool, Float
+from scipy import ndimage
+from tqdm import tqdm
+
+import hyjax
+from experiments.blocks import Block, Picture, Plot, Table, write_blocks
+from experiments.command import run
+from experiments.judging import summarise
+from experiments.paper_bench import GROUPS, KAPPA, Bench, View, with_kappa
+from experiments.paper_table import choose
+from experiments.plotting import new_figure
+from experiments.records import Results, Row
+from hyjax.contact_sheet import write_contact_sheet
+from hyjax.data.open import open_capture
+from hyjax.data.room import load_room
+from hyjax.errors import InputError
+from hyjax.pipeline import Mode
+from hyjax.scene.raycast import RayCaster
+from hyjax.scene.shadow_caster import cast_shadow_maps
+from hyjax.schedule import Schedule
+
+NAME = "ablation_shadow"
+TITLE = "Ablation: the shadow pass"
+LIGHTS = "two-colors"
+STEPS = (0, 1, 2, 4, 8, 16, 32, 64, 128)
+SURFACES = ("rough", "accurate")
+SIZES = {1: "full", 2: "half"}
+"""By factor."""
+EDGE = 8 / 512  # of the picture's height
+FARTHEST = 32  # pixels
+DIM = 0.05  # of the reference illuminance: less light than this shows no shadow
+METRICS = {"overlap": 3, "edge_error": 3, "border_offset": 2}
+SHEET = (
+    "frame",
+    "rough: raw",
+    "rough: together",
+    "rough: separate",
+    "accurate: together",
+    "accurate: separate",
+    "accurate: raw",
+)
+GAIN = 3.0  # of the sheet's pictures, in linear light
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    capture: Path | None = None
+    """Default: the built-in room."""
+    mesh: str | None = None
+    """The rough surface, as in `paper_table`."""
+    reference: str | None = None
+    """The accurate surface: a mesh, since it has to throw shadows. Default as in `paper_table`."""
+    frames: int = 6
+    """How many, spread over those that `paper_table` reports on."""
+    size: int = 512
+    """Pixels a side."""
+    seed: int = 1
+    """Of the built-in room and of the simulated scan."""
+    out: Path | None = None
+    """Default: results/ablation_shadow/NAME of the capture."""
+
+
+def main(config: Config) -> None:
+    capture = load_room(config.seed) if config.capture is None else open_capture(config.capture)
+    out = config.out or Path("results") / NAME / capture.name
+    results = Results(out, NAME, config)
+    bench = Bench(capture, Schedule.preset("paper-80"), config.mesh, config.reference, config.size, config.seed)
+    if not isinstance(bench.reference.geometry, trimesh.Trimesh):
+        raise InputError("reference: a point cloud throws no shadows here; take --reference fused or a mesh file")
+    lights = bench.setups[LIGHTS].lights
+    casters = (bench.rough, RayCaster(bench.reference.geometry))
+    rough_maps, accurate_maps = (cast_shadow_maps(caster, lights) for caster in casters)
+    offered, sheet = choose(None, capture), []
+    chosen = [offered[i] for i in np.unique(np.linspace(0, len(offered) - 1, config.frames).astype(int))]
+    for index in tqdm(chosen, desc="casting shadows", unit="frame"):
+        view = bench.view(index)
+        if view.blind:
+            continue
+        for mode in GROUPS.values():
+            truth = Lit(view, bench, mode, accurate_maps, accurate=True)
+            counted = view.valid[..., None] & (np.asarray(truth.each) > DIM * bench.setups[LIGHTS].reference_lux)
+            for surface, lit in {"rough": Lit(view, bench, mode, rough_maps), "accurate": truth}.items():
+                for (method, factor, steps), visible in estimate(lit, view, bench.schedule, mode).items():
+                    for light in range(len(lights)):
+                        true = np.asarray(truth.visible)[..., light]
+                        scores = compare(visible[..., light], true, counted[..., light])
+                        if scores is None:
+                            continue
+                        key = {"method": method, "factor": factor, "steps": steps, "light": light}
+                        results.add(
+                            kind="score", frame=view.frame.name, mode=mode, surface=surface, **key, **scores
+                        )
+            shown = pictures(view, bench, mode, rough_maps, accurate_maps)
+            sheet.append((f"{view.frame.name}, {mode} mode", shown))
+    if not sheet:
+        raise InputError(f"{capture.name}: no ray of any chosen frame met both surfaces; are they in one world?")
+    write_contact_sheet(out / "side_by_side.png", sheet[:8], SHEET)
+    write_blocks(out, NAME, blocks(results.finish(), out))
+
+
+class Lit:
+    """A surface under each light by itself, a channel for each.
+
+    Attributes:
+        each: lux without shadows.
+        unshadowed: the filter that is diffused: lux, or display values in the paper's mode.
+        shadowed: the same with shadows.
+        visible: their ratio.
+        hit: where there is a surface.
+    """
+
+    def __init__(self, view: View, bench: Bench, mode: Mode, maps: Any, *, accurate: bool = False) -> None:
+        setup, gbuffer = bench.setups[LIGHTS], view.accurate if accurate else view.rough
+        self.hit = gbuffer.hit[..., None]
+        self.each = hyjax.shade_each(gbuffer, setup.lights)
+        shadowed = self.each * hyjax.visibilities(gbuffer, setup.lights, maps)
+        filters = self.each, shadowed
+        if mode == "paper":
+            filters = tuple(hyjax.to_display(x / setup.reference_lux) for x in filters)  # type: ignore[assignment]
+        self.unshadowed, self.shadowed = filters
+        self.visible = ratio(self.shadowed, self.unshadowed)
+
+
+def ratio(part: Array, whole: Array) -> Array:
+    """What is left of the whole; 1 where there is nothing to lose."""
+    return jnp.where(whole > 1e-6, jnp.clip(part / jnp.maximum(whole, 1e-6), 0.0, 1.0), 1.0)
+
+
+def estimate(rough: Lit, view: View, schedule: Schedule, mode: Mode) -> Mapping[tuple[str, int, int], np.ndarray]:
+    """(method, factor, steps) → visibility of each light."""
+    guide, kappa = view.display, KAPPA[mode]
+    schedule = with_kappa(schedule, kappa)
+    if mode == "paper":
+        together = ratio(*(hyjax.cascade(y, guide, schedule) for y in (rough.shadowed, rough.unshadowed)))
+        start = rough.visible
+    else:
+        known = (hyjax.cascade_known(y, rough.hit, guide, schedule) for y in (rough.shadowed, rough.unshadowed))
+        together = ratio(*known)
+        start = hyjax.fill_visibility(rough.visible, rough.each > 0, guide, schedule)
+    made = {("raw", 1, 0): rough.visible, ("together", 1, 0): together}
+    for factor in SIZES:
+        for steps in STEPS:
+            own = Schedule.uniform([(factor, steps)], kappa=kappa)
+            made["separate", factor, steps] = hyjax.shadow_pass(start, guide, own)
+    return {key: np.asarray(value) for key, value in made.items()}
+
+
+def compare(
+    visible: Float[np.ndarray, "h w"], truth: Float[np.ndarray, "h w"], counted: Bool[np.ndarray, "h w"]
+) -> dict[str, float] | None:
+    """Overlap, edge error and border offset of one shadow; None if there is none to speak of."""
+    dark, true = (visible < 0.5) & counted, (truth < 0.5) & counted
+    if true.sum() < 1e-3 * truth.size or not (counted & ~true).any():
+        return None
+    border, true_border = (_border(x, counted) for x in (dark, true))
+    from_true = ndimage.distance_transform_edt(~true_border) if true_border.any() else np.full(true.shape, np.inf)
+    near = counted & (from_true < max(1.0, EDGE * truth.shape[0]))
+    if not near.any():
+        return None
+    offsets = [np.minimum(from_true[border], FARTHEST)]
+    from_own = ndimage.distance_transform_edt(~border) if border.any() else np.full(true.shape, np.inf)
+    offsets.append(np.minimum(from_own[true_border], FARTHEST))
+    return {
+        "overlap": float((dark & true).sum() / (dark | true).sum()),
+        "edge_error": float(np.abs(visible - truth)[near].mean()),
+        "border_offset": float(np.mean([x.mean() for x in offsets if x.size])),
+    }
+
+
+def _border(shadow: Bool[np.ndarray, "h w"], counted: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Pixels of a shadow beside light that counts."""
+    return shadow & ndimage.binary_dilation(counted & ~shadow)
+
+
+def pictures(view: View, bench: Bench, mode: Mode, rough_maps: Any, accurate_maps: Any) -> list[np.ndarray]:
+    """A row of the sheet: the frame relit with each estimate of the shadows, brighter than it would be."""
+    relit = []
+    for maps, accurate in ((rough_maps, False), (accurate_maps, True)):
+        separate = bench.relight(view, LIGHTS, mode, bench.schedule, accurate=accurate, shadow_maps=maps)
+        relit += [separate.unrefined, together(view, bench, mode, maps, accurate), separate.image]
+    truth = relit.pop(3)
+    seen = [np.asarray(hyjax.to_display(jnp.clip(GAIN * x, 0.0, 1.0))) for x in (*relit, truth)]
+    return [np.asarray(view.display), *seen]
+
+
+def together(view: View, bench: Bench, mode: Mode, maps: Any, accurate: bool) -> Array:
+    """The frame relit with a filter that was diffused with its shadows in it; linear."""
+    setup, linear = bench.setups[LIGHTS], hyjax.to_linear(view.display)
+    schedule, lit = with_kappa(bench.schedule, KAPPA[mode]), Lit(view, bench, "hyjax", maps, accurate=accurate)
+    if mode == "paper":
+        raw = hyjax.to_display(hyjax.colored(lit.shadowed, setup.lights) / setup.reference_lux)
+        return hyjax.to_linear(hyjax.cascade(raw, view.display, schedule) * view.display)
+    each = hyjax.cascade_known(lit.shadowed, lit.hit, view.display, schedule)
+    return hyjax.colored(each, setup.lights) / setup.reference_lux * linear
+
+
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Tables, figure and picture from the rows."""
+    scores = [row for row in rows if row.get("kind") == "score"]
+    if not scores:
+        return ["No shadow has been judged yet."]
+    preset = hyjax.Schedule.preset("shadow").levels[0]
+    kinds = {
+        "raw": ("raw", 1, 0),
+        "together": ("together", 1, 0),
+        f"separate, {preset.steps} steps": ("separate", preset.factor, preset.steps),
+    }
+    header = ["", "overlap", "edge error", "border offset px"]
+    made: list[Block] = []
+    for surface in SURFACES:
+        own = [row for row in scores if row["surface"] == surface]
+        count = len({(row["frame"], row["light"]) for row in own})
+        lines = [
+            [f"{mode} mode, {name}", *cells(own, mode, *key)]
+            for mode in GROUPS.values()
+            for name, key in kinds.items()
+        ]
+        caption = (
+            f"On the {surface} surface: {count} shadows of single lights in single frames, mean ± 95 % interval."
+        )
+        made.append(Table(caption, header, lines))
+    return [
+        *made,
+        Plot("steps", "Steps of the separate pass; dashed: together, dotted: raw.", figure(scores)),
+        Picture(folder / "side_by_side.png", f"Frames relit with shadows, {GAIN:g} times as bright."),
+    ]
+
+
+def cells(scores: Sequence[Row], mode: str, method: str, factor: int, steps: int) -> list[str]:
+    """Means with their intervals."""
+    own = chosen(scores, mode, method, factor, steps)
+    found = [(summarise([row[metric] for row in own]), digits) for metric, digits in METRICS.items()]
+    return ["–" if summary is None else summary.text(digits) for summary, digits in found]
+
+
+def chosen(scores: Sequence[Row], mode: str, method: str, factor: int, steps: int) -> list[Row]:
+    wanted = (mode, method, factor, steps)
+    return [row for row in scores if (row["mode"], row["method"], row["factor"], row["steps"]) == wanted]
+
+
+def figure(scores: Sequence[Row]) -> Any:
+    """Each metric against the steps of the separate pass, a line of axes for each surface."""
+    fig = new_figure(12, 7)
+    for line, surface in zip(fig.subplots(len(SURFACES), len(METRICS)), SURFACES):
+        own = [row for row in scores if row["surface"] == surface]
+        for ax, metric in zip(line, METRICS):
+            for k, mode in enumerate(GROUPS.values()):
+                for factor, size in SIZES.items():
+                    rows = [chosen(own, mode, "separate", factor, steps) for steps in STEPS]
+                    mean = [np.mean([row[metric] for row in r]) if r else np.nan for r in rows]
+                    face = f"C{k}" if factor == 1 else "none"
+                    label = f"{mode} mode, {size} size"
+                    ax.plot(range(len(STEPS)), mean, "-o", color=f"C{k}", label=label, markerfacecolor=face)
+                for method, style in (("together", "--"), ("raw", ":")):
+                    values = [row[metric] for row in chosen(own, mode, method, 1, 0)]
+                    if values:
+                        ax.axhline(np.mean(values), color=f"C{k}", linestyle=style, linewidth=1)
+            ax.set_xticks(range(len(STEPS)), [str(n) for n in STEPS])
+            ax.set(xlabel="steps", title=f"{metric.replace('_', ' ')}, {surface} surface")
+            ax.set_ylim(bottom=0)
+    fig.axes[0].legend(fontsize=7)
+    return fig
+
+
+if __name__ == "__main__":
+    run(main, Config)

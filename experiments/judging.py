@@ -1,0 +1,144 @@
+"""How near a picture comes to another, over the whole and by kind of pixel; and what many frames say together."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy import ndimage, stats
+
+from hyjax.gbuffer import GBuffer
+from hyjax.metrics import LpipsWeights, lpips_distance_map, lpips_features, ssim_map
+
+METRICS = ("lpips", "psnr", "ssim")
+REGIONS = ("all", "holes", "silhouettes", "elsewhere")
+SILHOUETTE = 6 / 512  # of the picture's height: how near to a depth jump counts as beside it
+JUMP = 0.05  # of the depth, between neighbouring pixels
+SMALLEST = 1e-3  # share of the picture below which a region says nothing
+
+Image = Float[Array, "h w 3"]
+Regions = Mapping[str, Bool[np.ndarray, "h w"]]
+
+
+def regions(rough: GBuffer, accurate: GBuffer) -> Regions:
+    """Every pixel by what is wrong with the rough surface there.
+
+    Returns:
+        `all`; and disjoint: `holes`, where the rough mesh has no surface; `silhouettes`, beside a depth jump of
+        either surface; `elsewhere`.
+    """
+    holes = ~np.asarray(rough.hit)
+    beside = beside_jump(np.asarray(rough.depth)) | beside_jump(np.asarray(accurate.depth))
+    near = beside & ~holes
+    return {"all": np.ones_like(holes), "holes": holes, "silhouettes": near, "elsewhere": ~(holes | near)}
+
+
+def judge(
+    pictures: Mapping[str, Image],
+    target: Image,
+    regions: Regions,
+    weights: LpipsWeights | None,
+    valid: Bool[np.ndarray, "h w"] | None = None,
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Scores of pictures against a target, by region.
+
+    Where the target is not valid the pictures are given its values: nothing there counts for or against them, also
+    not in the surroundings that SSIM and LPIPS look at.
+
+    Args:
+        pictures: display values by name.
+        target: display values.
+        regions: masks by name.
+        weights: of LPIPS; None leaves it out.
+        valid: where the target counts; None for everywhere.
+
+    Returns:
+        Picture → region → metric. LPIPS and SSIM are means of their maps over the region. Regions smaller than
+        `SMALLEST` of the picture are left out.
+    """
+    valid = np.ones(target.shape[:2], bool) if valid is None else valid
+    stacked = jnp.stack([jnp.asarray(picture) for picture in pictures.values()])
+    maps = [np.asarray(m) for m in _maps(stacked, target, jnp.asarray(valid), weights)]
+    scores: dict[str, dict[str, dict[str, float]]] = {name: {} for name in pictures}
+    for region, mask in regions.items():
+        counted = mask & valid
+        if counted.mean() < SMALLEST:
+            continue
+        for k, name in enumerate(pictures):
+            squared, similar, *perceived = (m[k][counted].mean(dtype=np.float64) for m in maps)
+            found = {"psnr": float("inf") if squared == 0 else -10.0 * math.log10(squared), "ssim": float(similar)}
+            scores[name][region] = found | ({"lpips": float(perceived[0])} if perceived else {})
+    return scores
+
+
+@jax.jit
+def _maps(
+    pictures: Float[Array, "n h w 3"], target: Image, valid: Bool[Array, "h w"], weights: LpipsWeights | None
+) -> tuple[Array, ...]:
+    """Squared error, SSIM and LPIPS of every pixel of every picture, (n, h, w) each; one picture at a time."""
+
+    features = None if weights is None else lpips_features(target, weights)
+
+    def each(picture: Image) -> tuple[Array, ...]:
+        seen = jnp.where(valid[..., None], picture, target)
+        found = jnp.mean((seen - target) ** 2, axis=-1), ssim_map(seen, target)
+        if weights is None or features is None:
+            return found
+        perceived = lpips_distance_map(lpips_features(seen, weights), features, weights, shape=target.shape[:2])
+        return *found, perceived
+
+    return jax.lax.map(each, pictures)
+
+
+def beside_jump(depth: Float[np.ndarray, "h w"], reach: int | None = None) -> Bool[np.ndarray, "h w"]:
+    """Pixels within `reach` of a jump of the depth between neighbours; `SILHOUETTE` of the height unless given."""
+    jump = np.zeros(depth.shape, bool)
+    for axis in (0, 1):
+        d, j = np.moveaxis(depth, axis, 0), np.moveaxis(jump, axis, 0)
+        far = np.abs(np.diff(d, axis=0)) > JUMP * np.minimum(d[1:], d[:-1])
+        j[1:] |= far
+        j[:-1] |= far
+    reach = max(1, round(SILHOUETTE * depth.shape[0])) if reach is None else reach
+    return ndimage.binary_dilation(jump, iterations=reach) if reach else jump
+
+
+@dataclasses.dataclass(frozen=True)
+class Summary:
+    """A mean over frames.
+
+    Attributes:
+        mean: of the values.
+        half: half width of its 95 % interval by Student's t; None of a single value. Frames of one walk are no
+            independent rooms: it tells of frames like these.
+        count: how many values.
+    """
+
+    mean: float
+    half: float | None
+    count: int
+
+    def text(self, digits: int) -> str:
+        """Such as `0.123 ±0.004`."""
+        half = "" if self.half is None else f" ±{self.half:.{digits}f}"
+        return f"{self.mean:.{digits}f}{half}"
+
+
+def summarise(values: Sequence[float | None]) -> Summary | None:
+    """Mean and interval of the values that there are; None if there is none."""
+    there = [v for v in values if v is not None]
+    if not there:
+        return None
+    half = None
+    if len(there) > 1:
+        half = float(stats.t.ppf(0.975, len(there) - 1) * np.std(there, ddof=1) / math.sqrt(len(there)))
+    return Summary(float(np.mean(there)), half, len(there))
+
+
+def pick(row: Mapping[str, Any], *keys: str) -> Any:
+    """A value deep in a row; None if any of the keys is missing."""
+    return functools.reduce(lambda found, key: None if found is None else found.get(key), keys, row)

@@ -1,0 +1,136 @@
+"""The surface that judges the others: accurate, cleaned, and only where it can be relied on.
+
+A raw fusion at 2 cm is full of bumps and crevices of its own, which a perceptual metric takes for structure: it
+would prefer a bumpy filter to a right one. So a fused reference has its normals
+smoothed a little (`reference_quality` measures how much is good), and pixels do not count where
+
+- it has no surface,
+- its depth is off from the frame's own depth reading by more than `DEPTH_SLACK`,
+- it is seen at a cosine below `GRAZING`, or
+- its normals turn by more than `BUMP` when they are smoothed further: a bump, or a crease that a fusion rounds off.
+
+The built-in room's true mesh is taken as it is. Laser scans are taken as they are, where they agree with the depth
+camera.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from jaxtyping import Bool, Float
+
+from hyjax.data.capture import Capture, Frame
+from hyjax.data.laser_scans import load_laser_scans
+from hyjax.data.room import RoomCapture
+from hyjax.data.surfaces import surface_of
+from hyjax.errors import InputError
+from hyjax.gbuffer import GBuffer
+from hyjax.scene.camera import Camera
+from hyjax.scene.point_cloud import PointCloud
+from hyjax.scene.raycast import RayCaster
+from hyjax.scene.splatting import PointSplatter
+from hyjax.scene.surface import relax, smooth_normals
+
+VOXEL = 0.02  # metres, of a fusion
+LASER_VOXEL = 0.005  # metres: laser points are thinned to one in each such cube
+RELAXING, SMOOTHING = 0, 4  # passes over the vertices and over the normals, see `reference_quality`
+BUMP_PASSES = 20
+BUMP = np.deg2rad(20.0)
+GRAZING = 0.15
+DEPTH_SLACK = (0.03, 0.02)  # metres, and per metre of depth
+
+
+@dataclasses.dataclass(frozen=True)
+class Reference:
+    """An accurate surface.
+
+    Attributes:
+        description: what it is, in a few words.
+        geometry: the mesh or point cloud itself.
+        gbuffer: what a camera sees of it.
+        smoothed: the same with normals smoothed further, to find bumps; None if it is relied on as it is.
+        measured: whether it is checked against the frames' own depth.
+    """
+
+    description: str
+    geometry: trimesh.Trimesh | PointCloud
+    gbuffer: Callable[[Camera], GBuffer]
+    smoothed: Callable[[Camera], GBuffer] | None = None
+    measured: bool = True
+
+    def reliable(self, frame: Frame, camera: Camera, seen: GBuffer) -> Bool[np.ndarray, "h w"]:
+        """Where the reference may judge.
+
+        Args:
+            frame: as captured, with its depth.
+            camera: of the picture that is judged.
+            seen: what `camera` sees of the reference.
+        """
+        valid = np.asarray(seen.hit).copy()
+        if self.measured and frame.depth is not None:
+            valid &= _agrees(frame, np.asarray(seen.position), np.asarray(seen.depth))
+        if self.smoothed is not None:
+            normal, rays = np.asarray(seen.normal), camera.rays()
+            cosine = -np.sum(normal * rays, axis=-1) / np.linalg.norm(rays, axis=-1)
+            turned = np.sum(normal * np.asarray(self.smoothed(camera).normal), axis=-1)
+            valid &= (cosine > GRAZING) & (turned > np.cos(BUMP))
+        return valid
+
+
+def open_reference(capture: Capture, name: str | None = None, *, progress: bool = True) -> Reference:
+    """The accurate surface of a capture.
+
+    Args:
+        capture: whose surface.
+        name: `true` (built-in room), `laser` (the venue's laser scans), `fused` (from the depth maps, at 2 cm) or a
+            mesh file, which is taken as it is. By default the first of these that the capture has.
+
+    Raises:
+        InputError: the capture does not have it, or it cannot be read.
+    """
+    laser: Path | None = getattr(capture, "laser_folder", None)
+    if name is None:
+        name = "true" if isinstance(capture, RoomCapture) else "laser" if laser is not None else "fused"
+    if name == "laser":
+        if laser is None:
+            raise InputError(f"{capture.name}: has no laser scans; take 'fused' or a mesh file as the reference")
+        cloud = load_laser_scans(laser, voxel=LASER_VOXEL, progress=progress)
+        return Reference(f"laser scans, {len(cloud.points)} points", cloud, PointSplatter(cloud).gbuffer)
+    description, mesh = surface_of(capture, name, voxel=VOXEL, most_frames=len(capture), progress=progress)
+    if name != "fused":
+        return Reference(description, mesh, RayCaster(mesh).gbuffer, measured=name != "true")
+    return cleaned(description, mesh)
+
+
+def cleaned(
+    description: str, mesh: trimesh.Trimesh, relaxing: int = RELAXING, smoothing: int = SMOOTHING
+) -> Reference:
+    """A fusion as a reference, see above; `relaxing` passes over its vertices and `smoothing` over its normals."""
+    mesh = relax(mesh, relaxing)
+    clean, smoother = with_normals(mesh, smoothing), with_normals(mesh, BUMP_PASSES)
+    return Reference(f"{description}, cleaned", clean, RayCaster(clean).gbuffer, RayCaster(smoother).gbuffer)
+
+
+def with_normals(mesh: trimesh.Trimesh, passes: int) -> trimesh.Trimesh:
+    """The mesh with vertex normals smoothed so many times."""
+    normals = smooth_normals(mesh, passes)
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, process=False)
+
+
+def _agrees(
+    frame: Frame, position: Float[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h w"]
+) -> Bool[np.ndarray, "h w"]:
+    """Where the frame's depth map says the same, or nothing."""
+    reading: Any = frame.depth
+    camera = frame.depth_camera
+    pixel, expected = camera.project(position.astype(np.float64))
+    with np.errstate(invalid="ignore"):
+        column, row = np.floor(pixel[..., 0]), np.floor(pixel[..., 1])
+        inside = (column >= 0) & (row >= 0) & (column < reading.shape[1]) & (row < reading.shape[0]) & (depth > 0)
+    row, column = (np.where(inside, x, 0).astype(int) for x in (row, column))
+    measured = np.where(inside, reading[row, column], 0.0)
+    slack = DEPTH_SLACK[0] + DEPTH_SLACK[1] * expected
+    return (measured <= 0) | (np.abs(measured - expected) < slack)
