@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from reference.arkit_export import export_arkit_scan, write_depth
+from scipy.spatial.transform import Rotation
 
 from hyjax.data import surfaces
 from hyjax.data.arkit_scenes import ArkitScenes, holds_arkit_scenes, open_arkit_scenes
@@ -20,6 +21,7 @@ from hyjax.data.room import RoomCapture, load_room
 from hyjax.data.surfaces import surface_of
 from hyjax.errors import InputError
 from hyjax.images import read_image, write_png
+from hyjax.scene.camera import Camera
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.tsdf import fuse
 
@@ -75,6 +77,22 @@ def test_the_exported_room_is_the_room(
         # The depth map has a lens of its own, which sees the same surface.
         seen = caster.gbuffer(frame.depth_camera)
         np.testing.assert_allclose(frame.depth, seen.depth, atol=0.001)
+
+
+def test_any_capture_can_be_exported(room: RoomCapture, caster: RayCaster, tmp_path: Path) -> None:
+    """One whose y points down, such as the kitchen's: mesh and poses are turned together to be z-up."""
+    tilt = np.eye(4)
+    tilt[:3, :3] = Rotation.from_rotvec([1.6, 0.2, 0.1]).as_matrix()
+    cameras = [Camera(frame.camera.intrinsics, tilt @ frame.camera.pose) for frame in room]
+    images, depths = (np.stack(arrays) for arrays in zip(*((frame.image, frame.depth) for frame in room)))
+    tilted = RoomCapture(np.uint8(np.round(images * 255)), depths, cameras, room.mesh, {})
+    tilted.up = tilt[:3, :3] @ room.up
+    capture = open_arkit_scenes(export_arkit_scan(tmp_path, tilted, room.mesh.copy().apply_transform(tilt)))
+    mine = RayCaster(surface_of(capture, progress=False)[1])
+    for frame, original in zip(capture, room):
+        seen, truth = mine.gbuffer(frame.camera), caster.gbuffer(original.camera)
+        assert np.mean(seen.hit != truth.hit) < 1e-3
+        assert np.quantile(np.abs(seen.depth - truth.depth), 0.999) < 1e-3
 
 
 def test_pictures_on_disk_are_turned(room: RoomCapture, tmp_path: Path) -> None:

@@ -38,8 +38,9 @@ def export_arkit_scan(
 
     Args:
         folder: made if need be.
-        capture: frames at least 10 ms apart, depth (if any) registered to the pictures, in a world whose z is up.
-        mesh: ARKit's mesh of it.
+        capture: frames at least 10 ms apart, depth (if any) registered to the pictures. Its world is turned so that
+            `capture.up` becomes z.
+        mesh: ARKit's mesh of it, in the capture's world.
         video_id: eight digits.
         quarter_turns: how the device is held: pictures on disk become upright by so many clockwise.
         stride: every so many pixels of the capture make lowres_wide and its depth.
@@ -62,9 +63,11 @@ def export_arkit_scan(
             write_depth(file_in(scan / "lowres_depth", f"{name}.png"), 1000 * lowres.depth)
             confidence = np.where(lowres.depth > 0, 2, 0)
             write_png(file_in(scan / "confidence", f"{name}.png"), confidence / 255)
-    poses = [frame.camera.turned(-quarter_turns).pose for frame in frames]
+    z_up = np.eye(4)
+    z_up[:3, :3] = Rotation.align_vectors([[0.0, 0.0, 1.0]], [capture.up])[0].as_matrix()
+    poses = [z_up @ frame.camera.turned(-quarter_turns).pose for frame in frames]
     write_trajectory(scan / "lowres_wide.traj", np.array(times), np.array(poses))
-    save_mesh(scan / f"{video_id}_3dod_mesh.ply", mesh)
+    save_mesh(scan / f"{video_id}_3dod_mesh.ply", mesh.copy().apply_transform(z_up))
     return scan
 
 
