@@ -1,7 +1,7 @@
 """Positions of point clouds in PLY files: ASCII and binary of both byte orders, read in pieces.
 
-A laser scan has tens of millions of points with colours; trimesh reads a file whole, with all its properties. Here
-only positions are kept, and memory goes to one piece at a time.
+A laser scan has tens of millions of points with colours. trimesh reads a file whole with all its properties, and
+takes an ASCII cloud that was cut off for a good one; here only positions are kept, in pieces, and counted.
 
 Source: Turk, "The PLY polygon file format", 1994.
 """
