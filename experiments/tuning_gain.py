@@ -25,6 +25,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from experiments.command import run
 from experiments.plotting import new_figure
 from experiments.tuning_scenes import (
+    ComparisonConfig,
     Scene,
     compare,
     comparison_table,
@@ -45,7 +46,6 @@ from hyjax.tuning.relaxation import Plan, prepare
 from hyjax.tuning.report_text import kappa_text, lam_text, steps_text
 from hyjax.tuning.result import Budget, Scores
 from hyjax.tuning.run import BASELINES, tune_bench
-from hyjax.tuning.search import Effort
 
 COMPARISONS = (
     ("paper-50 polished", "paper-50"),
@@ -60,21 +60,12 @@ COMPARISONS = (
 )
 
 
-@dataclasses.dataclass(frozen=True)
-class Config:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config(ComparisonConfig):
     kitchen: Path | None = None
     """A capture to tune on besides the built-in room."""
-    size: tuple[int, int] = (512, 512)
-    frames: int = 6
-    """How many to tune on."""
-    holdout: int = 6
-    """How many to hold out, of the last quarter."""
-    repeats: int = 100
-    """Rounds of the timing at the end."""
     polishing: int = 40
     """Iterations of κ and λ of the paper's schedules."""
-    effort: Effort = dataclasses.field(default_factory=Effort)
-    seed: int = 0
     out: Path = Path("results/tuning_gain")
 
 

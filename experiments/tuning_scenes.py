@@ -21,9 +21,25 @@ from hyjax.tuning.calibration import compile_all, time_calls
 from hyjax.tuning.cases import Case, scores
 from hyjax.tuning.request import split_frames
 from hyjax.tuning.result import Milliseconds, Scores
+from hyjax.tuning.search import Effort
 
 MOST_SECONDS = 120.0
 """For timing everything once more at the end."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ComparisonConfig:
+    """Options of an experiment that tunes, and compares schedules on frames held out."""
+
+    size: tuple[int, int] = (512, 512)
+    frames: int = 6
+    """How many to tune on."""
+    holdout: int = 6
+    """How many to hold out, of the last quarter."""
+    repeats: int = 100
+    """Rounds of the timing at the end."""
+    effort: Effort = dataclasses.field(default_factory=Effort)
+    seed: int = 0
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from experiments.command import run
 from experiments.plotting import new_figure
 from experiments.tuning_scenes import (
+    ComparisonConfig,
     compare,
     comparison_table,
     footer,
@@ -35,23 +36,13 @@ from hyjax.tuning.cases import mix, refined_filter
 from hyjax.tuning.report_text import kappa_text, lam_text, steps_text
 from hyjax.tuning.request import parse_budgets
 from hyjax.tuning.run import tune_bench
-from hyjax.tuning.search import Effort
 
 
-@dataclasses.dataclass(frozen=True)
-class Config:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config(ComparisonConfig):
     kitchen: Path
     """The capture to tune on besides the built-in room."""
     budget_ms: float = 4.0
-    size: tuple[int, int] = (512, 512)
-    frames: int = 6
-    """How many to tune on."""
-    holdout: int = 6
-    """How many to hold out, of the last quarter."""
-    repeats: int = 100
-    """Rounds of the timing at the end."""
-    effort: Effort = dataclasses.field(default_factory=Effort)
-    seed: int = 0
     out: Path = Path("results/tuning_transfer")
 
 
