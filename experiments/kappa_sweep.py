@@ -32,7 +32,7 @@ from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.data.surfaces import surface_of
 from hyjax.environment import environment
-from hyjax.files import make_writable
+from hyjax.files import make_writable, whole, write_text
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.schedule import PRESETS, Schedule
@@ -150,11 +150,12 @@ def main(config: Config) -> None:
         "mean colour": float(np.mean([psnr(mean_color(case, relit), case) for case, relit in plain])),
     }
     record = {"rows": rows, "results": results, "baselines": baselines, "config": str(config)} | environment()
-    (config.out / "kappa_sweep.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    write_text(config.out / "kappa_sweep.json", json.dumps(record, indent=2) + "\n")
     table = markdown(bench.capture.name, results, baselines)
-    (config.out / "kappa_sweep.md").write_text(table + "\n", encoding="utf-8")
+    write_text(config.out / "kappa_sweep.md", table + "\n")
     print(table)
-    figure(config.out / "kappa_sweep.png", bench.capture.name, rows)
+    with whole(config.out / "kappa_sweep.png") as path:
+        figure(path, bench.capture.name, rows)
 
 
 def markdown(name: str, results: list[dict[str, Any]], baselines: dict[str, float]) -> str:

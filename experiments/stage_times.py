@@ -28,7 +28,7 @@ from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.data.surfaces import surface_of
 from hyjax.environment import environment, peak_memory_mib
-from hyjax.files import make_writable
+from hyjax.files import make_writable, whole, write_text
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.tuning.latency import measure
@@ -91,9 +91,10 @@ def main(config: Config) -> None:
     record |= {"peak_memory_mib": round(peak_memory_mib()), "config": str(config)} | environment()
     table = markdown(record)
     print(table)
-    figure(config.out / "stage_times.png", record)
-    (config.out / "stage_times.md").write_text(table + "\n", encoding="utf-8")
-    (config.out / "stage_times.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    with whole(config.out / "stage_times.png") as path:
+        figure(path, record)
+    write_text(config.out / "stage_times.md", table + "\n")
+    write_text(config.out / "stage_times.json", json.dumps(record, indent=2) + "\n")
 
 
 def _frame(linear: Any, gbuffer: Any, lights: Any, guide: Any, schedule: Any, maps: Any) -> Any:
