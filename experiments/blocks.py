@@ -5,6 +5,7 @@ import io
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from hyjax.errors import InputError
@@ -14,6 +15,8 @@ from hyjax.tuning.report_markup import Html, tag
 from hyjax.tuning.report_pictures import data_uri
 
 DPI = 120
+SVG = {"Date": None, "Creator": None, "Format": None, "Type": None}
+"""No metadata: the page says where its rows come from."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,9 +72,8 @@ def markdown(blocks: Iterable[Block]) -> str:
         if isinstance(block, str):
             parts.append(block)
         elif isinstance(block, Table):
-            lines = [f"| {' | '.join(block.header)} |", "|---" + "|---:" * (len(block.header) - 1) + "|"]
-            lines += [f"| {' | '.join(row)} |" for row in block.rows]
-            parts += [block.caption, "\n".join(lines)]
+            lines = [_line(block.header), "|---" + "|---:" * (len(block.header) - 1) + "|"]
+            parts += [block.caption, "\n".join([*lines, *map(_line, block.rows)])]
         elif isinstance(block, Plot):
             parts.append(f"{block.name}.png: {block.caption}")
         else:
@@ -95,6 +97,11 @@ def write_blocks(out: Path, name: str, blocks: Sequence[Block]) -> None:
                 block.figure.savefig(temporary, dpi=DPI)
 
 
+def _line(cells: Sequence[str]) -> str:
+    """A line of a Markdown table."""
+    return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+
+
 def _html(block: Block) -> Html:
     if isinstance(block, str):
         return tag("p", block)
@@ -105,7 +112,8 @@ def _html(block: Block) -> Html:
         return tag("div", table, class_="wide")
     if isinstance(block, Plot):
         stream = io.StringIO()
-        block.figure.savefig(stream, format="svg", metadata={"Date": None})
+        with rc_context({"svg.hashsalt": "hyjax"}):  # the same page from the same rows
+            block.figure.savefig(stream, format="svg", metadata=SVG)
         shown = Html(stream.getvalue()[stream.getvalue().index("<svg") :])
         return tag("figure", shown, tag("figcaption", block.caption))
     return tag("figure", _packed(block), tag("figcaption", block.caption))

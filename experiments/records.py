@@ -59,15 +59,22 @@ class Results:
             for row in self.rows:
                 self._compare(row)
         elif earlier and not is_finished(earlier):
+            how = "add --resume to go on with it" if hasattr(config, "resume") else f"remove its {FILE}"
             raise InputError(
-                f"{out}: holds an interrupted run of {len(earlier)} rows; add --resume to go on with it, or choose "
-                "another --out"
+                f"{out}: holds an interrupted run of {len(earlier)} rows; {how}, or choose another --out"
             )
         # Anew without what a crash cut off; with --resume and nothing there, an empty file.
         write_text(self.path, "".join(json.dumps(row) + "\n" for row in self.rows))
 
     def add(self, **values: Any) -> Row:
-        """Append a row and return it. Numbers that are not finite become None, arrays become lists."""
+        """Append a row and return it. Numbers that are not finite become None, arrays become lists.
+
+        Raises:
+            InputError: the file cannot be written.
+            ValueError: a value has the name of something that every row carries.
+        """
+        if taken := sorted(values.keys() & self._stamp.keys()):
+            raise ValueError(f"every row has a {taken[0]!r} already; give the value another name")
         row: Row = _clean(values) | self._stamp
         try:
             with self.path.open("a", encoding="utf-8") as file:

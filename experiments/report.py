@@ -29,6 +29,7 @@ EXPERIMENTS = (
     "ablation_shadow",
     "structure",
     "conductances",
+    "reference_quality",
 )
 """Modules with a `TITLE` and `blocks(rows, folder)`, in the page's order."""
 
@@ -55,7 +56,7 @@ def main(config: Config) -> None:
         raise InputError(f"{config.results}: no such folder; run an experiment first, or give --results")
     runs = list(find_runs(config.results))
     if not runs:
-        raise InputError(f"{config.results}: no {FILE} in it or below; run an experiment first")
+        raise InputError(f"{config.results}: no {FILE} with rows in it or below; run an experiment first")
     make_writable(config.out.parent)
     write_text(config.out, page(runs))
     print(f"{len(runs)} runs; look at {config.out}")
@@ -97,18 +98,20 @@ def _place(folder: Path, rows: list[Row]) -> tuple[int, str]:
 def _section(folder: Path, rows: list[Row]) -> tuple[str, Html]:
     """Title and content of one run."""
     module: Any = importlib.import_module(f"experiments.{rows[0]['experiment']}")
-    title = f"{module.TITLE}: {folder.name}"
+    title = module.TITLE if folder.name == rows[0]["experiment"] else f"{module.TITLE}: {folder.name}"
     unfinished = "" if is_finished(rows) else tag("p", "This run did not come to its end.", class_="lead")
     return title, join([unfinished, html(module.blocks(rows, folder)), footer(rows)])
 
 
 def footer(rows: list[Row]) -> Html:
     """Where the rows come from."""
-    last = rows[-1]
+    count = len(rows) - is_finished(rows)
     commits = ", ".join(dict.fromkeys(row["commit"][:12] + row["commit"][40:] for row in rows))
-    machine = f"{last['device']}, {last['cpu_count']} cores, jax {last['versions']['jax']}"
-    settings = ", ".join(f"{key} {json.dumps(value)}" for key, value in last["settings"].items())
-    return tag("p", f"{len(rows)} rows; commit {commits}; {machine}; settings: {settings}.", class_="quiet")
+    machines = "; ".join(
+        dict.fromkeys(f"{row['device']}, {row['cpu_count']} cores, jax {row['versions']['jax']}" for row in rows)
+    )
+    settings = ", ".join(f"{key} {json.dumps(value)}" for key, value in rows[-1]["settings"].items())
+    return tag("p", f"{count} rows; commit {commits}; {machines}; settings: {settings}.", class_="quiet")
 
 
 if __name__ == "__main__":
