@@ -12,9 +12,10 @@ import OpenImageIO as oiio
 import pytest
 import trimesh
 import yaml
+from reference.seven_scenes_export import export_seven_scenes
 
 from hyjax.data.room import RoomCapture, load_room
-from hyjax.images import read_image, write_png
+from hyjax.images import read_image
 
 HYJAX = str(Path(sys.executable).with_name("hyjax"))
 POINT = {"kind": "point", "position": [2.2, 2.6, 1.5], "power": 2000}
@@ -52,14 +53,7 @@ def true_mesh(room: RoomCapture, tmp_path_factory: pytest.TempPathFactory) -> Pa
 @pytest.fixture
 def capture(room: RoomCapture, tmp_path: Path) -> Path:
     """Two frames of the room in the 7-Scenes layout, without depth."""
-    folder = tmp_path / "capture"
-    folder.mkdir()
-    for number, frame in enumerate(room):
-        write_png(folder / f"frame-{number:06d}.color.png", frame.image)
-        np.savetxt(folder / f"frame-{number:06d}.pose.txt", frame.camera.pose)
-    np.savetxt(folder / "camera-intrinsics.txt", room[0].camera.intrinsics.matrix)
-    np.savetxt(folder / "gravity-direction.txt", [0.0, 0.0, -1.0])
-    return folder
+    return export_seven_scenes(room, room.up, tmp_path / "capture")
 
 
 # Each spoils a capture or writes a file, and returns the options to give.

@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from reference.seven_scenes_export import export_seven_scenes
 
 from hyjax import InputError, Schedule, tune
 from hyjax.cli import main
 from hyjax.data.room import RoomCapture, load_room
-from hyjax.images import read_image, write_png
+from hyjax.images import read_image
 from hyjax.tuning import calibration, latency
 from hyjax.tuning.journal import NAME
 from hyjax.tuning.request import parse_budgets, split_frames
@@ -376,14 +377,7 @@ def test_frames_as_asked() -> None:
 @pytest.fixture
 def folder(room: RoomCapture, tmp_path: Path) -> Path:
     """The first four frames in the 7-Scenes layout, without depth."""
-    folder = tmp_path / "capture"
-    folder.mkdir()
-    for number in range(4):
-        write_png(folder / f"frame-{number:06d}.color.png", room[number].image)
-        np.savetxt(folder / f"frame-{number:06d}.pose.txt", room[number].camera.pose)
-    np.savetxt(folder / "camera-intrinsics.txt", room[0].camera.intrinsics.matrix)
-    np.savetxt(folder / "gravity-direction.txt", [0.0, 0.0, -1.0])
-    return folder
+    return export_seven_scenes([room[i] for i in range(4)], room.up, tmp_path / "capture")
 
 
 @pytest.mark.slow

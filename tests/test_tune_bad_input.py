@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 import pytest
+from reference.seven_scenes_export import export_seven_scenes
 from test_tune import steady_clock
 
 from hyjax import cli
 from hyjax.data.room import RoomCapture, load_room
-from hyjax.images import write_png
 from hyjax.schedule import Schedule
 from hyjax.tuning import latency, run
 from hyjax.tuning.descent import Objective
@@ -32,13 +31,7 @@ def room() -> RoomCapture:
 def given(room: RoomCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a capture without depth, a mesh, and an empty cache that is filled along the way."""
     folder = tmp_path_factory.mktemp("given")
-    capture = folder / "capture"
-    capture.mkdir()
-    for number in range(4):
-        write_png(capture / f"frame-{number:06d}.color.png", room[number].image)
-        np.savetxt(capture / f"frame-{number:06d}.pose.txt", room[number].camera.pose)
-    np.savetxt(capture / "camera-intrinsics.txt", room[0].camera.intrinsics.matrix)
-    np.savetxt(capture / "gravity-direction.txt", [0.0, 0.0, -1.0])
+    export_seven_scenes([room[i] for i in range(4)], room.up, folder / "capture")
     room.mesh.export(folder / "true.ply")
     (folder / "far.obj").write_text("v 900 0 0\nv 901 0 0\nv 901 1 0\nf 1 2 3\n")
     (folder / "lights.yaml").write_text("lights: [{kind: point, position: [2.2, 2.6, 1.5], power: 2000}]\n")
