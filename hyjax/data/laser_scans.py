@@ -85,7 +85,7 @@ def _read_pose(path: Path) -> Float[np.ndarray, "4 4"]:
 def _load(file: Path) -> PointCloud | None:
     """A cloud that was kept; None if there is none, or a damaged one."""
     try:
-        with np.load(file) as arrays:
+        with file.open("rb") as stream, np.load(stream) as arrays:
             return PointCloud(**arrays)
     except (OSError, EOFError, ValueError, TypeError, zipfile.BadZipFile):
         return None

@@ -93,12 +93,12 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[Element]]:
     elements: list[Element] = []
     for _ in range(LONGEST_HEADER):
         line = file.readline(4096).decode("latin-1")
+        if line.strip() == "end_header":
+            if order is None:
+                raise InputError(f"{path}: its header has no 'format' line")
+            return order, elements
         try:
             match line.split():
-                case ["end_header"]:
-                    if order is None:
-                        raise InputError(f"{path}: its header has no 'format' line")
-                    return order, elements
                 case ["format", name, _]:
                     order = BYTE_ORDERS[name]
                 case ["element", name, count] if int(count) >= 0:
