@@ -1,0 +1,144 @@
+"""The paper's benchmarks from end to end, on the built-in room exported as an ARKitScenes scan with laser scans."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from reference.arkit_export import export_arkit_scan
+from reference.laser_export import export_laser_scans
+
+from experiments import paper_table
+from experiments.judging import pick
+from experiments.paper_bench import BENCHMARKS, GROUPS, OURS, Bench
+from experiments.paper_table import Config, main
+from experiments.records import read_rows
+from hyjax.data.room import RoomCapture, load_room
+from hyjax.errors import InputError
+from hyjax.scene.mesh import drop_faces
+
+ALEXNET = ((11, 3, 64), (5, 64, 192), (3, 192, 384), (3, 384, 256), (3, 256, 256))
+SIZE = 96
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """AlexNet with random weights: the tables' way does not depend on what the network has learned."""
+    rng, arrays = np.random.default_rng(0), {}
+    for i, (width, fan_in, channels) in enumerate(ALEXNET):
+        scale = (width * width * fan_in) ** -0.5
+        arrays[f"AlexNet_0.Conv_{i}.kernel"] = rng.normal(0, scale, (width, width, fan_in, channels))
+        arrays[f"AlexNet_0.Conv_{i}.bias"] = np.zeros(channels)
+        arrays[f"NetLinLayer_{i}.Conv_0.kernel"] = rng.uniform(0, 1, (1, 1, channels, 1))
+    file = tmp_path_factory.mktemp("weights") / "random.npz"
+    np.savez(file, **{name: array.astype(np.float32) for name, array in arrays.items()})  # type: ignore[arg-type]
+    return file
+
+
+@pytest.fixture(scope="module")
+def room() -> RoomCapture:
+    return load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
+
+
+@pytest.fixture(scope="module")
+def scan(room: RoomCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The room with a tenth of its triangles missing for ARKit's mesh, and laser scans of the whole."""
+    torn = np.random.default_rng(0).random(len(room.mesh.faces)) < 0.1
+    folder = tmp_path_factory.mktemp("arkit")
+    made = export_arkit_scan(folder, room, drop_faces(room.mesh, torn))
+    stands = []
+    for index in (0, 2):
+        pose = np.eye(4)
+        pose[:3, 3] = room[index].camera.origin
+        stands.append(pose)
+    laser = made / "laser_scanner_point_clouds" / "468000"
+    laser.mkdir(parents=True)
+    export_laser_scans(laser, room.mesh, stands, 400_000)
+    return made
+
+
+@pytest.fixture(scope="module")
+def config(scan: Path, weights: Path, tmp_path_factory: pytest.TempPathFactory) -> Config:
+    return Config(capture=scan, frames="0,2", size=SIZE, weights=weights, out=tmp_path_factory.mktemp("whole"))
+
+
+@pytest.fixture(scope="module")
+def rows(config: Config) -> list[dict[str, Any]]:
+    main(config)
+    assert config.out is not None
+    return read_rows(config.out / "rows.jsonl")
+
+
+@pytest.mark.slow
+def test_the_whole_evaluation_on_an_arkitscenes_scan(config: Config, rows: list[dict[str, Any]]) -> None:
+    frames = [row for row in rows if row["kind"] == "frame"]
+    assert [row["index"] for row in frames] == [0, 2] and rows[-1]["kind"] == "finished"
+    assert frames[0]["meshes"].startswith("captured mesh") and "laser scans" in frames[0]["meshes"]
+    for row in frames:
+        assert row["settings"]["size"] == SIZE and row["commit"] and row["versions"]["jax"]
+        for benchmark in BENCHMARKS:
+            for group, mode in GROUPS.items():
+                for method in ("bare mesh", "mean colour", OURS[mode]):
+                    found = pick(row, "scores", benchmark, group, method, "all")
+                    assert 5 < found["psnr"] < 60 and 0 < found["ssim"] <= 1 and found["lpips"] > 0
+    fidelity = [
+        [pick(row, "scores", "relighting fidelity", "light", method, "all", "psnr") for row in frames]
+        for method in ("bare mesh", OURS["hyjax"])
+    ]
+    assert np.mean(fidelity[1]) > np.mean(fidelity[0]) + 1, "filling the holes must bring it nearer to the laser's"
+    assert config.out is not None
+    assert (config.out / "contact_sheet.png").stat().st_size > 1000
+    text = (config.out / "paper_table.md").read_text()
+    for benchmark in BENCHMARKS:
+        assert f"{benchmark.capitalize()}: mean over frames" in text
+
+
+@pytest.mark.slow
+def test_interrupted_and_resumed(
+    config: Config, rows: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = dataclasses.replace(config, out=tmp_path)
+    judged: list[int] = []
+    original = Bench.row
+
+    def counted(bench: Bench, index: int, weights: Any) -> dict[str, Any]:
+        if len(judged) == 1:
+            raise KeyboardInterrupt
+        judged.append(index)
+        return original(bench, index, weights)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Bench, "row", counted)
+        with pytest.raises(KeyboardInterrupt):
+            main(own)
+    assert judged == [0]
+    with pytest.raises(InputError, match="interrupted run of 1 rows"):
+        main(own)
+    with pytest.raises(InputError, match="that run had size 96 and this one has 128"):
+        main(dataclasses.replace(own, size=128, resume=True))
+    monkeypatch.setattr(paper_table, "write_contact_sheet", lambda *_: None)
+    main(dataclasses.replace(own, resume=True))
+    again = read_rows(tmp_path / "rows.jsonl")
+    assert [row.get("scores") for row in again] == [row.get("scores") for row in rows]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"capture": None, "reference": "laser"}, "room: has no laser scans"),
+        ({"schedule": "paper-8"}, "paper-8"),
+        ({"frames": "7"}, "past the end"),
+        ({"weights": Path(__file__)}, "test_paper_table.py"),
+    ],
+)
+def test_bad_input(change: dict[str, Any], message: str, config: Config, tmp_path: Path) -> None:
+    asked = dataclasses.replace(config, out=tmp_path / "out", **change)
+    if "reference" in change:
+        room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
+        with pytest.raises(InputError, match=message):
+            Bench(room, paper_table.Schedule.preset("paper-80"), "true", "laser", SIZE)
+        return
+    with pytest.raises(InputError, match=message) as caught:
+        main(asked)
+    assert "\n" not in str(caught.value)
