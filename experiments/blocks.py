@@ -21,17 +21,19 @@ SVG = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 @dataclasses.dataclass(frozen=True)
 class Table:
-    """A table. Numbers are formatted by whoever makes it; columns after the first are set to the right.
+    """A table. Numbers are formatted by whoever makes it, and set to the right.
 
     Attributes:
         caption: what it shows, in a sentence.
         header: names of the columns.
         rows: texts, as many as columns.
+        names: how many columns at the left are no numbers.
     """
 
     caption: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
+    names: int = 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +74,8 @@ def markdown(blocks: Iterable[Block]) -> str:
         if isinstance(block, str):
             parts.append(block)
         elif isinstance(block, Table):
-            lines = [_line(block.header), "|---" + "|---:" * (len(block.header) - 1) + "|"]
+            right = len(block.header) - block.names
+            lines = [_line(block.header), "|---" * block.names + "|---:" * right + "|"]
             parts += [block.caption, "\n".join([*lines, *map(_line, block.rows)])]
         elif isinstance(block, Plot):
             parts.append(f"{block.name}.png: {block.caption}")
@@ -106,8 +109,9 @@ def _html(block: Block) -> Html:
     if isinstance(block, str):
         return tag("p", block)
     if isinstance(block, Table):
-        head = tag("tr", [tag("th", name) for name in block.header])
-        body = [tag("tr", [tag("td", text) for text in row]) for row in block.rows]
+        places = [None] * block.names + ["n"] * (len(block.header) - block.names)
+        head = tag("tr", [tag("th", text, class_=place) for text, place in zip(block.header, places)])
+        body = [tag("tr", [tag("td", text, class_=p) for text, p in zip(row, places)]) for row in block.rows]
         table = tag("table", tag("caption", block.caption), tag("thead", head), tag("tbody", body))
         return tag("div", table, class_="wide")
     if isinstance(block, Plot):

@@ -8,6 +8,7 @@ import dataclasses
 import json
 import math
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +130,16 @@ def read_rows(path: Path) -> list[Row]:
 def is_finished(rows: list[Row]) -> bool:
     """Whether a run came to its end."""
     return bool(rows) and rows[-1].get("kind") == "finished"
+
+
+def machine(row: Row) -> str:
+    """What a row was made on, in words."""
+    return f"{row['device']}, {row['cpu_count']} cores, jax {row['versions']['jax']}"
+
+
+def of_kind(rows: Iterable[Row], kind: str) -> list[Row]:
+    """The rows of a kind."""
+    return [row for row in rows if row.get("kind") == kind]
 
 
 def commit() -> str:

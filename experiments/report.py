@@ -18,7 +18,7 @@ from typing import Any
 
 from experiments.blocks import html
 from experiments.command import run
-from experiments.records import FILE, Row, is_finished, read_rows
+from experiments.records import FILE, Row, is_finished, machine, read_rows
 from hyjax.errors import InputError
 from hyjax.files import make_writable, write_text
 from hyjax.tuning.report_markup import Html, join, tag
@@ -36,7 +36,6 @@ EXPERIMENTS = (
 STYLE = """
 table { margin: 0 0 .6rem; }
 caption { text-align: left; color: var(--quiet); padding-bottom: .4rem; max-width: 60rem; }
-td:not(:first-child), th:not(:first-child) { text-align: right; padding-left: 1.2rem; }
 figure { margin: 1.4rem 0; } figure svg, figure img { display: block; width: auto; max-width: 100%; height: auto; }
 figure svg { background: #fff; border-radius: .4rem; } figcaption { color: var(--quiet); font-size: .9rem; }
 section p { max-width: 62rem; }
@@ -107,9 +106,7 @@ def footer(rows: list[Row]) -> Html:
     """Where the rows come from."""
     count = len(rows) - is_finished(rows)
     commits = ", ".join(dict.fromkeys(row["commit"][:12] + row["commit"][40:] for row in rows))
-    machines = "; ".join(
-        dict.fromkeys(f"{row['device']}, {row['cpu_count']} cores, jax {row['versions']['jax']}" for row in rows)
-    )
+    machines = "; ".join(dict.fromkeys(machine(row) for row in rows))
     settings = ", ".join(f"{key} {json.dumps(value)}" for key, value in rows[-1]["settings"].items())
     return tag("p", f"{count} rows; commit {commits}; {machines}; settings: {settings}.", class_="quiet")
 
