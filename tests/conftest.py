@@ -1,6 +1,7 @@
 """Shared by all tests: strictness settings, data and weights from outside."""
 
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +13,9 @@ import pytest
 from hyjax.errors import InputError
 from hyjax.images import read_image
 from hyjax.metrics import LpipsWeights, load_lpips
+
+# `experiments` is not installed; after what is, so that `hyjax` stays the installed one.
+sys.path.append(str(Path(__file__).parents[1]))
 
 hypothesis.settings.register_profile("hyjax", derandomize=True, deadline=None, max_examples=25, database=None)
 hypothesis.settings.load_profile("hyjax")
