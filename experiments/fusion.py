@@ -2,25 +2,30 @@
 
     python -m experiments.fusion --capture PATH [--voxel 0.02] [--out results/fusion]
 
-Takes well under a minute for the 300 frames of the red kitchen on two cores. Writes `fusion.json` and the picture
-`fusion.png`: the surface, lit from the camera, as four of the frames see it. Dark red: no surface.
+Takes well under a minute for the 300 frames of the red kitchen on two cores.
+
+Expect: a line with time and memory, and a picture of the surface, lit from the camera, as four of the frames see
+it: walls and furniture whole, dark red where no frame has seen a surface.
 """
 
 import dataclasses
-import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from experiments.blocks import Block, Picture, Table, write_blocks
 from experiments.command import run
+from experiments.records import Results, Row, machine, of_kind
 from hyjax.data.frames import spread
 from hyjax.data.open import open_capture
-from hyjax.environment import environment, peak_memory_mib
-from hyjax.files import make_writable, write_text
 from hyjax.images import write_png
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.tsdf import fuse
-from hyjax.tuning.latency import StageClock
+from hyjax.tuning.latency import Stopwatch
+
+NAME = "fusion"
+TITLE = "Fusing the depth maps of a capture"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,18 +36,13 @@ class Config:
 
 
 def main(config: Config) -> None:
-    make_writable(config.out)
-    clock, capture = StageClock(), open_capture(config.capture)
-    with clock("fuse, reading included"):
-        mesh = fuse((capture[i] for i in range(len(capture))), config.voxel)
-    record = {
-        "frames": len(capture),
-        "faces": len(mesh.faces),
-        "seconds": clock.seconds["fuse, reading included"][0],
-    }
-    record |= {"peak_memory_mib": peak_memory_mib(), "config": str(config)} | environment()
-    print({key: record[key] for key in ("frames", "faces", "seconds", "peak_memory_mib")})
-    write_text(config.out / "fusion.json", json.dumps(record, indent=2) + "\n")
+    capture = open_capture(config.capture)
+    results = Results(config.out, NAME, config)
+    watch = Stopwatch()
+    mesh = fuse((capture[i] for i in range(len(capture))), config.voxel)
+    results.add(
+        kind="fusion", capture=capture.name, frames=len(capture), faces=len(mesh.faces), seconds=watch.seconds
+    )
     caster, views = RayCaster(mesh), []
     for index in spread(range(len(capture)), 4):
         camera = capture[index].camera
@@ -50,6 +50,20 @@ def main(config: Config) -> None:
         facing = -np.sum(np.asarray(seen.normal) * rays, axis=-1) / np.linalg.norm(rays, axis=-1)
         views.append(np.where(np.asarray(seen.hit)[..., None], np.clip(facing, 0, 1)[..., None], (0.3, 0.0, 0.0)))
     write_png(config.out / "fusion.png", np.concatenate(views, axis=1)[::2, ::2])
+    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
+
+
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Table and picture from the rows."""
+    peak = next((str(row["peak_memory_mib"]) for row in of_kind(rows, "finished")), "–")
+    fused = of_kind(rows, "fusion")
+    lines = [[r["capture"], str(r["frames"]), str(r["faces"]), f"{r['seconds']:.1f}", peak] for r in fused]
+    conditions = [f"; voxels of {100 * row['settings']['voxel']:g} cm; {machine(row)}" for row in fused]
+    caption = f"TSDF fusion of all depth maps, reading included{''.join(conditions)}."
+    return [
+        Table(caption, ["capture", "frames", "triangles", "seconds", "peak memory MiB"], lines),
+        Picture(folder / "fusion.png", "The surface, lit from the camera. Dark red: no surface."),
+    ]
 
 
 if __name__ == "__main__":

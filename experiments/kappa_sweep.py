@@ -5,38 +5,40 @@
 Takes about a minute on two cores, once the capture's meshes are made. The rough mesh (the capture's simulated scan)
 is relit by two coloured lights and compared with the frame times the raw filter of the accurate mesh (the built-in
 room's true one, or the capture's fusion at 2 cm) under the same lights: PSNR of display values where the accurate
-mesh has a surface. The last quarter of the capture is held out: nothing is chosen on those frames. Writes
-`kappa_sweep.json`, `.md` and `.png`.
+mesh has a surface. The last quarter of the capture is held out: nothing is chosen on those frames.
 
 Expect: our mode above the paper's, and the paper's above the bare scan, by one to two decibels each. The curves are
 flat around their tops. A filter of the mean colour is in the table because it, too, has no edges to get wrong.
 """
 
 import dataclasses
-import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import hyjax
+from experiments.blocks import Block, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.plotting import new_figure
+from experiments.records import Results, Row, of_kind
 from hyjax.data.capture import Capture
 from hyjax.data.frames import fit
 from hyjax.data.light_setups import named_setup, survey_capture
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.data.surfaces import surface_of
-from hyjax.environment import environment
-from hyjax.files import make_writable, whole, write_text
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.schedule import PRESETS, Schedule
 
+NAME = "kappa_sweep"
+TITLE = "Fidelity against κ, pooling and norm"
 KAPPAS = (0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2)
 VARIANTS = (
     ("paper", "edges", "l2"),
@@ -44,6 +46,7 @@ VARIANTS = (
     ("hyjax", "guide", "l2"),
     ("hyjax", "edges", "mean_abs"),
 )
+BASELINES = ("bare scan", "mean colour")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,58 +126,96 @@ def mean_color(case: Case, relit: hyjax.Relit) -> Any:
 
 
 def main(config: Config) -> None:
-    make_writable(config.out)
-    bench = Bench(load_room() if config.capture is None else open_capture(config.capture))
-    count = len(bench.capture)
-    tuning = [bench.case(i) for i in np.linspace(0, 0.75 * count - 1, config.frames).astype(int)]
-    held_out = [bench.case(i) for i in np.linspace(0.75 * count, count - 1, config.frames).round().astype(int)]
+    capture = load_room() if config.capture is None else open_capture(config.capture)
+    results = Results(config.out, NAME, config)
+    bench = Bench(capture)
+    count = len(capture)
+    tuning = np.linspace(0, 0.75 * count - 1, config.frames).astype(int)
+    held_out = np.linspace(0.75 * count, count - 1, config.frames).round().astype(int)
 
-    rows: list[dict[str, Any]] = []
-    for mode, pooling, norm in tqdm(VARIANTS, desc="sweep"):
+    def score(split: str, index: int, method: str, image: Any, case: Case, kappa: float | None = None) -> None:
+        results.add(
+            kind="score",
+            capture=capture.name,
+            split=split,
+            frame=capture[index].name,
+            method=method,
+            kappa=kappa,
+            psnr=float(psnr(image, case)),
+        )
+
+    cases = {int(index): bench.case(int(index)) for index in (*tuning, *held_out)}
+    variants = {", ".join(variant): variant for variant in VARIANTS}
+    for name, (mode, pooling, norm) in tqdm(variants.items(), desc="sweep"):
         for kappa in KAPPAS:
             schedule = Schedule.uniform(PRESETS[config.schedule], kappa=kappa, pooling=pooling, norm=norm)
-            scores = [float(psnr(bench.relight(case, schedule, mode).image, case)) for case in tuning]
-            rows.append(
-                {"variant": f"{mode}, {pooling}, {norm}", "kappa": kappa, "tuning_db": float(np.mean(scores))}
-            )
-    results = []
-    for mode, pooling, norm in VARIANTS:
-        name = f"{mode}, {pooling}, {norm}"
-        best = max((row for row in rows if row["variant"] == name), key=lambda row: row["tuning_db"])
-        schedule = Schedule.uniform(PRESETS[config.schedule], kappa=best["kappa"], pooling=pooling, norm=norm)
-        scores = [float(psnr(bench.relight(case, schedule, mode).image, case)) for case in held_out]
-        results.append(best | {"held_out_db": float(np.mean(scores))})
-    plain = [(case, bench.relight(case, Schedule.preset(config.schedule))) for case in held_out]
-    baselines = {
-        "bare scan": float(np.mean([psnr(relit.unrefined, case) for case, relit in plain])),
-        "mean colour": float(np.mean([psnr(mean_color(case, relit), case) for case, relit in plain])),
+            for index in tuning:
+                case = cases[index]
+                score("tuning", index, name, bench.relight(case, schedule, mode).image, case, kappa)
+    for name, (mode, pooling, norm) in variants.items():
+        kappa, _ = best(results.rows, name)
+        schedule = Schedule.uniform(PRESETS[config.schedule], kappa=kappa, pooling=pooling, norm=norm)
+        for index in held_out:
+            case = cases[index]
+            score("held-out", index, name, bench.relight(case, schedule, mode).image, case, kappa)
+    for index in held_out:
+        case = cases[index]
+        relit = bench.relight(case, Schedule.preset(config.schedule))
+        for name, image in zip(BASELINES, (relit.unrefined, mean_color(case, relit))):
+            score("held-out", index, name, image, case)
+    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
+
+
+def curve(rows: Sequence[Row], method: str) -> dict[float, float]:
+    """Mean PSNR on the tuning frames by κ."""
+    own = [row for row in of_kind(rows, "score") if (row["split"], row["method"]) == ("tuning", method)]
+    kappas = dict.fromkeys(row["kappa"] for row in own)
+    return {kappa: float(np.mean([row["psnr"] for row in own if row["kappa"] == kappa])) for kappa in kappas}
+
+
+def best(rows: Sequence[Row], method: str) -> tuple[float, float]:
+    """The κ with the highest mean PSNR on the tuning frames, and this."""
+    return max(curve(rows, method).items(), key=lambda point: point[1])
+
+
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Table and figure from the rows."""
+    scores = of_kind(rows, "score")
+    if not scores:
+        return ["No frame has been scored yet."]
+    methods = list(dict.fromkeys(row["method"] for row in scores))
+    lines = []
+    for method in sorted(methods, key=lambda method: method not in BASELINES):
+        kappa, decibels = ("", "") if method in BASELINES else best(rows, method)
+        held = [row["psnr"] for row in scores if (row["split"], row["method"]) == ("held-out", method)]
+        chosen = [str(kappa), f"{decibels:.2f}" if decibels else ""]
+        lines.append([method, *chosen, f"{np.mean(held):.2f}" if held else "–"])
+    frames = {
+        split: len({row["frame"] for row in scores if row["split"] == split}) for split in ("tuning", "held-out")
     }
-    record = {"rows": rows, "results": results, "baselines": baselines, "config": str(config)} | environment()
-    write_text(config.out / "kappa_sweep.json", json.dumps(record, indent=2) + "\n")
-    table = markdown(bench.capture.name, results, baselines)
-    write_text(config.out / "kappa_sweep.md", table + "\n")
-    print(table)
-    with whole(config.out / "kappa_sweep.png") as path:
-        figure(path, bench.capture.name, rows)
+    caption = (
+        f"PSNR of relit frames against the accurate mesh; {scores[0]['settings']['schedule']}, mean over "
+        f"{frames['tuning']} tuning frames, on which κ is chosen, and {frames['held-out']} held-out ones."
+    )
+    header = [f"{scores[0]['capture']}: mode, pooling, norm", "best kappa", "tuning dB", "held-out dB"]
+    return [
+        Table(caption, header, lines),
+        Plot(
+            NAME, "PSNR on the tuning frames against κ.", figure(rows, [m for m in methods if m not in BASELINES])
+        ),
+    ]
 
 
-def markdown(name: str, results: list[dict[str, Any]], baselines: dict[str, float]) -> str:
-    lines = [f"| {name}: mode, pooling, norm | best kappa | tuning dB | held-out dB |", "|---|---:|---:|---:|"]
-    lines += [f"| {key} | | | {value:.2f} |" for key, value in baselines.items()]
-    for r in results:
-        lines.append(f"| {r['variant']} | {r['kappa']} | {r['tuning_db']:.2f} | {r['held_out_db']:.2f} |")
-    return "\n".join(lines)
-
-
-def figure(path: Path, name: str, rows: list[dict[str, Any]]) -> None:
+def figure(rows: Sequence[Row], methods: Sequence[str]) -> Figure:
+    """A curve for each variant."""
     fig = new_figure(6, 4)
     axes = fig.subplots()
-    for variant in dict.fromkeys(row["variant"] for row in rows):
-        points = [(row["kappa"], row["tuning_db"]) for row in rows if row["variant"] == variant]
-        axes.semilogx(*zip(*points, strict=True), marker="o", label=variant)
-    axes.set(xlabel="kappa", ylabel="PSNR on tuning frames, dB", title=name)
+    for method in methods:
+        points = curve(rows, method)
+        axes.semilogx(list(points), list(points.values()), marker="o", label=method)
+    axes.set(xlabel="kappa", ylabel="PSNR on tuning frames, dB")
     axes.legend()
-    fig.savefig(path, dpi=120)
+    return fig
 
 
 if __name__ == "__main__":

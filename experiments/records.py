@@ -27,7 +27,8 @@ class Results:
     """The rows of one run.
 
     Every row carries `experiment`, `settings`, `seed`, `commit`, `device`, `cpu_count` and `versions` besides its
-    own values. The last row of a finished run is `{"kind": "finished"}`.
+    own values. The last row of a finished run is `{"kind": "finished"}`. A finished run that is there already is
+    replaced with the first row, not before.
 
     Args:
         out: the run's folder.
@@ -64,8 +65,7 @@ class Results:
             raise InputError(
                 f"{out}: holds an interrupted run of {len(earlier)} rows; {how}, or choose another --out"
             )
-        # Anew without what a crash cut off; with --resume and nothing there, an empty file.
-        write_text(self.path, "".join(json.dumps(row) + "\n" for row in self.rows))
+        self._begun = False
 
     def add(self, **values: Any) -> Row:
         """Append a row and return it. Numbers that are not finite become None, arrays become lists.
@@ -77,11 +77,15 @@ class Results:
         if taken := sorted(values.keys() & self._stamp.keys()):
             raise ValueError(f"every row has a {taken[0]!r} already; give the value another name")
         row: Row = _clean(values) | self._stamp
-        try:
-            with self.path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
-        except OSError as error:
-            raise InputError(f"{self.path}: cannot write ({error.strerror or error})") from None
+        if self._begun:
+            try:
+                with self.path.open("a", encoding="utf-8") as file:
+                    file.write(_line(row))
+            except OSError as error:
+                raise InputError(f"{self.path}: cannot write ({error.strerror or error})") from None
+        else:  # anew, without what a crash cut off
+            write_text(self.path, "".join(map(_line, [*self.rows, row])))
+            self._begun = True
         self.rows.append(row)
         return row
 
@@ -153,6 +157,10 @@ def commit() -> str:
 
 def _git(*arguments: str) -> str:
     return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def _line(row: Row) -> str:
+    return json.dumps(row) + "\n"
 
 
 def _clean(value: Any) -> Any:

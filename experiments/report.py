@@ -30,6 +30,14 @@ EXPERIMENTS = (
     "structure",
     "conductances",
     "reference_quality",
+    "kappa_sweep",
+    "tuning_gain",
+    "tuning_transfer",
+    "tuning_promise",
+    "tuning_optimum",
+    "tuning_race",
+    "stage_times",
+    "fusion",
 )
 """Modules with a `TITLE` and `blocks(rows, folder)`, in the page's order."""
 

@@ -2,36 +2,40 @@
 
     python -m experiments.stage_times [--capture PATH] [--repeats 30] [--out results/stage_times]
 
-Takes about a minute on two cores (more the first time, when the built-in room is made). Prints the README's table,
-and writes `stage_times.md`, `stage_times.json` with the raw figures, and the plot `stage_times.png`. The first call
-contains the compilation, with no cache to help it; the rest are timed one by one, waiting for each result.
+Takes about a minute on two cores (more the first time, when the built-in room is made). Prints the README's table.
+The first call contains the compilation, with no cache to help it; the rest are timed one by one, waiting for each
+result.
 
 Expect: the visibility of soft lights and the G-buffer are the dearest; a cascade costs about what its steps and
 conductances cost when they are measured alone.
 """
 
 import dataclasses
-import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+from matplotlib.figure import Figure
 
 import hyjax
+from experiments.blocks import Block, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.plotting import new_figure
+from experiments.records import Results, Row, machine, of_kind
 from hyjax.data.frames import fit
 from hyjax.data.light_setups import named_setup, survey_capture
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.data.surfaces import surface_of
-from hyjax.environment import environment, peak_memory_mib
-from hyjax.files import make_writable, whole, write_text
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.tuning.latency import measure
+
+NAME = "stage_times"
+TITLE = "What each stage of a frame costs"
+CONDUCTANCES = "conductances, 4 levels"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,8 +50,8 @@ class Config:
 
 
 def main(config: Config) -> None:
-    make_writable(config.out)
     capture = load_room() if config.capture is None else open_capture(config.capture)
+    results = Results(config.out, NAME, config)
     source, mesh = surface_of(capture)
     caster = RayCaster(mesh)
     frame = fit(capture[config.frame], (512, 512))
@@ -64,12 +68,12 @@ def main(config: Config) -> None:
     paper_50, paper_80 = (hyjax.Schedule.preset(name) for name in ("paper-50", "paper-80"))
     shadow = hyjax.Schedule.preset("shadow")
 
-    rows: list[tuple[str, Callable[..., Any], tuple[Any, ...], int]] = [
+    stages: list[tuple[str, Callable[..., Any], tuple[Any, ...], int]] = [
         ("G-buffer (host)", caster.gbuffer, (frame.camera,), config.repeats),
         ("shadow maps (host, once per scene)", cast_shadow_maps, (caster, lights), 3),
         ("shading", hyjax.shade_each, (gbuffer, lights), config.repeats),
         ("visibility (map look-ups)", hyjax.visibilities, (gbuffer, lights, maps), config.repeats),
-        ("conductances, 4 levels", jax.jit(hyjax.level_edges), (guide, paper_50), config.repeats),
+        (CONDUCTANCES, jax.jit(hyjax.level_edges), (guide, paper_50), config.repeats),
         ("cascade paper-50", hyjax.cascade, (shading, guide, paper_50), config.repeats),
         ("cascade paper-80", hyjax.cascade, (shading, guide, paper_80), config.repeats),
         ("fill of unseen visibility", hyjax.fill_visibility, (seen, each > 0, guide, paper_80), config.repeats),
@@ -77,24 +81,13 @@ def main(config: Config) -> None:
         ("composite", hyjax.composite, (shading, linear), config.repeats),
         ("frame on the device, paper-80", _frame, (linear, gbuffer, lights, guide, paper_80, maps), config.repeats),
     ]
-    times = {}
-    for name, function, args, repeats in rows:
+    results.add(kind="scene", mesh=source, faces=len(mesh.faces), lights=[type(light).__name__ for light in lights])
+    for name, function, args, repeats in stages:
         jax.clear_caches()  # a stage must not find parts of itself compiled by the one before
-        times[name] = measure(function, *args, repeats=repeats)
-    times |= {f"  alone: {name}": value for name, value in alone(shading, guide, paper_50, config.repeats).items()}
-    record = {
-        "times": times,
-        "mesh": source,
-        "faces": len(mesh.faces),
-        "lights": [type(x).__name__ for x in lights],
-    }
-    record |= {"peak_memory_mib": round(peak_memory_mib()), "config": str(config)} | environment()
-    table = markdown(record)
-    print(table)
-    with whole(config.out / "stage_times.png") as path:
-        figure(path, record)
-    write_text(config.out / "stage_times.md", table + "\n")
-    write_text(config.out / "stage_times.json", json.dumps(record, indent=2) + "\n")
+        results.add(kind="stage", stage=name, **measure(function, *args, repeats=repeats))
+    for name, time in alone(shading, guide, paper_50, config.repeats).items():
+        results.add(kind="part", part=name, **time)
+    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def _frame(linear: Any, gbuffer: Any, lights: Any, guide: Any, schedule: Any, maps: Any) -> Any:
@@ -117,36 +110,38 @@ def alone(y: Any, guide: Any, schedule: hyjax.Schedule, repeats: int) -> dict[st
     return parts
 
 
-def figure(path: Path, record: dict[str, Any]) -> None:
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Table and figure from the rows; the cascade's parts summed up in one line."""
+    stages = of_kind(rows, "stage")
+    lines = [
+        [row["stage"], f"{row['first_ms']:.0f}", f"{row['median_ms']:.2f}", f"{row['p95_ms']:.2f}"]
+        for row in stages
+    ]
+    if of_kind(rows, "part"):
+        conductances = next(row for row in stages if row["stage"] == CONDUCTANCES)
+        together = conductances["median_ms"] + sum(row["median_ms"] for row in of_kind(rows, "part"))
+        name = "steps and upsampling of paper-50, each alone, plus conductances"
+        lines.append([name, "", f"{together:.2f}", ""])
+    conditions = [
+        f"512 x 512, {scene['mesh']} ({scene['faces']} triangles), {', '.join(scene['lights'])}; {machine(scene)}"
+        for scene in of_kind(rows, "scene")
+    ] + [f"peak memory {row['peak_memory_mib']} MiB" for row in of_kind(rows, "finished")]
+    return [
+        Table("; ".join(conditions) + ".", ["stage", "first call ms", "median ms", "p95 ms"], lines),
+        Plot(NAME, "Milliseconds of every stage: median (bar) and 95th percentile (tick).", figure(stages)),
+    ]
+
+
+def figure(stages: Sequence[Row]) -> Figure:
     """Median milliseconds of every stage, p95 as a tick."""
     fig = new_figure(7, 3.5)
-    shown = {name: t for name, t in record["times"].items() if not name.startswith("  alone")}
     axes = fig.subplots()
-    axes.barh(list(shown), [t["median_ms"] for t in shown.values()])
-    axes.plot([t["p95_ms"] for t in shown.values()], list(shown), "k|")
+    names = [row["stage"] for row in stages]
+    axes.barh(names, [row["median_ms"] for row in stages])
+    axes.plot([row["p95_ms"] for row in stages], names, "k|")
     axes.invert_yaxis()
-    axes.set(xscale="log", xlabel="milliseconds: median (bar), p95 (tick)", title=record["device"])
-    fig.savefig(path, dpi=120)
-
-
-def markdown(record: dict[str, Any]) -> str:
-    """The table, with the cascade's parts summed up in one row."""
-    times = record["times"]
-    lines = ["| stage | first call ms | median ms | p95 ms |", "|---|---:|---:|---:|"]
-    for name, t in times.items():
-        if not name.startswith("  alone"):
-            lines.append(f"| {name} | {t['first_ms']:.0f} | {t['median_ms']:.2f} | {t['p95_ms']:.2f} |")
-    parts = sum(t["median_ms"] for name, t in times.items() if name.startswith("  alone"))
-    together = parts + times["conductances, 4 levels"]["median_ms"]
-    lines.append(f"| *steps and upsampling of paper-50, each alone, plus conductances* | | *{together:.2f}* | |")
-    versions = record["versions"]
-    lines += [
-        "",
-        f"512 x 512, {record['mesh']} ({record['faces']} triangles), {', '.join(record['lights'])}; "
-        f"{record['device']}, {record['cpu_count']} cores, jax {versions['jax']}; "
-        f"peak memory {record['peak_memory_mib']} MiB.",
-    ]
-    return "\n".join(lines)
+    axes.set(xscale="log", xlabel="milliseconds")
+    return fig
 
 
 if __name__ == "__main__":

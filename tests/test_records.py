@@ -83,7 +83,7 @@ def test_a_value_cannot_hide_the_stamp(tmp_path: Path) -> None:
     results = start(tmp_path)
     with pytest.raises(ValueError, match="'seed'"):
         results.add(kind="score", seed=3)
-    assert read_rows(tmp_path / FILE) == []
+    assert results.rows == [] and not (tmp_path / FILE).exists()
 
 
 def test_a_last_line_cut_off_by_a_crash_is_left_out(tmp_path: Path) -> None:
@@ -173,22 +173,25 @@ def test_resuming_a_finished_run_opens_it_again(tmp_path: Path) -> None:
     results.add(kind="score", k=0)
     results.finish()
     again = start(tmp_path, resume=True)
-    assert not is_finished(read_rows(tmp_path / FILE))
     again.add(kind="score", k=1)
+    assert not is_finished(read_rows(tmp_path / FILE))
     assert [row["kind"] for row in again.finish()] == ["score", "score", "finished"]
 
 
 def test_resuming_nothing_starts(tmp_path: Path) -> None:
     results = start(tmp_path / "new", resume=True)
-    assert results.rows == [] and (tmp_path / "new" / FILE).read_text() == ""
+    results.add(kind="score", k=0)
+    assert results.rows == read_rows(tmp_path / "new" / FILE)
 
 
-def test_a_finished_run_is_replaced(tmp_path: Path) -> None:
+def test_a_finished_run_is_replaced_with_the_first_row(tmp_path: Path) -> None:
     results = start(tmp_path)
     results.add(kind="score", k=0)
     results.finish()
-    assert start(tmp_path, Config(kappa=0.05)).rows == []
-    assert read_rows(tmp_path / FILE) == []
+    again = start(tmp_path, Config(kappa=0.05))
+    assert again.rows == [] and is_finished(read_rows(tmp_path / FILE))
+    again.add(kind="score", k=1)
+    assert [row["k"] for row in read_rows(tmp_path / FILE)] == [1]
 
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
@@ -197,11 +200,12 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
         start(tmp_path / "file")
     (tmp_path / FILE).mkdir()
     with pytest.raises(InputError, match=f"{FILE}: cannot write"):
-        start(tmp_path)
+        start(tmp_path).add(kind="score")
 
 
 def test_a_folder_that_goes_away(tmp_path: Path) -> None:
     results = start(tmp_path / "run")
+    results.add(kind="score")
     (tmp_path / "run" / FILE).unlink()
     (tmp_path / "run").rmdir()
     with pytest.raises(InputError, match=f"{FILE}: cannot write"):
