@@ -1,1 +1,1 @@
-"""Geometry on the host (NumPy): cameras, meshes, ray casting, fusion of depth, the built-in room."""
+"""Geometry on the host (NumPy): cameras, meshes, ray casting, point clouds, fusion of depth, the built-in room."""
