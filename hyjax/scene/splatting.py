@@ -5,8 +5,8 @@ all discs that lie in the same surface as it, to within a disc's radius, are ble
 at their rims. What lies further behind is hidden, so nothing shows through between the points of a wall; a pixel
 that no disc covers stays a miss.
 
-The same discs as triangles in Embree take less time a frame, but many times the memory and a long time to build; and
-the nearest hit has the normal of one disc alone, noise and all.
+The same discs as triangles in Embree take less time a frame, but many times the memory and a long time to build;
+and the nearest hit has the normal of one disc alone, noise and all.
 
 Sources: Zwicker et al., "Surface splatting", SIGGRAPH 2001; Botsch et al., "High-quality surface splatting on
 today's GPUs", Symposium on Point-Based Graphics 2005 (discs cut by the pixel's ray, blending within a depth
