@@ -6,7 +6,7 @@ Tunes for the measured p95 of `paper-50`, of `paper-80`, and for half of the lat
 last quarter of the capture, on which nothing is chosen. Beside them: the bare raw filter, the best constant (which
 knows each frame's target), the naive schedules, and the paper's schedules with κ and λ polished on the tuning
 frames: these tell what κ and λ gain from what the steps' places gain. All times are taken afresh at the end, in
-turns. Takes about ten minutes on two cores. Writes `tuning_gain.json`, `.md` and `.png`.
+turns. Takes about ten minutes on two cores.
 
 Expect: tuned schedules five to ten percent below the paper's loss in a third of `paper-80`'s time; level with the
 polished ones, so that κ and λ make the quality and the places of the steps the speed. `naive-50` is as good where
@@ -14,7 +14,9 @@ its time is allowed. Intervals are wide, being over six frames.
 """
 
 import dataclasses
+import functools
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,31 +24,34 @@ import jax.numpy as jnp
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from experiments.blocks import Block, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.plotting import new_figure
+from experiments.records import Results, Row, of_kind
 from experiments.tuning_scenes import (
     ComparisonConfig,
     Scene,
-    compare,
-    comparison_table,
-    footer,
-    mean_scores,
+    add_scores,
+    comparison,
+    conditions,
+    mean,
     open_scenes,
     retime,
-    score_each,
-    write_results,
+    scenes_of,
+    scored,
+    texts,
 )
 from hyjax.errors import InputError
-from hyjax.files import make_writable
 from hyjax.schedule import Schedule
 from hyjax.tuning.cases import Case, mix, refined_filter
 from hyjax.tuning.clocked import CascadeClock, check_reachable
 from hyjax.tuning.descent import Objective, polish
 from hyjax.tuning.relaxation import Plan, prepare
-from hyjax.tuning.report_text import kappa_text, lam_text, steps_text
-from hyjax.tuning.result import Budget, Scores
+from hyjax.tuning.result import Budget
 from hyjax.tuning.run import BASELINES, tune_bench
 
+NAME = "tuning_gain"
+TITLE = "What tuning gains"
 COMPARISONS = (
     ("paper-50 polished", "paper-50"),
     ("tuned, time of paper-50", "paper-50"),
@@ -70,47 +75,26 @@ class Config(ComparisonConfig):
 
 
 def main(config: Config) -> None:
-    make_writable(config.out)
     scenes = open_scenes(config.kitchen, config.size, config.frames, config.holdout)
-    rows: list[dict[str, Any]] = []
-    comparisons: list[dict[str, Any]] = []
-    runs = []
+    results = Results(config.out, NAME, config)
+    runs, judged = [], []
     for scene in scenes:
         tuning, _ = scene.bench.cases(scene.frames, "tuning")
-        held, _ = scene.bench.cases(scene.holdout, "held-out")
+        held = scene.held_out()
         schedules, budgets = candidates(scene, tuning, config)
+        results.add(**scene.record())
         runs.append((tuning[0], list(schedules.values())))
-        plain = {
-            "raw filter": (None, [mix(case.shading, case.colors) for case in held]),
-            "best constant": (None, [best_constant(case) for case in held]),
-        }
-        judged: dict[str, list[Scores]] = {}
-        for name, (schedule, filters) in plain.items():
-            judged[name] = score_each(held, filters)
-            rows.append(row(scene, name, schedule, judged[name]))
+        judged += [(scene.name, name) for name in schedules]
+        add_scores(results, scene.name, "raw filter", held, lambda case: mix(case.shading, case.colors))
+        add_scores(results, scene.name, "best constant", held, best_constant)
         for name, schedule in schedules.items():
-            judged[name] = score_each(held, [refined_filter(case, schedule) for case in held])
-            rows.append(row(scene, name, schedule, judged[name]) | {"budget_ms": budgets.get(name)})
-        comparisons += [
-            {"scene": scene.name} | compare(own, judged[own], other, judged[other])
-            for own, other in COMPARISONS
-            if own in judged and other in judged
-        ]
-    times = iter([time for own in retime(runs, config.repeats) for time in own])
-    for entry in rows:
-        entry["again"] = dataclasses.asdict(next(times)) if entry["schedule"] else None
-    again = {(entry["scene"], entry["name"]): entry["again"] for entry in rows}
-    for entry in comparisons:
-        own, other = (again[entry["scene"], entry[key]]["median"] for key in ("schedule", "against"))
-        entry["time_ratio"] = own / other
-    record = {
-        "rows": rows,
-        "comparisons": comparisons,
-        "scenes": [scene.record() for scene in scenes],
-        "config": str(config),
-    }
-    table = [*markdown(rows), "", *comparison_table(comparisons), *footer(scenes, config.size)]
-    write_results(config.out, "tuning_gain", record, table, figure(rows))
+            known = {"scene": scene.name, "name": name, "budget_ms": budgets.get(name)}
+            results.add(kind="schedule", **known, **texts(schedule))
+            add_scores(results, scene.name, name, held, functools.partial(refined_filter, schedule=schedule))
+    times = [time for own in retime(runs, config.repeats) for time in own]
+    for (scene_name, name), time in zip(judged, times, strict=True):
+        results.add(kind="time", scene=scene_name, name=name, **dataclasses.asdict(time))
+    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def best_constant(case: Case) -> Any:
@@ -154,54 +138,55 @@ def candidates(scene: Scene, tuning: list[Case], config: Config) -> tuple[dict[s
     return schedules, budgets
 
 
-def row(scene: Scene, name: str, schedule: Schedule | None, each: list[Scores]) -> dict[str, Any]:
-    """One line of the table: mean scores, and the loss on each held-out frame."""
-    return {
-        "scene": scene.name,
-        "name": name,
-        "schedule": None if schedule is None else schedule.name,
-        "steps": None if schedule is None else steps_text(schedule),
-        "kappa": None if schedule is None else kappa_text(schedule),
-        "lam": None if schedule is None else lam_text(schedule),
-        "losses": [scores.loss for scores in each],
-    } | dataclasses.asdict(mean_scores(each))
-
-
-def markdown(rows: list[dict[str, Any]]) -> list[str]:
-    lines = [
-        "| scene | held-out frames | steps | median ms | p95 ms | loss | PSNR dB | SSIM |",
-        "|---|---|---|---:|---:|---:|---:|---:|",
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Tables and figure from the rows."""
+    if not of_kind(rows, "score"):
+        return ["No schedule has been judged yet."]
+    schedules, times = by_name(rows, "schedule"), by_name(rows, "time")
+    lines = []
+    for scene in scenes_of(rows):
+        for name, each in scored(rows, scene).items():
+            schedule, time = schedules.get((scene, name)), times.get((scene, name))
+            cells = [f"{time['median']:.2f}", f"{time['p95']:.2f}"] if time else ["–", "–"]
+            digits = {"loss": 5, "psnr": 2, "ssim": 4}
+            cells += [f"{mean(each, key):.{n}f}" for key, n in digits.items()]
+            lines.append([scene, label(name, schedule), schedule["steps"] if schedule else "–", *cells])
+    header = ["scene", "held-out frames", "steps", "median ms", "p95 ms", "loss", "PSNR dB", "SSIM"]
+    return [
+        Table(f"Means over held-out frames; {conditions(rows)}", header, lines, names=3),
+        comparison(rows, lambda *_: COMPARISONS, lambda *key: times.get(key)),
+        Plot(NAME, "Loss on held-out frames: the mean, and each frame as a small dot.", figure(rows)),
     ]
-    for r in rows:
-        times = f"{r['again']['median']:.2f} | {r['again']['p95']:.2f}" if r["again"] else "– | –"
-        lines.append(
-            f"| {r['scene']} | {label(r)} | {r['steps'] or '–'} | {times} | {r['loss']:.5f} | {r['psnr']:.2f} "
-            f"| {r['ssim']:.4f} |"
-        )
-    return lines
 
 
-def label(row: dict[str, Any]) -> str:
+def by_name(rows: Sequence[Row], kind: str) -> dict[tuple[str, str], Row]:
+    """Rows of a kind by scene and name."""
+    return {(row["scene"], row["name"]): row for row in of_kind(rows, kind)}
+
+
+def label(name: str, schedule: Row | None) -> str:
     """The name; with the schedule's own where nothing tuned came out in time and another stands in."""
-    stands_in = row["name"].startswith("tuned") and not row["schedule"].startswith("tuned")
-    return f"{row['name']} ({row['schedule']})" if stands_in else row["name"]
+    stands_in = schedule is not None and name.startswith("tuned") and not schedule["schedule"].startswith("tuned")
+    return f"{name} ({schedule['schedule']})" if schedule and stands_in else name
 
 
-def figure(rows: list[dict[str, Any]]) -> Figure:
+def figure(rows: Sequence[Row]) -> Figure:
     """Held-out loss of every schedule, each frame a small dot, with its median time."""
-    scenes = list(dict.fromkeys(r["scene"] for r in rows))
+    scenes, schedules, times = scenes_of(rows), by_name(rows, "schedule"), by_name(rows, "time")
     fig = new_figure(2.0 + 4.2 * len(scenes), 4.5)
     for axes, scene in zip(fig.subplots(1, len(scenes), squeeze=False)[0], scenes, strict=True):
-        own = [r for r in rows if r["scene"] == scene]
-        for y, r in enumerate(own):
-            color = next((c for kind, c in KINDS.items() if r["name"].startswith(kind)), "0.5")
-            axes.plot(r["losses"], [y] * len(r["losses"]), ".", color=color, alpha=0.35)
-            axes.plot(r["loss"], y, "o", color=color)
-        texts = [f"{label(r)}\n{r['again']['median']:.2f} ms" if r["again"] else label(r) for r in own]
-        axes.set_yticks(range(len(own)), texts, fontsize=8)
+        judged, names = scored(rows, scene), []
+        for y, (name, each) in enumerate(judged.items()):
+            color = next((c for kind, c in KINDS.items() if name.startswith(kind)), "0.5")
+            axes.plot([row["loss"] for row in each], [y] * len(each), ".", color=color, alpha=0.35)
+            axes.plot(mean(each, "loss"), y, "o", color=color)
+            time = times.get((scene, name))
+            text = label(name, schedules.get((scene, name)))
+            names.append(f"{text}\n{time['median']:.2f} ms" if time else text)
+        axes.set_yticks(range(len(judged)), names, fontsize=8)
         axes.invert_yaxis()
         axes.grid(axis="x", color="0.9")
-        axes.set(xscale="log", xlabel="loss on held-out frames: mean, and each frame", title=scene)
+        axes.set(xscale="log", xlabel="loss on held-out frames", title=scene)
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())

@@ -11,7 +11,7 @@ numbers. Two kinds of regret, relative to the loss of the grid's optimum:
 - of that rounded down to the grid, which leaves unspent what the rounding freed. Next to it the best of all ways to
   round, down or up level by level, that fit: near zero if the search was in the right place.
 
-Both wall times are given; compilation is before either. Writes `tuning_optimum.json`, `.md` and `.png`.
+Both wall times are given; compilation is before either. `--resume` goes on with the budgets that are left.
 
 Expect: a regret of what was found within one percent of zero, for each budget in a tenth of brute force's
 evaluations. With the default κ the best schedules have few steps, and more time than those take is of no use.
@@ -20,21 +20,20 @@ evaluations. With the default κ the best schedules have few steps, and more tim
 import collections
 import dataclasses
 import itertools
-import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from experiments.blocks import Block, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.plotting import new_figure
+from experiments.records import Results, Row, machine, of_kind
 from hyjax.data.frames import spread
-from hyjax.environment import environment
 from hyjax.errors import InputError
-from hyjax.files import make_writable, whole, write_text
 from hyjax.schedule import DEFAULT_KAPPA, DEFAULT_LAM
 from hyjax.tuning.bench import open_bench
 from hyjax.tuning.budget import MOST_STEPS, Steps, fits, project
@@ -42,12 +41,14 @@ from hyjax.tuning.clocked import workload_of
 from hyjax.tuning.cost_model import CostModel
 from hyjax.tuning.descent import Objective
 from hyjax.tuning.latency import Stopwatch
-from hyjax.tuning.latency_table import LatencyTable, load_table
+from hyjax.tuning.latency_table import load_table
 from hyjax.tuning.relaxation import Plan, prepare
 from hyjax.tuning.request import TUNING_FRAMES, split_frames
 from hyjax.tuning.search import Effort, Search
 from hyjax.tuning.workload import LADDER
 
+NAME = "tuning_optimum"
+TITLE = "The search against the true optimum"
 EFFORT = Effort(polished=0, polishing=0)
 
 
@@ -68,6 +69,7 @@ class Config:
     """Make the latency table anew."""
     seed: int = 0
     out: Path = Path("results/tuning_optimum")
+    resume: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,9 +108,11 @@ class StepsOnly(Counted):
 
 
 def prepare_room(
-    size: int, frames: int, ladder: Sequence[int] = LADDER, recalibrate: bool = False
-) -> tuple[list[Any], LatencyTable, list[str]]:
-    """The built-in room's tuning frames, prepared; the latency table for them; the frames' names.
+    results: Results, size: int, frames: int, ladder: Sequence[int] = LADDER, recalibrate: bool = False
+) -> tuple[list[Any], tuple[int, ...], CostModel]:
+    """The built-in room's tuning frames, prepared; the ladder; what schedules on it cost (95th percentile).
+
+    A row says what was used; where it is there already, ladder and costs are taken from it.
 
     Raises:
         InputError: not so many tuning frames, or a size or ladder that no schedule can have.
@@ -121,8 +125,14 @@ def prepare_room(
     tuning, _ = split_frames(len(bench.capture), None, None)
     chosen = spread(tuning, frames)
     cases, _ = bench.cases(chosen, "tuning")
-    table, _ = load_table(workload_of(cases[0]), ladder, recalibrate=recalibrate)
-    return [prepare(case, table.ladder) for case in cases], table, [bench.capture[i].name for i in chosen]
+    earlier = of_kind(results.rows, "bench")
+    if not earlier:
+        table, _ = load_table(workload_of(cases[0]), ladder, recalibrate=recalibrate)
+        names = [bench.capture[i].name for i in chosen]
+        cost = dataclasses.asdict(table.p95)
+        earlier = [results.add(kind="bench", frames=names, ladder=table.ladder, cost_ms=cost)]
+    used = tuple(earlier[0]["ladder"])
+    return [prepare(case, used) for case in cases], used, CostModel(**earlier[0]["cost_ms"])
 
 
 def warm_up(objective: Objective, cost: CostModel) -> None:
@@ -136,40 +146,31 @@ def warm_up(objective: Objective, cost: CostModel) -> None:
 
 
 def main(config: Config) -> None:
-    make_writable(config.out)
     counts = sorted(set(config.counts))
     if counts[:2] != [0, 1] or counts[-1] > MOST_STEPS:
         raise InputError(f"counts: need 0, 1 and others up to {MOST_STEPS}, got {counts}")
     if config.budgets < 1:
         raise InputError(f"budgets: must be at least 1, got {config.budgets}")
-    prepared, table, names = prepare_room(config.size, config.frames, config.ladder, config.recalibrate)
-    cost, objective = table.p95, StepsOnly(prepared, table.ladder, kappa=config.kappa, lam=config.lam)
+    results = Results(config.out, NAME, config, resume=config.resume)
+    prepared, ladder, cost = prepare_room(results, config.size, config.frames, config.ladder, config.recalibrate)
+    objective = StepsOnly(prepared, ladder, kappa=config.kappa, lam=config.lam)
     warm_up(objective, cost)
 
-    grid = [steps for steps in itertools.product(counts, repeat=len(table.ladder)) if any(steps)]
-    costs = np.array([cost(steps) for steps in grid])
-    watch = Stopwatch()
-    losses = dict(zip(grid, (objective(Plan.of(steps)) for steps in tqdm(grid, "brute force", unit="schedule"))))
-    brute = {"seconds": watch.seconds, "schedules": len(grid)}
+    grid = [steps for steps in itertools.product(counts, repeat=len(ladder)) if any(steps)]
+    if not of_kind(results.rows, "brute force"):
+        watch = Stopwatch()
+        found = [objective(Plan.of(steps)) for steps in tqdm(grid, "brute force", unit="schedule")]
+        costs = [cost(steps) for steps in grid]
+        results.add(kind="brute force", seconds=watch.seconds, losses=found, costs_ms=costs)
+    (brute,) = of_kind(results.rows, "brute force")
+    losses: dict[Steps, float] = dict(zip(grid, brute["losses"], strict=True))
 
-    rows = []
     dearest = cost(min(losses, key=losses.__getitem__))  # a larger budget would not bind
-    for budget in tqdm([*np.geomspace(costs.min(), dearest, config.budgets + 1)[1:-1].tolist(), dearest], "search"):
-        rows.append(compare(budget, losses, counts, cost, objective, config.seed))
-    record = {
-        "config": str(config),
-        "frames": names,
-        "ladder": table.ladder,
-        "cost_ms": dataclasses.asdict(cost),
-        "brute_force": brute | {"steps": counts, "loss": [round(loss, 8) for loss in losses.values()]},
-        "budgets": rows,
-    } | environment()
-    write_text(config.out / "tuning_optimum.json", json.dumps(record, indent=1) + "\n")
-    text = markdown(rows, brute, len(names))
-    write_text(config.out / "tuning_optimum.md", text + "\n")
-    print(text)
-    with whole(config.out / "tuning_optimum.png") as path:
-        figure(path, costs, np.array(list(losses.values())), rows, f"{config.size} pixels, ladder {table.ladder}")
+    budgets = [*np.geomspace(min(brute["costs_ms"]), dearest, config.budgets + 1)[1:-1].tolist(), dearest]
+    done = [row["budget_ms"] for row in of_kind(results.rows, "budget")]
+    for budget in tqdm([budget for budget in budgets if budget not in done], "search"):
+        results.add(kind="budget", **compare(budget, losses, counts, cost, objective, config.seed))
+    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def compare(
@@ -208,13 +209,13 @@ def _on_grid(steps: Steps, losses: dict[Steps, float], cost: CostModel, best: fl
     return {"steps": steps, "loss": losses[steps], "cost_ms": cost(steps), "regret": losses[steps] / best - 1}
 
 
-def markdown(rows: list[dict[str, Any]], brute: dict[str, Any], frames: int) -> str:
-    lines = [
-        "| budget, ms | brute force | loss | ours | loss | regret | rounded down | regret | best rounding | regret "
-        "| evaluations | gradients | seconds |",
-        "|---:|---|---:|---|---:|---:|---|---:|---|---:|---:|---:|---:|",
-    ]
-    for row in rows:
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Table and figure from the rows."""
+    if not of_kind(rows, "brute force"):
+        return ["Nothing but the machine has been looked at yet."]
+    (bench,), (brute,), budgets = (of_kind(rows, kind) for kind in ("bench", "brute force", "budget"))
+    lines = []
+    for row in budgets:
         cells = [f"{row['budget_ms']:.2f}"]
         for name in ("brute_force", "ours", "rounded_down", "best_rounding"):
             entry = row[name]
@@ -222,26 +223,28 @@ def markdown(rows: list[dict[str, Any]], brute: dict[str, Any], frames: int) -> 
             cells += [f"{entry['loss']:.5f}"] if name in ("brute_force", "ours") else []
             cells += [f"{100 * entry['regret']:+.2f} %"] if "regret" in entry else []
         spent = row["ours"]["frames_evaluated"]
-        cells += [f"{spent[name] / frames:.0f}" for name in ("loss", "gradient")]
-        lines.append(f"| {' | '.join(cells)} | {row['ours']['seconds']:.1f} |")
-    total = sum(row["ours"]["seconds"] for row in rows)
-    lines += [
-        "",
-        f"Brute force: {brute['schedules']} schedules in {brute['seconds']:.0f} s, once for all budgets. "
-        f"Ours: {total:.0f} s for {len(rows)} budgets. Evaluations and gradients are of all {frames} frames.",
+        cells += [f"{spent.get(name, 0) / len(bench['frames']):.0f}" for name in ("loss", "gradient")]
+        lines.append([*cells, f"{row['ours']['seconds']:.1f}"])
+    header = [
+        *("budget, ms", "brute force", "loss", "ours", "loss", "regret", "rounded down", "regret"),
+        *("best rounding", "regret", "evaluations", "gradients", "seconds"),
     ]
-    return "\n".join(lines)
+    total = sum(row["ours"]["seconds"] for row in budgets)
+    caption = (
+        f"Brute force: {len(brute['losses'])} schedules in {brute['seconds']:.0f} s, once for all budgets. "
+        f"Ours: {total:.0f} s for {len(budgets)} budgets. Evaluations and gradients are of all "
+        f"{len(bench['frames'])} frames; {machine(brute)}."
+    )
+    size = bench["settings"]["size"]
+    shown = f"Steps at {size} pixels over the ladder {' '.join(map(str, bench['ladder']))}, all of them and ours."
+    return [Table(caption, header, lines), Plot(NAME, shown, figure(brute, budgets))]
 
 
-def figure(
-    path: Path,
-    costs: Float[np.ndarray, "n"],
-    losses: Float[np.ndarray, "n"],
-    rows: list[dict[str, Any]],
-    title: str,
-) -> None:
+def figure(brute: Row, budgets: Sequence[Row]) -> Figure:
+    """Loss against cost of every schedule of the grid, its front, and what the search found."""
     fig = new_figure(7, 4.5)
     axes = fig.subplots()
+    costs, losses = np.array(brute["costs_ms"]), np.array(brute["losses"])
     axes.scatter(
         costs, losses, s=3, color="0.75", linewidths=0, label="every schedule of the grid", rasterized=True
     )
@@ -252,11 +255,12 @@ def figure(
         ("rounded_down", {"marker": "v", "markerfacecolor": "none", "color": "tab:blue"}, "ours, rounded down"),
         ("ours", {"marker": "o", "color": "tab:red"}, "ours"),
     ):
-        points = [(row[name]["cost_ms"], row[name]["loss"]) for row in rows]
-        axes.plot(*zip(*points, strict=True), linestyle="none", markersize=6, label=label, **style)
-    for row in rows:
+        found = [row[name] for row in budgets]
+        x, y = ([entry[key] for entry in found] for key in ("cost_ms", "loss"))
+        axes.plot(x, y, linestyle="none", markersize=6, label=label, **style)
+    for row in budgets:
         axes.axvline(row["budget_ms"], color="0.6", linewidth=0.6, linestyle=":", zorder=0)
-    axes.set(xscale="log", yscale="log", title=title)
+    axes.set(xscale="log", yscale="log")
     axes.set(xlabel="predicted 95th percentile, ms (dotted: budgets)", ylabel="loss on tuning frames")
     axes.minorticks_on()
     for axis in (axes.xaxis, axes.yaxis):
@@ -264,7 +268,7 @@ def figure(
         axis.set_minor_formatter("{x:g}")
     axes.tick_params(which="minor", labelsize=7)
     axes.legend(markerscale=1.0)
-    fig.savefig(path, dpi=120)
+    return fig
 
 
 if __name__ == "__main__":

@@ -5,29 +5,36 @@
 Tunes the diffusion stage at 512 x 512 for 15, 30, 60 and 120 fps and for 1, 2, 4 and 8 ms, each in a run of its
 own, on the built-in room and on a capture. At the end all winners are timed afresh, in turns: the choice has not
 seen these times, so they tell what its promise (measured p95 inside the budget) is worth. A budget that is out of
-reach is recorded as such. Takes a quarter of an hour on two cores. Writes `tuning_promise.json`, `.md` and `.png`.
+reach is recorded as such. Takes a quarter of an hour on two cores; `--resume` goes on with the
+budgets that are left.
 
 Expect: on a quiet machine every p95 inside its budget, and predicted medians ten to twenty percent off, which is
 the machine's drift since the calibration. Other work on the machine shows in the p95 first.
 """
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.blocks import Block, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.plotting import new_figure
-from experiments.tuning_scenes import Scene, footer, open_scenes, retime, write_results
+from experiments.records import Results, Row, of_kind
+from experiments.tuning_scenes import Scene, conditions, open_scenes, retime
 from hyjax.errors import InputError
-from hyjax.files import make_writable
+from hyjax.schedule import Schedule
 from hyjax.tuning.report_text import budget_text, steps_text
 from hyjax.tuning.request import parse_budgets
-from hyjax.tuning.result import Budget, Milliseconds
+from hyjax.tuning.result import Budget
 from hyjax.tuning.run import tune_bench
 from hyjax.tuning.search import Effort
+
+NAME = "tuning_promise"
+TITLE = "Whether a tuned schedule keeps its budget"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,44 +53,37 @@ class Config:
     effort: Effort = dataclasses.field(default_factory=Effort)
     seed: int = 0
     out: Path = Path("results/tuning_promise")
+    resume: bool = False
 
 
 def main(config: Config) -> None:
-    make_writable(config.out)
     budgets = parse_budgets(config.fps, config.budget_ms)
     scenes = open_scenes(config.kitchen, config.size, config.frames, 1)
-    rows: list[dict[str, Any]] = []
-    runs = []
-    calibration: dict[str, Any] = {}
+    results = Results(config.out, NAME, config, resume=config.resume)
     for scene in scenes:
-        winners = []
+        if scene.name not in [row["scene"] for row in of_kind(results.rows, "scene")]:
+            results.add(**scene.record())
+        done = [row["budget"] for row in of_kind(results.rows, "choice") if row["scene"] == scene.name]
         for budget in budgets:
-            # One calibration for all: the scenes have the same shapes.
-            row, schedule, latency = tuned(scene, budget, config, config.recalibrate and not calibration)
-            rows.append(row)
-            calibration = latency or calibration
-            if schedule is not None:
-                winners.append(schedule)
-        runs.append((scene.bench.cases(scene.frames[:1], "timing")[0][0], winners))
-    if not calibration:
-        raise InputError(f"none of the budgets is reachable; {rows[-1]['out_of_reach']}")
-    times = iter([time for own in retime(runs, config.repeats) for time in own])
-    for row in rows:
-        if "schedule" in row:
-            row |= judged(row, next(times))
-    record = {
-        "rows": rows,
-        "calibration": calibration,
-        "scenes": [scene.record() for scene in scenes],
-        "config": str(config),
-    }
-    table = markdown(rows, calibration) + footer(scenes, config.size)
-    write_results(config.out, "tuning_promise", record, table, figure(rows))
+            if budget_text(budget) not in done:
+                # One calibration for all: the scenes have the same shapes.
+                anew = config.recalibrate and not any("calibration" in row for row in results.rows)
+                results.add(kind="choice", scene=scene.name, **tuned(scene, budget, config, anew))
+    choices = of_kind(results.rows, "choice")
+    chosen = [[row for row in choices if row["scene"] == scene.name and "schedule" in row] for scene in scenes]
+    if not any(chosen):
+        raise InputError(f"none of the budgets is reachable; {choices[-1]['out_of_reach']}")
+    cases = [scene.bench.cases(scene.frames[:1], "timing")[0][0] for scene in scenes]
+    winners = [[Schedule.from_json(row["schedule"]) for row in own] for own in chosen]
+    for own, times in zip(chosen, retime(list(zip(cases, winners, strict=True)), config.repeats), strict=True):
+        for row, time in zip(own, times, strict=True):
+            results.add(kind="time", scene=row["scene"], budget=row["budget"], **dataclasses.asdict(time))
+    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
-def tuned(scene: Scene, budget: Budget, config: Config, recalibrate: bool) -> tuple[dict[str, Any], Any, Any]:
-    """A row without the times at the end, the schedule, the latency table's record; or a row that says why not."""
-    row = {"scene": scene.name, "budget": budget_text(budget), "budget_ms": budget.milliseconds}
+def tuned(scene: Scene, budget: Budget, config: Config, recalibrate: bool) -> dict[str, Any]:
+    """Values of a row: the schedule and its times before the end; or why there is none."""
+    row = {"budget": budget_text(budget), "budget_ms": budget.milliseconds}
     try:
         result = tune_bench(
             scene.bench,
@@ -97,67 +97,87 @@ def tuned(scene: Scene, budget: Budget, config: Config, recalibrate: bool) -> tu
     except InputError as error:
         if "out of reach" not in str(error):
             raise
-        return row | {"out_of_reach": str(error)}, None, None
+        return row | {"out_of_reach": str(error)}
     best = result.best[0]
     if best.measured is None or best.tuning is None:
         raise InputError(f"{scene.name}, {budget.label}: the schedule came out untimed or unjudged")
-    row |= {
-        "schedule": best.name,
+    return row | {
+        "name": best.name,
+        "schedule": best.schedule.to_json(),
         "steps": steps_text(best.schedule),
         "loss": best.tuning.loss,
         "predicted": dataclasses.asdict(best.predicted),
         "at_choice": dataclasses.asdict(best.measured),
         "seconds": result.record["seconds"],
-    }
-    return row, best.schedule, result.record["latency"]
-
-
-def judged(row: dict[str, Any], time: Milliseconds) -> dict[str, Any]:
-    """What the fresh time says about the row's promise and prediction; errors in percent of the fresh time."""
-    return {
-        "again": dataclasses.asdict(time),
-        "inside": time.p95 <= row["budget_ms"],
-        "p95_of_budget_percent": 100.0 * time.p95 / row["budget_ms"],
-        "median_error_percent": 100.0 * (row["predicted"]["median"] / time.median - 1.0),
-        "p95_error_percent": 100.0 * (row["predicted"]["p95"] / time.p95 - 1.0),
+        "calibration": result.record["latency"],
     }
 
 
-def markdown(rows: list[dict[str, Any]], calibration: dict[str, Any]) -> list[str]:
-    lines = [
-        "| scene | budget | schedule | predicted ms | at the choice | timed again | p95 inside | median error % |",
-        "|---|---|---|---:|---:|---:|---|---:|",
-    ]
-    for r in rows:
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Table and figure from the rows."""
+    choices = judged(rows)
+    if not choices:
+        return ["No budget has been tuned for yet."]
+    lines = []
+    for r in choices:
         if "schedule" not in r:
-            lines.append(f"| {r['scene']} | {r['budget']} | *out of reach* | | | | | |")
+            lines.append([r["scene"], r["budget"], "out of reach", *[""] * 5])
             continue
-        name = r["steps"] if r["schedule"].startswith("tuned") else f"{r['steps']} ({r['schedule']})"
-        times = " | ".join(f"{r[k]['median']:.2f} / {r[k]['p95']:.2f}" for k in ("predicted", "at_choice", "again"))
-        inside = "yes" if r["inside"] else f"no, {r['p95_of_budget_percent'] - 100.0:+.1f} %"
-        lines.append(
-            f"| {r['scene']} | {r['budget']} | {name} | {times} | {inside} | {r['median_error_percent']:+.1f} |"
+        name = r["steps"] if r["name"].startswith("tuned") else f"{r['steps']} ({r['name']})"
+        times = [_both(r[key]) for key in ("predicted", "at_choice")]
+        again = ["–", "–", "–"]
+        if "again" in r:
+            over = 100.0 * (r["again"]["p95"] / r["budget_ms"] - 1.0)
+            again = [_both(r["again"]), "yes" if over <= 0 else f"no, {over:+.1f} %", f"{error_percent(r):+.1f}"]
+        lines.append([r["scene"], r["budget"], name, *times, *again])
+    header = [
+        *("scene", "budget", "schedule"),
+        *("predicted ms", "at the choice", "timed again", "p95 inside", "median error %"),
+    ]
+    made: list[Block] = [Table(f"Times are median / p95; {conditions(rows)}", header, lines, names=3)]
+    reached = [r for r in choices if "again" in r]
+    if reached:
+        errors = [abs(error_percent(r)) for r in reached]
+        inside = sum(r["again"]["p95"] <= r["budget_ms"] for r in reached)
+        made.append(
+            f"{inside} of {len(reached)} inside the budget when timed again; prediction of the median off by "
+            f"{np.median(errors):.1f} % (median), {max(errors):.1f} % (worst)."
         )
-    reached = [r for r in rows if "again" in r]
-    errors = [abs(r["median_error_percent"]) for r in reached]
+    for calibration in [r["calibration"] for r in choices if "calibration" in r][:1]:
+        made.append(
+            "Calibration, each of its schedules predicted from the others: off by "
+            f"{100 * calibration['median relative error']:.1f} % (median), "
+            f"{100 * calibration['worst relative error']:.1f} % (worst); table {calibration['table']}."
+        )
+    if reached:
+        made.append(
+            Plot(NAME, "Predicted against timed again; no p95 should be right of its budget.", figure(reached))
+        )
+    return made
+
+
+def judged(rows: Sequence[Row]) -> list[Row]:
+    """The choices, each with the latest time at the end as `again` if there is one."""
+    again = {(row["scene"], row["budget"]): row for row in of_kind(rows, "time")}
     return [
-        *lines,
-        "",
-        f"Times are median / p95. {sum(r['inside'] for r in reached)} of {len(reached)} inside the budget when "
-        f"timed again; prediction of the median off by {np.median(errors):.1f} % (median), "
-        f"{max(errors):.1f} % (worst).",
-        "",
-        "Calibration, each of its schedules predicted from the others: off by "
-        f"{100 * calibration['median relative error']:.1f} % (median), "
-        f"{100 * calibration['worst relative error']:.1f} % (worst); table {calibration['table']}.",
+        row | ({"again": again[key]} if (key := (row["scene"], row["budget"])) in again else {})
+        for row in of_kind(rows, "choice")
     ]
 
 
-def figure(rows: list[dict[str, Any]]) -> Figure:
+def error_percent(row: Row) -> float:
+    """Predicted median against the fresh one."""
+    return 100.0 * (row["predicted"]["median"] / row["again"]["median"] - 1.0)
+
+
+def _both(time: Row) -> str:
+    return f"{time['median']:.2f} / {time['p95']:.2f}"
+
+
+def figure(reached: Sequence[Row]) -> Figure:
     """Predicted against timed again, medians full and p95 open; a budget is a line that its p95 should not pass."""
     fig = new_figure(6.5, 5.5)
     axes = fig.subplots()
-    reached = [r for r in rows if "again" in r]
     budgets = {r["budget_ms"]: r["budget"].split(" = ")[0] for r in reached}
     values = [r[kind][key] for r in reached for kind in ("predicted", "again") for key in ("median", "p95")]
     ends = np.array([0.8 * min(values), 1.25 * max(*values, *budgets)])

@@ -17,7 +17,7 @@ and its gradient are compiled before any clock starts; whatever else a method co
   is over.
 - Random search: uniform in the same space, redrawn until within the budget.
 
-Writes `tuning_race.json`, `.md` and `.png`.
+`--resume` goes on with the runs that are left.
 
 Expect: random search ahead in the first seconds, for few steps do well and the loss is flat; ours best in the end,
 once its starting points are relaxed; TPE last, which spends its time on getting into the budget.
@@ -26,29 +26,32 @@ once its starting points are relaxed; TPE last, which spends its time on getting
 import dataclasses
 import functools
 import importlib.util
-import json
+import itertools
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from experiments.blocks import Block, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.plotting import new_figure
+from experiments.records import Results, Row, machine, of_kind
 from experiments.tuning_optimum import Counted, prepare_room, warm_up
-from hyjax.environment import environment
 from hyjax.errors import InputError
-from hyjax.files import make_writable, whole, write_text
 from hyjax.tuning.budget import MOST_STEPS, fits, single_steps
 from hyjax.tuning.cost_model import CostModel
 from hyjax.tuning.latency import Stopwatch
 from hyjax.tuning.relaxation import KAPPA_RANGE, LAM_RANGE, Plan
 from hyjax.tuning.search import Search
 
+NAME = "tuning_race"
+TITLE = "The search against Optuna and chance"
 DRAWS = 20_000
 OVER_BUDGET = 1.0
 """Stands for the loss of what does not fit; with constraints no sampler compares it with any other."""
@@ -60,6 +63,8 @@ class Config:
     seconds: float = 60.0
     """For each method and seed."""
     seeds: int = 5
+    seed: int = 0
+    """The first of them; the others follow."""
     size: int = 512
     """Side of the pictures, in pixels."""
     frames: int = 4
@@ -67,6 +72,7 @@ class Config:
     recalibrate: bool = False
     """Make the latency table anew."""
     out: Path = Path("results/tuning_race")
+    resume: bool = False
 
 
 class Run:
@@ -115,7 +121,7 @@ class Run:
         self.bar.update(self.seconds - self.shown)
         return {
             "method": method,
-            "seed": self.seed,
+            "run_seed": self.seed,
             "seconds": seconds,
             "loss": self.best,
             "evaluations": self.objective.frames["loss"] / count,
@@ -190,14 +196,13 @@ METHODS: dict[str, Callable[[Run], None]] = {
 
 
 def main(config: Config) -> None:
-    make_writable(config.out)
     if importlib.util.find_spec("optuna") is None:
         raise InputError('optuna is not installed; pip install -e ".[experiments]"')
     if not (config.seeds >= 1 and config.seconds > 0):
         raise InputError(f"need at least 1 seed and > 0 seconds, got {config.seeds} and {config.seconds:g}")
-    prepared, table, names = prepare_room(config.size, config.frames, recalibrate=config.recalibrate)
-    cost, objective = table.p95, Counted(prepared, table.ladder)
-    singles = single_steps(len(table.ladder))
+    results = Results(config.out, NAME, config, resume=config.resume)
+    prepared, ladder, cost = prepare_room(results, config.size, config.frames, recalibrate=config.recalibrate)
+    objective, singles = Counted(prepared, ladder), single_steps(len(ladder))
     if not any(fits(steps, cost, config.budget_ms) for steps in singles):
         least = min(cost(steps) for steps in singles)
         raise InputError(
@@ -206,29 +211,17 @@ def main(config: Config) -> None:
     warm_up(objective, cost)
     import optuna  # noqa: F401  before any clock starts
 
-    results = []
-    total = len(METHODS) * config.seeds * config.seconds
+    done = [(row["run_seed"], row["method"]) for row in of_kind(results.rows, "run")]
+    runs = itertools.product(range(config.seed, config.seed + config.seeds), METHODS)
+    left = [run for run in runs if run not in done]
     form = "{desc}: {percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} s"
-    with tqdm(total=total, bar_format=form) as bar:
-        for seed in range(config.seeds):
-            for method, search in METHODS.items():
-                bar.set_description(f"{method}, seed {seed}")
-                run = Run(objective, cost, config.budget_ms, seed, config.seconds, bar)
-                search(run)
-                results.append(run.result(method))
-    record = {
-        "config": str(config),
-        "frames": names,
-        "ladder": table.ladder,
-        "cost_ms": dataclasses.asdict(cost),
-        "runs": [r | {"loss": r["loss"] if math.isfinite(r["loss"]) else None} for r in results],
-    } | environment()
-    write_text(config.out / "tuning_race.json", json.dumps(record, indent=1) + "\n")
-    text = markdown(results, config)
-    write_text(config.out / "tuning_race.md", text + "\n")
-    print(text)
-    with whole(config.out / "tuning_race.png") as path:
-        figure(path, results, config)
+    with tqdm(total=len(left) * config.seconds, bar_format=form) as bar:
+        for seed, method in left:
+            bar.set_description(f"{method}, seed {seed}")
+            run = Run(objective, cost, config.budget_ms, seed, config.seconds, bar)
+            METHODS[method](run)
+            results.add(kind="run", **run.result(method))
+    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def reached(curve: list[tuple[float, float]], loss: float) -> float:
@@ -236,31 +229,39 @@ def reached(curve: list[tuple[float, float]], loss: float) -> float:
     return next((seconds for seconds, value in curve if value <= loss), math.inf)
 
 
-def markdown(results: list[dict[str, Any]], config: Config) -> str:
-    mine = {r["seed"]: r["curve"] for r in results if r["method"] == OURS}
-    lines = [
-        "| method | final loss, median | min to max | ours there after | evaluations | gradients | over budget |",
-        "|---|---:|---:|---:|---:|---:|---:|",
-    ]
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Table and figure from the rows."""
+    runs = of_kind(rows, "run")
+    if not runs:
+        return ["No method has run yet."]
+    mine = {row["run_seed"]: row["curve"] for row in runs if row["method"] == OURS}
+    lines = []
     for method in METHODS:
-        runs = [r for r in results if r["method"] == method]
-        losses = [r["loss"] for r in runs]
-        times = [reached(mine[r["seed"]], r["loss"]) for r in runs]
-        there = _seconds(times)
-        spent = " | ".join(
-            f"{np.median([r[name] for r in runs]):.0f}" for name in ("evaluations", "gradients", "over_budget")
-        )
-        lines.append(
-            f"| {method} | {np.median(losses):.5f} | {min(losses):.5f} to {max(losses):.5f} | {there} | {spent} |"
-        )
-    ended = _seconds([r["seconds"] for r in results if r["method"] == OURS])
-    lines += [
-        "",
-        f"Budget {config.budget_ms:g} ms, {config.seeds} seeds, {config.seconds:g} s each; ours "
-        f"ended after {ended}. Medians over seeds. Evaluations and gradients are of all {config.frames} frames; "
-        "what is over the budget is not evaluated.",
+        own = [row for row in runs if row["method"] == method and row["run_seed"] in mine]
+        if not own:
+            continue
+        losses = [math.inf if row["loss"] is None else row["loss"] for row in own]
+        there = _seconds([reached(mine[row["run_seed"]], loss) for row, loss in zip(own, losses)])
+        spent = [
+            f"{np.median([row[name] for row in own]):.0f}" for name in ("evaluations", "gradients", "over_budget")
+        ]
+        ends = f"{min(losses):.5f} to {max(losses):.5f}"
+        lines.append([method, f"{np.median(losses):.5f}", ends, there, *spent])
+    header = [
+        *("method", "final loss, median", "min to max", "ours there after"),
+        *("evaluations", "gradients", "over budget"),
     ]
-    return "\n".join(lines)
+    settings = runs[0]["settings"]
+    ended = _seconds([row["seconds"] for row in runs if row["method"] == OURS])
+    caption = (
+        f"Budget {settings['budget_ms']:g} ms, {len(mine)} seeds, {settings['seconds']:g} s each; ours ended "
+        f"after {ended}. Medians over seeds. Evaluations and gradients are of all {settings['frames']} frames; "
+        f"what is over the budget is not evaluated; {machine(runs[0])}."
+    )
+    return [
+        Table(caption, header, lines),
+        Plot(NAME, "Best loss so far: median and range of the seeds.", figure(runs)),
+    ]
 
 
 def _seconds(times: list[float]) -> str:
@@ -272,30 +273,31 @@ def _seconds(times: list[float]) -> str:
     return f"{middle} ({low} to {high})"
 
 
-def figure(path: Path, results: list[dict[str, Any]], config: Config) -> None:
+def figure(runs: Sequence[Row]) -> Figure:
+    """Best loss so far against wall time by method: median and range of the seeds."""
+    seconds = runs[0]["settings"]["seconds"]
     fig = new_figure(7, 4.5)
     axes = fig.subplots()
-    first = min((r["curve"][0][0] for r in results if r["curve"]), default=0.1)
-    times = np.geomspace(min(first, 0.5 * config.seconds), config.seconds, 400)
-    for method in METHODS:
+    first = min((row["curve"][0][0] for row in runs if row["curve"]), default=0.1)
+    times = np.geomspace(min(first, 0.5 * seconds), seconds, 400)
+    for method in dict.fromkeys(row["method"] for row in runs):
         curves = []
-        for r in (r for r in results if r["method"] == method):
-            at, losses = np.array([(0.0, math.inf), *r["curve"]]).T
+        for row in (row for row in runs if row["method"] == method):
+            at, losses = np.array([(0.0, math.inf), *row["curve"]]).T
             curves.append(losses[np.searchsorted(at, times, side="right") - 1])
         low, middle, high = (f(curves, axis=0) for f in (np.min, np.median, np.max))
         line = axes.plot(times, np.where(np.isfinite(middle), middle, np.nan), label=method)[0]
         axes.fill_between(
             times, low, high, where=np.isfinite(high), color=line.get_color(), alpha=0.15, linewidth=0
         )
-    title = f"Within {config.budget_ms:g} ms: median and range of {config.seeds} seeds"
-    axes.set(xscale="log", yscale="log", xlabel="wall time, s", ylabel="best loss so far", title=title)
+    axes.set(xscale="log", yscale="log", xlabel="wall time, s", ylabel="best loss so far")
     axes.minorticks_on()
     axes.xaxis.set_major_formatter("{x:g}")
     for format_ticks in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
         format_ticks("{x:.3g}")
     axes.tick_params(which="minor", labelsize=7)
     axes.legend()
-    fig.savefig(path, dpi=120)
+    return fig
 
 
 if __name__ == "__main__":

@@ -1,30 +1,30 @@
 """What the tuning experiments share: the built-in room and a capture as benches, their frames, times and scores."""
 
 import dataclasses
-import json
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from scipy import stats
 
+from experiments.blocks import Table
+from experiments.judging import summarise
+from experiments.records import Results, Row, machine, of_kind
 from hyjax.data.frames import spread
-from hyjax.environment import environment, peak_memory_mib
 from hyjax.errors import InputError
-from hyjax.files import whole, write_text
 from hyjax.schedule import Schedule
 from hyjax.tuning.bench import Workbench, open_bench
 from hyjax.tuning.calibration import compile_all, time_calls
 from hyjax.tuning.cases import Case, scores
+from hyjax.tuning.report_text import kappa_text, lam_text, steps_text
 from hyjax.tuning.request import split_frames
-from hyjax.tuning.result import Milliseconds, Scores
+from hyjax.tuning.result import Milliseconds
 from hyjax.tuning.search import Effort
 
 MOST_SECONDS = 120.0
 """For timing everything once more at the end."""
+
+Pairs = Sequence[tuple[str, str]]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -58,13 +58,19 @@ class Scene:
     frames: list[int]
     holdout: list[int]
 
+    def held_out(self) -> dict[str, Case]:
+        """The frames held out, by name; without those that see no surface."""
+        cases, blind = self.bench.cases(self.holdout, "held-out")
+        return dict(zip([n for n in map(self.bench.name, self.holdout) if n not in blind], cases, strict=True))
+
     def record(self) -> dict[str, Any]:
-        """What was used, as JSON's types."""
+        """A row of what was used."""
         return {
+            "kind": "scene",
             "scene": self.name,
             "meshes": self.bench.description,
-            "tuned on": self.frames,
-            "held out": self.holdout,
+            "tuned_on": [self.bench.name(i) for i in self.frames],
+            "held_out": [self.bench.name(i) for i in self.holdout],
         }
 
 
@@ -101,7 +107,7 @@ def retime(runs: Sequence[tuple[Case, Sequence[Schedule]]], repeats: int) -> lis
         runs: of each scene, a case to time on and the schedules.
         repeats: rounds, fewer (at least ten) if that would take more than `MOST_SECONDS`.
     """
-    calls = {}
+    calls: dict[str, Any] = {}
     for i, (case, schedules) in enumerate(runs):
         compiled = compile_all(schedules, (case.shading, case.known, case.guide), progress=True)
         calls |= {f"{i} {k}": call for k, call in enumerate(compiled)}
@@ -109,71 +115,84 @@ def retime(runs: Sequence[tuple[Case, Sequence[Schedule]]], repeats: int) -> lis
     return [[times[f"{i} {k}"] for k in range(len(schedules))] for i, (_, schedules) in enumerate(runs)]
 
 
-def score_each(cases: Sequence[Case], filters: Sequence[Any]) -> list[Scores]:
-    """Scores of each frame by itself."""
-    return [scores([case], [relight_filter]) for case, relight_filter in zip(cases, filters, strict=True)]
+def add_scores(
+    results: Results, scene: str, name: str, held: Mapping[str, Case], relight_filter: Callable[[Case], Any]
+) -> None:
+    """A row for each held-out frame under its filter."""
+    for frame, case in held.items():
+        found = dataclasses.asdict(scores([case], [relight_filter(case)]))
+        results.add(kind="score", scene=scene, name=name, frame=frame, **found)
 
 
-def mean_scores(each: Sequence[Scores]) -> Scores:
-    """Mean over frames."""
-    return Scores(*(float(x) for x in np.mean([dataclasses.astuple(s) for s in each], axis=0)))
+def texts(schedule: Schedule) -> dict[str, str]:
+    """A schedule's name, steps, κ and λ, for a row."""
+    parts = {"steps": steps_text, "kappa": kappa_text, "lam": lam_text}
+    return {"schedule": schedule.name} | {key: text(schedule) for key, text in parts.items()}
 
 
-def compare(name: str, own: Sequence[Scores], against: str, other: Sequence[Scores]) -> dict[str, Any]:
-    """Loss against another's on the same frames: mean difference, its 95 % interval by Student's t, and percent.
+def scenes_of(rows: Sequence[Row]) -> list[str]:
+    """Names of the scenes with scores."""
+    return list(dict.fromkeys(row["scene"] for row in of_kind(rows, "score")))
 
-    Frames of one walk are no independent rooms: the interval tells of frames like these.
+
+def scored(rows: Sequence[Row], scene: str) -> dict[str, list[Row]]:
+    """The scores of a scene, frame by frame, by name of what was judged."""
+    found: dict[str, list[Row]] = {}
+    for row in of_kind(rows, "score"):
+        if row["scene"] == scene:
+            found.setdefault(row["name"], []).append(row)
+    return found
+
+
+def mean(each: Sequence[Row], key: str) -> float:
+    """Mean of a score over frames."""
+    return float(np.mean([row[key] for row in each]))
+
+
+def comparison(
+    rows: Sequence[Row],
+    pairs: Callable[[str, list[str]], Sequence[tuple[str, str]]],
+    time: Callable[[str, str], Any],
+) -> Table:
+    """Losses of schedules against others' on the same frames.
+
+    Args:
+        rows: with scores.
+        pairs: of a scene and the names that have been judged in it, which are compared: (own, other).
+        time: row of the measured time by scene and name, or None.
     """
-    difference = np.array([a.loss - b.loss for a, b in zip(own, other, strict=True)])
-    mean, count, base = float(difference.mean()), len(difference), mean_scores(other).loss
-    half = math.nan
-    if count > 1:
-        half = float(stats.t.ppf(0.975, count - 1) * difference.std(ddof=1) / math.sqrt(count))
-    return {
-        "schedule": name,
-        "against": against,
-        "frames": count,
-        "difference": mean,
-        "interval": None if math.isnan(half) else [mean - half, mean + half],
-        "percent": 100.0 * mean / base,
-        "interval_percent": None if math.isnan(half) else [100.0 * (mean + s * half) / base for s in (-1, 1)],
-        "better_frames": int((difference < 0).sum()),
-    }
+    lines = []
+    for scene in scenes_of(rows):
+        judged = scored(rows, scene)
+        for own, other in pairs(scene, list(judged)):
+            if own in judged and other in judged:
+                a, b = time(scene, own), time(scene, other)
+                ratio = f"{100 * a['median'] / b['median']:.0f} %" if a and b else "–"
+                lines.append([scene, own, other, ratio, *_difference(judged[own], judged[other])])
+    header = ["scene", "schedule", "against", "time", "loss difference (95 %)", "% (95 %)", "better on"]
+    caption = (
+        "Loss against another's on the same held-out frames: mean difference and its 95 % interval by Student's t. "
+        "Frames of one walk are no independent rooms: the interval tells of frames like these."
+    )
+    return Table(caption, header, lines, names=3)
 
 
-def comparison_table(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Lines of a table of what `compare` returned, each with `scene` and `time_ratio` of the medians."""
-    lines = [
-        "| scene | schedule | against | time | loss difference (95 %) | % (95 %) | better on |",
-        "|---|---|---|---:|---|---|---:|",
-    ]
-    for r in rows:
-        absolute, percent = f"{r['difference']:+.5f}", f"{r['percent']:+.1f}"
-        if r["interval"]:
-            absolute += " ({:+.5f} to {:+.5f})".format(*r["interval"])
-            percent += " ({:+.1f} to {:+.1f})".format(*r["interval_percent"])
-        time = f"{100 * r['time_ratio']:.0f} %"
-        better = f"{r['better_frames']} of {r['frames']}"
-        lines.append(
-            f"| {r['scene']} | {r['schedule']} | {r['against']} | {time} | {absolute} | {percent} | {better} |"
-        )
-    return lines
+def _difference(own: Sequence[Row], other: Sequence[Row]) -> list[str]:
+    """Mean difference of the losses with its interval, the same in percent, on how many frames it is below zero."""
+    differences = [a["loss"] - b["loss"] for a, b in zip(own, other)]
+    found, percent = summarise(differences), 100.0 / mean(other, "loss")
+    assert found is not None
+    cells = []
+    for factor, digits in ((1.0, 5), (percent, 1)):
+        ends = [] if found.half is None else [factor * (found.mean + sign * found.half) for sign in (-1, 1)]
+        interval = f" ({' to '.join(f'{end:+.{digits}f}' for end in ends)})" if ends else ""
+        cells.append(f"{factor * found.mean:+.{digits}f}{interval}")
+    return [*cells, f"{sum(d < 0 for d in differences)} of {len(differences)}"]
 
 
-def footer(scenes: Sequence[Scene], size: tuple[int, int]) -> list[str]:
-    """What the figures hold for, as the last lines of a table."""
-    record = environment()
-    meshes = "; ".join(f"{scene.name}: {scene.bench.description}" for scene in scenes)
-    machine = f"{record['device']}, {record['cpu_count']} cores, jax {record['versions']['jax']}"
-    return ["", f"{size[0]} x {size[1]}, diffusion stage; {meshes}; {machine}."]
-
-
-def write_results(out: Path, name: str, record: dict[str, Any], table: Sequence[str], figure: Figure) -> None:
-    """`name` with .json, .md and .png in `out`; the table also on stdout."""
-    text = "\n".join(table)
-    print(text)
-    write_text(out / f"{name}.md", text + "\n")
-    record = record | {"peak_memory_mib": round(peak_memory_mib())} | environment()
-    write_text(out / f"{name}.json", json.dumps(record, indent=2) + "\n")
-    with whole(out / f"{name}.png") as temporary:
-        figure.savefig(temporary, dpi=120)
+def conditions(rows: Sequence[Row]) -> str:
+    """What the figures hold for, as the last words of a caption."""
+    scenes = of_kind(rows, "scene")
+    meshes = "; ".join(f"{row['scene']}: {row['meshes']}" for row in scenes)
+    height, width = scenes[0]["settings"]["size"]
+    return f"{height} x {width}, diffusion stage; {meshes}; {machine(scenes[0])}."

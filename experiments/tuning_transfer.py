@@ -4,38 +4,44 @@
 
 Tunes once on the built-in room and once on the capture, at the same budget, and judges both schedules, and
 `paper-80` with our default κ and λ, on held-out frames (of the last quarter) of both. All times are taken afresh at
-the end, in turns. Takes about ten minutes on two cores. Writes `tuning_transfer.json`, `.md` and `.png`.
+the end, in turns. Takes about ten minutes on two cores.
 
 Expect: the schedule tuned elsewhere within a few percent of the scene's own loss, on either side, and ahead of
 `paper-80`.
 """
 
 import dataclasses
+import functools
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from matplotlib.figure import Figure
 
+from experiments.blocks import Block, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.plotting import new_figure
+from experiments.records import Results, Row, of_kind
 from experiments.tuning_scenes import (
     ComparisonConfig,
-    compare,
-    comparison_table,
-    footer,
-    mean_scores,
+    add_scores,
+    comparison,
+    conditions,
+    mean,
     open_scenes,
     retime,
-    score_each,
-    write_results,
+    scenes_of,
+    scored,
+    texts,
 )
 from hyjax.errors import InputError
-from hyjax.files import make_writable
 from hyjax.schedule import Schedule
 from hyjax.tuning.cases import mix, refined_filter
-from hyjax.tuning.report_text import kappa_text, lam_text, steps_text
 from hyjax.tuning.request import parse_budgets
 from hyjax.tuning.run import tune_bench
+
+NAME = "tuning_transfer"
+TITLE = "A schedule in another room than it was tuned in"
+RAW = "raw filter"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -47,9 +53,9 @@ class Config(ComparisonConfig):
 
 
 def main(config: Config) -> None:
-    make_writable(config.out)
     budgets = parse_budgets((), (config.budget_ms,))
     scenes = open_scenes(config.kitchen, config.size, config.frames, config.holdout)
+    results = Results(config.out, NAME, config)
     schedules = {}
     for scene in scenes:
         found = tune_bench(
@@ -57,80 +63,77 @@ def main(config: Config) -> None:
         ).schedule
         if not found.name.startswith("tuned"):
             raise InputError(f"{scene.name}: nothing tuned came out within {config.budget_ms:g} ms; give more")
-        schedules[f"tuned on {scene.name}"] = found
+        results.add(**scene.record())
+        schedules[tuned_on(scene.name)] = found
     schedules["paper-80"] = Schedule.preset("paper-80")
-
-    rows: list[dict[str, Any]] = []
-    comparisons = []
+    for name, schedule in schedules.items():
+        results.add(kind="schedule", name=name, **texts(schedule))
     for scene in scenes:
-        held, _ = scene.bench.cases(scene.holdout, "held-out")
-        judged = {"raw filter": score_each(held, [mix(case.shading, case.colors) for case in held])}
+        held = scene.held_out()
+        add_scores(results, scene.name, RAW, held, lambda case: mix(case.shading, case.colors))
         for name, schedule in schedules.items():
-            judged[name] = score_each(held, [refined_filter(case, schedule) for case in held])
-        rows += [
-            {"scene": scene.name, "name": name, "own": name.endswith(f" {scene.name}")}
-            | dataclasses.asdict(mean_scores(each))
-            | {"losses": [scores.loss for scores in each]}
-            for name, each in judged.items()
-        ]
-        own = f"tuned on {scene.name}"
-        comparisons += [
-            {"scene": scene.name} | compare(name, judged[name], own, judged[own])
-            for name in schedules
-            if name != own
-        ]
-    (times,) = retime([(held[0], list(schedules.values()))], config.repeats)
-    timed = dict(zip(schedules, times, strict=True))
-    for entry in comparisons:
-        entry["time_ratio"] = timed[entry["schedule"]].median / timed[entry["against"]].median
-    record = {
-        "rows": rows,
-        "comparisons": comparisons,
-        "schedules": {
-            name: {
-                "steps": steps_text(schedule),
-                "kappa": kappa_text(schedule),
-                "lam": lam_text(schedule),
-                "again": dataclasses.asdict(timed[name]),
-            }
-            for name, schedule in schedules.items()
-        },
-        "scenes": [scene.record() for scene in scenes],
-        "config": str(config),
-    }
-    table = [*markdown(record), "", *comparison_table(comparisons), *footer(scenes, config.size)]
-    write_results(config.out, "tuning_transfer", record, table, figure(record))
+            add_scores(results, scene.name, name, held, functools.partial(refined_filter, schedule=schedule))
+    (times,) = retime([(next(iter(held.values())), list(schedules.values()))], config.repeats)
+    for name, time in zip(schedules, times, strict=True):
+        results.add(kind="time", name=name, **dataclasses.asdict(time))
+    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
-def markdown(record: dict[str, Any]) -> list[str]:
-    lines = ["| schedule | steps | κ | λ | median ms | p95 ms |", "|---|---|---|---|---:|---:|"]
-    for name, s in record["schedules"].items():
-        times = f"{s['again']['median']:.2f} | {s['again']['p95']:.2f}"
-        lines.append(f"| {name} | {s['steps']} | {s['kappa']} | {s['lam']} | {times} |")
-    lines += ["", "| held-out frames of | schedule | loss | PSNR dB | SSIM |", "|---|---|---:|---:|---:|"]
-    for r in record["rows"]:
-        name = f"**{r['name']}**" if r["own"] else r["name"]
-        lines.append(f"| {r['scene']} | {name} | {r['loss']:.5f} | {r['psnr']:.2f} | {r['ssim']:.4f} |")
-    return lines
+def tuned_on(scene: str) -> str:
+    return f"tuned on {scene}"
 
 
-def figure(record: dict[str, Any]) -> Figure:
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Tables and figure from the rows."""
+    if not of_kind(rows, "score"):
+        return ["No schedule has been judged yet."]
+    times = {row["name"]: row for row in of_kind(rows, "time")}
+    schedules = []
+    for row in of_kind(rows, "schedule"):
+        time = times.get(row["name"])
+        cells = [f"{time['median']:.2f}", f"{time['p95']:.2f}"] if time else ["–", "–"]
+        schedules.append([row["name"], row["steps"], row["kappa"], row["lam"], *cells])
+    lines = []
+    for scene in scenes_of(rows):
+        for name, each in scored(rows, scene).items():
+            text = f"{name} (its own)" if name == tuned_on(scene) else name
+            digits = {"loss": 5, "psnr": 2, "ssim": 4}
+            lines.append([scene, text, *(f"{mean(each, key):.{n}f}" for key, n in digits.items())])
+
+    def pairs(scene: str, names: list[str]) -> list[tuple[str, str]]:
+        own = tuned_on(scene)
+        return [(name, own) for name in names if name not in (own, RAW)]
+
+    header = ["schedule", "steps", "κ", "λ", "median ms", "p95 ms"]
+    return [
+        Table(f"The schedules; {conditions(rows)}", header, schedules, names=4),
+        Table(
+            "Means over held-out frames.",
+            ["held-out frames of", "schedule", "loss", "PSNR dB", "SSIM"],
+            lines,
+            names=2,
+        ),
+        comparison(rows, pairs, lambda _, name: times.get(name)),
+        Plot(NAME, "Loss on held-out frames: the mean, and each frame as a small dot.", figure(rows)),
+    ]
+
+
+def figure(rows: Sequence[Row]) -> Figure:
     """Held-out loss by scene and schedule, each frame a small dot."""
-    scenes = list(dict.fromkeys(r["scene"] for r in record["rows"]))
+    scenes, times = scenes_of(rows), {row["name"]: row for row in of_kind(rows, "time")}
     fig = new_figure(2.0 + 3.5 * len(scenes), 2.6)
     for axes, scene in zip(fig.subplots(1, len(scenes), squeeze=False)[0], scenes, strict=True):
-        own = [r for r in record["rows"] if r["scene"] == scene]
-        for y, r in enumerate(own):
-            color = "C0" if r["own"] else "C1" if r["name"].startswith("tuned") else "0.5"
-            axes.plot(r["losses"], [y] * len(r["losses"]), ".", color=color, alpha=0.35)
-            axes.plot(r["loss"], y, "o", color=color)
-        again = {name: s["again"]["median"] for name, s in record["schedules"].items()}
-        names = [f"{r['name']}\n{again[r['name']]:.2f} ms" if r["name"] in again else r["name"] for r in own]
-        axes.set_yticks(range(len(own)), names, fontsize=8)
+        judged = scored(rows, scene)
+        for y, (name, each) in enumerate(judged.items()):
+            color = "C0" if name == tuned_on(scene) else "C1" if name.startswith("tuned") else "0.5"
+            axes.plot([row["loss"] for row in each], [y] * len(each), ".", color=color, alpha=0.35)
+            axes.plot(mean(each, "loss"), y, "o", color=color)
+        names = [f"{name}\n{times[name]['median']:.2f} ms" if name in times else name for name in judged]
+        axes.set_yticks(range(len(names)), names, fontsize=8)
         axes.margins(y=0.15)
         axes.invert_yaxis()
         axes.grid(axis="x", color="0.9")
-        axes.set(xlabel="loss on held-out frames: mean, and each frame", title=scene)
+        axes.set(xlabel="loss on held-out frames", title=scene)
     return fig
 
 
