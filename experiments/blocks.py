@@ -112,14 +112,14 @@ def _html(block: Block) -> Html:
         places = [None] * block.names + ["n"] * (len(block.header) - block.names)
         head = tag("tr", [tag("th", text, class_=place) for text, place in zip(block.header, places)])
         body = [tag("tr", [tag("td", text, class_=p) for text, p in zip(row, places)]) for row in block.rows]
-        table = tag("table", tag("caption", block.caption), tag("thead", head), tag("tbody", body))
-        return tag("div", table, class_="wide")
+        table = tag("table", tag("thead", head), tag("tbody", body))
+        return tag("figure", tag("figcaption", block.caption), tag("div", table, class_="wide"))
     if isinstance(block, Plot):
         stream = io.StringIO()
         with rc_context({"svg.hashsalt": "hyjax"}):  # the same page from the same rows
             block.figure.savefig(stream, format="svg", metadata=SVG)
         shown = Html(stream.getvalue()[stream.getvalue().index("<svg") :])
-        return tag("figure", shown, tag("figcaption", block.caption))
+        return tag("figure", tag("div", shown, class_="plot"), tag("figcaption", block.caption))
     return tag("figure", _packed(block), tag("figcaption", block.caption))
 
 

@@ -11,7 +11,9 @@ Expect: a section for each run, in the order of `EXPERIMENTS`, with settings, co
 import dataclasses
 import importlib
 import importlib.resources
+import inspect
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -41,12 +43,23 @@ EXPERIMENTS = (
 )
 """Modules with a `TITLE` and `blocks(rows, folder)`, in the page's order."""
 
+PARAGRAPHS = re.compile(r"\n\n|\n(?=- |[0-9]\. )")
+"""What separates paragraphs and items of lists in docstrings."""
+
 STYLE = """
-table { margin: 0 0 .6rem; }
-caption { text-align: left; color: var(--quiet); padding-bottom: .4rem; max-width: 60rem; }
-figure { margin: 1.4rem 0; } figure svg, figure img { display: block; width: auto; max-width: 100%; height: auto; }
-figure svg { background: #fff; border-radius: .4rem; } figcaption { color: var(--quiet); font-size: .9rem; }
-section p { max-width: 62rem; }
+nav { position: static; display: block; columns: 22rem; padding: .9rem 0; }
+nav a { display: block; padding: .1rem 0; break-inside: avoid; }
+section { border-top: 1px solid var(--grid); margin-top: 2.6rem; }
+section:first-child { border: 0; margin: 0; }
+section p, section pre { max-width: 62rem; }
+pre { margin: .6rem 0; }
+details { margin: 0 0 1.2rem; border: 0; padding: 0; } summary { color: var(--quiet); font-size: .9rem; }
+figure { margin: 1.6rem 0; }
+figcaption { max-width: 62rem; color: var(--quiet); font-size: .9rem; }
+.wide { margin-top: .3rem; } .plot, figure > img { margin-bottom: .5rem; }
+figure > img { display: block; max-width: 100%; border-radius: .4rem; }
+.plot svg { width: auto; min-width: 30rem; max-width: 100%; padding: .5rem; background: #fff; border-radius: .4rem; }
+@media (max-width: 34rem) { .plot svg { max-width: none; } }
 """
 
 
@@ -103,11 +116,14 @@ def _place(folder: Path, rows: list[Row]) -> tuple[int, str]:
 
 
 def _section(folder: Path, rows: list[Row]) -> tuple[str, Html]:
-    """Title and content of one run."""
+    """Title and content of one run: what the module says of itself, its blocks, where the rows come from."""
     module: Any = importlib.import_module(f"experiments.{rows[0]['experiment']}")
     title = module.TITLE if folder.name == rows[0]["experiment"] else f"{module.TITLE}: {folder.name}"
-    unfinished = "" if is_finished(rows) else tag("p", "This run did not come to its end.", class_="lead")
-    return title, join([unfinished, html(module.blocks(rows, folder)), footer(rows)])
+    unfinished = "" if is_finished(rows) else tag("p", tag("strong", "This run did not come to its end."))
+    first, *rest = PARAGRAPHS.split(inspect.cleandoc(module.__doc__))
+    told = [tag("pre" if text.startswith(" ") else "p", inspect.cleandoc(text)) for text in rest]
+    about = [tag("p", first, class_="lead"), tag("details", tag("summary", "How, and what to expect"), told)]
+    return title, join([about, unfinished, html(module.blocks(rows, folder)), footer(rows)])
 
 
 def footer(rows: list[Row]) -> Html:
@@ -116,7 +132,8 @@ def footer(rows: list[Row]) -> Html:
     commits = ", ".join(dict.fromkeys(row["commit"][:12] + row["commit"][40:] for row in rows))
     machines = "; ".join(dict.fromkeys(machine(row) for row in rows))
     settings = ", ".join(f"{key} {json.dumps(value)}" for key, value in rows[-1]["settings"].items())
-    return tag("p", f"{count} rows; commit {commits}; {machines}; settings: {settings}.", class_="quiet")
+    command = f"python -m experiments.{rows[0]['experiment']}"
+    return tag("p", f"{command}: {count} rows; commit {commits}; {machines}; settings: {settings}.", class_="quiet")
 
 
 if __name__ == "__main__":

@@ -21,6 +21,17 @@ from hyjax.images import write_png
 TABLE = Table("What it shows.", ["", "loss", "a|b"], [["<b>bold</b>", "0.5", "1 & 2"], ["x|y", "–", ""]])
 
 
+DOCSTRING = """What is <asked>.
+
+    python -m experiments.fake [--size 3]
+
+Expect:
+- one
+  thing;
+- another.
+"""
+
+
 class Parsed(HTMLParser):
     """Every element with its attributes, every text."""
 
@@ -63,7 +74,7 @@ def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty results folder, and experiments `fake_a` and `fake_b`."""
     for name in ("fake_a", "fake_b"):
         module = types.ModuleType(f"experiments.{name}")
-        vars(module).update(TITLE=f"Title of {name}", blocks=fake_blocks)
+        vars(module).update(TITLE=f"Title of {name}", blocks=fake_blocks, __doc__=DOCSTRING)
         monkeypatch.setitem(sys.modules, f"experiments.{name}", module)
     monkeypatch.setattr(report, "EXPERIMENTS", ("fake_b", "fake_a"))
     (tmp_path / "results").mkdir()
@@ -166,6 +177,16 @@ def test_a_page_of_one_run(results: Path) -> None:
     assert {"Title of fake_a", "Of 1 scores.", "0.25", "The curve.", "What was seen."} <= set(parsed.texts)
     assert "did not come to its end" not in texts
     assert "1 rows; commit " in texts and 'note "a <i>note</i>", seed 3' in texts and "cores, jax" in texts
+
+
+def test_a_run_begins_with_what_its_module_says(results: Path) -> None:
+    write_run(results / "fake_a")
+    text = make_page(results)
+    assert '<p class="lead">What is &lt;asked&gt;.</p>' in text
+    assert (
+        "<pre>python -m experiments.fake [--size 3]</pre><p>Expect:</p><p>- one\nthing;</p><p>- another.</p>"
+        in text
+    )
 
 
 def test_two_runs_are_two_sections_in_the_order_of_the_experiments(results: Path) -> None:
