@@ -58,7 +58,8 @@ figure { margin: 1.6rem 0; }
 figcaption { max-width: 62rem; color: var(--quiet); font-size: .9rem; }
 .wide { margin-top: .3rem; } .plot, figure > img { margin-bottom: .5rem; }
 figure > img { display: block; max-width: 100%; border-radius: .4rem; }
-.plot svg { width: auto; min-width: 30rem; max-width: 100%; padding: .5rem; background: #fff; border-radius: .4rem; }
+.plot svg { width: auto; min-width: 30rem; max-width: 100%; }
+.plot svg { padding: .5rem; background: #fff; border-radius: .4rem; }
 @media (max-width: 34rem) { .plot svg { max-width: none; } }
 """
 

@@ -113,6 +113,8 @@ def alone(y: Any, guide: Any, schedule: hyjax.Schedule, repeats: int) -> dict[st
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Table and figure from the rows; the cascade's parts summed up in one line."""
     stages = of_kind(rows, "stage")
+    if not stages:
+        return ["No stage has been timed yet."]
     lines = [
         [row["stage"], f"{row['first_ms']:.0f}", f"{row['median_ms']:.2f}", f"{row['p95_ms']:.2f}"]
         for row in stages
