@@ -7,12 +7,12 @@ of another, and a sun that is mostly shadowed leaves no trace in what the sky li
 """
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hyjax.cascade import cascade
 from hyjax.color import to_display, to_linear
@@ -61,6 +61,8 @@ def relight(
     schedule: Schedule,
     *,
     shadow_maps: Sequence[ShadowMap | None] | None = None,
+    shading: Float[Array, "h w l"] | None = None,
+    visibility: Float[Array, "h w l"] | None = None,
     shadow_schedule: Schedule | None = None,
     reference_lux: Float[ArrayLike, ""] = REFERENCE_LUX,
     mode: Mode = "hyjax",
@@ -74,6 +76,8 @@ def relight(
         guide: features that say where light may flow; the display-encoded frame itself is the "RGB guide".
         schedule: cascade for the shading.
         shadow_maps: one for each light (None: casts no shadow); None for no shadows at all.
+        shading: lux that each light throws on the visible surface, rendered elsewhere; default `shade_each`.
+        visibility: what shadows leave of each light, in [0, 1], rendered elsewhere, instead of the shadow maps.
         shadow_schedule: cascade for the visibility; default `Schedule.preset("shadow")`.
         reference_lux: illuminance under which the frame is taken to have been photographed. Light of this strength
             leaves the frame as it is.
@@ -84,8 +88,8 @@ def relight(
         All stages; `image` and `unrefined` are linear in both modes.
 
     Raises:
-        InputError: sizes differ, no lights, another number of shadow maps than lights, unknown mode, or a schedule
-            that cannot be run.
+        InputError: sizes differ, no lights, another number of shadow maps or channels than lights, both shadow maps
+            and visibility, unknown mode, or a schedule that cannot be run.
     """
     *_, (_, relit) = relight_stages(
         frame,
@@ -94,6 +98,8 @@ def relight(
         guide,
         schedule,
         shadow_maps=shadow_maps,
+        shading=shading,
+        visibility=visibility,
         shadow_schedule=shadow_schedule,
         reference_lux=reference_lux,
         mode=mode,
@@ -109,6 +115,8 @@ def relight_stages(
     schedule: Schedule,
     *,
     shadow_maps: Sequence[ShadowMap | None] | None = None,
+    shading: Float[Array, "h w l"] | None = None,
+    visibility: Float[Array, "h w l"] | None = None,
     shadow_schedule: Schedule | None = None,
     reference_lux: Float[ArrayLike, ""] = REFERENCE_LUX,
     mode: Mode = "hyjax",
@@ -126,6 +134,13 @@ def relight_stages(
         raise InputError(
             f"relight: frame {size}, G-buffer {gbuffer.hit.shape} and guide {guide.shape[:2]} must be of one size"
         )
+    for name, given in (("shading", shading), ("visibility", visibility)):
+        if given is not None and given.shape != (*size, len(lights)):
+            raise InputError(
+                f"relight: {name} is {given.shape}, must be {(*size, len(lights))}: a channel for each light"
+            )
+    if shadow_maps is not None and visibility is not None:
+        raise InputError("relight: give shadow maps or the visibility itself, not both")
     maps = (None,) * len(lights) if shadow_maps is None else tuple(shadow_maps)
     if len(maps) != len(lights):
         raise InputError(f"relight: {len(maps)} shadow maps for {len(lights)} lights; give one each, or None")
@@ -133,26 +148,30 @@ def relight_stages(
     shadow_schedule = Schedule.preset("shadow") if shadow_schedule is None else shadow_schedule
     schedule.check(), shadow_schedule.check()
 
+    def see() -> Float[Array, "h w l"]:
+        return visibilities(gbuffer, lights, maps) if visibility is None else visibility
+
+    each = shade_each(gbuffer, lights) if shading is None else shading
     run = _paper_stages if mode == "paper" else _stages
-    yield from run(frame, gbuffer, lights, guide, schedule, maps, shadow_schedule, reference_lux)
+    yield from run(frame, gbuffer.hit, each, see, lights, guide, schedule, shadow_schedule, reference_lux)
 
 
 def _stages(
     frame: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
-    lights: tuple[Light, ...],
+    hit: Bool[Array, "h w"],
+    each: Float[Array, "h w l"],
+    see: Callable[[], Float[Array, "h w l"]],
+    lights: Sequence[Light],
     guide: Float[Array, "h w f"],
     schedule: Schedule,
-    maps: tuple[ShadowMap | None, ...],
     shadow_schedule: Schedule,
     reference_lux: Float[ArrayLike, ""],
 ) -> Iterator[tuple[str, Any]]:
     """Our mode: a channel for each light, holes unknown, linear light."""
-    each = shade_each(gbuffer, lights)
     yield "shading", each
-    seen = visibilities(gbuffer, lights, maps)
+    seen = see()
     yield "visibility", seen
-    refined = cascade_known(each, gbuffer.hit[..., None], guide, schedule)
+    refined = cascade_known(each, hit[..., None], guide, schedule)
     yield "cascade", refined
     refined_seen = shadow_pass(fill_visibility(seen, each > 0, guide, schedule), guide, shadow_schedule)
     yield "shadow pass", refined_seen
@@ -180,19 +199,19 @@ def _composite_channels(
 
 def _paper_stages(
     frame: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
-    lights: tuple[Light, ...],
+    hit: Bool[Array, "h w"],
+    each: Float[Array, "h w l"],
+    see: Callable[[], Float[Array, "h w l"]],
+    lights: Sequence[Light],
     guide: Float[Array, "h w f"],
     schedule: Schedule,
-    maps: tuple[ShadowMap | None, ...],
     shadow_schedule: Schedule,
     reference_lux: Float[ArrayLike, ""],
 ) -> Iterator[tuple[str, Any]]:
     """The paper: the filter is a rendered picture, clipped and display-encoded, black where there is no mesh."""
-    each = shade_each(gbuffer, lights)
     raw = _rendered(each, lights, reference_lux)
     yield "shading", raw
-    raw_shadowed = _rendered(each * visibilities(gbuffer, lights, maps), lights, reference_lux)
+    raw_shadowed = _rendered(each * see(), lights, reference_lux)
     raw_visible = _ratio(raw_shadowed, raw)
     yield "visibility", raw_visible
     refined = cascade(raw, guide, schedule)

@@ -297,3 +297,28 @@ def test_refusals(frame: jax.Array, gbuffer: GBuffer, maps: tuple) -> None:
     ):
         with pytest.raises(InputError, match=message):
             run(**change)
+
+
+@pytest.mark.parametrize("mode", ["hyjax", "paper"])
+def test_light_rendered_elsewhere_takes_the_place_of_ours(
+    frame: jax.Array, gbuffer: GBuffer, maps: tuple, mode: Any
+) -> None:
+    each, seen = shade_each(gbuffer, LIGHTS), visibilities(gbuffer, LIGHTS, maps)
+    arguments = (frame, gbuffer, LIGHTS, frame, SCHEDULE)
+    ours = relight(*arguments, shadow_maps=maps, shadow_schedule=SHADOWS, mode=mode)
+    given = relight(*arguments, shading=each, visibility=seen, shadow_schedule=SHADOWS, mode=mode)
+    assert_same(given, vars(ours))
+    other = relight(*arguments, shading=0.5 * each, visibility=seen**2, shadow_schedule=SHADOWS, mode=mode)
+    assert np.mean(other.image) < 0.9 * np.mean(ours.image)
+    assert np.mean(other.visibility) < np.mean(ours.visibility)
+
+
+def test_light_rendered_elsewhere_must_fit(frame: jax.Array, gbuffer: GBuffer, maps: tuple) -> None:
+    arguments = (frame, gbuffer, LIGHTS, frame, SCHEDULE)
+    each = shade_each(gbuffer, LIGHTS)
+    for name in ("shading", "visibility"):
+        for wrong in (each[..., :2], each[1:]):
+            with pytest.raises(InputError, match=rf"{name} is .*, must be \(45, 62, 3\)"):
+                relight(*arguments, **{name: wrong})
+    with pytest.raises(InputError, match="not both"):
+        relight(*arguments, shadow_maps=maps, visibility=each)
