@@ -49,6 +49,8 @@ class Relight:
     """Exactly the paper: multiply display values, leave holes in the mesh black."""
     shadows: bool = True
     """Whether lights cast shadows."""
+    renderer: Literal["hyjax", "blender"] = "hyjax"
+    """Who shades the mesh: hyjax, or Blender's Cycles, which traces every shadow and takes its time."""
     save_filters: bool = False
     """Also write each frame's raw and refined filter."""
     save_visibility: bool = False
@@ -163,6 +165,7 @@ def run_relight(command: Relight) -> None:
     from hyjax.data.surfaces import check_mesh_name, surface_of
     from hyjax.files import make_writable
     from hyjax.relighting import Outputs, relight_capture
+    from hyjax.scene.blender import blender_python
     from hyjax.scene.raycast import RayCaster
     from hyjax.tuning.latency import StageClock
 
@@ -175,6 +178,8 @@ def run_relight(command: Relight) -> None:
     if not from_file:
         check_setup_name(command.lights)
     check_mesh_name(command.mesh)
+    if command.renderer == "blender":
+        blender_python()
     capture: Capture | None = None
     if command.capture is not None:
         with clock("capture"):
@@ -207,6 +212,7 @@ def run_relight(command: Relight) -> None:
         size=size,
         mode="paper" if command.paper_mode else "hyjax",
         shadows=command.shadows,
+        renderer=command.renderer,
         outputs=Outputs(command.save_filters, command.save_visibility),
         settings=dataclasses.asdict(command)
         | {"capture": str(command.capture or "built-in room"), "mesh": source, "out": str(command.out)},

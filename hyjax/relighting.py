@@ -1,10 +1,11 @@
 """Relighting a capture from end to end: everything that `hyjax relight` does, as a function."""
 
+import contextlib
 import dataclasses
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -22,10 +23,13 @@ from hyjax.errors import InputError
 from hyjax.files import make_writable, remove, write_text
 from hyjax.images import write_exr, write_png
 from hyjax.pipeline import Mode, Relit, relight_stages
+from hyjax.scene.blender import BlenderRenderer
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.schedule import Schedule
 from hyjax.tuning.latency import StageClock
+
+Renderer = Literal["hyjax", "blender"]
 
 HEADINGS = ("frame", "raw filter", "refined filter", "visibility", "raw filter x frame", "relit")
 SHEET_ROWS = 12
@@ -50,6 +54,7 @@ def relight_capture(
     size: tuple[int, int] | None = None,
     mode: Mode = "hyjax",
     shadows: bool = True,
+    renderer: Renderer = "hyjax",
     outputs: Outputs | None = None,
     settings: dict[str, Any] | None = None,
     clock: StageClock | None = None,
@@ -69,6 +74,8 @@ def relight_capture(
         size: (height, width) to work at: the largest centred window of that shape, resampled. Default: as captured.
         mode: see `relight`.
         shadows: whether lights cast shadows.
+        renderer: who shades the mesh and casts the shadows: `"hyjax"` from G-buffer and shadow maps, or
+            `"blender"`, which traces rays (see `hyjax.scene.blender`).
         outputs: what else to write for each frame.
         settings: recorded in `run.json` as they are.
         clock: times of earlier stages, if they are to be in `run.json` too.
@@ -78,43 +85,57 @@ def relight_capture(
         The content of `run.json`.
 
     Raises:
-        InputError: the folder cannot be written, or no frame sees the mesh.
+        InputError: the folder cannot be written, no frame sees the mesh, or there is no Blender to render with.
     """
+    if renderer not in get_args(Renderer):
+        raise InputError(f"renderer: {renderer!r} is unknown; use one of {', '.join(get_args(Renderer))}")
     outputs, clock = outputs or Outputs(), clock or StageClock()
     chosen = range(len(capture)) if frames is None else frames
     make_writable(out)
     for summary in ("run.json", "lights.json", "contact_sheet.png"):
         remove(out / summary)  # of an earlier run, whose pictures are about to be replaced
-    with clock("shadow maps"):
-        maps = jax.block_until_ready(cast_shadow_maps(caster, setup.lights)) if shadows else None
-    rows: list[tuple[str, list[np.ndarray]]] = []
-    sheet_every = max(1, -(-len(chosen) // SHEET_ROWS))
-    skipped, written = [], []
-    for index in tqdm(chosen, desc="relighting", unit="frame", disable=not progress):
-        with clock("read"):
-            frame = fit(capture[index], size)
-        with clock("g-buffer"):
-            gbuffer = jax.block_until_ready(caster.gbuffer(frame.camera))
-        if not bool(gbuffer.hit.any()):
-            skipped.append(frame.name)
-            continue
-        display = jnp.asarray(frame.image)
-        stages = relight_stages(
-            to_linear(display),
-            gbuffer,
-            setup.lights,
-            display,
-            schedule,
-            shadow_maps=maps,
-            reference_lux=setup.reference_lux,
-            mode=mode,
-        )
-        relit = clock.follow(stages)
-        with clock("write"):
-            _write_frame(out, frame.name, relit, mode, outputs)
-        written.append(frame.name)
-        if (len(written) - 1) % sheet_every == 0:
-            rows.append((frame.name, _sheet_row(frame, relit, mode)))
+    given: dict[str, Any] = {}  # to the relighting of every frame
+    with contextlib.ExitStack() as stack:
+        if renderer == "blender":
+            with clock("blender start"):
+                blender = stack.enter_context(BlenderRenderer(caster.mesh, setup.lights, shadows=shadows))
+        elif shadows:
+            with clock("shadow maps"):
+                given["shadow_maps"] = jax.block_until_ready(cast_shadow_maps(caster, setup.lights))
+        rows: list[tuple[str, list[np.ndarray]]] = []
+        sheet_every = max(1, -(-len(chosen) // SHEET_ROWS))
+        skipped, written = [], []
+        for index in tqdm(chosen, desc="relighting", unit="frame", disable=not progress):
+            with clock("read"):
+                frame = fit(capture[index], size)
+            with clock("g-buffer"):
+                gbuffer = jax.block_until_ready(caster.gbuffer(frame.camera))
+            if not bool(gbuffer.hit.any()):
+                skipped.append(frame.name)
+                continue
+            if renderer == "blender":
+                with clock("blender"):
+                    rendering = blender.render(frame.camera)
+                # At a silhouette the two may disagree by a pixel; where one sees nothing, nothing is known.
+                gbuffer = dataclasses.replace(gbuffer, hit=gbuffer.hit & rendering.hit)
+                given = {"shading": jnp.asarray(rendering.shading), "visibility": jnp.asarray(rendering.visibility)}
+            display = jnp.asarray(frame.image)
+            stages = relight_stages(
+                to_linear(display),
+                gbuffer,
+                setup.lights,
+                display,
+                schedule,
+                reference_lux=setup.reference_lux,
+                mode=mode,
+                **given,
+            )
+            relit = clock.follow(stages)
+            with clock("write"):
+                _write_frame(out, frame.name, relit, mode, outputs)
+            written.append(frame.name)
+            if (len(written) - 1) % sheet_every == 0:
+                rows.append((frame.name, _sheet_row(frame, relit, mode)))
     if not written:
         raise InputError(
             f"{capture.name}: no ray of any chosen frame met the mesh; are the mesh and the poses in the same "
@@ -128,6 +149,7 @@ def relight_capture(
         "mesh_faces": len(caster.mesh.faces),
         "size": list(frame.image.shape[:2]),
         "mode": mode,
+        "renderer": renderer,
         "schedule": json.loads(schedule.to_json()),
         "reference_lux": setup.reference_lux,
         "settings": settings or {},
