@@ -30,12 +30,16 @@ from hyjax import (
     shade_each,
     visibilities,
 )
+from hyjax.cli import main
 from hyjax.data.light_setups import named_setup, survey_capture
 from hyjax.data.room import load_room
+from hyjax.images import read_image
+from hyjax.relighting import relight_capture
 from hyjax.scene.blender import BlenderRenderer, Rendering, blender_python, hexagons
 from hyjax.scene.camera import Camera, Intrinsics, look_at
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
+from hyjax.schedule import Schedule
 
 needs_blender = pytest.mark.skipif(
     importlib.util.find_spec("bpy") is None and not os.environ.get("HYJAX_BLENDER"),
@@ -178,6 +182,34 @@ def test_the_room_is_ours() -> None:
 
 @needs_blender
 @pytest.mark.slow
+def test_a_relit_capture_looks_the_same(tmp_path: Path) -> None:
+    room = load_room(progress=False)
+    caster = RayCaster(room.mesh)
+    setup = named_setup("two-colors", survey_capture(caster, room))
+    pictures = {}
+    for renderer in ("hyjax", "blender"):
+        run = relight_capture(
+            room,
+            caster,
+            setup,
+            Schedule.uniform([(2, 2)]),
+            tmp_path / renderer,
+            frames=[15],
+            size=(48, 64),
+            renderer=renderer,
+            progress=False,
+        )
+        assert run["renderer"] == renderer
+        assert (
+            ("blender" in run["milliseconds"]) == (renderer == "blender") != ("shadow maps" in run["milliseconds"])
+        )
+        pictures[renderer] = read_image(tmp_path / renderer / "015.relit.exr")
+    ours, theirs = pictures.values()
+    assert 0 < np.mean(np.abs(theirs - ours)) < 0.03 * np.mean(ours)
+
+
+@needs_blender
+@pytest.mark.slow
 def test_points_are_drawn_as_surfels(camera: Camera) -> None:
     """Two spheres of points, one throwing its shadow on the other, against the spheres' meshes."""
     spheres = [((0.0, 0.0, 0.5), 0.6), ((0.5, -0.3, 1.3), 0.15)]
@@ -257,6 +289,17 @@ def test_a_crash_is_one_line(program: Path, ball: trimesh.Trimesh, camera: Camer
         pytest.raises(InputError, match=r"blender: ended with status -9 \(out of memory\)"),
     ):
         blender.render(camera)
+
+
+def test_relighting_without_blender_writes_nothing(
+    program: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setattr(sys, "argv", ["hyjax", "relight", "--renderer", "blender", "--out", str(out)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2 and "HYJAX_BLENDER" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_no_lights_and_no_samples(ball: trimesh.Trimesh) -> None:
