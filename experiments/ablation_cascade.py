@@ -37,6 +37,7 @@ from experiments.plotting import new_figure
 from experiments.records import Results, Row
 from hyjax import metrics
 from hyjax.contact_sheet import write_contact_sheet
+from hyjax.data.frames import spread
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.pipeline import Mode
@@ -77,8 +78,7 @@ def main(config: Config) -> None:
     out = config.out or Path("results") / NAME / capture.name
     results = Results(out, NAME, config)
     bench = Bench(capture, Schedule.preset("paper-50"), config.mesh, config.reference, config.size, config.seed)
-    offered = choose(None, capture)
-    chosen = [offered[i] for i in np.unique(np.linspace(0, len(offered) - 1, config.frames).astype(int))]
+    chosen = spread(choose(None, capture), config.frames)
     sheet = []
     for index in tqdm(chosen, desc="diffusing", unit="frame"):
         view = bench.view(index)
@@ -157,6 +157,8 @@ def time_schedules(bench: Bench, view: View, repeats: int) -> dict[Mode, dict[st
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Table, figure and picture from the rows."""
     distances = [row for row in rows if row.get("kind") == "distance"]
+    if not distances:
+        return ["No frame has been diffused yet."]
     times = {(row["mode"], row["schedule"]): row for row in rows if row.get("kind") == "time"}
     lines = []
     for mode in GROUPS.values():

@@ -41,6 +41,7 @@ from experiments.paper_table import choose
 from experiments.plotting import new_figure
 from experiments.records import Results, Row
 from hyjax.contact_sheet import write_contact_sheet
+from hyjax.data.frames import spread
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.errors import InputError
@@ -100,8 +101,7 @@ def main(config: Config) -> None:
     lights = bench.setups[LIGHTS].lights
     casters = (bench.rough, RayCaster(bench.reference.geometry))
     rough_maps, accurate_maps = (cast_shadow_maps(caster, lights) for caster in casters)
-    offered, sheet = choose(None, capture), []
-    chosen = [offered[i] for i in np.unique(np.linspace(0, len(offered) - 1, config.frames).astype(int))]
+    chosen, sheet = spread(choose(None, capture), config.frames), []
     for index in tqdm(chosen, desc="casting shadows", unit="frame"):
         view = bench.view(index)
         if view.blind:
@@ -123,7 +123,7 @@ def main(config: Config) -> None:
             shown = pictures(view, bench, mode, rough_maps, accurate_maps)
             sheet.append((f"{view.frame.name}, {mode} mode", shown))
     if not sheet:
-        raise InputError(f"{capture.name}: no ray of any chosen frame met both surfaces; are they in one world?")
+        raise InputError(f"{capture.name}: no ray of any frame met both surfaces; are they in one world?")
     write_contact_sheet(out / "side_by_side.png", sheet[:8], SHEET)
     write_blocks(out, NAME, blocks(results.finish(), out))
 

@@ -1,12 +1,12 @@
 """A capture on its rough and on its accurate surface: frames relit by every method, and judged."""
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
-from hyjax.metrics import LpipsWeights
 from jaxtyping import Array, Bool, Float
 
 import hyjax
@@ -15,9 +15,11 @@ from experiments.references import open_reference
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit
 from hyjax.data.light_setups import named_setup, survey_capture
-from hyjax.data.surfaces import surface_of
+from hyjax.data.surfaces import rough_mesh, surface_of
 from hyjax.gbuffer import GBuffer
+from hyjax.metrics import LpipsWeights
 from hyjax.pipeline import Mode, Relit
+from hyjax.scene.blender import BlenderRenderer
 from hyjax.scene.camera import Camera
 from hyjax.scene.raycast import RayCaster
 from hyjax.schedule import DEFAULT_KAPPA, PAPER_KAPPA, Schedule
@@ -39,7 +41,7 @@ SHEET = ("frame", "bare mesh", "paper's method", "ours", "accurate surface", "re
 
 
 class Bench:
-    """Both surfaces of a capture, under each benchmark's lights.
+    """Both surfaces of a capture under each benchmark's lights; a context manager, for Blender's sake.
 
     Args:
         capture: frames.
@@ -61,23 +63,23 @@ class Bench:
         seed: int = 0,
         renderer: Literal["hyjax", "blender"] = "hyjax",
     ) -> None:
-        own = "captured" if getattr(capture, "mesh_file", None) else "scan"
-        self.source, rough = surface_of(capture, mesh or own, seed=seed)
+        self.source, rough = surface_of(capture, mesh or rough_mesh(capture), seed=seed)
         self.capture, self.schedule, self.size = capture, schedule, (size, size)
         self.rough, self.reference = RayCaster(rough), open_reference(capture, reference)
         stage = survey_capture(self.rough, capture)
         self.setups = {name: named_setup(name, stage) for name in dict.fromkeys(BENCHMARKS.values())}
-        self.renderers = {}
+        self._stack, self._blender = contextlib.ExitStack(), []
         if renderer == "blender":
-            from hyjax.scene.blender import BlenderRenderer  # an optional extra
+            lights = [light for setup in self.setups.values() for light in setup.lights]
+            for geometry in (rough, self.reference.geometry):
+                made = BlenderRenderer(geometry, lights, shadows=False)
+                self._blender.append(self._stack.enter_context(made))
 
-            self.renderers = {
-                name: (
-                    BlenderRenderer(rough, setup.lights, shadows=False),
-                    BlenderRenderer(self.reference.geometry, setup.lights, shadows=False),
-                )
-                for name, setup in self.setups.items()
-            }
+    def __enter__(self) -> "Bench":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
 
     def row(self, index: int, weights: LpipsWeights) -> dict[str, Any]:
         """Scores of one frame, or a row without any if it sees no surface."""
@@ -103,9 +105,15 @@ class Bench:
         """A frame with what its camera sees of both surfaces."""
         frame = self.capture[index]
         fitted = fit(frame, self.size)
-        rough, accurate = (gbuffer(fitted.camera) for gbuffer in (self.rough.gbuffer, self.reference.gbuffer))
-        valid = self.reference.reliable(frame, fitted.camera, accurate)
-        return View(frame, jnp.asarray(fitted.image), fitted.camera, rough, accurate, valid)
+        seen = [gbuffer(fitted.camera) for gbuffer in (self.rough.gbuffer, self.reference.gbuffer)]
+        shading = []
+        for k, blender in enumerate(self._blender):
+            rendering = blender.render(fitted.camera)
+            # At a silhouette the two may disagree by a pixel; where one sees nothing, nothing is known.
+            seen[k] = dataclasses.replace(seen[k], hit=seen[k].hit & rendering.hit)
+            shading.append(jnp.asarray(rendering.shading))
+        valid = self.reference.reliable(frame, fitted.camera, seen[1])
+        return View(frame, jnp.asarray(fitted.image), fitted.camera, *seen, valid, shading)
 
     def pictures(self, view: "View", lights: str, mode: Mode) -> dict[str, Float[Array, "h w 3"]]:
         """The relit frame by every method, display values."""
@@ -134,9 +142,10 @@ class Bench:
         """A frame on the rough surface, or on the accurate one. The schedule's κ is the mode's."""
         setup = self.setups[lights]
         gbuffer, shading = (view.accurate if accurate else view.rough), None
-        if self.renderers:
-            shading = jnp.asarray(self.renderers[lights][accurate].render(view.camera).shading)
-            shading = jnp.where(gbuffer.hit[..., None], shading, 0.0)
+        if view.shading:
+            names = list(self.setups)
+            first = sum(len(self.setups[name].lights) for name in names[: names.index(lights)])
+            shading = view.shading[accurate][..., first : first + len(setup.lights)]
         return hyjax.relight(
             hyjax.to_linear(view.display),
             gbuffer,
@@ -177,6 +186,7 @@ class View:
         rough: what the camera sees of the rough surface.
         accurate: and of the accurate one.
         valid: where the accurate one is relied on.
+        shading: lux on both from the lights of all set-ups, if Blender has rendered it.
     """
 
     frame: Frame
@@ -185,6 +195,7 @@ class View:
     rough: GBuffer
     accurate: GBuffer
     valid: Bool[np.ndarray, "h w"]
+    shading: Sequence[Float[Array, "h w l"]] = ()
 
     @property
     def blind(self) -> bool:

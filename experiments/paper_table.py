@@ -40,7 +40,7 @@ from experiments.plotting import new_figure
 from experiments.records import Results, Row
 from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.capture import Capture
-from hyjax.data.frames import select_frames
+from hyjax.data.frames import select_frames, spread
 from hyjax.data.open import open_capture
 from hyjax.data.room import RoomCapture, load_room
 from hyjax.errors import InputError
@@ -90,16 +90,16 @@ def main(config: Config) -> None:
     capture = load_room(config.seed) if config.capture is None else open_capture(config.capture)
     out = config.out or Path("results") / NAME / capture.name
     results = Results(out, NAME, config, resume=config.resume)
-    bench = Bench(capture, schedule, config.mesh, config.reference, config.size, config.seed, config.renderer)
     done = {row["index"] for row in results.rows if row.get("kind") == "frame"}
     chosen = choose(config.frames, capture)
-    for index in tqdm([i for i in chosen if i not in done], desc="judging", unit="frame"):
-        results.add(kind="frame", **bench.row(index, weights))
-    if not any(row.get("scores") for row in results.rows):
-        raise InputError(f"{capture.name}: no ray of any chosen frame met both surfaces; are they in one world?")
-    spread = np.unique(np.linspace(0, len(chosen) - 1, SHEET_ROWS).astype(int))
-    sheet = [bench.sheet_row(chosen[i]) for i in spread]
-    write_contact_sheet(out / "contact_sheet.png", [row for row in sheet if row is not None], SHEET)
+    asked = capture, schedule, config.mesh, config.reference, config.size, config.seed, config.renderer
+    with Bench(*asked) as bench:
+        for index in tqdm([i for i in chosen if i not in done], desc="judging", unit="frame"):
+            results.add(kind="frame", **bench.row(index, weights))
+        if not any(row.get("scores") for row in results.rows):
+            raise InputError(f"{capture.name}: no ray of any frame met both surfaces; are they in one world?")
+        sheet = [row for i in spread(chosen, SHEET_ROWS) if (row := bench.sheet_row(i)) is not None]
+    write_contact_sheet(out / "contact_sheet.png", sheet, SHEET)
     write_blocks(out, NAME, blocks(results.finish(), out))
 
 

@@ -79,9 +79,9 @@ class Tune:
     """Whether the budget is for the diffusion alone or for the whole frame."""
     capture: Path | None = None
     """Folder of a capture: 7-Scenes layout, or a scan of ARKitScenes. Default: the built-in room."""
-    mesh: str = "scan"
+    mesh: str | None = None
     """The rough mesh: a file, 'captured' (came with the capture), 'scan' (simulated headset scan), or 'fused' (from
-    depth maps)."""
+    depth maps). Default: captured where there is one, else scan."""
     target: str | None = None
     """The accurate mesh that the picture should look like: a file, 'true', 'fused' (at 2 cm), or 'converged' (1000
     steps of diffusion on the rough mesh). Default: true for the built-in room, else fused where there is depth."""

@@ -44,7 +44,6 @@ def test_every_experiment_is_in_the_report() -> None:
     assert files - SHARED == set(report.EXPERIMENTS)
 
 
-@pytest.mark.filterwarnings("ignore:No artists with labels")  # a legend without curves
 @pytest.mark.parametrize("name", report.EXPERIMENTS)
 def test_an_experiment_is_told_and_makes_blocks(name: str, tmp_path: Path) -> None:
     module = importlib.import_module(f"experiments.{name}")

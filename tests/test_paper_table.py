@@ -46,13 +46,15 @@ def scan(room: RoomCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The room with a tenth of its triangles missing for ARKit's mesh, and laser scans of the whole."""
     torn = np.random.default_rng(0).random(len(room.mesh.faces)) < 0.1
     folder = tmp_path_factory.mktemp("arkit")
-    made = export_arkit_scan(folder, room, drop_faces(room.mesh, torn))
+    made = export_arkit_scan(folder / "raw" / "Training", room, drop_faces(room.mesh, torn))
+    splits = f"video_id,visit_id,fold\n{made.name},467138,Training\n"
+    (folder / "raw" / "raw_train_val_splits.csv").write_text(splits)
     stands = []
     for index in (0, 2):
         pose = np.eye(4)
         pose[:3, 3] = room[index].camera.origin
         stands.append(pose)
-    laser = made / "laser_scanner_point_clouds" / "468000"
+    laser = folder / "laser_scanner_point_clouds" / "467138"
     laser.mkdir(parents=True)
     export_laser_scans(laser, room.mesh, stands, 400_000)
     return made
@@ -82,11 +84,9 @@ def test_the_whole_evaluation_on_an_arkitscenes_scan(config: Config, rows: list[
                 for method in ("bare mesh", "mean colour", OURS[mode]):
                     found = pick(row, "scores", benchmark, group, method, "all")
                     assert 5 < found["psnr"] < 60 and 0 < found["ssim"] <= 1 and found["lpips"] > 0
-    fidelity = [
-        [pick(row, "scores", "relighting fidelity", "light", method, "all", "psnr") for row in frames]
-        for method in ("bare mesh", OURS["hyjax"])
-    ]
-    assert np.mean(fidelity[1]) > np.mean(fidelity[0]) + 1, "filling the holes must bring it nearer to the laser's"
+    for row in frames:  # the holes are filled, and black is not what the laser scans have there
+        fidelity = row["scores"]["relighting fidelity"]["light"]
+        assert fidelity[OURS["hyjax"]]["holes"]["psnr"] > fidelity["bare mesh"]["holes"]["psnr"] + 5
     assert config.out is not None
     assert (config.out / "contact_sheet.png").stat().st_size > 1000
     text = (config.out / "paper_table.md").read_text()

@@ -115,6 +115,11 @@ def _load_in_metres(file: Path, repair: bool) -> trimesh.Trimesh:
     return loaded
 
 
+def rough_mesh(capture: Capture) -> str:
+    """What stands for the surface that a headset has of a capture: its own mesh, or else a simulated scan."""
+    return "scan" if getattr(capture, "mesh_file", None) is None else "captured"
+
+
 def check_mesh_name(mesh: str | None) -> None:
     """Raise `InputError` unless `mesh` is one of `WORDS` or an existing file."""
     if mesh is not None and mesh not in WORDS and not Path(mesh).is_file():

@@ -15,7 +15,7 @@ from hyjax.data.light_file import LightSetup, is_light_file, read_lights
 from hyjax.data.light_setups import check_setup_name, named_setup, survey_capture
 from hyjax.data.open import open_capture
 from hyjax.data.room import RoomCapture, load_room
-from hyjax.data.surfaces import check_mesh_name, surface_of
+from hyjax.data.surfaces import check_mesh_name, rough_mesh, surface_of
 from hyjax.errors import InputError
 from hyjax.refine import cascade_known
 from hyjax.scene.raycast import RayCaster
@@ -122,7 +122,7 @@ def check_names(mesh: str | None, target: str | None, lights: str) -> None:
 
 def open_bench(
     capture: Capture | Path | str | None = None,
-    mesh: str | None = "scan",
+    mesh: str | None = None,
     target: str | None = None,
     lights: str = "two-colors",
     *,
@@ -136,7 +136,8 @@ def open_bench(
 
     Args:
         capture: frames with poses, or the folder that holds them; None for the built-in room.
-        mesh: what is relit with: a file, `"scan"`, `"fused"` or `"true"`, see `surface_of`.
+        mesh: what is relit with: a file, `"captured"`, `"scan"`, `"fused"` or `"true"`, see `surface_of`. By
+            default the mesh that came with the capture, or else a simulated scan.
         target: what the filter should have been shaded from: likewise, or `"converged"`, the diffusion of `mesh`
             run for 1000 steps. By default the built-in room's true mesh, a capture's fusion at 2 cm where it has
             depth, else `"converged"`.
@@ -158,7 +159,9 @@ def open_bench(
     if target is None:
         with_depth = "true" if isinstance(capture, RoomCapture) else "fused"
         target = CONVERGED if capture[0].depth is None else with_depth
-    source, rough = surface_of(capture, mesh, voxel=voxel, seed=seed, repair=repair, progress=progress)
+    source, rough = surface_of(
+        capture, mesh or rough_mesh(capture), voxel=voxel, seed=seed, repair=repair, progress=progress
+    )
     if target == CONVERGED:
         description, accurate = "1000 steps on the same mesh", None
     else:

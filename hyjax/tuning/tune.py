@@ -24,7 +24,7 @@ def tune(
     fps: float | Sequence[float] = (),
     budget_ms: float | Sequence[float] = (),
     capture: Capture | Path | str | None = None,
-    mesh: str | None = "scan",
+    mesh: str | None = None,
     target: str | None = None,
     lights: str = "two-colors",
     stage: Stage = "cascade",

@@ -1,0 +1,114 @@
+"""The ablations and explanatory figures, small, from end to end; and what shadows are judged by."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from reference.arkit_export import export_arkit_scan
+
+from experiments import ablation_cascade, ablation_shadow, structure
+from experiments.ablation_shadow import compare
+from experiments.records import read_rows
+from hyjax.data.room import load_room
+from hyjax.errors import InputError
+from hyjax.scene.mesh import save_mesh
+
+SIZE = 96
+Shadow = np.ndarray[Any, np.dtype[np.float64]]
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
+    return export_arkit_scan(tmp_path_factory.mktemp("arkit"), room, room.mesh)
+
+
+@pytest.fixture(scope="module")
+def true_mesh(tmp_path_factory: pytest.TempPathFactory) -> str:
+    file = tmp_path_factory.mktemp("mesh") / "true.ply"
+    save_mesh(file, load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False).mesh)
+    return str(file)
+
+
+def square(left: int, size: int = 64) -> Shadow:
+    """Visibility with a shadow of 20 pixels a side."""
+    visible = np.ones((size, size))
+    visible[20:40, left : left + 20] = 0.0
+    return visible
+
+
+def test_the_true_shadow_is_perfect() -> None:
+    everywhere = np.ones((64, 64), bool)
+    assert compare(square(20), square(20), everywhere) == {"overlap": 1.0, "edge_error": 0.0, "border_offset": 0.0}
+
+
+def test_a_shifted_shadow() -> None:
+    found = compare(square(25), square(20), np.ones((64, 64), bool))
+    assert found is not None
+    assert found["overlap"] == pytest.approx(15 / 25)
+    assert 1.0 < found["border_offset"] < 5.0  # two of four sides moved by five
+
+
+def test_a_lost_shadow_is_the_worst() -> None:
+    found = compare(np.ones((64, 64)), square(20), np.ones((64, 64), bool))
+    assert found is not None
+    assert found["overlap"] == 0.0 and found["border_offset"] == ablation_shadow.FARTHEST
+
+
+def test_no_shadow_is_not_judged_and_what_does_not_count_is_not_either() -> None:
+    lit, counted = np.ones((64, 64)), np.ones((64, 64), bool)
+    assert compare(lit, lit, counted) is None
+    counted[:, 32:] = False
+    changed = square(20)
+    changed[:, 45:] = 0.0
+    assert compare(changed, square(20), counted) == compare(square(20), square(20), counted)
+
+
+@pytest.mark.slow
+def test_ablation_of_the_cascade(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ablation_cascade, "SWEEP", (50, 1000, ablation_cascade.CONVERGED))
+    config = ablation_cascade.Config(
+        capture=scan, mesh="captured", reference="fused", frames=1, size=SIZE, repeats=3, out=tmp_path
+    )
+    ablation_cascade.main(config)
+    rows = read_rows(tmp_path / "rows.jsonl")
+    found = {(r["mode"], r["schedule"]): r for r in rows if r["kind"] == "distance"}
+    for mode in ("paper", "hyjax"):
+        assert found[mode, f"naive-{ablation_cascade.CONVERGED}"]["to_converged"] == 0.0
+        assert found[mode, "naive-1000"]["to_converged"] < found[mode, "naive-50"]["to_converged"]
+        assert found[mode, "paper-50"]["to_converged"] < found[mode, "naive-50"]["to_converged"]
+    assert {r["schedule"] for r in rows if r["kind"] == "time"} == set(ablation_cascade.SCHEDULES)
+    for name in ("side_by_side.png", "steps.png", "ablation_cascade.md"):
+        assert (tmp_path / name).stat().st_size > 100
+
+
+@pytest.mark.slow
+def test_ablation_of_the_shadow_pass(
+    scan: Path, true_mesh: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ablation_shadow, "STEPS", (0, 8))
+    config = ablation_shadow.Config(capture=scan, reference=true_mesh, frames=2, size=SIZE, out=tmp_path)
+    ablation_shadow.main(config)
+    scores = [r for r in read_rows(tmp_path / "rows.jsonl") if r["kind"] == "score" and r["surface"] == "accurate"]
+    mean = {
+        method: np.mean([r["overlap"] for r in scores if (r["method"], r["steps"]) == (method, steps)])
+        for method, steps in (("raw", 0), ("together", 0), ("separate", 8))
+    }
+    assert mean["raw"] == 1.0 and mean["together"] < mean["separate"]
+    for name in ("side_by_side.png", "steps.png", "ablation_shadow.md"):
+        assert (tmp_path / name).stat().st_size > 100
+
+
+def test_structure_comes_out_of_noise(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(structure, "STEPS", (10, 1000))
+    structure.main(structure.Config(capture=scan, size=SIZE, out=tmp_path))
+    found = {r["schedule"]: r for r in read_rows(tmp_path / "rows.jsonl") if r["kind"] == "spread"}
+    assert found["noise"]["between"] < 0.2 < found["1000 steps"]["between"]
+    assert found["1000 steps"]["variance"] < found["10 steps"]["variance"] < found["noise"]["variance"]
+
+
+@pytest.mark.parametrize(("frame", "message"), [(9, "past the end"), (-9, "past the end")])
+def test_frames_that_are_not_there(scan: Path, tmp_path: Path, frame: int, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        structure.main(structure.Config(capture=scan, frame=frame, out=tmp_path))
