@@ -1,0 +1,123 @@
+"""The notebooks run from top to bottom, hold no logic of their own, and are kept with small outputs.
+
+    HYJAX_WRITE_NOTEBOOKS=1 pytest tests/test_notebooks.py
+
+writes what it executed back to `notebooks/`.
+"""
+
+import ast
+import itertools
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "notebooks"
+NOTEBOOKS = sorted(path.name for path in FOLDER.glob("*.ipynb"))
+MOST_BYTES = 1_000_000
+LIBRARIES = {"hyjax", "jax", "matplotlib", "numpy", "pathlib"}
+LOGIC = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.While
+HOMES = ("/home/", "/root/", "/Users/", "\\Users\\", "/tmp/", str(Path.home()))
+METADATA = {
+    "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+    "language_info": {"name": "python"},
+}
+SECONDS_A_CELL = 600
+
+each_notebook = pytest.mark.parametrize("name", NOTEBOOKS)
+
+
+def read(name: str) -> Any:
+    return json.loads((FOLDER / name).read_text(encoding="utf-8"))
+
+
+def code_cells(notebook: Any) -> list[Any]:
+    return [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+
+
+def program(notebook: Any) -> ast.Module:
+    """All code cells, without IPython's magic lines."""
+    lines = itertools.chain.from_iterable("".join(cell["source"]).splitlines() for cell in code_cells(notebook))
+    return ast.parse("\n".join(line for line in lines if not line.startswith("%")))
+
+
+def kinds(notebook: Any) -> list[list[Any]]:
+    """What each code cell puts out, its content aside."""
+    return [
+        [(out["output_type"], out.get("name"), sorted(out.get("data", ()))) for out in cell["outputs"]]
+        for cell in code_cells(notebook)
+    ]
+
+
+def complaints(notebook: Any) -> list[str]:
+    """Errors, and whatever was written to stderr (a warning is)."""
+    outputs = itertools.chain.from_iterable(cell["outputs"] for cell in code_cells(notebook))
+    return [str(out) for out in outputs if out["output_type"] == "error" or out.get("name") == "stderr"]
+
+
+def test_there_are_four() -> None:
+    """Else the tests below could not fail."""
+    assert [name[:2] for name in NOTEBOOKS] == ["01", "02", "03", "04"]
+
+
+@each_notebook
+def test_no_logic_of_its_own(name: str) -> None:
+    tree = program(read(name))
+    nodes = list(ast.walk(tree))
+    assert not [ast.unparse(node) for node in nodes if isinstance(node, LOGIC)]
+    loops = [node for node in nodes if isinstance(node, ast.For)]
+    assert not [
+        ast.unparse(loop) for loop in loops if any(isinstance(x, ast.For) for x in ast.walk(loop) if x != loop)
+    ]
+    imported = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    imported |= {str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)}
+    assert "hyjax" in {module.split(".")[0] for module in imported} <= LIBRARIES
+
+
+@each_notebook
+def test_kept_outputs(name: str) -> None:
+    assert (FOLDER / name).stat().st_size < MOST_BYTES
+    notebook = read(name)
+    cells = code_cells(notebook)
+    assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
+    assert any("image/jpeg" in data for cell in kinds(notebook) for _, _, data in cell)
+    assert not complaints(notebook)
+
+
+@each_notebook
+def test_nothing_of_the_machine_is_kept(name: str) -> None:
+    notebook = read(name)
+    assert notebook["metadata"] == METADATA
+    assert not any(cell["metadata"] for cell in notebook["cells"])
+    text = json.dumps([cell["outputs"] for cell in code_cells(notebook)], ensure_ascii=False)
+    assert not [home for home in HOMES if home in text.replace("\\\\", "\\")]
+
+
+@pytest.mark.slow
+@each_notebook
+def test_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In an empty folder and without anybody's Jupyter settings; quietly, and with the outputs that are kept."""
+    nbformat = pytest.importorskip("nbformat", reason='needs the extra: pip install ".[notebooks]"')
+    nbclient = pytest.importorskip("nbclient", reason='needs the extra: pip install ".[notebooks]"')
+    pytest.importorskip("ipykernel", reason='needs the extra: pip install ".[notebooks]"')
+    notebook = nbformat.read(FOLDER / name, as_version=4)
+    work = tmp_path / "work"
+    work.mkdir()
+    for key in ("IPYTHONDIR", "JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "JUPYTER_RUNTIME_DIR"):
+        monkeypatch.setenv(key, str(tmp_path / key))
+    client = nbclient.NotebookClient(
+        notebook,
+        timeout=SECONDS_A_CELL,
+        record_timing=False,
+        coalesce_streams=True,
+        resources={"metadata": {"path": str(work)}},
+    )
+    client.execute()
+    assert not complaints(notebook)
+    assert not list(work.iterdir()), "a notebook left files behind"
+    if os.environ.get("HYJAX_WRITE_NOTEBOOKS"):
+        notebook.metadata = METADATA
+        nbformat.write(notebook, FOLDER / name)
+    assert kinds(notebook) == kinds(read(name)), "the kept outputs are of other code: write them anew"
