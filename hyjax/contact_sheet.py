@@ -36,7 +36,7 @@ def contact_sheet(
         top = LABEL + r * (height + LABEL)
         for i, picture in enumerate(pictures):
             left = GAP + i * (width + GAP)
-            sheet[top : top + height, left : left + width] = resize(np.clip(picture, 0, 1), height, width)
+            sheet[top : top + height, left : left + width] = np.clip(resize(picture, height, width), 0, 1)
         texts.append((GAP, top + height + LABEL - 6, label))
     return _write_texts(sheet, texts)
 
