@@ -39,7 +39,7 @@ from hyjax.schedule import PRESETS, Schedule
 
 NAME = "kappa_sweep"
 TITLE = "Fidelity against κ, pooling and norm"
-KAPPAS = (0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2)
+KAPPAS = (0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.4)
 VARIANTS = (
     ("paper", "edges", "l2"),
     ("hyjax", "edges", "l2"),
