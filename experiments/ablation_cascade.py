@@ -77,8 +77,8 @@ def main(config: Config) -> None:
     capture = load_room(config.seed) if config.capture is None else open_capture(config.capture)
     out = config.out or Path("results") / NAME / capture.name
     results = Results(out, NAME, config)
+    chosen = spread(choose(None, capture), config.frames)  # before the first slow step
     bench = Bench(capture, Schedule.preset("paper-50"), config.mesh, config.reference, config.size, config.seed)
-    chosen = spread(choose(None, capture), config.frames)
     sheet = []
     for index in tqdm(chosen, desc="diffusing", unit="frame"):
         view = bench.view(index)

@@ -95,13 +95,14 @@ def main(config: Config) -> None:
     capture = load_room(config.seed) if config.capture is None else open_capture(config.capture)
     out = config.out or Path("results") / NAME / capture.name
     results = Results(out, NAME, config)
+    chosen = spread(choose(None, capture), config.frames)  # before the first slow step
     bench = Bench(capture, Schedule.preset("paper-80"), config.mesh, config.reference, config.size, config.seed)
     if not isinstance(bench.reference.geometry, trimesh.Trimesh):
         raise InputError("reference: a point cloud throws no shadows here; take --reference fused or a mesh file")
     lights = bench.setups[LIGHTS].lights
     casters = (bench.rough, RayCaster(bench.reference.geometry))
     rough_maps, accurate_maps = (cast_shadow_maps(caster, lights) for caster in casters)
-    chosen, sheet = spread(choose(None, capture), config.frames), []
+    sheet = []
     for index in tqdm(chosen, desc="casting shadows", unit="frame"):
         view = bench.view(index)
         if view.blind:

@@ -12,6 +12,9 @@ come in two groups, since a filter is multiplied with display values in the pape
 accurate filter of the third benchmark is multiplied as its group does. A filter of one mean colour is in both: it
 has no edges to get wrong and may well win the first two benchmarks, so that these alone say nothing.
 
+The paper's own figures stand beside for the direction of its comparison only: 1.8 dB, as it has in the second
+benchmark, is hardly possible for pictures in [0, 1].
+
 `--capture` takes any layout that hyjax reads. Without it, the built-in room with another seed than everything else
 uses, so that nothing was ever chosen on these pictures; of a capture, by default the last quarter for the same
 reason. Frames are judged one by one and each leaves its row, so memory does not grow and `--resume` goes on.

@@ -26,7 +26,7 @@ from hyjax.data.capture import Capture, Frame
 from hyjax.data.laser_scans import load_laser_scans
 from hyjax.data.room import RoomCapture
 from hyjax.data.surfaces import surface_of
-from hyjax.errors import InputError
+from hyjax.errors import InputError, did_you_mean
 from hyjax.gbuffer import GBuffer
 from hyjax.scene.camera import Camera
 from hyjax.scene.point_cloud import PointCloud
@@ -34,6 +34,7 @@ from hyjax.scene.raycast import RayCaster
 from hyjax.scene.splatting import PointSplatter
 from hyjax.scene.surface import relax, smooth_normals
 
+WORDS = ("true", "laser", "fused")
 VOXEL = 0.02  # metres, of a fusion
 LASER_VOXEL = 0.005  # metres: laser points are thinned to one in each such cube
 RELAXING, SMOOTHING = 0, 4  # passes over the vertices and over the normals, see `reference_quality`
@@ -94,6 +95,9 @@ def open_reference(capture: Capture, name: str | None = None, *, progress: bool 
     laser: Path | None = getattr(capture, "laser_folder", None)
     if name is None:
         name = "true" if isinstance(capture, RoomCapture) else "laser" if laser is not None else "fused"
+    if name not in WORDS and not Path(name).is_file():
+        hint = did_you_mean(name, WORDS)
+        raise InputError(f"reference: {name}: no such file{hint}; give a mesh file, or one of {', '.join(WORDS)}")
     if name == "laser":
         if laser is None:
             raise InputError(f"{capture.name}: has no laser scans; take 'fused' or a mesh file as the reference")

@@ -24,11 +24,12 @@ from experiments.blocks import Block, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.plotting import new_figure
 from experiments.records import Results, Row, machine, of_kind
-from hyjax.data.frames import fit
+from hyjax.data.frames import fit, select_frames
 from hyjax.data.light_setups import named_setup, survey_capture
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.data.surfaces import surface_of
+from hyjax.errors import InputError
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.tuning.latency import measure
@@ -52,9 +53,12 @@ class Config:
 def main(config: Config) -> None:
     capture = load_room() if config.capture is None else open_capture(config.capture)
     results = Results(config.out, NAME, config)
+    (index,) = select_frames(str(config.frame), len(capture))
+    if config.repeats < 1:
+        raise InputError(f"repeats: must be at least 1, got {config.repeats}")
     source, mesh = surface_of(capture)
     caster = RayCaster(mesh)
-    frame = fit(capture[config.frame], (512, 512))
+    frame = fit(capture[index], (512, 512))
     setup = named_setup(config.lights, survey_capture(caster, capture))
 
     gbuffer = caster.gbuffer(frame.camera)

@@ -114,6 +114,14 @@ def test_how_much_is_left_is_said(tmp_path: Path, kind: Kind) -> None:
         (ascii_ply("element vertex many\n" + XYZ, ROW), "'element vertex many'"),
         (ascii_ply("element vertex -1\n" + XYZ, ROW), "'element vertex -1'"),
         (ascii_ply("element vertex 1\nproperty quaternion x\n", ROW), "'property quaternion x'"),
+        (ascii_ply(f"element vertex 1\n{XYZ}property float y\n", b"1 2 3 4\n"), "'property float y'"),
+        (ascii_ply(f"element camera {10**20}\nelement vertex 1\n{XYZ}", ROW), "truncated, has 0 of 1"),
+        (
+            f"ply\nformat binary_little_endian 1.0\nelement camera {10**20}\nproperty float a\n".encode()
+            + f"element vertex 1\n{XYZ}end_header\n".encode()
+            + bytes(12),
+            "truncated, has 0 of 1",
+        ),
         (ascii_ply("property float x\n", ROW), "'property float x'"),
         (b"ply\nformat binary_middle_endian 1.0\nend_header\n", "binary_middle_endian"),
         (f"ply\nelement vertex 1\n{XYZ}end_header\n".encode() + ROW, "no 'format' line"),

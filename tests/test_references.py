@@ -78,3 +78,6 @@ def test_the_room_has_its_own() -> None:
     assert open_reference(room).description == "true mesh"
     with pytest.raises(InputError, match="no laser scans"):
         open_reference(room, "laser")
+    for name in ("scan", "lasre"):  # a rough surface is no reference
+        with pytest.raises(InputError, match=f"reference: {name}: no such file.*true, laser, fused"):
+            open_reference(room, name)

@@ -126,6 +126,15 @@ def test_fit_keeps_picture_and_intrinsics_aligned(size: tuple[int, int]) -> None
     assert found >= 2
 
 
+def test_no_size_and_no_frames_are_errors() -> None:
+    for size in ((0, 0), (-4, 8)):
+        with pytest.raises(InputError, match="size: must be at least 1x1"):
+            fit(spot_frame(), size)
+    for count in (0, -1):
+        with pytest.raises(InputError, match="frames: must be at least 1"):
+            spread([1, 2, 3], count)
+
+
 @pytest.mark.parametrize("size", [*SIZES, (160, 240), None])
 def test_fit_takes_the_largest_centred_window(size: tuple[int, int] | None) -> None:
     frame = fit(spot_frame(), size)

@@ -420,6 +420,6 @@ def test_the_command_hands_its_options_on(monkeypatch: pytest.MonkeyPatch, capsy
         "frames": "0:3",
         "seed": 4,
     }
-    want |= {"extra": False, "resume": True, "progress": True, "out": Path("tuned"), "mesh": "scan", "target": None}
+    want |= {"extra": False, "resume": True, "progress": True, "out": Path("tuned"), "mesh": None, "target": None}
     assert {key: got[key] for key in want} == want
     assert {field.name for field in dataclasses.fields(Effort)} >= {"sampled"} and "effort" not in got

@@ -20,10 +20,15 @@ def fit(frame: Frame, size: tuple[int, int] | None) -> Frame:
     """The frame's largest centred window with the proportions of `size` (height, width), resampled to that size.
 
     Resampling averages light, hence happens in linear values. Depth is dropped: nothing here needs it.
+
+    Raises:
+        InputError: a side of less than one pixel.
     """
     if size is None or size == frame.camera.intrinsics.shape:
         return dataclasses.replace(frame, depth=None, depth_intrinsics=None)
     height, width = size
+    if min(size) < 1:
+        raise InputError(f"size: must be at least 1x1 pixels, got {width}x{height}")
     h, w = frame.camera.intrinsics.shape
     scale = min(h / height, w / width)
     window_h, window_w = min(h, round(height * scale)), min(w, round(width * scale))
@@ -62,7 +67,13 @@ def select_frames(text: str, count: int) -> list[int]:
 
 
 def spread(items: Sequence[T], count: int) -> list[T]:
-    """At most `count` of the items, evenly spread, first and last among them; none if there are none."""
+    """At most `count` of the items, evenly spread, first and last among them; none if there are none.
+
+    Raises:
+        InputError: `count` is less than 1.
+    """
+    if count < 1:
+        raise InputError(f"frames: must be at least 1, got {count}")
     if not items:
         return []
     return [items[i] for i in sorted({int(i) for i in np.linspace(0, len(items) - 1, count).round()})]

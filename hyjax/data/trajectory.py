@@ -19,6 +19,9 @@ COLUMNS = "timestamp rx ry rz tx ty tz"
 LARGEST_GAP = 0.5
 """Seconds between two poses beyond which nothing is known of the way from one to the other."""
 
+LARGEST_TURN = 1000.0
+"""Radians; a rotation vector that is longer is none."""
+
 
 class Trajectory:
     """Camera-to-world poses over time: rotations turn evenly from pose to pose, positions move straight.
@@ -92,6 +95,8 @@ def read_trajectory(path: Path) -> Trajectory:
     if not lines:
         raise InputError(f"{path}: empty; need rows of {COLUMNS}")
     rows = np.array([_row(path, number, line) for number, line in enumerate(lines, start=1)])
+    if np.abs(rows[:, 1:4]).max() > LARGEST_TURN:
+        raise InputError(f"{path}: turns by {np.abs(rows[:, 1:4]).max():.3g} radians; need rows of {COLUMNS}")
     to_world = Rotation.from_rotvec(rows[:, 1:4]).inv()
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, :3] = to_world.as_matrix()

@@ -9,6 +9,7 @@ Source: Turk, "The PLY polygon file format", 1994.
 import dataclasses
 import itertools
 import logging
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -105,7 +106,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[Element]]:
                     elements.append(Element(name, int(count)))
                 case ["property", "list", _, _, name]:
                     elements[-1].types[name] = None
-                case ["property", kind, name]:
+                case ["property", kind, name] if name not in elements[-1].types:
                     elements[-1].types[name] = TYPES[kind]
                 case ["comment" | "obj_info", *_]:
                     pass
@@ -122,13 +123,14 @@ def _vertices_next(path: Path, file: BinaryIO, order: str, elements: list[Elemen
         if element.name == "vertex":
             break
         if not order:
-            next(itertools.islice(file, element.count, element.count), None)
+            rows = min(element.count, sys.maxsize)
+            next(itertools.islice(file, rows, rows), None)
         elif element.has_lists:
             raise InputError(
                 f"{path}: '{element.name}' with its lists comes before the vertices; write vertices first"
             )
         else:
-            file.seek(element.count * element.dtype(order).itemsize, 1)
+            file.seek(min(element.count * element.dtype(order).itemsize, path.stat().st_size), 1)
     else:
         raise InputError(f"{path}: has no vertices; need a point cloud")
     if element.count == 0:
