@@ -35,6 +35,7 @@ from hyjax.data.frames import fit, select_frames
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.diffusion import edge_stopping, guide_distance
+from hyjax.errors import InputError
 from hyjax.metrics import LpipsWeights, load_lpips, lpips_features
 from hyjax.stencil import Edges
 
@@ -68,6 +69,8 @@ def main(config: Config) -> None:
     frame = fit(capture[index], (config.size, config.size))
     depth = np.asarray(open_reference(capture, config.reference).gbuffer(frame.camera).depth)
     jump, beside = beside_jump(depth, 0), beside_jump(depth)
+    if not jump.any():
+        raise InputError(f"frame {index} of {capture.name}: its surface has no depth jump; choose another --frame")
     image = jnp.asarray(frame.image)
     rows = []
     for name, guide in {"RGB": image, "AlexNet's first layer": first_layer(image, weights)}.items():
