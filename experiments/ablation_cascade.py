@@ -31,7 +31,7 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.judging import summarise
-from experiments.paper_bench import ANY, GROUPS, KAPPA, Bench, View, with_kappa
+from experiments.paper_bench import ANY, KAPPA, METHODS, Bench, View, with_kappa
 from experiments.paper_table import choose
 from experiments.plotting import new_figure
 from experiments.records import Results, Row
@@ -84,7 +84,7 @@ def main(config: Config) -> None:
         view = bench.view(index)
         if view.blind:
             continue
-        for mode in GROUPS.values():
+        for mode in METHODS:
             accurate = bench.relight(view, LIGHTS, mode, ANY, accurate=True)
             refined = {name: bench.relight(view, LIGHTS, mode, s).refined for name, s in schedules().items()}
             converged = refined[naive_name(CONVERGED)]
@@ -147,11 +147,11 @@ def time_schedules(bench: Bench, view: View, repeats: int) -> dict[Mode, dict[st
     raw = bench.relight(view, LIGHTS, "paper", ANY).shading
     calls = {}
     for name in SCHEDULES:
-        paper, ours = (jax.device_put(with_kappa(Schedule.preset(name), KAPPA[mode])) for mode in GROUPS.values())
+        paper, ours = (jax.device_put(with_kappa(Schedule.preset(name), KAPPA[mode])) for mode in METHODS)
         calls[f"paper {name}"] = functools.partial(hyjax.cascade, raw, view.display, paper)
         calls[f"hyjax {name}"] = functools.partial(hyjax.cascade_known, each, known, view.display, ours)
     times = time_calls(calls, repeats, progress=True)
-    return {mode: {name: times[f"{mode} {name}"] for name in SCHEDULES} for mode in GROUPS.values()}
+    return {mode: {name: times[f"{mode} {name}"] for name in SCHEDULES} for mode in METHODS}
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
@@ -161,7 +161,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         return ["No frame has been diffused yet."]
     times = {(row["mode"], row["schedule"]): row for row in rows if row.get("kind") == "time"}
     lines = []
-    for mode in GROUPS.values():
+    for mode in METHODS:
         for name in (*SCHEDULES, naive_name(CONVERGED)):
             own = [row for row in distances if (row["mode"], row["schedule"]) == (mode, name)]
             time = times.get((mode, name))
@@ -188,7 +188,7 @@ def figure(distances: Sequence[Row]) -> Any:
     fig = new_figure(10, 4)
     axes = fig.subplots(1, 2)
     for ax, key, title in zip(axes, ("to_converged", "to_accurate"), ("converged result", "accurate surface")):
-        for k, mode in enumerate(GROUPS.values()):
+        for k, mode in enumerate(METHODS):
             own = [row for row in distances if row["mode"] == mode]
             if not own:
                 continue

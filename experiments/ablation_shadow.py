@@ -36,7 +36,7 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.judging import summarise
-from experiments.paper_bench import GROUPS, KAPPA, Bench, View, with_kappa
+from experiments.paper_bench import KAPPA, METHODS, Bench, View, with_kappa
 from experiments.paper_table import choose
 from experiments.plotting import new_figure
 from experiments.records import Results, Row
@@ -107,7 +107,7 @@ def main(config: Config) -> None:
         view = bench.view(index)
         if view.blind:
             continue
-        for mode in GROUPS.values():
+        for mode in METHODS:
             truth = Lit(view, bench, mode, accurate_maps, accurate=True)
             counted = view.valid[..., None] & (np.asarray(truth.each) > DIM * bench.setups[LIGHTS].reference_lux)
             for surface, lit in {"rough": Lit(view, bench, mode, rough_maps), "accurate": truth}.items():
@@ -242,12 +242,10 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         own = [row for row in scores if row["surface"] == surface]
         count = len({(row["frame"], row["light"]) for row in own})
         lines = [
-            [f"{mode} mode, {name}", *cells(own, mode, *key)]
-            for mode in GROUPS.values()
-            for name, key in kinds.items()
+            [f"{mode} mode, {name}", *cells(own, mode, *key)] for mode in METHODS for name, key in kinds.items()
         ]
         caption = (
-            f"On the {surface} surface: {count} shadows of single lights in single frames, mean ± 95 % interval."
+            f"On the {surface} surface: {count} shadows of one light in one frame, mean over frames ± 95 % interval."
         )
         made.append(Table(caption, header, lines))
     return [
@@ -260,7 +258,9 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
 def cells(scores: Sequence[Row], mode: str, method: str, factor: int, steps: int) -> list[str]:
     """Means with their intervals."""
     own = chosen(scores, mode, method, factor, steps)
-    found = [(summarise([row[metric] for row in own]), digits) for metric, digits in METRICS.items()]
+    frames = [[row for row in own if row["frame"] == name] for name in dict.fromkeys(row["frame"] for row in own)]
+    each = {metric: [float(np.mean([row[metric] for row in rows])) for rows in frames] for metric in METRICS}
+    found = [(summarise(each[metric]), digits) for metric, digits in METRICS.items()]
     return ["–" if summary is None else summary.text(digits) for summary, digits in found]
 
 
@@ -275,7 +275,7 @@ def figure(scores: Sequence[Row]) -> Any:
     for line, surface in zip(fig.subplots(len(SURFACES), len(METRICS)), SURFACES):
         own = [row for row in scores if row["surface"] == surface]
         for ax, metric in zip(line, METRICS):
-            for k, mode in enumerate(GROUPS.values()):
+            for k, mode in enumerate(METHODS):
                 for factor, size in SIZES.items():
                     rows = [chosen(own, mode, "separate", factor, steps) for steps in STEPS]
                     mean = [np.mean([row[metric] for row in r]) if r else np.nan for r in rows]

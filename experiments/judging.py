@@ -30,7 +30,7 @@ def regions(rough: GBuffer, accurate: GBuffer) -> Regions:
 
     Returns:
         `all`; and disjoint: `holes`, where the rough mesh has no surface; `silhouettes`, beside a depth jump of
-        either surface; `elsewhere`.
+        either surface (the rim of a hole is none); `elsewhere`.
     """
     holes = ~np.asarray(rough.hit)
     beside = beside_jump(np.asarray(rough.depth)) | beside_jump(np.asarray(accurate.depth))
@@ -104,11 +104,15 @@ _maps_of_all = jax.jit(jax.vmap(_maps, in_axes=(0, None, None, None, None)))
 
 
 def beside_jump(depth: Float[np.ndarray, "h w"], reach: int | None = None) -> Bool[np.ndarray, "h w"]:
-    """Pixels within `reach` of a jump of the depth between neighbours; `SILHOUETTE` of the height unless given."""
+    """Pixels within `reach` of a jump between two depths; by default `SILHOUETTE` of the height.
+
+    Depth 0 is none: nothing jumps to it.
+    """
     jump = np.zeros(depth.shape, bool)
     for axis in (0, 1):
         d, j = np.moveaxis(depth, axis, 0), np.moveaxis(jump, axis, 0)
-        far = np.abs(np.diff(d, axis=0)) > JUMP * np.minimum(d[1:], d[:-1])
+        nearer = np.minimum(d[1:], d[:-1])
+        far = (nearer > 0) & (np.abs(np.diff(d, axis=0)) > JUMP * nearer)
         j[1:] |= far
         j[:-1] |= far
     reach = max(1, round(SILHOUETTE * depth.shape[0])) if reach is None else reach
@@ -121,8 +125,8 @@ class Summary:
 
     Attributes:
         mean: of the values.
-        half: half width of its 95 % interval by Student's t; None of a single value. Frames of one walk are no
-            independent rooms: it tells of frames like these.
+        half: half width of its 95 % interval; None if there are too few values to tell. It is of other frames of
+            the same walk, not of other rooms.
         count: how many values.
     """
 
@@ -137,14 +141,25 @@ class Summary:
 
 
 def summarise(values: Sequence[float | None]) -> Summary | None:
-    """Mean and interval of the values that there are; None if there is none."""
-    there = [v for v in values if v is not None]
-    if not there:
+    """Mean and interval of the values that there are, in the frames' order; None if there is none.
+
+    Neighbouring frames show nearly the same, so n of them say as much as n (1 − ρ)/(1 + ρ) independent ones would,
+    ρ being the correlation of each with the next; Student's t is taken with that number.
+
+    Source: Wilks, *Statistical methods in the atmospheric sciences*, section 5.2.4 (effective sample size).
+    """
+    there = np.array([v for v in values if v is not None], dtype=float)
+    if not there.size:
         return None
-    half = None
-    if len(there) > 1:
-        half = float(stats.t.ppf(0.975, len(there) - 1) * np.std(there, ddof=1) / math.sqrt(len(there)))
-    return Summary(float(np.mean(there)), half, len(there))
+    mean, half = float(there.mean()), None
+    if there.size > 1:
+        centred, spread = there - mean, float(there.std(ddof=1))
+        total = float(centred @ centred)
+        correlation = max(0.0, float(centred[1:] @ centred[:-1]) / total) if total > 0 else 0.0
+        count = there.size * (1.0 - correlation) / (1.0 + correlation)
+        if count > 1:
+            half = float(stats.t.ppf(0.975, count - 1) * spread / math.sqrt(count))
+    return Summary(mean, half, there.size)
 
 
 def pick(row: Mapping[str, Any], *keys: str) -> Any:

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +19,7 @@ from hyjax.data.surfaces import rough_mesh, surface_of
 from hyjax.gbuffer import GBuffer
 from hyjax.metrics import LpipsWeights
 from hyjax.pipeline import Mode, Relit
+from hyjax.relighting import Renderer
 from hyjax.scene.blender import BlenderRenderer
 from hyjax.scene.camera import Camera
 from hyjax.scene.raycast import RayCaster
@@ -31,9 +32,12 @@ BENCHMARKS = {
     "relighting fidelity": "two-colors",
 }
 """Benchmark → its lights."""
-GROUPS: dict[str, Mode] = {"display values": "paper", "light": "hyjax"}
-"""What the filter is multiplied with → mode of the pipeline."""
-OURS: dict[Mode, str] = {"paper": "paper's method", "hyjax": "ours"}
+GROUPS = ("display values", "light")
+"""What the filter is multiplied with."""
+METHODS: dict[Mode, str] = {"paper": "paper's method", "hyjax": "ours"}
+"""Mode of the pipeline → how its filter is called."""
+OWN_GROUP: dict[Mode, str] = dict(zip(METHODS, GROUPS))
+"""What each mode multiplies its filter with when it is used as it is meant."""
 KAPPA: dict[Mode, float] = {"paper": PAPER_KAPPA, "hyjax": DEFAULT_KAPPA}
 ANY = Schedule.uniform([(16, 1)])
 """For the accurate surface, of which only the raw filter is looked at."""
@@ -61,7 +65,7 @@ class Bench:
         reference: str | None = None,
         size: int = 512,
         seed: int = 0,
-        renderer: Literal["hyjax", "blender"] = "hyjax",
+        renderer: Renderer = "hyjax",
     ) -> None:
         self.source, rough = surface_of(capture, mesh or rough_mesh(capture), seed=seed)
         self.capture, self.schedule, self.size = capture, schedule, (size, size)
@@ -89,17 +93,18 @@ class Bench:
             return base | {"note": "no ray met the surface"}
         where = regions(view.rough, view.accurate)
         scores: dict[str, Any] = {}
+        relit = {lights: self.pictures(view, lights) for lights in self.setups}
         for benchmark, lights in BENCHMARKS.items():
             fidelity = benchmark == "relighting fidelity"
-            for group, mode in GROUPS.items():
-                pictures = self.pictures(view, lights, mode)
-                target = pictures.pop("accurate surface") if fidelity else view.display
-                found = judge(pictures, target, where, weights, view.valid if fidelity else None)
+            for group, pictures in relit[lights].items():
+                target = pictures["accurate surface"] if fidelity else view.display
+                judged = {name: p for name, p in pictures.items() if not (fidelity and name == "accurate surface")}
+                found = judge(judged, target, where, weights, view.valid if fidelity else None)
                 scores.setdefault(benchmark, {})[group] = found
         shares = {name: float(mask.mean()) for name, mask in where.items()}
-        shares["relied on"] = float(view.valid.mean())
+        relied = {name: float(view.valid[mask].mean()) for name, mask in where.items() if mask.any()}
         meshes = f"{self.source} against {self.reference.description}"
-        return base | {"meshes": meshes, "shares": shares, "scores": scores}
+        return base | {"meshes": meshes, "shares": shares, "relied on": relied, "scores": scores}
 
     def view(self, index: int) -> "View":
         """A frame with what its camera sees of both surfaces."""
@@ -109,24 +114,34 @@ class Bench:
         shading = []
         for k, blender in enumerate(self._blender):
             rendering = blender.render(fitted.camera)
-            # At a silhouette the two may disagree by a pixel; where one sees nothing, nothing is known.
-            seen[k] = dataclasses.replace(seen[k], hit=seen[k].hit & rendering.hit)
+            seen[k] = rendering.seen_by_both(seen[k])
             shading.append(jnp.asarray(rendering.shading))
         valid = self.reference.reliable(frame, fitted.camera, seen[1])
         return View(frame, jnp.asarray(fitted.image), fitted.camera, *seen, valid, shading)
 
-    def pictures(self, view: "View", lights: str, mode: Mode) -> dict[str, Float[Array, "h w 3"]]:
-        """The relit frame by every method, display values."""
-        rough = self.relight(view, lights, mode, self.schedule)
-        accurate = self.relight(view, lights, mode, ANY, accurate=True)
-        linear, hit = hyjax.to_linear(view.display), view.rough.hit[..., None]
-        mean = jnp.sum(rough.shading * hit, axis=(0, 1)) / jnp.maximum(jnp.sum(hit), 1)
-        flat = view.display * mean if mode == "paper" else hyjax.to_display(linear * mean)
+    def pictures(self, view: "View", lights: str) -> dict[str, dict[str, Float[Array, "h w 3"]]]:
+        """Group → method → the relit frame, display values.
+
+        All filters are multiplied both ways, so that what refining does is not mixed up with what multiplying does.
+        """
+        paper = self.relight(view, lights, "paper", self.schedule)
+        ours = self.relight(view, lights, "hyjax", self.schedule)
+        filters = {  # linear
+            "bare mesh": ours.shading,
+            METHODS["paper"]: hyjax.to_linear(paper.refined),
+            METHODS["hyjax"]: ours.refined,
+            "accurate surface": self.relight(view, lights, "hyjax", ANY, accurate=True).shading,
+        }
+        encoded = {name: hyjax.to_display(relight_filter) for name, relight_filter in filters.items()}
+        known = view.rough.hit[..., None]
+        for each in (filters, encoded):
+            mean = jnp.sum(each["bare mesh"] * known, axis=(0, 1)) / jnp.maximum(jnp.sum(known), 1)
+            each["mean colour"] = jnp.broadcast_to(mean, view.display.shape)
+        linear = hyjax.to_linear(view.display)
+        order = ("bare mesh", "mean colour", *METHODS.values(), "accurate surface")
         return {
-            "bare mesh": hyjax.to_display(rough.unrefined),
-            "mean colour": jnp.clip(flat, 0.0, 1.0),
-            OURS[mode]: hyjax.to_display(rough.image),
-            "accurate surface": hyjax.to_display(accurate.unrefined),
+            "display values": {name: view.display * encoded[name] for name in order},
+            "light": {name: hyjax.to_display(linear * filters[name]) for name in order},
         }
 
     def relight(
@@ -163,10 +178,11 @@ class Bench:
         view = self.view(index)
         if view.blind:
             return None
-        paper, ours = (self.pictures(view, "two-colors", mode) for mode in GROUPS.values())
+        pictures = self.pictures(view, "two-colors")
+        shown = [pictures["light"][name] for name in ("bare mesh", METHODS["hyjax"], "accurate surface")]
+        shown.insert(1, pictures["display values"][METHODS["paper"]])
         relied = np.repeat(view.valid[..., None].astype(np.float32), 3, axis=-1)
-        relit = ours["bare mesh"], paper[OURS["paper"]], ours[OURS["hyjax"]], ours["accurate surface"]
-        return view.frame.name, [*(np.asarray(x) for x in (view.display, *relit)), relied]
+        return view.frame.name, [*(np.asarray(x) for x in (view.display, *shown)), relied]
 
 
 def with_kappa(schedule: Schedule, kappa: float) -> Schedule:

@@ -9,9 +9,8 @@ smoothed a little (`reference_quality` measures how much is good), and pixels do
 - it is seen at a cosine below `GRAZING`, or
 - its normals turn by more than `BUMP` when they are smoothed further: a bump, or a crease that a fusion rounds off.
 
-The built-in room's true mesh is taken as it is. Laser scans are taken as they are, where they agree with the depth
-camera.
-"""
+The built-in room's true mesh is taken as it is. Laser scans are taken as they are where the depth camera has a
+reading that agrees: not every venue's are aligned with the captures."""
 
 import dataclasses
 from collections.abc import Callable
@@ -54,6 +53,7 @@ class Reference:
         gbuffer: what a camera sees of it.
         smoothed: the same with normals smoothed further, to find bumps; None if it is relied on as it is.
         measured: whether it is checked against the frames' own depth.
+        unread: whether it is relied on where that has no reading.
     """
 
     description: str
@@ -61,6 +61,7 @@ class Reference:
     gbuffer: Callable[[Camera], GBuffer]
     smoothed: Callable[[Camera], GBuffer] | None = None
     measured: bool = True
+    unread: bool = True
 
     def reliable(self, frame: Frame, camera: Camera, seen: GBuffer) -> Bool[np.ndarray, "h w"]:
         """Where the reference may judge.
@@ -72,7 +73,7 @@ class Reference:
         """
         valid = np.asarray(seen.hit).copy()
         if self.measured and frame.depth is not None:
-            valid &= _agrees(frame, np.asarray(seen.position), np.asarray(seen.depth))
+            valid &= _agrees(frame, np.asarray(seen.position), np.asarray(seen.depth), self.unread)
         if self.smoothed is not None:
             normal, rays = np.asarray(seen.normal), camera.rays()
             cosine = -np.sum(normal * rays, axis=-1) / np.linalg.norm(rays, axis=-1)
@@ -102,7 +103,9 @@ def open_reference(capture: Capture, name: str | None = None, *, progress: bool 
         if laser is None:
             raise InputError(f"{capture.name}: has no laser scans; take 'fused' or a mesh file as the reference")
         cloud = load_laser_scans(laser, voxel=LASER_VOXEL, progress=progress)
-        return Reference(f"laser scans, {len(cloud.points)} points", cloud, PointSplatter(cloud).gbuffer)
+        return Reference(
+            f"laser scans, {len(cloud.points)} points", cloud, PointSplatter(cloud).gbuffer, unread=False
+        )
     description, mesh = surface_of(capture, name, voxel=VOXEL, most_frames=len(capture), progress=progress)
     if name != "fused":
         return Reference(description, mesh, RayCaster(mesh).gbuffer, measured=name != "true")
@@ -125,9 +128,9 @@ def with_normals(mesh: trimesh.Trimesh, passes: int) -> trimesh.Trimesh:
 
 
 def _agrees(
-    frame: Frame, position: Float[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h w"]
+    frame: Frame, position: Float[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h w"], unread: bool
 ) -> Bool[np.ndarray, "h w"]:
-    """Where the frame's depth map says the same, or nothing."""
+    """Where the frame's depth map says the same, or (if `unread`) nothing."""
     reading: Any = frame.depth
     camera = frame.depth_camera
     pixel, expected = camera.project(position.astype(np.float64))
@@ -137,4 +140,4 @@ def _agrees(
     row, column = (np.where(inside, x, 0).astype(int) for x in (row, column))
     measured = np.where(inside, reading[row, column], 0.0)
     slack = DEPTH_SLACK[0] + DEPTH_SLACK[1] * expected
-    return (measured <= 0) | (np.abs(measured - expected) < slack)
+    return np.where(measured > 0, np.abs(measured - expected) < slack, unread)

@@ -116,8 +116,7 @@ def relight_capture(
             if renderer == "blender":
                 with clock("blender"):
                     rendering = blender.render(frame.camera)
-                # At a silhouette the two may disagree by a pixel; where one sees nothing, nothing is known.
-                gbuffer = dataclasses.replace(gbuffer, hit=gbuffer.hit & rendering.hit)
+                gbuffer = rendering.seen_by_both(gbuffer)
                 given = {"shading": jnp.asarray(rendering.shading), "visibility": jnp.asarray(rendering.visibility)}
             display = jnp.asarray(frame.image)
             stages = relight_stages(

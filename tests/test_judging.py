@@ -73,13 +73,36 @@ def test_specks_say_nothing() -> None:
 
 
 def test_summaries() -> None:
-    found = summarise([1.0, None, 2.0, 3.0])
+    found = summarise([1.0, None, 3.0, 2.0])  # neighbours not alike
     assert found is not None and found.count == 3
     assert found.mean == pytest.approx(2.0) and found.half == pytest.approx(4.302653 / 3**0.5, rel=1e-5)
     assert found.text(2) == "2.00 ±2.48"
     alone = summarise([5.0])
     assert alone is not None and alone.half is None and alone.text(1) == "5.0"
     assert summarise([None]) is None
+    same = summarise([5.0, 5.0])
+    assert same is not None and same.half == 0.0
+
+
+def test_neighbours_that_are_alike_count_for_less() -> None:
+    """The interval of correlated values holds their true mean nearly as often as it says, the naive one not."""
+    rng, inside, naive, runs = np.random.default_rng(0), 0, 0, 300
+    for _ in range(runs):
+        values = [rng.standard_normal()]
+        for _ in range(99):
+            values.append(0.7 * values[-1] + 0.714 * rng.standard_normal())
+        found = summarise(values)
+        assert found is not None and found.half is not None
+        inside += abs(found.mean) < found.half
+        naive += abs(found.mean) < 1.98 * np.std(values, ddof=1) / 10
+    assert naive / runs < 0.7
+    assert 0.87 < inside / runs <= 1.0
+
+
+def test_rims_of_holes_are_no_silhouettes() -> None:
+    depth = np.full((SIZE, SIZE), 2.0)
+    depth[10:20, 10:20] = 0.0
+    assert not beside_jump(depth).any()
 
 
 def test_picking() -> None:

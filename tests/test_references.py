@@ -1,5 +1,7 @@
 """Which pixels of an accurate surface are relied on."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
@@ -43,6 +45,8 @@ def test_where_the_sensor_disagrees_it_is_not_and_no_reading_says_nothing() -> N
     depth[:, 30:] = 0.0
     found = reliable(cleaned("wall", wall()), depth)
     assert not found[:, :10].any() and found[:, 10:].all()
+    strict = dataclasses.replace(cleaned("wall", wall()), unread=False)
+    assert not reliable(strict, depth)[:, 30:].any() and reliable(strict, depth)[:, 10:30].all()
     own = Reference("true", wall(), RayCaster(wall()).gbuffer, measured=False)
     assert reliable(own, depth).all()
 

@@ -27,6 +27,7 @@ import trimesh
 from jaxtyping import Bool, Float, Int
 
 from hyjax.errors import InputError
+from hyjax.gbuffer import GBuffer
 from hyjax.images import read_image
 from hyjax.lights import AmbientLight, Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
 from hyjax.scene.camera import Camera
@@ -65,6 +66,10 @@ class Rendering:
     visibility: Float[np.ndarray, "h w l"]
     depth: Float[np.ndarray, "h w"]
     hit: Bool[np.ndarray, "h w"]
+
+    def seen_by_both(self, gbuffer: GBuffer) -> GBuffer:
+        """The G-buffer with misses wherever Cycles has one: at a silhouette the two may disagree by a pixel."""
+        return dataclasses.replace(gbuffer, hit=gbuffer.hit & self.hit)
 
 
 class BlenderRenderer:
