@@ -244,9 +244,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         lines = [
             [f"{mode} mode, {name}", *cells(own, mode, *key)] for mode in METHODS for name, key in kinds.items()
         ]
-        caption = (
-            f"On the {surface} surface: {count} shadows of one light in one frame, mean over frames ± 95 % interval."
-        )
+        caption = f"On the {surface} surface: {count} shadows of one light in one frame; mean over frames ± 95 %."
         made.append(Table(caption, header, lines))
     return [
         *made,
