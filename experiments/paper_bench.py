@@ -126,23 +126,19 @@ class Bench:
         """
         paper = self.relight(view, lights, "paper", self.schedule)
         ours = self.relight(view, lights, "hyjax", self.schedule)
-        filters = {  # linear
+        filters = {
             "bare mesh": ours.shading,
-            METHODS["paper"]: hyjax.to_linear(paper.refined),
-            METHODS["hyjax"]: ours.refined,
+            METHODS["paper"]: linear_filter(paper, "paper"),
+            METHODS["hyjax"]: linear_filter(ours, "hyjax"),
             "accurate surface": self.relight(view, lights, "hyjax", ANY, accurate=True).shading,
         }
-        encoded = {name: hyjax.to_display(relight_filter) for name, relight_filter in filters.items()}
-        known = view.rough.hit[..., None]
-        for each in (filters, encoded):
-            mean = jnp.sum(each["bare mesh"] * known, axis=(0, 1)) / jnp.maximum(jnp.sum(known), 1)
-            each["mean colour"] = jnp.broadcast_to(mean, view.display.shape)
-        linear = hyjax.to_linear(view.display)
-        order = ("bare mesh", "mean colour", *METHODS.values(), "accurate surface")
-        return {
-            "display values": {name: view.display * encoded[name] for name in order},
-            "light": {name: hyjax.to_display(linear * filters[name]) for name in order},
-        }
+        made = {}
+        for group in GROUPS:
+            flat = {"mean colour": mean_colour(view, filters["bare mesh"], group)}
+            every = filters | flat
+            order = ("bare mesh", "mean colour", *METHODS.values(), "accurate surface")
+            made[group] = {name: multiplied(view, every[name], group) for name in order}
+        return made
 
     def relight(
         self,
@@ -151,10 +147,11 @@ class Bench:
         mode: Mode,
         schedule: Schedule,
         *,
+        kappa: float | None = None,
         accurate: bool = False,
         shadow_maps: Sequence[ShadowMap | None] | None = None,
     ) -> Relit:
-        """A frame on the rough surface, or on the accurate one. The schedule's κ is the mode's."""
+        """A frame on the rough surface, or on the accurate one. κ is the mode's default unless given."""
         setup = self.setups[lights]
         gbuffer, shading = (view.accurate if accurate else view.rough), None
         if view.shading:
@@ -166,7 +163,7 @@ class Bench:
             gbuffer,
             setup.lights,
             view.display,
-            with_kappa(schedule, KAPPA[mode]),
+            with_kappa(schedule, KAPPA[mode] if kappa is None else kappa),
             shading=shading,
             shadow_maps=shadow_maps,
             reference_lux=setup.reference_lux,
@@ -183,6 +180,26 @@ class Bench:
         shown.insert(1, pictures["display values"][METHODS["paper"]])
         relied = np.repeat(view.valid[..., None].astype(np.float32), 3, axis=-1)
         return view.frame.name, [*(np.asarray(x) for x in (view.display, *shown)), relied]
+
+
+def linear_filter(relit: Relit, mode: Mode) -> Float[Array, "h w 3"]:
+    """The refined filter, without shadows, as a factor of light."""
+    return hyjax.to_linear(relit.refined) if mode == "paper" else relit.refined
+
+
+def mean_colour(view: "View", relight_filter: Float[Array, "h w 3"], group: str) -> Float[Array, "h w 3"]:
+    """One colour for the whole frame: the filter's mean, as the group has it, where the mesh has a surface."""
+    known, display = view.rough.hit[..., None], group == "display values"
+    averaged = hyjax.to_display(relight_filter) if display else relight_filter
+    mean = jnp.sum(averaged * known, axis=(0, 1)) / jnp.maximum(jnp.sum(known), 1)
+    return jnp.broadcast_to(hyjax.to_linear(mean) if display else mean, relight_filter.shape)
+
+
+def multiplied(view: "View", relight_filter: Float[Array, "h w 3"], group: str) -> Float[Array, "h w 3"]:
+    """The frame times a linear filter, display values."""
+    if group == "display values":
+        return view.display * hyjax.to_display(relight_filter)
+    return hyjax.to_display(hyjax.to_linear(view.display) * relight_filter)
 
 
 def with_kappa(schedule: Schedule, kappa: float) -> Schedule:
