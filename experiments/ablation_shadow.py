@@ -286,7 +286,7 @@ def figure(scores: Sequence[Row]) -> Any:
                         ax.axhline(np.mean(values), color=f"C{k}", linestyle=style, linewidth=1)
             ax.set_xticks(range(len(STEPS)), [str(n) for n in STEPS])
             ax.set(xlabel="steps", title=f"{metric.replace('_', ' ')}, {surface} surface")
-            ax.set_ylim(bottom=0)
+            ax.set_ylim(0, 1.08 * ax.get_ylim()[1])
     fig.axes[0].legend(fontsize=7)
     return fig
 

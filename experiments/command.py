@@ -20,10 +20,11 @@ def run(main: Callable[[Config], None], config_type: type[Config]) -> None:
     """
     name = Path(inspect.getfile(main)).stem
     try:
-        main(tyro.cli(config_type))
+        main(tyro.cli(config_type, prog=f"python -m experiments.{name}", description=main.__globals__["__doc__"]))
     except InputError as error:
         print(f"{name}: {error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
-        print(f"{name}: interrupted", file=sys.stderr)
+        going_on = "; the rows so far are kept, go on with --resume" if hasattr(config_type, "resume") else ""
+        print(f"{name}: interrupted{going_on}", file=sys.stderr)
         sys.exit(130)

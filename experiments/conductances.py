@@ -27,7 +27,7 @@ from jaxtyping import Array, Float
 import hyjax
 from experiments.blocks import Block, Picture, Table, write_blocks
 from experiments.command import run
-from experiments.judging import beside_jump
+from experiments.judging import beside_jump, check_size
 from experiments.records import Results, Row
 from experiments.references import open_reference
 from hyjax.contact_sheet import write_contact_sheet
@@ -61,6 +61,7 @@ class Config:
 
 
 def main(config: Config) -> None:
+    check_size(config.size)
     weights = load_lpips(config.weights)
     capture = load_room() if config.capture is None else open_capture(config.capture)
     (index,) = select_frames(str(config.frame), len(capture))
@@ -132,7 +133,10 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         ]
         for row in guides
     ]
-    caption = f"Conductances with κ such that their median across depth jumps is {AT_JUMPS:g}."
+    caption = (
+        f"Conductances with κ such that their median right across depth jumps is {AT_JUMPS:g}. Beside a jump: "
+        "within about 1 % of the picture's height."
+    )
     return [
         Table(caption, header, lines),
         Picture(folder / "conductances.png", "White lets light through, black stops it."),

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy import ndimage, stats
 
+from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
 from hyjax.metrics import LpipsWeights, lpips_distance_map, lpips_features, ssim_map
 
@@ -19,10 +20,17 @@ METRICS = ("lpips", "psnr", "ssim")
 REGIONS = ("all", "holes", "silhouettes", "elsewhere")
 SILHOUETTE = 6 / 512  # of the picture's height: how near to a depth jump counts as beside it
 JUMP = 0.05  # of the depth, between neighbouring pixels
+SMALLEST_SIZE = 64  # pixels a side
 SMALLEST = 1e-3  # share of the picture below which a region says nothing
 
 Image = Float[Array, "h w 3"]
 Regions = Mapping[str, Bool[np.ndarray, "h w"]]
+
+
+def check_size(size: int) -> None:
+    """Raise `InputError` for pictures too small for the coarsest level and for LPIPS."""
+    if size < SMALLEST_SIZE:
+        raise InputError(f"size: must be at least {SMALLEST_SIZE} pixels a side, got {size}")
 
 
 def regions(rough: GBuffer, accurate: GBuffer) -> Regions:

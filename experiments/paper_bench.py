@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import hyjax
-from experiments.judging import judge, regions
+from experiments.judging import check_size, judge, regions
 from experiments.references import open_reference
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit
@@ -55,6 +55,9 @@ class Bench:
         size: pixels a side.
         seed: of the simulated scan.
         renderer: what shades the surfaces.
+
+    Raises:
+        InputError: any of these cannot be used.
     """
 
     def __init__(
@@ -67,6 +70,7 @@ class Bench:
         seed: int = 0,
         renderer: Renderer = "hyjax",
     ) -> None:
+        check_size(size)
         self.source, rough = surface_of(capture, mesh or rough_mesh(capture), seed=seed)
         self.capture, self.schedule, self.size = capture, schedule, (size, size)
         self.rough, self.reference = RayCaster(rough), open_reference(capture, reference)

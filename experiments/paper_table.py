@@ -16,11 +16,11 @@ nothing. κ is the default of each mode, from tuning frames (`kappa_sweep`).
 The paper's own figures stand beside for the direction of its comparison only: 1.8 dB, as it has in the second
 benchmark, is hardly possible for pictures in [0, 1].
 
-`--capture` takes any layout that hyjax reads. Without it, the built-in room with another seed than everything else
-uses, so that nothing was ever chosen on these pictures (walls, furniture and the walk are the same, what stands
-and lies about is not); of a capture, by default the last quarter for the same reason. Frames are judged one by one
-and each leaves its row, so memory does not grow and `--resume` goes on. `--renderer blender` shades both surfaces
-with Cycles, as the paper did.
+`--capture` takes any layout that hyjax reads. Without it, the built-in room with another seed than relighting and
+tuning use, so that nothing was ever chosen on these pictures (walls, furniture and the walk are the same, what
+stands and lies about is not); of a capture, by default the last quarter for the same reason. Frames are judged one
+by one and each leaves its row, so memory does not grow and `--resume` goes on. `--renderer blender` shades both
+surfaces with Cycles, as the paper did.
 
 Takes about five seconds a frame on two cores, and a minute or two before the first. Needs the LPIPS weights: `pip
 install ".[lpips]"`.
@@ -62,6 +62,7 @@ PAPER = {
     "relighting fidelity": {"lpips": (0.1391, 0.1200), "psnr": (15.7850, 15.7437)},
 }
 """The paper's own table: ARKit mesh, their method; 596 frames of ARKitScenes 47333462."""
+FEWEST = 5  # frames, below which no direction is claimed
 LITTLE = 0.5  # share of the pixels that the accurate surface is relied on, below which something is amiss
 DIGITS = {"lpips": 4, "psnr": 2, "ssim": 4}
 SHEET_ROWS = 6
@@ -206,30 +207,28 @@ def directions(frames: Sequence[Row]) -> Table:
     header = ["change against the bare mesh", "the paper's table", "paper's method", "ours", "same direction"]
     caption = (
         "Does the paper's comparison reproduce? Refined minus bare, mean over the same frames ± 95 % interval; for "
-        "LPIPS less is better, for PSNR more. The last column is of the paper's method; open: the interval holds 0."
+        "LPIPS less is better, for PSNR more. The last column is of the paper's method; open: the interval holds "
+        "0, or there are too few frames."
     )
     return Table(caption, header, rows)
 
 
 def figure(frames: Sequence[Row]) -> Any:
-    """LPIPS and PSNR of every method, a column of axes for each benchmark."""
-    fig = new_figure(13, 6)
-    axes = fig.subplots(2, len(BENCHMARKS), squeeze=False)
+    """LPIPS and PSNR of every method, a column of axes for each benchmark; the same method on the same line."""
+    names = methods(frames, next(iter(BENCHMARKS)))
+    fig = new_figure(13, 7.5)
+    axes = fig.subplots(2, len(BENCHMARKS), squeeze=False, sharey=True)
     for column, benchmark in enumerate(BENCHMARKS):
-        names = methods(frames, benchmark)
-        for line, metric in enumerate(("lpips", "psnr")):
-            ax = axes[line, column]
+        axes[0, column].set_title(benchmark)
+        for ax, metric in zip(axes[:, column], ("lpips", "psnr")):
             for y, (group, method) in enumerate(names):
                 found = summary(frames, benchmark, group, method, "all", metric)
                 if found is not None:
                     color = {"display values": "C1", "light": "C0"}[group]
                     ax.barh(y, found.mean, xerr=found.half, color=color, alpha=0.85, error_kw={"lw": 1})
-            labels = [f"{method}\n(times {group})" for group, method in names]
-            ax.set_yticks(range(len(names)), labels if column == 0 else [""] * len(names), fontsize=8)
-            ax.invert_yaxis()
+            ax.set_yticks(range(len(names)), [f"{method}, times {group}" for group, method in names], fontsize=8)
             ax.set_xlabel({"lpips": "LPIPS, less is better", "psnr": "PSNR in dB, more is better"}[metric])
-            if line == 0:
-                ax.set_title(benchmark)
+    axes[0, 0].invert_yaxis()
     return fig
 
 
@@ -247,7 +246,7 @@ def _interval(found: Summary) -> str:
 
 
 def _verdict(change: Summary | None, theirs: float) -> str:
-    if change is None or change.half is None or abs(change.mean) <= change.half:
+    if change is None or change.half is None or change.count < FEWEST or abs(change.mean) <= change.half:
         return "open"
     return "yes" if (change.mean > 0) == (theirs > 0) else "no"
 

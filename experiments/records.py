@@ -8,6 +8,7 @@ import dataclasses
 import json
 import math
 import subprocess
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -65,6 +66,8 @@ class Results:
             raise InputError(
                 f"{out}: holds an interrupted run of {len(earlier)} rows; {how}, or choose another --out"
             )
+        elif earlier:
+            print(f"{experiment}: replacing the finished run in {out}", file=sys.stderr)
         self._begun = False
 
     def add(self, **values: Any) -> Row:

@@ -22,7 +22,7 @@ from tqdm import tqdm
 import hyjax
 from experiments.blocks import Block, Table, write_blocks
 from experiments.command import run
-from experiments.judging import judge, summarise
+from experiments.judging import check_size, judge, summarise
 from experiments.records import Results, Row
 from experiments.references import VOXEL, cleaned
 from hyjax.data.frames import fit
@@ -61,6 +61,7 @@ class Config:
 
 
 def main(config: Config) -> None:
+    check_size(config.size)
     weights = load_lpips(config.weights)
     results = Results(config.out, NAME, config)
     room = load_room()

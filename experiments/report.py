@@ -15,6 +15,7 @@ import inspect
 import json
 import re
 from collections.abc import Iterator
+from html import escape as html_escape
 from pathlib import Path
 from typing import Any
 
@@ -122,9 +123,22 @@ def _section(folder: Path, rows: list[Row]) -> tuple[str, Html]:
     title = module.TITLE if folder.name == rows[0]["experiment"] else f"{module.TITLE}: {folder.name}"
     unfinished = "" if is_finished(rows) else tag("p", tag("strong", "This run did not come to its end."))
     first, *rest = PARAGRAPHS.split(inspect.cleandoc(module.__doc__))
-    told = [tag("pre" if text.startswith(" ") else "p", inspect.cleandoc(text)) for text in rest]
-    about = [tag("p", first, class_="lead"), tag("details", tag("summary", "How, and what to expect"), told)]
-    return title, join([about, unfinished, html(module.blocks(rows, folder)), footer(rows)])
+    told = [tag("pre" if text.startswith(" ") else "p", marked(inspect.cleandoc(text))) for text in rest]
+    about = [
+        tag("p", marked(first), class_="lead"),
+        tag("details", tag("summary", "How, and what to expect"), told),
+    ]
+    try:
+        shown = html(module.blocks(rows, folder))
+    except Exception as error:  # rows of older code, or damaged: one run must not take the page with it
+        shown = [tag("p", f"These rows cannot be shown ({type(error).__name__}: {error}).")]
+    return title, join([about, unfinished, shown, footer(rows)])
+
+
+def marked(text: str) -> Html:
+    """A docstring's `code` and *stress* as such."""
+    escaped = re.sub(r"`+([^`]+)`+", r"<code>\1</code>", html_escape(text, quote=False))
+    return Html(re.sub(r"(?<!\w)\*([^*\n]+)\*(?!\w)", r"<em>\1</em>", escaped))
 
 
 def footer(rows: list[Row]) -> Html:
@@ -132,7 +146,8 @@ def footer(rows: list[Row]) -> Html:
     count = len(rows) - is_finished(rows)
     commits = ", ".join(dict.fromkeys(row["commit"][:12] + row["commit"][40:] for row in rows))
     machines = "; ".join(dict.fromkeys(machine(row) for row in rows))
-    settings = ", ".join(f"{key} {json.dumps(value)}" for key, value in rows[-1]["settings"].items())
+    given = {key: value for key, value in rows[-1]["settings"].items() if value is not None}
+    settings = ", ".join(f"{key} {json.dumps(value)}" for key, value in given.items())
     command = f"python -m experiments.{rows[0]['experiment']}"
     return tag("p", f"{command}: {count} rows; commit {commits}; {machines}; settings: {settings}.", class_="quiet")
 

@@ -24,6 +24,7 @@ from skimage.segmentation import felzenszwalb
 import hyjax
 from experiments.blocks import Block, Picture, Table, write_blocks
 from experiments.command import run
+from experiments.judging import check_size
 from experiments.records import Results, Row
 from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.frames import fit, select_frames
@@ -51,6 +52,7 @@ class Config:
 
 
 def main(config: Config) -> None:
+    check_size(config.size)
     capture = load_room() if config.capture is None else open_capture(config.capture)
     (index,) = select_frames(str(config.frame), len(capture))
     out = config.out or Path("results") / NAME / capture.name

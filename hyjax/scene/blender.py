@@ -211,7 +211,7 @@ def blender_python() -> str:
     if importlib.util.find_spec("bpy") is not None:
         return sys.executable
     raise InputError(
-        'blender: no bpy here; pip install "hyjax[blender]" on Python 3.13, or install bpy in an environment of '
+        "blender: no bpy here; pip install bpy on Python 3.13, or install bpy in an environment of "
         "its own (bpy 5.0 needs Python 3.11, later ones 3.13) and set HYJAX_BLENDER to its python"
     )
 
