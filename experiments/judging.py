@@ -151,8 +151,9 @@ class Summary:
 def summarise(values: Sequence[float | None]) -> Summary | None:
     """Mean and interval of the values that there are, in the frames' order; None if there is none.
 
-    Neighbouring frames show nearly the same, so n of them say as much as n (1 − ρ)/(1 + ρ) independent ones would,
-    ρ being the correlation of each with the next; Student's t is taken with that number.
+    Neighbouring frames show nearly the same, so n of them say as much as n (1 − ρ)/(1 + ρ) independent ones
+    would, but no less than one; ρ is the correlation of each with the next. Of strongly correlated values the
+    interval is a guide to their spread rather than a bound.
 
     Source: Wilks, *Statistical methods in the atmospheric sciences*, section 5.2.4 (effective sample size).
     """
@@ -164,9 +165,8 @@ def summarise(values: Sequence[float | None]) -> Summary | None:
         centred, spread = there - mean, float(there.std(ddof=1))
         total = float(centred @ centred)
         correlation = max(0.0, float(centred[1:] @ centred[:-1]) / total) if total > 0 else 0.0
-        count = there.size * (1.0 - correlation) / (1.0 + correlation)
-        if count > 1:
-            half = float(stats.t.ppf(0.975, count - 1) * spread / math.sqrt(count))
+        count = max(1.0, there.size * (1.0 - correlation) / (1.0 + correlation))
+        half = float(stats.t.ppf(0.975, there.size - 1) * spread / math.sqrt(count))
     return Summary(mean, half, there.size)
 
 
