@@ -11,7 +11,7 @@ diffusing on does any good: converged is not right, since conductances never are
 
 Takes about two minutes on two cores, once the surfaces are made.
 
-Expect: the cascade nearer to the converged result than as many steps at half size, in about a tenth of the time of
+Expect: the cascade nearer to the converged result than as many steps at half size, in a small part of the time of
 1000 of them. Nearer to the converged result is not nearer to the accurate surface: there the distances differ
 little."""
 
