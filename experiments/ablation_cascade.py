@@ -31,15 +31,12 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.judging import summarise
-from experiments.paper_bench import ANY, KAPPA, METHODS, Bench, View, with_kappa
-from experiments.paper_table import choose
+from experiments.paper_bench import ANY, KAPPA, METHODS, Bench, BenchConfig, View, reported, with_kappa
 from experiments.plotting import new_figure
-from experiments.records import Results, Row
+from experiments.records import Row
 from hyjax import metrics
 from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.frames import spread
-from hyjax.data.open import open_capture
-from hyjax.data.room import load_room
 from hyjax.pipeline import Mode
 from hyjax.schedule import Schedule
 from hyjax.tuning.calibration import time_calls
@@ -53,32 +50,18 @@ SWEEP = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, CONVERGED)
 SHEET = ("frame", "raw filter", *SCHEDULES, f"{CONVERGED} steps", "accurate surface")
 
 
-@dataclasses.dataclass(frozen=True)
-class Config:
-    capture: Path | None = None
-    """Default: the built-in room."""
-    mesh: str | None = None
-    """The rough surface, as in `paper_table`."""
-    reference: str | None = None
-    """The accurate surface, as in `paper_table`."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config(BenchConfig):
     frames: int = 6
     """How many, spread over those that `paper_table` reports on."""
-    size: int = 512
-    """Pixels a side."""
     repeats: int = 50
     """Rounds of the timing."""
-    seed: int = 1
-    """Of the built-in room and of the simulated scan."""
-    out: Path | None = None
-    """Default: results/ablation_cascade/NAME of the capture."""
 
 
 def main(config: Config) -> None:
-    capture = load_room(config.seed) if config.capture is None else open_capture(config.capture)
-    out = config.out or Path("results") / NAME / capture.name
-    results = Results(out, NAME, config)
-    chosen = spread(choose(None, capture), config.frames)  # before the first slow step
-    bench = Bench(capture, Schedule.preset("paper-50"), config.mesh, config.reference, config.size, config.seed)
+    capture, out, results = config.start(NAME)
+    chosen = spread(reported(capture), config.frames)  # before the first slow step
+    bench = config.bench(capture, Schedule.preset("paper-50"))
     sheet = []
     for index in tqdm(chosen, desc="diffusing", unit="frame"):
         view = bench.view(index)

@@ -36,14 +36,11 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.judging import summarise
-from experiments.paper_bench import KAPPA, METHODS, Bench, View, with_kappa
-from experiments.paper_table import choose
+from experiments.paper_bench import KAPPA, METHODS, Bench, BenchConfig, View, reported, with_kappa
 from experiments.plotting import new_figure
-from experiments.records import Results, Row
+from experiments.records import Row
 from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.frames import spread
-from hyjax.data.open import open_capture
-from hyjax.data.room import load_room
 from hyjax.errors import InputError
 from hyjax.pipeline import Mode
 from hyjax.scene.raycast import RayCaster
@@ -73,30 +70,16 @@ SHEET = (
 GAIN = 3.0  # of the sheet's pictures, in linear light
 
 
-@dataclasses.dataclass(frozen=True)
-class Config:
-    capture: Path | None = None
-    """Default: the built-in room."""
-    mesh: str | None = None
-    """The rough surface, as in `paper_table`."""
-    reference: str | None = None
-    """The accurate surface: a mesh, since it has to throw shadows. Default as in `paper_table`."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config(BenchConfig):
     frames: int = 6
     """How many, spread over those that `paper_table` reports on."""
-    size: int = 512
-    """Pixels a side."""
-    seed: int = 1
-    """Of the built-in room and of the simulated scan."""
-    out: Path | None = None
-    """Default: results/ablation_shadow/NAME of the capture."""
 
 
 def main(config: Config) -> None:
-    capture = load_room(config.seed) if config.capture is None else open_capture(config.capture)
-    out = config.out or Path("results") / NAME / capture.name
-    results = Results(out, NAME, config)
-    chosen = spread(choose(None, capture), config.frames)  # before the first slow step
-    bench = Bench(capture, Schedule.preset("paper-80"), config.mesh, config.reference, config.size, config.seed)
+    capture, out, results = config.start(NAME)
+    chosen = spread(reported(capture), config.frames)  # before the first slow step
+    bench = config.bench(capture, Schedule.preset("paper-80"))
     if not isinstance(bench.reference.geometry, trimesh.Trimesh):
         raise InputError("reference: a point cloud throws no shadows here; take --reference fused or a mesh file")
     lights = bench.setups[LIGHTS].lights

@@ -1,6 +1,6 @@
 """Which κ, pooling and norm: fidelity of the relit frame on tuning frames, and of the winner on held-out frames.
 
-    python -m experiments.kappa_sweep [--capture PATH] [--out results/kappa_sweep]
+    python -m experiments.kappa_sweep [--capture PATH] [--out results/kappa_sweep/room]
 
 Takes about a minute on two cores, once the capture's surfaces are made. It is the third benchmark of
 `paper_table`, relighting fidelity, on other frames: PSNR against the frame relit by the accurate surface under two
@@ -21,12 +21,19 @@ from tqdm import tqdm
 
 from experiments.blocks import Block, Plot, Table, write_blocks
 from experiments.command import run
-from experiments.paper_bench import ANY, METHODS, OWN_GROUP, Bench, View, linear_filter, mean_colour, multiplied
+from experiments.paper_bench import (
+    ANY,
+    METHODS,
+    OWN_GROUP,
+    BenchConfig,
+    View,
+    linear_filter,
+    mean_colour,
+    multiplied,
+)
 from experiments.plotting import new_figure
-from experiments.records import Results, Row, of_kind
+from experiments.records import Row, of_kind
 from hyjax.data.frames import spread
-from hyjax.data.open import open_capture
-from hyjax.data.room import load_room
 from hyjax.diffusion import Norm
 from hyjax.errors import InputError
 from hyjax.metrics import psnr
@@ -46,30 +53,20 @@ VARIANTS: dict[str, tuple[Mode, Pooling, Norm]] = {
 BASELINES = ("bare mesh", "mean colour")
 
 
-@dataclasses.dataclass(frozen=True)
-class Config:
-    capture: Path | None = None
-    """Default: the built-in room."""
-    mesh: str | None = None
-    """The rough surface, as in `paper_table`."""
-    reference: str | None = None
-    """The accurate surface, as in `paper_table`."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config(BenchConfig):
     schedule: str = "paper-80"
     frames: int = 4
     """How many tuning frames, and as many held out."""
-    size: int = 512
-    """Pixels a side."""
     seed: int = 0
-    """Of the simulated scan."""
-    out: Path = Path("results/kappa_sweep")
+    """Of the built-in room and of the simulated scan."""
 
 
 def main(config: Config) -> None:
     if config.frames < 1:
         raise InputError(f"frames: must be at least 1, got {config.frames}")
     schedule = Schedule.preset(config.schedule)
-    capture = load_room() if config.capture is None else open_capture(config.capture)
-    results = Results(config.out, NAME, config)
+    capture, out, results = config.start(NAME)
     first_held = len(capture) - max(1, len(capture) // 4)
     tuning = spread(range(first_held), config.frames)
     held_out = spread(range(first_held, len(capture)), config.frames)
@@ -88,7 +85,7 @@ def main(config: Config) -> None:
         relit = bench.relight(view, LIGHTS, mode, own, kappa=kappa)
         score(split, view, name, OWN_GROUP[mode], linear_filter(relit, mode), kappa=kappa)
 
-    with Bench(capture, schedule, config.mesh, config.reference, config.size, config.seed) as bench:
+    with config.bench(capture, schedule) as bench:
         views = {index: view for index in (*tuning, *held_out) if not (view := bench.view(index)).blind}
         for index in tqdm([i for i in tuning if i in views], desc="sweep", unit="frame"):
             for name in VARIANTS:
@@ -106,7 +103,7 @@ def main(config: Config) -> None:
             for mode, group in OWN_GROUP.items():
                 for name, flat in zip(BASELINES, (bare, mean_colour(view, bare, group))):
                     score("held-out", view, f"{name}, as {METHODS[mode]}", group, flat)
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
+    write_blocks(out, NAME, blocks(results.finish(), out))
 
 
 def curve(rows: Sequence[Row], method: str) -> dict[float, float]:

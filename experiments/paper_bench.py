@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -11,10 +12,13 @@ from jaxtyping import Array, Bool, Float
 
 import hyjax
 from experiments.judging import check_size, judge, regions
+from experiments.records import Results
 from experiments.references import open_reference
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import fit
+from hyjax.data.frames import fit, select_frames
 from hyjax.data.light_setups import named_setup, survey_capture
+from hyjax.data.open import open_capture
+from hyjax.data.room import RoomCapture, load_room
 from hyjax.data.surfaces import rough_mesh, surface_of
 from hyjax.gbuffer import GBuffer
 from hyjax.metrics import LpipsWeights
@@ -184,6 +188,46 @@ class Bench:
         shown.insert(1, pictures["display values"][METHODS["paper"]])
         relied = np.repeat(view.valid[..., None].astype(np.float32), 3, axis=-1)
         return view.frame.name, [*(np.asarray(x) for x in (view.display, *shown)), relied]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BenchConfig:
+    """What every experiment on a `Bench` is asked."""
+
+    capture: Path | None = None
+    """Folder of a capture. Default: the built-in room."""
+    mesh: str | None = None
+    """The rough surface, see `hyjax relight --mesh`. Default: the capture's own mesh, else a simulated scan."""
+    reference: str | None = None
+    """The accurate surface: true, laser, fused or a mesh file. Default: the first of these that there is."""
+    size: int = 512
+    """Pixels a side."""
+    seed: int = 1
+    """Of the built-in room and of the simulated scan."""
+    out: Path | None = None
+    """Default: results/EXPERIMENT/NAME of the capture."""
+
+    def start(self, name: str) -> tuple[Capture, Path, Results]:
+        """The capture, the folder for the results of experiment `name`, and the results."""
+        capture = load_room(self.seed) if self.capture is None else open_capture(self.capture)
+        out = self.out or Path("results") / name / capture.name
+        return capture, out, Results(out, name, self, resume=getattr(self, "resume", False))
+
+    def bench(self, capture: Capture, schedule: Schedule, renderer: Renderer = "hyjax") -> Bench:
+        """Both surfaces of the capture."""
+        return Bench(capture, schedule, self.mesh, self.reference, self.size, self.seed, renderer)
+
+
+def reported(capture: Capture, frames: str | None = None) -> list[int]:
+    """Frames to report on: those asked for, or what nothing was chosen on.
+
+    Raises:
+        InputError: see `select_frames`.
+    """
+    if frames is not None:
+        return select_frames(frames, len(capture))
+    quarter = len(capture) - max(1, len(capture) // 4)
+    return list(range(0 if isinstance(capture, RoomCapture) else quarter, len(capture)))
 
 
 def linear_filter(relit: Relit, mode: Mode) -> Float[Array, "h w 3"]:

@@ -40,14 +40,11 @@ from tqdm import tqdm
 from experiments.blocks import Block, Picture, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.judging import METRICS, REGIONS, Summary, pick, summarise
-from experiments.paper_bench import BENCHMARKS, METHODS, OWN_GROUP, SHEET, Bench
+from experiments.paper_bench import BENCHMARKS, METHODS, OWN_GROUP, SHEET, BenchConfig, reported
 from experiments.plotting import new_figure
-from experiments.records import Results, Row
+from experiments.records import Row
 from hyjax.contact_sheet import write_contact_sheet
-from hyjax.data.capture import Capture
-from hyjax.data.frames import select_frames, spread
-from hyjax.data.open import open_capture
-from hyjax.data.room import RoomCapture, load_room
+from hyjax.data.frames import spread
 from hyjax.errors import InputError
 from hyjax.metrics import load_lpips
 from hyjax.relighting import Renderer
@@ -68,40 +65,26 @@ DIGITS = {"lpips": 4, "psnr": 2, "ssim": 4}
 SHEET_ROWS = 6
 
 
-@dataclasses.dataclass(frozen=True)
-class Config:
-    capture: Path | None = None
-    """Default: the built-in room."""
-    mesh: str | None = None
-    """The rough surface, see `hyjax relight --mesh`. Default: the capture's own mesh, else a simulated scan."""
-    reference: str | None = None
-    """The accurate surface: true, laser, fused or a mesh file. Default: the first of these that there is."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config(BenchConfig):
     schedule: str = "paper-80"
     frames: str | None = None
     """Which, see `hyjax relight --frames`. Default: the last quarter of a capture, all of the built-in room."""
-    size: int = 512
-    """Pixels a side."""
-    seed: int = 1
-    """Of the built-in room and of the simulated scan."""
     renderer: Renderer = "hyjax"
     """What shades the surfaces."""
     weights: Path | None = None
     """LPIPS weights. Default: those of the extra `lpips`."""
-    out: Path | None = None
-    """Default: results/paper_table/NAME of the capture."""
     resume: bool = False
+    """Go on with the interrupted run in the out folder."""
 
 
 def main(config: Config) -> None:
     weights = load_lpips(config.weights)
     schedule = Schedule.preset(config.schedule)  # before the first slow step
-    capture = load_room(config.seed) if config.capture is None else open_capture(config.capture)
-    out = config.out or Path("results") / NAME / capture.name
-    results = Results(out, NAME, config, resume=config.resume)
+    capture, out, results = config.start(NAME)
     done = {row["index"] for row in results.rows if row.get("kind") == "frame"}
-    chosen = choose(config.frames, capture)
-    asked = capture, schedule, config.mesh, config.reference, config.size, config.seed, config.renderer
-    with Bench(*asked) as bench:
+    chosen = reported(capture, config.frames)
+    with config.bench(capture, schedule, config.renderer) as bench:
         for index in tqdm([i for i in chosen if i not in done], desc="judging", unit="frame"):
             results.add(kind="frame", **bench.row(index, weights))
         if not any(row.get("scores") for row in results.rows):
@@ -109,14 +92,6 @@ def main(config: Config) -> None:
         sheet = [row for i in spread(chosen, SHEET_ROWS) if (row := bench.sheet_row(i)) is not None]
     write_contact_sheet(out / "contact_sheet.png", sheet, SHEET)
     write_blocks(out, NAME, blocks(results.finish(), out))
-
-
-def choose(frames: str | None, capture: Capture) -> list[int]:
-    """Frames to report on."""
-    if frames is not None:
-        return select_frames(frames, len(capture))
-    quarter = len(capture) - max(1, len(capture) // 4)
-    return list(range(0 if isinstance(capture, RoomCapture) else quarter, len(capture)))
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
