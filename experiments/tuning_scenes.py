@@ -171,7 +171,7 @@ def comparison(
                 lines.append([scene, own, other, ratio, *_difference(judged[own], judged[other])])
     header = ["scene", "schedule", "against", "time", "loss difference (95 %)", "% (95 %)", "better on"]
     caption = (
-        "Loss against another's on the same held-out frames: mean difference and its 95 % interval by Student's t. "
+        "Loss against another's on the same held-out frames: mean difference and its 95 % interval. "
         "Frames of one walk are no independent rooms: the interval tells of frames like these."
     )
     return Table(caption, header, lines, names=3)
