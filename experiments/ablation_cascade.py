@@ -25,7 +25,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from tqdm import tqdm
 
 import hyjax
 from experiments.blocks import Block, Picture, Plot, Table, write_blocks
@@ -63,10 +62,7 @@ def main(config: Config) -> None:
     chosen = spread(reported(capture), config.frames)  # before the first slow step
     bench = config.bench(capture, Schedule.preset("paper-50"))
     sheet = []
-    for index in tqdm(chosen, desc="diffusing", unit="frame"):
-        view = bench.view(index)
-        if view.blind:
-            continue
+    for view in bench.views(chosen, "diffusing"):
         for mode in METHODS:
             accurate = bench.relight(view, LIGHTS, mode, ANY, accurate=True)
             refined = {name: bench.relight(view, LIGHTS, mode, s).refined for name, s in schedules().items()}
@@ -85,7 +81,7 @@ def main(config: Config) -> None:
             shown = [raw, *(refined[name] for name in SCHEDULES), converged, accurate.shading]
             label = f"{view.frame.name}, {mode} mode, filters"
             sheet.append((label, [np.asarray(view.display), *(np.asarray(seen(x, mode)) for x in shown)]))
-    for mode, times in time_schedules(bench, bench.view(chosen[0]), config.repeats).items():
+    for mode, times in time_schedules(bench, view, config.repeats).items():
         for name, time in times.items():
             results.add(kind="time", mode=mode, schedule=name, **dataclasses.asdict(time))
     write_contact_sheet(out / "side_by_side.png", sheet[: 2 * 4], SHEET)

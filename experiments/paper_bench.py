@@ -2,13 +2,14 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from tqdm import tqdm
 
 import hyjax
 from experiments.judging import check_size, judge, regions
@@ -20,6 +21,7 @@ from hyjax.data.light_setups import named_setup, survey_capture
 from hyjax.data.open import open_capture
 from hyjax.data.room import RoomCapture, load_room
 from hyjax.data.surfaces import rough_mesh, surface_of
+from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
 from hyjax.metrics import LpipsWeights
 from hyjax.pipeline import Mode, Relit
@@ -126,6 +128,25 @@ class Bench:
             shading.append(jnp.asarray(rendering.shading))
         valid = self.reference.reliable(frame, fitted.camera, seen[1])
         return View(frame, jnp.asarray(fitted.image), fitted.camera, *seen, valid, shading)
+
+    def views(self, indices: Sequence[int], doing: str) -> Iterator["View"]:
+        """The views of frames that see both surfaces, with a progress bar.
+
+        Raises:
+            InputError: at the end, if there was none.
+        """
+        found = False
+        for index in tqdm(indices, desc=doing, unit="frame"):
+            view = self.view(index)
+            if not view.blind:
+                found = True
+                yield view
+        if not found:
+            raise self.unseen()
+
+    def unseen(self) -> InputError:
+        """What to say where no frame sees both surfaces."""
+        return InputError(f"{self.capture.name}: no ray of any frame met both surfaces; are they in one world?")
 
     def pictures(self, view: "View", lights: str) -> dict[str, dict[str, Float[Array, "h w 3"]]]:
         """Group → method → the relit frame, display values.

@@ -45,7 +45,6 @@ from experiments.plotting import new_figure
 from experiments.records import Row
 from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.frames import spread
-from hyjax.errors import InputError
 from hyjax.metrics import load_lpips
 from hyjax.relighting import Renderer
 from hyjax.schedule import Schedule
@@ -88,7 +87,7 @@ def main(config: Config) -> None:
         for index in tqdm([i for i in chosen if i not in done], desc="judging", unit="frame"):
             results.add(kind="frame", **bench.row(index, weights))
         if not any(row.get("scores") for row in results.rows):
-            raise InputError(f"{capture.name}: no ray of any frame met both surfaces; are they in one world?")
+            raise bench.unseen()
         sheet = [row for i in spread(chosen, SHEET_ROWS) if (row := bench.sheet_row(i)) is not None]
     write_contact_sheet(out / "contact_sheet.png", sheet, SHEET)
     write_blocks(out, NAME, blocks(results.finish(), out))

@@ -100,6 +100,16 @@ def test_ablation_of_the_shadow_pass(
         assert (tmp_path / name).stat().st_size > 100
 
 
+@pytest.mark.parametrize("experiment", [ablation_cascade, ablation_shadow])
+def test_a_reference_that_no_frame_sees(experiment: Any, scan: Path, tmp_path: Path) -> None:
+    far = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False).mesh.copy()
+    far.apply_translation((500.0, 0.0, 0.0))
+    save_mesh(tmp_path / "far.ply", far)
+    config = experiment.Config(capture=scan, reference=str(tmp_path / "far.ply"), size=SIZE, out=tmp_path / "out")
+    with pytest.raises(InputError, match="no ray of any frame met both surfaces"):
+        experiment.main(config)
+
+
 def test_structure_comes_out_of_noise(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(structure, "STEPS", (10, 1000))
     structure.main(structure.Config(capture=scan, size=SIZE, out=tmp_path))
