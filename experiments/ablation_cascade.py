@@ -38,7 +38,7 @@ from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.frames import spread
 from hyjax.pipeline import Mode
 from hyjax.schedule import Schedule
-from hyjax.tuning.calibration import time_calls
+from hyjax.tuning.calibration import check_repeats, time_calls
 
 NAME = "ablation_cascade"
 TITLE = "Ablation: the cascade"
@@ -58,6 +58,7 @@ class Config(BenchConfig):
 
 
 def main(config: Config) -> None:
+    check_repeats(config.repeats)
     capture, out, results = config.start(NAME)
     chosen = spread(reported(capture), config.frames)  # before the first slow step
     bench = config.bench(capture, Schedule.preset("paper-50"))

@@ -29,9 +29,9 @@ from hyjax.data.light_setups import named_setup, survey_capture
 from hyjax.data.open import open_capture
 from hyjax.data.room import load_room
 from hyjax.data.surfaces import surface_of
-from hyjax.errors import InputError
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
+from hyjax.tuning.calibration import check_repeats
 from hyjax.tuning.latency import measure
 
 NAME = "stage_times"
@@ -54,8 +54,7 @@ def main(config: Config) -> None:
     capture = load_room() if config.capture is None else open_capture(config.capture)
     results = Results(config.out, NAME, config)
     (index,) = select_frames(str(config.frame), len(capture))
-    if config.repeats < 1:
-        raise InputError(f"repeats: must be at least 1, got {config.repeats}")
+    check_repeats(config.repeats)
     source, mesh = surface_of(capture)
     caster = RayCaster(mesh)
     frame = fit(capture[index], (512, 512))

@@ -118,6 +118,12 @@ def test_structure_comes_out_of_noise(scan: Path, tmp_path: Path, monkeypatch: p
     assert found["1000 steps"]["variance"] < found["10 steps"]["variance"] < found["noise"]["variance"]
 
 
+def test_no_repeats_are_refused_before_the_first_slow_step(scan: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="repeats: must be at least 1"):
+        ablation_cascade.main(ablation_cascade.Config(capture=scan, repeats=0, out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_size_too_small(scan: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="size: must be at least 64"):
         structure.main(structure.Config(capture=scan, size=7, out=tmp_path))

@@ -125,6 +125,12 @@ def compile_all(schedules: Sequence[Schedule], arguments: Arguments, *, progress
     return [job.result() for job in jobs]
 
 
+def check_repeats(repeats: int) -> None:
+    """Raise `InputError` unless something is to be timed at least once."""
+    if repeats < 1:
+        raise InputError(f"repeats: must be at least 1, got {repeats}")
+
+
 def time_calls(
     calls: Mapping[str, Callable[[], Any]],
     repeats: int,
@@ -137,8 +143,7 @@ def time_calls(
     Raises:
         InputError: no repeats.
     """
-    if repeats < 1:
-        raise InputError(f"repeats: must be at least 1, got {repeats}")
+    check_repeats(repeats)
     summary = latency.measure_each(calls, repeats, most_seconds=most_seconds, progress=progress)
     return {name: Milliseconds(entry["median_ms"], entry["p95_ms"]) for name, entry in summary.items()}
 
