@@ -1,0 +1,41 @@
+"""Convolutions written so that XLA runs them fast on a CPU, forwards and backwards.
+
+All take pictures as B×H×W×C, kernels as k×k×inputs×outputs, and pad with k//2 zeros on every side, as torch does:
+a picture of H pixels at stride 2 becomes one of ⌈H/2⌉, with the same pixels kept whether H is even or odd.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Picture = Float[Array, "b h w c"]
+Kernel = Float[Array, "k k i o"]
+
+
+def convolve(x: Picture, kernel: Kernel, stride: int = 1) -> Picture:
+    """A convolution with a square kernel of odd width."""
+    if kernel.shape[0] == 1:
+        return x[:, ::stride, ::stride] @ kernel[0, 0]
+    pad = kernel.shape[0] // 2
+    return jax.lax.conv_general_dilated(
+        x, kernel, (stride, stride), [(pad, pad)] * 2, dimension_numbers=("NHWC", "HWIO", "NHWC")
+    )
+
+
+def convolve_depthwise(x: Picture, kernel: Float[Array, "k k 1 c"], stride: int = 1) -> Picture:
+    """A convolution of every channel by itself, as a sum of k² shifted pictures.
+
+    XLA's own takes 20 to 30 times longer on a CPU.
+    """
+    width = kernel.shape[0]
+    pad = width // 2
+    height, breadth = x.shape[1], x.shape[2]
+    padded = jnp.pad(x, ((0, 0), (pad, pad), (pad, pad), (0, 0)))
+    rows = [padded[:, i : i + height : stride] for i in range(width)]
+    terms = [kernel[i, j, 0] * rows[i][:, :, j : j + breadth : stride] for i in range(width) for j in range(width)]
+    return sum(terms[1:], terms[0])
+
+
+def upsample(x: Picture, height: int, width: int) -> Picture:
+    """Every pixel twice along both axes, cut to size: the nearest neighbour's interpolation."""
+    return jnp.repeat(jnp.repeat(x, 2, axis=1), 2, axis=2)[:, :height, :width]

@@ -1,0 +1,86 @@
+"""Layers that all networks of this package are made of."""
+
+import jax
+from flax import nnx
+from jax.nn.initializers import variance_scaling
+from jaxtyping import Array, Float
+
+from hyjax.guide.convolution import Picture, convolve, convolve_depthwise
+
+# Initial kernels. Depthwise ones have as many outputs a group as inputs a group: their fan-out is what JAX calls
+# fan-in, k².
+KAIMING_FAN_OUT = variance_scaling(2.0, "fan_out", "normal")
+KAIMING_DEPTHWISE = variance_scaling(2.0, "fan_in", "normal")
+KAIMING_UNIFORM = variance_scaling(2.0, "fan_in", "uniform")
+XAVIER_UNIFORM = variance_scaling(1.0, "fan_avg", "uniform")
+
+EPSILON = 1e-5
+"""What batch norms add to a variance, as in torch."""
+
+
+class Conv(nnx.Module):
+    """A convolution padded with zeros so that stride 1 keeps the size.
+
+    Attributes:
+        kernel: k×k×inputs×outputs; of a depthwise convolution k×k×1×channels.
+        bias: one number an output, or None.
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        width: int = 3,
+        stride: int = 1,
+        *,
+        depthwise: bool = False,
+        bias: bool = False,
+        initial: jax.nn.initializers.Initializer,
+        rngs: nnx.Rngs,
+    ) -> None:
+        shape = (width, width, 1 if depthwise else inputs, outputs)
+        self.kernel = nnx.Param(initial(rngs.params(), shape))
+        self.bias = nnx.Param(jax.numpy.zeros(outputs)) if bias else None
+        self.stride = stride
+        self.depthwise = depthwise
+
+    def __call__(self, x: Picture) -> Picture:
+        y = (convolve_depthwise if self.depthwise else convolve)(x, self.kernel[...], self.stride)
+        return y if self.bias is None else y + self.bias[...]
+
+
+class ConvNorm(nnx.Module):
+    """Convolution, batch norm, and a rectifier if wanted.
+
+    Attributes:
+        conv: the convolution.
+        norm: the batch norm: as torch's, momentum 0.1.
+        names: what the two are called in torch, within the module that holds both.
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        width: int = 3,
+        stride: int = 1,
+        *,
+        names: tuple[str, str],
+        depthwise: bool = False,
+        relu: bool = True,
+        initial: jax.nn.initializers.Initializer | None = None,
+        rngs: nnx.Rngs,
+    ) -> None:
+        initial = initial or (KAIMING_DEPTHWISE if depthwise else KAIMING_FAN_OUT)
+        self.conv = Conv(inputs, outputs, width, stride, depthwise=depthwise, initial=initial, rngs=rngs)
+        self.norm = nnx.BatchNorm(outputs, momentum=0.9, epsilon=EPSILON, rngs=rngs)
+        self.names = names
+        self.relu = relu
+
+    def __call__(self, x: Picture) -> Picture:
+        return self.activate(self.conv(x))
+
+    def activate(self, y: Float[Array, "b h w c"]) -> Picture:
+        """What follows the convolution."""
+        y = self.norm(y)
+        return jax.nn.relu(y) if self.relu else y

@@ -1,0 +1,82 @@
+"""The network that makes a guide from a picture: an encoder, the U-Net's decoder, and a last convolution."""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import jax.numpy as jnp
+from flax import nnx
+from jaxtyping import Array, Float
+
+from hyjax.errors import InputError, did_you_mean
+from hyjax.guide.convolution import Picture
+from hyjax.guide.layers import XAVIER_UNIFORM, Conv
+from hyjax.guide.mobilenetv4 import mobilenetv4_conv_medium, mobilenetv4_conv_small
+from hyjax.guide.unet import DECODER_CHANNELS, UnetDecoder
+
+# Of ImageNet's display-encoded pictures; encoders are trained on pictures normalised by them.
+MEAN = (0.485, 0.456, 0.406)
+DEVIATION = (0.229, 0.224, 0.225)
+
+
+class Encoder(Protocol):
+    """What the decoder needs of an encoder, an `nnx.Module`.
+
+    Attributes:
+        channels: of its feature maps, fine to coarse; at most five.
+    """
+
+    @property
+    def channels(self) -> Sequence[int]: ...
+
+    def __call__(self, image: Float[Array, "b h w 3"]) -> Sequence[Picture]:
+        """Feature maps, fine to coarse: the first ⌈H/2⌉ high, each of the others half as high as the one before."""
+
+
+ENCODERS: dict[str, Callable[..., Encoder]] = {
+    "mobilenetv4_conv_small": mobilenetv4_conv_small,
+    "mobilenetv4_conv_medium": mobilenetv4_conv_medium,
+}
+"""Encoders by name, each made by `ENCODERS[name](rngs=rngs)`. Any `Encoder` can be added."""
+
+
+class GuideNetwork(nnx.Module):
+    """A U-Net that turns pictures into guide features.
+
+    Batch norms use the statistics of the batch after `.train()` and the running ones after `.eval()`.
+
+    Args:
+        encoder: name in `ENCODERS`.
+        features: channels of the guide.
+        rngs: of the initial weights.
+
+    Raises:
+        InputError: unknown encoder, one with too many maps, or no features.
+    """
+
+    def __init__(self, encoder: str = "mobilenetv4_conv_small", features: int = 64, *, rngs: nnx.Rngs) -> None:
+        if encoder not in ENCODERS:
+            known = f"{', '.join(ENCODERS)}{did_you_mean(encoder, ENCODERS)}"
+            raise InputError(f"encoder: {encoder!r} is unknown; use one of {known}")
+        if features < 1:
+            raise InputError(f"features: need at least 1, got {features}")
+        self.encoder_name = encoder
+        self.features = features
+        self.encoder = ENCODERS[encoder](rngs=rngs)
+        channels = self.encoder.channels
+        if not 1 <= len(channels) <= len(DECODER_CHANNELS):
+            raise InputError(f"encoder: {encoder} has {len(channels)} maps; the decoder takes 1 to 5")
+        self.decoder = UnetDecoder(channels, rngs=rngs)
+        head = Conv(self.decoder.channels, features, bias=True, initial=XAVIER_UNIFORM, rngs=rngs)
+        self.segmentation_head = nnx.List([head])
+
+    def __call__(self, image: Float[Array, "b h w 3"]) -> Float[Array, "b h w features"]:
+        """Guide features of pictures that `normalise` has prepared, of any size."""
+        if image.ndim != 4 or image.shape[-1] != 3:
+            raise InputError(f"image: need B x H x W x 3 RGB pictures, got shape {image.shape}")
+        maps = self.encoder(image)
+        return self.segmentation_head[0](self.decoder(maps, image.shape[1], image.shape[2]))
+
+
+def normalise(display: Float[Array, "*b h w 3"]) -> Float[Array, "*b h w 3"]:
+    """Display-encoded pictures in [0, 1] → what encoders are trained on: ImageNet's mean 0 and deviation 1."""
+    return (display - jnp.asarray(MEAN, display.dtype)) / jnp.asarray(DEVIATION, display.dtype)
