@@ -5,7 +5,7 @@ would prefer a bumpy filter to a right one. So a fused reference has its normals
 smoothed a little (`reference_quality` measures how much is good), and pixels do not count where
 
 - it has no surface,
-- its depth is off from the frame's own depth reading by more than `DEPTH_SLACK`,
+- its depth is off from the frame's own depth reading by more than `hyjax.scene.depth_map.SLACK`,
 - it is seen at a cosine below `GRAZING`, or
 - its normals turn by more than `BUMP` when they are smoothed further: a bump, or a crease that a fusion rounds off.
 
@@ -15,11 +15,10 @@ reading that agrees: not every venue's are aligned with the captures."""
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.laser_scans import load_laser_scans
@@ -28,10 +27,11 @@ from hyjax.data.surfaces import surface_of
 from hyjax.errors import InputError, did_you_mean
 from hyjax.gbuffer import GBuffer
 from hyjax.scene.camera import Camera
+from hyjax.scene.depth_map import confirmed
 from hyjax.scene.point_cloud import PointCloud
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.splatting import PointSplatter
-from hyjax.scene.surface import relax, smooth_normals
+from hyjax.scene.surface import relax, with_normals
 
 WORDS = ("true", "laser", "fused")
 VOXEL = 0.02  # metres, of a fusion
@@ -40,7 +40,6 @@ RELAXING, SMOOTHING = 0, 4  # passes over the vertices and over the normals, see
 BUMP_PASSES = 20
 BUMP = np.deg2rad(20.0)
 GRAZING = 0.15
-DEPTH_SLACK = (0.03, 0.02)  # metres, and per metre of depth
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +72,7 @@ class Reference:
         """
         valid = np.asarray(seen.hit).copy()
         if self.measured and frame.depth is not None:
-            valid &= _agrees(frame, np.asarray(seen.position), np.asarray(seen.depth), self.unread)
+            valid &= confirmed(frame, np.asarray(seen.position), unread=self.unread)
         if self.smoothed is not None:
             normal, rays = np.asarray(seen.normal), camera.rays()
             cosine = -np.sum(normal * rays, axis=-1) / np.linalg.norm(rays, axis=-1)
@@ -119,25 +118,3 @@ def cleaned(
     mesh = relax(mesh, relaxing)
     clean, smoother = with_normals(mesh, smoothing), with_normals(mesh, BUMP_PASSES)
     return Reference(f"{description}, cleaned", clean, RayCaster(clean).gbuffer, RayCaster(smoother).gbuffer)
-
-
-def with_normals(mesh: trimesh.Trimesh, passes: int) -> trimesh.Trimesh:
-    """The mesh with vertex normals smoothed so many times."""
-    normals = smooth_normals(mesh, passes)
-    return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, process=False)
-
-
-def _agrees(
-    frame: Frame, position: Float[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h w"], unread: bool
-) -> Bool[np.ndarray, "h w"]:
-    """Where the frame's depth map says the same, or (if `unread`) nothing."""
-    reading: Any = frame.depth
-    camera = frame.depth_camera
-    pixel, expected = camera.project(position.astype(np.float64))
-    with np.errstate(invalid="ignore"):
-        column, row = np.floor(pixel[..., 0]), np.floor(pixel[..., 1])
-        inside = (column >= 0) & (row >= 0) & (column < reading.shape[1]) & (row < reading.shape[0]) & (depth > 0)
-    row, column = (np.where(inside, x, 0).astype(int) for x in (row, column))
-    measured = np.where(inside, reading[row, column], 0.0)
-    slack = DEPTH_SLACK[0] + DEPTH_SLACK[1] * expected
-    return np.where(measured > 0, np.abs(measured - expected) < slack, unread)

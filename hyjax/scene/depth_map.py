@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from typing import Protocol
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from hyjax.errors import InputError
@@ -13,6 +13,7 @@ from hyjax.scene.camera import Camera
 NEAR = 0.1  # metres; nothing nearer is measured by any depth camera
 # Neighbouring pixels further apart than a surface seen at this slope (tan 80°) straddle two surfaces.
 STEEPEST = 5.7
+SLACK = (0.03, 0.02)  # metres, and per metre of depth: how far a surface may be off from a reading of it
 
 
 class DepthFrame(Protocol):
@@ -55,6 +56,26 @@ def clean_depth(depth: Float[np.ndarray, "h w"], camera: Camera, max_depth: floa
     # Two pixels apart across the 3×3 window; one part in twenty is left to the noise of the sensor.
     jump = max(0.05, 2.0 * STEEPEST / camera.intrinsics.fx)
     return np.where(farthest - nearest > jump * depth, np.float32(0.0), depth)
+
+
+def confirmed(frame: DepthFrame, position: Float[np.ndarray, "h w 3"], *, unread: bool) -> Bool[np.ndarray, "h w"]:
+    """Where a frame's depth map reads, within `SLACK`, the depth of given surface points.
+
+    Args:
+        frame: with its depth.
+        position: world points, one a pixel of any camera.
+        unread: what to answer where the depth map has no reading.
+    """
+    if frame.depth is None:
+        return np.full(position.shape[:2], unread)
+    pixel, expected = frame.depth_camera.project(position.astype(np.float64))
+    height, width = frame.depth.shape
+    with np.errstate(invalid="ignore"):
+        column, row = np.floor(pixel[..., 0]), np.floor(pixel[..., 1])
+        inside = (column >= 0) & (row >= 0) & (column < width) & (row < height) & (expected > 0)
+    row, column = (np.where(inside, x, 0).astype(int) for x in (row, column))
+    measured = np.where(inside, frame.depth[row, column], 0.0)
+    return np.where(measured > 0, np.abs(measured - expected) < SLACK[0] + SLACK[1] * expected, unread)
 
 
 def view_cosine(depth: Float[np.ndarray, "h w"], camera: Camera, reach: int = 2) -> Float[np.ndarray, "h w"]:

@@ -118,6 +118,12 @@ def smooth_normals(mesh: trimesh.Trimesh, passes: int) -> Float[np.ndarray, "n 3
     return normals
 
 
+def with_normals(mesh: trimesh.Trimesh, passes: int) -> trimesh.Trimesh:
+    """The mesh with vertex normals smoothed so many times."""
+    normals = smooth_normals(mesh, passes)
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, process=False)
+
+
 def relax(mesh: trimesh.Trimesh, passes: int) -> trimesh.Trimesh:
     """The mesh with its vertices moved half-way to their neighbours' mean, `passes` times; rounds it off."""
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)

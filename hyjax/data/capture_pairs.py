@@ -1,0 +1,101 @@
+"""Pairs from a posed capture: its frames with the depth that the sensor measured, or that of a surface.
+
+A sensor's depth is noisy and has holes, most of all beside borders. A surface fused from many frames has fewer of
+both and gives normals too; it is cast into each frame. It counts only where it can be relied on: where there is
+any, where it is not seen at a grazing angle, and where the frame's own reading says the same."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from hyjax.data.capture import Capture, Frame
+from hyjax.data.depth_pairs import DepthPair, Unit, digest, masked_pair
+from hyjax.data.surfaces import surface_of
+from hyjax.errors import InputError
+from hyjax.scene.depth_map import confirmed
+from hyjax.scene.raycast import RayCaster
+from hyjax.scene.surface import with_normals
+
+Source = Literal["sensor", "surface"]
+VOXEL = 0.02  # metres
+SMOOTHING = 4  # passes over the normals
+GRAZING = 0.15  # cosine
+
+
+class ChosenFrames:
+    """Some frames of a capture, which are a capture themselves: what is made from it has seen no other frame."""
+
+    def __init__(self, capture: Capture, indices: Sequence[int]) -> None:
+        self.name, self.up = capture.name, capture.up
+        self._capture, self._indices = capture, list(indices)
+
+    @property
+    def fingerprint(self) -> str:
+        """See `Capture`."""
+        return digest([self._capture.fingerprint, *map(str, self._indices)])
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __getitem__(self, index: int) -> Frame:
+        return self._capture[self._indices[index]]
+
+
+class CapturePairs:
+    """Frames with depth of a capture.
+
+    Args:
+        capture: whose frames.
+        indices: of the frames to take; a surface is made of these alone.
+        depth: `"sensor"` or `"surface"`.
+        progress: show a bar on stderr while fusing.
+
+    Raises:
+        InputError: the capture has no depth, or it is not registered to the pictures.
+    """
+
+    unit: Unit = "metres"
+
+    def __init__(
+        self, capture: Capture, indices: Sequence[int], depth: Source = "sensor", progress: bool = True
+    ) -> None:
+        self.name = capture.name
+        self._frames, self._depth = ChosenFrames(capture, indices), depth
+        first = self._frames[0]
+        if first.depth is None:
+            raise InputError(f"{capture.name}: the capture has no depth; take one with a depth camera")
+        if first.depth_intrinsics is not None and depth == "sensor":
+            raise InputError(f"{capture.name}: depth is not registered to the pictures; use depth=surface")
+        self._caster: RayCaster | None = None
+        if depth == "surface":
+            mesh = surface_of(self._frames, "fused", voxel=VOXEL, most_frames=len(self._frames), progress=progress)[
+                1
+            ]
+            self._caster = RayCaster(with_normals(mesh, SMOOTHING))
+
+    @property
+    def fingerprint(self) -> str:
+        """See `DepthPairs`."""
+        return digest([self._frames.fingerprint, self._depth])
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> DepthPair:
+        """The pair at a position among the chosen frames.
+
+        Raises:
+            InputError: a file is damaged, or a frame has no depth at all.
+        """
+        frame = self._frames[index]
+        where = f"{self.name} {frame.name}"
+        if self._caster is None:
+            return masked_pair(frame.name, frame.image, np.asarray(frame.depth), self.unit, where=where)
+        seen = self._caster.gbuffer(frame.camera)
+        depth, normal = np.asarray(seen.depth), np.asarray(seen.normal)
+        rays = frame.camera.rays()
+        cosine = -np.sum(normal * rays, axis=-1) / np.linalg.norm(rays, axis=-1)
+        valid = np.asarray(seen.hit) & (cosine > GRAZING) & confirmed(frame, np.asarray(seen.position), unread=True)
+        normal = normal @ frame.camera.pose[:3, :3]  # world axes → camera axes
+        return masked_pair(frame.name, frame.image, depth, self.unit, where=where, valid=valid, normal=normal)

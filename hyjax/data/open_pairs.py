@@ -1,0 +1,104 @@
+"""Any source of pictures with depth from one line of text.
+
+    KIND:PATH?OPTION=VALUE&OPTION=VALUE
+
+    folder:/data/mosd?frames=3:40:4            every fourth pair of a folder, from the one at position 3
+    folder:/data/mosd?without=3:40:4           all others
+    folder:/data/mine?unit=tenths              whose steps are tenths of a millimetre
+    capture:/data/kitchen?frames=0:225         frames of a capture with the depth that was measured
+    capture:/data/kitchen?frames=0:225&depth=surface
+                                               or with that of a surface fused from these frames alone
+    rooms?seed=3                               generated rooms, which need no file
+    rooms?frames=0:2000                        the first 2000 pictures of them
+
+`frames` and `without` go with every kind and take positions as `hyjax.data.frames.select_frames` does."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import cast, get_args
+
+from hyjax.data.capture_pairs import CapturePairs, Source
+from hyjax.data.depth_pairs import ChosenPairs, DepthPairs
+from hyjax.data.frames import select_frames
+from hyjax.data.open import open_capture
+from hyjax.data.pair_folder import PairFolder
+from hyjax.errors import InputError, did_you_mean
+
+Options = Mapping[str, str]
+
+
+def open_pairs(text: str) -> DepthPairs:
+    """Open a source of pairs; see this module for the syntax.
+
+    Raises:
+        InputError: an unknown kind or option, or what the source's own reader finds wrong.
+    """
+    head, _, tail = text.rpartition("?") if "?" in text else (text, "", "")
+    kind, _, path = head.partition(":")
+    if kind not in KINDS:
+        raise InputError(
+            f"pairs: {text!r} is of no known kind{did_you_mean(kind, KINDS)}; write KIND:PATH with one of "
+            f"{', '.join(KINDS)}"
+        )
+    opened, known = KINDS[kind]
+    if not path and kind not in PATHLESS:
+        raise InputError(f"pairs: {text!r} names no file; write {kind}:PATH")
+    options: dict[str, str] = {}
+    for part in filter(None, tail.split("&")):
+        name, equals, value = part.partition("=")
+        if name not in (*known, *SELECTING) or not equals or name in options:
+            raise InputError(
+                f"pairs: {text!r} has option {part!r}; {kind} takes {', '.join((*known, *SELECTING))}, each once, "
+                "as NAME=VALUE"
+            )
+        options[name] = value
+    return opened(Path(path), options)
+
+
+def _chosen(pairs: DepthPairs, options: Options) -> DepthPairs:
+    if not options.keys() & set(SELECTING):
+        return pairs  # an endless source has too many to name
+    return ChosenPairs(pairs, _indices(options, len(pairs)))
+
+
+def _indices(options: Options, count: int) -> list[int]:
+    """Positions that `frames` names and `without` does not."""
+    left_out = set(select_frames(options["without"], count)) if "without" in options else set()
+    chosen = [i for i in select_frames(options.get("frames", "all"), count) if i not in left_out]
+    if not chosen:
+        raise InputError(f"pairs: frames without {options['without']} leave none of 0 to {count - 1}")
+    return chosen
+
+
+def _folder(path: Path, options: Options) -> DepthPairs:
+    return _chosen(PairFolder(path, options.get("unit", "millimetres")), options)
+
+
+def _capture(path: Path, options: Options) -> DepthPairs:
+    capture = open_capture(path)
+    depth = options.get("depth", "sensor")
+    if depth not in get_args(Source):
+        raise InputError(f"{path}: depth={depth} is unknown; use one of {', '.join(get_args(Source))}")
+    return CapturePairs(capture, _indices(options, len(capture)), cast(Source, depth))
+
+
+def _rooms(path: Path, options: Options) -> DepthPairs:
+    from hyjax.data.generated_rooms import GeneratedRooms
+
+    if str(path) != ".":
+        raise InputError(f"pairs: rooms are generated, not read from {path}; write rooms or rooms?seed=3")
+    seed = options.get("seed", "0")
+    if not seed.isdecimal():
+        raise InputError(f"pairs: rooms?seed={seed} must be a whole number, 0 or more")
+    return _chosen(GeneratedRooms(seed=int(seed)), options)
+
+
+SELECTING = ("frames", "without")
+KINDS: dict[str, tuple[Callable[[Path, Options], DepthPairs], tuple[str, ...]]] = {
+    "folder": (_folder, ("unit",)),
+    "mosd": (_folder, ()),
+    "capture": (_capture, ("depth",)),
+    "rooms": (_rooms, ("seed",)),
+}
+"""Of each kind, what opens it and the options that it takes beside `SELECTING`."""
+PATHLESS = ("rooms",)
