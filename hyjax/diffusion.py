@@ -13,7 +13,7 @@ Diffusion*, CVPR 2023; Perona and Malik, *Scale-space and edge detection using a
 import functools
 import math
 import operator
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Literal, get_args
 
 import jax
@@ -95,30 +95,44 @@ def conductance(guide: Float[Array, "h w f"], kappa: Float[ArrayLike, ""], *, no
     return edge_stopping(guide_distance(guide, norm=norm), kappa)
 
 
-def _step(y: Float[Array, "c h w"], edges: Edges, lam: Float[Array, ""]) -> Float[Array, "c h w"]:
+def explicit_step(y: Float[Array, "c h w"], edges: Edges, lam: Float[Array, ""]) -> Float[Array, "c h w"]:
     """y + λ div(c ∇y) (Eq. 2), channels first."""
     vertical, horizontal = gradient(y)
     return y + lam * divergence((edges[0] * vertical, edges[1] * horizontal))
 
 
-@jax.jit
-def _scan_steps(y: Float[Array, "h w c"], edges: Edges, step_sizes: Float[Array, "n"]) -> Float[Array, "h w c"]:
-    """All steps. Long runs go in √n blocks of √n: the backward pass keeps a state a block and redoes the rest."""
-    # Channels first inside the loop: with three channels innermost the CPU's vector units run half empty. One copy
-    # of the edges for each channel, so that their gradient is added up once, after the loop: XLA is slow to reduce.
-    state = jnp.moveaxis(y, -1, 0)
-    vertical, horizontal = (jnp.stack([edge] * y.shape[-1]) for edge in edges)
+def scan_steps(
+    step: Callable[[Array, Array], Array], state: Array, step_sizes: Float[Array, "n"]
+) -> Float[Array, "c h w"]:
+    """`state` after `step(state, λ)` for every λ.
+
+    Long runs go in √n blocks of √n: the backward pass keeps a state a block and redoes the rest.
+    """
 
     def steps(state: Array, sizes: Array) -> tuple[Array, None]:
-        step = jax.checkpoint(lambda x, lam: (_step(x, (vertical, horizontal), lam), None))
-        return jax.lax.scan(step, state, sizes)
+        return jax.lax.scan(jax.checkpoint(lambda y, lam: (step(y, lam), None)), state, sizes)
 
     if len(step_sizes) > LONG_RUN:
         block = math.isqrt(len(step_sizes))
         blocks, step_sizes = step_sizes[: block**2].reshape(block, block), step_sizes[block**2 :]
         state, _ = jax.lax.scan(jax.checkpoint(steps), state, blocks)
-    state, _ = steps(state, step_sizes)
-    return jnp.moveaxis(state, 0, -1)
+    return steps(state, step_sizes)[0]
+
+
+def channels_first(y: Float[Array, "h w c"], edges: Edges) -> tuple[Float[Array, "c h w"], Edges]:
+    """The form that steps work on.
+
+    With three channels innermost the CPU's vector units run half empty. There is one copy of the edges for each
+    channel, so that their gradient is added up once, after the loop: XLA is slow to reduce.
+    """
+    vertical, horizontal = (jnp.stack([edge] * y.shape[-1]).astype(y.dtype) for edge in edges)
+    return jnp.moveaxis(y, -1, 0), (vertical, horizontal)
+
+
+@jax.jit
+def _diffuse(y: Float[Array, "h w c"], edges: Edges, step_sizes: Float[Array, "n"]) -> Float[Array, "h w c"]:
+    state, edges = channels_first(y, edges)
+    return jnp.moveaxis(scan_steps(lambda x, lam: explicit_step(x, edges, lam), state, step_sizes), 0, -1)
 
 
 def diffuse_step(y: Float[Array, "h w c"], edges: Edges, lam: Float[ArrayLike, ""]) -> Float[Array, "h w c"]:
@@ -147,15 +161,18 @@ def diffuse(y: Float[Array, "h w c"], edges: Edges, step_sizes: Float[ArrayLike,
         InputError: a λ outside (0, 1/4), or edges that do not belong to a picture of this size.
     """
     check_step_sizes(step_sizes)
+    check_edges(y, edges)
+    return _diffuse(y, edges, jnp.asarray(step_sizes, y.dtype))
+
+
+def check_edges(y: Float[Array, "h w c"], edges: Edges) -> None:
+    """Raise `InputError` unless the edges are those of a picture of y's size."""
     h, w = y.shape[:2]
     if edges[0].shape != (h - 1, w) or edges[1].shape != (h, w - 1):
         raise InputError(
             f"edges: shapes {edges[0].shape} and {edges[1].shape} do not belong to a picture of {h}x{w} pixels, "
             f"which has {(h - 1, w)} and {(h, w - 1)}"
         )
-    vertical, horizontal = edges
-    edges = vertical.astype(y.dtype), horizontal.astype(y.dtype)
-    return _scan_steps(y, edges, jnp.asarray(step_sizes, y.dtype))
 
 
 def check_kappa(kappa: Float[ArrayLike, ""], where: str = "kappa") -> None:
