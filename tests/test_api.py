@@ -117,7 +117,7 @@ LAYERS: list[set[str]] = [
     {"cascade"},
     {"lights", "gbuffer"},
     {"shading", "shadow", "compositing", "color"},
-    {"refine"},
+    {"refine", "superresolution"},
     {"pipeline"},
     {""},  # hyjax/__init__.py: the public names
     {"losses", "metrics"},
