@@ -1,0 +1,363 @@
+"""Furniture of random sizes: each a `Piece`."""
+
+import numpy as np
+
+from hyjax.scene.random_room.builder import RoomBuilder
+from hyjax.scene.random_room.plan import Piece, Top
+from hyjax.scene.random_room.things import Make
+from hyjax.scene.room import furniture as made
+from hyjax.scene.room import things as small
+from hyjax.scene.room.shapes import box, cushion, panel, pillow, revolve, sheet, tube
+
+
+def _legs(build: RoomBuilder, x: float, y: float, tall: float, look: int) -> None:
+    """Four legs with their centres at (±x, ±y): square, round, tapered or splayed."""
+    thick, round_, splay = build.rng.uniform(0.012, 0.045), build.rng.random() < 0.5, build.rng.choice([1.0, 1.08])
+    for sx in (-x, x):
+        for sy in (-y, y):
+            if round_:
+                tube(build, [(sx * splay, sy * splay, 0), (sx, sy, tall)], [0.6 * thick, thick], look)
+            else:
+                box(build, (sx - thick, sy - thick, 0), (sx + thick, sy + thick, tall), look)
+
+
+def table(rng: np.random.Generator, low: bool = False) -> Piece:
+    """A table: rectangular or round, with legs, a foot or side walls."""
+    wide, deep = rng.uniform(0.7, 2.2), rng.uniform(0.5, 1.0)
+    tall = rng.uniform(0.3, 0.5) if low else rng.uniform(0.68, 0.95)
+    if low:
+        wide, deep = 0.6 * wide, 0.8 * deep
+    thick = rng.uniform(0.012, 0.05)
+    around = rng.random() < 0.2
+    if around:
+        wide = deep = max(deep, 0.6)
+
+    def add(build: RoomBuilder) -> list[Top]:
+        top = build.draw("worktop" if build.rng.random() < 0.8 else "cloth")
+        leg = top if build.rng.random() < 0.4 else build.draw(str(build.rng.choice(["wood", "metal", "lacquer"])))
+        under, x, y = tall - thick, wide / 2, deep / 2
+        if around:
+            edge = [(x - 0.004, under), (x, under + 0.004), (x, tall - 0.004), (x - 0.004, tall)]
+            revolve(build, [(0, under), *edge, (0, tall)], top, sides=48, lay="above")
+            tube(build, [(0, 0, 0.02), (0, 0, under)], build.rng.uniform(0.02, 0.06), leg, sides=16)
+            revolve(build, [(0, 0), (0.6 * x, 0), (0.6 * x, 0.015), (0, 0.03)], leg, sides=32)
+            return [Top((-0.68 * x, -0.68 * x), (0.68 * x, 0.68 * x), tall, 0.8)]
+        box(build, (-x, -y, under), (x, y, tall), top, bevel=min(0.006, thick / 4), grain="x")
+        if build.rng.random() < 0.15:
+            for side in (-x, x - 0.03):
+                box(build, (side, -y, 0), (side + 0.03, y, under), leg)
+        else:
+            _legs(build, x - 0.06, y - 0.06, under, leg)
+            if build.rng.random() < 0.6:
+                for side in (-1, 1):
+                    a, b = sorted((side * (y - 0.07), side * (y - 0.05)))
+                    box(build, (0.06 - x, a, under - 0.07), (x - 0.06, b, under), leg)
+        return [Top((-x, -y), (x, y), tall, 0.8)]
+
+    return Piece(wide, deep, tall, add)
+
+
+def coffee_table(rng: np.random.Generator) -> Piece:
+    """A low table."""
+    return table(rng, low=True)
+
+
+def chair(rng: np.random.Generator) -> Piece:
+    """A chair with spindles, slats or a panel as its back; a stool without one."""
+    style, wide, tall = int(rng.integers(4)), rng.uniform(0.38, 0.5), rng.uniform(0.42, 0.5)
+
+    def add(build: RoomBuilder) -> list[Top]:
+        look = build.draw(str(build.rng.choice(["wood", "wood", "lacquer", "plastic"])))
+        if style == 0:
+            with build.scaled(wide / 0.43, wide / 0.46, tall / 0.46), build.dressed():
+                made.add_chair(build, made.BEECH)
+            return []
+        half, seat = wide / 2, look if build.rng.random() < 0.5 else build.draw("cloth")
+        cushion(build, (-half, -half, tall - 0.04), (half, half, tall), 0.015, seat, flat_steps=2)
+        _legs(build, half - 0.03, half - 0.03, tall - 0.03, look)
+        if style == 1:
+            return [Top((-half, -half), (half, half), tall, 0.4)]
+        back = build.rng.uniform(0.3, 0.55)
+        with build.placed(0, half - 0.03, tall), build.tilted(-build.rng.uniform(2, 12)):
+            for x in (-half + 0.02, half - 0.02):
+                tube(build, [(x, 0, -0.03), (x, 0, back)], 0.015, look)
+            if style == 2:
+                for z in np.linspace(0.25, 0.92, int(build.rng.integers(2, 5))) * back:
+                    box(build, (0.02 - half, -0.01, z - 0.03), (half - 0.02, 0.01, z + 0.03), look)
+            else:
+                box(build, (0.02 - half, -0.012, 0.12 * back), (half - 0.02, 0.012, back), seat, bevel=0.008)
+        return [Top((-0.8 * half, -0.8 * half), (0.8 * half, 0.5 * half), tall, 0.3)] * (build.rng.random() < 0.3)
+
+    return Piece(1.15 * wide, 1.25 * wide, tall + 0.5, add)
+
+
+def dining(rng: np.random.Generator) -> Piece:
+    """A table with chairs round it, some pulled out."""
+    desk = table(rng)
+    seats = []
+    for side in (-1, 1):
+        for x in np.arange(-desk.wide / 2 + 0.35, desk.wide / 2 - 0.3, 0.6):
+            if rng.random() < 0.75:
+                seats.append((float(x), side * (desk.deep / 2 + rng.uniform(0.0, 0.25)), 180 * (side < 0)))
+    style = int(rng.integers(1 << 30))
+
+    def add(build: RoomBuilder) -> list[Top]:
+        for x, y, turn in seats:
+            one = chair(np.random.default_rng(style))
+            with build.placed(x, y + np.sign(y) * one.deep / 2, 0, turn + build.rng.uniform(-12, 12)):
+                one.add(build)
+        return desk.add(build)
+
+    return Piece(desk.wide + 0.1, desk.deep + 1.4, desk.tall, add)
+
+
+def sofa(rng: np.random.Generator) -> Piece:
+    """A sofa or an armchair with loose cushions."""
+    if rng.random() < 0.4:
+        scale = rng.uniform(0.8, 1.15)
+
+        def add_made(build: RoomBuilder) -> list[Top]:
+            with build.scaled(scale, scale, scale), build.dressed():
+                made.add_sofa(build)
+            return [Top((-0.8 * scale, -0.4 * scale), (0.8 * scale, 0.0), 0.45 * scale, 0.3)] * (
+                build.rng.random() < 0.4
+            )
+
+        return Piece(2.1 * scale, 0.95 * scale, 0.85 * scale, add_made, wall=True)
+    seats = int(rng.integers(1, 4))
+    wide, deep, seat = 0.25 + 0.62 * seats, rng.uniform(0.75, 0.95), rng.uniform(0.38, 0.46)
+    back, arm = rng.uniform(0.7, 0.95), rng.uniform(0.08, 0.2)
+
+    def add(build: RoomBuilder) -> list[Top]:
+        cloth = build.draw("cloth")
+        inner = wide / 2 - arm
+        cushion(build, (-wide / 2, 0.02 - deep / 2, 0.06), (wide / 2, deep / 2, 0.26), 0.03, cloth, flat_steps=2)
+        for side in (-1, 1):
+            low, high = sorted((side * inner, side * wide / 2))
+            cushion(
+                build, (low, 0.02 - deep / 2, 0.06), (high, deep / 2, seat + 0.2), 0.35 * arm, cloth, flat_steps=2
+            )
+        cushion(build, (-inner, deep / 2 - 0.22, 0.2), (inner, deep / 2, back), 0.07, cloth, flat_steps=2)
+        step = 2 * inner / seats
+        for k in range(seats):
+            x = -inner + k * step
+            cushion(
+                build,
+                (x + 0.004, -deep / 2, 0.25),
+                (x + step - 0.004, deep / 2 - 0.2, seat),
+                0.05,
+                cloth,
+                bulge=0.12,
+            )
+            if build.rng.random() < 0.6:
+                size = build.rng.uniform(0.3, 0.45)
+                with build.placed(x + step / 2, deep / 2 - 0.36, seat, build.rng.uniform(-20, 20)):
+                    lean = build.rng.uniform(15, 30)
+                    pillow(build, size, 0.14, lean, build.draw("cloth"), (1, 1, 1), size / 2 - 0.02)
+        if build.rng.random() < 0.3:
+            _throw(build, -inner, inner, deep / 2 - 0.25, back)
+        return []
+
+    return Piece(wide, deep, back, add, wall=True)
+
+
+def _throw(build: RoomBuilder, low: float, high: float, y: float, top: float) -> None:
+    """A blanket over the backrest."""
+    t, s = np.meshgrid(np.linspace(0, 1, 16), np.linspace(0, 1, 14), indexing="ij")
+    x = low + (high - low) * (0.1 + 0.5 * build.rng.random()) + 0.4 * s
+    ripple = 0.008 * np.sin(14 * s + 3 * t)
+    bend = np.clip(t * 2, 0, 1)
+    grid = np.stack(
+        [x, y - 0.035 + ripple + 0.15 * (1 - bend), top + 0.02 + ripple - 0.45 * np.clip(t - 0.5, 0, 1)], -1
+    )
+    sheet(build, grid[:, ::-1], build.draw("cloth"), thickness=0.004)
+
+
+def bookcase(rng: np.random.Generator) -> Piece:
+    """Open shelves."""
+    wide, tall = rng.uniform(0.5, 1.6), rng.uniform(0.7, 2.2)
+    shelves = max(2, round(tall / rng.uniform(0.28, 0.45)))
+
+    def add(build: RoomBuilder) -> list[Top]:
+        with build.placed(0, 0.15), build.dressed():
+            tops = made.add_bookcase(build, wide, tall, shelves)
+        room, half = (tall - 0.08) / shelves - 0.04, wide / 2 - 0.03
+        boards = [Top((-half, -0.13), (half, 0.13), z, room, "shelf") for z in tops]
+        return [*boards, Top((-half, -0.13), (half, 0.13), tall, 0.3)]
+
+    return Piece(wide, 0.3, tall, add, wall=True)
+
+
+def _fronts(build: RoomBuilder, x0: float, x1: float, z0: float, z1: float, y: float, look: int) -> None:
+    """Doors or drawers with gaps and handles on the plane `y`, facing -y."""
+    drawers = build.rng.random() < 0.4
+    across = max(1, round((x1 - x0) / build.rng.uniform(0.35, 0.8)))
+    down = int(build.rng.integers(2, 5)) if drawers else 1
+    metal, style = build.draw("metal"), int(build.rng.integers(3))
+    dx, dz, gap = (x1 - x0) / across, (z1 - z0) / down, 0.003
+    for i in range(across):
+        for j in range(down):
+            low = (x0 + i * dx + gap, y - 0.018, z0 + j * dz + gap)
+            high = (x0 + (i + 1) * dx - gap, y, z0 + (j + 1) * dz - gap)
+            box(build, low, high, look, bevel=0.002, grain="x" if drawers else "z")
+            if style == 0:
+                continue
+            x = (low[0] + high[0]) / 2 if drawers else (high[0] - 0.05 if i % 2 == 0 else low[0] + 0.05)
+            with build.placed(x, y - 0.018, (low[2] + high[2]) / 2):
+                if style == 1:
+                    tube(build, [(0, 0, 0), (0, -0.025, 0)], [0.008, 0.014], metal)
+                else:
+                    across_ = (1, 0, 0) if drawers else (0, 0, 1)
+                    bar, out = np.array([[-0.07], [0.07]]) * across_, np.array([0, -0.03, 0])
+                    tube(build, bar + out, 0.006, metal)
+                    for end in bar:
+                        tube(build, [end, end + out], 0.005, metal, sides=6)
+
+
+def cabinet(rng: np.random.Generator) -> Piece:
+    """A cabinet, chest of drawers, sideboard or wardrobe."""
+    wide, deep = rng.uniform(0.4, 1.8), rng.uniform(0.3, 0.6)
+    tall = rng.uniform(0.5, 1.1) if rng.random() < 0.7 else rng.uniform(1.6, 2.2)
+    foot = rng.choice([0.0, 0.06, 0.15])
+
+    def add(build: RoomBuilder) -> list[Top]:
+        body = build.draw("front")
+        front = body if build.rng.random() < 0.5 else build.draw("front")
+        x, y = wide / 2, deep / 2
+        box(build, (-x, 0.02 - y, foot), (x, y, tall), body, bevel=0.003)
+        _fronts(build, 0.01 - x, x - 0.01, foot + 0.02, tall - 0.03, 0.02 - y, front)
+        if foot:
+            _legs(build, x - 0.05, y - 0.06, foot, build.draw("metal"))
+        return [Top((-x, 0.02 - y), (x, y), tall, 0.6)]
+
+    return Piece(wide, deep, tall, add, wall=True)
+
+
+def counter(rng: np.random.Generator) -> Piece:
+    """A kitchen worktop over cabinets, with a splashback and perhaps wall cabinets above."""
+    wide, deep, tall = rng.uniform(1.2, 3.0), rng.uniform(0.55, 0.65), rng.uniform(0.85, 0.95)
+    above = rng.random() < 0.6
+
+    def add(build: RoomBuilder) -> list[Top]:
+        body, top = build.draw("front"), build.draw("worktop")
+        x, y = wide / 2, deep / 2
+        box(build, (-x, 0.06 - y, 0), (x, y, 0.1), build.draw("lacquer"), bevel=0)
+        box(build, (-x, 0.03 - y, 0.1), (x, y, tall - 0.04), body)
+        _fronts(build, -x, x, 0.1, tall - 0.05, 0.03 - y, body)
+        box(build, (-x, -y, tall - 0.04), (x, y, tall), top, bevel=0.004)
+        panel(build, (-x, y - 0.004, tall), (wide, 0, 0), (0, 0, 0.55), build.draw("wall"))
+        if above:
+            low, high = tall + 0.55, tall + 1.2
+            box(build, (-x, y - 0.32, low), (x, y, high), body)
+            _fronts(build, -x, x, low, high, y - 0.32, body)
+        return [Top((-x, -y), (x, y - 0.01), tall, 0.5)]
+
+    return Piece(wide, deep, tall + 1.2 * above, add, wall=True)
+
+
+def bed(rng: np.random.Generator) -> Piece:
+    """A bed with a blanket and pillows, its head at the wall."""
+    wide, deep, tall = rng.uniform(0.8, 1.9), rng.uniform(1.9, 2.15), rng.uniform(0.35, 0.55)
+
+    def add(build: RoomBuilder) -> list[Top]:
+        frame, x, y = build.draw("wood"), wide / 2, deep / 2
+        box(build, (-x, -y, 0.08), (x, y, 0.6 * tall), frame)
+        box(build, (-x, y - 0.05, 0), (x, y, tall + build.rng.uniform(0.2, 0.6)), frame)
+        cushion(build, (0.02 - x, 0.02 - y, 0.55 * tall), (x - 0.02, y - 0.06, tall), 0.05, build.draw("cloth"))
+        t, s = np.meshgrid(np.linspace(0, 1, 24), np.linspace(-1, 1, 24), indexing="ij")
+        a = build.rng.uniform(3, 9, 4)
+        z = tall + 0.015 + 0.02 * (np.sin(a[0] * s + a[1] * t) * np.sin(a[2] * t - a[3] * s) + 1)
+        fall = np.clip(np.abs(s) - 0.93, 0, 1) / 0.07
+        grid = np.stack([s * (x + 0.01), t * 0.68 * deep - y - 0.01, z - 0.18 * fall], -1)
+        sheet(build, grid, build.draw("cloth"), thickness=0.02)
+        for k in range(1 + (wide > 1.2)):
+            px = 0.0 if wide <= 1.2 else (k - 0.5) * 0.8
+            cushion(build, (px - 0.33, y - 0.5, tall), (px + 0.33, y - 0.1, tall + 0.1), 0.049, build.draw("cloth"),
+                    bulge=0.06)  # fmt: skip
+        return [Top((-0.7 * x, -0.8 * y), (0.7 * x, 0.1 * y), tall + 0.055, 0.4)] * (build.rng.random() < 0.5)
+
+    return Piece(wide, deep, tall + 0.6, add, wall=True)
+
+
+def floor_lamp(rng: np.random.Generator) -> Piece:
+    """A standing lamp."""
+    scale = rng.uniform(0.8, 1.15)
+
+    def add(build: RoomBuilder) -> list[Top]:
+        with build.scaled(scale, scale, scale), build.dressed():
+            made.add_floor_lamp(build, "lamp")
+        return []
+
+    return Piece(0.45 * scale, 0.45 * scale, 1.6 * scale, add)
+
+
+def tall_plant(rng: np.random.Generator) -> Piece:
+    """A big plant in a pot."""
+    tall = rng.uniform(0.6, 1.5)
+
+    def add(build: RoomBuilder) -> list[Top]:
+        with build.dressed():
+            pot = (float(build.rng.random()), 0.4, 0.4)
+            small.plant(build, int(build.rng.integers(9, 20)), tall, 0.13 * tall + 0.03, 0.4, pot)
+        return []
+
+    return Piece(0.8, 0.8, 1.15 * tall, add)
+
+
+def cases(rng: np.random.Generator) -> Piece:
+    """Cartons, crates or suitcases piled up."""
+    count = int(rng.integers(1, 5))
+    size = rng.uniform(0.2, 0.6, (count, 3)) * (1, 0.8, 0.7)
+    size[:, :2] = np.sort(size[:, :2], axis=0)[::-1]
+
+    def add(build: RoomBuilder) -> list[Top]:
+        z = 0.0
+        for wide, deep, tall in size:
+            look = build.draw(str(build.rng.choice(["print", "wood", "cloth", "plastic"])))
+            with build.placed(0, 0, z, build.rng.uniform(-10, 10)):
+                box(build, (-wide / 2, -deep / 2, 0), (wide / 2, deep / 2, tall), look)
+                if build.rng.random() < 0.4:
+                    a, b = wide / 2 + 0.005, deep / 2 + 0.005
+                    box(build, (-a, -b, 0.75 * tall), (a, b, tall + 0.004), build.draw("plastic"))
+            z += tall + 0.005
+        return [Top((-0.3 * wide, -0.3 * deep), (0.3 * wide, 0.3 * deep), z, 0.4)]
+
+    return Piece(size[:, 0].max() * 1.2, size[:, 1].max() * 1.3, size[:, 2].sum() + 0.02, add)
+
+
+def machine(rng: np.random.Generator) -> Piece:
+    """A refrigerator, washing machine or stove: a box with a door, knobs or a round window."""
+    wide, deep = rng.uniform(0.5, 0.7), rng.uniform(0.55, 0.65)
+    tall = float(rng.choice([0.85, rng.uniform(1.2, 1.9)]))
+
+    def add(build: RoomBuilder) -> list[Top]:
+        body, x, y = build.draw(str(build.rng.choice(["lacquer", "metal"]))), wide / 2, deep / 2
+        box(build, (-x, 0.03 - y, 0.02), (x, y, tall), body, bevel=0.008)
+        if tall < 1:
+            with build.placed(0, 0.03 - y, 0.42), build.tilted(90):
+                revolve(build, [(0.1, 0.02), (0.16, 0.03), (0.19, 0.02), (0.2, 0)], build.draw("metal"), sides=40)
+                revolve(build, [(0, 0.004), (0.11, 0.004)][::-1], build.draw("screen"), sides=32)
+            panel(
+                build,
+                (0.02 - x, 0.028 - y, tall - 0.12),
+                (wide - 0.04, 0, 0),
+                (0, 0, 0.1),
+                build.draw("screen", 0.3),
+            )
+        else:
+            split = build.rng.uniform(0.3, 0.7) * tall
+            for low, high in ((0.04, split), (split + 0.006, tall - 0.01)):
+                box(build, (0.004 - x, -y, low), (x - 0.004, 0.028 - y, high), body, bevel=0.006)
+                tube(build, [(0.07 - x, -y - 0.03, high - 0.25), (0.07 - x, -y - 0.03, high - 0.05)], 0.01,
+                     build.draw("metal"))  # fmt: skip
+        return [Top((-x, 0.03 - y), (x, y), tall, 0.4)]
+
+    return Piece(wide, deep + 0.08, tall, add, wall=True)
+
+
+WALL_PIECES: dict[Make, float] = {
+    bookcase: 3, cabinet: 4, counter: 2.5, sofa: 2, bed: 1, machine: 1, table: 1.5, cases: 0.5,
+}  # fmt: skip
+FREE_PIECES: dict[Make, float] = {
+    dining: 2.5, table: 2, coffee_table: 2, chair: 2, sofa: 0.7, floor_lamp: 0.8, tall_plant: 0.8, cases: 1,
+}  # fmt: skip
