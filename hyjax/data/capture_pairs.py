@@ -1,8 +1,9 @@
-"""Pairs from a posed capture: its frames with the depth that the sensor measured, or that of a surface.
+"""Pairs from a posed capture: its frames with the depth that the sensor measured, that of a surface, or both.
 
-A sensor's depth is noisy and has holes, most of all beside borders. A surface fused from many frames has fewer of
-both and gives normals too; it is cast into each frame. It counts only where it can be relied on: where there is
-any, where it is not seen at a grazing angle, and where the frame's own reading says the same."""
+A sensor's depth is noisy and has holes. A surface fused from many frames has fewer of both and gives normals too; it
+is cast into each frame. It counts only where it can be relied on: where there is any, where it is not seen at a
+grazing angle, and where the frame's own reading says the same. That leaves out most borders, which a fusion rounds
+off: so `"both"` takes the frame's reading, without a normal, wherever the surface does not count."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -17,7 +18,7 @@ from hyjax.scene.depth_map import confirmed
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.surface import with_normals
 
-Source = Literal["sensor", "surface"]
+Source = Literal["sensor", "surface", "both"]
 VOXEL = 0.02  # metres
 SMOOTHING = 4  # passes over the normals
 GRAZING = 0.15  # cosine
@@ -48,7 +49,7 @@ class CapturePairs:
     Args:
         capture: whose frames.
         indices: of the frames to take; a surface is made of these alone.
-        depth: `"sensor"` or `"surface"`.
+        depth: where it is from, see this module.
         progress: show a bar on stderr while fusing.
 
     Raises:
@@ -65,10 +66,10 @@ class CapturePairs:
         first = self._frames[0]
         if first.depth is None:
             raise InputError(f"{capture.name}: the capture has no depth; take one with a depth camera")
-        if first.depth_intrinsics is not None and depth == "sensor":
+        if first.depth_intrinsics is not None and depth != "surface":
             raise InputError(f"{capture.name}: depth is not registered to the pictures; use depth=surface")
         self._caster: RayCaster | None = None
-        if depth == "surface":
+        if depth != "sensor":
             mesh = surface_of(self._frames, "fused", voxel=VOXEL, most_frames=len(self._frames), progress=progress)[
                 1
             ]
@@ -98,4 +99,7 @@ class CapturePairs:
         cosine = -np.sum(normal * rays, axis=-1) / np.linalg.norm(rays, axis=-1)
         valid = np.asarray(seen.hit) & (cosine > GRAZING) & confirmed(frame, np.asarray(seen.position), unread=True)
         normal = normal @ frame.camera.pose[:3, :3]  # world axes → camera axes
+        if self._depth == "both":
+            depth, normal = np.where(valid, depth, frame.depth), np.where(valid[..., None], normal, 0)
+            valid = np.ones_like(valid)
         return masked_pair(frame.name, frame.image, depth, self.unit, where=where, valid=valid, normal=normal)

@@ -8,6 +8,8 @@
     capture:/data/kitchen?frames=0:225         frames of a capture with the depth that was measured
     capture:/data/kitchen?frames=0:225&depth=surface
                                                or with that of a surface fused from these frames alone
+    capture:/data/kitchen?frames=0:225&depth=both
+                                               or that, and what was measured where the surface is not relied on
     rooms?seed=3                               generated rooms, which need no file
     rooms?frames=0:2000                        the first 2000 pictures of them
 
@@ -20,6 +22,7 @@ from typing import cast, get_args
 from hyjax.data.capture_pairs import CapturePairs, Source
 from hyjax.data.depth_pairs import ChosenPairs, DepthPairs
 from hyjax.data.frames import select_frames
+from hyjax.data.kinect import registered
 from hyjax.data.open import open_capture
 from hyjax.data.pair_folder import PairFolder
 from hyjax.errors import InputError, did_you_mean
@@ -75,7 +78,7 @@ def _folder(path: Path, options: Options) -> DepthPairs:
 
 
 def _capture(path: Path, options: Options) -> DepthPairs:
-    capture = open_capture(path)
+    capture = registered(open_capture(path))
     depth = options.get("depth", "sensor")
     if depth not in get_args(Source):
         raise InputError(f"{path}: depth={depth} is unknown; use one of {', '.join(get_args(Source))}")
