@@ -1,7 +1,7 @@
 """Pairs from a posed capture: its frames with the depth that the sensor measured, that of a surface, or both.
 
-A sensor's depth is noisy and has holes. A surface fused from many frames has fewer of both and gives normals too; it
-is cast into each frame. It counts only where it can be relied on: where there is any, where it is not seen at a
+A sensor's depth is noisy and has holes. A surface fused from many frames has fewer of both and gives normals too;
+it is cast into each frame. It counts only where it can be relied on: where there is any, where it is not seen at a
 grazing angle, and where the frame's own reading says the same. That leaves out most borders, which a fusion rounds
 off: so `"both"` takes the frame's reading, without a normal, wherever the surface does not count."""
 
@@ -100,6 +100,6 @@ class CapturePairs:
         valid = np.asarray(seen.hit) & (cosine > GRAZING) & confirmed(frame, np.asarray(seen.position), unread=True)
         normal = normal @ frame.camera.pose[:3, :3]  # world axes → camera axes
         if self._depth == "both":
-            depth, normal = np.where(valid, depth, frame.depth), np.where(valid[..., None], normal, 0)
+            depth, normal = np.where(valid, depth, np.asarray(frame.depth)), np.where(valid[..., None], normal, 0)
             valid = np.ones_like(valid)
         return masked_pair(frame.name, frame.image, depth, self.unit, where=where, valid=valid, normal=normal)

@@ -120,11 +120,6 @@ def digest(parts: Iterable[str]) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
-def files_fingerprint(root: Path, files: Iterable[Path]) -> str:
-    """Of files below `root`, from their names and sizes, which costs no reading and is the same for a copy."""
-    return digest(f"{file.relative_to(root).as_posix()} {file.stat().st_size}" for file in files)
-
-
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:
     """Sorting key by which learn2 comes before learn10."""
     return tuple((1, int(p), "") if p.isdigit() else (0, 0, p) for p in re.split(r"(\d+)", name) if p)

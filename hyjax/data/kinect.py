@@ -1,12 +1,12 @@
 """Depth of the first Kinect, registered to its pictures.
 
-7-Scenes comes as the sensor gave it: intrinsics and poses are those of the *depth* camera, and the pictures are from
-another one beside it, of another focal length. Taken for registered, far borders are off by a tenth of their distance
-from the centre and near ones by the stereo baseline as well.
+7-Scenes comes as the sensor gave it: intrinsics and poses are those of the *depth* camera, and the pictures are
+from another one beside it, of another focal length. Taken for registered, borders are off by a tenth of their
+distance from the centre, and near ones by the baseline between the cameras as well.
 
-The baseline is that of published calibrations (liris.cnrs.fr/voir/activities-dataset/kinect-calibration.html); focal
-length, centre and roll were fitted by us so that the depth borders of frames 0-448 of the red kitchen fall on borders
-of the pictures, and were found the same, to a pixel, from the frames after these.
+The baseline is that of a published calibration of another Kinect
+(projet.liris.cnrs.fr/voir/activities-dataset/kinect-calibration.html); focal length, centre and roll were fitted by us so that the depth borders of frames 0-448 of the red kitchen fall on
+borders of the pictures. Fitted to the frames after these they come out the same to less than a pixel.
 """
 
 import numpy as np
@@ -25,8 +25,7 @@ ROLL = 0.0094  # radians about the axis, of points on their way from the depth c
 def registered(capture: Capture) -> Capture:
     """The capture with depth as its pictures' camera sees it, if it is a Kinect's and that has not been done.
 
-    Such a one is known by its intrinsics, those of the depth camera in 7-Scenes' release. Any other is returned as it
-    is.
+    Such a one is known by its intrinsics, those of the depth camera in 7-Scenes' release.
     """
     return RegisteredKinect(capture) if capture[0].camera.intrinsics == KINECT else capture
 

@@ -3,15 +3,18 @@
     KIND:PATH?OPTION=VALUE&OPTION=VALUE
 
     folder:/data/mosd?frames=3:40:4            every fourth pair of a folder, from the one at position 3
-    folder:/data/mosd?without=3:40:4           all others
+    folder:/data/mosd?without=3:40:4           all others (mosd:/data/mosd means the same)
     folder:/data/mine?unit=tenths              whose steps are tenths of a millimetre
     capture:/data/kitchen?frames=0:225         frames of a capture with the depth that was measured
     capture:/data/kitchen?frames=0:225&depth=surface
                                                or with that of a surface fused from these frames alone
     capture:/data/kitchen?frames=0:225&depth=both
                                                or that, and what was measured where the surface is not relied on
+    diml:/data/diml/train/HR                   DIML, indoor or outdoor
+    nyu:/data/nyu_depth_v2_labeled.mat         NYU Depth v2
+    middlebury:/data/middlebury/2014           Middlebury stereo, disparities
     rooms?seed=3                               generated rooms, which need no file
-    rooms?frames=0:2000                        the first 2000 pictures of them
+    rooms?frames=0:2000&cached=yes             the first 2000 pictures of them, kept on disk
 
 `frames` and `without` go with every kind and take positions as `hyjax.data.frames.select_frames` does."""
 
@@ -21,10 +24,13 @@ from typing import cast, get_args
 
 from hyjax.data.capture_pairs import CapturePairs, Source
 from hyjax.data.depth_pairs import ChosenPairs, DepthPairs
+from hyjax.data.diml import open_diml
 from hyjax.data.frames import select_frames
 from hyjax.data.kinect import registered
+from hyjax.data.middlebury import open_middlebury
+from hyjax.data.nyu import NyuPairs
 from hyjax.data.open import open_capture
-from hyjax.data.pair_folder import PairFolder
+from hyjax.data.pair_folder import open_folder
 from hyjax.errors import InputError, did_you_mean
 
 Options = Mapping[str, str]
@@ -74,7 +80,19 @@ def _indices(options: Options, count: int) -> list[int]:
 
 
 def _folder(path: Path, options: Options) -> DepthPairs:
-    return _chosen(PairFolder(path, options.get("unit", "millimetres")), options)
+    return _chosen(open_folder(path, options.get("unit", "millimetres")), options)
+
+
+def _diml(path: Path, options: Options) -> DepthPairs:
+    return _chosen(open_diml(path), options)
+
+
+def _nyu(path: Path, options: Options) -> DepthPairs:
+    return _chosen(NyuPairs(path), options)
+
+
+def _middlebury(path: Path, options: Options) -> DepthPairs:
+    return _chosen(open_middlebury(path), options)
 
 
 def _capture(path: Path, options: Options) -> DepthPairs:
@@ -90,18 +108,31 @@ def _rooms(path: Path, options: Options) -> DepthPairs:
 
     if str(path) != ".":
         raise InputError(f"pairs: rooms are generated, not read from {path}; write rooms or rooms?seed=3")
-    seed = options.get("seed", "0")
-    if not seed.isdecimal():
-        raise InputError(f"pairs: rooms?seed={seed} must be a whole number, 0 or more")
-    return _chosen(GeneratedRooms(seed=int(seed)), options)
+
+    def number(name: str, default: int) -> int:
+        value = options.get(name, str(default))
+        if not value.isdecimal():
+            raise InputError(f"pairs: rooms?{name}={value} must be a whole number, 0 or more")
+        return int(value)
+
+    cached = options.get("cached", "no")
+    if cached not in ("yes", "no"):
+        raise InputError(f"pairs: rooms?cached={cached} must be yes or no")
+    rooms = GeneratedRooms(
+        number("seed", 0), size=number("size", 352), views=number("views", 4), cached=cached == "yes"
+    )
+    return _chosen(rooms, options)
 
 
 SELECTING = ("frames", "without")
 KINDS: dict[str, tuple[Callable[[Path, Options], DepthPairs], tuple[str, ...]]] = {
     "folder": (_folder, ("unit",)),
     "mosd": (_folder, ()),
+    "diml": (_diml, ()),
+    "nyu": (_nyu, ()),
+    "middlebury": (_middlebury, ()),
     "capture": (_capture, ("depth",)),
-    "rooms": (_rooms, ("seed",)),
+    "rooms": (_rooms, ("seed", "size", "views", "cached")),
 }
 """Of each kind, what opens it and the options that it takes beside `SELECTING`."""
 PATHLESS = ("rooms",)
