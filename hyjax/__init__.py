@@ -20,6 +20,7 @@ from hyjax.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.schedule import Level, Schedule
 from hyjax.shading import colored, shade, shade_each
 from hyjax.shadow import ShadowMap, visibilities, visibility
+from hyjax.superresolution import super_resolve
 
 __version__ = "0.1.0"
 
@@ -64,6 +65,7 @@ __all__ = [
     "shade",
     "shade_each",
     "shadow_pass",
+    "super_resolve",
     "to_display",
     "to_linear",
     "tune",

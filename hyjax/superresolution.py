@@ -192,6 +192,7 @@ def _diffuse_adjusted(
     return jnp.moveaxis(scan_steps(step, state, step_sizes), 0, -1)
 
 
+@functools.partial(jax.jit, static_argnames="factor")
 def _adjust(y: Float[Array, "c h w"], source: Float[Array, "c h/f w/f"], known: Array, factor: int) -> Array:
     # A channel at a time, as the loops have them first.
     means = jax.vmap(lambda plane: downsample(plane[..., None], factor)[..., 0])(y)
