@@ -128,8 +128,8 @@ def time_schedules(bench: Bench, view: View, repeats: int) -> dict[Mode, dict[st
     calls = {}
     for name in SCHEDULES:
         paper, ours = (jax.device_put(with_kappa(Schedule.preset(name), KAPPA[mode])) for mode in METHODS)
-        calls[f"paper {name}"] = functools.partial(hyjax.cascade, raw, view.display, paper)
-        calls[f"hyjax {name}"] = functools.partial(hyjax.cascade_known, each, known, view.display, ours)
+        calls[f"paper {name}"] = functools.partial(hyjax.cascade, raw, view.guide, paper)
+        calls[f"hyjax {name}"] = functools.partial(hyjax.cascade_known, each, known, view.guide, ours)
     times = time_calls(calls, repeats, progress=True)
     return {mode: {name: times[f"{mode} {name}"] for name in SCHEDULES} for mode in METHODS}
 

@@ -136,7 +136,7 @@ def ratio(part: Array, whole: Array) -> Array:
 
 def estimate(rough: Lit, view: View, schedule: Schedule, mode: Mode) -> Mapping[tuple[str, int, int], np.ndarray]:
     """(method, factor, steps) → visibility of each light."""
-    guide, kappa = view.display, KAPPA[mode]
+    guide, kappa = view.guide, KAPPA[mode]
     schedule = with_kappa(schedule, kappa)
     if mode == "paper":
         together = ratio(*(hyjax.cascade(y, guide, schedule) for y in (rough.shadowed, rough.unshadowed)))
@@ -197,8 +197,8 @@ def together(view: View, bench: Bench, mode: Mode, maps: Any, accurate: bool) ->
     schedule, lit = with_kappa(bench.schedule, KAPPA[mode]), Lit(view, bench, "hyjax", maps, accurate=accurate)
     if mode == "paper":
         raw = hyjax.to_display(hyjax.colored(lit.shadowed, setup.lights) / setup.reference_lux)
-        return hyjax.to_linear(hyjax.cascade(raw, view.display, schedule) * view.display)
-    each = hyjax.cascade_known(lit.shadowed, lit.hit, view.display, schedule)
+        return hyjax.to_linear(hyjax.cascade(raw, view.guide, schedule) * view.display)
+    each = hyjax.cascade_known(lit.shadowed, lit.hit, view.guide, schedule)
     return hyjax.colored(each, setup.lights) / setup.reference_lux * linear
 
 

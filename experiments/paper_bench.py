@@ -23,6 +23,7 @@ from hyjax.data.room import RoomCapture, load_room
 from hyjax.data.surfaces import rough_mesh, surface_of
 from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
+from hyjax.guide.choose import RGB, FrameGuide, open_guide
 from hyjax.metrics import LpipsWeights
 from hyjax.pipeline import Mode, Relit
 from hyjax.relighting import Renderer
@@ -61,6 +62,7 @@ class Bench:
         size: pixels a side.
         seed: of the simulated scan.
         renderer: what shades the surfaces.
+        guide: what guides the diffusion.
 
     Raises:
         InputError: any of these cannot be used.
@@ -75,8 +77,10 @@ class Bench:
         size: int = 512,
         seed: int = 0,
         renderer: Renderer = "hyjax",
+        guide: FrameGuide = RGB,
     ) -> None:
         check_size(size)
+        self.guide = guide
         self.source, rough = surface_of(capture, mesh or rough_mesh(capture), seed=seed)
         self.capture, self.schedule, self.size = capture, schedule, (size, size)
         self.rough, self.reference = RayCaster(rough), open_reference(capture, reference)
@@ -127,7 +131,8 @@ class Bench:
             seen[k] = rendering.seen_by_both(seen[k])
             shading.append(jnp.asarray(rendering.shading))
         valid = self.reference.reliable(frame, fitted.camera, seen[1])
-        return View(frame, jnp.asarray(fitted.image), fitted.camera, *seen, valid, shading)
+        display = jnp.asarray(fitted.image)
+        return View(frame, display, self.guide.features(display), fitted.camera, *seen, valid, shading)
 
     def views(self, indices: Sequence[int], doing: str) -> Iterator["View"]:
         """The views of frames that see both surfaces, with a progress bar.
@@ -191,7 +196,7 @@ class Bench:
             hyjax.to_linear(view.display),
             gbuffer,
             setup.lights,
-            view.display,
+            view.guide,
             with_kappa(schedule, KAPPA[mode] if kappa is None else kappa),
             shading=shading,
             shadow_maps=shadow_maps,
@@ -221,6 +226,8 @@ class BenchConfig:
     """The rough surface, see `hyjax relight --mesh`. Default: the capture's own mesh, else a simulated scan."""
     reference: str | None = None
     """The accurate surface: true, laser, fused or a mesh file. Default: the first of these that there is."""
+    guide: str = "rgb"
+    """What guides the diffusion, see `hyjax relight --guide`."""
     size: int = 512
     """Pixels a side."""
     seed: int = 1
@@ -236,7 +243,8 @@ class BenchConfig:
 
     def bench(self, capture: Capture, schedule: Schedule, renderer: Renderer = "hyjax") -> Bench:
         """Both surfaces of the capture."""
-        return Bench(capture, schedule, self.mesh, self.reference, self.size, self.seed, renderer)
+        guide = open_guide(self.guide)
+        return Bench(capture, schedule, self.mesh, self.reference, self.size, self.seed, renderer, guide)
 
 
 def reported(capture: Capture, frames: str | None = None) -> list[int]:
@@ -284,6 +292,7 @@ class View:
     Attributes:
         frame: as captured.
         display: its picture.
+        guide: features of that.
         camera: of `display`.
         rough: what the camera sees of the rough surface.
         accurate: and of the accurate one.
@@ -293,6 +302,7 @@ class View:
 
     frame: Frame
     display: Float[Array, "h w 3"]
+    guide: Float[Array, "h w f"]
     camera: Camera
     rough: GBuffer
     accurate: GBuffer

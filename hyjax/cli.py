@@ -116,6 +116,61 @@ class Tune:
 
 
 @dataclasses.dataclass(frozen=True)
+class Train:
+    """Train a guide network by depth super-resolution."""
+
+    pairs: tuple[str, ...] | None = None
+    """What to learn from: rooms (generated, needs no file), or sources on disk such as mosd:PATH, diml:PATH, nyu:FILE,
+    middlebury:PATH, capture:PATH; see the README. Default: rooms."""
+    validation: tuple[str, ...] | None = None
+    """What to judge by, likewise. Default: other crops of the same."""
+    paper: bool = False
+    """The paper's recipe as the default of all that follows; it wants a GPU."""
+    encoder: str | None = None
+    """mobilenetv4_conv_small or mobilenetv4_conv_medium. Default: small."""
+    features: int | None = None
+    """Channels of the guide."""
+    through: Literal["cascade", "steps"] | None = None
+    """Whether the loss is taken after the cascade, as pictures will be relit, or after many steps at full size."""
+    size: int | None = None
+    """Pixels a side of a crop."""
+    batch: int | None = None
+    """Crops an update."""
+    iterations: int | None = None
+    """Updates."""
+    factors: tuple[int, ...] | None = None
+    """How much coarser the sources are than the crops, such as 8 16 32."""
+    depth_weight: float | None = None
+    """Of the loss on tinted depth."""
+    shading_weight: float | None = None
+    """Of the loss on the shading under random lamps."""
+    border_weight: float | None = None
+    """Of the loss on conductances at true borders."""
+    learning_rate: float | None = None
+    """At the start."""
+    clip: float | None = None
+    """Largest norm of the gradient."""
+    validate_every: int | None = None
+    """Updates between two validations."""
+    checkpoint_every: int | None = None
+    """Updates between two checkpoints."""
+    seed: int | None = None
+    """Of weights and crops."""
+    hosts: int = 1
+    """How many computers train together; each runs the same command with its own --host."""
+    host: int = 0
+    """Which of them this is."""
+    coordinator: str | None = None
+    """ADDRESS:PORT of host 0, where there are several."""
+    out: Path = Path("trained")
+    """Folder for guide.safetensors, log, curve, pictures and checkpoints; one that all hosts see."""
+    resume: bool = False
+    """Go on from the last checkpoint in the out folder."""
+    quiet: bool = False
+    """No progress bars."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Info:
     """Print versions, devices and what optional parts are installed."""
 
@@ -123,6 +178,7 @@ class Info:
 Command = (
     Annotated[Relight, tyro.conf.subcommand("relight")]
     | Annotated[Tune, tyro.conf.subcommand("tune")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )
 
@@ -140,6 +196,8 @@ def main() -> None:
             run_relight(command)
         elif isinstance(command, Tune):
             run_tune(command)
+        elif isinstance(command, Train):
+            run_train(command)
         else:
             run_info()
         sys.stdout.flush()
@@ -264,6 +322,30 @@ def run_tune(command: Tune) -> None:
     for sentence in summary(tuned):
         print(sentence)
     print(f"Look at {command.out / 'report.html'}; relight with --schedule {command.out / 'schedule.json'}")
+
+
+def run_train(command: Train) -> None:
+    """`hyjax train`."""
+    import shlex
+
+    import jax
+
+    from hyjax.training.settings import PAPER, TrainSettings
+
+    names = {field.name for field in dataclasses.fields(TrainSettings)}
+    given = {k: v for k, v in dataclasses.asdict(command).items() if k in names and v is not None}
+    settings = dataclasses.replace(PAPER if command.paper else TrainSettings(), **given).check()
+    if command.hosts > 1:
+        if command.coordinator is None:
+            raise InputError("coordinator: give --coordinator ADDRESS:PORT of host 0, the same on every host")
+        jax.distributed.initialize(command.coordinator, command.hosts, command.host)
+    from hyjax.training.run import train
+
+    _keep_compiled()
+    called = shlex.join(["hyjax", *sys.argv[1:]])
+    last = train(settings, command.out, resume=command.resume, command=called, progress=not command.quiet)
+    print(f"validation loss {last['loss']:.4f}; RGB guide {last['rgb']:.4f}")
+    print(f"Look at {command.out / 'curve.png'}; relight with --guide {command.out / 'guide.safetensors'}")
 
 
 def _keep_compiled() -> None:

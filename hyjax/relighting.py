@@ -21,6 +21,7 @@ from hyjax.data.light_file import LightSetup, write_lights
 from hyjax.environment import environment, peak_memory_mib
 from hyjax.errors import InputError
 from hyjax.files import make_writable, remove, write_text
+from hyjax.guide.choose import RGB, FrameGuide
 from hyjax.images import write_exr, write_png
 from hyjax.pipeline import Mode, Relit, relight_stages
 from hyjax.scene.blender import BlenderRenderer
@@ -52,6 +53,7 @@ def relight_capture(
     *,
     frames: Sequence[int] | None = None,
     size: tuple[int, int] | None = None,
+    guide: FrameGuide = RGB,
     mode: Mode = "hyjax",
     shadows: bool = True,
     renderer: Renderer = "hyjax",
@@ -72,6 +74,7 @@ def relight_capture(
         out: folder, made if need be.
         frames: indices; all by default.
         size: (height, width) to work at: the largest centred window of that shape, resampled. Default: as captured.
+        guide: what makes the guide of a frame, see `open_guide`.
         mode: see `relight`.
         shadows: whether lights cast shadows.
         renderer: who shades the mesh and casts the shadows: `"hyjax"` from G-buffer and shadow maps, or
@@ -119,11 +122,13 @@ def relight_capture(
                 gbuffer = rendering.seen_by_both(gbuffer)
                 given = {"shading": jnp.asarray(rendering.shading), "visibility": jnp.asarray(rendering.visibility)}
             display = jnp.asarray(frame.image)
+            with clock("guide"):
+                features = jax.block_until_ready(guide.features(display))
             stages = relight_stages(
                 to_linear(display),
                 gbuffer,
                 setup.lights,
-                display,
+                features,
                 schedule,
                 reference_lux=setup.reference_lux,
                 mode=mode,
@@ -148,6 +153,7 @@ def relight_capture(
         "mesh_faces": len(caster.mesh.faces),
         "size": list(frame.image.shape[:2]),
         "mode": mode,
+        "guide": guide.name,
         "renderer": renderer,
         "schedule": json.loads(schedule.to_json()),
         "reference_lux": setup.reference_lux,

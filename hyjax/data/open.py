@@ -6,6 +6,7 @@ from pathlib import Path
 
 from hyjax.data.arkit_scenes import holds_arkit_scenes, open_arkit_scenes
 from hyjax.data.capture import Capture
+from hyjax.data.kinect import registered
 from hyjax.data.seven_scenes import holds_seven_scenes, open_seven_scenes
 from hyjax.errors import InputError
 
@@ -29,6 +30,8 @@ LAYOUTS = (
 def open_capture(path: Path) -> Capture:
     """Open the capture in folder `path`; the first layout that recognises it reads it.
 
+    Where pictures and depth are from two cameras, they are registered (see `hyjax.data.kinect`).
+
     Raises:
         InputError: no such folder, no known layout, or what the layout's own reader finds wrong.
     """
@@ -37,6 +40,6 @@ def open_capture(path: Path) -> Capture:
         raise InputError(f"{path}: no such folder; give the folder of a capture")
     for layout in LAYOUTS:
         if layout.recognise(path):
-            return layout.open(path)
+            return registered(layout.open(path))
     known = "; ".join(f"{layout.name} ({layout.signs})" for layout in LAYOUTS)
     raise InputError(f"{path}: not a known capture layout; known are: {known}")

@@ -17,6 +17,7 @@ from hyjax.data.open import open_capture
 from hyjax.data.room import RoomCapture, load_room
 from hyjax.data.surfaces import check_mesh_name, rough_mesh, surface_of
 from hyjax.errors import InputError
+from hyjax.guide.choose import RGB, FrameGuide
 from hyjax.refine import cascade_known
 from hyjax.scene.raycast import RayCaster
 from hyjax.schedule import Schedule
@@ -39,6 +40,7 @@ class Workbench:
         setup: lights.
         size: (height, width) to work at; None as captured.
         description: the two meshes in a few words, for the record.
+        guide: what makes the guide of a frame.
     """
 
     def __init__(
@@ -49,8 +51,9 @@ class Workbench:
         setup: LightSetup,
         size: tuple[int, int] | None = (512, 512),
         description: str = "",
+        guide: FrameGuide = RGB,
     ) -> None:
-        self.description = description
+        self.description, self.guide = description, guide
         self.capture, self.setup, self.size = capture, setup, size
         self.rough = RayCaster(rough)
         self.accurate = None if accurate is None else RayCaster(accurate)
@@ -76,7 +79,8 @@ class Workbench:
         truth = None if self.accurate is None else self.accurate.gbuffer(frame.camera)
         if not bool(seen.hit.any()) or (truth is not None and not bool(truth.hit.any())):
             return None
-        guide = jnp.asarray(frame.image)
+        display = jnp.asarray(frame.image)
+        guide = self.guide.features(display)
         lights = tuple(self.setup.lights)
         shading, known = shade_each(seen, lights), seen.hit[..., None]
         colors = colored(jnp.eye(len(lights))[None], lights)[0] / self.setup.reference_lux
@@ -85,7 +89,7 @@ class Workbench:
             valid = jnp.ones_like(seen.hit)
         else:
             target, valid = shade_each(truth, lights), truth.hit
-        return Case(shading, known, guide, to_linear(guide), colors, mix(target, colors), valid)
+        return Case(shading, known, guide, to_linear(display), colors, mix(target, colors), valid)
 
     def cases(self, indices: Sequence[int], what: str, progress: bool = True) -> tuple[list[Case], list[str]]:
         """The frames that make cases, and the names of those that see no surface.
@@ -127,6 +131,7 @@ def open_bench(
     lights: str = "two-colors",
     *,
     size: tuple[int, int] | None = (512, 512),
+    guide: FrameGuide = RGB,
     voxel: float = 0.03,
     seed: int = 0,
     repair: bool = False,
@@ -143,6 +148,7 @@ def open_bench(
             depth, else `"converged"`.
         lights: a named set-up or a lights file.
         size: (height, width) to work at; None as captured.
+        guide: what makes the guide of a frame.
         voxel: of a fused `mesh`, in metres.
         seed: of the simulated scan.
         repair: drop unusable triangles of a mesh file instead of refusing it.
@@ -174,4 +180,4 @@ def open_bench(
         setup = read_lights(Path(lights), capture.up)
     else:
         setup = named_setup(lights, survey_capture(RayCaster(rough if accurate is None else accurate), capture))
-    return Workbench(capture, rough, accurate, setup, size, description=f"{source} against {description}")
+    return Workbench(capture, rough, accurate, setup, size, f"{source} against {description}", guide)

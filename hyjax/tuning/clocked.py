@@ -111,16 +111,18 @@ class FrameClock:
 
     FILL = "fill of visibility"
     """The one stage whose time hangs on the schedule."""
-    NAMES = ("G-buffer", "guide rgb", "shading", "visibility", FILL, "shadow pass", "composite")
+    NAMES = ("G-buffer", "guide", "shading", "visibility", FILL, "shadow pass", "composite")
 
     def __init__(self, cascade: CascadeClock, bench: Workbench, index: int) -> None:
         self.cascade, self.table = cascade, cascade.table
         frame, self.caster = bench.frame(index), bench.rough
         self.camera, self.lights = frame.camera, tuple(bench.setup.lights)
         self.display, self.reference_lux = jnp.asarray(frame.image), bench.setup.reference_lux
+        self.guide = bench.guide
         self.probe = Schedule.uniform([(factor, 8) for factor in self.table.ladder], name="probe")
         kinds = ", ".join(type(light).__name__ for light in self.lights)
-        self.stages = {name: f"{name} ({kinds}; {len(self.caster.mesh.faces)} triangles)" for name in self.NAMES}
+        with_what = f"{kinds}; {len(self.caster.mesh.faces)} triangles; {self.guide.name} guide"
+        self.stages = {name: f"{name} ({with_what})" for name in self.NAMES}
         if any(stage not in self.table.stages for stage in self.stages.values()):
             calls = self._calls()
             time_stages(self.table, {self.stages[n]: calls[n] for n in self.NAMES}, STAGE_REPEATS)
@@ -151,13 +153,14 @@ class FrameClock:
         gbuffer = self.caster.gbuffer(self.camera)
         each, shadow = shade_each(gbuffer, self.lights), Schedule.preset("shadow")
         seen, linear = visibilities(gbuffer, self.lights, self.maps), to_linear(self.display)
+        features = self.guide.features(self.display)
         return {
             "G-buffer": lambda: self.caster.gbuffer(self.camera),
-            "guide rgb": lambda: jnp.asarray(self.display),
+            "guide": lambda: self.guide.features(self.display),
             "shading": lambda: shade_each(gbuffer, self.lights),
             "visibility": lambda: visibilities(gbuffer, self.lights, self.maps),
-            self.FILL: lambda: fill_visibility(seen, each > 0, self.display, self.probe),
-            "shadow pass": lambda: shadow_pass(seen, self.display, shadow),
+            self.FILL: lambda: fill_visibility(seen, each > 0, features, self.probe),
+            "shadow pass": lambda: shadow_pass(seen, features, shadow),
             "composite": lambda: composite(linear, linear),
         }
 
@@ -189,7 +192,7 @@ class FrameClock:
             to_linear(self.display),
             gbuffer,
             self.lights,
-            self.display,
+            self.guide.features(self.display),
             schedule,
             shadow_maps=self.maps,
             reference_lux=self.reference_lux,

@@ -81,11 +81,18 @@ def tune_bench(
     if out is not None:
         make_writable(out)
     capture, machine = bench.capture, environment()
-    record: dict[str, Any] = {"capture": capture.name, "stage": stage, "seed": seed, "settings": settings or {}}
+    record: dict[str, Any] = {
+        "capture": capture.name,
+        "guide": bench.guide.name,
+        "stage": stage,
+        "seed": seed,
+        "settings": settings or {},
+    }
     decisive = {
         "capture": capture.fingerprint,
         "meshes": [_fingerprint(caster) for caster in (bench.rough, bench.accurate)],
         "lights": str(bench.setup),
+        "guide": bench.guide.fingerprint,
         "frames": [int(index) for index in chosen],
         "size": None if bench.size is None else list(bench.size),
         "seed": seed,

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from hyjax.data.capture import Capture
-from hyjax.errors import InputError
 from hyjax.files import make_writable
+from hyjax.guide.choose import open_guide
 from hyjax.tuning.bench import check_names, open_bench
 from hyjax.tuning.clocked import Stage
 from hyjax.tuning.journal import check_free
@@ -31,7 +31,7 @@ def tune(
     frames: str | None = None,
     holdout: str | None = None,
     size: tuple[int, int] | None = (512, 512),
-    guide: Literal["rgb"] = "rgb",
+    guide: str = "rgb",
     seed: int = 0,
     time_limit: float | None = None,
     effort: Effort | None = None,
@@ -57,7 +57,7 @@ def tune(
         frames: what to tune on, as for `hyjax relight --frames`; default: four of the first three quarters.
         holdout: what is only reported on; default: four of the last quarter.
         size: (height, width) to work at; None as captured.
-        guide: what guides the diffusion; `"rgb"` is the frame itself.
+        guide: what guides the diffusion, see `open_guide`; `"rgb"` is the frame itself.
         seed: of the search and of the simulated scan. The same seed on the same latency table makes the same search
             (unless a time limit cuts it short); the clock has the last word on what fits.
         time_limit: seconds after which the search only finishes what it has.
@@ -79,8 +79,7 @@ def tune(
         InputError: any of these cannot be used, or a budget is out of reach on this device.
     """
     budgets = parse_budgets(_several(fps), _several(budget_ms))
-    if guide != "rgb":
-        raise InputError(f"guide: {guide!r} is unknown; there is rgb")
+    opened = open_guide(guide)
     check_names(mesh, target, lights)
     check_time_limit(time_limit)
     if out is not None:
@@ -88,7 +87,16 @@ def tune(
         make_writable(out)
         check_free(out, resume)
     bench = open_bench(
-        capture, mesh, target, lights, size=size, voxel=voxel, seed=seed, repair=repair_mesh, progress=progress
+        capture,
+        mesh,
+        target,
+        lights,
+        size=size,
+        guide=opened,
+        voxel=voxel,
+        seed=seed,
+        repair=repair_mesh,
+        progress=progress,
     )
     chosen, held = split_frames(len(bench.capture), frames, holdout)
     return tune_bench(

@@ -1,0 +1,1 @@
+"""Training of the guide network by guided super-resolution."""

@@ -1,0 +1,71 @@
+"""Checkpoints of a training run: whole or not at all, and only ever the last good ones.
+
+Orbax writes to a temporary folder and renames it, so that a run killed at any moment finds its last checkpoint
+whole. A checkpoint holds the state and the position in the stream of crops."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import jax
+import orbax.checkpoint as ocp
+
+from hyjax.errors import InputError
+from hyjax.training.state import TrainState
+
+KEPT = 2
+
+
+class Checkpoints:
+    """The checkpoints in a folder.
+
+    Raises:
+        InputError: the folder cannot be used.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        logging.getLogger("absl").setLevel(logging.ERROR)  # Orbax tells of every file it writes
+        self.folder = folder
+        # Written before training goes on: a copy kept in memory meanwhile would cost as much as it saves.
+        options = ocp.CheckpointManagerOptions(
+            max_to_keep=KEPT, enable_async_checkpointing=False, cleanup_tmp_directories=True
+        )
+        try:
+            self._manager = ocp.CheckpointManager(folder.absolute(), options=options)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot keep checkpoints there ({error.strerror or error})") from None
+
+    def latest(self) -> int | None:
+        """Iteration of the newest checkpoint."""
+        return self._manager.latest_step()
+
+    def save(self, state: TrainState, position: Any) -> None:
+        """Write a checkpoint of a state and the position in the stream of crops (JSON's types)."""
+        items = ocp.args.Composite(state=ocp.args.StandardSave(state), position=ocp.args.JsonSave(position))
+        try:
+            self._manager.save(int(state.iteration), args=items, force=True)
+            self._manager.wait_until_finished()
+        except OSError as error:
+            raise InputError(f"{self.folder}: cannot write a checkpoint ({error.strerror or error})") from None
+
+    def restore(self, like: TrainState) -> tuple[TrainState, Any]:
+        """The newest checkpoint, for a state of the same shapes as `like`.
+
+        Raises:
+            InputError: it cannot be read.
+        """
+        abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
+        items = ocp.args.Composite(state=ocp.args.StandardRestore(abstract), position=ocp.args.JsonRestore())
+        latest = self.latest()
+        try:
+            restored = self._manager.restore(latest, args=items)
+        except (OSError, ValueError, KeyError) as error:
+            first = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(
+                f"{self.folder}: checkpoint {latest} cannot be read ({first}); remove it to use the one before"
+            ) from None
+        return restored.state, restored.position
+
+    def close(self) -> None:
+        """Let go of the folder."""
+        self._manager.close()

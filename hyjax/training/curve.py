@@ -1,0 +1,40 @@
+"""The learning curve of a training run as a picture."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hyjax.files import whole
+
+SMOOTHING = 50
+
+
+def draw_curve(path: Path, lines: Sequence[dict[str, Any]]) -> None:
+    """Write losses over iterations as a PNG.
+
+    Args:
+        path: the picture.
+        lines: of a run's `log.jsonl`.
+    """
+    from matplotlib.figure import Figure
+
+    updates = [line for line in lines if "loss" in line]
+    validations = [line for line in lines if "validation" in line]
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.subplots()
+    iterations = np.array([line["iteration"] for line in updates])
+    losses = np.array([line["loss"] for line in updates])
+    axes.plot(iterations, losses, color="0.85", lw=0.5)
+    if len(losses) >= SMOOTHING:
+        mean = np.convolve(losses, np.full(SMOOTHING, 1 / SMOOTHING), mode="valid")
+        axes.plot(iterations[SMOOTHING - 1 :], mean, color="0.5", label=f"training, mean of {SMOOTHING}")
+    if validations:
+        at = [line["iteration"] for line in validations]
+        axes.plot(at, [line["validation"]["loss"] for line in validations], "o-", ms=3, label="validation")
+        axes.axhline(validations[-1]["validation"]["rgb"], ls="--", color="k", lw=1, label="validation, RGB guide")
+        axes.legend()
+    axes.set(xlabel="iteration", ylabel="loss", yscale="log")
+    with whole(path) as temporary:
+        figure.savefig(temporary, dpi=120)

@@ -1,0 +1,178 @@
+"""A training run: from settings to weights, with a log, pictures and checkpoints along the way.
+
+The folder of a run holds
+
+- `settings.json`: what it depends on; a run is only resumed with the same settings,
+- `log.jsonl`: a line for each update and each validation,
+- `checkpoints/`: the last good states,
+- `validation/NNNNNN.png`: validation crops as they are super-resolved at that iteration,
+- `curve.png`: losses over iterations,
+- `guide.safetensors`: the weights with the lowest validation loss so far.
+
+A run killed at any moment and resumed goes on with the same numbers to the last bit.
+"""
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+from hyjax.data.depth_pairs import DepthPairs
+from hyjax.data.open_pairs import open_pairs
+from hyjax.data.pair_loader import Batch, PairLoader
+from hyjax.environment import environment
+from hyjax.errors import InputError
+from hyjax.files import make_writable
+from hyjax.training.checkpoints import Checkpoints
+from hyjax.training.curve import draw_curve
+from hyjax.training.log import Log
+from hyjax.training.settings import TrainSettings
+from hyjax.training.state import Progress, TrainState, Updater
+from hyjax.training.targets import Sample
+from hyjax.training.validation import Validation
+
+MEMORY_MARGIN = 0.9
+"""Share of the memory that is free which an update may take."""
+
+
+def train(
+    settings: TrainSettings,
+    out: Path,
+    *,
+    resume: bool = False,
+    command: str = "",
+    progress: bool = True,
+) -> dict[str, Any]:
+    """Train a guide network.
+
+    With several hosts, call `jax.distributed.initialize` first and this with the same arguments on every one; `out`
+    must be a folder that all of them see.
+
+    Args:
+        settings: see there.
+        out: folder of the run, made if need be.
+        resume: go on from the last checkpoint in `out`.
+        command: how it was called, for the weights' metadata.
+        progress: show a bar on stderr.
+
+    Returns:
+        The last validation: losses by name.
+
+    Raises:
+        InputError: settings, data or folder cannot be used, the run in `out` is another one, memory does not
+            suffice, or the loss is no longer finite (the last good state stays in the checkpoints).
+    """
+    settings = settings.check()
+    updater = Updater(settings)
+    make_writable(out)
+    leads = jax.process_index() == 0
+    log = Log(out, settings, resume)
+    sources = [open_pairs(spec) for spec in settings.pairs]
+    judges = [open_pairs(spec) for spec in settings.validation] or sources
+    loader = PairLoader(
+        sources,
+        size=settings.size,
+        batch=settings.batch // jax.process_count(),
+        seed=settings.seed,
+        shard=(jax.process_index(), jax.process_count()),
+    )
+    checkpoints = Checkpoints(out / "checkpoints")
+    state, start = updater.initial(), 0
+    if resume and checkpoints.latest() is not None:
+        state, position = checkpoints.restore(state)
+        state, start = updater.placed(state), int(state.iteration)
+        loader.restore(position)
+    log.open(start, environment() | {"data": [_described(source) for source in sources]}, write=leads)
+    validation = Validation(updater, judges)
+    bar = tqdm(
+        total=settings.iterations, initial=start, desc="training", unit="update", disable=not (progress and leads)
+    )
+    with bar:
+        batch = updater.spread(_sample(next(loader)))
+        if start < settings.iterations:
+            _check_memory(updater.prepare(state, batch), settings)
+        for iteration in range(start, settings.iterations):
+            state, told = updater.update(state, batch)
+            position = loader.state()
+            batch = updater.spread(_sample(next(loader)))  # while the device is busy
+            _check_sound(told, iteration, checkpoints, out)
+            done = iteration + 1
+            log.add(iteration=done, **_numbers(told))
+            bar.update()
+            bar.set_postfix_str(f"loss {float(told.loss):.3f}")
+            ends = done == settings.iterations
+            if ends or done % settings.validate_every == 0:
+                log.add(iteration=done, validation=validation(state))
+                if leads:
+                    validation.draw(state, out / "validation" / f"{done:06d}.png")
+                    draw_curve(out / "curve.png", log.lines)
+                    if log.last_is_best():
+                        _export(updater, state, out, settings, command)
+            if ends or done % settings.checkpoint_every == 0:
+                checkpoints.save(state, position)
+    checkpoints.close()
+    return log.validations()[-1]["validation"]
+
+
+def _sample(batch: Batch) -> Sample:
+    return Sample(batch.image, batch.depth, batch.valid, batch.normal)
+
+
+def _numbers(told: Progress) -> dict[str, float]:
+    parts = {name: float(value) for name, value in told.parts._asdict().items()}
+    return {"loss": float(told.loss), **parts, "gradient": float(told.gradient), "kappa": float(told.kappa)}
+
+
+def _check_sound(told: Progress, iteration: int, checkpoints: Checkpoints, out: Path) -> None:
+    if bool(told.sound):
+        return
+    latest = checkpoints.latest()
+    kept = (
+        f"the state of iteration {latest} is in {checkpoints.folder}" if latest else "no checkpoint was due before"
+    )
+    raise InputError(
+        f"{out}: the loss became {float(told.loss)} at iteration {iteration + 1}, its gradient "
+        f"{float(told.gradient)}; {kept}. Lower --learning-rate or --clip"
+    )
+
+
+def _check_memory(needed: int, settings: TrainSettings) -> None:
+    """Refuse a batch that this machine cannot hold, before the system kills the program for it."""
+    free = _free_memory()
+    if needed > MEMORY_MARGIN * free:
+        raise InputError(
+            f"batch: an update needs {needed / 2**30:.1f} GiB and {free / 2**30:.1f} GiB are free; lower --batch "
+            f"(now {settings.batch}) or --size (now {settings.size})"
+        )
+
+
+def _free_memory() -> float:
+    """Bytes that an update may use on this host's device; infinite where the system does not tell."""
+    limits = jax.local_devices()[0].memory_stats()
+    if limits and "bytes_limit" in limits:
+        return limits["bytes_limit"] - limits.get("bytes_in_use", 0)
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (ValueError, OSError):
+        return math.inf
+
+
+def _export(updater: Updater, state: TrainState, out: Path, settings: TrainSettings, command: str) -> None:
+    metadata = {
+        "iteration": str(int(state.iteration)),
+        "command": command,
+        "settings": json.dumps(settings.record()),
+    }
+    kappa = float(np.exp(np.asarray(state.weights["log_kappa"])))
+    from hyjax.guide.weights import save_guide
+
+    save_guide(out / "guide.safetensors", updater.network(state), kappa=kappa, metadata=metadata)
+
+
+def _described(source: DepthPairs) -> str:
+    return f"{source.name}: {len(source)} pairs, {source.fingerprint}"

@@ -1,0 +1,124 @@
+"""What a training run depends on."""
+
+import dataclasses
+import math
+from typing import Any, Literal, get_args
+
+from hyjax.errors import InputError
+from hyjax.schedule import DEFAULT_LAM, PRESETS
+
+Through = Literal["cascade", "steps"]
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainSettings:
+    """Settings of `train`; the defaults train on two CPU cores, `PAPER` is the paper's recipe.
+
+    Attributes:
+        encoder: name in `hyjax.guide.ENCODERS`.
+        features: channels of the guide.
+        pairs: what to learn from, as `open_pairs` takes it, each drawn from equally often.
+        validation: what to judge by, likewise; the same as `pairs` if empty.
+        size: side of the square crops in pixels, a multiple of 32.
+        batch: crops an iteration, over all devices.
+        iterations: updates.
+        factors: how much coarser the sources are than the crops; one is drawn for each batch.
+        through: `"cascade"` runs the schedule that the pipeline will run, `"steps"` many steps at full size.
+        schedule: preset, of `through="cascade"`.
+        steps_without_gradient: of `through="steps"`: a random number below this comes first.
+        steps_with_gradient: of `through="steps"`.
+        lam: step size of `through="steps"`.
+        adjusted: multiply by the ratio of source to downsampled prediction after every step.
+        depth_weight: of the L1 loss on tinted depth, the paper's only loss.
+        shading_weight: of the L1 loss on the shading under random lamps; needs normals.
+        border_weight: of the cross-entropy between conductances and true borders.
+        learning_rate: of Adam, at the start.
+        decay: factor of the learning rate every `decay_every` iterations.
+        clip: largest global norm of the gradient.
+        validate_every: iterations between two validations and two pictures.
+        checkpoint_every: iterations between two checkpoints.
+        seed: of weights, crops, lamps and step counts.
+    """
+
+    encoder: str = "mobilenetv4_conv_small"
+    features: int = 64
+    pairs: tuple[str, ...] = ("rooms",)
+    validation: tuple[str, ...] = ()
+    size: int = 256
+    batch: int = 4
+    iterations: int = 4000
+    factors: tuple[int, ...] = (8, 16, 32)
+    through: Through = "cascade"
+    schedule: str = "paper-50"
+    steps_without_gradient: int = 0
+    steps_with_gradient: int = 64
+    lam: float = DEFAULT_LAM
+    adjusted: bool = True
+    depth_weight: float = 1.0
+    shading_weight: float = 1.0
+    border_weight: float = 1.0
+    learning_rate: float = 1e-3
+    decay: float = 0.9
+    decay_every: int = 200
+    clip: float = 1.0
+    validate_every: int = 250
+    checkpoint_every: int = 100
+    seed: int = 0
+
+    def check(self) -> "TrainSettings":
+        """Return these settings, or raise `InputError` naming the first that cannot be."""
+        if self.through not in get_args(Through):
+            raise InputError(f"through: {self.through!r} is unknown; use one of {', '.join(get_args(Through))}")
+        if self.schedule not in PRESETS:
+            raise InputError(f"schedule: no preset {self.schedule!r}; there are {', '.join(PRESETS)}")
+        if not self.pairs:
+            raise InputError("pairs: none given; name at least one source, such as rooms")
+        if self.size < 32 or self.size % 32:
+            raise InputError(f"size: {self.size} pixels; crops must be a multiple of 32 wide")
+        for name in (
+            "batch",
+            "features",
+            "validate_every",
+            "checkpoint_every",
+            "decay_every",
+            "steps_with_gradient",
+        ):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name}: must be at least 1, got {getattr(self, name)}")
+        for name in ("iterations", "steps_without_gradient", "seed"):
+            if getattr(self, name) < 0:
+                raise InputError(f"{name}: must be at least 0, got {getattr(self, name)}")
+        if not self.factors or any(f < 2 or self.size % f for f in self.factors):
+            raise InputError(f"factors: {self.factors} must be 2 or more and divide the size, {self.size}")
+        weights = [getattr(self, f"{name}_weight") for name in ("depth", "shading", "border")]
+        if not all(math.isfinite(w) and w >= 0 for w in weights) or not any(weights):
+            raise InputError(
+                f"weights: those of depth, shading and border must be >= 0, one above 0; got {weights}"
+            )
+        for name in ("learning_rate", "clip", "decay"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError(f"{name}: must be finite and > 0, got {getattr(self, name)}")
+        if not 0 < self.lam < 0.25:
+            raise InputError(f"lam: a step size must lie inside (0, 1/4) to be stable, got {self.lam}")
+        return self
+
+    def record(self) -> dict[str, Any]:
+        """As JSON's types."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in dataclasses.asdict(self).items()}
+
+
+PAPER = TrainSettings(
+    size=512,
+    batch=8,
+    iterations=12_000,
+    factors=(32,),
+    through="steps",
+    steps_without_gradient=20_000,
+    steps_with_gradient=512,
+    shading_weight=0.0,
+    border_weight=0.0,
+    learning_rate=1e-4,
+    decay_every=1000,
+    clip=0.01,
+)
+"""The paper's training section; it does not say how often the learning rate is stepped down."""

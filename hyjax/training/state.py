@@ -1,0 +1,144 @@
+"""One update: the network's state, its optimiser, and the compiled step from one state to the next."""
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from flax import nnx
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
+
+from hyjax.errors import InputError
+from hyjax.guide import GuideNetwork, normalise
+from hyjax.training.objective import Losses, batch_losses, total
+from hyjax.training.settings import TrainSettings
+from hyjax.training.targets import Sample
+
+Tree = Any
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["weights", "statistics", "optimizer", "iteration"],
+    meta_fields=[],
+)
+@dataclasses.dataclass(frozen=True, eq=False)
+class TrainState:
+    """All that an update changes.
+
+    Attributes:
+        weights: `network`, its parameters as nested dictionaries, and `log_kappa`, of the learned κ.
+        statistics: running statistics of its batch norms, likewise.
+        optimizer: state of the optimiser.
+        iteration: updates so far.
+    """
+
+    weights: Tree
+    statistics: Tree
+    optimizer: Tree
+    iteration: Int[Array, ""]
+
+
+class Progress(NamedTuple):
+    """What an update tells.
+
+    Attributes:
+        loss: the weighted sum before the update.
+        parts: what it is made of.
+        gradient: global norm of its gradient, before clipping.
+        kappa: the learned κ before the update.
+        sound: whether all of these and the new weights are finite.
+    """
+
+    loss: Float[Array, ""]
+    parts: Losses
+    gradient: Float[Array, ""]
+    kappa: Float[Array, ""]
+    sound: Bool[Array, ""]
+
+
+class Updater:
+    """Updates of one network under one set of settings, batches spread over all devices of all hosts.
+
+    Raises:
+        InputError: the batch cannot be divided among the devices.
+    """
+
+    def __init__(self, settings: TrainSettings) -> None:
+        devices = jax.device_count()
+        if settings.batch % devices:
+            raise InputError(f"batch: {settings.batch} crops cannot be divided among {devices} devices")
+        self.settings = settings
+        network = GuideNetwork(settings.encoder, settings.features, rngs=nnx.Rngs(settings.seed))
+        network.train()
+        self._graph, weights, statistics = nnx.split(network, nnx.Param, ...)
+        self._weights, self._statistics = nnx.to_pure_dict(weights), nnx.to_pure_dict(statistics)
+        network.eval()
+        self._still, *_ = nnx.split(network, nnx.Param, ...)
+        rate = optax.exponential_decay(settings.learning_rate, settings.decay_every, settings.decay, staircase=True)
+        self._optimizer = optax.chain(optax.clip_by_global_norm(settings.clip), optax.adam(rate))
+        mesh = jax.make_mesh((devices,), ("batch",), axis_types=(AxisType.Auto,))
+        self._everywhere = NamedSharding(mesh, PartitionSpec())
+        self._spread = NamedSharding(mesh, PartitionSpec("batch"))
+        self._update: Any = jax.jit(self._updated, donate_argnums=0)
+        self._features = jax.jit(lambda state, images: self.network(state)(normalise(images)))
+
+    def initial(self) -> TrainState:
+        """The state before the first update."""
+        weights = {"network": self._weights, "log_kappa": jnp.zeros(())}
+        state = TrainState(weights, self._statistics, self._optimizer.init(weights), jnp.zeros((), jnp.int32))
+        return self.placed(state)
+
+    def placed(self, state: TrainState) -> TrainState:
+        """The state on every device, in memory of its own."""
+        return jax.tree.map(lambda x: jax.device_put(jnp.array(x), self._everywhere), state)
+
+    def spread(self, local: Sample) -> Sample:
+        """This host's part of a batch → the batch over all devices."""
+        return Sample(*(jax.make_array_from_process_local_data(self._spread, np.asarray(x)) for x in local))
+
+    def update(self, state: TrainState, batch: Sample) -> tuple[TrainState, Progress]:
+        """One update; the given state is used up."""
+        return self._update(state, batch)
+
+    def features(self, state: TrainState, images: Float[ArrayLike, "b h w 3"]) -> Float[Array, "b h w f"]:
+        """Guides of display-encoded pictures, with the running statistics."""
+        return self._features(state, jnp.asarray(images))
+
+    def prepare(self, state: TrainState, batch: Sample) -> int:
+        """Compile the update. Returns the bytes that it will need beside what is there already."""
+        self._update = self._update.lower(state, batch).compile()
+        analysis = self._update.memory_analysis()
+        return int(analysis.temp_size_in_bytes + analysis.output_size_in_bytes)
+
+    def network(self, state: TrainState) -> GuideNetwork:
+        """The network as it stands, ready for inference."""
+        return nnx.merge(self._still, state.weights["network"], state.statistics)
+
+    def _updated(self, state: TrainState, batch: Sample) -> tuple[TrainState, Progress]:
+        settings = self.settings
+        # All that is random follows from seed and iteration, so that a resumed run repeats it.
+        key = jax.random.fold_in(jax.random.key(settings.seed), state.iteration)
+        factor_key, key = jax.random.split(key)
+        factor_index = jax.random.randint(factor_key, (), 0, len(settings.factors))
+
+        def loss(weights: Tree) -> tuple[Array, tuple[Losses, Tree]]:
+            network = nnx.merge(self._graph, weights["network"], state.statistics)
+            features = network(normalise(batch.image))
+            statistics = nnx.to_pure_dict(nnx.state(network, nnx.Not(nnx.Param)))
+            losses = batch_losses(features, weights["log_kappa"], batch, key, factor_index, settings)
+            return total(losses, settings), (losses, statistics)
+
+        (value, (losses, statistics)), gradient = jax.value_and_grad(loss, has_aux=True)(state.weights)
+        updates, optimizer = self._optimizer.update(gradient, state.optimizer, state.weights)
+        weights = optax.apply_updates(state.weights, updates)
+        norm = optax.global_norm(gradient)
+        sound = functools.reduce(
+            jnp.logical_and, [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((value, norm, weights, statistics))]
+        )
+        progress = Progress(value, losses, norm, jnp.exp(state.weights["log_kappa"]), sound)
+        return TrainState(weights, statistics, optimizer, state.iteration + 1), progress

@@ -1,0 +1,118 @@
+"""What a guide is trained on: pictures whose borders are those of the objects, and the borders themselves.
+
+From one depth map with normals come, with fresh random numbers for every sample,
+
+- *tinted depth*, the paper's: depth times three random factors, which makes a three-channel picture of it;
+- *shading*: the surface under random coloured lamps, which is what the guide is for. It changes at creases too,
+  where depth does not jump;
+- *borders*: where depth jumps or the normal turns. These say directly where no light may flow.
+
+Symbols of this file: d depth, n normals in camera axes, v validity, all H×W.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key
+
+from hyjax.lights import PointLight
+from hyjax.stencil import Edges, gradient
+
+TINT = (0.5, 1.5)
+LAMPS = 3
+AMBIENT = 0.2
+"""Of the shading target, in multiples of the lamps' mean: shading must be positive to be adjusted."""
+BRIGHTEST = 4.0
+"""Of a lamp, in multiples of its mean over the picture: one so near a surface that it glares teaches nothing."""
+FIELD = 450.0
+"""Pixels from the optical axis to 45 degrees; crops do not know theirs, and lamps anywhere will do."""
+JUMP = 0.03
+"""A border: depth changes by this share of itself more than the slope beside it explains ..."""
+TURN = 0.94
+"""... or normals of neighbouring pixels have a cosine below this, some 20 degrees."""
+
+
+class Sample(NamedTuple):
+    """One training crop. Normals are zero where unknown, which may be everywhere."""
+
+    image: Float[Array, "h w 3"]
+    depth: Float[Array, "h w"]
+    valid: Bool[Array, "h w"]
+    normal: Float[Array, "h w 3"]
+
+
+def mean_over(x: Float[Array, "h w *c"], valid: Bool[Array, "h w"]) -> Float[Array, "*c"]:
+    """Mean over the valid pixels, 0 if there are none."""
+    weight = valid.astype(x.dtype).reshape(valid.shape + (1,) * (x.ndim - 2))
+    return jnp.sum(x * weight, axis=(0, 1)) / jnp.maximum(jnp.sum(weight), 1.0)
+
+
+def relative_depth(sample: Sample) -> Float[Array, "h w"]:
+    """Depth in multiples of its mean; 1 where invalid, so that it is positive everywhere."""
+    mean = jnp.maximum(mean_over(sample.depth, sample.valid), 1e-6)
+    return jnp.where(sample.valid, sample.depth / mean, 1.0)
+
+
+def tinted_depth(sample: Sample, key: Key[Array, ""]) -> Float[Array, "h w 3"]:
+    """Depth as a three-channel picture: times three random factors (the paper's training section)."""
+    tint = jax.random.uniform(key, (3,), minval=TINT[0], maxval=TINT[1])
+    return relative_depth(sample)[..., None] * tint
+
+
+def random_shading(sample: Sample, key: Key[Array, ""]) -> Float[Array, "h w 3"]:
+    """The surface under random coloured lamps and a little ambient light, about 1 on average.
+
+    Lamps lie anywhere from behind the camera to the depth of the scene. Lengths are multiples of the mean depth.
+    Without normals the result is plain ambient light.
+    """
+    h, w = sample.depth.shape
+    depth = relative_depth(sample)
+    u, v = jnp.meshgrid((jnp.arange(w) - (w - 1) / 2) / FIELD, (jnp.arange(h) - (h - 1) / 2) / FIELD)
+    position = depth[..., None] * jnp.stack([u, v, jnp.ones_like(u)], axis=-1)
+    known = sample.valid & jnp.any(sample.normal != 0, axis=-1)
+    total = jnp.full((h, w, 3), AMBIENT)
+    for lamp_key in jax.random.split(key, LAMPS):
+        place_key, color_key = jax.random.split(lamp_key)
+        place = jax.random.uniform(
+            place_key, (3,), minval=jnp.array([-1.2, -1.2, -0.5]), maxval=jnp.array([1.2, 1.2, 1.1])
+        )
+        color = jax.random.uniform(color_key, (3,), minval=0.1, maxval=1.0)
+        lamp = PointLight(place, jnp.asarray(1.0), color)
+        lux = jnp.where(known, lamp.lux(position, sample.normal), 0.0)
+        lux = lux / jnp.maximum(mean_over(lux, known), 1e-6)
+        total = total + jnp.minimum(lux, BRIGHTEST)[..., None] * (color / LAMPS)
+    return total
+
+
+def borders(sample: Sample) -> tuple[Edges, Edges]:
+    """Where objects end and surfaces turn, between neighbouring pixels.
+
+    A depth jump is a second difference, so that a slanted plane is none: depth changes across the edge by more than
+    `JUMP` beyond the smaller of the changes on both sides of it.
+
+    Returns:
+        (border, known): 1 where there is a border, and 1 where that can be told, each on the edges as (vertical,
+        horizontal).
+    """
+    depth = relative_depth(sample)
+    vertical = _borders(depth, sample.normal, sample.valid)
+    horizontal = _borders(depth.T, jnp.swapaxes(sample.normal, 0, 1), sample.valid.T)
+    return (vertical[0], horizontal[0].T), (vertical[1], horizontal[1].T)
+
+
+def _borders(depth: Array, normal: Array, valid: Array) -> tuple[Array, Array]:
+    change, _ = gradient(depth)
+    known = valid[1:] & valid[:-1]
+    change = jnp.where(known, change, 0.0)
+    above, below = (jnp.pad(change, ((1, 1), (0, 0)), mode="edge")[k : k + change.shape[0]] for k in (0, 2))
+    slope = jnp.where(jnp.abs(above) < jnp.abs(below), above, below)
+    nearer = jnp.minimum(depth[1:], depth[:-1])
+    jumps = jnp.abs(change - slope) > JUMP * nearer
+    turned = jnp.sum(normal[1:] * normal[:-1], axis=-1)
+    have = jnp.any(normal != 0, axis=-1)
+    turns = have[1:] & have[:-1] & (turned < TURN)
+    border = known & (jumps | turns)
+    # Without normals, a crease may be anywhere: only what is a border is known.
+    known = border | (known & have[1:] & have[:-1])
+    return border.astype(depth.dtype), known.astype(depth.dtype)

@@ -1,0 +1,107 @@
+"""How good a guide is while it is trained: losses and pictures of crops that stay the same."""
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hyjax.contact_sheet import write_contact_sheet
+from hyjax.data.depth_pairs import DepthPairs
+from hyjax.data.pair_loader import PairLoader
+from hyjax.diffusion import conductance
+from hyjax.files import make_writable
+from hyjax.schedule import DEFAULT_KAPPA
+from hyjax.stencil import Edges
+from hyjax.superresolution import coarsen
+from hyjax.training.objective import batch_losses, resolve, total
+from hyjax.training.state import TrainState, Updater
+from hyjax.training.targets import Sample, random_shading, relative_depth
+
+BATCHES = 8
+SHOWN = 8
+SEED = 1
+"""Of crops, lamps and tints: other crops than those trained on even where the pictures are the same."""
+HEADINGS = ("frame", "source", "under the guide", "truth", "conductances")
+
+
+class Validation:
+    """The same crops, lamps and tints every time.
+
+    Args:
+        updater: whose network and settings.
+        sources: what to take crops from.
+
+    Raises:
+        InputError: a source has no usable crop.
+    """
+
+    def __init__(self, updater: Updater, sources: Sequence[DepthPairs]) -> None:
+        self.updater, self.settings = updater, updater.settings
+        loader = PairLoader(sources, size=self.settings.size, batch=self.settings.batch, seed=SEED, augment=False)
+        batches = (next(loader) for _ in range(BATCHES))
+        self.batches = [Sample(b.image, b.depth, b.valid, b.normal) for b in batches]
+        self._losses = jax.jit(functools.partial(batch_losses, settings=self.settings))
+        self.rgb = self._measure(lambda images: jnp.asarray(images), jnp.log(DEFAULT_KAPPA))
+
+    def __call__(self, state: TrainState) -> dict[str, float]:
+        """Losses by name: `loss` is the weighted sum, `rgb` the same of the RGB guide at its usual κ."""
+        measured = self._measure(functools.partial(self.updater.features, state), state.weights["log_kappa"])
+        return measured | {"rgb": self.rgb["loss"]}
+
+    def _measure(self, guide_of, log_kappa: Float[Array, ""]) -> dict[str, float]:  # type: ignore[no-untyped-def]
+        found: dict[str, list[float]] = {}
+        for number, batch in enumerate(self.batches):
+            guide = guide_of(batch.image)
+            for index, factor in enumerate(self.settings.factors):
+                losses = self._losses(guide, log_kappa, batch, jax.random.key(number), jnp.asarray(index))
+                found.setdefault("loss", []).append(float(total(losses, self.settings)))
+                found.setdefault("border", []).append(float(losses.border))
+                for name in ("depth", "shading"):
+                    found.setdefault(f"{name} x{factor}", []).append(float(getattr(losses, name)))
+        return {name: float(np.mean(values)) for name, values in found.items()}
+
+    def draw(self, state: TrainState, path: Path) -> None:
+        """Write a sheet of crops super-resolved by the largest factor."""
+        rows = []
+        for batch in self.batches:
+            features = self.updater.features(state, batch.image)
+            for i in range(len(features)):
+                if len(rows) < SHOWN:
+                    sample = Sample(*(jnp.asarray(field[i]) for field in batch))
+                    rows.append(self._row(f"crop {len(rows)}", sample, features[i], state.weights["log_kappa"]))
+        make_writable(path.parent)
+        write_contact_sheet(path, rows, HEADINGS)
+
+    def _row(
+        self, label: str, sample: Sample, features: Float[Array, "h w f"], log_kappa: Float[Array, ""]
+    ) -> tuple[str, list[Float[np.ndarray, "h w 3"]]]:
+        factor = max(self.settings.factors)
+        target = random_shading(sample, jax.random.key(0))
+        if not bool(jnp.any(sample.normal != 0)):
+            target = jnp.repeat(relative_depth(sample)[..., None], 3, axis=-1)
+        source, _ = coarsen(target, sample.valid, factor)
+        resolved = _resolved(target, sample, features, log_kappa, factor, self.settings)
+        brightest = float(np.percentile(np.asarray(target), 98))
+        blocks = np.asarray(source).repeat(factor, axis=0).repeat(factor, axis=1)
+        open_ = least(conductance(features, jnp.exp(log_kappa)))[..., None].repeat(3, axis=-1)
+        shown = [
+            np.asarray(x) / brightest for x in (blocks, resolved, jnp.where(sample.valid[..., None], target, 0))
+        ]
+        return label, [np.asarray(sample.image), *shown, open_]
+
+
+@functools.partial(jax.jit, static_argnames=("factor", "settings"))
+def _resolved(target, sample, features, log_kappa, factor, settings):  # type: ignore[no-untyped-def]
+    uncounted = jnp.asarray(settings.steps_without_gradient // 2)
+    return resolve(target, sample.valid, features, log_kappa, factor, uncounted, settings)
+
+
+def least(edges: Edges) -> Float[np.ndarray, "h w"]:
+    """Of each pixel, the lesser conductance of the edges to the pixels below and to its right."""
+    down = np.pad(np.asarray(edges[0]), ((0, 1), (0, 0)), constant_values=1.0)
+    right = np.pad(np.asarray(edges[1]), ((0, 0), (0, 1)), constant_values=1.0)
+    return np.minimum(down, right)

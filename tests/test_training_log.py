@@ -1,0 +1,92 @@
+"""Settings and log of a training run: what is refused, what a resumed run forgets."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from hyjax.errors import InputError
+from hyjax.training.log import Log
+from hyjax.training.settings import PAPER, TrainSettings
+
+SETTINGS = TrainSettings(iterations=10)
+
+
+def run_of(folder: Path, iterations: int, settings: TrainSettings = SETTINGS) -> None:
+    """A run of so many iterations that was then killed."""
+    log = Log(folder, settings, resume=False)
+    log.open(0, {"device": "cpu"})
+    for i in range(1, iterations + 1):
+        log.add(iteration=i, loss=1.0 / i)
+
+
+def test_the_papers_recipe_is_what_its_training_section_says() -> None:
+    recipe = PAPER.check()
+    assert (recipe.size, recipe.batch, recipe.iterations, recipe.factors) == (512, 8, 12_000, (32,))
+    assert (recipe.steps_without_gradient, recipe.steps_with_gradient) == (20_000, 512)
+    assert (recipe.learning_rate, recipe.decay, recipe.clip, recipe.through) == (1e-4, 0.9, 0.01, "steps")
+    assert recipe.shading_weight == recipe.border_weight == 0
+
+
+@pytest.mark.parametrize(
+    "change, says",
+    [
+        ({"size": 100}, "size: 100"),
+        ({"factors": (7,)}, "factors"),
+        ({"factors": ()}, "factors"),
+        ({"batch": 0}, "batch"),
+        ({"through": "magic"}, "through: 'magic' is unknown; use one of cascade, steps"),
+        ({"schedule": "paper-5"}, "schedule"),
+        ({"pairs": ()}, "pairs"),
+        ({"learning_rate": float("nan")}, "learning_rate"),
+        ({"lam": 0.3}, "lam"),
+        ({"depth_weight": 0.0, "shading_weight": 0.0, "border_weight": 0.0}, "weights"),
+        ({"border_weight": -1.0}, "weights"),
+    ],
+)
+def test_unusable_settings_are_named(change: dict, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        dataclasses.replace(SETTINGS, **change).check()
+
+
+def test_a_folder_with_a_run_is_not_overwritten(tmp_path: Path) -> None:
+    run_of(tmp_path, 3)
+    with pytest.raises(InputError, match="--resume"):
+        Log(tmp_path, SETTINGS, resume=False)
+    assert len(Log(tmp_path, SETTINGS, resume=True).lines) == 3
+
+
+def test_resuming_with_other_settings_names_the_first_that_differs(tmp_path: Path) -> None:
+    run_of(tmp_path, 3)
+    with pytest.raises(InputError, match="batch 4 and this one has 8"):
+        Log(tmp_path, dataclasses.replace(SETTINGS, batch=8), resume=True)
+    Log(tmp_path, dataclasses.replace(SETTINGS, iterations=20), resume=True)  # longer is no other run
+
+
+def test_what_came_after_the_checkpoint_is_forgotten(tmp_path: Path) -> None:
+    run_of(tmp_path, 5)
+    with (tmp_path / "log.jsonl").open("a") as file:
+        file.write('{"iteration": 6, "lo')  # killed in the middle of a line
+    log = Log(tmp_path, SETTINGS, resume=True)
+    log.open(3, {})
+    log.add(iteration=4, loss=0.5)
+    lines = [json.loads(text) for text in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [line["iteration"] for line in lines] == [1, 2, 3, 4] and lines[-1]["loss"] == 0.5
+
+
+def test_best_is_the_lowest_validation_so_far(tmp_path: Path) -> None:
+    log = Log(tmp_path, SETTINGS, resume=False)
+    log.open(0, {})
+    best = []
+    for i, loss in enumerate((3.0, 2.0, 2.5, 1.0)):
+        log.add(iteration=i, loss=9.0)
+        log.add(iteration=i, validation={"loss": loss})
+        best.append(log.last_is_best())
+    assert best == [True, True, False, True]
+
+
+def test_an_unreadable_settings_file_ends_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "settings.json").write_text("{")
+    with pytest.raises(InputError, match=r"settings\.json: cannot be read"):
+        Log(tmp_path, SETTINGS, resume=True)
