@@ -1,16 +1,21 @@
 """Random furnished rooms and photographs of them, for training: image, exact depth and exact normals."""
 
 import dataclasses
+import functools
 
 import numpy as np
 
 from hyjax.scene.random_room.layout import RandomRoom, furnish
 from hyjax.scene.random_room.light import Lighting, draw_lighting
+from hyjax.scene.random_room.looks import PHOTOGRAPHS, Bank, painted
 from hyjax.scene.random_room.render import Shot, shoot
 from hyjax.scene.random_room.views import draw_view
 from hyjax.scene.raycast import RayCaster
 
 __all__ = ["LitRoom", "Shot", "make_random_room", "photograph"]
+
+ALBUM, ALBUM_SIZE = (4, 4), 128
+"""Rooms, views of each and pixels of photographs that hang on walls: pictures of rooms that are none."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,28 +23,42 @@ class LitRoom:
     """A random room ready for photographs.
 
     Attributes:
-        seed, number: what it was drawn from.
+        key: what its views are drawn from.
         room: geometry and looks.
         caster: its rays.
         lighting: its lights.
     """
 
-    seed: int
-    number: int
+    key: tuple[int, ...]
     room: RandomRoom
     caster: RayCaster
     lighting: Lighting
 
 
 def make_random_room(seed: int, number: int) -> LitRoom:
-    """Furnish and light room `number` of a seed."""
-    room = furnish(seed, number)
-    lighting = draw_lighting(room, np.random.default_rng((seed, number, 1)))
-    return LitRoom(seed, number, room, RayCaster(room.furnished.mesh), lighting)
+    """Furnish and light room `number` of a seed. The first room of a seed in a process draws its patterns, too."""
+    return _make((seed, number), _bank(seed))
 
 
 def photograph(lit: LitRoom, view: int, size: int) -> Shot:
     """View `view` of a room, `size` pixels square."""
-    rng = np.random.default_rng((lit.seed, lit.number, 2, view))
+    rng = np.random.default_rng((*lit.key, 2, view))
     camera = draw_view(lit.room, lit.caster, size, rng)
     return shoot(lit.room, lit.caster, lit.lighting, camera, rng)
+
+
+def _make(key: tuple[int, ...], patterns: Bank) -> LitRoom:
+    room = furnish(np.random.default_rng(key), patterns)
+    lighting = draw_lighting(room, np.random.default_rng((*key, 1)))
+    return LitRoom(key, room, RayCaster(room.furnished.mesh), lighting)
+
+
+@functools.lru_cache(maxsize=2)
+def _bank(seed: int) -> Bank:
+    """The bank of patterns for a seed, which is drawn in seconds and kept for the life of the process."""
+    images = painted(seed)
+    plain = Bank(images)
+    rooms = [_make((seed, number, 3), plain) for number in range(ALBUM[0])]
+    shots = [photograph(room, view, ALBUM_SIZE) for room in rooms for view in range(ALBUM[1])]
+    images[PHOTOGRAPHS] = [shot.image**2.2 for shot in shots]
+    return Bank(images)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from hyjax.scene.random_room import pieces, things
 from hyjax.scene.random_room.builder import Furnished, RoomBuilder
-from hyjax.scene.random_room.looks import Looks, bank
+from hyjax.scene.random_room.looks import Bank, Looks
 from hyjax.scene.random_room.plan import Piece, Plan, Top
 from hyjax.scene.room import things as made
 from hyjax.scene.room.shapes import box, panel, revolve, sheet, tube
@@ -45,17 +45,16 @@ class RandomRoom:
     targets: list[tuple[np.ndarray, float]]
 
 
-def furnish(seed: int, number: int) -> RandomRoom:
-    """Room `number` of a seed."""
-    rng = np.random.default_rng((seed, number))
-    build = RoomBuilder(rng, Looks(bank(seed)))
+def furnish(rng: np.random.Generator, patterns: Bank) -> RandomRoom:
+    """A room in looks of a bank."""
+    build = RoomBuilder(rng, Looks(patterns))
     size = np.array([rng.uniform(2.4, 6.5), rng.uniform(2.4, 6.5), rng.uniform(2.3, 3.2)])
     room = _Room(build, size)
     room.shell()
-    room.stand_at_walls(int(rng.integers(2, 9)))
-    room.stand_free(int(rng.integers(1, 7)))
-    room.hang(int(rng.integers(2, 14)))
-    room.lie_about(int(rng.integers(0, 9)))
+    room.stand_at_walls(int(rng.integers(3, 11)))
+    room.stand_free(int(rng.integers(2, 8)))
+    room.hang(int(rng.integers(3, 18)))
+    room.lie_about(int(rng.integers(0, 10)))
     return RandomRoom(build.furnished(), size, room.windows, build.targets)
 
 
@@ -225,8 +224,8 @@ class _Room:
         rng, (x0, y0), (x1, y1) = self.rng, top.low, top.high
         area = (x1 - x0) * (y1 - y0)
         shelf = top.kind == "shelf"
-        wanted = rng.poisson(area * rng.choice([4, 14, 30])) if deeper else int(rng.random() < 0.3)
-        wanted = min(wanted, 16)
+        wanted = rng.poisson(area * rng.choice([6, 18, 40])) if deeper else int(rng.random() < 0.3)
+        wanted = min(wanted, 22)
         plan, put = Plan((x0, y0), (x1, y1)), 0
         left = x0
         for _ in range(3 * wanted if not shelf else int(4 * (x1 - x0) / 0.3) + 2):

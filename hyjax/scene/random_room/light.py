@@ -17,8 +17,9 @@ from hyjax.scene.room.surface import rows
 
 OFFSET = 1.5e-3
 """Metres off the surface at which rays start."""
-AREA_RAYS = 3
-SKY_RAYS = 5
+AREA_RAYS = 4
+"""Shared by all panels."""
+SKY_RAYS = 4
 BLOCK = 4
 """Soft light is averaged over a block of this many samples squared, which all take different rays."""
 REACH = 1.2
@@ -124,16 +125,14 @@ def hard_light(
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """(irradiance / π of a lamp with its shadows, unit directions towards it)."""
     p = points.position
-    jitter = rng.standard_normal(p.shape, dtype=np.float32) * np.float32(0.5 * lamp.radius)
-    if lamp.sun:
-        way = np.broadcast_to(lamp.position.astype(np.float32), p.shape) + jitter
-        squared: np.ndarray | float = 1.0
-    else:
-        way = lamp.position.astype(np.float32) - p + jitter
-        squared = np.einsum("nk,nk->n", way, way)
-    unit = way / np.sqrt(np.einsum("nk,nk->n", way, way))[:, None]
-    cosine = np.einsum("nk,nk->n", points.normal, unit)
-    strength = np.maximum(cosine, 0) / np.maximum(squared, 0.01)
+    way = np.broadcast_to(lamp.position.astype(np.float32), p.shape) - (0 if lamp.sun else p)
+    if lamp.radius > 0:
+        way = way + rng.standard_normal(p.shape, dtype=np.float32) * np.float32(0.5 * lamp.radius)
+    squared = dot(way, way)
+    unit = way / np.sqrt(squared)[:, None]
+    strength = np.maximum(dot(points.normal, unit), 0)
+    if not lamp.sun:
+        strength /= np.maximum(squared, 0.01)
     if lamp.cosine > -1:
         inside = -(unit @ lamp.axis.astype(np.float32))
         strength *= np.clip((inside - lamp.cosine) / 0.03, 0, 1)
@@ -147,12 +146,17 @@ def hard_light(
     return strength[:, None] * lamp.colour.astype(np.float32), unit.astype(np.float32)
 
 
-def _interleaved(rows_: int, columns: int, count: int, salt: float) -> Float[np.ndarray, "c n 2"]:
+def _interleaved(shape: tuple[int, int], count: int, salt: float) -> list[tuple[np.ndarray, np.ndarray]]:
     """`count` points of the unit square for each pixel; together a block's points fill it evenly (R2 sequence)."""
-    i, j = np.indices((rows_, columns))
-    order = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]])[i % BLOCK, j % BLOCK].ravel()
-    k = np.arange(count)[:, None] * BLOCK**2 + order
-    return (np.stack([0.7548776662 * k, 0.5698402910 * k], -1) + salt) % 1.0
+    block = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]])
+    tiles = (-(-shape[0] // BLOCK), -(-shape[1] // BLOCK))
+    points = []
+    for k in range(count):
+        u, v = (((block + k * BLOCK**2) * step + salt) % 1.0 for step in (0.7548776662, 0.5698402910))
+        points.append(
+            tuple(np.tile(a, tiles)[: shape[0], : shape[1]].reshape(-1, 1).astype(np.float32) for a in (u, v))
+        )
+    return points  # type: ignore[return-value]
 
 
 def soft_light(
@@ -170,25 +174,24 @@ def soft_light(
     """
     start = points.position + OFFSET * points.normal
     total = np.zeros_like(points.position)
-    for panel in lighting.panels:
+    rays = max(1, AREA_RAYS // max(1, len(lighting.panels)))
+    for number, panel in enumerate(lighting.panels):
         w = panel.window
-        place = 2 * _interleaved(*shape, AREA_RAYS, salt) - 1
-        area = 4 * np.linalg.norm(w.right) * np.linalg.norm(w.up)
-        for k in range(AREA_RAYS):
-            goal = w.centre + 0.01 * w.normal + place[k, :, :1] * w.right + place[k, :, 1:] * w.up
-            way = goal.astype(np.float32) - start
-            squared = np.einsum("nk,nk->n", way, way)
-            here = np.einsum("nk,nk->n", points.normal, way)
+        area = np.float32(4 * np.linalg.norm(w.right) * np.linalg.norm(w.up) / np.pi)
+        centre, right, up = (a.astype(np.float32) for a in (w.centre + 0.01 * w.normal, w.right, w.up))
+        for u, v in _interleaved(shape, rays, salt + 0.19 * number):
+            way = centre + (2 * u - 1) * right + (2 * v - 1) * up - start
             there = -(way @ w.normal.astype(np.float32))
-            weight = np.maximum(here, 0) * np.maximum(there, 0) / np.maximum(squared, 0.02) ** 2 * (area / np.pi)
-            lit = np.flatnonzero(weight > 1e-5)
+            weight = np.maximum(dot(points.normal, way), 0) * np.maximum(there, 0)
+            weight *= area / np.maximum(dot(way, way), 0.02) ** 2
+            lit = np.flatnonzero(weight > 1e-4)
             weight[lit[caster.occluded(start[lit], way[lit], 0.999)]] = 0
-            total += weight[:, None] * (panel.colour / AREA_RAYS).astype(np.float32)
+            total += weight[:, None] * (panel.colour / rays).astype(np.float32)
     x, y = _frame(points.normal)
     above, below = lighting.above.astype(np.float32), lighting.below.astype(np.float32)
-    for u in _interleaved(*shape, SKY_RAYS, salt + 0.37).astype(np.float32):
-        radius, angle = np.sqrt(u[:, :1]), 2 * np.pi * u[:, 1:]
-        way = radius * (np.cos(angle) * x + np.sin(angle) * y) + np.sqrt(1 - u[:, :1]) * points.normal
+    for u, v in _interleaved(shape, SKY_RAYS, salt + 0.37):
+        radius, angle = np.sqrt(u), np.float32(2 * np.pi) * v
+        way = radius * (np.cos(angle) * x + np.sin(angle) * y) + np.sqrt(1 - u) * points.normal
         hits = caster.cast(start, way)
         up = 0.5 + 0.5 * way[:, 2:]
         open_space = below + (above - below) * up
@@ -210,10 +213,15 @@ def _frame(normal: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], 
     return x, y
 
 
+def dot(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    """Inner product of each row with its partner."""
+    return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
+
+
 def alike(a: Points, b: Points) -> Bool[np.ndarray, "n"]:
     """Whether pairs of points lie on the same smooth surface: similar normals, and each near the other's plane."""
-    turned = np.einsum("nk,nk->n", a.normal, b.normal) > 0.92
-    off = np.abs(np.einsum("nk,nk->n", a.normal, b.position - a.position))
+    turned = dot(a.normal, b.normal) > 0.92
+    off = np.abs(dot(a.normal, b.position - a.position))
     return turned & (off < 0.012 * a.depth)
 
 

@@ -2,7 +2,6 @@
 
 import colorsys
 import dataclasses
-import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -60,8 +59,20 @@ class Role:
     gloss: tuple[float, float] = (0.0, 0.0)
 
 
+PHOTOGRAPHS = "photographs"
+"""A family that the bank may hold beside `FAMILIES`: pictures of other rooms, linear red, green and blue."""
+
 _CLOTH = {"plain": 3, "weave": 3, "stripes": 2, "checks": 2, "dots": 1, "zigzag": 1, "motif": 2, "clouds": 0.5}
-_PRINT = {"pack": 4, "leaves": 1, "stripes": 0.5, "dots": 0.5, "gradient": 0.5, "plain": 0.7, "motif": 0.5}
+_PRINT = {
+    "pack": 4,
+    "leaves": 0.7,
+    PHOTOGRAPHS: 0.7,
+    "stripes": 0.5,
+    "dots": 0.5,
+    "gradient": 0.5,
+    "plain": 0.7,
+    "motif": 0.5,
+}
 ROLES = {
     "wall": Role({"plain": 8, "stripes": 1, "motif": 1, "tiles": 1.2, "clouds": 1, "grain": 0.5, "speckle": 0.5,
                   "gradient": 0.5, "curves": 0.3, "checks": 0.3, "zigzag": 0.3}, "wall"),
@@ -80,15 +91,17 @@ ROLES = {
     "plastic": Role({"plain": 5, "gradient": 1, "pack": 1, "speckle": 0.3}, "any", (0.6, 0.6)),
     "metal": Role({"plain": 4, "clouds": 1, "speckle": 0.5}, "grey", (0.9, 3.0)),
     "print": Role(_PRINT, "bright", (0.4, 0.4)),
-    "photo": Role({"leaves": 4, "motif": 0.6, "curves": 0.6, "pack": 0.8, "gradient": 0.3}, "bright", (0.5, 0.6)),
+    "photo": Role({PHOTOGRAPHS: 4, "leaves": 2, "motif": 0.6, "curves": 0.6, "pack": 0.8}, "bright", (0.5, 0.6)),
     "paper": Role({"text": 5, "plain": 1, "curves": 0.6, "pack": 0.6}, "paper"),
     "page": Role({"stripes": 1, "plain": 2}, "pale"),
-    "screen": Role({"text": 1, "leaves": 1.5, "pack": 1, "plain": 3}, "screen", (1.0, 1.0)),
+    "screen": Role({"text": 1, PHOTOGRAPHS: 1.5, "leaves": 0.5, "pack": 1, "plain": 3}, "screen", (1.0, 1.0)),
     "leaf": Role({"clouds": 2, "plain": 2, "stripes": 0.5}, "leaf", (0.6, 0.4)),
     "soil": Role({"speckle": 1}, "dark"),
 }  # fmt: skip
-ODD = 0.06
+ODD = 0.05
 """Share of looks with a pattern and colours of no particular sense."""
+DETAILS = ("clouds", "speckle", "weave", "grain")
+"""Families whose first colour's share is laid over other patterns as unevenness."""
 ALIKE = 0.18
 """Share of looks that borrow the palette of something else in the room: borders with little contrast."""
 
@@ -110,8 +123,8 @@ def _ground(rng: np.random.Generator, scheme: str) -> tuple[float, float, float]
         return u(0, 1), u(0, 0.08), u(0.15, 0.9)
     if scheme in ("pale", "paper") or (scheme == "wall" and kind < 0.55):
         return u(0.02, 0.2) if kind < 0.4 else u(0, 1), u(0, 0.12), u(0.78, 0.97)
-    if scheme == "wall" and kind < 0.85:
-        return u(0, 1), u(0.05, 0.4), u(0.5, 0.9)
+    if scheme == "wall":
+        return u(0, 1), u(0.05, 0.35) if kind < 0.88 else u(0.3, 0.75), u(0.4, 0.9)
     if scheme == "floor":
         return (u(0.04, 0.12), u(0.1, 0.65), u(0.25, 0.9)) if kind < 0.6 else (u(0, 1), u(0, 0.2), u(0.15, 0.85))
     if scheme == "furniture" and kind < 0.75:
@@ -124,7 +137,14 @@ def _ground(rng: np.random.Generator, scheme: str) -> tuple[float, float, float]
         return u(0, 1), u(0, 0.4), u(0.05, 0.12) if kind < 0.5 else u(0.3, 0.9)
     if scheme == "any" and kind < 0.35:
         return u(0, 1), u(0, 0.25), u(0.1, 0.95)
-    return u(0, 1), u(0.3, 1), u(0.25, 1)
+    return u(0, 1), u(0.2, 0.9), u(0.2, 0.95)
+
+
+def _primaries(rng: np.random.Generator) -> Float[np.ndarray, "4 3"]:
+    """Black, red, green and blue as inks of some strength."""
+    inks = np.eye(4, 3, -1) * rng.uniform(0.5, 0.9, 3)
+    grey = inks.sum(axis=1, keepdims=True) / 3
+    return (inks + (grey - inks) * rng.choice([0.0, 0.3, 1.0], p=[0.5, 0.35, 0.15]) + 0.012).astype(np.float32)
 
 
 def palette(rng: np.random.Generator, scheme: str) -> Float[np.ndarray, "4 3"]:
@@ -148,26 +168,38 @@ def palette(rng: np.random.Generator, scheme: str) -> Float[np.ndarray, "4 3"]:
     return np.array(colours, dtype=np.float32)
 
 
+def painted(seed: int) -> dict[str, list[np.ndarray]]:
+    """Patterns of every family, as shares of three colours."""
+    return {
+        name: [
+            np.clip(family.paint(family.size, np.random.default_rng((seed, row, number))), 0, 1).astype(np.float32)
+            for number in range(family.count)
+        ]
+        for row, (name, family) in enumerate(FAMILIES.items())
+    }
+
+
 class Bank:
     """All patterns with their mip levels, in one array of 8-bit pixels.
+
+    Args:
+        images: square patterns of each family; their sides are powers of two.
 
     Attributes:
         family: the patterns of each family.
     """
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, images: dict[str, list[np.ndarray]]) -> None:
         levels: list[np.ndarray] = []
         starts: list[list[int]] = []
         sizes: list[int] = []
         at = 0
         self.family: dict[str, range] = {}
-        for name, family in FAMILIES.items():
-            self.family[name] = range(len(starts), len(starts) + family.count)
-            for number in range(family.count):
-                stream = np.random.default_rng((seed, 7, len(starts), number))
-                image = np.clip(family.paint(family.size, stream), 0, 1).astype(np.float32)
+        for name, family in images.items():
+            self.family[name] = range(len(starts), len(starts) + len(family))
+            for image in family:
                 start = []
-                sizes.append(int(np.log2(family.size)))
+                sizes.append(int(np.log2(len(image))))
                 while True:
                     levels.append(np.round(image * 255).astype(np.uint8).reshape(-1, 3))
                     start.append(at)
@@ -204,12 +236,6 @@ class Bank:
         return (upper + (c + (d - c) * fx - upper) * fy) * np.float32(1 / 255)
 
 
-@functools.lru_cache(maxsize=2)
-def bank(seed: int) -> Bank:
-    """The bank of patterns for a seed; kept for the life of the process."""
-    return Bank(seed)
-
-
 class Looks:
     """The looks of one room.
 
@@ -233,20 +259,24 @@ class Looks:
         """
         kind = ROLES[role]
         odd = rng.random() < ODD
-        names = list(FAMILIES if odd else kind.families)
-        weights = np.ones(len(names)) if odd else np.array(list(kind.families.values()), dtype=float)
+        families = dict.fromkeys(FAMILIES, 1.0) if odd else kind.families
+        names = [name for name in families if name in self.patterns.family]
+        weights = np.array([families[name] for name in names])
         name = names[rng.choice(len(names), p=weights / weights.sum())]
         pattern = int(rng.choice(self.patterns.family[name]))
         colours = palette(rng, "any" if odd else kind.colours)
-        if self._palettes and role not in ("leaf", "soil", "paper", "screen") and rng.random() < ALIKE:
+        if name == PHOTOGRAPHS:
+            colours = _primaries(rng)
+        elif self._palettes and role not in ("leaf", "soil", "paper", "screen") and rng.random() < ALIKE:
             colours = self._palettes[rng.integers(len(self._palettes))] * rng.uniform(0.85, 1.15, 3)
-        low, high = FAMILIES[name].tile
+        low, high = FAMILIES[name].tile if name in FAMILIES else (0.2, 0.6)
         size = tile if tile is not None else low * (high / low) ** rng.random()
         turn = 0.0 if tile is not None or rng.random() < 0.7 else rng.uniform(0, 2 * np.pi)
         if tile is None and name in ("stripes", "zigzag") and rng.random() < 0.5:
             turn = np.pi / 2
         shift = np.zeros(2) if tile is not None else rng.random(2)
-        detail = int(rng.choice(self.patterns.family[str(rng.choice(["clouds", "speckle", "weave", "grain"]))]))
+        fine = [name for name in DETAILS if name in self.patterns.family]
+        detail = int(rng.choice(self.patterns.family[fine[rng.integers(len(fine))]]))
         amount = 0.0 if rng.random() < 0.4 else rng.uniform(0.05, 0.35)
         share, strength = kind.gloss
         glossy = rng.random() < share

@@ -186,17 +186,17 @@ def leaves(n: int, rng: np.random.Generator) -> Shares:
     Images, IJCV 2001.)
     """
     out = np.zeros((n, n, 3), np.float32) + rng.random(3) * 0.5
-    u, v = _grid(n)
-    for radius in np.sort(0.03 * rng.random(110) ** -0.55)[::-1]:
-        radius = min(radius, 0.4)
-        x, y = (u - rng.random() + 0.5) % 1 - 0.5, (v - rng.random() + 0.5) % 1 - 0.5
+    for radius in np.sort(0.03 * rng.random(160) ** -0.55)[::-1] * n:
+        half = int(np.ceil(min(radius, 0.45 * n)))
+        row, column = rng.integers(0, n, 2)
         turn, stretch = rng.uniform(0, np.pi), rng.uniform(0.4, 1)
+        y, x = np.mgrid[-half : half + 1, -half : half + 1] / half
         c, s = np.cos(turn), np.sin(turn)
-        x, y = (c * x - s * y) / radius, (s * x + c * y) / (radius * stretch)
-        far = np.hypot(x, y) if rng.random() < 0.6 else np.maximum(np.abs(x), np.abs(y))
-        rows, columns = np.nonzero(far < 1)
-        shade = 1 + rng.uniform(-0.5, 0.5) * x[rows, columns] + rng.uniform(-0.3, 0.3) * y[rows, columns]
-        out[rows, columns] = rng.random(3) * shade[:, None]
+        x, y = c * x - s * y, (s * x + c * y) / stretch
+        far = np.hypot(x, y) if rng.random() < 0.6 else 1.3 * np.maximum(np.abs(x), np.abs(y))
+        i, j = np.nonzero(far < 1)
+        shade = 1 + rng.uniform(-0.5, 0.5) * x[i, j] + rng.uniform(-0.3, 0.3) * y[i, j]
+        out[(row + i) % n, (column + j) % n] = rng.random(3) * shade[:, None]
     soft = gaussian_filter(out, (rng.uniform(0.4, 1.2),) * 2 + (0,), mode="wrap")
     return np.clip(soft + 0.06 * noise(n, 1.5, 1.5, rng)[..., None], 0, 1)
 

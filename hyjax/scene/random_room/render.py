@@ -9,7 +9,7 @@ from hyjax.scene.camera import Camera
 from hyjax.scene.random_room import light as lights
 from hyjax.scene.random_room.exposure import develop
 from hyjax.scene.random_room.layout import RandomRoom
-from hyjax.scene.random_room.light import Lighting, Points
+from hyjax.scene.random_room.light import Lighting, Points, dot
 from hyjax.scene.raycast import Hits, RayCaster
 from hyjax.scene.room.surface import rows
 
@@ -64,11 +64,11 @@ def _points(caster: RayCaster, origin: np.ndarray, rays: np.ndarray, hits: Hits)
     face = caster.mesh.face_normals.astype(np.float32)[hits.face]
     normal = caster.interpolated_normals(hits).astype(np.float32)
     # The triangle decides which side is seen; at a rim a smooth normal may point away, and is laid level then.
-    normal *= np.where(np.einsum("nk,nk->n", face, normal) < 0, -1, 1)[:, None].astype(np.float32)
-    normal *= np.where(np.einsum("nk,nk->n", face, rays) > 0, -1, 1)[:, None].astype(np.float32)
-    away = np.einsum("nk,nk->n", normal, rays) / np.einsum("nk,nk->n", rays, rays)
+    turned = (dot(face, normal) < 0) != (dot(face, rays) > 0)
+    normal *= np.where(turned, np.float32(-1), np.float32(1))[:, None]
+    away = dot(normal, rays) / dot(rays, rays)
     normal -= np.maximum(away, 0)[:, None] * rays
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    normal /= np.maximum(np.sqrt(dot(normal, normal)), np.float32(1e-12))[:, None]
     normal[~hits.hit] = (0, 0, 1)
     return Points(position, normal, distance)
 
@@ -108,7 +108,7 @@ def _light(
         half = view + toward[shiny]
         half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-6)
         n = exponent[shiny]
-        lobe = np.maximum(np.einsum("nk,nk->n", half, points.normal[shiny]), 0) ** n * (n + 2) / 8
+        lobe = np.maximum(dot(half, points.normal[shiny]), 0) ** n * (n + 2) / 8
         highlight[shiny] += 0.04 * (gloss[shiny] * lobe)[:, None] * direct[shiny]
     return total, highlight
 
@@ -143,8 +143,7 @@ def _radiance(
     """Albedo × light."""
     furnished = room.furnished
     face = hits.face
-    length = np.linalg.norm(rays, axis=1)
-    cosine = np.abs(np.einsum("nk,nk->n", points.normal, rays)) / length
+    cosine = np.abs(dot(points.normal, rays)) / np.sqrt(dot(rays, rays))
     width = (pixel * points.depth / np.sqrt(np.maximum(cosine, 0.02))).astype(np.float32)
     uv = np.einsum("nk,nkc->nc", hits.barycentric.astype(np.float32), rows(furnished.uv, face))
     return furnished.looks.albedo(rows(furnished.look, face), uv, 0.7 * width) * irradiance
@@ -170,7 +169,7 @@ def _mirror(
         return out
     way = rays[some] / np.linalg.norm(rays[some], axis=1, keepdims=True)
     normal = points.normal[some]
-    cosine = np.clip(-np.einsum("nk,nk->n", way, normal), 0, 1)
+    cosine = np.clip(-dot(way, normal), 0, 1)
     way = way + 2 * cosine[:, None] * normal
     seen = caster.cast(points.position[some] + lights.OFFSET * normal, way)
     uv = np.einsum("nk,nkc->nc", seen.barycentric.astype(np.float32), rows(furnished.uv, seen.face))
@@ -227,8 +226,8 @@ def _antialias(
         for di, dj in ((0, 0), (0, sx), (sy, 0), (sy, sx), (0, -sx), (-sy, 0)):
             near = np.clip(i + di, 0, h - 1) * w + np.clip(j + dj, 0, w - 1)
             there = _take(points, near)
-            off = np.abs(np.einsum("nk,nk->n", here.normal, there.position - here.position)) / here.depth
-            cost = off * 20 + 1 - np.einsum("nk,nk->n", here.normal, there.normal)
+            off = np.abs(dot(here.normal, there.position - here.position)) / here.depth
+            cost = off * 20 + 1 - dot(here.normal, there.normal)
             better = cost < best - 1e-4
             best[better], chosen[better] = cost[better], near[better]
         colour = _radiance(room, caster, hits, rays, here, rows(irradiance, chosen), 1 / k.fx)

@@ -77,7 +77,7 @@ def _score(camera: Camera, caster: RayCaster) -> float:
         return -2.0 + depth.min()
     grid = np.where(hits.hit, hits.distance, 0).reshape(PROBE, PROBE)
     jumps = (np.abs(np.diff(np.log(np.maximum(grid, 1e-3)), axis=1)) > 0.12).mean()
-    return float(jumps - 0.01)
+    return float(jumps - 0.02)
 
 
 def camera_normals(camera: Camera, normals: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
