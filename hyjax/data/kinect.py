@@ -5,8 +5,8 @@ from another one beside it, of another focal length. Taken for registered, borde
 distance from the centre, and near ones by the baseline between the cameras as well.
 
 The baseline is that of a published calibration of another Kinect
-(projet.liris.cnrs.fr/voir/activities-dataset/kinect-calibration.html); focal length, centre and roll were fitted by us so that the depth borders of frames 0-448 of the red kitchen fall on
-borders of the pictures. Fitted to the frames after these they come out the same to less than a pixel.
+(projet.liris.cnrs.fr/voir/activities-dataset/kinect-calibration.html). Focal length, centre and roll were fitted
+by us so that the depth borders of frames 0-448 of the red kitchen fall on borders of the pictures.
 """
 
 import numpy as np

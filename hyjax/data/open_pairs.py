@@ -26,7 +26,6 @@ from hyjax.data.capture_pairs import CapturePairs, Source
 from hyjax.data.depth_pairs import ChosenPairs, DepthPairs
 from hyjax.data.diml import open_diml
 from hyjax.data.frames import select_frames
-from hyjax.data.kinect import registered
 from hyjax.data.middlebury import open_middlebury
 from hyjax.data.nyu import NyuPairs
 from hyjax.data.open import open_capture
@@ -96,7 +95,7 @@ def _middlebury(path: Path, options: Options) -> DepthPairs:
 
 
 def _capture(path: Path, options: Options) -> DepthPairs:
-    capture = registered(open_capture(path))
+    capture = open_capture(path)
     depth = options.get("depth", "sensor")
     if depth not in get_args(Source):
         raise InputError(f"{path}: depth={depth} is unknown; use one of {', '.join(get_args(Source))}")
