@@ -1,7 +1,7 @@
 """Light of random lamps, windows and surroundings, traced straight to the pixels of one picture.
 
-Hard light (sun, bulbs, flashes) is traced at every pixel. Soft light (windows, panels, and what walls and things
-send back) is traced at every second pixel of every second row with few rays, whose noise is then averaged over
+Hard light (sun, bare bulbs, flashes) is traced at every pixel. Soft light (windows, panels, lamps of some size, and
+what walls and things send back) is traced at every second pixel of every second row with few rays, whose noise is then averaged over
 neighbours on the same surface.
 """
 
@@ -41,7 +41,7 @@ class Lamp:
 
     Attributes:
         position: metres; a direction for the sun.
-        radius: of the light in metres; of the sun in radians.
+        radius: of the light in metres, 0 for hard shadows; of the sun in radians.
         colour: power, in units of what it gives at a metre; irradiance for the sun.
         axis, cosine: of the cone that a spot light fills; a cosine of -1 for all round.
         sun: whether it is infinitely far.
@@ -98,8 +98,8 @@ def draw_lighting(room: RandomRoom, rng: np.random.Generator) -> Lighting:
         place = rng.uniform([0.2, 0.2, 1.2], room.size - (0.2, 0.2, 0.1))
         aim = rng.uniform([0, 0, 0], room.size * (1, 1, 0.5)) - place
         cosine = float(np.cos(np.radians(rng.uniform(15, 50)))) if rng.random() < 0.35 else -1.0
-        slats = float(rng.choice([0.0, 0.0, 0.0, rng.uniform(0.03, 0.15)]))
-        lamps.append(Lamp(place, float(rng.choice([0.0, 0.03, 0.12])), _tinted(rng, rng.uniform(0.3, 3)),
+        slats = float(rng.choice([0.0, rng.uniform(0.03, 0.15)], p=[0.85, 0.15]))
+        lamps.append(Lamp(place, float(rng.choice([0.0, 0.0, 0.04, 0.12])), _tinted(rng, rng.uniform(0.3, 3)),
                           aim / np.linalg.norm(aim), cosine, slats=slats))  # fmt: skip
     if room.windows and rng.random() < 0.6:
         window = room.windows[rng.integers(len(room.windows))]
@@ -107,7 +107,7 @@ def draw_lighting(room: RandomRoom, rng: np.random.Generator) -> Lighting:
         toward = toward / np.linalg.norm(toward) + (0, 0, rng.uniform(0.2, 1.0))
         toward /= np.linalg.norm(toward)
         slats = float(rng.choice([0.0, 0.0, rng.uniform(0.01, 0.05)]))
-        lamps.append(Lamp(toward, 0.01, _tinted(rng, rng.uniform(2, 8)), -toward, sun=True, slats=slats))
+        lamps.append(Lamp(toward, 0.0, _tinted(rng, rng.uniform(2, 8)), -toward, sun=True, slats=slats))
     ambient = rng.uniform(0.08, 0.7)
     above = _tinted(rng, ambient)
     return Lighting(lamps, panels, above, above * rng.uniform(0.3, 0.8))

@@ -108,8 +108,9 @@ ALIKE = 0.18
 
 def _colour(hue: float, saturation: float, value: float) -> np.ndarray:
     """Linear albedo of a display colour."""
-    clip = np.clip([saturation, value], 0, 1)
-    display = np.array(colorsys.hsv_to_rgb(hue % 1, clip[0], clip[1]))
+    saturation, value = (float(np.clip(x, 0, 1)) for x in (saturation, value))
+    # Strong pigments swallow most of the light.
+    display = np.array(colorsys.hsv_to_rgb(hue % 1, saturation, value * (1 - 0.35 * saturation**2)))
     return np.clip(display**2.2, 0.012, 0.88)
 
 

@@ -88,14 +88,17 @@ def _light(
     camera: Camera,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Irradiance / π at every pixel, and the highlights of lamps."""
+    """Irradiance / π at every pixel, and the highlights of hard lamps."""
     h, w = shape
     every = np.arange(h * w).reshape(shape)[::STEP, ::STEP]
     coarse = _take(points, every.ravel())
     furnished = room.furnished
     soft = lights.soft_light(lighting, caster, furnished.looks, furnished.look, coarse, every.shape, rng.random())
+    for lamp in lighting.lamps:
+        if lamp.radius > 0:
+            soft += lights.hard_light(lamp, caster, coarse, rng)[0]
     total = _spread(lights.smooth(soft, coarse, every.shape), coarse, points, shape, every.shape)
-    lamps = list(lighting.lamps)
+    lamps = [lamp for lamp in lighting.lamps if lamp.radius == 0]
     if rng.random() < 0.15:
         lamps.append(lights.flash(camera.origin, rng))
     gloss, exponent = furnished.looks.gloss(rows(furnished.look, hits.face))
