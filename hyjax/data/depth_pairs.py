@@ -122,4 +122,4 @@ def digest(parts: Iterable[str]) -> str:
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:
     """Sorting key by which learn2 comes before learn10."""
-    return tuple((1, int(p), "") if p.isdigit() else (0, 0, p) for p in re.split(r"(\d+)", name) if p)
+    return tuple((0, int(p), "") if p.isdigit() else (1, 0, p) for p in re.split(r"(\d+)", name) if p)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hyjax.data.pair_files import FilePairs, Files, folder_or_refuse, matched, named
+from hyjax.data.pair_files import FilePairs, Files, folders, matched, named
 from hyjax.errors import InputError
 from hyjax.images import read_depth, read_image
 
@@ -49,9 +49,8 @@ def open_diml(path: Path) -> FilePairs:
     Raises:
         InputError: no such folder, no scene in it, or a file without its partner.
     """
-    folder_or_refuse(path)
     files: dict[str, Files] = {}
-    for parent in (path, *sorted(entry for entry in path.rglob("*") if entry.is_dir())):
+    for parent in folders(path):
         for layout in LAYOUTS:
             if all((parent / kind.folder).is_dir() for kind in layout):
                 found = matched(*(named(parent / kind.folder, kind.ending, (".png",)) for kind in layout))

@@ -14,16 +14,18 @@ subpixel-accurate ground truth", GCPR 2014.
 """
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hyjax.data.pair_files import PICTURES, FilePairs, Files, folder_or_refuse, matched, named
+from hyjax.data.pair_files import PICTURES, FilePairs, Files, folders, matched, named
 from hyjax.errors import InputError
 from hyjax.images import read_image
 
-VIEWS = {"im2": "disp2", "im6": "disp6", "view1": "disp1", "view5": "disp5", "im0": "disp0", "im1": "disp1"}
+VIEWS = {"disp0": ("im0",), "disp1": ("view1", "im1"), "disp2": ("im2",), "disp5": ("view5",), "disp6": ("im6",)}
+"""Of each disparity map, what its picture may be called."""
 PFM_HEADER = re.compile(rb"Pf\s+(\d+)\s+(\d+)\s+(-?[\d.eE+-]+)\s")
 
 
@@ -31,23 +33,29 @@ def open_middlebury(path: Path) -> FilePairs:
     """Open all scenes in a folder and below, every view that has a disparity.
 
     Raises:
-        InputError: no such folder, no scene in it, or a file of a plain folder without its partner.
+        InputError: no such folder, no scene in it, or a file without its partner.
     """
-    folder_or_refuse(path)
+    scenes = folders(path)
     files = matched(named(path, "_rgb"), named(path, "_disparity"))
-    for scene in (path, *sorted(entry for entry in path.rglob("*") if entry.is_dir())):
-        for view, disparity in VIEWS.items():
-            pictures = [scene / f"{view}{suffix}" for suffix in PICTURES]
-            maps = [scene / f"{disparity}{suffix}" for suffix in (".pfm", ".png", ".pgm")]
-            pair = [next((file for file in some if file.is_file()), None) for some in (pictures, maps)]
-            if pair[1] is not None:
-                if pair[0] is None:
-                    raise InputError(f"{pair[1]}: has no picture {view}.png beside it; add it or remove this file")
-                files[(scene.relative_to(path) / view).as_posix()] = (pair[0], pair[1])
+    for scene in scenes:
+        for stem, views in VIEWS.items():
+            disparity = _first(scene / f"{stem}{suffix}" for suffix in (".pfm", ".png", ".pgm"))
+            if disparity is None:
+                continue
+            picture = _first(scene / f"{view}{suffix}" for view in views for suffix in PICTURES)
+            if picture is None:
+                wanted = " or ".join(f"{view}.png" for view in views)
+                raise InputError(f"{disparity}: has no picture {wanted} beside it; add it or remove this file")
+            files[(scene.relative_to(path) / picture.stem).as_posix()] = (picture, disparity)
     if not files:
         known = "view1.png + disp1.png, im0.png + disp0.pfm and such"
         raise InputError(f"{path}: no Middlebury scene; looked for {known}")
     return FilePairs(path, "disparity", files, _read)
+
+
+def _first(files: Iterable[Path]) -> Path | None:
+    """The first that exists."""
+    return next((file for file in files if file.is_file()), None)
 
 
 def _read(rest: Files) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"] | None]:

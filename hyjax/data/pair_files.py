@@ -1,5 +1,6 @@
 """What the readers of pairs in picture files share: which picture belongs to which depth map."""
 
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -86,7 +87,12 @@ def matched(*kinds: dict[str, Path]) -> dict[str, Files]:
     return {name: tuple(kind[name] for kind in kinds) for name in names}
 
 
-def folder_or_refuse(path: Path) -> None:
-    """Raise `InputError` unless `path` is a folder."""
+def folders(path: Path) -> list[Path]:
+    """A folder and all folders in it, at any depth, in order.
+
+    Raises:
+        InputError: no such folder.
+    """
     if not path.is_dir():
         raise InputError(f"{path}: no such folder; give a folder of pictures with depth")
+    return sorted(Path(folder) for folder, _, _ in os.walk(path, followlinks=True))

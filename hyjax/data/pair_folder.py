@@ -7,7 +7,7 @@ Depth maps have one 16-bit channel in millimetres unless said otherwise, 0 or 65
 
 from pathlib import Path
 
-from hyjax.data.pair_files import FilePairs, folder_or_refuse, matched, named
+from hyjax.data.pair_files import FilePairs, matched, named
 from hyjax.errors import InputError, did_you_mean
 from hyjax.images import read_depth
 
@@ -28,7 +28,8 @@ def open_folder(path: Path, steps: str = "millimetres") -> FilePairs:
     if steps not in STEPS:
         hint = did_you_mean(steps, STEPS)
         raise InputError(f"{path}: depth in unknown unit {steps!r}{hint}; use one of {', '.join(STEPS)}")
-    folder_or_refuse(path)
+    if not path.is_dir():
+        raise InputError(f"{path}: no such folder; give a folder of pictures with depth")
     if (path / "rgb").is_dir() and (path / "depth").is_dir():
         files = matched(named(path / "rgb"), named(path / "depth"))
     else:
