@@ -15,6 +15,8 @@ from hyjax.errors import InputError
 ENDLESS = 1 << 20
 """Sources of so many pairs make them when asked: they are read in their order, in which neighbours share a
 room, and not kept."""
+LONGEST = 1 << 40
+"""Crops in a stream: in practice it never ends."""
 MEMORY = 2 << 30
 """Bytes of decoded pairs that are kept."""
 
@@ -70,7 +72,7 @@ class PairLoader:
         threads: int = 2,
     ) -> None:
         weights = [1.0] * len(sources) if weights is None else list(weights)
-        _check(sources, size, batch, seed, weights, shard)
+        _check(sources, size, batch, seed, weights, shard, threads)
         kept = _Kept(sources)
         streams = []
         for number, source in enumerate(sources):
@@ -82,7 +84,7 @@ class PairLoader:
         def cut(pair: Packed, rng: np.random.Generator) -> Crop:
             return random_crop(pair, size, rng, augment)
 
-        crops = grain.MapDataset.mix(streams, weights).random_map(cut, seed=seed)
+        crops = grain.MapDataset.mix(streams, weights)[:LONGEST].random_map(cut, seed=seed)
         # Batches are dealt to the hosts whole: dealt crop by crop, a host could get all of one source.
         dealt = crops.batch(batch)[shard[0] :: shard[1]]
         ahead = grain.ReadOptions(num_threads=threads, prefetch_buffer_size=2 * threads)
@@ -142,11 +144,14 @@ def _check(
     seed: int,
     weights: Sequence[float],
     shard: tuple[int, int],
+    threads: int,
 ) -> None:
     if not sources:
         raise InputError("pairs: no source given; name at least one")
     if len(weights) != len(sources) or not all(np.isfinite(w) and w > 0 for w in weights):
         raise InputError(f"weights: need one above 0 for each of {len(sources)} sources, got {list(weights)}")
+    if threads < 0:
+        raise InputError(f"threads: must be at least 0, got {threads}")
     if size < 1 or batch < 1:
         raise InputError(f"size and batch: must be at least 1, got {size} and {batch}")
     if not 0 <= seed < 2**32:
