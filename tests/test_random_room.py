@@ -6,11 +6,12 @@ import pytest
 import trimesh
 from hypothesis import given
 
-from hyjax.scene.random_room import exposure, light, patterns
+from hyjax.scene.random_room import exposure, light, patterns, pieces, things
+from hyjax.scene.random_room.builder import RoomBuilder
 from hyjax.scene.random_room.layout import Window
 from hyjax.scene.random_room.light import Lamp, Lighting, Panel, Points
 from hyjax.scene.random_room.looks import FAMILIES, ROLES, Bank, Looks
-from hyjax.scene.random_room.plan import Plan, footprint, overlap
+from hyjax.scene.random_room.plan import Piece, Plan, footprint, overlap
 from hyjax.scene.raycast import RayCaster
 
 Box = tuple[float, float, float, float, float]
@@ -61,26 +62,26 @@ def test_patterns(name: str) -> None:
     assert seen.std(axis=(0, 1)).max() > (0.01 if name == "plain" else 0.03)
 
 
+IMAGE = np.random.default_rng(0).random((32, 32, 3), dtype=np.float32)
+
+
 @pytest.fixture(scope="module")
 def small_bank() -> Bank:
-    rng = np.random.default_rng(0)
-    return Bank({"plain": [patterns.plain(16, rng)], "clouds": [rng.random((32, 32, 3)).astype(np.float32)] * 2})
+    plain = patterns.plain(16, np.random.default_rng(0))
+    return Bank({name: [plain, IMAGE] if name == "clouds" else [plain] for name in FAMILIES})
 
 
 def test_bank_returns_what_was_painted(small_bank: Bank) -> None:
-    rng = np.random.default_rng(0)
-    patterns.plain(16, rng)
-    image = rng.random((32, 32, 3)).astype(np.float32)
     i, j = (a.ravel() for a in np.indices((32, 32)))
     unit = (np.stack([j, i], -1) + 0.5).astype(np.float32) / 32
-    pattern, fine = np.full(1024, 2), np.full(1024, 1e-3, np.float32)
+    pattern, fine = np.full(1024, small_bank.family["clouds"][1]), np.full(1024, 1e-3, np.float32)
     for shift in (0.0, 1.0, -3.0):  # it repeats
         found = small_bank.shares(pattern, unit + np.float32(shift), fine)
-        np.testing.assert_allclose(found, image.reshape(-1, 3), atol=1 / 255 + 1e-4)
+        np.testing.assert_allclose(found, IMAGE.reshape(-1, 3), atol=1 / 255 + 1e-4)
     coarse = small_bank.shares(pattern, unit, np.full(1024, 1.0, np.float32))
-    np.testing.assert_allclose(coarse, np.broadcast_to(image.mean((0, 1)), (1024, 3)), atol=0.01)
+    np.testing.assert_allclose(coarse, np.broadcast_to(IMAGE.mean((0, 1)), (1024, 3)), atol=0.01)
     half = small_bank.shares(pattern[:1], np.array([[2 / 32, 1 / 32]], np.float32), fine[:1])
-    np.testing.assert_allclose(half[0], image[:2, 1:3].mean((0, 1)), atol=0.005)
+    np.testing.assert_allclose(half[0], IMAGE[:2, 1:3].mean((0, 1)), atol=0.005)
 
 
 def test_looks(small_bank: Bank) -> None:
@@ -95,6 +96,34 @@ def test_looks(small_bank: Bank) -> None:
     assert near.min() > 0 and near.max() < 1
     np.testing.assert_allclose(far, looks.mean(numbers), atol=0.02)
     assert near.std(axis=0).min() > 0.1  # colours of all kinds
+
+
+MAKERS = {
+    make.__name__: make
+    for makers in (pieces.WALL_PIECES, pieces.FREE_PIECES, things.ON_TABLES, things.ON_SHELVES, things.ON_FLOORS)
+    for make in makers
+}
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_pieces_keep_within_their_boxes(name: str, small_bank: Bank) -> None:
+    """What is placed without overlap must not stick out of the box it was placed by; things stand on tops of it."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        build = RoomBuilder(rng, Looks(small_bank))
+        piece: Piece = MAKERS[name](rng)
+        tops = piece.add(build)
+        made = build.furnished()
+        corners = made.mesh.vertices[made.mesh.faces].reshape(-1, 3)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        half = np.array([piece.wide, piece.deep]) / 2
+        slack = max(0.02, 0.04 * piece.wide)
+        assert (low[:2] > -half - slack).all() and (high[:2] < half + slack).all(), (seed, low, high)
+        assert -0.01 < low[2] < 0.03, (seed, low)  # splayed legs dip in a little
+        assert high[2] < piece.tall + slack, (seed, low, high)
+        assert np.linalg.norm(made.mesh.vertex_normals[made.mesh.faces], axis=-1).min() > 0.99
+        for top in tops:
+            assert (np.abs([top.low, top.high]) <= half + slack).all() and 0 < top.z <= piece.tall + slack
 
 
 # ---- light with known answers: a floor of 4 × 4 m, and perhaps a plate over its left half ----

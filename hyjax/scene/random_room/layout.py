@@ -9,6 +9,7 @@ from hyjax.scene.random_room import pieces, things
 from hyjax.scene.random_room.builder import Furnished, RoomBuilder
 from hyjax.scene.random_room.looks import Bank, Looks
 from hyjax.scene.random_room.plan import Piece, Plan, Top
+from hyjax.scene.room import furniture
 from hyjax.scene.room import things as made
 from hyjax.scene.room.shapes import box, panel, revolve, sheet, tube
 
@@ -99,12 +100,28 @@ class _Room:
                     self._window(hole)
             if rng.random() < 0.3:
                 self._door(wall)
+        for _ in range(int(rng.choice([0, 0, 1, 2]))):
+            self._pendant()
         for _ in range(int(rng.integers(0, 3))):  # pillars and chimneys: rooms are seldom plain rectangles
             wide, deep, wall = rng.uniform(0.2, 1.2), rng.uniform(0.1, 0.7), int(rng.integers(4))
             x = rng.choice([-1, 1]) * (self.length[wall] - wide) / 2 if rng.random() < 0.5 else rng.uniform(-1, 1)
             if self._take(wall, x, wide, deep, h - 0.15):
                 with self.at_wall(wall, x):
                     box(build, (-wide / 2, -deep, 0), (wide / 2, 0.01, h), same, bevel=0)
+
+    def _pendant(self) -> None:
+        """A lamp hanging from the ceiling; it lights nothing, as if switched off."""
+        build, rng, h = self.build, self.rng, self.size[2]
+        with build.placed(*rng.uniform(0.2, 0.8, 2) * self.size[:2]):
+            if rng.random() < 0.5:
+                with build.scaled(1, 1, h / 2.6), build.dressed():
+                    furniture.add_pendant(build, "lamp", 2.6)
+                return
+            radius, low = rng.uniform(0.08, 0.25), h - rng.uniform(0.3, 0.9)
+            angle = np.linspace(-np.pi / 2, np.pi / 2, 15)
+            bowl = [(radius * np.cos(a), low + radius * (1 + np.sin(a))) for a in angle]
+            revolve(build, bowl, build.draw("glazed", 2 * radius), sides=36)
+            tube(build, [(0, 0, low + 2 * radius), (0, 0, h)], 0.004, build.draw("plastic"), sides=6)
 
     def _take(self, wall: int, x: float, wide: float, deep: float, tall: float, gap: float = 0.0) -> bool:
         """Room on the floor and on the wall for something that stands with its back to the wall."""
@@ -303,6 +320,13 @@ class _Room:
                 look,
                 stretch=0,
             )
+        elif kind < 0.95:  # a towel or a coat on a hook
+            across, up = np.meshgrid(np.linspace(-1, 1, 24), np.linspace(0, 1, 12))
+            wave = np.sin(across * rng.uniform(4, 12) + rng.uniform(0, 6) + up) * (1 - 0.7 * up)
+            spread = 1 - rng.uniform(0, 0.8) * up**3
+            cloth = np.stack([x * across * spread, -0.05 - 0.03 * wave, tall * up - z], -1)
+            sheet(build, cloth, build.draw("cloth"), thickness=0.004)
+            tube(build, [(0, 0, z), (0, -0.07, z), (0, -0.08, z + 0.03)], 0.008, build.draw("metal"), sides=8)
         else:  # a clock or a plate
             radius = min(x, z)
             with build.tilted(90):

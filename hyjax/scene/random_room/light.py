@@ -1,8 +1,8 @@
 """Light of random lamps, windows and surroundings, traced straight to the pixels of one picture.
 
-Hard light (sun, bare bulbs, flashes) is traced at every pixel. Soft light (windows, panels, lamps of some size, and
-what walls and things send back) is traced at every second pixel of every second row with few rays, whose noise is then averaged over
-neighbours on the same surface.
+Hard light (sun, bare bulbs, flashes) is traced at every pixel. Soft light (windows, panels, lamps of some size,
+and what walls and things send back) is traced at every second pixel of every second row with few rays, whose noise
+is then averaged over neighbours on the same surface.
 """
 
 import dataclasses

@@ -12,7 +12,7 @@ from hyjax.scene.room.shapes import box, cushion, panel, pillow, revolve, sheet,
 
 def _legs(build: RoomBuilder, x: float, y: float, tall: float, look: int) -> None:
     """Four legs with their centres at (±x, ±y): square, round, tapered or splayed."""
-    thick, round_, splay = build.rng.uniform(0.012, 0.045), build.rng.random() < 0.5, build.rng.choice([1.0, 1.08])
+    thick, round_, splay = build.rng.uniform(0.012, 0.045), build.rng.random() < 0.5, build.rng.choice([1.0, 1.04])
     for sx in (-x, x):
         for sy in (-y, y):
             if round_:
@@ -91,6 +91,61 @@ def chair(rng: np.random.Generator) -> Piece:
     return Piece(1.15 * wide, 1.25 * wide, tall + 0.5, add)
 
 
+def office_chair(rng: np.random.Generator) -> Piece:
+    """A chair on five castors, with or without arms."""
+    wide, tall, arms = rng.uniform(0.44, 0.54), rng.uniform(0.42, 0.55), rng.random() < 0.5
+
+    def add(build: RoomBuilder) -> list[Top]:
+        half, frame, cloth = wide / 2, build.draw("plastic"), build.draw("cloth")
+        start = build.rng.uniform(0, 72)
+        for k in range(5):
+            with build.placed(0, 0, 0, start + 72 * k):
+                tube(build, [(0, 0, 0.12), (0.3, 0, 0.08)], [0.026, 0.017], frame, sides=8)
+                with build.placed(0.29, -0.012, 0.03), build.tilted(-90):
+                    revolve(build, [(0, 0), (0.03, 0), (0.03, 0.024), (0, 0.024)], frame, sides=14)
+        tube(build, [(0, 0, 0.1), (0, 0, tall - 0.06)], 0.025, build.draw("metal"), sides=12)
+        cushion(build, (-half, -half, tall - 0.07), (half, half, tall), 0.03, cloth, bulge=0.02)
+        with build.placed(0, half - 0.02, tall + 0.06), build.tilted(-build.rng.uniform(2, 15)):
+            box(build, (-0.03, 0.03, -0.12), (0.03, 0.045, 0.3), frame)
+            cushion(
+                build, (0.03 - half, -0.03, 0.05), (half - 0.03, 0.03, build.rng.uniform(0.35, 0.6)), 0.028, cloth
+            )
+        for side in (-half, half) if arms else ():
+            line = [(side, 0.1, tall - 0.04), (1.12 * side, 0.1, tall + 0.05), (1.12 * side, 0.08, tall + 0.2)]
+            tube(build, line, 0.014, frame, sides=8)
+            box(build, (1.12 * side - 0.03, -0.15, tall + 0.2), (1.12 * side + 0.03, 0.14, tall + 0.225), frame)
+        return []
+
+    return Piece(max(0.66, 1.25 * wide), 0.8, tall + 0.7, add)
+
+
+def radiator(rng: np.random.Generator) -> Piece:
+    """A radiator with ribs, or a flat one."""
+    wide, low, high, flat = (
+        rng.uniform(0.5, 1.6),
+        rng.uniform(0.08, 0.15),
+        rng.uniform(0.45, 0.7),
+        rng.random() < 0.4,
+    )
+
+    def add(build: RoomBuilder) -> list[Top]:
+        look = build.draw("lacquer")
+        step = 0.055 if not flat else wide
+        for x in np.arange(-wide / 2, wide / 2 - 0.5 * step, step):
+            box(build, (x, -0.04, low), (x + 0.78 * step if not flat else x + step, 0.03, high), look, bevel=0.01)
+        for z in (low + 0.05, high - 0.1):
+            box(build, (-wide / 2, -0.02, z), (wide / 2 - 0.02, 0.05, z + 0.04), look)
+        tube(
+            build,
+            [(wide / 2, 0, low + 0.05), (wide / 2 + 0.05, 0, low + 0.05), (wide / 2 + 0.05, 0, 0)],
+            0.01,
+            look,
+        )
+        return []
+
+    return Piece(wide + 0.12, 0.12, high, add, wall=True)
+
+
 def dining(rng: np.random.Generator) -> Piece:
     """A table with chairs round it, some pulled out."""
     desk = table(rng)
@@ -108,7 +163,7 @@ def dining(rng: np.random.Generator) -> Piece:
                 one.add(build)
         return desk.add(build)
 
-    return Piece(desk.wide + 0.1, desk.deep + 1.4, desk.tall, add)
+    return Piece(desk.wide + 0.1, desk.deep + 1.6, max(desk.tall, 1.1), add)
 
 
 def sofa(rng: np.random.Generator) -> Piece:
@@ -131,6 +186,7 @@ def sofa(rng: np.random.Generator) -> Piece:
     def add(build: RoomBuilder) -> list[Top]:
         cloth = build.draw("cloth")
         inner = wide / 2 - arm
+        _legs(build, wide / 2 - 0.08, deep / 2 - 0.08, 0.08, build.draw("wood"))
         cushion(build, (-wide / 2, 0.02 - deep / 2, 0.06), (wide / 2, deep / 2, 0.26), 0.03, cloth, flat_steps=2)
         for side in (-1, 1):
             low, high = sorted((side * inner, side * wide / 2))
@@ -158,7 +214,7 @@ def sofa(rng: np.random.Generator) -> Piece:
             _throw(build, -inner, inner, deep / 2 - 0.25, back)
         return []
 
-    return Piece(wide, deep, back, add, wall=True)
+    return Piece(wide, deep, back + 0.05, add, wall=True)
 
 
 def _throw(build: RoomBuilder, low: float, high: float, y: float, top: float) -> None:
@@ -230,7 +286,7 @@ def cabinet(rng: np.random.Generator) -> Piece:
             _legs(build, x - 0.05, y - 0.06, foot, build.draw("metal"))
         return [Top((-x, 0.02 - y), (x, y), tall, 0.6)]
 
-    return Piece(wide, deep, tall, add, wall=True)
+    return Piece(wide, deep + 0.07, tall, add, wall=True)
 
 
 def counter(rng: np.random.Generator) -> Piece:
@@ -252,7 +308,7 @@ def counter(rng: np.random.Generator) -> Piece:
             _fronts(build, -x, x, low, high, y - 0.32, body)
         return [Top((-x, -y), (x, y - 0.01), tall, 0.5)]
 
-    return Piece(wide, deep, tall + 1.2 * above, add, wall=True)
+    return Piece(wide, deep + 0.07, tall + (1.2 if above else 0.55), add, wall=True)
 
 
 def bed(rng: np.random.Generator) -> Piece:
@@ -276,7 +332,7 @@ def bed(rng: np.random.Generator) -> Piece:
                     bulge=0.06)  # fmt: skip
         return [Top((-0.7 * x, -0.8 * y), (0.7 * x, 0.1 * y), tall + 0.055, 0.4)] * (build.rng.random() < 0.5)
 
-    return Piece(wide, deep, tall + 0.6, add, wall=True)
+    return Piece(wide + 0.1, deep + 0.03, tall + 0.6, add, wall=True)
 
 
 def floor_lamp(rng: np.random.Generator) -> Piece:
@@ -356,8 +412,9 @@ def machine(rng: np.random.Generator) -> Piece:
 
 
 WALL_PIECES: dict[Make, float] = {
-    bookcase: 3, cabinet: 4, counter: 2.5, sofa: 2, bed: 1, machine: 1, table: 1.5, cases: 0.5,
+    bookcase: 3, cabinet: 4, counter: 2.5, sofa: 2, bed: 1, machine: 1, table: 1.5, cases: 0.5, radiator: 0.8,
 }  # fmt: skip
 FREE_PIECES: dict[Make, float] = {
-    dining: 2.5, table: 2, coffee_table: 2, chair: 2, sofa: 0.7, floor_lamp: 0.8, tall_plant: 0.8, cases: 1,
+    dining: 2.5, table: 2, coffee_table: 2, chair: 2, office_chair: 1.5, sofa: 0.7, floor_lamp: 0.8,
+    tall_plant: 0.8, cases: 1,
 }  # fmt: skip

@@ -155,7 +155,7 @@ def _radiance(
 def _outside(rays: np.ndarray, sky: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
     """A bright sky over something dark."""
     up = rays[:, 2] / np.linalg.norm(rays, axis=1)
-    land = rng.uniform(0.05, 0.6, 3) * sky
+    land = rng.uniform(0.05, 0.6) * rng.uniform(0.7, 1.0, 3) * sky
     edge = rng.uniform(-0.3, 0.2) + 0.05 * np.sin(9 * np.arctan2(rays[:, 1], rays[:, 0]) + rng.uniform(0, 6))
     return (land + (sky - land) * np.clip((up - edge) / 0.05, 0, 1)[:, None]).astype(np.float32)
 

@@ -271,7 +271,7 @@ def laptop(rng: np.random.Generator) -> Piece:
                   build.draw("screen", 1.0), stretch=0.0)  # fmt: skip
         return []
 
-    return Piece(wide, 1.5 * deep, 0.95 * deep, add)
+    return Piece(wide, 1.9 * deep, 1.06 * deep, add)
 
 
 def keyboard(rng: np.random.Generator) -> Piece:
