@@ -32,6 +32,7 @@ EXPERIMENTS = (
     "ablation_shadow",
     "structure",
     "conductances",
+    "depth_sr",
     "reference_quality",
     "kappa_sweep",
     "tuning_gain",
