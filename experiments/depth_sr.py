@@ -94,14 +94,7 @@ def main(config: Config) -> None:
     tuning = [tile for text in config.tuning for tile in tiles(text, config.tile)]
     reported = [tile for text in config.pairs for tile in tiles(text, config.tile)]
     results = Results(config.out, NAME, config)
-    for task, tile in tasks(tuning, guides, config):
-        for method in compared:
-            for options in method.candidates:
-                mse = errors(np.asarray(method.run(task, options))[..., 0], tile)["mse"]
-                results.add(kind="tuning", factor=task.factor, method=method.name, options=options, mse=mse)
-    chosen = {(f, m.name): choose(results.rows, f, m) for f in config.factors for m in compared}
-    for (factor, name), options in chosen.items():
-        results.add(kind="chosen", factor=factor, method=name, options=options)
+    chosen = choose(results, list(tasks(tuning, guides, config)), compared)
     sheet: dict[tuple[str, int], tuple[str, list[Float[np.ndarray, "s s 3"]]]] = {}
     for task, tile in tasks(reported, guides, config):
         factor = task.factor
@@ -164,14 +157,25 @@ def tasks(tiles: Sequence[Tile], guides: Sequence[FrameGuide], config: Config) -
             yield make_task(tile.image, tile.depth, tile.valid, features, factor, config.least), tile
 
 
-def choose(rows: Sequence[Row], factor: int, method: Method) -> Options:
-    """The candidate with the least squared error, as a geometric mean so that no single tile decides."""
-    own = [row for row in of_kind(rows, "tuning") if (row["factor"], row["method"]) == (factor, method.name)]
-    logs = [
-        np.mean([np.log(row["mse"] + 1e-12) for row in own if row["options"] == options])
-        for options in method.candidates
-    ]
-    return method.candidates[int(np.argmin(logs))]
+def choose(
+    results: Results, tuning: Sequence[tuple[Task, Tile]], compared: Sequence[Method]
+) -> dict[tuple[int, str], Options]:
+    """For each factor and method the candidate with the least RMSE, with a row for every candidate.
+
+    The mean over tiles is the geometric one, so that no single tile decides.
+    """
+    chosen = {}
+    for factor in dict.fromkeys(task.factor for task, _ in tuning):
+        own = [(task, tile) for task, tile in tuning if task.factor == factor]
+        for method in compared:
+            means = []
+            for options in method.candidates:
+                squared = [errors(np.asarray(method.run(task, options))[..., 0], tile)["mse"] for task, tile in own]
+                means.append(float(np.exp(0.5 * np.mean(np.log(np.add(squared, 1e-12))))))
+                results.add(kind="tuning", factor=factor, method=method.name, options=options, rmse=means[-1])
+            chosen[factor, method.name] = method.candidates[int(np.argmin(means))]
+            results.add(kind="chosen", factor=factor, method=method.name, options=chosen[factor, method.name])
+    return chosen
 
 
 def errors(estimate: Float[np.ndarray, "s s"], tile: Tile) -> dict[str, float | None]:
@@ -191,11 +195,11 @@ def pictures(tile: Tile, estimates: Mapping[str, Float[np.ndarray, "s s"]]) -> l
     return [tile.image, *(np.repeat(np.where(tile.valid, x, 0)[..., None], 3, axis=-1) for x in shown)]
 
 
-def per_pair(rows: Sequence[Row], measure: str) -> list[float]:
+def per_pair(rows: Sequence[Row], measure: str) -> dict[str, float]:
     """Means over the tiles of each pair."""
     there = [row for row in rows if row[measure] is not None]
     names = dict.fromkeys(row["pair"] for row in there)
-    return [float(np.mean([row[measure] for row in there if row["pair"] == name])) for name in names]
+    return {name: float(np.mean([row[measure] for row in there if row["pair"] == name])) for name in names}
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
@@ -230,22 +234,28 @@ def table(text: str, scores: Sequence[Row], options: Mapping[tuple[int, str], Op
     """Scores on one source."""
     unit, scale = UNITS[scores[0]["unit"]]
     lines = []
-    for (factor, method), own in by_method(scores).items():
-        summaries = [
-            summarise([scale * mean**power for mean in per_pair(own, measure)])
-            for measure, power in (("mse", 0.5), ("mae", 1.0), ("mse_borders", 0.5))
+    groups = by_method(scores)
+    for (factor, method), own in groups.items():
+        squared, absolute, borders = (per_pair(own, name) for name in ("mse", "mae", "mse_borders"))
+        bicubic = per_pair(groups[factor, "bicubic"], "mse")
+        columns = [
+            [scale * np.sqrt(mean) for mean in squared.values()],
+            [scale * mean for mean in absolute.values()],
+            [scale * np.sqrt(mean) for mean in borders.values()],
+            [np.sqrt(mean / bicubic[pair]) for pair, mean in squared.items() if bicubic[pair] > 0],
         ]
-        squared = scale**2 * np.mean([row["mse"] for row in own])
         shown = ", ".join(f"{name} {value:g}" for name, value in options[factor, method].items())
-        lines.append(
-            [f"x{factor}", method, shown, *("–" if s is None else s.text(2) for s in summaries), f"{squared:.1f}"]
-        )
+        texts = ["–" if s is None else s.text(2) for s in map(summarise, columns)]
+        over_tiles = scale**2 * np.mean([row["mse"] for row in own])
+        lines.append([f"x{factor}", method, shown, *texts, f"{over_tiles:.1f}"])
     pairs, count = len({row["pair"] for row in scores}), len({(row["pair"], row["tile"]) for row in scores})
     caption = (
-        f"{text}: {pairs} pairs, {count} tiles of {scores[0]['settings']['tile']}² pixels. RMSE and MAE: mean over "
-        f"pairs ± half of the 95 % interval. Borders: within {BORDER} pixels of a depth jump. MSE: mean over tiles."
+        f"{text}: {pairs} pairs, {count} tiles of {scores[0]['settings']['tile']}² pixels. Means over pairs ± half "
+        "of the 95 % interval; of a pair, RMSE is the root of the mean of its tiles' MSE. Borders: within "
+        f"{BORDER} pixels of a depth jump. MSE: mean over tiles."
     )
-    header = ["factor", "method", "parameters", f"RMSE {unit}", f"MAE {unit}", "RMSE at borders", f"MSE {unit}²"]
+    header = ["factor", "method", "parameters", f"RMSE {unit}", f"MAE {unit}", "RMSE at borders", "of bicubic RMSE"]
+    header += [f"MSE {unit}²"]
     return Table(caption, header, lines, names=3)
 
 
@@ -259,7 +269,7 @@ def figure(scores: Sequence[Row]) -> Figure:
         curves = by_method(own)
         for method in dict.fromkeys(row["method"] for row in own):
             factors = [factor for factor, name in curves if name == method]
-            values = [scale * np.mean(np.sqrt(per_pair(curves[f, method], "mse"))) for f in factors]
+            values = [scale * np.mean(np.sqrt(list(per_pair(curves[f, method], "mse").values()))) for f in factors]
             axes.plot(factors, values, marker="o", label=method)
         axes.set_xscale("log", base=2)
         axes.set_yscale("log")

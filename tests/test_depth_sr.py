@@ -11,9 +11,9 @@ from reference.arkit_export import write_depth
 
 from experiments import depth_sr
 from experiments.blocks import html, markdown
-from experiments.depth_methods import make_task, methods
+from experiments.depth_methods import Method, Task, make_task, methods
 from experiments.depth_sr import Config, Tile, choose, errors, main, per_pair, tiles
-from experiments.records import FILE, of_kind, read_rows
+from experiments.records import FILE, Results, of_kind, read_rows
 from hyjax.data.open_pairs import open_pairs
 from hyjax.errors import InputError
 from hyjax.guide.choose import RgbGuide
@@ -73,19 +73,27 @@ def test_a_frame_that_shows_the_borders_is_worth_something(
     table = shown[0]
     bicubic = next(row for row in table.rows if row[1] == "bicubic")
     own = [row for row in scores if row["method"] == "bicubic"]
-    assert bicubic[3].startswith(f"{100 * np.mean(np.sqrt(per_pair(own, 'mse'))):.2f} ±")
+    assert bicubic[3].startswith(f"{100 * np.mean(np.sqrt(list(per_pair(own, 'mse').values()))):.2f} ±")
+    assert bicubic[-2] == "1.00 ±0.00"
     assert bicubic[-1] == f"{1e4 * rmse['bicubic'] ** 2:.1f}"
 
 
-def test_parameters_are_the_best_on_the_tuning_pairs() -> None:
-    (method, *_) = methods(["rgb"], Schedule.preset("paper-80"), 3, False)[1:]
-    rows = [
-        {"kind": "tuning", "factor": factor, "method": method.name, "options": options, "mse": abs(k - best) + 0.1}
-        for factor, best in ((4, 2), (8, 5))
-        for k, options in enumerate(method.candidates)
-    ]
-    assert choose(rows, 4, method) == method.candidates[2]
-    assert choose(rows, 8, method) == method.candidates[5]
+def test_parameters_are_the_best_on_the_tuning_pairs(tmp_path: Path, config: Config) -> None:
+    """A method whose parameter is its error, the other way round for the coarser factor."""
+    options = [{"off": 0.3}, {"off": 0.1}, {"off": 0.2}]
+    depth, valid = np.ones((64, 64)), np.ones((64, 64), bool)
+    tile = Tile("", "", 0, "metres", np.zeros((64, 64, 3)), depth, valid)
+    tuning = [(make_task(tile.image, depth, valid, {}, factor, 0.5), tile) for factor in (4, 8)]
+
+    def run(task: Task, options: dict[str, float]) -> np.ndarray:
+        off = options["off"] if task.factor == 4 else 1 - options["off"]
+        return np.ones((64, 64, 1)) + off
+
+    results = Results(tmp_path / "out", "depth_sr", config)
+    assert choose(results, tuning, [Method("m", options, run)]) == {(4, "m"): options[1], (8, "m"): options[0]}
+    np.testing.assert_allclose(
+        [row["rmse"] for row in of_kind(results.rows, "tuning")], [0.3, 0.1, 0.2, 0.7, 0.9, 0.8], rtol=1e-6
+    )
 
 
 def test_errors_are_means_over_what_is_valid() -> None:
