@@ -34,6 +34,7 @@ EXPERIMENTS = (
     "conductances",
     "depth_sr",
     "reference_quality",
+    "kinect_registration",
     "kappa_sweep",
     "tuning_gain",
     "tuning_transfer",

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import data_folder
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from reference import pairs_export as export
 
 from hyjax.data.depth_pairs import ChosenPairs, DepthPair, DepthPairs, masked_pair, natural
 from hyjax.data.open_pairs import open_pairs
 from hyjax.errors import InputError
 from hyjax.images import write_png
-from tests.conftest import data_folder
-from tests.reference import pairs_export as export
 
 HEIGHT, WIDTH = 12, 16
 

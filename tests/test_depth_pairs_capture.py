@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from jaxtyping import Float
 from scipy import ndimage
 
+from experiments import kinect_registration
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.capture_pairs import CapturePairs, ChosenFrames
 from hyjax.data.kinect import COLOUR, colour_pose, registered, warped
@@ -143,13 +143,15 @@ def test_captures_that_cannot_be_used(views: Views) -> None:
 
 
 class Kinect(Views):
-    """The world above as a Kinect has it: the depth camera's depth, pose and intrinsics, no colours."""
+    """The world above as a Kinect has it: the depth camera's depth, pose and intrinsics; the box is white."""
 
     def __init__(self) -> None:
         self.frames = []
         caster = RayCaster(world())
-        image = np.zeros((480, 640, 3), np.float32)
         camera = Camera(KINECT, look_at(np.array([0.0, 0.1, 0.2]), np.array([2.0, 0, 0]), UP))
+        colour = Camera(COLOUR, camera.pose @ colour_pose())
+        box = np.asarray(caster.gbuffer(colour).position)[..., 0] < 1.8
+        image = np.where(box[..., None], np.float32(1), np.zeros(3, np.float32))
         self.frames.append(Frame("0", image, camera, 0.0, np.asarray(caster.gbuffer(camera).depth)))
 
 
@@ -181,26 +183,25 @@ def test_what_is_registered_already_stays(views: Views) -> None:
     assert registered(again) is again
 
 
-def border_contrast(image: Float[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h w"]) -> float:
-    """Contrast of a picture where its depth jumps, in multiples of the contrast around."""
-    grey = image.mean(axis=-1)
-    contrast = np.hypot(*(ndimage.gaussian_filter(grey, 1.0, order=o) for o in ((0, 1), (1, 0))))
-    contrast /= ndimage.uniform_filter(contrast, 41) + 0.01
-    known = depth > 0
-    jump = known & (ndimage.maximum_filter(depth, 3) > 1.06 * depth)
-    jump &= ndimage.binary_erosion(ndimage.binary_closing(known, iterations=2), iterations=4)
-    return float(np.mean(contrast[jump]))
+def test_the_colour_camera_is_found_again() -> None:
+    """From one frame of the world above, to less than two pixels."""
+    borders = kinect_registration.borders_of(Kinect(), [0])
+    assert len(borders[0].points) > 500
+    found, true = (
+        kinect_registration.camera_of(borders[0].frame, placement).project(borders[0].points)[0]
+        for placement in (kinect_registration.fitted(borders), kinect_registration.KNOWN)
+    )
+    recorded = borders[0].frame.camera.project(borders[0].points)[0]
+    assert np.linalg.norm(recorded - true, axis=-1).mean() > 10
+    assert np.linalg.norm(found - true, axis=-1).max() < 2
 
 
 def test_borders_of_the_kitchen_coincide(kitchen: Path) -> None:
     """On frames that the registration was not fitted to."""
-    raw, aligned = open_seven_scenes(kitchen), open_capture(kitchen)
-    found = []
-    for index in (230, 250, 270, 290):
-        frames = raw[index], aligned[index]
-        found.append([border_contrast(frame.image, np.asarray(frame.depth)) for frame in frames])
-    before, after = np.mean(found, axis=0)
+    borders = kinect_registration.borders_of(open_seven_scenes(kitchen), [230, 250, 270, 290])
+    before, after = (kinect_registration.mean_contrast(borders, p) for p in (None, kinect_registration.KNOWN))
     assert after > 1.6 * before
+    assert open_capture(kitchen)[230].camera.intrinsics == COLOUR
 
 
 def test_kitchen_pairs(kitchen: Path) -> None:

@@ -6,7 +6,8 @@ distance from the centre, and near ones by the baseline between the cameras as w
 
 The baseline is that of a published calibration of another Kinect
 (projet.liris.cnrs.fr/voir/activities-dataset/kinect-calibration.html). Focal length, centre and roll were fitted
-by us so that the depth borders of frames 0-448 of the red kitchen fall on borders of the pictures.
+by us to frames 0-448 of the red kitchen, borders of depth on borders of the pictures;
+`experiments.kinect_registration` fits them anew and judges them by other frames.
 """
 
 import numpy as np
@@ -52,9 +53,9 @@ class RegisteredKinect:
         return Frame(frame.name, frame.image, camera, frame.time, depth)
 
 
-def colour_pose() -> Float[np.ndarray, "4 4"]:
+def colour_pose(roll: float = ROLL) -> Float[np.ndarray, "4 4"]:
     """Pose of the colour camera in the depth camera's axes."""
-    cos, sin = np.cos(ROLL), np.sin(ROLL)
+    cos, sin = np.cos(roll), np.sin(roll)
     to_colour = np.eye(4)
     to_colour[:2, :2] = [[cos, -sin], [sin, cos]]
     to_colour[0, 3] = -BASELINE

@@ -7,7 +7,7 @@ import OpenImageIO as oiio
 from jaxtyping import Float
 
 from hyjax.images import write_png
-from tests.reference.arkit_export import file_in, write_depth
+from reference.arkit_export import file_in, write_depth
 
 Image = Float[np.ndarray, "h w 3"]
 Depth = Float[np.ndarray, "h w"]
