@@ -121,13 +121,14 @@ def edges(pair: DepthPair) -> tuple[np.ndarray, np.ndarray]:
     return colour > 0.12, (jump | bend | ~pair.valid)[inner]
 
 
-def test_texture_is_no_border_and_borders_are_seen(pairs: list[DepthPair]) -> None:
+def test_texture_is_no_border_and_borders_are_seen() -> None:
     """What the pairs are for: plenty of edges in the picture where the surface has none, and not the reverse."""
-    colour, border = (np.stack(a) for a in zip(*map(edges, pairs)))
+    rooms = GeneratedRooms(0, size=160, views=1)
+    colour, border = (np.stack(a) for a in zip(*(edges(rooms[k]) for k in range(12))))
     near_border = np.stack([maximum_filter(b, 5) for b in border])
     near_colour = np.stack([maximum_filter(c, 5) for c in colour])
     assert colour.mean() > 0.05 and 0.02 < border.mean() < 0.4
-    assert (colour & ~near_border).sum() > 0.3 * colour.sum()
+    assert (colour & ~near_border).sum() > 0.2 * colour.sum()
     seen = (border & near_colour).sum() / border.sum()
     assert 0.5 < seen < 0.98  # some have next to no contrast, as in real rooms
 

@@ -7,10 +7,11 @@ import trimesh
 from hypothesis import given
 
 from hyjax.scene.random_room import exposure, light, patterns, pieces, things
+from hyjax.scene.random_room.bank import FAMILIES, Bank
 from hyjax.scene.random_room.builder import RoomBuilder
-from hyjax.scene.random_room.layout import Window
+from hyjax.scene.random_room.fittings import Window
 from hyjax.scene.random_room.light import Lamp, Lighting, Panel, Points
-from hyjax.scene.random_room.looks import FAMILIES, ROLES, Bank, Looks
+from hyjax.scene.random_room.looks import ROLES, Looks
 from hyjax.scene.random_room.plan import Piece, Plan, footprint, overlap
 from hyjax.scene.raycast import RayCaster
 

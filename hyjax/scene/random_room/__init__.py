@@ -5,9 +5,10 @@ import functools
 
 import numpy as np
 
+from hyjax.scene.random_room.bank import Bank, painted
 from hyjax.scene.random_room.layout import RandomRoom, furnish
 from hyjax.scene.random_room.light import Lighting, draw_lighting
-from hyjax.scene.random_room.looks import PHOTOGRAPHS, Bank, painted
+from hyjax.scene.random_room.looks import PHOTOGRAPHS
 from hyjax.scene.random_room.render import Shot, shoot
 from hyjax.scene.random_room.views import draw_view
 from hyjax.scene.raycast import RayCaster

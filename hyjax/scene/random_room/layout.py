@@ -1,32 +1,21 @@
 """A random room: its shell, what stands in it, what hangs on its walls, and what lies about."""
 
+import contextlib
 import dataclasses
 
 import numpy as np
 from jaxtyping import Float
 
 from hyjax.scene.random_room import pieces, things
+from hyjax.scene.random_room.bank import Bank
 from hyjax.scene.random_room.builder import Furnished, RoomBuilder
-from hyjax.scene.random_room.looks import Bank, Looks
-from hyjax.scene.random_room.plan import Piece, Plan, Top
-from hyjax.scene.room import furniture
-from hyjax.scene.room import things as made
-from hyjax.scene.room.shapes import box, panel, revolve, sheet, tube
+from hyjax.scene.random_room.fittings import Window, add_door, add_hanging, add_pendant, add_window
+from hyjax.scene.random_room.looks import Looks
+from hyjax.scene.random_room.plan import Piece, Plan, Top, draw
+from hyjax.scene.room.shapes import box, panel
 
 OVERLAP = 0.006
 """Walls, floor and ceiling reach this far into each other, so that no ray slips out where they meet."""
-THICK = 0.2
-"""Depth of window reveals in metres."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Window:
-    """An opening: its centre, half-axes and the normal into the room."""
-
-    centre: Float[np.ndarray, "3"]
-    right: Float[np.ndarray, "3"]
-    up: Float[np.ndarray, "3"]
-    normal: Float[np.ndarray, "3"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +63,9 @@ class _Room:
         self.walls = [Plan((-a / 2 + 0.05, 0.05), (a / 2 - 0.05, h - 0.05)) for a in self.length]
         self.windows: list[Window] = []
 
-    def at_wall(self, wall: int, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: float = 0.0):  # type: ignore[no-untyped-def]
+    def at_wall(
+        self, wall: int, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: float = 0.0
+    ) -> contextlib.AbstractContextManager[None]:
         """`build.placed` in a wall's axes."""
         cx, cy, angle = self.places[wall]
         c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
@@ -97,31 +88,17 @@ class _Room:
                 if skirting is not None:
                     box(build, (-a / 2, -0.016, 0), (a / 2, 0, 0.09), skirting, bevel=0.004)
                 for hole in holes:
-                    self._window(hole)
+                    self.windows.append(add_window(build, hole))
             if rng.random() < 0.3:
                 self._door(wall)
         for _ in range(int(rng.choice([0, 0, 1, 2]))):
-            self._pendant()
+            add_pendant(build, self.size)
         for _ in range(int(rng.integers(0, 3))):  # pillars and chimneys: rooms are seldom plain rectangles
             wide, deep, wall = rng.uniform(0.2, 1.2), rng.uniform(0.1, 0.7), int(rng.integers(4))
-            x = rng.choice([-1, 1]) * (self.length[wall] - wide) / 2 if rng.random() < 0.5 else rng.uniform(-1, 1)
+            x = (rng.choice([-1, 1]) if rng.random() < 0.5 else rng.uniform(-1, 1)) * (self.length[wall] - wide) / 2
             if self._take(wall, x, wide, deep, h - 0.15):
                 with self.at_wall(wall, x):
                     box(build, (-wide / 2, -deep, 0), (wide / 2, 0.01, h), same, bevel=0)
-
-    def _pendant(self) -> None:
-        """A lamp hanging from the ceiling; it lights nothing, as if switched off."""
-        build, rng, h = self.build, self.rng, self.size[2]
-        with build.placed(*rng.uniform(0.2, 0.8, 2) * self.size[:2]):
-            if rng.random() < 0.5:
-                with build.scaled(1, 1, h / 2.6), build.dressed():
-                    furniture.add_pendant(build, "lamp", 2.6)
-                return
-            radius, low = rng.uniform(0.08, 0.25), h - rng.uniform(0.3, 0.9)
-            angle = np.linspace(-np.pi / 2, np.pi / 2, 15)
-            bowl = [(radius * np.cos(a), low + radius * (1 + np.sin(a))) for a in angle]
-            revolve(build, bowl, build.draw("glazed", 2 * radius), sides=36)
-            tube(build, [(0, 0, low + 2 * radius), (0, 0, h)], 0.004, build.draw("plastic"), sides=6)
 
     def _take(self, wall: int, x: float, wide: float, deep: float, tall: float, gap: float = 0.0) -> bool:
         """Room on the floor and on the wall for something that stands with its back to the wall."""
@@ -142,68 +119,18 @@ class _Room:
             return []
         return [(x - wide / 2, low, x + wide / 2, high)]
 
-    def _window(self, hole: tuple[float, float, float, float]) -> None:
-        build, rng = self.build, self.rng
-        x0, z0, x1, z1 = hole
-        dx, dz, look, frame = x1 - x0, z1 - z0, build.draw("ceiling"), build.draw("lacquer")
-        for origin, s, t in (
-            ((x0, 0, z0), (dx, 0, 0), (0, THICK, 0)), ((x0, THICK, z1), (dx, 0, 0), (0, -THICK, 0)),
-            ((x0, 0, z0), (0, THICK, 0), (0, 0, dz)), ((x1, THICK, z0), (0, -THICK, 0), (0, 0, dz)),
-        ):  # fmt: skip
-            panel(build, origin, s, t, look)
-        bar, y0, y1 = rng.uniform(0.03, 0.07), 0.1, 0.15
-        for low, high in (
-            ((x0, y0, z0), (x1, y1, z0 + bar)), ((x0, y0, z1 - bar), (x1, y1, z1)),
-            ((x0, y0, z0), (x0 + bar, y1, z1)), ((x1 - bar, y0, z0), (x1, y1, z1)),
-        ):  # fmt: skip
-            box(build, low, high, frame, bevel=0.004)
-        for k in range(1, int(rng.integers(1, 4))):
-            x = x0 + dx * k / 3
-            box(build, (x - bar / 2, y0, z0), (x + bar / 2, y1, z1), frame, bevel=0.004)
-        box(build, (x0 - 0.05, -0.05, z0 - 0.03), (x1 + 0.05, 0.1, z0 + 0.003), frame, bevel=0.004)
-        kind = rng.random()
-        if kind < 0.35:
-            cloth = build.draw("cloth")
-            for left in (x0 - 0.25, x1 - 0.15):
-                along, up = np.meshgrid(np.linspace(0, 1, 60), np.linspace(0, 1, 6))
-                wave = 2 * np.pi * rng.integers(3, 7) * along + rng.uniform(0, 6)
-                y = -0.09 - 0.03 * np.sin(wave) * (1.2 - 0.4 * up)
-                sheet(build, np.stack([left + 0.4 * along, y, 0.05 + up * (z1 + 0.05)], -1), cloth, thickness=0.002)
-            tube(build, [(x0 - 0.35, -0.09, z1 + 0.11), (x1 + 0.35, -0.09, z1 + 0.11)], 0.012, build.draw("metal"))
-        elif kind < 0.6:  # a blind, pulled down some way
-            slat, drop = build.draw("ceiling"), rng.uniform(0.2, 1.0)
-            for z in np.arange(z1 - 0.05, z1 - drop * dz, -0.05):
-                with build.placed(0, 0.05, z), build.tilted(rng.uniform(20, 50)):
-                    box(build, (x0 + 0.01, -0.022, 0), (x1 - 0.01, 0.022, 0.0015), slat, bevel=0)
-        self.windows.append(
-            Window(
-                np.array(build.world(((x0 + x1) / 2, 0, (z0 + z1) / 2))),
-                np.array(build.world((dx / 2, 0, 0))) - build.world((0, 0, 0)),
-                np.array([0, 0, dz / 2]),
-                np.array(build.world((0, -1, 0))) - build.world((0, 0, 0)),
-            )
-        )
-
     def _door(self, wall: int) -> None:
         build, rng = self.build, self.rng
         wide, high = rng.uniform(0.7, 1.0), rng.uniform(1.95, 2.1)
         x = rng.uniform(-1, 1) * (self.length[wall] - wide - 0.4) / 2
         if not self._take(wall, x, wide + 0.2, 0.5, high + 0.1):
             return
-        leaf, trim = build.draw("front"), build.draw("lacquer")
         with self.at_wall(wall, x):
-            a = wide / 2
-            box(build, (-a, -0.02, 0.006), (a, 0.01, high), leaf, grain="z")
-            for x0, x1, z in ((-a - 0.07, -a, 0.0), (a, a + 0.07, 0.0), (-a, a, high)):
-                box(build, (x0, -0.03, z), (x1, 0, high + 0.07), trim, bevel=0.005)
-            for z in (0.25, 1.15) if rng.random() < 0.6 else ():
-                box(build, (0.14 - a, -0.028, z), (a - 0.14, -0.01, z + 0.7), leaf, bevel=0.008)
-            metal = build.draw("metal")
-            tube(build, [(a - 0.07, -0.02, 1), (a - 0.07, -0.07, 1), (a - 0.19, -0.07, 1)], 0.009, metal)
+            add_door(build, wide, high)
 
     def stand_at_walls(self, count: int) -> None:
         for _ in range(count):
-            piece, wall = things.draw(self.rng, pieces.WALL_PIECES), int(self.rng.integers(4))
+            piece, wall = draw(self.rng, pieces.WALL_PIECES), int(self.rng.integers(4))
             gap = float(self.rng.choice([0.0, 0.0, self.rng.uniform(0, 0.1)]))
             for _ in range(4):
                 x = self.rng.uniform(-1, 1) * (self.length[wall] - piece.wide) / 2
@@ -221,7 +148,7 @@ class _Room:
                 look = self.build.draw("rug", max(wide, deep) if self.rng.random() < 0.6 else None)
                 box(self.build, (-wide / 2, -deep / 2, 0), (wide / 2, deep / 2, 0.01), look, uv=(0, 0))
         for _ in range(count):
-            piece = things.draw(self.rng, pieces.FREE_PIECES)
+            piece = draw(self.rng, pieces.FREE_PIECES)
             for _ in range(5):
                 x, y = self.rng.uniform(0.3, self.size[:2] - 0.3)
                 turn = self.rng.choice([0, 90, 180, 270]) + self.rng.normal(0, 8) * self.rng.integers(2)
@@ -246,7 +173,7 @@ class _Room:
         plan, put = Plan((x0, y0), (x1, y1)), 0
         left = x0
         for _ in range(3 * wanted if not shelf else int(4 * (x1 - x0) / 0.3) + 2):
-            thing = things.draw(rng, things.ON_SHELVES if shelf else things.ON_TABLES)
+            thing = draw(rng, things.ON_SHELVES if shelf else things.ON_TABLES)
             if thing.tall > top.room or thing.wide > x1 - x0 or thing.deep > y1 - y0:
                 continue
             turn = rng.normal(0, 6) if shelf or thing.wall else rng.uniform(0, 360)
@@ -272,7 +199,7 @@ class _Room:
 
     def lie_about(self, count: int) -> None:
         for _ in range(count):
-            thing = things.draw(self.rng, things.ON_FLOORS)
+            thing = draw(self.rng, things.ON_FLOORS)
             x, y = self.rng.uniform(0.1, self.size[:2] - 0.1)
             turn = self.rng.uniform(0, 360)
             if self.floor.take(x, y, thing.wide, thing.deep, turn):
@@ -292,45 +219,6 @@ class _Room:
             if not self.walls[wall].take(x, z, wide + 0.02, tall + 0.02, 0):
                 continue
             with self.at_wall(wall, x, 0, z):
-                self._hung(kind, wide, tall)
-
-    def _hung(self, kind: float, wide: float, tall: float) -> None:
-        rng, build = self.rng, self.build
-        x, z = wide / 2, tall / 2
-        if kind < 0.45:  # a poster or a note: no relief to speak of
-            look = build.draw(str(rng.choice(["photo", "paper", "print"])), 1.0)
-            panel(build, (-x, -0.003, -z), (wide, 0, 0), (0, 0, tall), look, stretch=0.0)
-        elif kind < 0.65:
-            with build.dressed():
-                made.framed_picture(build, max(wide, 0.2), max(tall, 0.2), (0.3, 0.2, 0.1))
-        elif kind < 0.8:  # a shelf with things on it
-            deep = rng.uniform(0.12, 0.28)
-            box(build, (-x, -deep, 0), (x, 0, 0.025), build.draw("wood"))
-            with build.placed(0, -deep / 2):
-                self._scatter(Top((-x, -deep / 2), (x, deep / 2), 0.025, max(0.1, z), "shelf"))
-        elif kind < 0.9:  # a screen, a cupboard, a loudspeaker
-            deep = rng.uniform(0.03, 0.25)
-            box(build, (-x, -deep, -z), (x, 0, z), build.draw("plastic"))
-            look = build.draw(str(rng.choice(["screen", "front", "cloth"])), 1.0)
-            panel(
-                build,
-                (0.02 - x, -deep - 0.001, 0.02 - z),
-                (wide - 0.04, 0, 0),
-                (0, 0, tall - 0.04),
-                look,
-                stretch=0,
-            )
-        elif kind < 0.95:  # a towel or a coat on a hook
-            across, up = np.meshgrid(np.linspace(-1, 1, 24), np.linspace(0, 1, 12))
-            wave = np.sin(across * rng.uniform(4, 12) + rng.uniform(0, 6) + up) * (1 - 0.7 * up)
-            spread = 1 - rng.uniform(0, 0.8) * up**3
-            cloth = np.stack([x * across * spread, -0.05 - 0.03 * wave, tall * up - z], -1)
-            sheet(build, cloth, build.draw("cloth"), thickness=0.004)
-            tube(build, [(0, 0, z), (0, -0.07, z), (0, -0.08, z + 0.03)], 0.008, build.draw("metal"), sides=8)
-        else:  # a clock or a plate
-            radius = min(x, z)
-            with build.tilted(90):
-                rim = [(radius, 0), (radius, 0.03), (0.92 * radius, 0.035), (0.9 * radius, 0.02), (0, 0.02)]
-                revolve(build, rim, build.draw("glazed", 2 * radius), sides=40, lay="above")
-        tops = np.array(build.world((0, -0.1, 0)))
-        build.targets.append((tops, max(wide, tall)))
+                for top in add_hanging(self.build, kind, wide, tall):
+                    self._scatter(top)
+                self.build.targets.append((np.array(self.build.world((0, -0.1, 0))), max(wide, tall)))

@@ -10,7 +10,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hyjax.scene.random_room.layout import RandomRoom, Window
+from hyjax.scene.random_room.fittings import Window
+from hyjax.scene.random_room.layout import RandomRoom
 from hyjax.scene.random_room.looks import Looks
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.room.surface import rows

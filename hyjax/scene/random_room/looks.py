@@ -2,46 +2,12 @@
 
 import colorsys
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from hyjax.scene.random_room import patterns
+from hyjax.scene.random_room.bank import FAMILIES, Bank
 from hyjax.scene.room.surface import rows
-
-
-@dataclasses.dataclass(frozen=True)
-class Family:
-    """A kind of pattern: its painter, how many variants the bank holds, pixels and usual metres along a side."""
-
-    paint: Callable[[int, np.random.Generator], np.ndarray]
-    count: int
-    size: int
-    tile: tuple[float, float]
-
-
-FAMILIES = {
-    "plain": Family(patterns.plain, 2, 64, (1.0, 3.0)),
-    "clouds": Family(patterns.clouds, 8, 256, (0.2, 1.5)),
-    "grain": Family(patterns.grain, 8, 512, (0.6, 1.6)),
-    "planks": Family(patterns.planks, 6, 512, (0.8, 2.4)),
-    "tiles": Family(patterns.tiles, 10, 256, (0.3, 1.6)),
-    "stones": Family(patterns.stones, 8, 256, (0.3, 1.5)),
-    "stripes": Family(patterns.stripes, 8, 256, (0.08, 0.6)),
-    "checks": Family(patterns.checks, 8, 256, (0.08, 0.5)),
-    "dots": Family(patterns.dots, 8, 256, (0.1, 0.5)),
-    "zigzag": Family(patterns.zigzag, 6, 256, (0.1, 0.5)),
-    "weave": Family(patterns.weave, 6, 256, (0.1, 0.4)),
-    "gradient": Family(patterns.gradient, 4, 64, (0.3, 2.0)),
-    "curves": Family(patterns.curves, 6, 256, (0.15, 0.8)),
-    "leaves": Family(patterns.leaves, 14, 256, (0.2, 0.6)),
-    "text": Family(patterns.text, 10, 512, (0.2, 0.3)),
-    "pack": Family(patterns.pack, 20, 512, (0.2, 0.4)),
-    "motif": Family(patterns.motif, 8, 256, (0.15, 0.6)),
-    "rug": Family(patterns.rug, 6, 256, (0.5, 2.0)),
-    "speckle": Family(patterns.speckle, 6, 256, (0.08, 0.6)),
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +28,7 @@ class Role:
 PHOTOGRAPHS = "photographs"
 """A family that the bank may hold beside `FAMILIES`: pictures of other rooms, linear red, green and blue."""
 
-_CLOTH = {"plain": 3, "weave": 3, "stripes": 2, "checks": 2, "dots": 1, "zigzag": 1, "motif": 2, "clouds": 0.5}
+_CLOTH = {"plain": 2, "weave": 3, "stripes": 2, "checks": 2, "dots": 1, "zigzag": 1, "motif": 2, "clouds": 0.5}
 _PRINT = {
     "pack": 4,
     "leaves": 0.7,
@@ -74,7 +40,7 @@ _PRINT = {
     "motif": 0.5,
 }
 ROLES = {
-    "wall": Role({"plain": 8, "stripes": 1, "motif": 1, "tiles": 1.2, "clouds": 1, "grain": 0.5, "speckle": 0.5,
+    "wall": Role({"plain": 6, "stripes": 1, "motif": 1, "tiles": 1.2, "clouds": 1, "grain": 0.5, "speckle": 0.5,
                   "gradient": 0.5, "curves": 0.3, "checks": 0.3, "zigzag": 0.3}, "wall"),
     "ceiling": Role({"plain": 6, "tiles": 1, "planks": 0.5}, "pale"),
     "floor": Role({"planks": 4, "tiles": 2.5, "speckle": 1.5, "stones": 1, "plain": 1, "weave": 0.7, "stripes": 0.8,
@@ -82,7 +48,7 @@ ROLES = {
     "rug": Role({"rug": 5, "stripes": 1, "weave": 1, "speckle": 1, "motif": 1, "zigzag": 1}, "any"),
     "wood": Role({"grain": 6, "planks": 0.6, "plain": 0.7, "speckle": 0.3}, "wood", (0.6, 0.4)),
     "front": Role({"grain": 3, "plain": 4, "stripes": 0.3, "tiles": 0.2}, "furniture", (0.5, 0.7)),
-    "worktop": Role({"grain": 4, "speckle": 2, "plain": 2, "clouds": 1.5, "tiles": 0.7, "checks": 0.3}, "furniture",
+    "worktop": Role({"grain": 4, "speckle": 2, "plain": 1.5, "clouds": 1.5, "tiles": 1}, "furniture",
                     (0.6, 0.6)),
     "cloth": Role(_CLOTH, "any"),
     "lacquer": Role({"plain": 6, "grain": 0.5, "speckle": 0.5}, "furniture", (0.5, 0.5)),
@@ -167,74 +133,6 @@ def palette(rng: np.random.Generator, scheme: str) -> Float[np.ndarray, "4 3"]:
             other = _ground(rng, "any" if scheme in ("grey", "pale", "wall") or k == 2 else scheme)
             colours.append(_colour(*other))
     return np.array(colours, dtype=np.float32)
-
-
-def painted(seed: int) -> dict[str, list[np.ndarray]]:
-    """Patterns of every family, as shares of three colours."""
-    return {
-        name: [
-            np.clip(family.paint(family.size, np.random.default_rng((seed, row, number))), 0, 1).astype(np.float32)
-            for number in range(family.count)
-        ]
-        for row, (name, family) in enumerate(FAMILIES.items())
-    }
-
-
-class Bank:
-    """All patterns with their mip levels, in one array of 8-bit pixels.
-
-    Args:
-        images: square patterns of each family; their sides are powers of two.
-
-    Attributes:
-        family: the patterns of each family.
-    """
-
-    def __init__(self, images: dict[str, list[np.ndarray]]) -> None:
-        levels: list[np.ndarray] = []
-        starts: list[list[int]] = []
-        sizes: list[int] = []
-        at = 0
-        self.family: dict[str, range] = {}
-        for name, family in images.items():
-            self.family[name] = range(len(starts), len(starts) + len(family))
-            for image in family:
-                start = []
-                sizes.append(int(np.log2(len(image))))
-                while True:
-                    levels.append(np.round(image * 255).astype(np.uint8).reshape(-1, 3))
-                    start.append(at)
-                    at += len(levels[-1])
-                    if len(image) == 1:
-                        break
-                    image = (image[::2, ::2] + image[1::2, ::2] + image[::2, 1::2] + image[1::2, 1::2]) / 4
-                starts.append(start + [start[-1]] * (10 - len(start)))
-        self._pixels = np.concatenate(levels)
-        self._start = np.array(starts, dtype=np.int32)
-        self._last = np.array(sizes, dtype=np.int32)
-        self.mean = np.array([self._pixels[s[k]] / 255 for s, k in zip(starts, sizes)], dtype=np.float32)
-
-    def shares(
-        self, pattern: Int[np.ndarray, "n"], unit: Float[np.ndarray, "n 2"], width: Float[np.ndarray, "n"]
-    ) -> Float[np.ndarray, "n 3"]:
-        """The pattern at `unit` (repeating with 1), filtered to `width` (a share of the tile)."""
-        last = rows(self._last, pattern)
-        level = np.clip(np.round(np.log2(np.maximum(width, 1e-6)) + last), 0, last).astype(np.int32)
-        n = np.left_shift(1, last - level, dtype=np.int32)
-        x, y = (unit * n.astype(np.float32)[:, None] - np.float32(0.5)).T
-        x0, y0 = np.floor(x), np.floor(y)
-        fx, fy = (x - x0)[:, None], (y - y0)[:, None]
-        i0, j0 = x0.astype(np.int32), y0.astype(np.int32)
-        start = rows(self._start.ravel(), self._start.shape[1] * pattern + level)
-        mask = n - 1
-        left, right = i0 & mask, (i0 + 1) & mask
-        top, bottom = start + (j0 & mask) * n, start + ((j0 + 1) & mask) * n
-        p = self._pixels
-        a, b, c, d = (
-            rows(p, k).astype(np.float32) for k in (top + left, top + right, bottom + left, bottom + right)
-        )
-        upper = a + (b - a) * fx
-        return (upper + (c + (d - c) * fx - upper) * fy) * np.float32(1 / 255)
 
 
 class Looks:

@@ -74,3 +74,13 @@ def overlap(a: Float[np.ndarray, "4 2"], b: Float[np.ndarray, "4 2"]) -> bool:
     axes = np.stack([a[1] - a[0], a[3] - a[0], b[1] - b[0], b[3] - b[0]], axis=1)
     p, q = a @ axes, b @ axes
     return bool(((p.min(0) < q.max(0) - 1e-9) & (q.min(0) < p.max(0) - 1e-9)).all())
+
+
+Make = Callable[[np.random.Generator], Piece]
+"""Draws a piece of a kind."""
+
+
+def draw(rng: np.random.Generator, makers: dict[Make, float]) -> Piece:
+    """One of several kinds, by weight."""
+    weights = np.array(list(makers.values()))
+    return list(makers)[rng.choice(len(weights), p=weights / weights.sum())](rng)
