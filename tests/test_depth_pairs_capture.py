@@ -128,6 +128,19 @@ def test_a_surface_has_seen_the_chosen_frames_alone(views: Views) -> None:
     assert pair.valid[box].mean() > 0.9
 
 
+def test_fingerprint_knows_content_but_not_place(views: Views) -> None:
+    moved = Views()
+    moved.fingerprint = "of the same frames elsewhere"
+    before = pairs_of(views, "sensor").fingerprint
+    assert pairs_of(moved, "sensor").fingerprint == before
+    others = [
+        pairs_of(views, "sensor", range(5)),
+        pairs_of(views, "surface"),
+        pairs_of(Views(13), "sensor", range(12)),
+    ]
+    assert len({before, *(other.fingerprint for other in others)}) == 4
+
+
 def test_captures_that_cannot_be_used(views: Views) -> None:
     blind = Views(2)
     blind.frames = [dataclasses.replace(frame, depth=None) for frame in blind.frames]

@@ -179,6 +179,20 @@ def test_no_source() -> None:
         PairLoader([], size=8, batch=1)
 
 
+class Damaged(Numbered):
+    """No pair of it can be read."""
+
+    def __getitem__(self, index: int) -> DepthPair:
+        raise InputError("x.png: damaged or truncated picture")
+
+
+@pytest.mark.parametrize("threads", [0, 2])
+def test_a_damaged_pair_is_named(threads: int) -> None:
+    with pytest.raises(InputError) as caught:
+        next(loader(Damaged("a", 7), threads=threads))
+    assert str(caught.value) == "x.png: damaged or truncated picture"
+
+
 # ---- memory ----
 
 

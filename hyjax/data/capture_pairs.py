@@ -29,18 +29,18 @@ class ChosenFrames:
 
     def __init__(self, capture: Capture, indices: Sequence[int]) -> None:
         self.name, self.up = capture.name, capture.up
-        self._capture, self._indices = capture, list(indices)
+        self._capture, self.indices = capture, list(indices)
 
     @property
     def fingerprint(self) -> str:
         """See `Capture`."""
-        return digest([self._capture.fingerprint, *map(str, self._indices)])
+        return digest([self._capture.fingerprint, *map(str, self.indices)])
 
     def __len__(self) -> int:
-        return len(self._indices)
+        return len(self.indices)
 
     def __getitem__(self, index: int) -> Frame:
-        return self._capture[self._indices[index]]
+        return self._capture[self.indices[index]]
 
 
 class CapturePairs:
@@ -61,7 +61,7 @@ class CapturePairs:
     def __init__(
         self, capture: Capture, indices: Sequence[int], depth: Source = "sensor", progress: bool = True
     ) -> None:
-        self.name = capture.name
+        self.name, self._total = capture.name, len(capture)
         self._frames, self._depth = ChosenFrames(capture, indices), depth
         first = self._frames[0]
         if first.depth is None:
@@ -70,15 +70,17 @@ class CapturePairs:
             raise InputError(f"{capture.name}: depth is not registered to the pictures; use depth=surface")
         self._caster: RayCaster | None = None
         if depth != "sensor":
-            mesh = surface_of(self._frames, "fused", voxel=VOXEL, most_frames=len(self._frames), progress=progress)[
-                1
-            ]
+            most = len(self._frames)
+            _, mesh = surface_of(self._frames, "fused", voxel=VOXEL, most_frames=most, progress=progress)
             self._caster = RayCaster(with_normals(mesh, SMOOTHING))
 
     @property
     def fingerprint(self) -> str:
-        """See `DepthPairs`."""
-        return digest([self._frames.fingerprint, self._depth])
+        """See `DepthPairs`. Not from the capture's own, which knows the place and the times of its files."""
+        first = self._frames[0]
+        pose = np.round(first.camera.pose, 6).tolist()
+        which = f"{self._frames.indices} of {self._total}"
+        return digest([self.name, f"{first.camera.intrinsics} {pose}", self._depth, which])
 
     def __len__(self) -> int:
         return len(self._frames)
