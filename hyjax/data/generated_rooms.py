@@ -15,7 +15,7 @@ from hyjax.errors import InputError
 from hyjax.files import whole
 from hyjax.scene.random_room import LitRoom, Shot, make_random_room, photograph
 
-VERSION = 3
+VERSION = 4
 """Of what `hyjax.scene.random_room` makes. Add one whenever its geometry or its pictures change."""
 DEPTH_STEP = 0.0002
 """Metres that depth is rounded to, so that 16 bits reach 13 m."""

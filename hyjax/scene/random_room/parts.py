@@ -8,7 +8,8 @@ from hyjax.scene.room.shapes import box, tube
 
 def add_legs(build: RoomBuilder, x: float, y: float, tall: float, look: int) -> None:
     """Four legs with their centres at (±x, ±y): square, round, tapered or splayed."""
-    thick, round_, splay = build.rng.uniform(0.012, 0.045), build.rng.random() < 0.5, build.rng.choice([1.0, 1.04])
+    thick, round_ = build.rng.uniform(0.012, 0.045), build.rng.random() < 0.5
+    splay = 1 + build.rng.choice([0.0, min(0.04, 0.1 * tall / max(x, y))])
     for sx in (-x, x):
         for sy in (-y, y):
             if round_:
