@@ -1,5 +1,35 @@
 """Guide features from pictures: MobileNetV4 encoders in a U-Net, with weights in and out."""
 
-from hyjax.guide.network import ENCODERS, Encoder, GuideNetwork, normalise
+import importlib
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["ENCODERS", "Encoder", "GuideNetwork", "normalise"]
+if TYPE_CHECKING:
+    from hyjax.guide.inference import Guide, load_guide
+    from hyjax.guide.network import ENCODERS, Encoder, GuideNetwork, normalise
+    from hyjax.guide.weights import load_network, load_weights, save_guide
+
+__all__ = [
+    "ENCODERS",
+    "Encoder",
+    "Guide",
+    "GuideNetwork",
+    "load_guide",
+    "load_network",
+    "load_weights",
+    "normalise",
+    "save_guide",
+]
+
+PLACES = {
+    "network": ("ENCODERS", "Encoder", "GuideNetwork", "normalise"),
+    "weights": ("load_network", "load_weights", "save_guide"),
+    "inference": ("Guide", "load_guide"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """The names above, loaded with flax when they are first asked for: `hyjax.guide.choose` does without."""
+    for module, names in PLACES.items():
+        if name in names:
+            return getattr(importlib.import_module(f"hyjax.guide.{module}"), name)
+    raise AttributeError(f"module 'hyjax.guide' has no attribute {name!r}")

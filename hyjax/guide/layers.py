@@ -1,9 +1,11 @@
 """Layers that all networks of this package are made of."""
 
+from typing import Any
+
 import jax
+import jax.numpy as jnp
 from flax import nnx
 from jax.nn.initializers import variance_scaling
-from jaxtyping import Array, Float
 
 from hyjax.guide.convolution import Picture, convolve, convolve_depthwise
 
@@ -40,12 +42,15 @@ class Conv(nnx.Module):
     ) -> None:
         shape = (width, width, 1 if depthwise else inputs, outputs)
         self.kernel = nnx.Param(initial(rngs.params(), shape))
-        self.bias = nnx.Param(jax.numpy.zeros(outputs)) if bias else None
+        self.bias = nnx.data(nnx.Param(jnp.zeros(outputs)) if bias else None)
         self.stride = stride
         self.depthwise = depthwise
 
     def __call__(self, x: Picture) -> Picture:
-        y = (convolve_depthwise if self.depthwise else convolve)(x, self.kernel[...], self.stride)
+        return self.add_bias((convolve_depthwise if self.depthwise else convolve)(x, self.kernel[...], self.stride))
+
+    def add_bias(self, y: Picture) -> Picture:
+        """What follows the products."""
         return y if self.bias is None else y + self.bias[...]
 
 
@@ -54,7 +59,7 @@ class ConvNorm(nnx.Module):
 
     Attributes:
         conv: the convolution.
-        norm: the batch norm: as torch's, momentum 0.1.
+        norm: the batch norm: torch's momentum 0.1; None once it is folded into the convolution.
         names: what the two are called in torch, within the module that holds both.
     """
 
@@ -73,14 +78,24 @@ class ConvNorm(nnx.Module):
     ) -> None:
         initial = initial or (KAIMING_DEPTHWISE if depthwise else KAIMING_FAN_OUT)
         self.conv = Conv(inputs, outputs, width, stride, depthwise=depthwise, initial=initial, rngs=rngs)
-        self.norm = nnx.BatchNorm(outputs, momentum=0.9, epsilon=EPSILON, rngs=rngs)
+        self.norm: Any = nnx.data(nnx.BatchNorm(outputs, momentum=0.9, epsilon=EPSILON, rngs=rngs))
         self.names = names
         self.relu = relu
 
     def __call__(self, x: Picture) -> Picture:
         return self.activate(self.conv(x))
 
-    def activate(self, y: Float[Array, "b h w c"]) -> Picture:
+    def activate(self, y: Picture) -> Picture:
         """What follows the convolution."""
-        y = self.norm(y)
+        y = y if self.norm is None else self.norm(y)
         return jax.nn.relu(y) if self.relu else y
+
+    def fold(self) -> None:
+        """Put the batch norm with its running statistics into kernel and bias of the convolution."""
+        norm = self.norm
+        if norm is None:
+            return
+        scale = norm.scale[...] / jnp.sqrt(norm.var[...] + EPSILON)
+        self.conv.kernel.set_value(self.conv.kernel[...] * scale)
+        self.conv.bias = nnx.Param(norm.bias[...] - norm.mean[...] * scale)
+        self.norm = None

@@ -73,8 +73,11 @@ class GuideNetwork(nnx.Module):
         """Guide features of pictures that `normalise` has prepared, of any size."""
         if image.ndim != 4 or image.shape[-1] != 3:
             raise InputError(f"image: need B x H x W x 3 RGB pictures, got shape {image.shape}")
-        maps = self.encoder(image)
-        return self.segmentation_head[0](self.decoder(maps, image.shape[1], image.shape[2]))
+        return self.segmentation_head[0](self.trunk(image))
+
+    def trunk(self, image: Float[Array, "b h w 3"]) -> Float[Array, "b h w t"]:
+        """What enters the last convolution."""
+        return self.decoder(self.encoder(image), image.shape[1], image.shape[2])
 
 
 def normalise(display: Float[Array, "*b h w 3"]) -> Float[Array, "*b h w 3"]:

@@ -9,11 +9,13 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from flax import nnx
 
-from hyjax.guide.convolution import Picture, upsample
+from hyjax.guide.convolution import Picture, convolve, convolve_upsampled, upsample
 from hyjax.guide.layers import KAIMING_UNIFORM, ConvNorm
 
 DECODER_CHANNELS = (256, 128, 64, 32, 16)
 """After each doubling of the size, down to full size; the last ones, if an encoder halves less often."""
+PARITIES_FROM = 32 * 32
+"""Pixels from which `convolve_upsampled` saves more than adding up its kernels costs."""
 
 
 class DecoderBlock(nnx.Module):
@@ -28,8 +30,19 @@ class DecoderBlock(nnx.Module):
         self.conv2 = layer("conv2", outputs)
 
     def __call__(self, x: Picture, skip: Picture | None, height: int, width: int) -> Picture:
+        doubled = (height, width) == (2 * x.shape[1], 2 * x.shape[2])
+        if doubled and x.shape[1] * x.shape[2] >= PARITIES_FROM:
+            return self.conv2(self._convolve_parities(x, skip))
         x = upsample(x, height, width)
         return self.conv2(self.conv1(x if skip is None else jnp.concatenate([x, skip], -1)))
+
+    def _convolve_parities(self, x: Picture, skip: Picture | None) -> Picture:
+        conv = self.conv1.conv
+        kernel = conv.kernel[...]
+        y = convolve_upsampled(x, kernel[:, :, : x.shape[-1]])
+        if skip is not None:
+            y = y + convolve(skip, kernel[:, :, x.shape[-1] :])
+        return self.conv1.activate(conv.add_bias(y))
 
 
 class UnetDecoder(nnx.Module):
@@ -47,8 +60,13 @@ class UnetDecoder(nnx.Module):
         self.channels = outputs[-1]
 
     def __call__(self, maps: Sequence[Picture], height: int, width: int) -> Picture:
+        return self.levels(maps, height, width)[-1]
+
+    def levels(self, maps: Sequence[Picture], height: int, width: int) -> list[Picture]:
+        """What comes out of each block, coarse to fine."""
         *skips, x = maps
         sizes = [(height, width), *((skip.shape[1], skip.shape[2]) for skip in skips)]
+        levels = []
         for block, size, skip in zip(self.blocks, reversed(sizes), [*reversed(skips), None]):
-            x = block(x, skip, *size)
-        return x
+            levels.append(x := block(x, skip, *size))
+        return levels

@@ -1,0 +1,146 @@
+"""Guides from trained networks: batch norms folded into the convolutions, one compiled function."""
+
+import functools
+import hashlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+from jaxtyping import Array, Float
+
+from hyjax.errors import InputError
+from hyjax.guide.layers import ConvNorm
+from hyjax.guide.network import GuideNetwork, normalise
+from hyjax.guide.weights import load_network, save_guide
+from hyjax.schedule import DEFAULT_KAPPA
+
+
+def fold(network: GuideNetwork, *, kappa: float = DEFAULT_KAPPA) -> GuideNetwork:
+    """The same network for inference: without batch norms, and with `DEFAULT_KAPPA` as the κ of its features.
+
+    Args:
+        network: with the statistics to be used; left as it is.
+        kappa: κ that goes with its features. Features and κ scale alike, so they are divided out in the last layer.
+    """
+    folded = nnx.clone(network)
+    for _, module in nnx.iter_modules(folded):
+        if isinstance(module, ConvNorm):
+            module.fold()
+    for head in folded.segmentation_head:
+        for variable in jax.tree.leaves(nnx.state(head), is_leaf=lambda leaf: isinstance(leaf, nnx.Variable)):
+            variable.set_value(variable[...] * (DEFAULT_KAPPA / kappa))
+    return folded
+
+
+class Guide:
+    """Features of frames from a trained network, as a pure compiled function.
+
+    Attributes:
+        name: what tables call it.
+        fingerprint: changes with the weights.
+        metadata: what the file with the weights tells.
+        network: with batch norms folded away.
+    """
+
+    def __init__(
+        self,
+        network: GuideNetwork,
+        *,
+        kappa: float = DEFAULT_KAPPA,
+        name: str = "guide",
+        fingerprint: str = "",
+        metadata: Mapping[str, str] | None = None,
+    ) -> None:
+        self.name = name
+        self.fingerprint = fingerprint
+        self.metadata = dict(metadata or {})
+        self.network = fold(network, kappa=kappa)
+        self._unfolded, self._kappa = network, kappa
+        self._graph, self._state = nnx.split(self.network)
+
+    def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
+        """Guide features of a frame, of which `DEFAULT_KAPPA` is a sensible κ.
+
+        Args:
+            display: display-encoded, in [0, 1], of any size.
+
+        Raises:
+            InputError: not an H×W×3 picture.
+        """
+        check_display(display)
+        return _features(self._graph, self._state, display)
+
+    def trunk(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w t"]:
+        """What enters the network's last layer; see `features`."""
+        check_display(display)
+        return _trunk(self._graph, self._state, display)
+
+    @property
+    def kernel(self) -> Float[Array, "k k t f"]:
+        """Of the last layer: `features` are `trunk` convolved with it, but for a constant."""
+        return self.network.segmentation_head[0].kernel[...]
+
+    def with_kernel(self, kernel: Float[Array, "k k t f"]) -> "Guide":
+        """The same guide with another last layer; see `kernel`."""
+        network = nnx.clone(self._unfolded)
+        network.segmentation_head[0].kernel.set_value(kernel * (self._kappa / DEFAULT_KAPPA))
+        digest = hashlib.sha256(self.fingerprint.encode() + np.asarray(kernel).tobytes()).hexdigest()[:16]
+        name = f"{self.name}, tuned"
+        return Guide(network, kappa=self._kappa, name=name, fingerprint=digest, metadata=self.metadata)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the weights to a file that `load_guide` opens; see `save_guide`."""
+        save_guide(path, self._unfolded, kappa=self._kappa, metadata=self.metadata)
+
+
+def load_guide(path: str | os.PathLike[str], name: str | None = None) -> Guide:
+    """Open a guide from a file with weights.
+
+    Args:
+        path: see `hyjax.guide.weights.load_network`.
+        name: what tables shall call it; by default the file's name.
+
+    Raises:
+        InputError: the file cannot be read or is of another network, or its κ or norm make no sense.
+    """
+    network, metadata = load_network(path)
+    if (norm := metadata.get("norm", "l2")) != "l2":
+        raise InputError(f"{path}: trained for the norm {norm!r}; guides are read with 'l2'")
+    try:
+        kappa = float(metadata.get("kappa", "1"))
+    except ValueError:
+        kappa = 0.0
+    if not 0 < kappa < float("inf"):
+        raise InputError(f"{path}: its kappa is {metadata['kappa']!r}; it must be a number > 0")
+    _, state = nnx.split(network)
+    digest = hashlib.sha256(str(sorted(metadata.items())).encode())
+    for leaf in jax.tree.leaves(state):
+        digest.update(jnp.asarray(leaf).tobytes())
+    return Guide(
+        network,
+        kappa=kappa,
+        name=name or Path(path).stem,
+        fingerprint=digest.hexdigest()[:16],
+        metadata=metadata,
+    )
+
+
+def check_display(display: Float[Array, "h w 3"]) -> None:
+    """Raise `InputError` unless this is an H×W×3 picture."""
+    if display.ndim != 3 or display.shape[-1] != 3 or 0 in display.shape:
+        raise InputError(f"guide: need a display-encoded H x W x 3 picture, got shape {display.shape}")
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _features(graph: Any, state: Any, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
+    return nnx.merge(graph, state)(normalise(display)[None])[0]
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _trunk(graph: Any, state: Any, display: Float[Array, "h w 3"]) -> Float[Array, "h w t"]:
+    return nnx.merge(graph, state).trunk(normalise(display)[None])[0]
