@@ -203,7 +203,7 @@ def _adjust(y: Float[Array, "c h w"], source: Float[Array, "c h/f w/f"], known: 
 
 @functools.partial(jax.jit, static_argnames="factor")
 def coarsen(
-    y: Float[Array, "h w c"], valid: Bool[Array, "h w"], factor: int, *, least: Float[ArrayLike, ""] = 0.5
+    y: Float[Array, "h w c"], valid: Bool[Array, "h w"], factor: int, *, least: Float[ArrayLike, ""] = 0.0
 ) -> tuple[Float[Array, "h/f w/f c"], Bool[Array, "h/f w/f"]]:
     """A source from a picture with holes: means of each cell's valid pixels.
 
@@ -211,7 +211,8 @@ def coarsen(
         y: picture; values that are not valid may be anything finite.
         valid: which of its pixels mean anything.
         factor: pixels a cell is wide.
-        least: share of a cell's pixels that must be valid for it to count as known; one pixel at any rate.
+        least: share of a cell's pixels that must be valid for it to count as known; one pixel at any rate, which
+            is Metzger's choice.
 
     Returns:
         (source, known). A cell without any valid pixel holds the mean of the nearest larger cells that have some.
