@@ -43,8 +43,9 @@ class Relight:
     size: str | None = None
     """Work at this size: 512 (square) or 640x480 (width x height), of the largest centred part of that shape.
     Default: as captured."""
-    guide: Literal["rgb"] = "rgb"
-    """What guides the diffusion: rgb is the frame itself."""
+    guide: str = "rgb"
+    """What guides the diffusion: rgb is the frame itself, small the network that comes with hyjax; or a safetensors
+    file that train or tune wrote."""
     paper_mode: bool = False
     """Exactly the paper: multiply display values, leave holes in the mesh black."""
     shadows: bool = True
@@ -93,8 +94,10 @@ class Tune:
     """Which frames are only reported on. Default: four of the last quarter."""
     size: str = "512"
     """Work at this size: 512 (square) or 640x480 (width x height)."""
-    guide: Literal["rgb"] = "rgb"
-    """What guides the diffusion: rgb is the frame itself."""
+    guide: str = "rgb"
+    """What guides the diffusion: rgb, small or a safetensors file; see relight."""
+    joint: bool = False
+    """Also tune the last layer of a learned guide together with the best schedule's kappa and lambda."""
     voxel: float = 0.03
     """Voxel of a fused rough mesh in metres."""
     repair_mesh: bool = False
@@ -120,8 +123,8 @@ class Train:
     """Train a guide network by depth super-resolution."""
 
     pairs: tuple[str, ...] | None = None
-    """What to learn from: rooms (generated, needs no file), or sources on disk such as mosd:PATH, diml:PATH, nyu:FILE,
-    middlebury:PATH, capture:PATH; see the README. Default: rooms."""
+    """What to learn from: rooms (generated, needs no file), or sources on disk such as mosd:PATH, diml:PATH,
+    nyu:FILE, middlebury:PATH, capture:PATH; see the README. Default: rooms."""
     validation: tuple[str, ...] | None = None
     """What to judge by, likewise. Default: other crops of the same."""
     paper: bool = False
@@ -130,6 +133,8 @@ class Train:
     """mobilenetv4_conv_small or mobilenetv4_conv_medium. Default: small."""
     features: int | None = None
     """Channels of the guide."""
+    start: str | None = None
+    """Weights to start from: a file of train's, or of an encoder pretrained by timm."""
     through: Literal["cascade", "steps"] | None = None
     """Whether the loss is taken after the cascade, as pictures will be relit, or after many steps at full size."""
     size: int | None = None
@@ -148,6 +153,10 @@ class Train:
     """Of the loss on conductances at true borders."""
     learning_rate: float | None = None
     """At the start."""
+    decay: float | None = None
+    """Factor of the learning rate every so many updates ..."""
+    decay_every: int | None = None
+    """... namely these."""
     clip: float | None = None
     """Largest norm of the gradient."""
     validate_every: int | None = None
@@ -222,6 +231,7 @@ def run_relight(command: Relight) -> None:
     from hyjax.data.room import load_room
     from hyjax.data.surfaces import check_mesh_name, surface_of
     from hyjax.files import make_writable
+    from hyjax.guide.choose import open_guide
     from hyjax.relighting import Outputs, relight_capture
     from hyjax.scene.blender import blender_python
     from hyjax.scene.raycast import RayCaster
@@ -236,6 +246,7 @@ def run_relight(command: Relight) -> None:
     if not from_file:
         check_setup_name(command.lights)
     check_mesh_name(command.mesh)
+    guide = open_guide(command.guide)
     if command.renderer == "blender":
         blender_python()
     capture: Capture | None = None
@@ -268,6 +279,7 @@ def run_relight(command: Relight) -> None:
         command.out,
         frames=chosen,
         size=size,
+        guide=guide,
         mode="paper" if command.paper_mode else "hyjax",
         shadows=command.shadows,
         renderer=command.renderer,
@@ -302,6 +314,7 @@ def run_tune(command: Tune) -> None:
         holdout=command.holdout,
         size=_size(command.size),
         guide=command.guide,
+        joint=command.joint,
         seed=command.seed,
         time_limit=command.time_limit,
         extra=command.extra,

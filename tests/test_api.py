@@ -233,6 +233,10 @@ def test_import_is_light(module: str) -> None:
         "optax",
         "jaxopt",
         "orbax",
+        "grain",
+        "PIL",
+        "h5py",
+        "safetensors",
         "tqdm",
         "yaml",
     }

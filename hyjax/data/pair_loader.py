@@ -4,7 +4,7 @@ import threading
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import grain  # type: ignore[import-untyped]
+import grain
 import numpy as np
 from jaxtyping import Bool, Float
 

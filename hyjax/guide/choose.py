@@ -20,8 +20,11 @@ class FrameGuide(Protocol):
         fingerprint: changes whenever its features may.
     """
 
-    name: str
-    fingerprint: str
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def fingerprint(self) -> str: ...
 
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
         """Features of a display-encoded frame, in units in which `DEFAULT_KAPPA` is a sensible κ."""
@@ -57,7 +60,7 @@ def open_guide(name: str = "rgb") -> FrameGuide:
     if name == RGB.name:
         return RGB
     if name in SHIPPED:
-        return load_guide(Path(__file__).with_name("weights") / f"{name}.safetensors", name)
+        return load_guide(Path(__file__).with_name("trained") / f"{name}.safetensors", name)
     if not Path(name).is_file():
         known = (RGB.name, *SHIPPED)
         raise InputError(

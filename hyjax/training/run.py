@@ -7,7 +7,8 @@ The folder of a run holds
 - `checkpoints/`: the last good states,
 - `validation/NNNNNN.png`: validation crops as they are super-resolved at that iteration,
 - `curve.png`: losses over iterations,
-- `guide.safetensors`: the weights with the lowest validation loss so far.
+- `guide.safetensors`: the weights with the lowest validation loss so far, and `last.safetensors`, those of the last
+  validation.
 
 A run killed at any moment and resumed goes on with the same numbers to the last bit.
 """
@@ -24,17 +25,17 @@ from tqdm import tqdm
 
 from hyjax.data.depth_pairs import DepthPairs
 from hyjax.data.open_pairs import open_pairs
-from hyjax.data.pair_loader import Batch, PairLoader
+from hyjax.data.pair_loader import PairLoader
 from hyjax.environment import environment
 from hyjax.errors import InputError
 from hyjax.files import make_writable
+from hyjax.guide import save_guide
 from hyjax.training.checkpoints import Checkpoints
 from hyjax.training.curve import draw_curve
 from hyjax.training.log import Log
 from hyjax.training.settings import TrainSettings
 from hyjax.training.state import Progress, TrainState, Updater
-from hyjax.training.targets import Sample
-from hyjax.training.validation import Validation
+from hyjax.training.validation import Validation, sample_of
 
 MEMORY_MARGIN = 0.9
 """Share of the memory that is free which an update may take."""
@@ -93,13 +94,13 @@ def train(
         total=settings.iterations, initial=start, desc="training", unit="update", disable=not (progress and leads)
     )
     with bar:
-        batch = updater.spread(_sample(next(loader)))
+        batch = updater.spread(sample_of(next(loader)))
         if start < settings.iterations:
             _check_memory(updater.prepare(state, batch), settings)
         for iteration in range(start, settings.iterations):
             state, told = updater.update(state, batch)
             position = loader.state()
-            batch = updater.spread(_sample(next(loader)))  # while the device is busy
+            batch = updater.spread(sample_of(next(loader)))  # while the device is busy
             _check_sound(told, iteration, checkpoints, out)
             done = iteration + 1
             log.add(iteration=done, **_numbers(told))
@@ -111,16 +112,12 @@ def train(
                 if leads:
                     validation.draw(state, out / "validation" / f"{done:06d}.png")
                     draw_curve(out / "curve.png", log.lines)
-                    if log.last_is_best():
-                        _export(updater, state, out, settings, command)
+                    for name in ("last", "guide") if log.last_is_best() else ("last",):
+                        _export(updater, state, out / f"{name}.safetensors", settings, command)
             if ends or done % settings.checkpoint_every == 0:
                 checkpoints.save(state, position)
     checkpoints.close()
     return log.validations()[-1]["validation"]
-
-
-def _sample(batch: Batch) -> Sample:
-    return Sample(batch.image, batch.depth, batch.valid, batch.normal)
 
 
 def _numbers(told: Progress) -> dict[str, float]:
@@ -162,16 +159,14 @@ def _free_memory() -> float:
         return math.inf
 
 
-def _export(updater: Updater, state: TrainState, out: Path, settings: TrainSettings, command: str) -> None:
+def _export(updater: Updater, state: TrainState, path: Path, settings: TrainSettings, command: str) -> None:
     metadata = {
         "iteration": str(int(state.iteration)),
         "command": command,
         "settings": json.dumps(settings.record()),
     }
     kappa = float(np.exp(np.asarray(state.weights["log_kappa"])))
-    from hyjax.guide.weights import save_guide
-
-    save_guide(out / "guide.safetensors", updater.network(state), kappa=kappa, metadata=metadata)
+    save_guide(path, updater.network(state), kappa=kappa, metadata=metadata)
 
 
 def _described(source: DepthPairs) -> str:

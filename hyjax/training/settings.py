@@ -18,6 +18,8 @@ class TrainSettings:
         encoder: name in `hyjax.guide.ENCODERS`.
         features: channels of the guide.
         pairs: what to learn from, as `open_pairs` takes it, each drawn from equally often.
+        start: file with weights to start from, of the whole network or of its encoder alone, see `load_weights`;
+            random ones if empty.
         validation: what to judge by, likewise; the same as `pairs` if empty.
         size: side of the square crops in pixels, a multiple of 32.
         batch: crops an iteration, over all devices.
@@ -43,6 +45,7 @@ class TrainSettings:
     encoder: str = "mobilenetv4_conv_small"
     features: int = 64
     pairs: tuple[str, ...] = ("rooms",)
+    start: str = ""
     validation: tuple[str, ...] = ()
     size: int = 256
     batch: int = 4

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -13,7 +14,7 @@ from jax.sharding import AxisType, NamedSharding, PartitionSpec
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from hyjax.errors import InputError
-from hyjax.guide import GuideNetwork, normalise
+from hyjax.guide import GuideNetwork, load_weights, normalise
 from hyjax.training.objective import Losses, batch_losses, total
 from hyjax.training.settings import TrainSettings
 from hyjax.training.targets import Sample
@@ -65,7 +66,7 @@ class Updater:
     """Updates of one network under one set of settings, batches spread over all devices of all hosts.
 
     Raises:
-        InputError: the batch cannot be divided among the devices.
+        InputError: the batch cannot be divided among the devices, or there are no weights to start from.
     """
 
     def __init__(self, settings: TrainSettings) -> None:
@@ -74,11 +75,15 @@ class Updater:
             raise InputError(f"batch: {settings.batch} crops cannot be divided among {devices} devices")
         self.settings = settings
         network = GuideNetwork(settings.encoder, settings.features, rngs=nnx.Rngs(settings.seed))
+        self._log_kappa = 0.0
+        if settings.start:
+            self._log_kappa = math.log(float(load_weights(settings.start, network).get("kappa", "1")))
         network.train()
-        self._graph, weights, statistics = nnx.split(network, nnx.Param, ...)
-        self._weights, self._statistics = nnx.to_pure_dict(weights), nnx.to_pure_dict(statistics)
+        self._graph: Any = nnx.graphdef(network)
+        self._weights = nnx.to_pure_dict(nnx.state(network, nnx.Param))
+        self._statistics = nnx.to_pure_dict(nnx.state(network, nnx.Not(nnx.Param)))
         network.eval()
-        self._still, *_ = nnx.split(network, nnx.Param, ...)
+        self._still: Any = nnx.graphdef(network)
         rate = optax.exponential_decay(settings.learning_rate, settings.decay_every, settings.decay, staircase=True)
         self._optimizer = optax.chain(optax.clip_by_global_norm(settings.clip), optax.adam(rate))
         mesh = jax.make_mesh((devices,), ("batch",), axis_types=(AxisType.Auto,))
@@ -89,7 +94,7 @@ class Updater:
 
     def initial(self) -> TrainState:
         """The state before the first update."""
-        weights = {"network": self._weights, "log_kappa": jnp.zeros(())}
+        weights = {"network": self._weights, "log_kappa": jnp.asarray(self._log_kappa, jnp.float32)}
         state = TrainState(weights, self._statistics, self._optimizer.init(weights), jnp.zeros((), jnp.int32))
         return self.placed(state)
 
@@ -136,7 +141,7 @@ class Updater:
         (value, (losses, statistics)), gradient = jax.value_and_grad(loss, has_aux=True)(state.weights)
         updates, optimizer = self._optimizer.update(gradient, state.optimizer, state.weights)
         weights = optax.apply_updates(state.weights, updates)
-        norm = optax.global_norm(gradient)
+        norm = optax.tree.norm(gradient)
         sound = functools.reduce(
             jnp.logical_and, [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((value, norm, weights, statistics))]
         )

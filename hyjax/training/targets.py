@@ -34,12 +34,12 @@ TURN = 0.94
 
 
 class Sample(NamedTuple):
-    """One training crop. Normals are zero where unknown, which may be everywhere."""
+    """One training crop, or a batch of them. Normals are zero where unknown, which may be everywhere."""
 
-    image: Float[Array, "h w 3"]
-    depth: Float[Array, "h w"]
-    valid: Bool[Array, "h w"]
-    normal: Float[Array, "h w 3"]
+    image: Float[Array, "*b h w 3"]
+    depth: Float[Array, "*b h w"]
+    valid: Bool[Array, "*b h w"]
+    normal: Float[Array, "*b h w 3"]
 
 
 def mean_over(x: Float[Array, "h w *c"], valid: Bool[Array, "h w"]) -> Float[Array, "*c"]:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.depth_pairs import DepthPairs
-from hyjax.data.pair_loader import PairLoader
+from hyjax.data.pair_loader import Batch, PairLoader
 from hyjax.diffusion import conductance
 from hyjax.files import make_writable
 from hyjax.schedule import DEFAULT_KAPPA
@@ -43,7 +43,7 @@ class Validation:
         self.updater, self.settings = updater, updater.settings
         loader = PairLoader(sources, size=self.settings.size, batch=self.settings.batch, seed=SEED, augment=False)
         batches = (next(loader) for _ in range(BATCHES))
-        self.batches = [Sample(b.image, b.depth, b.valid, b.normal) for b in batches]
+        self.batches = [sample_of(batch) for batch in batches]
         self._losses = jax.jit(functools.partial(batch_losses, settings=self.settings))
         self.rgb = self._measure(lambda images: jnp.asarray(images), jnp.log(DEFAULT_KAPPA))
 
@@ -66,7 +66,7 @@ class Validation:
 
     def draw(self, state: TrainState, path: Path) -> None:
         """Write a sheet of crops super-resolved by the largest factor."""
-        rows = []
+        rows: list[tuple[str, list[np.ndarray]]] = []
         for batch in self.batches:
             features = self.updater.features(state, batch.image)
             for i in range(len(features)):
@@ -105,3 +105,8 @@ def least(edges: Edges) -> Float[np.ndarray, "h w"]:
     down = np.pad(np.asarray(edges[0]), ((0, 1), (0, 0)), constant_values=1.0)
     right = np.pad(np.asarray(edges[1]), ((0, 0), (0, 1)), constant_values=1.0)
     return np.minimum(down, right)
+
+
+def sample_of(batch: Batch) -> Sample:
+    """What the loss needs of a batch; it treats metres and disparity alike."""
+    return Sample(*(jnp.asarray(field) for field in (batch.image, batch.depth, batch.valid, batch.normal)))

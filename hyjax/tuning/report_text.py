@@ -115,7 +115,21 @@ def summary(tuned: Tuned) -> list[str]:
     And one more if a much faster schedule is nearly as good, which is worth knowing before a budget is spent.
     """
     sentences = [sentence(tuned, budget, best) for budget, best in zip(tuned.budgets, tuned.best, strict=True)]
-    return sentences + bargain(tuned)
+    return sentences + bargain(tuned) + jointly(tuned)
+
+
+def jointly(tuned: Tuned) -> list[str]:
+    """What tuning the guide's last layer with the schedule has brought, if it was asked for."""
+    record = tuned.record.get("joint")
+    if record is None:
+        return []
+    before, after = record.get("held out", record["tuning"])
+    frames = "held-out" if "held out" in record else "tuning"
+    return [
+        f"With the guide's last layer tuned too (guide.safetensors and joint.json): loss "
+        f"{number(before['loss'], '.4g')} before, {number(after['loss'], '.4g')} after ({frames} frames), "
+        f"{milliseconds(record['measured']['median'])} ms."
+    ]
 
 
 def bargain(tuned: Tuned) -> list[str]:

@@ -43,6 +43,7 @@ def tune_bench(
     time_limit: float | None = None,
     effort: Effort | None = None,
     extra: bool = True,
+    joint: bool = False,
     recalibrate: bool = False,
     out: Path | None = None,
     resume: bool = False,
@@ -62,6 +63,8 @@ def tune_bench(
         time_limit: seconds after which the search only finishes what it has; None for no limit.
         effort: how long to look at each budget.
         extra: also tune for a few more budgets, which draw the curve of quality against time.
+        joint: at the end, tune the last layer of the bench's guide together with κ and λ of the best schedule for
+            the first budget; needs `out`, where `guide.safetensors` and `joint.json` are then.
         recalibrate: make the latency table anew.
         out: folder for the results, written as they are found; None writes nothing.
         resume: go on with what an interrupted run left in `out`.
@@ -130,6 +133,12 @@ def tune_bench(
             for budget in budgets:
                 run.search(search, budget, effort or Effort())
                 run.write(out)
+            if joint and out is not None:
+                from hyjax.tuning.joint import tune_and_save  # with flax, which only learned guides need
+
+                seeing_held = [i for i in holdout if bench.name(i) not in held_blind]
+                best = run.result().best[0].schedule
+                record["joint"] = tune_and_save(bench, best, clock, chosen, seeing_held, out, watch, seed=seed)
             for budget in run.extra_budgets() if extra else ():
                 if not watch.expired():
                     run.search(search, budget, QUICK)

@@ -36,6 +36,7 @@ def tune(
     time_limit: float | None = None,
     effort: Effort | None = None,
     extra: bool = True,
+    joint: bool = False,
     recalibrate: bool = False,
     voxel: float = 0.03,
     repair_mesh: bool = False,
@@ -63,6 +64,8 @@ def tune(
         time_limit: seconds after which the search only finishes what it has.
         effort: how long to look at each budget.
         extra: also tune for a few more budgets, which draw the curve of quality against time.
+        joint: also tune the last layer of a learned guide with κ and λ of the best schedule for the first budget;
+            needs `out`, where `guide.safetensors` and `joint.json` are then.
         recalibrate: make the device's latency table anew.
         voxel: of a fused `mesh`, in metres.
         repair_mesh: drop unusable triangles of a mesh file instead of refusing it.
@@ -80,6 +83,10 @@ def tune(
     """
     budgets = parse_budgets(_several(fps), _several(budget_ms))
     opened = open_guide(guide)
+    if joint:
+        from hyjax.tuning.joint import check_joint
+
+        check_joint(opened, None if out is None else Path(out))
     check_names(mesh, target, lights)
     check_time_limit(time_limit)
     if out is not None:
@@ -109,6 +116,7 @@ def tune(
         time_limit=time_limit,
         effort=effort,
         extra=extra,
+        joint=joint,
         recalibrate=recalibrate,
         out=out,
         resume=resume,

@@ -1,0 +1,267 @@
+"""The last convolution of a learned guide, tuned together with κ and λ of a schedule.
+
+The search finds which levels take how many steps under a guide as it is. Then κ, λ and the guide's last layer are
+all continuous, and one descent on the search's own loss moves them together. The layers before stay: what the last
+one takes in is computed once a frame.
+
+Symbols of this file: x (H, W, T) is what enters the last layer, its *trunk*; the guide is x convolved with the
+kernel. A bias would cancel in every difference of the guide, so there is none to tune.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+from tqdm import tqdm
+
+from hyjax.color import to_display
+from hyjax.errors import InputError
+from hyjax.files import write_text
+from hyjax.guide.choose import FrameGuide
+from hyjax.guide.convolution import convolve
+from hyjax.guide.inference import Guide
+from hyjax.schedule import DEFAULT_KAPPA, DEFAULT_LAM, Schedule
+from hyjax.tuning.bench import Workbench
+from hyjax.tuning.cases import Case, refined_filter, scores
+from hyjax.tuning.clocked import Clocked
+from hyjax.tuning.descent import bounded
+from hyjax.tuning.relaxation import Plan, logit, prepare, relaxed_loss
+from hyjax.tuning.result import Scores
+from hyjax.tuning.watch import Watch
+
+ITERATIONS = 300
+RATE = 0.003
+HOLD = 1e-3
+"""Of the kernel's relative distance from where it started, squared: a few frames cannot be trusted with more."""
+
+Kernel = Float[Array, "k k t f"]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Joint:
+    """What is tuned.
+
+    Attributes:
+        plan: whole steps, which stay, with κ and λ.
+        kernel: of the guide's last convolution, in multiples of the root mean square of the one it started from.
+    """
+
+    plan: Plan
+    kernel: Kernel
+
+
+@functools.partial(jax.jit, static_argnames="ladder")
+def joint_loss(
+    joint: Joint, case: Case, trunk: Float[Array, "h w t"], scale: Float[Array, ""], ladder: tuple[int, ...]
+) -> Float[Array, ""]:
+    """The search's loss on one frame whose guide is made with this kernel."""
+    guide = convolve(trunk[None], scale * joint.kernel)[0]
+    return relaxed_loss(joint.plan, prepare(dataclasses.replace(case, guide=guide), ladder), ladder)
+
+
+def tune_jointly(
+    cases: Sequence[Case],
+    trunks: Sequence[Float[Array, "h w t"]],
+    kernel: Kernel,
+    plan: Plan,
+    ladder: tuple[int, ...],
+    *,
+    iterations: int = ITERATIONS,
+    seed: int = 0,
+    report: Callable[[int, float], None] = lambda iteration, loss: None,
+    expired: Callable[[], bool] = lambda: False,
+) -> tuple[Plan, Kernel, float, float]:
+    """Descend (Adam, one frame an iteration) on κ, λ and the kernel together.
+
+    Args:
+        cases: the tuning frames; their own guides are not looked at.
+        trunks: of each.
+        kernel: to start from.
+        plan: to start from, of whole steps.
+        ladder: factors of its levels.
+        iterations: updates.
+        seed: of the order of frames.
+        report: told each iteration and its loss.
+        expired: asked before each iteration whether to stop.
+
+    Returns:
+        (plan, kernel, loss before, loss after): the best on all tuning frames; the start if none is better.
+    """
+    scale = jnp.sqrt(jnp.mean(kernel**2))
+    start = Joint(plan, kernel / scale)
+
+    def held(joint: Joint, case: Case, trunk: Array) -> Array:
+        return joint_loss(joint, case, trunk, scale, ladder) + HOLD * jnp.mean((joint.kernel - start.kernel) ** 2)
+
+    rate = optax.cosine_decay_schedule(RATE, max(iterations, 1))
+    optimizer = optax.adam(rate)
+
+    @jax.jit
+    def advance(
+        joint: Joint, state: optax.OptState, case: Case, trunk: Array
+    ) -> tuple[Joint, optax.OptState, Array]:
+        loss, slope = jax.value_and_grad(held)(joint, case, trunk)
+        slope = dataclasses.replace(slope, plan=dataclasses.replace(slope.plan, steps=jnp.zeros_like(plan.steps)))
+        updates, state = optimizer.update(slope, state)
+        joint = optax.apply_updates(joint, updates)
+        return dataclasses.replace(joint, plan=bounded(joint.plan)), state, loss
+
+    def mean_loss(joint: Joint) -> float:
+        return float(np.mean([joint_loss(joint, c, t, scale, ladder) for c, t in zip(cases, trunks, strict=True)]))
+
+    before = mean_loss(start)
+    best, lowest = start, before
+    joint, state = start, optimizer.init(start)
+    rng = np.random.default_rng(seed)
+    for i in range(iterations):
+        if expired():
+            break
+        frame = int(rng.integers(len(cases)))
+        joint, state, loss = advance(joint, state, cases[frame], trunks[frame])
+        report(i, float(loss))
+        if (i + 1) % 25 == 0 or i + 1 == iterations:
+            now = mean_loss(joint)
+            if now < lowest:
+                best, lowest = joint, now
+    return best.plan, scale * best.kernel, before, lowest
+
+
+@dataclasses.dataclass(frozen=True)
+class JointlyTuned:
+    """A guide and a schedule that belong together.
+
+    Attributes:
+        guide: with the tuned last layer.
+        schedule: with the tuned κ and λ.
+        tuning: (before, after) on the tuning frames.
+        held_out: likewise, on frames that nothing was chosen on; None if there are none.
+    """
+
+    guide: Guide
+    schedule: Schedule
+    tuning: tuple[Scores, Scores]
+    held_out: tuple[Scores, Scores] | None
+
+
+def tune_guide_and_schedule(
+    bench: Workbench,
+    guide: Guide,
+    schedule: Schedule,
+    ladder: tuple[int, ...],
+    frames: Sequence[int],
+    holdout: Sequence[int] = (),
+    *,
+    iterations: int = ITERATIONS,
+    seed: int = 0,
+    report: Callable[[int, float], None] = lambda iteration, loss: None,
+    expired: Callable[[], bool] = lambda: False,
+) -> JointlyTuned:
+    """`tune_jointly` on frames of a capture, with what it brings on other frames.
+
+    Args:
+        bench: the capture, whose guide is `guide`.
+        guide: whose last layer is tuned.
+        schedule: to start from; all its factors are in the ladder.
+        ladder: factors.
+        frames: indices to tune on; those that see no surface are left out.
+        holdout: indices that are only reported on.
+        iterations: updates.
+        seed: of the order of frames.
+        report: told each iteration and its loss.
+        expired: asked before each iteration whether to stop.
+
+    Raises:
+        InputError: no frame sees the mesh.
+    """
+    cases, _ = bench.cases(frames, "tuning", progress=False)
+    trunks = [guide.trunk(to_display(case.frame)) for case in cases]
+    plan, kernel, _, _ = tune_jointly(
+        cases,
+        trunks,
+        guide.kernel,
+        plan_of(schedule, ladder),
+        ladder,
+        iterations=iterations,
+        seed=seed,
+        report=report,
+        expired=expired,
+    )
+    tuned, tuned_schedule = guide.with_kernel(kernel), plan.schedule(ladder, f"{schedule.name}-joint")
+    compared = []
+    for several in (cases, bench.cases(holdout, "held-out", progress=False)[0] if holdout else []):
+        again = [dataclasses.replace(case, guide=tuned.features(to_display(case.frame))) for case in several]
+        if several:
+            before = scores(several, [refined_filter(case, schedule) for case in several])
+            compared.append((before, scores(again, [refined_filter(case, tuned_schedule) for case in again])))
+    return JointlyTuned(tuned, tuned_schedule, compared[0], compared[1] if len(compared) > 1 else None)
+
+
+def tune_and_save(
+    bench: Workbench,
+    schedule: Schedule,
+    clock: Clocked,
+    frames: Sequence[int],
+    holdout: Sequence[int],
+    out: Path,
+    watch: Watch,
+    *,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """`tune_guide_and_schedule` for a tuning run: writes `guide.safetensors` and `joint.json`, returns the record.
+
+    Raises:
+        InputError: see `check_joint`; or a file cannot be written.
+    """
+    with tqdm(total=ITERATIONS, desc="guide and schedule", disable=not watch.progress) as bar:
+
+        def report(_: int, loss: float) -> None:
+            bar.update()
+            bar.set_postfix_str(f"loss {loss:.5f}", refresh=False)
+
+        found = tune_guide_and_schedule(
+            bench,
+            check_joint(bench.guide, out),
+            schedule,
+            clock.table.ladder,
+            frames,
+            holdout,
+            seed=seed,
+            report=report,
+            expired=watch.expired,
+        )
+    time = clock.measure([found.schedule], progress=False, again=True)[0]
+    found.guide.save(out / "guide.safetensors")
+    write_text(out / "joint.json", found.schedule.to_json() + "\n")
+    compared = {"tuning": found.tuning} | ({} if found.held_out is None else {"held out": found.held_out})
+    told = {name: [dataclasses.asdict(scores) for scores in pair] for name, pair in compared.items()}
+    return {"schedule": schedule.name, "measured": dataclasses.asdict(time)} | told
+
+
+def check_joint(guide: FrameGuide, out: Path | None) -> Guide:
+    """The guide, or `InputError` unless it has a layer to tune and there is a folder to write it to."""
+    if not isinstance(guide, Guide):
+        raise InputError(f"joint: the {guide.name} guide has no layer to tune; give --guide small or a file")
+    if out is None:
+        raise InputError("joint: needs a folder for the tuned guide; give out")
+    return guide
+
+
+def plan_of(schedule: Schedule, ladder: Sequence[int]) -> Plan:
+    """A schedule as a plan over a ladder; a level's λ is the mean of its steps'."""
+    levels = {level.factor: level for level in schedule.levels if level.steps}
+    steps, kappa, lam = [], [], []
+    for factor in ladder:
+        level = levels.get(factor)
+        steps.append(0 if level is None else level.steps)
+        kappa.append(DEFAULT_KAPPA if level is None else float(np.asarray(level.kappa)))
+        lam.append(DEFAULT_LAM if level is None else float(np.mean(np.asarray(level.step_sizes))))
+    plan = Plan.of(steps, kappa)
+    return dataclasses.replace(plan, logit_lam=jnp.asarray([logit(4.0 * x) for x in lam], jnp.float32))

@@ -1,0 +1,257 @@
+"""Training: the loss, one update, and whole runs on a toy encoder: resumed, on two devices, on bad input."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from flax import nnx
+
+from hyjax.errors import InputError
+from hyjax.guide import ENCODERS, load_guide
+from hyjax.guide.layers import ConvNorm
+from hyjax.images import read_image, write_png
+from hyjax.training.checkpoints import Checkpoints
+from hyjax.training.objective import batch_losses, border_loss, schedule_of, total
+from hyjax.training.run import train
+from hyjax.training.settings import TrainSettings
+from hyjax.training.state import Updater
+from hyjax.training.targets import Sample
+
+SIZE = 32
+SETTINGS = TrainSettings(
+    encoder="toy",
+    features=4,
+    pairs=(),
+    size=SIZE,
+    batch=2,
+    iterations=6,
+    factors=(8,),
+    validate_every=3,
+    checkpoint_every=2,
+)
+
+
+class ToyEncoder(nnx.Module):
+    """Two strided convolutions."""
+
+    def __init__(self, *, rngs: nnx.Rngs) -> None:
+        self.channels = (8, 8)
+        self.first = ConvNorm(3, 8, 3, 2, names=("conv1", "bn1"), rngs=rngs)
+        self.second = ConvNorm(8, 8, 3, 2, names=("conv2", "bn2"), rngs=rngs)
+
+    def __call__(self, image: jax.Array) -> list[jax.Array]:
+        first = self.first(image)
+        return [first, self.second(first)]
+
+
+@pytest.fixture(autouse=True)
+def toy_encoder(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network that compiles in seconds."""
+    monkeypatch.setitem(ENCODERS, "toy", ToyEncoder)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Four pictures of a square before a wall, with depth."""
+    root = tmp_path_factory.mktemp("pairs")
+    rng = np.random.default_rng(0)
+    for k in range(4):
+        near = np.zeros((48, 48), bool)
+        top, left = rng.integers(4, 20, 2)
+        near[top : top + 20, left : left + 20] = True
+        image = np.where(near[..., None], rng.random(3), rng.random(3)) + 0.02 * rng.random((48, 48, 3))
+        write_png(root / f"pair{k}_rgb.png", np.clip(image, 0, 1).astype(np.float32))
+        write_depth(root / f"pair{k}_depth.png", np.where(near, 1000, 2000))
+    yield root
+
+
+def write_depth(path: Path, millimetres: np.ndarray) -> None:
+    import OpenImageIO as oiio
+
+    spec = oiio.ImageSpec(*millimetres.shape[::-1], 1, "uint16")
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec) and output.write_image(millimetres.astype(np.uint16)[..., None])
+    output.close()
+
+
+def sample(seed: int = 0, size: int = SIZE) -> Sample:
+    """Half near, half far, its border in the middle column."""
+    rng = np.random.default_rng(seed)
+    depth = np.where(np.arange(size) < size // 2, 1.0, 2.0) * np.ones((size, 1))
+    normal = np.broadcast_to([0.0, 0.0, -1.0], (size, size, 3))
+    arrays = rng.random((size, size, 3)), depth, np.ones((size, size), bool), normal
+    return Sample(*(jnp.asarray(a, bool if a.dtype == bool else jnp.float32) for a in arrays))
+
+
+def batched(*samples: Sample) -> Sample:
+    return Sample(*(jnp.stack(fields) for fields in zip(*samples, strict=True)))
+
+
+def guide_with(strength: float, column: int = SIZE // 2) -> jax.Array:
+    """A guide that jumps at a column."""
+    return strength * jnp.broadcast_to((jnp.arange(SIZE) >= column)[None, :, None], (SIZE, SIZE, 2)).astype(float)
+
+
+# ---- objective ----
+
+
+@pytest.mark.parametrize("through", ["cascade", "steps"])
+def test_the_right_guide_loses_least(through: str) -> None:
+    settings = dataclasses.replace(SETTINGS, through=through, steps_without_gradient=5, steps_with_gradient=20)
+    batch = batched(sample())
+    found = {
+        name: batch_losses(guide[None], jnp.log(0.02), batch, jax.random.key(0), jnp.asarray(0), settings)
+        for name, guide in {"right": guide_with(1.0), "blind": guide_with(0.0), "wrong": guide_with(1.0, 9)}.items()
+    }
+    for name in ("depth", "shading", "border"):
+        right, blind, wrong = (float(getattr(found[guide], name)) for guide in ("right", "blind", "wrong"))
+        assert right < 0.7 * blind, name
+        assert right < wrong, name
+
+
+def test_losses_of_weight_zero_are_left_out_of_the_sum() -> None:
+    settings = dataclasses.replace(SETTINGS, shading_weight=0.0, border_weight=0.0)
+    losses = batch_losses(
+        guide_with(0.0)[None], jnp.zeros(()), batched(sample()), jax.random.key(0), jnp.asarray(0), settings
+    )
+    assert losses.shading == losses.border == 0 and losses.depth > 0
+    assert total(losses, settings) == losses.depth
+
+
+@pytest.mark.parametrize("through", ["cascade", "steps"])
+def test_gradient_against_finite_differences(through: str) -> None:
+    settings = dataclasses.replace(SETTINGS, through=through, steps_without_gradient=0, steps_with_gradient=8)
+    with jax.enable_x64(True):
+        crop = Sample(*(jnp.asarray(np.asarray(x), bool if x.dtype == bool else jnp.float64) for x in sample()))
+        rng = np.random.default_rng(1)
+        features = jnp.asarray(0.3 * rng.standard_normal((1, SIZE, SIZE, 2)))
+        direction = jnp.asarray(rng.standard_normal(features.shape))
+
+        def loss(features: jax.Array, log_kappa: jax.Array) -> jax.Array:
+            key = jax.random.key(0)
+            return total(batch_losses(features, log_kappa, batched(crop), key, jnp.asarray(0), settings), settings)
+
+        log_kappa, step = jnp.asarray(-1.0), 1e-6
+        slope, slope_kappa = jax.jit(jax.grad(loss, (0, 1)))(features, log_kappa)
+        value = jax.jit(loss)
+        along = (value(features + step * direction, log_kappa) - value(features - step * direction, log_kappa)) / (
+            2 * step
+        )
+        np.testing.assert_allclose(jnp.vdot(slope, direction), along, rtol=1e-4)
+        along = (value(features, log_kappa + step) - value(features, log_kappa - step)) / (2 * step)
+        np.testing.assert_allclose(slope_kappa, along, rtol=1e-4)
+
+
+def test_a_cell_that_is_partly_unknown_is_not_called_free_of_borders() -> None:
+    seen = sample()
+    half = seen._replace(valid=seen.valid & (jnp.arange(SIZE) < SIZE // 2))
+    wrong = guide_with(3.0, column=SIZE // 2 + 6)  # a border where nothing is known
+    schedule = schedule_of(SETTINGS, jnp.asarray(1.0))
+    assert border_loss(wrong, jnp.zeros(()), half, schedule) < border_loss(wrong, jnp.zeros(()), seen, schedule)
+
+
+# ---- runs ----
+
+
+def settings_for(folder: Path, **changes: object) -> TrainSettings:
+    return dataclasses.replace(SETTINGS, pairs=(f"folder:{folder}",), **changes)  # type: ignore[arg-type]
+
+
+def log_of(out: Path) -> list[dict]:
+    return [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+
+
+def test_a_killed_run_resumes_to_the_same_bits(folder: Path, tmp_path: Path) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    train(settings_for(folder), whole, progress=False)
+    # Killed after the fifth update, of which the checkpoint of the fourth is left.
+    train(settings_for(folder, iterations=4), parts, progress=False)
+    with (parts / "log.jsonl").open("a") as file:
+        file.write('{"iteration": 5, "loss": 123}\n{"itera')
+    train(settings_for(folder), parts, resume=True, progress=False)
+    expected = {line["iteration"]: line["loss"] for line in log_of(whole) if "loss" in line}
+    found = {line["iteration"]: line["loss"] for line in log_of(parts) if "loss" in line}
+    assert found == expected and list(found) == [1, 2, 3, 4, 5, 6]
+    for name in ("guide.safetensors", "curve.png", "settings.json", "validation/000006.png"):
+        assert (whole / name).stat().st_size > 0
+    assert len(set(expected.values())) == 6
+
+
+def test_a_longer_run_goes_on_where_a_shorter_one_ended(folder: Path, tmp_path: Path) -> None:
+    train(settings_for(folder, iterations=2), tmp_path, progress=False)
+    train(settings_for(folder, iterations=4), tmp_path, resume=True, progress=False)
+    assert [line["iteration"] for line in log_of(tmp_path) if "loss" in line] == [1, 2, 3, 4]
+
+
+def test_training_lowers_the_loss_and_leaves_a_guide(folder: Path, tmp_path: Path) -> None:
+    settings = settings_for(folder, iterations=40, learning_rate=1e-2, validate_every=20)
+    last = train(settings, tmp_path, command="hyjax train", progress=False)
+    validations = [line["validation"]["loss"] for line in log_of(tmp_path) if "validation" in line]
+    assert last["loss"] == validations[-1] < 0.8 * validations[0]
+    guide = load_guide(tmp_path / "guide.safetensors")
+    assert guide.metadata["command"] == "hyjax train" and json.loads(guide.metadata["settings"])["batch"] == 2
+    frame = jnp.asarray(read_image(folder / "pair0_rgb.png"))
+    assert guide.features(frame).shape == (*frame.shape[:2], settings.features)
+
+
+def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_the_last_good_state(
+    folder: Path, tmp_path: Path
+) -> None:
+    settings = settings_for(folder, learning_rate=1e30, clip=1e30, checkpoint_every=1)
+    with pytest.raises(InputError, match=r"became .* at iteration [2-6].*Lower --learning-rate"):
+        train(settings, tmp_path, progress=False)
+    updater = Updater(settings)
+    state, _ = Checkpoints(tmp_path / "checkpoints").restore(updater.initial())
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state.weights))
+
+
+def test_too_little_memory_names_what_to_lower(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hyjax.training.run._free_memory", lambda: 1e6)
+    with pytest.raises(InputError, match=r"batch: an update needs .* lower --batch \(now 2\) or --size \(now 32\)"):
+        train(settings_for(folder), tmp_path, progress=False)
+
+
+def test_a_batch_that_no_devices_can_share_is_refused() -> None:
+    Updater(dataclasses.replace(SETTINGS, batch=3))  # one device takes any
+    code = (
+        "import sys; sys.argv = ['hyjax', 'train', '--batch', '3', '--pairs', 'rooms']\n"
+        "from hyjax.cli import main; main()"
+    )
+    done = run_python(code, devices=2)
+    assert done.returncode == 2
+    assert done.stderr.strip().splitlines()[-1] == "hyjax: batch: 3 crops cannot be divided among 2 devices"
+
+
+def run_python(code: str, devices: int) -> subprocess.CompletedProcess:
+    environment = os.environ | {"XLA_FLAGS": f"--xla_force_host_platform_device_count={devices}"}
+    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+
+
+@pytest.mark.slow
+def test_two_devices_make_the_same_update(folder: Path, tmp_path: Path) -> None:
+    code = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from hyjax.guide import ENCODERS, load_guide
+from pathlib import Path
+import test_training as t
+import jax
+assert jax.device_count() == 2
+ENCODERS["toy"] = t.ToyEncoder
+t.train(t.settings_for(Path({str(folder)!r}), iterations=3), Path({str(tmp_path / "two")!r}), progress=False)
+"""
+    done = run_python(code, devices=2)
+    assert done.returncode == 0, done.stderr
+    train(settings_for(folder, iterations=3), tmp_path / "one", progress=False)
+    one, two = ([line["loss"] for line in log_of(tmp_path / name) if "loss" in line] for name in ("one", "two"))
+    np.testing.assert_allclose(two, one, rtol=1e-4)
