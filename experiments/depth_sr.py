@@ -21,8 +21,10 @@ ours for the l2 norm; their guide also sees the coarse depth, ours the frame alo
 Results are adjusted to every cell with a valid pixel, as theirs are. `--least` asks for more valid pixels; expect
 diffusion to do worse then on depth with holes, since cells that are not adjusted to drift away.
 
-Expect: all guided methods ahead of bicubic in the rooms, by most beside depth jumps and at ×4 and ×8; at ×32 a cell
-holds several objects. Diffusion at full size is ahead of the cascade, whose finest level has half the resolution.
+Expect: all guided methods ahead of bicubic in the rooms, by most beside depth jumps and at ×4 and ×8; at ×32 a
+cell holds several objects. Where borders are exact, diffusion at full size is ahead of the cascade, whose finest
+level has half the resolution; on a depth camera's borders, which are off by pixels, the cascade may be ahead. κ
+chosen on the rooms is not the best for other pairs: choose it on pairs of the same kind where there are some.
 """
 
 import dataclasses
