@@ -55,10 +55,10 @@ def open_guide(name: str = "rgb") -> FrameGuide:
     Raises:
         InputError: there is no such guide, or its file cannot be used.
     """
-    from hyjax.guide.inference import load_guide  # with safetensors, which the RGB guide needs not
-
     if name == RGB.name:
         return RGB
+    from hyjax.guide.inference import load_guide  # with flax, which the RGB guide does without
+
     if name in SHIPPED:
         return load_guide(Path(__file__).with_name("trained") / f"{name}.safetensors", name)
     if not Path(name).is_file():

@@ -1,0 +1,76 @@
+"""Guide and schedule tuned together, on one small frame whose guide at first says nothing of its border."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_relaxation import LADDER, case_of
+
+from hyjax import InputError, Schedule
+from hyjax.guide.choose import RGB
+from hyjax.guide.convolution import convolve
+from hyjax.tuning.cases import Case, mix, refined_filter, scores
+from hyjax.tuning.joint import check_joint, plan_of, tune_jointly
+from hyjax.tuning.relaxation import Plan, prepare, relaxed_loss
+
+SIZE = (16, 24)
+
+
+def two_halves() -> tuple[Case, jnp.ndarray]:
+    """Bright on the left, dark on the right, the left half's surface missing beside the border; and a trunk of two
+    channels of which one shows the border."""
+    case = case_of(SIZE, holes=False)
+    left = np.arange(SIZE[1]) < SIZE[1] // 2
+    truth = np.where(left[None, :, None], 400.0, 20.0) * np.ones((*SIZE, 2))
+    known = np.ones((*SIZE, 1), bool)
+    known[:, SIZE[1] // 2 - 4 : SIZE[1] // 2] = False
+    truth = jnp.asarray(truth, jnp.float32)
+    rng = np.random.default_rng(0)
+    trunk = np.stack([left * np.ones(SIZE), 0.3 * rng.random(SIZE)], axis=-1)
+    whole = jnp.ones(SIZE, bool)
+    case = dataclasses.replace(
+        case, shading=truth * known, known=jnp.asarray(known), target=mix(truth, case.colors), valid=whole
+    )
+    return case, jnp.asarray(trunk, jnp.float32)
+
+
+def test_the_kernel_learns_where_the_border_is() -> None:
+    case, trunk = two_halves()
+    kernel = jnp.zeros((1, 1, 2, 1)).at[0, 0].set(jnp.array([[0.02], [0.05]]))
+    start = Plan.of((6.0, 6.0, 6.0))
+    plan, tuned, before, after = tune_jointly([case], [trunk], kernel, start, LADDER, iterations=120)
+    assert after < 0.85 * before
+    ratio = [abs(float(k[0, 0, 0, 0] / k[0, 0, 1, 0])) for k in (kernel, tuned)]
+    assert ratio[1] > 1.1 * ratio[0]  # the channel with the border counts for more
+    np.testing.assert_array_equal(plan.steps, start.steps)
+    with_guide = dataclasses.replace(case, guide=convolve(trunk[None], tuned)[0])
+    assert float(relaxed_loss(plan, prepare(with_guide, LADDER), LADDER)) == pytest.approx(after, rel=1e-4)
+    schedule = plan.schedule(LADDER)
+    assert scores([with_guide], [refined_filter(with_guide, schedule)]).loss == pytest.approx(after, rel=1e-3)
+
+
+def test_without_time_nothing_changes() -> None:
+    case, trunk = two_halves()
+    kernel = jnp.full((1, 1, 2, 1), 0.02)
+    plan, same, before, after = tune_jointly(
+        [case], [trunk], kernel, Plan.of((0.0, 2.0, 0.0)), LADDER, expired=lambda: True
+    )
+    assert before == after
+    np.testing.assert_allclose(same, kernel, rtol=1e-6)
+    np.testing.assert_array_equal(plan.steps, (0.0, 2.0, 0.0))
+
+
+def test_a_schedule_becomes_a_plan_and_back() -> None:
+    schedule = Schedule.uniform([(8, 3), (1, 5)], kappa=0.07, lam=0.2)
+    plan = plan_of(schedule, LADDER)
+    again = plan.schedule(LADDER)
+    assert [(level.factor, level.steps) for level in again.levels] == [(8, 3), (1, 5)]
+    for level in again.levels:
+        np.testing.assert_allclose(level.kappa, 0.07, rtol=1e-5)
+        np.testing.assert_allclose(level.step_sizes, 0.2, rtol=1e-5)
+
+
+def test_only_a_learned_guide_has_a_layer_to_tune() -> None:
+    with pytest.raises(InputError, match="joint: the rgb guide has no layer to tune; give --guide small or a file"):
+        check_joint(RGB, None)
