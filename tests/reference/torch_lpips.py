@@ -16,7 +16,7 @@ def torch_lpips(weights: LpipsWeights, *, spatial: bool) -> Callable[[np.ndarray
     torch = pytest.importorskip("torch", reason="torch is only wanted to compare LPIPS with; pip install torch")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        _import_torchvision(torch)
+        import_torchvision(torch)
         package = pytest.importorskip("lpips", reason="only wanted to compare with; pip install --no-deps lpips")
         model = package.LPIPS(
             net=weights.net, version="0.1", pretrained=False, pnet_rand=True, spatial=spatial, verbose=False
@@ -39,8 +39,8 @@ def torch_lpips(weights: LpipsWeights, *, spatial: bool) -> Callable[[np.ndarray
     return distance
 
 
-def _import_torchvision(torch: Any) -> None:
-    """lpips needs its networks alone, which do without the operators that a wheel for other devices lacks."""
+def import_torchvision(torch: Any) -> None:
+    """Its networks alone are wanted, which do without the operators that a wheel for other devices lacks."""
     try:
         import torchvision
     except ImportError:
