@@ -1,20 +1,39 @@
 """Layers that all networks of this package are made of."""
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import nnx
-from jax.nn.initializers import variance_scaling
+from jaxtyping import Array, Float
 
 from hyjax.guide.convolution import Picture, convolve, convolve_depthwise
 
-# Initial kernels. Depthwise ones have as many outputs a group as inputs a group: their fan-out is what JAX calls
-# fan-in, k².
-KAIMING_FAN_OUT = variance_scaling(2.0, "fan_out", "normal")
-KAIMING_DEPTHWISE = variance_scaling(2.0, "fan_in", "normal")
-KAIMING_UNIFORM = variance_scaling(2.0, "fan_in", "uniform")
-XAVIER_UNIFORM = variance_scaling(1.0, "fan_avg", "uniform")
+Shape = tuple[int, ...]
+Initial = Callable[[Array, Shape], Float[Array, "k k i o"]]
+"""(key, shape) → a kernel to start from."""
+
+
+def _initial(gain: float, fan: Callable[[Shape], float], *, uniform: bool = False) -> Initial:
+    """Kernels of variance gain/fan."""
+
+    def draw(key: Array, shape: Shape) -> Float[Array, "k k i o"]:
+        # Compiled for every power of four of numbers, of which it takes some: once a shape would take longer.
+        count = math.prod(shape)
+        drawn = 4 ** math.ceil(math.log(count, 4))
+        sample = 3**0.5 * jax.random.uniform(key, drawn, minval=-1) if uniform else jax.random.normal(key, drawn)
+        return (gain / fan(shape)) ** 0.5 * sample[:count].reshape(shape)
+
+    return draw
+
+
+# k×k×inputs×outputs; depthwise kernels have one input and, for each of their groups, one output.
+KAIMING_FAN_OUT = _initial(2, lambda shape: shape[0] * shape[1] * shape[3])
+KAIMING_DEPTHWISE = _initial(2, lambda shape: shape[0] * shape[1])
+KAIMING_UNIFORM = _initial(2, lambda shape: shape[0] * shape[1] * shape[2], uniform=True)
+XAVIER_UNIFORM = _initial(2, lambda shape: shape[0] * shape[1] * (shape[2] + shape[3]), uniform=True)
 
 EPSILON = 1e-5
 """What batch norms add to a variance, as in torch."""
@@ -37,7 +56,7 @@ class Conv(nnx.Module):
         *,
         depthwise: bool = False,
         bias: bool = False,
-        initial: jax.nn.initializers.Initializer,
+        initial: Initial,
         rngs: nnx.Rngs,
     ) -> None:
         shape = (width, width, 1 if depthwise else inputs, outputs)
@@ -73,7 +92,7 @@ class ConvNorm(nnx.Module):
         names: tuple[str, str],
         depthwise: bool = False,
         relu: bool = True,
-        initial: jax.nn.initializers.Initializer | None = None,
+        initial: Initial | None = None,
         rngs: nnx.Rngs,
     ) -> None:
         initial = initial or (KAIMING_DEPTHWISE if depthwise else KAIMING_FAN_OUT)
