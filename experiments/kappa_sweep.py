@@ -41,7 +41,7 @@ from hyjax.schedule import Pooling, Schedule
 NAME = "kappa_sweep"
 TITLE = "Fidelity against κ, pooling and norm"
 LIGHTS = "two-colors"
-KAPPAS = (0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.4)
+KAPPAS = (0.0025, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.4)
 VARIANTS: dict[str, tuple[Mode, Pooling, Norm]] = {
     "paper's method, edges, l2": ("paper", "edges", "l2"),
     "ours, edges, l2": ("hyjax", "edges", "l2"),
