@@ -234,7 +234,7 @@ def test_plain_crops_are_windows_of_the_pair() -> None:
 def test_picture_depth_and_normals_stay_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the scale and on whichever side: what the picture says of its place is what the depth says."""
     monkeypatch.setattr(augmentation, "recoloured", lambda picture, rng: np.asarray(picture, np.float32) / 255)
-    mirrored, scales = set(), []
+    mirrored, scales, off = set(), [], []
     for batch in take(loader(Numbered("a", 5)), 20):
         for image, depth, normal in zip(batch.image, batch.depth, batch.normal):
             place = np.round(1e5 * (depth.astype(np.float64) - np.floor(depth)))
@@ -242,11 +242,15 @@ def test_picture_depth_and_normals_stay_together(monkeypatch: pytest.MonkeyPatch
             # Nearest against averaged: half a pixel of the pair, the rounding to 8 bits, and float32's.
             assert np.abs(row - 255 * image[..., 0]).max() <= 1.01
             assert np.abs(column - 255 * image[..., 1])[2:-2, 2:-2].max() <= 1.51
+            off.append(
+                [np.mean((row - 255 * image[..., 0])[2:-2]), np.mean((column - 255 * image[..., 1])[:, 2:-2])]
+            )
             rightwards = column[0, -1] > column[0, 0]
             assert np.all(normal[..., 0] < -0.5 if rightwards else normal[..., 0] > 0.5)
             np.testing.assert_allclose(np.linalg.norm(normal, axis=-1), 1, atol=1e-5)
             mirrored.add(not rightwards)
             scales.append(32 / (1 + np.ptp(row)))
+    assert np.abs(np.mean(off, axis=0)).max() < 0.05  # on average not shifted at all
     assert mirrored == {True, False}
     assert 0.65 < min(scales) < 0.8 and 1.25 < max(scales) < 1.5
 

@@ -72,7 +72,8 @@ def random_crop(pair: Packed, size: int, rng: np.random.Generator, augment: bool
             best, most = (top, left), share
         if share >= LEAST_VALID:
             break
-    rows, columns = (start + np.arange(size) * side // size + side // size // 2 for start in best)
+    # The pixel that holds the centre of each output pixel.
+    rows, columns = (start + (2 * np.arange(size) + 1) * side // (2 * size) for start in best)
     if mirrored := bool(augment and rng.integers(2)):
         columns = columns[::-1]
     pixels = pair.image[best[0] : best[0] + side, best[1] : best[1] + side]

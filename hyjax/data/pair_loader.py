@@ -17,7 +17,7 @@ ENDLESS = 1 << 20
 room, and not kept."""
 LONGEST = 1 << 40
 """Crops in a stream: in practice it never ends."""
-MEMORY = 2 << 30
+MEMORY = 4 << 30
 """Bytes of decoded pairs that are kept."""
 
 

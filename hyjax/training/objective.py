@@ -18,7 +18,7 @@ from hyjax.schedule import Schedule
 from hyjax.stencil import Edges
 from hyjax.superresolution import coarsen, diffuse_adjusted, diffuse_adjusted_forward, super_resolve
 from hyjax.training.settings import TrainSettings
-from hyjax.training.targets import Sample, borders, mean_over, random_shading, tinted_depth
+from hyjax.training.targets import Sample, borders, lit, mean_over, random_shading, tinted_depth
 
 BORDER_BALANCE = 4.0
 """How much more an edge on a border counts than one inside an object: a gap in a border empties the object."""
@@ -62,15 +62,24 @@ def batch_losses(
     uncounted = jax.random.randint(step_key, (), 0, max(settings.steps_without_gradient, 1))
     keys = jax.random.split(sample_key, features.shape[0])
 
-    def losses(features: Array, sample: Sample, key: Key[Array, ""]) -> Losses:
+    def losses(features: Array, sample: Sample, key: Key[Array, ""]) -> tuple[Losses, Array]:
+        depth_key, shading_key = jax.random.split(key)
         depth = shading = border = jnp.zeros(())
-        if settings.depth_weight or settings.shading_weight:
-            depth, shading = _reconstruction(features, log_kappa, sample, key, factor_index, uncounted, settings)
+        shaded = lit(sample)
+        if settings.depth_weight:
+            target = tinted_depth(sample, depth_key)
+            depth = _error(target, sample.valid, features, log_kappa, factor_index, uncounted, settings)
+        if settings.shading_weight:
+            target = random_shading(sample, shading_key)
+            shading = _error(target, shaded, features, log_kappa, factor_index, uncounted, settings)
         if settings.border_weight:
             border = border_loss(features, log_kappa, sample, schedule_of(settings, jnp.exp(log_kappa)))
-        return Losses(depth, shading, border)
+        return Losses(depth, shading, border), jnp.any(shaded).astype(features.dtype)
 
-    return jax.tree.map(jnp.mean, jax.vmap(losses)(features, batch, keys))
+    each, shaded = jax.vmap(losses)(features, batch, keys)
+    # Crops without normals say nothing of shading.
+    shading = jnp.sum(each.shading * shaded) / jnp.maximum(jnp.sum(shaded), 1.0)
+    return Losses(jnp.mean(each.depth), shading, jnp.mean(each.border))
 
 
 def total(losses: Losses, settings: TrainSettings) -> Float[Array, ""]:
@@ -82,32 +91,22 @@ def total(losses: Losses, settings: TrainSettings) -> Float[Array, ""]:
     )
 
 
-def _reconstruction(
+def _error(
+    target: Float[Array, "h w c"],
+    valid: Bool[Array, "h w"],
     features: Float[Array, "h w f"],
     log_kappa: Float[Array, ""],
-    sample: Sample,
-    key: Key[Array, ""],
     factor_index: Int[Array, ""],
     uncounted: Int[Array, ""],
     settings: TrainSettings,
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """L1 between the super-resolved pictures and the true ones: (tinted depth, shading)."""
-    depth_key, shading_key = jax.random.split(key)
-    parts = []
-    if settings.depth_weight:
-        parts.append(tinted_depth(sample, depth_key))
-    if settings.shading_weight:
-        parts.append(random_shading(sample, shading_key))
-    target = jnp.concatenate(parts, axis=-1)
+) -> Float[Array, ""]:
+    """L1 between a super-resolved picture and the true one, over the valid pixels."""
     resolvers = [
-        lambda y, guide, factor=factor: resolve(y, sample.valid, guide, log_kappa, factor, uncounted, settings)
+        lambda y, guide, factor=factor: resolve(y, valid, guide, log_kappa, factor, uncounted, settings)
         for factor in settings.factors
     ]
     resolved = jax.lax.switch(factor_index, resolvers, target, features)
-    errors = mean_over(jnp.abs(resolved - target), sample.valid)
-    shading = errors[-3:].mean() if settings.shading_weight else jnp.zeros(())
-    depth = errors[:3].mean() if settings.depth_weight else jnp.zeros(())
-    return depth, shading
+    return jnp.mean(mean_over(jnp.abs(resolved - target), valid))
 
 
 def resolve(
@@ -135,19 +134,20 @@ def resolve(
 def border_loss(
     features: Float[Array, "h w f"], log_kappa: Float[Array, ""], sample: Sample, schedule: Schedule
 ) -> Float[Array, ""]:
-    """Cross-entropy between conductances and true borders at the schedule's levels, pooled as the cascade pools.
+    """Cross-entropy between conductances and true borders, at full size and at the schedule's levels.
 
     1 − c = d²/(κ² + d²) of Eq. 3 is the logistic function of log d²/κ²: the guide's distance is a border detector.
-    Pooled to cells, it need not hit a border to the pixel, which no sensor's depth map does either.
+    Levels are pooled as the cascade pools; there a border need not be hit to the pixel, which no sensor's depth map
+    does either.
     """
     distance = guide_distance(features)
     border, known = borders(sample)
     losses = []
-    for level in schedule.levels:
-        pooled = max_pool(distance, level.factor)
-        is_border = max_pool(border, level.factor)
+    for factor in (*(level.factor for level in schedule.levels), 1):
+        pooled = max_pool(distance, factor)
+        is_border = max_pool(border, factor)
         # A cell without a border is known to be without only if all of it is known.
-        unknown = max_pool(jax.tree.map(lambda k: 1.0 - k, known), level.factor)
+        unknown = max_pool(jax.tree.map(lambda k: 1.0 - k, known), factor)
         losses.append(_cross_entropy(pooled, is_border, unknown, log_kappa))
     return sum(losses, jnp.zeros(())) / len(losses)
 

@@ -64,13 +64,13 @@ def random_shading(sample: Sample, key: Key[Array, ""]) -> Float[Array, "h w 3"]
     """The surface under random coloured lamps and a little ambient light, about 1 on average.
 
     Lamps lie anywhere from behind the camera to the depth of the scene. Lengths are multiples of the mean depth.
-    Without normals the result is plain ambient light.
+    It means something where `lit` says so; elsewhere it is plain ambient light.
     """
     h, w = sample.depth.shape
     depth = relative_depth(sample)
     u, v = jnp.meshgrid((jnp.arange(w) - (w - 1) / 2) / FIELD, (jnp.arange(h) - (h - 1) / 2) / FIELD)
     position = depth[..., None] * jnp.stack([u, v, jnp.ones_like(u)], axis=-1)
-    known = sample.valid & jnp.any(sample.normal != 0, axis=-1)
+    known = lit(sample)
     total = jnp.full((h, w, 3), AMBIENT)
     for lamp_key in jax.random.split(key, LAMPS):
         place_key, color_key = jax.random.split(lamp_key)
@@ -83,6 +83,11 @@ def random_shading(sample: Sample, key: Key[Array, ""]) -> Float[Array, "h w 3"]
         lux = lux / jnp.maximum(mean_over(lux, known), 1e-6)
         total = total + jnp.minimum(lux, BRIGHTEST)[..., None] * (color / LAMPS)
     return total
+
+
+def lit(sample: Sample) -> Bool[Array, "h w"]:
+    """Where the surface can be shaded: where depth is valid and the normal known."""
+    return sample.valid & jnp.any(sample.normal != 0, axis=-1)
 
 
 def borders(sample: Sample) -> tuple[Edges, Edges]:

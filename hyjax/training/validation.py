@@ -19,7 +19,7 @@ from hyjax.stencil import Edges
 from hyjax.superresolution import coarsen
 from hyjax.training.objective import batch_losses, resolve, total
 from hyjax.training.state import TrainState, Updater
-from hyjax.training.targets import Sample, random_shading, relative_depth
+from hyjax.training.targets import Sample, lit, random_shading, relative_depth
 
 BATCHES = 8
 SHOWN = 8
@@ -70,9 +70,10 @@ class Validation:
         for batch in self.batches:
             features = self.updater.features(state, batch.image)
             for i in range(len(features)):
-                if len(rows) < SHOWN:
-                    sample = Sample(*(jnp.asarray(field[i]) for field in batch))
-                    rows.append(self._row(f"crop {len(rows)}", sample, features[i], state.weights["log_kappa"]))
+                sample = Sample(*(jnp.asarray(field[i]) for field in batch))
+                rows.append(self._row(f"crop {len(rows)}", sample, features[i], state.weights["log_kappa"]))
+            if len(rows) >= SHOWN:
+                break
         make_writable(path.parent)
         write_contact_sheet(path, rows, HEADINGS)
 
@@ -80,9 +81,10 @@ class Validation:
         self, label: str, sample: Sample, features: Float[Array, "h w f"], log_kappa: Float[Array, ""]
     ) -> tuple[str, list[Float[np.ndarray, "h w 3"]]]:
         factor = max(self.settings.factors)
-        target = random_shading(sample, jax.random.key(0))
-        if not bool(jnp.any(sample.normal != 0)):
-            target = jnp.repeat(relative_depth(sample)[..., None], 3, axis=-1)
+        target, valid = random_shading(sample, jax.random.key(0)), lit(sample)
+        if not bool(valid.any()):
+            target, valid = jnp.repeat(relative_depth(sample)[..., None], 3, axis=-1), sample.valid
+        sample = sample._replace(valid=valid)
         source, _ = coarsen(target, sample.valid, factor)
         resolved = _resolved(target, sample, features, log_kappa, factor, self.settings)
         brightest = float(np.percentile(np.asarray(target), 98))
