@@ -194,6 +194,23 @@ def test_gradients(norm: str) -> None:
             np.testing.assert_allclose(one, diffuse(y, edges, lam), rtol=1e-12)
 
 
+@pytest.mark.parametrize("channels", [1, 3, 6, 64])
+def test_slopes_of_the_distance(channels: int) -> None:
+    """They are written by hand; forwards and backwards, against those of the sum as it stands in Eq. 3."""
+
+    def plainly(guide: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return ((guide[1:] - guide[:-1]) ** 2).sum(-1), ((guide[:, 1:] - guide[:, :-1]) ** 2).sum(-1)
+
+    with jax.enable_x64(True):
+        guide, change = (jnp.asarray(picture(seed, (5, 4), channels)) for seed in (0, 1))
+        expected, pull_back = jax.vjp(plainly, guide)
+        got, pull_back_ours = jax.vjp(guide_distance, guide)
+        weights = jax.tree.map(jnp.cos, expected)
+        moved = [jax.jvp(distance, (guide,), (change,))[1] for distance in (guide_distance, plainly)]
+        for ours, theirs in [(got, expected), (pull_back_ours(weights), pull_back(weights)), moved]:
+            jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12), ours, theirs)
+
+
 def test_flat_guides_have_finite_gradients() -> None:
     """No square root in the norm: a guide without any edge does not make NaN."""
     guide = jnp.ones((4, 5, 3))
@@ -244,6 +261,8 @@ def test_foreign_edges_and_guides_are_refused() -> None:
         conductance(jnp.zeros((3, 4)), 1.0)
     with pytest.raises(InputError, match=r"(?m)^norm: 'l1' is unknown; use one of l2, mean_abs$"):
         conductance(jnp.zeros((3, 4, 1)), 1.0, norm="l1")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"need H x W x F features, got shape \(3, 4, 0\)"):
+        guide_distance(jnp.zeros((3, 4, 0)))
 
 
 def test_no_kappa_is_too_small_for_flat_regions() -> None:
