@@ -348,6 +348,8 @@ def run_train(command: Train) -> None:
     names = {field.name for field in dataclasses.fields(TrainSettings)}
     given = {k: v for k, v in dataclasses.asdict(command).items() if k in names and v is not None}
     settings = dataclasses.replace(PAPER if command.paper else TrainSettings(), **given).check()
+    if command.hosts < 1 or not 0 <= command.host < command.hosts:
+        raise InputError(f"host: {command.host} of {command.hosts} hosts; they are numbered from 0")
     if command.hosts > 1:
         if command.coordinator is None:
             raise InputError("coordinator: give --coordinator ADDRESS:PORT of host 0, the same on every host")

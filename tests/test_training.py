@@ -1,6 +1,7 @@
 """Training: the loss, one update, and whole runs on a toy encoder: resumed, on two devices, on bad input."""
 
 import dataclasses
+import itertools
 import json
 import os
 import subprocess
@@ -13,7 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import nnx
+from jax.experimental.compilation_cache import compilation_cache
 
+from hyjax.data.pair_loader import Batch
 from hyjax.errors import InputError
 from hyjax.guide import ENCODERS, load_guide
 from hyjax.guide.layers import ConvNorm
@@ -24,6 +27,7 @@ from hyjax.training.run import train
 from hyjax.training.settings import TrainSettings
 from hyjax.training.state import Updater
 from hyjax.training.targets import Sample
+from hyjax.training.validation import sample_of
 
 SIZE = 32
 SETTINGS = TrainSettings(
@@ -57,6 +61,19 @@ class ToyEncoder(nnx.Module):
 def toy_encoder(monkeypatch: pytest.MonkeyPatch) -> None:
     """A network that compiles in seconds."""
     monkeypatch.setitem(ENCODERS, "toy", ToyEncoder)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Every run has functions of its own, most of which are the same."""
+    before = jax.config.jax_compilation_cache_dir, jax.config.jax_persistent_cache_min_compile_time_secs
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path_factory.mktemp("compiled")))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    compilation_cache.reset_cache()
+    yield
+    jax.config.update("jax_compilation_cache_dir", before[0])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", before[1])
+    compilation_cache.reset_cache()
 
 
 @pytest.fixture(scope="module")
@@ -204,22 +221,43 @@ def test_training_lowers_the_loss_and_leaves_a_guide(folder: Path, tmp_path: Pat
 
 
 def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_the_last_good_state(
-    folder: Path, tmp_path: Path
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    settings = settings_for(folder, learning_rate=1e30, clip=1e30, checkpoint_every=1)
-    with pytest.raises(InputError, match=r"became .* at iteration [2-6].*Lower --learning-rate"):
-        train(settings, tmp_path, progress=False)
-    updater = Updater(settings)
-    state, _ = Checkpoints(tmp_path / "checkpoints").restore(updater.initial())
-    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state.weights))
+    count = itertools.count()
+
+    def poisoned(batch: Batch) -> Sample:
+        sample = sample_of(batch)
+        return sample._replace(image=sample.image * jnp.nan) if next(count) == 3 else sample
+
+    monkeypatch.setattr("hyjax.training.run.sample_of", poisoned)
+    with pytest.raises(
+        InputError, match=r"loss became nan at iteration 4, .* go on with --start, a lower --learning"
+    ):
+        train(settings_for(folder), tmp_path, progress=False)
+    assert [line["iteration"] for line in log_of(tmp_path) if "loss" in line] == [1, 2, 3]
+    checkpoints = Checkpoints(tmp_path / "checkpoints")
+    state, _ = checkpoints.restore(Updater(settings_for(folder)).initial())
+    assert int(state.iteration) == 3 == checkpoints.latest()
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state))
+    load_guide(tmp_path / "last.safetensors")
 
 
 def test_too_little_memory_names_what_to_lower(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hyjax.training.run._free_memory", lambda: 1e6)
-    with pytest.raises(InputError, match=r"batch: an update needs .* lower --batch \(now 2\) or --size \(now 32\)"):
-        train(settings_for(folder), tmp_path, progress=False)
+    with monkeypatch.context() as patch:
+        patch.setattr("hyjax.training.run._free_memory", lambda: 1e6)
+        with pytest.raises(
+            InputError, match=r"batch: an update needs .* lower --batch \(now 2\) or --size \(now 32\)"
+        ):
+            train(settings_for(folder), tmp_path, progress=False)
+    train(settings_for(folder, batch=1, iterations=1), tmp_path, progress=False)  # what was refused blocks nothing
+
+
+def test_a_run_that_has_ended_wants_more_iterations(folder: Path, tmp_path: Path) -> None:
+    train(settings_for(folder, iterations=2), tmp_path, progress=False)
+    with pytest.raises(InputError, match=r"iterations: the run in .* has 2 already; give more to go on with it"):
+        train(settings_for(folder, iterations=2), tmp_path, resume=True, progress=False)
 
 
 def test_a_batch_that_no_devices_can_share_is_refused() -> None:

@@ -114,6 +114,10 @@ def _rooms(path: Path, options: Options) -> DepthPairs:
             raise InputError(f"pairs: rooms?{name}={value} must be a whole number, 0 or more")
         return int(value)
 
+    if options.keys() & set(SELECTING):
+        parts = [part.split(":") for part in options.get("frames", "all").split(",")]
+        if not all(part[min(1, len(part) - 1)].strip().isdecimal() for part in parts):
+            raise InputError("pairs: rooms are endless; name the first and the last as in rooms?frames=0:2000")
     cached = options.get("cached", "no")
     if cached not in ("yes", "no"):
         raise InputError(f"pairs: rooms?cached={cached} must be yes or no")

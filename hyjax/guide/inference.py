@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from hyjax.errors import InputError
 from hyjax.guide.layers import ConvNorm
 from hyjax.guide.network import GuideNetwork, normalise
-from hyjax.guide.weights import load_network, save_guide
+from hyjax.guide.weights import kappa_of, load_network, save_guide
 from hyjax.schedule import DEFAULT_KAPPA
 
 
@@ -88,10 +88,12 @@ class Guide:
     def with_kernel(self, kernel: Float[Array, "k k t f"]) -> "Guide":
         """The same guide with another last layer; see `kernel`."""
         network = nnx.clone(self._unfolded)
-        network.segmentation_head[0].kernel.set_value(kernel * (self._kappa / DEFAULT_KAPPA))
+        own = (kernel * (self._kappa / DEFAULT_KAPPA)).astype(jnp.float16)  # as a file will hold it
+        network.segmentation_head[0].kernel.set_value(own.astype(jnp.float32))
         digest = hashlib.sha256(self.fingerprint.encode() + np.asarray(kernel).tobytes()).hexdigest()[:16]
         name = f"{self.name}, tuned"
-        return Guide(network, kappa=self._kappa, name=name, fingerprint=digest, metadata=self.metadata)
+        told = self.metadata | {"last layer": "tuned by hyjax tune --joint"}
+        return Guide(network, kappa=self._kappa, name=name, fingerprint=digest, metadata=told)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the weights to a file that `load_guide` opens; see `save_guide`."""
@@ -109,14 +111,7 @@ def load_guide(path: str | os.PathLike[str], name: str | None = None) -> Guide:
         InputError: the file cannot be read or is of another network, or its κ or norm make no sense.
     """
     network, metadata = load_network(path)
-    if (norm := metadata.get("norm", "l2")) != "l2":
-        raise InputError(f"{path}: trained for the norm {norm!r}; guides are read with 'l2'")
-    try:
-        kappa = float(metadata.get("kappa", "1"))
-    except ValueError:
-        kappa = 0.0
-    if not 0 < kappa < float("inf"):
-        raise InputError(f"{path}: its kappa is {metadata['kappa']!r}; it must be a number > 0")
+    kappa = kappa_of(metadata, path)
     _, state = nnx.split(network)
     digest = hashlib.sha256(str(sorted(metadata.items())).encode())
     for leaf in jax.tree.leaves(state):

@@ -42,7 +42,7 @@ def save_guide(
     *,
     kappa: float = 1.0,
     metadata: Mapping[str, str] | None = None,
-    dtype: Dtype = "float16",
+    dtype: Dtype | None = None,
 ) -> None:
     """Write a network's weights to a safetensors file, whole or not at all.
 
@@ -51,7 +51,7 @@ def save_guide(
         network: the network.
         kappa: κ that goes with its features as they are.
         metadata: more to tell, such as the training's command and seed.
-        dtype: precision of the tensors in the file.
+        dtype: precision of the tensors in the file; by default half, or single for those that half cannot hold.
 
     Raises:
         InputError: a weight is not finite, or too large for `dtype`, or the file cannot be written.
@@ -62,9 +62,10 @@ def save_guide(
         if not np.isfinite(array).all():
             raise InputError(f"{path}: {name} is not finite; it is not worth saving")
         largest = float(np.abs(array).max())
-        if largest > float(jnp.finfo(dtype).max):
+        fits = largest <= float(jnp.finfo(dtype or "float16").max)
+        if dtype is not None and not fits:
             raise InputError(f"{path}: {name} reaches {largest:.4g}, too large for {dtype}; save it as float32")
-        tensors[name] = np.ascontiguousarray(array.astype(dtype))
+        tensors[name] = np.ascontiguousarray(array.astype(dtype or ("float16" if fits else "float32")))
     texts = {
         **(metadata or {}),
         "encoder": network.encoder_name,
@@ -93,6 +94,8 @@ def load_network(
     """
     arrays, metadata = read_weights(path)
     encoder = encoder or metadata.get("encoder") or _recognised(path, arrays)
+    if encoder not in ENCODERS:
+        raise InputError(f"{path}: has encoder {encoder!r}, which is unknown; there are {', '.join(ENCODERS)}")
     head = arrays.get("segmentation_head.0.weight")
     features = head.shape[0] if head is not None and head.ndim == 4 else 1
     # Initial weights would be thrown away: only their shapes are worked out.
@@ -100,6 +103,23 @@ def load_network(
     assign(network, arrays, path)
     network.eval()
     return network, metadata
+
+
+def kappa_of(metadata: Mapping[str, str], path: str | os.PathLike[str]) -> float:
+    """The κ that goes with the features of a file's network.
+
+    Raises:
+        InputError: it makes no sense, or is for another norm than l2.
+    """
+    if (norm := metadata.get("norm", "l2")) != "l2":
+        raise InputError(f"{path}: trained for the norm {norm!r}; guides are read with 'l2'")
+    try:
+        kappa = float(metadata.get("kappa", "1"))
+    except ValueError:
+        kappa = 0.0
+    if not 0 < kappa < float("inf"):
+        raise InputError(f"{path}: its kappa is {metadata['kappa']!r}; it must be a number > 0")
+    return kappa
 
 
 def load_weights(path: str | os.PathLike[str], network: GuideNetwork) -> dict[str, str]:
@@ -142,6 +162,8 @@ def assign(
                 f"{path}: weights of another network: {name} has shape {arrays[name].shape}, where "
                 f"{network.encoder_name} with {network.features} features needs {need}"
             )
+        if not jnp.issubdtype(arrays[name].dtype, jnp.floating):
+            raise InputError(f"{path}: {name} holds {arrays[name].dtype}; weights are floating point")
         array = from_torch_layout(arrays[name].astype(np.float32))
         if not np.isfinite(array).all():
             raise InputError(f"{path}: {name} is not finite")

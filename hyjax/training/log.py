@@ -35,7 +35,7 @@ class Log:
             raise InputError(
                 f"{folder}: holds another training run; add --resume to go on with it, or choose another --out"
             )
-        before = _read_json(self._settings_path).get("settings", {})
+        before = _read_json(self._settings_path)["settings"]
         for name in sorted(before.keys() | self._record.keys()):
             old, new = before.get(name), self._record.get(name)
             if old != new and name not in GROWING:
@@ -85,14 +85,20 @@ def _read_json(path: Path) -> dict[str, Any]:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read ({error}); choose another --out") from None
-    return content if isinstance(content, dict) else {}
+    if not isinstance(content, dict) or not isinstance(content.get("settings"), dict):
+        raise InputError(f"{path}: holds no settings of a training run; choose another --out")
+    return content
 
 
 def _read_lines(path: Path) -> list[dict[str, Any]]:
     lines: list[dict[str, Any]] = []
     if not path.exists():
         return lines
-    for text in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    try:
+        texts = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise InputError(f"{path}: cannot read ({error.strerror or error})") from None
+    for text in texts:
         try:
             line = json.loads(text)
         except json.JSONDecodeError:

@@ -10,12 +10,12 @@ The folder of a run holds
 - `guide.safetensors`: the weights with the lowest validation loss so far, and `last.safetensors`, those of the last
   validation.
 
-A run killed at any moment and resumed goes on with the same numbers to the last bit.
+A run killed at any moment and resumed goes on with the same numbers, on a CPU to the last bit (on a GPU with
+XLA_FLAGS=--xla_gpu_deterministic_ops=true).
 """
 
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -69,12 +69,14 @@ def train(
             suffice, or the loss is no longer finite (the last good state stays in the checkpoints).
     """
     settings = settings.check()
-    updater = Updater(settings)
     make_writable(out)
     leads = jax.process_index() == 0
     log = Log(out, settings, resume)
     sources = [open_pairs(spec) for spec in settings.pairs]
     judges = [open_pairs(spec) for spec in settings.validation] or sources
+    checkpoints = Checkpoints(out / "checkpoints")
+    resumed = resume and checkpoints.latest() is not None
+    updater = Updater(settings, started=resumed)
     loader = PairLoader(
         sources,
         size=settings.size,
@@ -82,40 +84,54 @@ def train(
         seed=settings.seed,
         shard=(jax.process_index(), jax.process_count()),
     )
-    checkpoints = Checkpoints(out / "checkpoints")
     state, start = updater.initial(), 0
-    if resume and checkpoints.latest() is not None:
+    if resumed:
         state, position = checkpoints.restore(state)
         state, start = updater.placed(state), int(state.iteration)
         loader.restore(position)
-    log.open(start, environment() | {"data": [_described(source) for source in sources]}, write=leads)
-    validation = Validation(updater, judges)
-    bar = tqdm(
-        total=settings.iterations, initial=start, desc="training", unit="update", disable=not (progress and leads)
-    )
-    with bar:
+        if start >= settings.iterations:
+            raise InputError(f"iterations: the run in {out} has {start} already; give more to go on with it")
+    try:
         batch = updater.spread(sample_of(next(loader)))
-        if start < settings.iterations:
-            _check_memory(updater.prepare(state, batch), settings)
-        for iteration in range(start, settings.iterations):
-            state, told = updater.update(state, batch)
-            position = loader.state()
-            batch = updater.spread(sample_of(next(loader)))  # while the device is busy
-            _check_sound(told, iteration, checkpoints, out)
-            done = iteration + 1
-            log.add(iteration=done, **_numbers(told))
-            bar.update()
-            bar.set_postfix_str(f"loss {float(told.loss):.3f}")
-            ends = done == settings.iterations
-            if ends or done % settings.validate_every == 0:
-                log.add(iteration=done, validation=validation(state))
-                if leads:
-                    validation.draw(state, out / "validation" / f"{done:06d}.png")
-                    draw_curve(out / "curve.png", log.lines)
-                    for name in ("last", "guide") if log.last_is_best() else ("last",):
-                        _export(updater, state, out / f"{name}.safetensors", settings, command)
-            if ends or done % settings.checkpoint_every == 0:
-                checkpoints.save(state, position)
+        _check_memory(updater.prepare(state, batch), settings)
+        validation = Validation(updater, judges)
+        # Only now: a run that was refused blocks no folder.
+        log.open(start, environment() | {"data": [_described(source) for source in sources]}, write=leads)
+        with tqdm(
+            total=settings.iterations,
+            initial=start,
+            desc="training",
+            unit="update",
+            disable=not (progress and leads),
+        ) as bar:
+            for done in range(start + 1, settings.iterations + 1):
+                state, told = updater.update(state, batch)
+                position = loader.state()
+                batch = updater.spread(sample_of(next(loader)))  # while the device is busy
+                ends = done == settings.iterations
+                if not bool(told.sound):
+                    checkpoints.save(state, position)
+                    if leads:
+                        _export(updater, state, out / "last.safetensors", settings, command)
+                    raise _unsound(told, done, out)
+                log.add(iteration=done, **_numbers(told))
+                bar.update()
+                bar.set_postfix_str(f"loss {float(told.loss):.3f}")
+                if ends or done % settings.checkpoint_every == 0:
+                    checkpoints.save(state, position)
+                if ends or done % settings.validate_every == 0:
+                    log.add(iteration=done, validation=validation(state))
+                    if leads:
+                        validation.draw(state, out / "validation" / f"{done:06d}.png")
+                        draw_curve(out / "curve.png", log.lines)
+                        for name in ("last", "guide") if log.last_is_best() else ("last",):
+                            _export(updater, state, out / f"{name}.safetensors", settings, command)
+    except jax.errors.JaxRuntimeError as error:
+        line = [*str(error).splitlines(), type(error).__name__][0]
+        raise InputError(
+            f"device: {jax.default_backend()} no longer works ({line}); if for want of memory, lower --batch (now "
+            f"{settings.batch}) or --size (now {settings.size}), with another --out"
+        ) from None
     checkpoints.close()
     return log.validations()[-1]["validation"]
 
@@ -125,16 +141,12 @@ def _numbers(told: Progress) -> dict[str, float]:
     return {"loss": float(told.loss), **parts, "gradient": float(told.gradient), "kappa": float(told.kappa)}
 
 
-def _check_sound(told: Progress, iteration: int, checkpoints: Checkpoints, out: Path) -> None:
-    if bool(told.sound):
-        return
-    latest = checkpoints.latest()
-    kept = (
-        f"the state of iteration {latest} is in {checkpoints.folder}" if latest else "no checkpoint was due before"
-    )
-    raise InputError(
-        f"{out}: the loss became {float(told.loss)} at iteration {iteration + 1}, its gradient "
-        f"{float(told.gradient)}; {kept}. Lower --learning-rate or --clip"
+def _unsound(told: Progress, iteration: int, out: Path) -> InputError:
+    """What to say of an update that is not finite; the state before it has been kept."""
+    return InputError(
+        f"{out}: the loss became {float(told.loss)} at iteration {iteration}, its gradient {float(told.gradient)}; "
+        f"the weights before that are in {out / 'last.safetensors'}: go on with --start, a lower --learning-rate "
+        "or --clip, and another --out"
     )
 
 
@@ -154,8 +166,9 @@ def _free_memory() -> float:
     if limits and "bytes_limit" in limits:
         return limits["bytes_limit"] - limits.get("bytes_in_use", 0)
     try:
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (ValueError, OSError):
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        return next(1024.0 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
+    except (OSError, ValueError, StopIteration):  # no Linux
         return math.inf
 
 

@@ -79,6 +79,7 @@ class TrainSettings:
         if self.size < 32 or self.size % 32:
             raise InputError(f"size: {self.size} pixels; crops must be a multiple of 32 wide")
         for name in (
+            "iterations",
             "batch",
             "features",
             "validate_every",
@@ -88,11 +89,18 @@ class TrainSettings:
         ):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: must be at least 1, got {getattr(self, name)}")
-        for name in ("iterations", "steps_without_gradient", "seed"):
-            if getattr(self, name) < 0:
-                raise InputError(f"{name}: must be at least 0, got {getattr(self, name)}")
+        if self.steps_without_gradient < 0:
+            raise InputError(f"steps_without_gradient: must be at least 0, got {self.steps_without_gradient}")
+        if not 0 <= self.seed < 2**32:
+            raise InputError(f"seed: must lie in [0, 2^32), got {self.seed}")
         if not self.factors or any(f < 2 or self.size % f for f in self.factors):
             raise InputError(f"factors: {self.factors} must be 2 or more and divide the size, {self.size}")
+        levels = [factor for factor, _ in PRESETS[self.schedule]]
+        if self.through == "cascade" and any(f % level and level % f for f in self.factors for level in levels):
+            raise InputError(
+                f"factors: {self.factors} must each divide, or be a multiple of, every level of {self.schedule}: "
+                f"{', '.join(map(str, levels))}"
+            )
         weights = [getattr(self, f"{name}_weight") for name in ("depth", "shading", "border")]
         if not all(math.isfinite(w) and w >= 0 for w in weights) or not any(weights):
             raise InputError(

@@ -15,6 +15,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from hyjax.errors import InputError
 from hyjax.guide import GuideNetwork, load_weights, normalise
+from hyjax.guide.weights import kappa_of
 from hyjax.training.objective import Losses, batch_losses, total
 from hyjax.training.settings import TrainSettings
 from hyjax.training.targets import Sample
@@ -65,19 +66,23 @@ class Progress(NamedTuple):
 class Updater:
     """Updates of one network under one set of settings, batches spread over all devices of all hosts.
 
+    Args:
+        settings: see there.
+        started: whether a state will be restored, so that there is no need of weights to start from.
+
     Raises:
         InputError: the batch cannot be divided among the devices, or there are no weights to start from.
     """
 
-    def __init__(self, settings: TrainSettings) -> None:
+    def __init__(self, settings: TrainSettings, started: bool = False) -> None:
         devices = jax.device_count()
         if settings.batch % devices:
             raise InputError(f"batch: {settings.batch} crops cannot be divided among {devices} devices")
         self.settings = settings
         network = GuideNetwork(settings.encoder, settings.features, rngs=nnx.Rngs(settings.seed))
         self._log_kappa = 0.0
-        if settings.start:
-            self._log_kappa = math.log(float(load_weights(settings.start, network).get("kappa", "1")))
+        if settings.start and not started:
+            self._log_kappa = math.log(kappa_of(load_weights(settings.start, network), settings.start))
         network.train()
         self._graph: Any = nnx.graphdef(network)
         self._weights = nnx.to_pure_dict(nnx.state(network, nnx.Param))
@@ -107,7 +112,7 @@ class Updater:
         return Sample(*(jax.make_array_from_process_local_data(self._spread, np.asarray(x)) for x in local))
 
     def update(self, state: TrainState, batch: Sample) -> tuple[TrainState, Progress]:
-        """One update; the given state is used up."""
+        """One update; the given state is used up. An update that is not sound changes nothing."""
         return self._update(state, batch)
 
     def features(self, state: TrainState, images: Float[ArrayLike, "b h w 3"]) -> Float[Array, "b h w f"]:
@@ -146,4 +151,5 @@ class Updater:
             jnp.logical_and, [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((value, norm, weights, statistics))]
         )
         progress = Progress(value, losses, norm, jnp.exp(state.weights["log_kappa"]), sound)
-        return TrainState(weights, statistics, optimizer, state.iteration + 1), progress
+        after = TrainState(weights, statistics, optimizer, state.iteration + 1)
+        return jax.tree.map(lambda new, old: jnp.where(sound, new, old), after, state), progress

@@ -137,7 +137,7 @@ def tune_bench(
                 from hyjax.tuning.joint import tune_and_save  # with flax, which only learned guides need
 
                 seeing_held = [i for i in holdout if bench.name(i) not in held_blind]
-                best = run.result().best[0].schedule
+                best = run.best(budgets[0], MOST_STEPS).schedule
                 record["joint"] = tune_and_save(bench, best, clock, chosen, seeing_held, out, watch, seed=seed)
             for budget in run.extra_budgets() if extra else ():
                 if not watch.expired():
@@ -240,15 +240,20 @@ class _Run:
 
     def result(self) -> Tuned:
         """All of it so far."""
-        best = [self._best(budget) for budget in self.budgets]
+        best = [self.best(budget) for budget in self.budgets]
         self.record["seconds"] = round(self.watch.clock.seconds, 1)
         self.record["peak memory, MiB"] = round(peak_memory_mib())
         front = _front(list(self.tuned.values()))
         return Tuned(best[0].schedule, best, self.budgets, front, self.baselines, self.watch.history, self.record)
 
-    def _best(self, budget: Budget) -> Candidate:
-        """The best of all that is measured to fit, whatever budget it was tuned for, the baselines included."""
+    def best(self, budget: Budget, most_steps: int | None = None) -> Candidate:
+        """The best of all that is measured to fit, whatever budget it was tuned for, the baselines included.
+
+        With `most_steps`, of those that have no more at any level.
+        """
         known = [*self.tuned.values(), *self.baselines]
+        if most_steps is not None:
+            known = [c for c in known if max(level.steps for level in c.schedule.levels) <= most_steps]
         fitting = [c for c in known if c.measured and c.measured.p95 <= budget.milliseconds]
         if fitting:
             return min(fitting, key=lambda c: c.tuning.loss if c.tuning else math.inf)
