@@ -42,6 +42,7 @@ EXPERIMENTS = (
     "tuning_optimum",
     "tuning_race",
     "stage_times",
+    "guide_speed",
     "fusion",
 )
 """Modules with a `TITLE` and `blocks(rows, folder)`, in the page's order."""

@@ -1,0 +1,172 @@
+"""What a learned guide costs a frame: ours against torch running the same network.
+
+    python -m experiments.guide_speed [--encoders small medium] [--sizes 256 512] [--repeats 30]
+        [--out results/guide_speed]
+
+Takes two minutes on two idle cores. Needs torch, timm and segmentation-models-pytorch to compare with; without them
+ours is timed alone. Both run with the same random weights on all cores of this process, on one picture, in turns;
+the first call of each, in which ours is compiled, is kept apart. torch is given the picture normalised already,
+once in its usual layout and once with channels last.
+
+Expect: the results agree to rounding. Measure on an idle machine: torch's threads wait for each other by spinning,
+so that anything else that runs costs torch far more than ours.
+"""
+
+import copy
+import dataclasses
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+from matplotlib.figure import Figure
+
+from experiments.blocks import Block, Plot, Table, write_blocks
+from experiments.command import run
+from experiments.plotting import new_figure
+from experiments.records import Results, Row, machine, of_kind
+from hyjax.errors import InputError
+from hyjax.guide import Guide, GuideNetwork, normalise
+from hyjax.guide.weights import assign
+from hyjax.tuning.calibration import check_repeats
+from hyjax.tuning.latency import measure_each
+
+NAME = "guide_speed"
+TITLE = "What a learned guide costs a frame"
+OURS, TORCH, CHANNELS_LAST = "ours", "torch", "torch, channels last"
+FEATURES = 64
+SMALLEST = 32
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    encoders: tuple[Literal["small", "medium"], ...] = ("small", "medium")
+    """MobileNetV4-Conv of these sizes."""
+    sizes: tuple[int, ...] = (256, 512)
+    """Side lengths of square pictures."""
+    repeats: int = 30
+    seed: int = 0
+    out: Path = Path("results/guide_speed")
+
+
+def main(config: Config) -> None:
+    check_repeats(config.repeats)
+    if bad := [size for size in config.sizes if size < SMALLEST]:
+        raise InputError(f"sizes: a picture must be at least {SMALLEST} pixels wide, got {bad[0]}")
+    results = Results(config.out, NAME, config)
+    for size_of_encoder in config.encoders:
+        encoder = f"mobilenetv4_conv_{size_of_encoder}"
+        theirs = torch_network(encoder, config.seed)
+        network = GuideNetwork(encoder, FEATURES, rngs=nnx.Rngs(config.seed))
+        if theirs is not None:
+            state = {name: tensor.numpy() for name, tensor in theirs.state_dict().items()}
+            assign(network, {n: a for n, a in state.items() if not n.endswith("tracked")}, "torch")
+        network.eval()
+        guide = Guide(network)
+        for size in config.sizes:
+            picture = np.random.default_rng(config.seed).random((size, size, 3), np.float32)
+            display = jnp.asarray(picture)
+            calls: dict[str, Callable[[], Any]] = {OURS: lambda guide=guide, x=display: guide.features(x)}
+            if theirs is not None:
+                calls |= torch_calls(theirs, np.asarray(normalise(display)))
+            jax.clear_caches()  # the first call shall contain the compilation
+            times = measure_each(calls, config.repeats, progress=True)
+            difference = None
+            if theirs is not None:
+                features, expected = np.asarray(calls[OURS]()), calls[TORCH]()[0].permute(1, 2, 0).numpy()
+                difference = float(np.abs(features - expected).max() / np.abs(expected).max())
+            for who, time in times.items():
+                results.add(
+                    kind="time", encoder=encoder, size=size, who=who, difference=difference, **time,
+                    parameters=sum(leaf.size for leaf in jax.tree.leaves(nnx.state(network, nnx.Param))),
+                )  # fmt: skip
+    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
+
+
+def torch_network(encoder: str, seed: int) -> Any:
+    """smp's Unet with random weights, in inference mode; None, and a word on stderr, where it is not installed."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import torch
+
+            _import_torchvision(torch)
+            import segmentation_models_pytorch as smp
+    except ImportError as error:
+        print(f"{NAME}: ours is timed alone: {error.name} is not installed", file=sys.stderr)
+        return None
+    torch.manual_seed(seed)
+    return smp.Unet(f"tu-{encoder}", encoder_weights=None, classes=FEATURES).eval()
+
+
+def _import_torchvision(torch: Any) -> None:
+    """timm wants it. Its wheels for other devices lack operators, which these networks do without."""
+    try:
+        import torchvision
+    except RuntimeError:
+        for name in [name for name in sys.modules if name.split(".")[0] == "torchvision"]:
+            del sys.modules[name]
+        for name in ("nms", "qnms"):
+            torch.library.define(f"torchvision::{name}", "(Tensor a, Tensor b, float c) -> Tensor")
+        import torchvision  # noqa: F401
+
+
+def torch_calls(network: Any, normalised: np.ndarray) -> dict[str, Callable[[], Any]]:
+    """The network on one picture in both of torch's layouts."""
+    import torch
+
+    picture = torch.tensor(normalised).permute(2, 0, 1)[None].contiguous()
+    last = copy.deepcopy(network).to(memory_format=torch.channels_last)
+    picture_last = picture.to(memory_format=torch.channels_last)
+
+    def call(network: Any, picture: Any) -> Any:
+        with torch.inference_mode():
+            return network(picture)
+
+    return {TORCH: lambda: call(network, picture), CHANNELS_LAST: lambda: call(last, picture_last)}
+
+
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Table and figure from the rows."""
+    times = of_kind(rows, "time")
+    if not times:
+        return ["Nothing has been timed yet."]
+    lines = [
+        [
+            f"{row['encoder'].removeprefix('mobilenetv4_conv_')}, {row['size']}²",
+            row["who"],
+            f"{row['first_ms']:.0f}",
+            f"{row['median_ms']:.1f}",
+            f"{row['p95_ms']:.1f}",
+        ]
+        for row in times
+    ]
+    differences = [row["difference"] for row in times if row["difference"] is not None]
+    agreement = f"; results differ by at most {max(differences):.0e} of the largest" if differences else ""
+    caption = f"A guide of {FEATURES} features for one picture; {machine(times[0])}{agreement}."
+    return [
+        Table(caption, ["network, picture", "run by", "first call ms", "median ms", "p95 ms"], lines, names=2),
+        Plot(NAME, "Milliseconds a picture: median (bar) and 95th percentile (tick).", figure(times)),
+    ]
+
+
+def figure(times: Sequence[Row]) -> Figure:
+    """Median milliseconds of every network and size, p95 as a tick."""
+    fig = new_figure(7, 0.8 + 0.25 * len(times))
+    axes = fig.subplots()
+    labels = [f"{row['encoder'].removeprefix('mobilenetv4_conv_')} {row['size']}², {row['who']}" for row in times]
+    colors = ["C0" if row["who"] == OURS else "C7" for row in times]
+    axes.barh(labels, [row["median_ms"] for row in times], color=colors)
+    axes.plot([row["p95_ms"] for row in times], labels, "k|")
+    axes.invert_yaxis()
+    axes.set(xlabel="milliseconds")
+    return fig
+
+
+if __name__ == "__main__":
+    run(main, Config)
