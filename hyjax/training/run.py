@@ -14,6 +14,7 @@ A run killed at any moment and resumed goes on with the same numbers, on a CPU t
 XLA_FLAGS=--xla_gpu_deterministic_ops=true).
 """
 
+import contextlib
 import json
 import math
 from pathlib import Path
@@ -70,11 +71,23 @@ def train(
     """
     settings = settings.check()
     make_writable(out)
-    leads = jax.process_index() == 0
     log = Log(out, settings, resume)
+    with contextlib.closing(Checkpoints(out / "checkpoints")) as checkpoints:
+        return _train(settings, out, log, checkpoints, resume, command, progress)
+
+
+def _train(
+    settings: TrainSettings,
+    out: Path,
+    log: Log,
+    checkpoints: Checkpoints,
+    resume: bool,
+    command: str,
+    progress: bool,
+) -> dict[str, Any]:
+    leads = jax.process_index() == 0
     sources = [open_pairs(spec) for spec in settings.pairs]
     judges = [open_pairs(spec) for spec in settings.validation] or sources
-    checkpoints = Checkpoints(out / "checkpoints")
     resumed = resume and checkpoints.latest() is not None
     updater = Updater(settings, started=resumed)
     loader = PairLoader(
@@ -132,7 +145,6 @@ def train(
             f"device: {jax.default_backend()} no longer works ({line}); if for want of memory, lower --batch (now "
             f"{settings.batch}) or --size (now {settings.size}), with another --out"
         ) from None
-    checkpoints.close()
     return log.validations()[-1]["validation"]
 
 
