@@ -178,7 +178,7 @@ def test_interrupted_runs_leave_whole_files(tmp_path: Path) -> None:
     command = [HYJAX, "relight", "--size", "320x240", "--save-filters", "--lights", "center-point", "--out"]
     with subprocess.Popen([*command, str(tmp_path)], stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 240
-        while len(list(tmp_path.glob("*.exr"))) < 2 and process.poll() is None and time.monotonic() < deadline:
+        while len(list(tmp_path.glob("*.exr"))) < 4 and process.poll() is None and time.monotonic() < deadline:
             time.sleep(0.01)
         process.send_signal(signal.SIGINT)
         _, stderr = process.communicate(timeout=60)
