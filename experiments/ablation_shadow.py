@@ -35,7 +35,7 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.judging import summarise
-from experiments.paper_bench import KAPPA, METHODS, Bench, BenchConfig, View, reported, with_kappa
+from experiments.paper_bench import METHODS, Bench, BenchConfig, View, reported, with_kappa
 from experiments.plotting import new_figure
 from experiments.records import Row
 from hyjax.contact_sheet import write_contact_sheet
@@ -90,7 +90,7 @@ def main(config: Config) -> None:
             truth = Lit(view, bench, mode, accurate_maps, accurate=True)
             counted = view.valid[..., None] & (np.asarray(truth.each) > DIM * bench.setups[LIGHTS].reference_lux)
             for surface, lit in {"rough": Lit(view, bench, mode, rough_maps), "accurate": truth}.items():
-                for (method, factor, steps), visible in estimate(lit, view, bench.schedule, mode).items():
+                for (method, factor, steps), visible in estimate(lit, view, bench, mode).items():
                     for light in range(len(lights)):
                         true = np.asarray(truth.visible)[..., light]
                         scores = compare(visible[..., light], true, counted[..., light])
@@ -134,10 +134,10 @@ def ratio(part: Array, whole: Array) -> Array:
     return jnp.where(whole > 1e-6, jnp.clip(part / jnp.maximum(whole, 1e-6), 0.0, 1.0), 1.0)
 
 
-def estimate(rough: Lit, view: View, schedule: Schedule, mode: Mode) -> Mapping[tuple[str, int, int], np.ndarray]:
+def estimate(rough: Lit, view: View, bench: Bench, mode: Mode) -> Mapping[tuple[str, int, int], np.ndarray]:
     """(method, factor, steps) → visibility of each light."""
-    guide, kappa = view.guide, KAPPA[mode]
-    schedule = with_kappa(schedule, kappa)
+    guide, kappa = view.guide, bench.kappa[mode]
+    schedule = with_kappa(bench.schedule, kappa)
     if mode == "paper":
         together = ratio(*(hyjax.cascade(y, guide, schedule) for y in (rough.shadowed, rough.unshadowed)))
         start = rough.visible
@@ -194,7 +194,8 @@ def pictures(view: View, bench: Bench, mode: Mode, rough_maps: Any, accurate_map
 def together(view: View, bench: Bench, mode: Mode, maps: Any, accurate: bool) -> Array:
     """The frame relit with a filter that was diffused with its shadows in it; linear."""
     setup, linear = bench.setups[LIGHTS], hyjax.to_linear(view.display)
-    schedule, lit = with_kappa(bench.schedule, KAPPA[mode]), Lit(view, bench, "hyjax", maps, accurate=accurate)
+    schedule = with_kappa(bench.schedule, bench.kappa[mode])
+    lit = Lit(view, bench, "hyjax", maps, accurate=accurate)
     if mode == "paper":
         raw = hyjax.to_display(hyjax.colored(lit.shadowed, setup.lights) / setup.reference_lux)
         return hyjax.to_linear(hyjax.cascade(raw, view.guide, schedule) * view.display)

@@ -9,6 +9,7 @@ from typing import TypeVar
 import tyro
 
 from hyjax.errors import InputError
+from hyjax.interrupts import keep_interrupts
 
 Config = TypeVar("Config")
 
@@ -19,6 +20,7 @@ def run(main: Callable[[Config], None], config_type: type[Config]) -> None:
     Bad input: one line on stderr and exit status 2; interrupted: one line and 130.
     """
     name = Path(inspect.getfile(main)).stem
+    keep_interrupts()
     try:
         main(tyro.cli(config_type, prog=f"python -m experiments.{name}", description=main.__globals__["__doc__"]))
     except InputError as error:

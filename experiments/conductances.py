@@ -43,6 +43,7 @@ from hyjax.errors import InputError
 from hyjax.guide.choose import RGB, open_guide
 from hyjax.pyramid import max_pool
 from hyjax.stencil import Edges
+from hyjax.training.validation import least
 
 NAME = "conductances"
 TITLE = "Conductances of an RGB guide and of a learned one"
@@ -158,10 +159,8 @@ def _flat(edges: Sequence[np.ndarray] | Edges) -> np.ndarray:
 
 def levels(distance: Edges, kappa: float, factor: int, shape: tuple[int, int]) -> Float[np.ndarray, "h w 3"]:
     """The conductances of a level as a picture: of each cell, the least on the edges below and to its right."""
-    vertical, horizontal = (np.asarray(e) for e in hyjax.min_pool(edge_stopping(distance, kappa), factor))
-    down = np.pad(vertical, ((0, 1), (0, 0)), constant_values=1.0)
-    right = np.pad(horizontal, ((0, 0), (0, 1)), constant_values=1.0)
-    cells = np.minimum(down, right).repeat(factor, axis=0).repeat(factor, axis=1)
+    cells = least(hyjax.min_pool(edge_stopping(distance, kappa), factor))
+    cells = cells.repeat(factor, axis=0).repeat(factor, axis=1)
     return np.repeat(cells[: shape[0], : shape[1], None], 3, axis=-1)
 
 

@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,7 @@ METHODS: dict[Mode, str] = {"paper": "paper's method", "hyjax": "ours"}
 OWN_GROUP: dict[Mode, str] = dict(zip(METHODS, GROUPS))
 """What each mode multiplies its filter with when it is used as it is meant."""
 KAPPA: dict[Mode, float] = {"paper": PAPER_KAPPA, "hyjax": DEFAULT_KAPPA}
+"""Best for the RGB guide on tuning frames."""
 ANY = Schedule.uniform([(16, 1)])
 """For the accurate surface, of which only the raw filter is looked at."""
 SHEET = ("frame", "bare mesh", "paper's method", "ours", "accurate surface", "relied on")
@@ -56,13 +57,14 @@ class Bench:
 
     Args:
         capture: frames.
-        schedule: of the cascade; κ is the default of each mode.
+        schedule: of the cascade, but for its κ.
         mesh: the rough surface, as `surface_of` takes it; the capture's own or else a simulated scan if None.
         reference: the accurate surface, as `open_reference` takes it.
         size: pixels a side.
         seed: of the simulated scan.
         renderer: what shades the surfaces.
         guide: what guides the diffusion.
+        kappa: mode → κ, of features as the guide gives them.
 
     Raises:
         InputError: any of these cannot be used.
@@ -78,9 +80,13 @@ class Bench:
         seed: int = 0,
         renderer: Renderer = "hyjax",
         guide: FrameGuide = RGB,
+        kappa: Mapping[Mode, float] = KAPPA,
     ) -> None:
         check_size(size)
-        self.guide = guide
+        for mode, value in kappa.items():
+            if not 0 < value < float("inf"):
+                raise InputError(f"kappa of {METHODS[mode]}: {value:g} given; it must be a number > 0")
+        self.guide, self.kappa = guide, kappa
         self.source, rough = surface_of(capture, mesh or rough_mesh(capture), seed=seed)
         self.capture, self.schedule, self.size = capture, schedule, (size, size)
         self.rough, self.reference = RayCaster(rough), open_reference(capture, reference)
@@ -185,7 +191,7 @@ class Bench:
         accurate: bool = False,
         shadow_maps: Sequence[ShadowMap | None] | None = None,
     ) -> Relit:
-        """A frame on the rough surface, or on the accurate one. κ is the mode's default unless given."""
+        """A frame on the rough surface, or on the accurate one. κ is the bench's for the mode unless given."""
         setup = self.setups[lights]
         gbuffer, shading = (view.accurate if accurate else view.rough), None
         if view.shading:
@@ -197,7 +203,7 @@ class Bench:
             gbuffer,
             setup.lights,
             view.guide,
-            with_kappa(schedule, KAPPA[mode] if kappa is None else kappa),
+            with_kappa(schedule, self.kappa[mode] if kappa is None else kappa),
             shading=shading,
             shadow_maps=shadow_maps,
             reference_lux=setup.reference_lux,
@@ -228,6 +234,10 @@ class BenchConfig:
     """The accurate surface: true, laser, fused or a mesh file. Default: the first of these that there is."""
     guide: str = "rgb"
     """What guides the diffusion, see `hyjax relight --guide`."""
+    kappa: float = DEFAULT_KAPPA
+    """κ of our mode, for this guide (`kappa_sweep` finds it)."""
+    paper_kappa: float = PAPER_KAPPA
+    """κ of the paper's mode."""
     size: int = 512
     """Pixels a side."""
     seed: int = 1
@@ -243,8 +253,8 @@ class BenchConfig:
 
     def bench(self, capture: Capture, schedule: Schedule, renderer: Renderer = "hyjax") -> Bench:
         """Both surfaces of the capture."""
-        guide = open_guide(self.guide)
-        return Bench(capture, schedule, self.mesh, self.reference, self.size, self.seed, renderer, guide)
+        guide, kappa = open_guide(self.guide), {"paper": self.paper_kappa, "hyjax": self.kappa}
+        return Bench(capture, schedule, self.mesh, self.reference, self.size, self.seed, renderer, guide, kappa)
 
 
 def reported(capture: Capture, frames: str | None = None) -> list[int]:

@@ -7,11 +7,12 @@
 3. *Relighting fidelity*: two dim coloured points; the relit frame against the frame relit with the filter of an
    accurate surface (`experiments.references` says which, how it is cleaned and where it is not relied on).
 
-The schedule is `paper-80`, guided by the frame; nothing casts shadows (they have an ablation of their own).
+The schedule is `paper-80`; nothing casts shadows (they have an ablation of their own).
 Methods come in two groups, since a filter is multiplied with display values in the paper and with light in hyjax:
 every filter both ways, and the accurate one of the third benchmark as its group does. A filter of one mean colour
 is among them: it has no edges to get wrong and may well win the first two benchmarks, so that these alone say
-nothing. κ is the default of each mode, from tuning frames (`kappa_sweep`).
+nothing. κ defaults to what tuning frames say for the RGB guide (`kappa_sweep`); with another `--guide` give its
+own by `--kappa` and `--paper-kappa`.
 
 The paper's own figures stand beside for the direction of its comparison only: 1.8 dB, as it has in the second
 benchmark, is hardly possible for pictures in [0, 1].

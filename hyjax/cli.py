@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from hyjax.errors import InputError
+from hyjax.interrupts import keep_interrupts
 
 if TYPE_CHECKING:
     from hyjax.data.capture import Capture
@@ -200,6 +201,7 @@ def main() -> None:
         print(f"hyjax {metadata.version('hyjax')}")
         return
     command = tyro.cli(Command, prog="hyjax", description="Relight camera frames of real rooms.")
+    keep_interrupts()
     try:
         if isinstance(command, Relight):
             run_relight(command)

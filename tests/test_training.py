@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import json
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -256,18 +257,38 @@ def test_a_batch_that_no_devices_can_share_is_refused() -> None:
         "import sys; sys.argv = ['hyjax', 'train', '--batch', '3', '--pairs', 'rooms']\n"
         "from hyjax.cli import main; main()"
     )
-    done = run_python(code, devices=2)
+    done = run_python(code, count=2)
     assert done.returncode == 2
     assert done.stderr.strip().splitlines()[-1] == "hyjax: batch: 3 crops cannot be divided among 2 devices"
 
 
-def run_python(code: str, devices: int) -> subprocess.CompletedProcess:
-    environment = os.environ | {"XLA_FLAGS": f"--xla_force_host_platform_device_count={devices}"}
-    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+def devices(count: int) -> dict[str, str]:
+    """An environment in which the processor counts as several devices."""
+    return os.environ | {"XLA_FLAGS": f"--xla_force_host_platform_device_count={count}"}
+
+
+def run_python(code: str, count: int) -> subprocess.CompletedProcess:
+    return subprocess.run([sys.executable, "-c", code], env=devices(count), capture_output=True, text=True)
+
+
+@pytest.fixture(scope="module")
+def alone(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> list[dict]:
+    """Log of a run on one device of one host."""
+    out = tmp_path_factory.mktemp("alone")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(ENCODERS, "toy", ToyEncoder)
+        train(settings_for(folder, iterations=3, validate_every=1), out, progress=False)
+    return log_of(out)
+
+
+def assert_same_run(log: list[dict], expected: list[dict]) -> None:
+    assert [line["iteration"] for line in log] == [line["iteration"] for line in expected]
+    found, wanted = ([line.get("validation", line)["loss"] for line in lines] for lines in (log, expected))
+    np.testing.assert_allclose(found, wanted, rtol=1e-4)
 
 
 @pytest.mark.slow
-def test_two_devices_make_the_same_update(folder: Path, tmp_path: Path) -> None:
+def test_two_devices_make_the_same_update(folder: Path, tmp_path: Path, alone: list[dict]) -> None:
     code = f"""
 import sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
@@ -277,10 +298,40 @@ import test_training as t
 import jax
 assert jax.device_count() == 2
 ENCODERS["toy"] = t.ToyEncoder
-t.train(t.settings_for(Path({str(folder)!r}), iterations=3), Path({str(tmp_path / "two")!r}), progress=False)
+settings = t.settings_for(Path({str(folder)!r}), iterations=3, validate_every=1)
+t.train(settings, Path({str(tmp_path)!r}), progress=False)
 """
-    done = run_python(code, devices=2)
+    done = run_python(code, count=2)
     assert done.returncode == 0, done.stderr
-    train(settings_for(folder, iterations=3), tmp_path / "one", progress=False)
-    one, two = ([line["loss"] for line in log_of(tmp_path / name) if "loss" in line] for name in ("one", "two"))
-    np.testing.assert_allclose(two, one, rtol=1e-4)
+    assert_same_run(log_of(tmp_path), alone)
+
+
+@pytest.mark.slow
+def test_two_hosts_make_the_same_updates_and_resume(folder: Path, tmp_path: Path, alone: list[dict]) -> None:
+    for iterations, resume in ((2, False), (3, True)):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        code = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+import jax
+jax.distributed.initialize("127.0.0.1:{port}", 2, int(sys.argv[1]))
+assert jax.process_count() == 2 and jax.device_count() == 2
+from pathlib import Path
+import test_training as t
+t.ENCODERS["toy"] = t.ToyEncoder
+settings = t.settings_for(Path({str(folder)!r}), iterations={iterations}, validate_every=1)
+t.train(settings, Path({str(tmp_path)!r}), resume={resume}, progress=False)
+"""
+        hosts = [
+            subprocess.Popen(
+                [sys.executable, "-c", code, str(k)], env=devices(1), stderr=subprocess.PIPE, text=True
+            )
+            for k in range(2)
+        ]
+        for host in hosts:
+            _, errors = host.communicate(timeout=300)
+            assert host.returncode == 0, errors
+    assert_same_run(log_of(tmp_path), alone)
+    load_guide(tmp_path / "guide.safetensors")

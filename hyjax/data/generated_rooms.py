@@ -1,8 +1,6 @@
 """Pairs from an endless row of random furnished rooms, which need no file: true depth and true normals."""
 
 import logging
-import threading
-from collections import OrderedDict
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +9,7 @@ from jaxtyping import Int8, UInt8, UInt16
 
 from hyjax.cache import cache_folder
 from hyjax.data.depth_pairs import DepthPair, Unit, digest
+from hyjax.data.recent import Recent
 from hyjax.errors import InputError
 from hyjax.files import whole
 from hyjax.scene.random_room import LitRoom, Shot, make_random_room, photograph
@@ -75,9 +74,8 @@ class GeneratedRooms:
         self._seed, self._size, self._views = seed, size, views
         folder = cache_folder() if cache_dir is None else Path(cache_dir)
         self._folder = folder / f"rooms-v{VERSION}-seed{seed}-{size}x{views}" if cached else None
-        self._rooms: OrderedDict[int, LitRoom] = OrderedDict()
-        self._stored: OrderedDict[int, _Stored] = OrderedDict()
-        self._lock = threading.Lock()
+        self._rooms: Recent[LitRoom] = Recent(lambda number: make_random_room(seed, number), ROOMS_KEPT)
+        self._stored: Recent[_Stored] = Recent(self._read_or_render, ROOMS_KEPT)
 
     @property
     def fingerprint(self) -> str:
@@ -91,9 +89,9 @@ class GeneratedRooms:
         index = range(len(self))[index]
         number, view = divmod(index, self._views)
         if self._folder is None:
-            stored, at = _rounded([photograph(self._room(number), view, self._size)]), 0
+            stored, at = _rounded([photograph(self._rooms(number), view, self._size)]), 0
         else:
-            stored, at = self._kept(number), view
+            stored, at = self._stored(number), view
         normal = stored.normal[at].astype(np.float32)
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1.0)
         return DepthPair(
@@ -105,29 +103,10 @@ class GeneratedRooms:
             normal=normal,
         )
 
-    def _room(self, number: int) -> LitRoom:
-        # Built under the lock: threads that ask for one room at once must not build it twice.
-        with self._lock:
-            if number not in self._rooms:
-                self._rooms[number] = make_random_room(self._seed, number)
-            self._rooms.move_to_end(number)
-            while len(self._rooms) > ROOMS_KEPT:
-                self._rooms.popitem(last=False)
-            return self._rooms[number]
-
-    def _kept(self, number: int) -> _Stored:
-        """All views of a room, from memory, from disk or new."""
+    def _read_or_render(self, number: int) -> _Stored:
+        """All views of a room, from disk or new."""
         assert self._folder is not None
-        with self._lock:
-            if number not in self._stored:
-                self._stored[number] = self._read_or_render(self._folder / f"{number:07d}.npz", number)
-            self._stored.move_to_end(number)
-            while len(self._stored) > ROOMS_KEPT:
-                self._stored.popitem(last=False)
-            return self._stored[number]
-
-    def _read_or_render(self, file: Path, number: int) -> _Stored:
-        shape = (self._views, self._size, self._size)
+        file, shape = self._folder / f"{number:07d}.npz", (self._views, self._size, self._size)
         if file.is_file():
             try:
                 return _read(file, shape)
