@@ -18,12 +18,15 @@ import numpy as np
 import pytest
 from reference.seven_scenes_export import export_seven_scenes
 
+import hyjax
 from hyjax import InputError, Schedule, tune
 from hyjax.cli import main
 from hyjax.data.room import RoomCapture, load_room
+from hyjax.guide import load_guide
 from hyjax.images import read_image
 from hyjax.tuning import calibration, latency
 from hyjax.tuning.journal import NAME
+from hyjax.tuning.report_text import summary
 from hyjax.tuning.request import parse_budgets, split_frames
 from hyjax.tuning.result import Tuned
 from hyjax.tuning.search import Effort, Search
@@ -41,6 +44,7 @@ OPTIONS: dict[str, Any] = {
 }
 
 
+SMALL = Path(hyjax.__file__).parent / "guide" / "trained" / "small.safetensors"
 ENVIRONMENT = dict(os.environ)
 """With the user's cache folder, where the room is."""
 
@@ -341,6 +345,23 @@ def test_a_clock_that_says_more_than_the_table(surroundings: dict[str, Any], tmp
 
 
 # ---- what is asked for ----
+
+
+def test_a_learned_guide_tuned_together(surroundings: dict[str, Any], tmp_path: Path) -> None:
+    result = tune(**surroundings | {"guide": "small", "joint": True, "out": tmp_path / "out"})
+    told = result.record["joint"]
+    for frames in ("tuning", "held out"):
+        before, after = told[frames]
+        assert np.isfinite([*before.values(), *after.values()]).all()
+    before, after = told["tuning"]
+    assert after["loss"] < before["loss"]
+    schedule = Schedule.from_json((tmp_path / "out" / "joint.json").read_text())
+    assert [level.factor for level in schedule.levels] == [level.factor for level in result.schedule.levels]
+    shipped, own = load_guide(SMALL), load_guide(tmp_path / "out" / "guide.safetensors")
+    assert own.fingerprint != shipped.fingerprint
+    picture = np.random.default_rng(0).random((*SIZE, 3), np.float32)
+    np.testing.assert_allclose(own.trunk(picture), shipped.trunk(picture), atol=1e-5)
+    assert "guide.safetensors" in summary(result)[-1]
 
 
 def test_budgets() -> None:

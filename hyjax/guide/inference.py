@@ -119,7 +119,7 @@ def load_guide(path: str | os.PathLike[str], name: str | None = None) -> Guide:
     return Guide(
         network,
         kappa=kappa,
-        name=name or Path(path).stem,
+        name=name or Path(path).name,
         fingerprint=digest.hexdigest()[:16],
         metadata=metadata,
     )
