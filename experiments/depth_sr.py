@@ -1,13 +1,13 @@
 """Guided depth super-resolution: what a guide is worth on depth that nobody trained or tuned on.
 
-    python -m experiments.depth_sr [--guide small] [--pairs SPEC ...] [--tuning SPEC ...]
+    python -m experiments.depth_sr [--guides rgb small] [--pairs SPEC ...] [--tuning SPEC ...]
 
     python -m experiments.depth_sr --pairs middlebury:/data/middlebury2005 "mosd:/data/mosd?frames=3:40:4" \\
         "capture:/data/kitchen?frames=225:300:5"
 
 Depth is coarsened by 4, 8, 16 and 32 and super-resolved under the colour frame: bicubic interpolation, OpenCV's
-guided filter and fast global smoother, and diffusion with adjustment under the frame itself and under a learned
-guide, each at full size as Metzger et al. do and through the cascade. `SPEC` names pairs as
+guided filter and fast global smoother, and diffusion with adjustment under the frame itself and under learned
+guides, each at full size as Metzger et al. do and through the cascade. `SPEC` names pairs as
 `hyjax.data.open_pairs` takes them; default are generated rooms of seeds that no training uses. Parameters (κ of
 each guide, those of the filters) are chosen by factor on the tuning pairs alone.
 
@@ -47,7 +47,7 @@ from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.depth_pairs import Unit
 from hyjax.data.open_pairs import open_pairs
 from hyjax.errors import InputError
-from hyjax.guide.choose import RGB, FrameGuide, open_guide
+from hyjax.guide.choose import FrameGuide, open_guide
 from hyjax.schedule import Schedule
 
 NAME = "depth_sr"
@@ -64,8 +64,8 @@ class Config:
     """Reported on."""
     tuning: tuple[str, ...] = ("rooms?seed=1002&frames=0:32:4",)
     """What parameters are chosen on."""
-    guide: str = "small"
-    """Learned guide: name of shipped weights, or a file. `rgb` for none."""
+    guides: tuple[str, ...] = ("rgb", "small")
+    """Compared: `rgb`, names of shipped weights, files."""
     factors: tuple[int, ...] = (4, 8, 16, 32)
     schedule: str = "paper-80"
     steps: int = 1000
@@ -93,7 +93,9 @@ class Tile(NamedTuple):
 
 def main(config: Config) -> None:
     check(config)
-    guides: list[FrameGuide] = [RGB, *([] if config.guide == RGB.name else [open_guide(config.guide)])]
+    guides = [open_guide(name) for name in config.guides]
+    if len({guide.name for guide in guides}) < len(guides):
+        raise InputError(f"guides: {', '.join(guide.name for guide in guides)}; give each a file name of its own")
     compared = methods([g.name for g in guides], Schedule.preset(config.schedule), config.steps, config.peers)
     tuning = [tile for text in config.tuning for tile in tiles(text, config.tile)]
     reported = [tile for text in config.pairs for tile in tiles(text, config.tile)]
@@ -120,8 +122,8 @@ def check(config: Config) -> None:
     """Raise `InputError` for what cannot be run."""
     if both := sorted({*config.pairs} & {*config.tuning}):
         raise InputError(f"tuning: {both[0]} is reported on as well; choose parameters on other pairs")
-    if not config.pairs or not config.tuning or not config.factors:
-        raise InputError("pairs, tuning, factors: each needs at least one")
+    if not config.pairs or not config.tuning or not config.factors or not config.guides:
+        raise InputError("pairs, tuning, guides, factors: each needs at least one")
     if config.steps < 1:
         raise InputError(f"steps: must be at least 1, got {config.steps}")
     levels = [level.factor for level in Schedule.preset(config.schedule).levels]

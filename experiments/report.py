@@ -33,6 +33,7 @@ EXPERIMENTS = (
     "structure",
     "conductances",
     "depth_sr",
+    "train_through",
     "reference_quality",
     "kinect_registration",
     "kappa_sweep",

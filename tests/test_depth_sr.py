@@ -16,7 +16,7 @@ from experiments.depth_sr import Config, Tile, choose, errors, main, per_pair, t
 from experiments.records import FILE, Results, of_kind, read_rows
 from hyjax.data.open_pairs import open_pairs
 from hyjax.errors import InputError
-from hyjax.guide.choose import RgbGuide
+from hyjax.guide.choose import RGB, RgbGuide
 from hyjax.images import write_png
 from hyjax.pyramid import downsample
 from hyjax.schedule import Schedule
@@ -40,7 +40,7 @@ def write_pairs(folder: Path, count: int, seed: int) -> Path:
 @pytest.fixture
 def config(tmp_path: Path) -> Config:
     pairs, tuning = (f"folder:{write_pairs(tmp_path / name, 2, seed)}" for seed, name in enumerate("ab"))
-    return Config((pairs,), (tuning,), "rgb", (4,), steps=60, tile=64, peers=False, out=tmp_path / "out")
+    return Config((pairs,), (tuning,), ("rgb",), (4,), steps=60, tile=64, peers=False, out=tmp_path / "out")
 
 
 def test_a_frame_that_shows_the_borders_is_worth_something(
@@ -52,8 +52,8 @@ def test_a_frame_that_shows_the_borders_is_worth_something(
         def features(self, display: object) -> object:
             return jnp.zeros_like(display)
 
-    monkeypatch.setattr(depth_sr, "open_guide", lambda name: Blind(name, "blind"))
-    main(dataclasses.replace(config, guide="blind"))
+    monkeypatch.setattr(depth_sr, "open_guide", lambda name: RGB if name == "rgb" else Blind(name, "blind"))
+    main(dataclasses.replace(config, guides=("rgb", "blind")))
     rows = read_rows(config.out / FILE)
     scores = of_kind(rows, "score")
     rmse = {
@@ -146,7 +146,8 @@ BAD = [
     ({"steps": 0}, "steps: must be at least 1"),
     ({"schedule": "paper-8"}, "no preset 'paper-8' (did you mean"),
     ({"tile": 128}, "b: no tile of 128 pixels a side with 30% of valid depth"),
-    ({"guide": "nothing.safetensors"}, "nothing.safetensors"),
+    ({"guides": ("nothing.safetensors",)}, "nothing.safetensors"),
+    ({"guides": ("rgb", "rgb")}, "give each a file name of its own"),
 ]
 
 
