@@ -177,6 +177,15 @@ def test_a_cell_that_is_partly_unknown_is_not_called_free_of_borders() -> None:
     assert border_loss(wrong, jnp.zeros(()), half, schedule) < border_loss(wrong, jnp.zeros(()), seen, schedule)
 
 
+def test_without_normals_a_guide_that_stops_everything_is_not_the_best() -> None:
+    seen = sample()._replace(normal=jnp.zeros((SIZE, SIZE, 3)))
+    schedule = schedule_of(SETTINGS, jnp.asarray(1.0))
+    rows, columns = jnp.indices((SIZE, SIZE))
+    everywhere = 5.0 * ((rows + columns) % 2)[..., None] * jnp.ones(2)
+    right = border_loss(5.0 * (columns >= SIZE // 2)[..., None] * jnp.ones(2), jnp.zeros(()), seen, schedule)
+    assert right < 0.2 * border_loss(everywhere, jnp.zeros(()), seen, schedule)
+
+
 # ---- runs ----
 
 

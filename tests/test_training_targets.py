@@ -7,7 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyjax.training.targets import AMBIENT, TINT, Sample, borders, random_shading, relative_depth, tinted_depth
+from hyjax.training.targets import (
+    AMBIENT,
+    FIELD,
+    REACH,
+    TINT,
+    Sample,
+    borders,
+    random_shading,
+    relative_depth,
+    tinted_depth,
+)
 
 H, W = 24, 32
 
@@ -104,9 +114,21 @@ def test_nothing_is_known_beside_an_invalid_pixel() -> None:
     assert known_v.sum() == known_v.size - 2 and known_h.sum() == known_h.size - 2
 
 
-def test_without_normals_only_a_jump_is_known() -> None:
+def test_without_normals_borders_are_known_at_jumps_and_where_depth_goes_straight_on() -> None:
     depth = np.where(np.arange(W) < 10, 1.0, 2.0) * np.ones((H, 1))
     (vertical, horizontal), (known_v, known_h) = borders(flat(depth, normal=np.zeros((H, W, 3))))
     assert np.asarray(horizontal)[:, 9].all() and np.asarray(horizontal).sum() == H
-    np.testing.assert_array_equal(known_h, horizontal)
-    assert not np.asarray(known_v).any() and not np.asarray(vertical).any()
+    assert not np.asarray(vertical).any()
+    across = [9, *range(10 + REACH, W - 1 - REACH)]  # the jump, and what is far from it and from the margin
+    np.testing.assert_array_equal(np.flatnonzero(np.asarray(known_h).all(axis=0)), across)
+    assert np.asarray(known_h).sum() == H * len(across)
+    np.testing.assert_array_equal(np.flatnonzero(np.asarray(known_v).all(axis=1)), range(REACH, H - 1 - REACH))
+
+
+@pytest.mark.parametrize("degrees, is_known", [(3.0, True), (40.0, False)])
+def test_without_normals_depth_may_turn_where_it_bends(degrees: float, is_known: bool) -> None:
+    tilt = np.tan(np.deg2rad(degrees / 2)) / FIELD  # change of depth a pixel, in multiples of depth
+    roof = 2.0 * (1.0 + tilt * np.abs(np.arange(W) - W / 2 + 0.5)) * np.ones((H, 1))
+    (_, horizontal), (_, known) = borders(flat(roof, normal=np.zeros((H, W, 3))))
+    assert not np.asarray(horizontal).any()
+    assert np.asarray(known)[:, W // 2 - 1].all() == is_known == np.asarray(known)[:, W // 2 - 1].any()

@@ -31,6 +31,10 @@ JUMP = 0.03
 """A border: depth changes by this share of itself more than the slope beside it explains ..."""
 TURN = 0.94
 """... or normals of neighbouring pixels have a cosine below this, some 20 degrees."""
+REACH = 8
+"""Without normals, there is no border where depth goes on as it came for so many pixels on both sides ..."""
+FLAT = 0.005
+"""... but for this share of itself, which is less than it bends at a crease of 20 degrees."""
 
 
 class Sample(NamedTuple):
@@ -118,6 +122,16 @@ def _borders(depth: Array, normal: Array, valid: Array) -> tuple[Array, Array]:
     have = jnp.any(normal != 0, axis=-1)
     turns = have[1:] & have[:-1] & (turned < TURN)
     border = known & (jumps | turns)
-    # Without normals, a crease may be anywhere: only what is a border is known.
-    known = border | (known & have[1:] & have[:-1])
+    # Without normals there may be a crease wherever depth bends.
+    known = border | (known & ((have[1:] & have[:-1]) | _straight(depth, valid)))
     return border.astype(depth.dtype), known.astype(depth.dtype)
+
+
+def _straight(depth: Array, valid: Array) -> Array:
+    """Edges across which depth goes straight on."""
+    count = depth.shape[0] - 1
+    d, v = (jnp.pad(x, ((REACH, REACH), (0, 0))) for x in (depth, valid))
+    starts = (0, REACH, REACH + 1, 2 * REACH + 1)  # of the pixels that the changes before and after an edge join
+    (far, near, next_near, next_far), seen = ([x[k : k + count] for k in starts] for x in (d, v))
+    bend = jnp.abs((next_far - next_near) - (near - far))
+    return seen[0] & seen[1] & seen[2] & seen[3] & (bend < FLAT * jnp.minimum(near, next_near))
