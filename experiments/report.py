@@ -37,6 +37,7 @@ EXPERIMENTS = (
     "reference_quality",
     "kinect_registration",
     "kappa_sweep",
+    "guide_worth",
     "tuning_gain",
     "tuning_transfer",
     "tuning_promise",

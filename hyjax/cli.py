@@ -14,6 +14,7 @@ import tyro
 
 from hyjax.errors import InputError
 from hyjax.interrupts import keep_interrupts
+from hyjax.training.settings import PAPER, TrainSettings
 
 if TYPE_CHECKING:
     from hyjax.data.capture import Capture
@@ -123,49 +124,9 @@ class Tune:
 class Train:
     """Train a guide network by depth super-resolution."""
 
-    pairs: tuple[str, ...] | None = None
-    """What to learn from: rooms (generated, needs no file), or sources on disk such as mosd:PATH, diml:PATH,
-    nyu:FILE, middlebury:PATH, capture:PATH; see the README. Default: rooms."""
-    validation: tuple[str, ...] | None = None
-    """What to judge by, likewise. Default: other crops of the same."""
+    settings: tyro.conf.OmitArgPrefixes[TrainSettings]
     paper: bool = False
-    """The paper's recipe as the default of all that follows; it wants a GPU."""
-    encoder: str | None = None
-    """mobilenetv4_conv_small or mobilenetv4_conv_medium. Default: small."""
-    features: int | None = None
-    """Channels of the guide."""
-    start: str | None = None
-    """Weights to start from: a file of train's, or of an encoder pretrained by timm."""
-    through: Literal["cascade", "steps"] | None = None
-    """Whether the loss is taken after the cascade, as pictures will be relit, or after many steps at full size."""
-    size: int | None = None
-    """Pixels a side of a crop."""
-    batch: int | None = None
-    """Crops an update."""
-    iterations: int | None = None
-    """Updates."""
-    factors: tuple[int, ...] | None = None
-    """How much coarser the sources are than the crops, such as 8 16 32."""
-    depth_weight: float | None = None
-    """Of the loss on tinted depth."""
-    shading_weight: float | None = None
-    """Of the loss on the shading under random lamps."""
-    border_weight: float | None = None
-    """Of the loss on conductances at true borders."""
-    learning_rate: float | None = None
-    """At the start."""
-    decay: float | None = None
-    """Factor of the learning rate every so many updates ..."""
-    decay_every: int | None = None
-    """... namely these."""
-    clip: float | None = None
-    """Largest norm of the gradient."""
-    validate_every: int | None = None
-    """Updates between two validations."""
-    checkpoint_every: int | None = None
-    """Updates between two checkpoints."""
-    seed: int | None = None
-    """Of weights and crops."""
+    """The paper's recipe as the default of all settings; it wants a GPU. With --help, it shows them."""
     hosts: int = 1
     """How many computers train together; each runs the same command with its own --host."""
     host: int = 0
@@ -188,7 +149,9 @@ class Info:
 Command = (
     Annotated[Relight, tyro.conf.subcommand("relight")]
     | Annotated[Tune, tyro.conf.subcommand("tune")]
-    | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[
+        Train, tyro.conf.subcommand("train", default=Train(PAPER if "--paper" in sys.argv else TrainSettings()))
+    ]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )
 
@@ -345,11 +308,7 @@ def run_train(command: Train) -> None:
 
     import jax
 
-    from hyjax.training.settings import PAPER, TrainSettings
-
-    names = {field.name for field in dataclasses.fields(TrainSettings)}
-    given = {k: v for k, v in dataclasses.asdict(command).items() if k in names and v is not None}
-    settings = dataclasses.replace(PAPER if command.paper else TrainSettings(), **given).check()
+    settings = command.settings.check()
     if command.hosts < 1 or not 0 <= command.host < command.hosts:
         raise InputError(f"host: {command.host} of {command.hosts} hosts; they are numbered from 0")
     if command.hosts > 1:
@@ -360,8 +319,21 @@ def run_train(command: Train) -> None:
 
     _keep_compiled()
     called = shlex.join(["hyjax", *sys.argv[1:]])
-    last = train(settings, command.out, resume=command.resume, command=called, progress=not command.quiet)
-    print(f"validation loss {last['loss']:.4f}; RGB guide {last['rgb']:.4f}")
+    if not command.quiet:
+        print(
+            f"{settings.encoder} with {settings.features} features learns from {', '.join(settings.pairs)}: "
+            f"{settings.iterations} updates of {settings.batch} crops of {settings.size}x{settings.size} into "
+            f"{command.out}, the first after a minute or more of compilation",
+            file=sys.stderr,
+        )
+    try:
+        last = train(settings, command.out, resume=command.resume, command=called, progress=not command.quiet)
+    except KeyboardInterrupt:
+        print("hyjax: --resume goes on from the last checkpoint", file=sys.stderr)
+        raise
+    print(f"{'validation':16}{'guide':>10}{'RGB guide':>12}")
+    for name, value in last["rgb"].items():
+        print(f"{name:16}{last[name]:10.4f}{value:12.4f}")
     print(f"Look at {command.out / 'curve.png'}; relight with --guide {command.out / 'guide.safetensors'}")
 
 

@@ -81,9 +81,13 @@ def matched(*kinds: dict[str, Path]) -> dict[str, Files]:
         here = [kind[name] for kind in kinds if name in kind]
         for kind in kinds:
             if name not in kind:
-                other = next(iter(kind.values()), None)
-                like = f" beside those like {other.parent.name}/{other.name}" if other else ""
-                raise InputError(f"{here[0]}: has no partner of its name{like}; add it or remove this file")
+                example = next(((n, file) for n, file in kind.items()), None)
+                if example is None:
+                    wanted = "and none of the files here has"
+                else:
+                    other, file = example
+                    wanted = f"{file.with_name(file.name.replace(other, name, 1))} is not there"
+                raise InputError(f"{here[0]}: has no partner, {wanted}; add it or remove this file")
     return {name: tuple(kind[name] for kind in kinds) for name in names}
 
 

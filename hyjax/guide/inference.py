@@ -70,7 +70,7 @@ class Guide:
             display: display-encoded, in [0, 1], of any size.
 
         Raises:
-            InputError: not an H×W×3 picture.
+            InputError: not an H×W×3 picture in floating point.
         """
         check_display(display)
         return _features(self._graph, self._state, display)
@@ -129,6 +129,8 @@ def check_display(display: Float[Array, "h w 3"]) -> None:
     """Raise `InputError` unless this is an H×W×3 picture."""
     if display.ndim != 3 or display.shape[-1] != 3 or 0 in display.shape:
         raise InputError(f"guide: need a display-encoded H x W x 3 picture, got shape {display.shape}")
+    if not jnp.issubdtype(display.dtype, jnp.floating):
+        raise InputError(f"guide: need a picture in [0, 1], got {display.dtype}; divide 8 bits by 255")
 
 
 @functools.partial(jax.jit, static_argnums=0)

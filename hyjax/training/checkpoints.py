@@ -3,6 +3,7 @@
 Orbax writes to a temporary folder and renames it, so that a run killed at any moment finds its last checkpoint
 whole. A checkpoint holds the state and the position in the stream of crops."""
 
+import functools
 import logging
 from pathlib import Path
 from typing import Any
@@ -17,27 +18,29 @@ KEPT = 2
 
 
 class Checkpoints:
-    """The checkpoints in a folder.
+    """The checkpoints in a folder, which is made with the first of them.
 
-    Raises:
-        InputError: the folder cannot be used.
+    Methods raise `InputError` if the folder cannot be used.
     """
 
     def __init__(self, folder: Path) -> None:
         logging.getLogger("absl").setLevel(logging.ERROR)  # Orbax tells of every file it writes
         self.folder = folder
+
+    @functools.cached_property
+    def _manager(self) -> ocp.CheckpointManager:
         # Written before training goes on: a copy kept in memory meanwhile would cost as much as it saves.
         options = ocp.CheckpointManagerOptions(
             max_to_keep=KEPT, enable_async_checkpointing=False, cleanup_tmp_directories=True
         )
         try:
-            self._manager = ocp.CheckpointManager(folder.absolute(), options=options)
+            return ocp.CheckpointManager(self.folder.absolute(), options=options)
         except OSError as error:
-            raise InputError(f"{folder}: cannot keep checkpoints there ({error.strerror or error})") from None
+            raise InputError(f"{self.folder}: cannot keep checkpoints there ({error.strerror or error})") from None
 
     def latest(self) -> int | None:
         """Iteration of the newest checkpoint."""
-        return self._manager.latest_step()
+        return self._manager.latest_step() if self.folder.is_dir() else None
 
     def save(self, state: TrainState, position: Any) -> None:
         """Write a checkpoint of a state and the position in the stream of crops (JSON's types)."""
@@ -68,4 +71,5 @@ class Checkpoints:
 
     def close(self) -> None:
         """Let go of the folder."""
-        self._manager.close()
+        if "_manager" in vars(self):
+            self._manager.close()

@@ -26,15 +26,17 @@ def draw_curve(path: Path, lines: Sequence[dict[str, Any]]) -> None:
     axes = figure.subplots()
     iterations = np.array([line["iteration"] for line in updates])
     losses = np.array([line["loss"] for line in updates])
-    axes.plot(iterations, losses, color="0.85", lw=0.5)
+    axes.plot(iterations, losses, color="0.75", lw=0.5, label="training")
     if len(losses) >= SMOOTHING:
         mean = np.convolve(losses, np.full(SMOOTHING, 1 / SMOOTHING), mode="valid")
         axes.plot(iterations[SMOOTHING - 1 :], mean, color="0.5", label=f"training, mean of {SMOOTHING}")
     if validations:
         at = [line["iteration"] for line in validations]
         axes.plot(at, [line["validation"]["loss"] for line in validations], "o-", ms=3, label="validation")
-        axes.axhline(validations[-1]["validation"]["rgb"], ls="--", color="k", lw=1, label="validation, RGB guide")
-        axes.legend()
+        axes.axhline(
+            validations[-1]["validation"]["rgb"]["loss"], ls="--", color="k", lw=1, label="validation, RGB guide"
+        )
+    axes.legend()
     axes.set(xlabel="iteration", ylabel="loss", yscale="log")
     with whole(path) as temporary:
         figure.savefig(temporary, dpi=120)

@@ -9,7 +9,7 @@ from hyjax.files import write_text
 from hyjax.training.settings import TrainSettings
 
 NAME = "log.jsonl"
-GROWING = ("iterations",)
+GROWING = ("iterations", "validate_every", "checkpoint_every")
 """Settings that a resumed run may change."""
 
 
@@ -39,9 +39,10 @@ class Log:
         for name in sorted(before.keys() | self._record.keys()):
             old, new = before.get(name), self._record.get(name)
             if old != new and name not in GROWING:
+                option = f"--{name.replace('_', '-')}"
                 raise InputError(
-                    f"{folder}: cannot resume, that run had {name} {old!r} and this one has {new!r}; give the same "
-                    "options, or choose another --out"
+                    f"{folder}: cannot resume, that run had {option} {told(old)} and this one has {told(new)}; "
+                    "give the same options again, or choose another --out"
                 )
         self.lines = _read_lines(self.path)
 
@@ -78,6 +79,11 @@ class Log:
         """Whether the last validation has the lowest loss so far."""
         losses = [line["validation"]["loss"] for line in self.validations()]
         return bool(losses) and losses[-1] == min(losses)
+
+
+def told(value: Any) -> str:
+    """A setting as the command line has it."""
+    return " ".join(map(str, value)) if isinstance(value, list) else repr(value)
 
 
 def _read_json(path: Path) -> dict[str, Any]:

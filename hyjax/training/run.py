@@ -16,6 +16,7 @@ XLA_FLAGS=--xla_gpu_deterministic_ops=true).
 
 import contextlib
 import json
+import logging
 import math
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,8 @@ from hyjax.training.log import Log
 from hyjax.training.settings import TrainSettings
 from hyjax.training.state import Progress, TrainState, Updater
 from hyjax.training.validation import Validation, sample_of
+
+_log = logging.getLogger(__name__)
 
 MEMORY_MARGIN = 0.9
 """Share of the memory that is free which an update may take."""
@@ -108,6 +111,10 @@ def _train(
         batch = updater.spread(sample_of(next(loader)))
         _check_memory(updater.prepare(state, batch), settings)
         validation = Validation(updater, judges)
+        if settings.shading_weight and not any(batch.normal.any() for batch in validation.batches):
+            _log.warning(
+                "no normals in the validation's depth: its loss on shading is 0, and the training's may be"
+            )
         # Only now: a run that was refused blocks no folder.
         log.open(start, environment() | {"data": [_described(source) for source in sources]}, write=leads)
         with tqdm(

@@ -1,4 +1,4 @@
-"""What a training run depends on."""
+"""What a training run depends on. The command line takes its options and their help from here."""
 
 import dataclasses
 import math
@@ -12,33 +12,37 @@ Through = Literal["cascade", "steps"]
 
 @dataclasses.dataclass(frozen=True)
 class TrainSettings:
-    """Settings of `train`; the defaults train on two CPU cores, `PAPER` is the paper's recipe.
+    """The defaults train on two CPU cores; the paper's recipe is `PAPER`.
 
     Attributes:
-        encoder: name in `hyjax.guide.ENCODERS`.
+        encoder: `mobilenetv4_conv_small`, `mobilenetv4_conv_medium`, or another name in `hyjax.guide.ENCODERS`.
         features: channels of the guide.
-        pairs: what to learn from, as `open_pairs` takes it, each drawn from equally often.
-        start: file with weights to start from, of the whole network or of its encoder alone, see `load_weights`;
-            random ones if empty.
-        validation: what to judge by, likewise; the same as `pairs` if empty.
+        pairs: what to learn from, each drawn from equally often: `rooms` (generated, needs no file), `folder:PATH`
+            (your own), or `mosd:`, `diml:`, `nyu:`, `middlebury:`, `capture:PATH`; the README has their options.
+        start: file with weights to start from, of a whole guide or of an encoder alone as timm has it; random ones
+            if empty.
+        validation: what to judge by, likewise; other crops of the same pictures if empty.
         size: side of the square crops in pixels, a multiple of 32.
-        batch: crops an iteration, over all devices.
+        batch: crops an update, over all devices.
         iterations: updates.
         factors: how much coarser the sources are than the crops; one is drawn for each batch.
-        through: `"cascade"` runs the schedule that the pipeline will run, `"steps"` many steps at full size.
-        schedule: preset, of `through="cascade"`.
-        steps_without_gradient: of `through="steps"`: a random number below this comes first.
-        steps_with_gradient: of `through="steps"`.
-        lam: step size of `through="steps"`.
+        through: `cascade` takes the loss after the schedule that the pipeline will run, `steps` after many steps at
+            full size.
+        schedule: preset, of `cascade`.
+        steps_without_gradient: of `steps`: a random number below this comes first.
+        steps_with_gradient: of `steps`: so many follow.
+        lam: step size λ of `steps`.
         adjusted: multiply by the ratio of source to downsampled prediction after every step.
         depth_weight: of the L1 loss on tinted depth, the paper's only loss.
-        shading_weight: of the L1 loss on the shading under random lamps; needs normals.
+        shading_weight: of the L1 loss on the surface under random lamps; needs normals, as `rooms` and fused
+            captures have them.
         border_weight: of the cross-entropy between conductances and true borders.
         learning_rate: of Adam, at the start.
-        decay: factor of the learning rate every `decay_every` iterations.
+        decay: factor by which the learning rate is lowered again and again.
+        decay_every: updates from one lowering to the next.
         clip: largest global norm of the gradient.
-        validate_every: iterations between two validations and two pictures.
-        checkpoint_every: iterations between two checkpoints.
+        validate_every: updates between two validations and two pictures.
+        checkpoint_every: updates between two checkpoints.
         seed: of weights, crops, lamps and step counts.
     """
 

@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +26,7 @@ BATCHES = 8
 SHOWN = 8
 SEED = 1
 """Of crops, lamps and tints: other crops than those trained on even where the pictures are the same."""
-HEADINGS = ("frame", "source", "under the guide", "truth", "conductances")
+HEADINGS = ("frame", "source", "under the frame", "under the guide", "truth", "conductances")
 
 
 class Validation:
@@ -47,10 +48,10 @@ class Validation:
         self._losses = jax.jit(functools.partial(batch_losses, settings=self.settings))
         self.rgb = self._measure(lambda images: jnp.asarray(images), jnp.log(DEFAULT_KAPPA))
 
-    def __call__(self, state: TrainState) -> dict[str, float]:
-        """Losses by name: `loss` is the weighted sum, `rgb` the same of the RGB guide at its usual κ."""
+    def __call__(self, state: TrainState) -> dict[str, Any]:
+        """Losses by name, `loss` their weighted sum; and under `rgb` those of the RGB guide at its usual κ."""
         measured = self._measure(functools.partial(self.updater.features, state), state.weights["log_kappa"])
-        return measured | {"rgb": self.rgb["loss"]}
+        return measured | {"rgb": self.rgb}
 
     def _measure(self, guide_of, log_kappa: Float[Array, ""]) -> dict[str, float]:  # type: ignore[no-untyped-def]
         found: dict[str, list[float]] = {}
@@ -86,12 +87,14 @@ class Validation:
             target, valid = jnp.repeat(relative_depth(sample)[..., None], 3, axis=-1), sample.valid
         sample = sample._replace(valid=valid)
         source, _ = coarsen(target, sample.valid, factor)
+        rgb = _resolved(target, sample, sample.image, jnp.log(DEFAULT_KAPPA), factor, self.settings)
         resolved = _resolved(target, sample, features, log_kappa, factor, self.settings)
         brightest = float(np.percentile(np.asarray(target), 98))
         blocks = np.asarray(source).repeat(factor, axis=0).repeat(factor, axis=1)
         open_ = least(conductance(features, jnp.exp(log_kappa)))[..., None].repeat(3, axis=-1)
         shown = [
-            np.asarray(x) / brightest for x in (blocks, resolved, jnp.where(sample.valid[..., None], target, 0))
+            np.asarray(x) / brightest
+            for x in (blocks, rgb, resolved, jnp.where(sample.valid[..., None], target, 0))
         ]
         return label, [np.asarray(sample.image), *shown, open_]
 
