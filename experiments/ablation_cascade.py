@@ -30,7 +30,7 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.judging import summarise
-from experiments.paper_bench import ANY, METHODS, Bench, BenchConfig, View, reported, with_kappa
+from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, View, reported, with_kappa
 from experiments.plotting import new_figure
 from experiments.records import Row
 from hyjax import metrics
@@ -50,7 +50,7 @@ SHEET = ("frame", "raw filter", *SCHEDULES, f"{CONVERGED} steps", "accurate surf
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Config(BenchConfig):
+class Config(KappaConfig):
     frames: int = 6
     """How many, spread over those that `paper_table` reports on."""
     repeats: int = 50

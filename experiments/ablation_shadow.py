@@ -35,7 +35,7 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.judging import summarise
-from experiments.paper_bench import METHODS, Bench, BenchConfig, View, reported, with_kappa
+from experiments.paper_bench import METHODS, Bench, KappaConfig, View, reported, with_kappa
 from experiments.plotting import new_figure
 from experiments.records import Row
 from hyjax.contact_sheet import write_contact_sheet
@@ -70,7 +70,7 @@ GAIN = 3.0  # of the sheet's pictures, in linear light
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Config(BenchConfig):
+class Config(KappaConfig):
     frames: int = 6
     """How many, spread over those that `paper_table` reports on."""
 

@@ -42,8 +42,7 @@ from hyjax.diffusion import edge_stopping, guide_distance
 from hyjax.errors import InputError
 from hyjax.guide.choose import RGB, open_guide
 from hyjax.pyramid import max_pool
-from hyjax.stencil import Edges
-from hyjax.training.validation import least
+from hyjax.stencil import Edges, least_around
 
 NAME = "conductances"
 TITLE = "Conductances of an RGB guide and of a learned one"
@@ -159,7 +158,7 @@ def _flat(edges: Sequence[np.ndarray] | Edges) -> np.ndarray:
 
 def levels(distance: Edges, kappa: float, factor: int, shape: tuple[int, int]) -> Float[np.ndarray, "h w 3"]:
     """The conductances of a level as a picture: of each cell, the least on the edges below and to its right."""
-    cells = least(hyjax.min_pool(edge_stopping(distance, kappa), factor))
+    cells = np.asarray(least_around(hyjax.min_pool(edge_stopping(distance, kappa), factor)))
     cells = cells.repeat(factor, axis=0).repeat(factor, axis=1)
     return np.repeat(cells[: shape[0], : shape[1], None], 3, axis=-1)
 

@@ -5,13 +5,13 @@
 It is the third benchmark of `paper_table`, relighting fidelity, with κ chosen for each guide and mode on tuning
 frames, as in `kappa_sweep`; the last quarter of the capture is held out. *None* lets light flow everywhere; *the
 surface* has the normals and the logarithm of the depth of the accurate surface for features, so its borders are
-those of what the relit frame is judged by: no network can be expected to do better. What lies between the two is
-what guides are about.
+those of what the relit frame is judged by: a network can hardly be expected to do better. What lies between the two
+is what guides are about.
 
 Takes two minutes on two cores, once the capture's surfaces are made.
 
 Expect: no guide worth more than the surface, and the distance from the RGB guide to it smaller than that from none
-to the RGB guide: what is left is lost by the cascade, which starts from cell means, and not for want of borders."""
+to the RGB guide: what is left is lost by the rough surface and by the cascade, not for want of borders."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ from hyjax.schedule import Schedule
 NAME = "guide_worth"
 TITLE = "What a guide is worth"
 LIGHTS = "two-colors"
-KAPPAS = (0.00125, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+KAPPAS = (0.00125, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 NONE, SURFACE = "none", "the surface"
 NORMALS = 0.1
 """Of the surface's features, beside the logarithm of depth: a right angle counts as 14 % of depth."""

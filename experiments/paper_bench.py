@@ -234,10 +234,6 @@ class BenchConfig:
     """The accurate surface: true, laser, fused or a mesh file. Default: the first of these that there is."""
     guide: str = "rgb"
     """What guides the diffusion, see `hyjax relight --guide`."""
-    kappa: float = DEFAULT_KAPPA
-    """κ of our mode, for this guide (`kappa_sweep` finds it)."""
-    paper_kappa: float = PAPER_KAPPA
-    """κ of the paper's mode."""
     size: int = 512
     """Pixels a side."""
     seed: int = 1
@@ -253,8 +249,29 @@ class BenchConfig:
 
     def bench(self, capture: Capture, schedule: Schedule, renderer: Renderer = "hyjax") -> Bench:
         """Both surfaces of the capture."""
-        guide, kappa = open_guide(self.guide), {"paper": self.paper_kappa, "hyjax": self.kappa}
-        return Bench(capture, schedule, self.mesh, self.reference, self.size, self.seed, renderer, guide, kappa)
+        guide = open_guide(self.guide)
+        return Bench(
+            capture, schedule, self.mesh, self.reference, self.size, self.seed, renderer, guide, self.kappas
+        )
+
+    @property
+    def kappas(self) -> Mapping[Mode, float]:
+        """Mode → κ."""
+        return KAPPA
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class KappaConfig(BenchConfig):
+    """With a κ for each mode."""
+
+    kappa: float = DEFAULT_KAPPA
+    """κ of our mode, for this guide (`guide_worth` finds it)."""
+    paper_kappa: float = PAPER_KAPPA
+    """κ of the paper's mode."""
+
+    @property
+    def kappas(self) -> Mapping[Mode, float]:
+        return {"paper": self.paper_kappa, "hyjax": self.kappa}
 
 
 def reported(capture: Capture, frames: str | None = None) -> list[int]:

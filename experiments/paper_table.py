@@ -41,7 +41,7 @@ from tqdm import tqdm
 from experiments.blocks import Block, Picture, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.judging import METRICS, REGIONS, Summary, pick, summarise
-from experiments.paper_bench import BENCHMARKS, METHODS, OWN_GROUP, SHEET, BenchConfig, reported
+from experiments.paper_bench import BENCHMARKS, METHODS, OWN_GROUP, SHEET, KappaConfig, reported
 from experiments.plotting import new_figure
 from experiments.records import Row
 from hyjax.contact_sheet import write_contact_sheet
@@ -66,7 +66,7 @@ SHEET_ROWS = 6
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Config(BenchConfig):
+class Config(KappaConfig):
     schedule: str = "paper-80"
     frames: str | None = None
     """Which, see `hyjax relight --frames`. Default: the last quarter of a capture, all of the built-in room."""

@@ -27,6 +27,7 @@ from experiments.command import run
 from experiments.judging import summarise
 from experiments.plotting import new_figure
 from experiments.records import FILE, Results, Row, of_kind, read_rows
+from hyjax.data.open_pairs import open_pairs
 from hyjax.training.run import train
 from hyjax.training.settings import Through, TrainSettings
 from hyjax.tuning.latency import StageClock
@@ -74,6 +75,9 @@ def main(config: Config) -> None:
         seed=config.seed,
     ).check()
     results = Results(config.out, NAME, config)
+    for pairs in map(open_pairs, config.pairs):
+        for number in range(min(len(pairs), config.updates * config.batch)):
+            pairs[number]  # so that neither run is the one that renders them
     files = []
     for through in THROUGH:
         folder, clock = config.out / "runs" / through, StageClock()
@@ -97,7 +101,8 @@ def main(config: Config) -> None:
     )
     depth_sr.main(judged)
     for row in of_kind(read_rows(judged.out / FILE), "score"):
-        results.add(kind="score", **{key: row[key] for key in ("pair", "tile", "factor", "method", "mse")})
+        pair = f"{row['pairs']} {row['pair']}"  # names are those of one source
+        results.add(kind="score", pair=pair, **{key: row[key] for key in ("tile", "factor", "method", "mse")})
     write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 

@@ -146,14 +146,18 @@ class Info:
     """Print versions, devices and what optional parts are installed."""
 
 
-Command = (
-    Annotated[Relight, tyro.conf.subcommand("relight")]
-    | Annotated[Tune, tyro.conf.subcommand("tune")]
-    | Annotated[
-        Train, tyro.conf.subcommand("train", default=Train(PAPER if "--paper" in sys.argv else TrainSettings()))
-    ]
-    | Annotated[Info, tyro.conf.subcommand("info")]
-)
+def parse() -> Relight | Tune | Train | Info:
+    """The command line. Exits with status 2 if it is none."""
+    recipe = (
+        PAPER if "--paper" in sys.argv else TrainSettings()
+    )  # defaults, and what the help of `train` says they are
+    commands = (
+        Annotated[Relight, tyro.conf.subcommand("relight")]
+        | Annotated[Tune, tyro.conf.subcommand("tune")]
+        | Annotated[Train, tyro.conf.subcommand("train", default=Train(recipe))]
+        | Annotated[Info, tyro.conf.subcommand("info")]
+    )
+    return tyro.cli(commands, prog="hyjax", description="Relight camera frames of real rooms.")
 
 
 def main() -> None:
@@ -163,9 +167,9 @@ def main() -> None:
     if sys.argv[1:] == ["--version"]:
         print(f"hyjax {metadata.version('hyjax')}")
         return
-    command = tyro.cli(Command, prog="hyjax", description="Relight camera frames of real rooms.")
     keep_interrupts()
     try:
+        command = parse()
         if isinstance(command, Relight):
             run_relight(command)
         elif isinstance(command, Tune):
@@ -329,7 +333,8 @@ def run_train(command: Train) -> None:
     try:
         last = train(settings, command.out, resume=command.resume, command=called, progress=not command.quiet)
     except KeyboardInterrupt:
-        print("hyjax: --resume goes on from the last checkpoint", file=sys.stderr)
+        if (command.out / "checkpoints").is_dir():
+            print("hyjax: --resume goes on from the last checkpoint", file=sys.stderr)
         raise
     print(f"{'validation':16}{'guide':>10}{'RGB guide':>12}")
     for name, value in last["rgb"].items():

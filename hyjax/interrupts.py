@@ -1,8 +1,10 @@
 """Ctrl-C that is not lost."""
 
 import _thread
+import functools
 import sys
 import threading
+from collections.abc import Callable
 from typing import Any
 
 DELAY = 0.05
@@ -14,11 +16,13 @@ def keep_interrupts() -> None:
 
     Python drops whatever is raised in a callback that C calls, such as JAX's after each garbage collection, and the
     program would go on as if nobody had pressed anything."""
-    sys.unraisablehook = _raise_again
+    before = sys.unraisablehook
+    if not (isinstance(before, functools.partial) and before.func is _raise_again):
+        sys.unraisablehook = functools.partial(_raise_again, before)
 
 
-def _raise_again(unraisable: Any) -> None:
+def _raise_again(before: Callable[[Any], Any], unraisable: Any) -> None:
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         threading.Timer(DELAY, _thread.interrupt_main).start()
     else:
-        sys.__unraisablehook__(unraisable)
+        before(unraisable)

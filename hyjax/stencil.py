@@ -26,3 +26,11 @@ def divergence(flux: Edges) -> Float[Array, "*c h w"]:
         + jnp.pad(horizontal, [*columns, (0, 1)])
         - jnp.pad(horizontal, [*columns, (1, 0)])
     )
+
+
+def least_around(edges: Edges) -> Float[Array, "*c h w"]:
+    """Of each pixel, the lesser value of the edges below and to its right, at most 1: edges as a picture."""
+    vertical, horizontal = edges
+    rows, columns = [(0, 0)] * (vertical.ndim - 2), [(0, 0)] * (horizontal.ndim - 1)
+    down = jnp.pad(vertical, [*rows, (0, 1), (0, 0)], constant_values=1.0)
+    return jnp.minimum(down, jnp.pad(horizontal, [*columns, (0, 1)], constant_values=1.0))

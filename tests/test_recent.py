@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from hyjax.data.recent import Recent
+from hyjax.recent import Recent
 
 
 def test_one_number_is_made_once_and_others_at_the_same_time() -> None:
@@ -29,6 +29,28 @@ def test_the_oldest_is_forgotten() -> None:
     for number in (0, 1, 0, 2, 0, 1):
         assert recent(number) == number
     assert made == [0, 1, 2, 1]
+
+
+def test_what_is_being_made_is_not_forgotten() -> None:
+    made: list[int] = []
+    begun, go_on = threading.Event(), threading.Event()
+
+    def make(number: int) -> int:
+        made.append(number)
+        if number == 0:
+            begun.set()
+            assert go_on.wait(30)
+        return number
+
+    recent = Recent(make, 1)
+    with ThreadPoolExecutor(2) as threads:
+        first = threads.submit(recent, 0)
+        assert begun.wait(30)
+        assert recent(1) == 1
+        second = threads.submit(recent, 0)
+        go_on.set()
+        assert first.result() == second.result() == 0
+    assert made == [0, 1]
 
 
 def test_a_failure_is_told_and_not_remembered() -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ import pytest
 from flax import nnx
 from jax.experimental.compilation_cache import compilation_cache
 
+from hyjax.cli import Train, main, parse
 from hyjax.data.pair_loader import Batch
 from hyjax.errors import InputError
 from hyjax.guide import ENCODERS, load_guide
@@ -25,10 +27,10 @@ from hyjax.images import read_image, write_png
 from hyjax.training.checkpoints import Checkpoints
 from hyjax.training.objective import batch_losses, border_loss, schedule_of, total
 from hyjax.training.run import train
-from hyjax.training.settings import TrainSettings
+from hyjax.training.settings import PAPER, TrainSettings
 from hyjax.training.state import Updater
 from hyjax.training.targets import Sample
-from hyjax.training.validation import sample_of
+from hyjax.training.validation import Validation, sample_of
 
 SIZE = 32
 SETTINGS = TrainSettings(
@@ -226,26 +228,75 @@ def test_training_lowers_the_loss_and_leaves_a_guide(folder: Path, tmp_path: Pat
     assert guide.features(frame).shape == (*frame.shape[:2], settings.features)
 
 
+@pytest.mark.parametrize("sound", [2, 3])  # right after a checkpoint, and later
 def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_the_last_good_state(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sound: int, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     count = itertools.count()
 
     def poisoned(batch: Batch) -> Sample:
         sample = sample_of(batch)
-        return sample._replace(image=sample.image * jnp.nan) if next(count) == 3 else sample
+        return sample._replace(image=sample.image * jnp.nan) if next(count) == sound else sample
 
     monkeypatch.setattr("hyjax.training.run.sample_of", poisoned)
     with pytest.raises(
-        InputError, match=r"loss became nan at iteration 4, .* go on with --start, a lower --learning"
+        InputError, match=rf"loss became nan at iteration {sound + 1}, .* go on with --start, a lower --learning"
     ):
         train(settings_for(folder), tmp_path, progress=False)
-    assert [line["iteration"] for line in log_of(tmp_path) if "loss" in line] == [1, 2, 3]
+    assert [line["iteration"] for line in log_of(tmp_path) if "loss" in line] == [*range(1, sound + 1)]
     checkpoints = Checkpoints(tmp_path / "checkpoints")
     state, _ = checkpoints.restore(Updater(settings_for(folder)).initial())
-    assert int(state.iteration) == 3 == checkpoints.latest()
+    assert int(state.iteration) == sound == checkpoints.latest()
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state))
     load_guide(tmp_path / "last.safetensors")
+
+
+def test_a_run_killed_in_its_last_validation_can_be_finished(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = settings_for(folder, iterations=2, validate_every=2, checkpoint_every=1)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Validation, "__call__", Mock(side_effect=KeyboardInterrupt))
+        train(settings, tmp_path, progress=False)
+    assert not (tmp_path / "guide.safetensors").exists()
+    train(settings, tmp_path, resume=True, progress=False)
+    load_guide(tmp_path / "guide.safetensors")
+    assert [line["iteration"] for line in log_of(tmp_path)] == [1, 2, 2]
+
+
+def test_the_command_trains_and_compares_with_the_rgb_guide(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    given = [
+        "--pairs",
+        f"folder:{folder}",
+        "--encoder",
+        "toy",
+        "--features",
+        "4",
+        "--size",
+        str(SIZE),
+        "--batch",
+        "2",
+    ]
+    given += ["--iterations", "1", "--factors", "8", "--schedule", "naive-50", "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", ["hyjax", "train", "--quiet", *given])
+    main()
+    told = capsys.readouterr().out.splitlines()
+    assert told[0].split() == ["validation", "guide", "RGB", "guide"]
+    assert [line.split()[0] for line in told[1:3]] == ["loss", "border"]
+    assert told[-1].endswith(f"relight with --guide {tmp_path / 'out' / 'guide.safetensors'}")
+
+
+def test_the_papers_recipe_is_only_a_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    for given, expected in (
+        ([], TrainSettings()),
+        (["--paper"], PAPER),
+        (["--paper", "--size", "64"], dataclasses.replace(PAPER, size=64)),
+    ):
+        monkeypatch.setattr(sys, "argv", ["hyjax", "train", *given])
+        command = parse()
+        assert isinstance(command, Train) and command.settings == expected
 
 
 def test_too_little_memory_names_what_to_lower(
@@ -339,8 +390,12 @@ t.train(settings, Path({str(tmp_path)!r}), resume={resume}, progress=False)
             )
             for k in range(2)
         ]
-        for host in hosts:
-            _, errors = host.communicate(timeout=300)
-            assert host.returncode == 0, errors
+        try:
+            for host in hosts:
+                _, errors = host.communicate(timeout=300)
+                assert host.returncode == 0, errors
+        finally:
+            for host in hosts:
+                host.kill()
     assert_same_run(log_of(tmp_path), alone)
     load_guide(tmp_path / "guide.safetensors")

@@ -62,9 +62,15 @@ def test_a_folder_with_a_run_is_not_overwritten(tmp_path: Path) -> None:
 
 def test_resuming_with_other_settings_names_the_first_that_differs(tmp_path: Path) -> None:
     run_of(tmp_path, 3)
-    with pytest.raises(InputError, match="batch 4 and this one has 8"):
-        Log(tmp_path, dataclasses.replace(SETTINGS, batch=8), resume=True)
-    Log(tmp_path, dataclasses.replace(SETTINGS, iterations=20), resume=True)  # longer is no other run
+    for change, message in (
+        ({"batch": 8}, "that run had --batch 4 and this one has --batch 8"),
+        ({"adjusted": False}, "that run had --adjusted and this one has --no-adjusted"),
+        ({"validation": ("rooms", "b")}, "that run had no --validation and this one has --validation rooms b"),
+        ({"validate_every": 7}, "--validate-every 7"),  # it decides which weights are the best so far
+    ):
+        with pytest.raises(InputError, match=message):
+            Log(tmp_path, dataclasses.replace(SETTINGS, **change), resume=True)
+    Log(tmp_path, dataclasses.replace(SETTINGS, iterations=20, checkpoint_every=7), resume=True)
 
 
 def test_what_came_after_the_checkpoint_is_forgotten(tmp_path: Path) -> None:

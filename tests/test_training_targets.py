@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from hyjax.training.targets import (
     AMBIENT,
-    FIELD,
     REACH,
     TINT,
     Sample,
@@ -125,9 +124,17 @@ def test_without_normals_borders_are_known_at_jumps_and_where_depth_goes_straigh
     np.testing.assert_array_equal(np.flatnonzero(np.asarray(known_v).all(axis=1)), range(REACH, H - 1 - REACH))
 
 
-@pytest.mark.parametrize("degrees, is_known", [(3.0, True), (40.0, False)])
-def test_without_normals_depth_may_turn_where_it_bends(degrees: float, is_known: bool) -> None:
-    tilt = np.tan(np.deg2rad(degrees / 2)) / FIELD  # change of depth a pixel, in multiples of depth
+@pytest.mark.parametrize("step, is_known", [(0.002, True), (0.01, False), (0.02, False), (0.028, False)])
+def test_without_normals_a_small_step_is_no_border_for_sure_nor_none(step: float, is_known: bool) -> None:
+    depth = np.where(np.arange(W) < W // 2, 1.0, 1.0 + step) * np.ones((H, 1))
+    (_, horizontal), (_, known) = borders(flat(depth, normal=np.zeros((H, W, 3))))
+    assert not np.asarray(horizontal).any()
+    assert np.asarray(known)[:, W // 2 - 1].all() == is_known == np.asarray(known)[:, W // 2 - 1].any()
+
+
+@pytest.mark.parametrize("degrees, focal, is_known", [(3.0, 450, True), (20.0, 585, False), (40.0, 450, False)])
+def test_without_normals_depth_may_turn_where_it_bends(degrees: float, focal: float, is_known: bool) -> None:
+    tilt = np.tan(np.deg2rad(degrees / 2)) / focal  # change of depth a pixel, in multiples of depth
     roof = 2.0 * (1.0 + tilt * np.abs(np.arange(W) - W / 2 + 0.5)) * np.ones((H, 1))
     (_, horizontal), (_, known) = borders(flat(roof, normal=np.zeros((H, W, 3))))
     assert not np.asarray(horizontal).any()

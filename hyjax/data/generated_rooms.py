@@ -9,9 +9,9 @@ from jaxtyping import Int8, UInt8, UInt16
 
 from hyjax.cache import cache_folder
 from hyjax.data.depth_pairs import DepthPair, Unit, digest
-from hyjax.data.recent import Recent
 from hyjax.errors import InputError
 from hyjax.files import whole
+from hyjax.recent import Recent
 from hyjax.scene.random_room import LitRoom, Shot, make_random_room, photograph
 
 VERSION = 4

@@ -81,11 +81,8 @@ def matched(*kinds: dict[str, Path]) -> dict[str, Files]:
         here = [kind[name] for kind in kinds if name in kind]
         for kind in kinds:
             if name not in kind:
-                example = next(((n, file) for n, file in kind.items()), None)
-                if example is None:
-                    wanted = "and none of the files here has"
-                else:
-                    other, file = example
+                wanted = "and nothing here is named as partners are"
+                for other, file in kind.items():
                     wanted = f"{file.with_name(file.name.replace(other, name, 1))} is not there"
                 raise InputError(f"{here[0]}: has no partner, {wanted}; add it or remove this file")
     return {name: tuple(kind[name] for kind in kinds) for name in names}

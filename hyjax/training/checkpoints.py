@@ -43,7 +43,9 @@ class Checkpoints:
         return self._manager.latest_step() if self.folder.is_dir() else None
 
     def save(self, state: TrainState, position: Any) -> None:
-        """Write a checkpoint of a state and the position in the stream of crops (JSON's types)."""
+        """Write a checkpoint, if there is none: a state and the position in the stream of crops (JSON's types)."""
+        if self.latest() == int(state.iteration):
+            return
         items = ocp.args.Composite(state=ocp.args.StandardSave(state), position=ocp.args.JsonSave(position))
         try:
             self._manager.save(int(state.iteration), args=items, force=True)

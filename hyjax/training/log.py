@@ -9,7 +9,7 @@ from hyjax.files import write_text
 from hyjax.training.settings import TrainSettings
 
 NAME = "log.jsonl"
-GROWING = ("iterations", "validate_every", "checkpoint_every")
+GROWING = ("iterations", "checkpoint_every")
 """Settings that a resumed run may change."""
 
 
@@ -39,10 +39,9 @@ class Log:
         for name in sorted(before.keys() | self._record.keys()):
             old, new = before.get(name), self._record.get(name)
             if old != new and name not in GROWING:
-                option = f"--{name.replace('_', '-')}"
                 raise InputError(
-                    f"{folder}: cannot resume, that run had {option} {told(old)} and this one has {told(new)}; "
-                    "give the same options again, or choose another --out"
+                    f"{folder}: cannot resume, that run had {_option(name, old)} and this one has "
+                    f"{_option(name, new)}; give the same options again, or choose another --out"
                 )
         self.lines = _read_lines(self.path)
 
@@ -81,9 +80,14 @@ class Log:
         return bool(losses) and losses[-1] == min(losses)
 
 
-def told(value: Any) -> str:
+def _option(name: str, value: Any) -> str:
     """A setting as the command line has it."""
-    return " ".join(map(str, value)) if isinstance(value, list) else repr(value)
+    option = name.replace("_", "-")
+    if isinstance(value, bool):
+        return f"--{option}" if value else f"--no-{option}"
+    if value in ("", [], None):
+        return f"no --{option}"
+    return f"--{option} {' '.join(map(str, value)) if isinstance(value, list) else value}"
 
 
 def _read_json(path: Path) -> dict[str, Any]:

@@ -137,15 +137,16 @@ def _train(
                 log.add(iteration=done, **_numbers(told))
                 bar.update()
                 bar.set_postfix_str(f"loss {float(told.loss):.3f}")
-                if ends or done % settings.checkpoint_every == 0:
-                    checkpoints.save(state, position)
                 if ends or done % settings.validate_every == 0:
                     log.add(iteration=done, validation=validation(state))
+                    validation.draw(state, out / "validation" / f"{done:06d}.png" if leads else None)
                     if leads:
-                        validation.draw(state, out / "validation" / f"{done:06d}.png")
                         draw_curve(out / "curve.png", log.lines)
                         for name in ("last", "guide") if log.last_is_best() else ("last",):
                             _export(updater, state, out / f"{name}.safetensors", settings, command)
+                # Last: a run killed before this does all of the above again.
+                if ends or done % settings.checkpoint_every == 0:
+                    checkpoints.save(state, position)
     except jax.errors.JaxRuntimeError as error:
         line = [*str(error).splitlines(), type(error).__name__][0]
         raise InputError(

@@ -1,4 +1,6 @@
-"""What a training run depends on. The command line takes its options and their help from here."""
+"""What a training run depends on. The command line takes its options and their help from here.
+
+The defaults train on two CPU cores; `PAPER` is the paper's recipe."""
 
 import dataclasses
 import math
@@ -12,16 +14,16 @@ Through = Literal["cascade", "steps"]
 
 @dataclasses.dataclass(frozen=True)
 class TrainSettings:
-    """The defaults train on two CPU cores; the paper's recipe is `PAPER`.
+    """What is learned, from what, and how.
 
     Attributes:
-        encoder: `mobilenetv4_conv_small`, `mobilenetv4_conv_medium`, or another name in `hyjax.guide.ENCODERS`.
+        encoder: `mobilenetv4_conv_small`, `mobilenetv4_conv_medium`, or one that is registered as they are.
         features: channels of the guide.
         pairs: what to learn from, each drawn from equally often: `rooms` (generated, needs no file), `folder:PATH`
             (your own), or `mosd:`, `diml:`, `nyu:`, `middlebury:`, `capture:PATH`; the README has their options.
         start: file with weights to start from, of a whole guide or of an encoder alone as timm has it; random ones
             if empty.
-        validation: what to judge by, likewise; other crops of the same pictures if empty.
+        validation: what to judge by, named as pairs are; other crops of the same pictures if empty.
         size: side of the square crops in pixels, a multiple of 32.
         batch: crops an update, over all devices.
         iterations: updates.

@@ -16,7 +16,7 @@ from hyjax.data.pair_loader import Batch, PairLoader
 from hyjax.diffusion import conductance
 from hyjax.files import make_writable
 from hyjax.schedule import DEFAULT_KAPPA
-from hyjax.stencil import Edges
+from hyjax.stencil import least_around
 from hyjax.superresolution import coarsen
 from hyjax.training.objective import batch_losses, resolve, total
 from hyjax.training.state import TrainState, Updater
@@ -65,8 +65,11 @@ class Validation:
                     found.setdefault(f"{name} x{factor}", []).append(float(getattr(losses, name)))
         return {name: float(np.mean(values)) for name, values in found.items()}
 
-    def draw(self, state: TrainState, path: Path) -> None:
-        """Write a sheet of crops super-resolved by the largest factor."""
+    def draw(self, state: TrainState, path: Path | None) -> None:
+        """Write a sheet of crops super-resolved by the largest factor.
+
+        All hosts take part in computing it; all but one give None for the path.
+        """
         rows: list[tuple[str, list[np.ndarray]]] = []
         for batch in self.batches:
             features = self.updater.features(state, batch.image)
@@ -75,8 +78,9 @@ class Validation:
                 rows.append(self._row(f"crop {len(rows)}", sample, features[i], state.weights["log_kappa"]))
             if len(rows) >= SHOWN:
                 break
-        make_writable(path.parent)
-        write_contact_sheet(path, rows, HEADINGS)
+        if path is not None:
+            make_writable(path.parent)
+            write_contact_sheet(path, rows, HEADINGS)
 
     def _row(
         self, label: str, sample: Sample, features: Float[Array, "h w f"], log_kappa: Float[Array, ""]
@@ -91,7 +95,7 @@ class Validation:
         resolved = _resolved(target, sample, features, log_kappa, factor, self.settings)
         brightest = float(np.percentile(np.asarray(target), 98))
         blocks = np.asarray(source).repeat(factor, axis=0).repeat(factor, axis=1)
-        open_ = least(conductance(features, jnp.exp(log_kappa)))[..., None].repeat(3, axis=-1)
+        open_ = np.asarray(least_around(conductance(features, jnp.exp(log_kappa))))[..., None].repeat(3, axis=-1)
         shown = [
             np.asarray(x) / brightest
             for x in (blocks, rgb, resolved, jnp.where(sample.valid[..., None], target, 0))
@@ -103,13 +107,6 @@ class Validation:
 def _resolved(target, sample, features, log_kappa, factor, settings):  # type: ignore[no-untyped-def]
     uncounted = jnp.asarray(settings.steps_without_gradient // 2)
     return resolve(target, sample.valid, features, log_kappa, factor, uncounted, settings)
-
-
-def least(edges: Edges) -> Float[np.ndarray, "h w"]:
-    """Of each pixel, the lesser conductance of the edges to the pixels below and to its right."""
-    down = np.pad(np.asarray(edges[0]), ((0, 1), (0, 0)), constant_values=1.0)
-    right = np.pad(np.asarray(edges[1]), ((0, 0), (0, 1)), constant_values=1.0)
-    return np.minimum(down, right)
 
 
 def sample_of(batch: Batch) -> Sample:

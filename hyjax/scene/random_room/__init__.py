@@ -1,10 +1,10 @@
 """Random furnished rooms and photographs of them, for training: image, exact depth and exact normals."""
 
 import dataclasses
-import functools
 
 import numpy as np
 
+from hyjax.recent import Recent
 from hyjax.scene.random_room.bank import Bank, painted
 from hyjax.scene.random_room.layout import RandomRoom, furnish
 from hyjax.scene.random_room.light import Lighting, draw_lighting
@@ -54,12 +54,14 @@ def _make(key: tuple[int, ...], patterns: Bank) -> LitRoom:
     return LitRoom(key, room, RayCaster(room.furnished.mesh), lighting)
 
 
-@functools.lru_cache(maxsize=2)
-def _bank(seed: int) -> Bank:
-    """The bank of patterns for a seed, which is drawn in seconds and kept for the life of the process."""
+def _draw_bank(seed: int) -> Bank:
+    """The bank of patterns for a seed, which takes seconds."""
     images = painted(seed)
     plain = Bank(images)
     rooms = [_make((seed, number, 3), plain) for number in range(ALBUM[0])]
     shots = [photograph(room, view, ALBUM_SIZE) for room in rooms for view in range(ALBUM[1])]
     images[PHOTOGRAPHS] = [shot.image**2.2 for shot in shots]
     return Bank(images)
+
+
+_bank = Recent(_draw_bank, 2)

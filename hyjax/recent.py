@@ -31,11 +31,12 @@ class Recent(Generic[T]):
             if future is None:
                 future = self._made[number] = Future()
             self._made.move_to_end(number)
-            while len(self._made) > self._kept:
-                self._made.popitem(last=False)
+            old = [key for key, made in self._made.items() if made.done()]
+            for key in old[: max(0, len(self._made) - self._kept)]:
+                del self._made[key]
         if mine:
             try:
-                future.set_result(self._make(number))
+                future.set_result(self._make(number))  # outside the lock
             except BaseException as error:
                 with self._lock:
                     if self._made.get(number) is future:
