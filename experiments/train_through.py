@@ -7,7 +7,7 @@ and shading; neither is told where borders are. One learns through `paper-50`, t
 full-size steps without gradient and some more with it. Both are then judged on rooms that neither has seen as
 `depth_sr` judges guides: with full-size steps and through the cascade, the RGB guide beside them.
 
-Takes a quarter of an hour on two cores, besides the rooms. After so few updates of so small crops neither is a good
+Takes about ten minutes on two cores, besides the rooms. After so few updates of so small crops neither is a good
 guide: what is compared is how far each has come, in how much time.
 
 Expect: little between the two after so few updates, and neither ahead of the RGB guide yet."""
