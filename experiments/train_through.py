@@ -50,6 +50,8 @@ class Config:
     features: int = 8
     size: int = 128
     """Of crops and of reported tiles, in pixels a side."""
+    factors: tuple[int, ...] = (8, 16)
+    """How much coarser sources are, trained with and judged with."""
     steps: int = 500
     """At full size: at most so many without gradient, and so many where guides are judged."""
     steps_with_gradient: int = 64
@@ -65,7 +67,7 @@ def main(config: Config) -> None:
         size=config.size,
         batch=config.batch,
         iterations=config.updates,
-        factors=(8, 16),
+        factors=config.factors,
         steps_without_gradient=config.steps,
         steps_with_gradient=config.steps_with_gradient,
         border_weight=0.0,
@@ -93,7 +95,7 @@ def main(config: Config) -> None:
         pairs=config.reported,
         tuning=config.tuning,
         guides=("rgb", *map(str, files)),
-        factors=(4, 8, 16),
+        factors=config.factors,
         steps=config.steps,
         tile=config.size,
         peers=False,

@@ -2,6 +2,7 @@
 
 import _thread
 import functools
+import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -23,6 +24,13 @@ def keep_interrupts() -> None:
 
 def _raise_again(before: Callable[[Any], Any], unraisable: Any) -> None:
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
-        threading.Timer(DELAY, _thread.interrupt_main).start()
+        threading.Timer(DELAY, _interrupt).start()
     else:
         before(unraisable)
+
+
+def _interrupt() -> None:
+    if hasattr(signal, "pthread_kill"):  # a real signal also ends what sleeps or waits
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)  # type: ignore[arg-type]
+    else:
+        _thread.interrupt_main()

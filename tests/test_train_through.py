@@ -16,7 +16,17 @@ from hyjax.guide import ENCODERS
 def test_both_ways_are_trained_and_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(ENCODERS, "toy", ToyEncoder)
     specs = [(f"folder:{write_pairs(tmp_path / name, 2, seed)}",) for seed, name in enumerate("abc")]
-    config = Config(*specs, encoder="toy", updates=20, batch=2, features=2, size=32, steps=20, out=tmp_path / "out")
+    config = Config(
+        *specs,
+        encoder="toy",
+        updates=20,
+        batch=2,
+        features=2,
+        size=32,
+        factors=(8,),
+        steps=20,
+        out=tmp_path / "out",
+    )
     main(config)
     rows = read_rows(config.out / FILE)
     runs = of_kind(rows, "run")

@@ -348,25 +348,6 @@ def assert_same_run(log: list[dict], expected: list[dict]) -> None:
 
 
 @pytest.mark.slow
-def test_two_devices_make_the_same_update(folder: Path, tmp_path: Path, alone: list[dict]) -> None:
-    code = f"""
-import sys
-sys.path.insert(0, {str(Path(__file__).parent)!r})
-from hyjax.guide import ENCODERS, load_guide
-from pathlib import Path
-import test_training as t
-import jax
-assert jax.device_count() == 2
-ENCODERS["toy"] = t.ToyEncoder
-settings = t.settings_for(Path({str(folder)!r}), iterations=3, validate_every=1)
-t.train(settings, Path({str(tmp_path)!r}), progress=False)
-"""
-    done = run_python(code, count=2)
-    assert done.returncode == 0, done.stderr
-    assert_same_run(log_of(tmp_path), alone)
-
-
-@pytest.mark.slow
 def test_two_hosts_make_the_same_updates_and_resume(folder: Path, tmp_path: Path, alone: list[dict]) -> None:
     for iterations, resume in ((2, False), (3, True)):
         with socket.socket() as probe:
@@ -386,7 +367,10 @@ t.train(settings, Path({str(tmp_path)!r}), resume={resume}, progress=False)
 """
         hosts = [
             subprocess.Popen(
-                [sys.executable, "-c", code, str(k)], env=devices(1), stderr=subprocess.PIPE, text=True
+                [sys.executable, "-c", code, str(k)],
+                env=devices(1) | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "compiled")},
+                stderr=subprocess.PIPE,
+                text=True,
             )
             for k in range(2)
         ]
