@@ -6,7 +6,8 @@ import sys
 import pytest
 
 CODE = """
-import gc, time
+import gc, signal, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job is started with it ignored
 from hyjax.interrupts import keep_interrupts
 
 def lose_it(phase, info):
