@@ -18,13 +18,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 from matplotlib.figure import Figure
 
 from experiments.blocks import Block, Plot, Table, write_blocks
 from experiments.command import run
-from experiments.judging import summarise
+from experiments.judging import summarise, tuning_curve
 from experiments.paper_bench import ANY, METHODS, OWN_GROUP, Bench, BenchConfig, View, linear_filter, multiplied
 from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
@@ -36,7 +35,7 @@ from hyjax.schedule import Schedule
 NAME = "guide_worth"
 TITLE = "What a guide is worth"
 LIGHTS = "two-colors"
-KAPPAS = (0.00125, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
+KAPPAS = (0.0001, 0.0003, 0.0006, 0.00125, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 NONE, SURFACE = "none", "the surface"
 NORMALS = 0.1
 """Of the surface's features, beside the logarithm of depth: a right angle counts as 14 % of depth."""
@@ -107,9 +106,7 @@ def best(rows: Sequence[Row], method: str, guide: str) -> float:
 
 def curve(rows: Sequence[Row], method: str, guide: str) -> dict[float, float]:
     """κ → mean PSNR on the tuning frames."""
-    own = [row for row in _of(rows, method, guide) if row["split"] == "tuning"]
-    kappas = dict.fromkeys(row["kappa"] for row in own)
-    return {kappa: float(np.mean([row["psnr"] for row in own if row["kappa"] == kappa])) for kappa in kappas}
+    return tuning_curve(_of(rows, method, guide))
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:

@@ -173,3 +173,10 @@ def summarise(values: Sequence[float | None]) -> Summary | None:
 def pick(row: Mapping[str, Any], *keys: str) -> Any:
     """A value deep in a row; None if any of the keys is missing."""
     return functools.reduce(lambda found, key: None if found is None else found.get(key), keys, row)
+
+
+def tuning_curve(scores: Sequence[Mapping[str, Any]]) -> dict[float, float]:
+    """κ → mean PSNR on the tuning frames."""
+    own = [row for row in scores if row["split"] == "tuning"]
+    kappas = dict.fromkeys(row["kappa"] for row in own)
+    return {kappa: float(np.mean([row["psnr"] for row in own if row["kappa"] == kappa])) for kappa in kappas}

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 
 from experiments.blocks import Block, Plot, Table, write_blocks
 from experiments.command import run
+from experiments.judging import tuning_curve
 from experiments.paper_bench import (
     ANY,
     METHODS,
@@ -101,9 +102,7 @@ def main(config: Config) -> None:
 
 def curve(rows: Sequence[Row], method: str) -> dict[float, float]:
     """Mean PSNR on the tuning frames by κ."""
-    own = [row for row in of_kind(rows, "score") if (row["split"], row["method"]) == ("tuning", method)]
-    kappas = dict.fromkeys(row["kappa"] for row in own)
-    return {kappa: float(np.mean([row["psnr"] for row in own if row["kappa"] == kappa])) for kappa in kappas}
+    return tuning_curve([row for row in of_kind(rows, "score") if row["method"] == method])
 
 
 def best(rows: Sequence[Row], method: str) -> tuple[float, float]:

@@ -28,6 +28,7 @@ from hyjax.tuning.report_markup import Html, join, tag
 
 EXPERIMENTS = (
     "paper_table",
+    "paper_difference",
     "ablation_cascade",
     "ablation_shadow",
     "structure",

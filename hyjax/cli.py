@@ -148,9 +148,8 @@ class Info:
 
 def parse() -> Relight | Tune | Train | Info:
     """The command line. Exits with status 2 if it is none."""
-    recipe = (
-        PAPER if "--paper" in sys.argv else TrainSettings()
-    )  # defaults, and what the help of `train` says they are
+    # The defaults of `train`, and what its help says they are.
+    recipe = PAPER if "--paper" in sys.argv else TrainSettings()
     commands = (
         Annotated[Relight, tyro.conf.subcommand("relight")]
         | Annotated[Tune, tyro.conf.subcommand("tune")]

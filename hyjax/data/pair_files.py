@@ -82,7 +82,8 @@ def matched(*kinds: dict[str, Path]) -> dict[str, Files]:
         for kind in kinds:
             if name not in kind:
                 wanted = "and nothing here is named as partners are"
-                for other, file in kind.items():
+                if kind:
+                    other, file = next(iter(kind.items()))
                     wanted = f"{file.with_name(file.name.replace(other, name, 1))} is not there"
                 raise InputError(f"{here[0]}: has no partner, {wanted}; add it or remove this file")
     return {name: tuple(kind[name] for kind in kinds) for name in names}

@@ -1,0 +1,121 @@
+"""What changes from one run of `paper_table` to another on the same frames, such as under another guide.
+
+    python -m experiments.paper_difference --first results/paper_table/a --second results/paper_table/b
+        [--out results/paper_difference]
+
+Second minus first, frame by frame, so that what frames differ in among themselves does not hide what the two runs
+differ in. Each method multiplies as it is meant to. Takes a second; both runs must be finished or be resumed first.
+
+Expect: small differences with small intervals, where the two tables' own intervals overlap by far."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.blocks import Block, Plot, Table, write_blocks
+from experiments.command import run
+from experiments.judging import pick, summarise
+from experiments.paper_bench import BENCHMARKS, METHODS, OWN_GROUP
+from experiments.plotting import new_figure
+from experiments.records import FILE, Results, Row, is_finished, of_kind, read_rows
+from hyjax.errors import InputError
+
+NAME = "paper_difference"
+TITLE = "One run of the benchmarks against another"
+DIGITS = {"lpips": 4, "psnr": 2, "ssim": 4}
+SAME = ("capture", "size", "seed")
+"""Settings that decide what pictures are judged."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config:
+    first: Path
+    """Folder of a run of `paper_table`."""
+    second: Path
+    """Folder of another."""
+    out: Path = Path("results") / NAME
+
+
+def main(config: Config) -> None:
+    first, second = (judged(folder) for folder in (config.first, config.second))
+    shared = sorted(first.keys() & second.keys())
+    if not shared:
+        raise InputError(
+            f"second: {config.second} has judged no frame that {config.first} has; give runs on the same"
+        )
+    settings = [rows[shared[0]]["settings"] for rows in (first, second)]
+    for name in SAME:
+        ours, theirs = (own[name] for own in settings)
+        if ours != theirs:
+            raise InputError(
+                f"second: {config.second} had {name} {theirs} and {config.first} {ours}; compare runs on the same pictures"
+            )
+    results = Results(config.out, NAME, config)
+    for index in shared:
+        for benchmark in BENCHMARKS:
+            for mode, group in OWN_GROUP.items():
+                for metric in DIGITS:
+                    place = ("scores", benchmark, group, METHODS[mode], "all", metric)
+                    values = {"first": pick(first[index], *place), "second": pick(second[index], *place)}
+                    row = {"index": index, "benchmark": benchmark, "method": METHODS[mode], "metric": metric}
+                    results.add(kind="pair", **row, **values)
+    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
+
+
+def judged(folder: Path) -> dict[int, Row]:
+    """Index → row of the frames that a run has judged.
+
+    Raises:
+        InputError: there is no finished run of `paper_table`.
+    """
+    rows = read_rows(folder / FILE)
+    if not is_finished(rows) or rows[-1]["experiment"] != "paper_table":
+        raise InputError(f"{folder}: holds no finished run of paper_table")
+    return {row["index"]: row for row in rows if row.get("scores")}
+
+
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Table and figure from the rows."""
+    pairs = of_kind(rows, "pair")
+    if not pairs:
+        return ["No two runs have been compared yet."]
+    lines = []
+    for benchmark in BENCHMARKS:
+        for method in METHODS.values():
+            cells = []
+            for metric, digits in DIGITS.items():
+                found = summarise(differences(pairs, benchmark, method, metric))
+                cells.append("–" if found is None else ("+" if found.mean >= 0 else "") + found.text(digits))
+            lines.append([f"{benchmark}, {method}", *cells])
+    settings = pairs[0]["settings"]
+    caption = (
+        f"{settings['second']} minus {settings['first']}: mean over {len({row['index'] for row in pairs})} frames "
+        "± 95 % interval. Of LPIPS less is better, of PSNR and SSIM more."
+    )
+    table = Table(caption, ["benchmark, method", "LPIPS", "PSNR dB", "SSIM"], lines)
+    return [table, Plot(NAME, "Difference in PSNR, frame by frame.", figure(pairs))]
+
+
+def differences(pairs: Sequence[Row], benchmark: str, method: str, metric: str) -> list[float]:
+    """Second minus first of every frame that has both."""
+    own = [r for r in pairs if (r["benchmark"], r["method"], r["metric"]) == (benchmark, method, metric)]
+    return [row["second"] - row["first"] for row in own if None not in (row["first"], row["second"])]
+
+
+def figure(pairs: Sequence[Row]) -> Figure:
+    """A panel for each benchmark, the differences of each method in order."""
+    fig = new_figure(11, 3.5)
+    for axes, benchmark in zip(fig.subplots(1, len(BENCHMARKS)), BENCHMARKS, strict=True):
+        for method in METHODS.values():
+            axes.plot(np.sort(differences(pairs, benchmark, method, "psnr")), label=method)
+        axes.axhline(0.0, color="0.6", lw=0.8)
+        axes.set(title=benchmark, xlabel="frames, in order", ylabel="PSNR, dB more")
+    fig.axes[0].legend()
+    return fig
+
+
+if __name__ == "__main__":
+    run(main, Config)
