@@ -50,9 +50,8 @@ def main(config: Config) -> None:
     for name in SAME:
         ours, theirs = (own[name] for own in settings)
         if ours != theirs:
-            raise InputError(
-                f"second: {config.second} had {name} {theirs} and {config.first} {ours}; compare runs on the same pictures"
-            )
+            told = f"second: {config.second} had {name} {theirs} and {config.first} {ours}"
+            raise InputError(f"{told}; compare runs on the same pictures")
     results = Results(config.out, NAME, config)
     for index in shared:
         for benchmark in BENCHMARKS:
