@@ -10,17 +10,20 @@ import importlib
 from hyjax.cascade import cascade, level_edges
 from hyjax.color import blackbody, luminance, to_display, to_linear
 from hyjax.compositing import composite
+from hyjax.cycles import step_cycle
 from hyjax.diffusion import conductance, diffuse, diffuse_step
 from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
 from hyjax.lights import AmbientLight, Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
 from hyjax.pipeline import Relit, relight, relight_stages
 from hyjax.pyramid import downsample, min_pool, upsample
-from hyjax.refine import cascade_known, fill_visibility, shadow_pass
+from hyjax.refine import cascade_known, shadow_pass
 from hyjax.schedule import Level, Schedule
 from hyjax.shading import colored, shade, shade_each
 from hyjax.shadow import ShadowMap, visibilities, visibility
+from hyjax.solver import solve
 from hyjax.superresolution import super_resolve
+from hyjax.upsampling import guided_upsample
 
 __version__ = "0.1.0"
 
@@ -56,7 +59,7 @@ __all__ = [
     "diffuse",
     "diffuse_step",
     "downsample",
-    "fill_visibility",
+    "guided_upsample",
     "level_edges",
     "luminance",
     "min_pool",
@@ -65,6 +68,8 @@ __all__ = [
     "shade",
     "shade_each",
     "shadow_pass",
+    "solve",
+    "step_cycle",
     "super_resolve",
     "to_display",
     "to_linear",

@@ -9,13 +9,16 @@ from hyjax.errors import InputError
 from hyjax.pyramid import downsample, level_shape, max_pool, upsample
 from hyjax.schedule import Schedule
 from hyjax.stencil import Edges
+from hyjax.upsampling import guided_upsample
 
 
 def cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w c"]:
     """Diffuse coarse to fine under a guide (Eq. 4).
 
-    The picture enters at the coarsest level as cell means and leaves the finest level by bilinear interpolation;
-    each level adds its steps of diffusion with its own pooled conductances.
+    The picture enters at the coarsest level as cell means and leaves the finest level by interpolation; each level
+    adds its steps of diffusion with its own pooled conductances. Beyond the paper, a schedule may hold each level on
+    to its own cell means (`Level.attachment`), which keeps fine detail that coarser levels have lost, and may
+    interpolate under the guide (`Schedule.upsampling`).
 
     Args:
         y: the filter to repair, any number of channels.
@@ -40,14 +43,22 @@ def cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Sc
 
 @jax.jit
 def _cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w c"]:
-    full = y.shape[0], y.shape[1]
-    coarser = schedule.levels[0].factor
+    full, guided = (y.shape[0], y.shape[1]), schedule.upsampling == "guide"
+    coarser, kappa = schedule.levels[0].factor, schedule.levels[0].kappa
     state = downsample(y, coarser)
+
+    def rise(state: Array, factor: int) -> Array:
+        """From the last level that was diffused to a finer one."""
+        if guided:
+            return guided_upsample(state, coarser // factor, downsample(guide, factor), kappa, norm=schedule.norm)
+        return upsample(state, coarser // factor, level_shape(full, factor))
+
     for level, edges in zip(schedule.levels, level_edges(guide, schedule), strict=True):
-        state = upsample(state, coarser // level.factor, level_shape(full, level.factor))
-        state = diffuse(state, edges, level.step_sizes)
-        coarser = level.factor
-    return upsample(state, coarser, full)
+        state = rise(state, level.factor)
+        held = None if level.attachment is None else downsample(y, level.factor)
+        state = diffuse(state, edges, level.step_sizes, attachment=level.attachment, source=held)
+        coarser, kappa = level.factor, level.kappa
+    return rise(state, 1)
 
 
 def level_edges(guide: Float[Array, "h w f"], schedule: Schedule) -> list[Edges]:

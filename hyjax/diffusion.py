@@ -18,8 +18,10 @@ from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, ArrayLike, Float
 
+from hyjax.cycles import stable_cycle
 from hyjax.errors import InputError
 from hyjax.stencil import Edges, divergence, gradient
 from hyjax.values import concrete
@@ -124,6 +126,18 @@ def explicit_step(y: Float[Array, "c h w"], edges: Edges, lam: Float[Array, ""])
     return y + lam * divergence((edges[0] * vertical, edges[1] * horizontal))
 
 
+def attached_step(
+    y: Float[Array, "c h w"],
+    edges: Edges,
+    lam: Float[Array, ""],
+    pull: Float[Array, ""],
+    source: Float[Array, "c h w"],
+) -> Float[Array, "c h w"]:
+    """`explicit_step` with a data term λ α (source − y), which is taken implicitly: stable for any α = `pull`."""
+    held = lam * pull
+    return (explicit_step(y, edges, lam) + held * source) / (1.0 + held)
+
+
 def scan_steps(
     step: Callable[[Array, Array], Array], state: Array, step_sizes: Float[Array, "n"]
 ) -> Float[Array, "c h w"]:
@@ -153,9 +167,20 @@ def channels_first(y: Float[Array, "h w c"], edges: Edges) -> tuple[Float[Array,
 
 
 @jax.jit
-def _diffuse(y: Float[Array, "h w c"], edges: Edges, step_sizes: Float[Array, "n"]) -> Float[Array, "h w c"]:
+def _diffuse(
+    y: Float[Array, "h w c"],
+    edges: Edges,
+    step_sizes: Float[Array, "n"],
+    attachment: Float[Array, ""] | None,
+    source: Float[Array, "h w c"] | None,
+) -> Float[Array, "h w c"]:
     state, edges = channels_first(y, edges)
-    return jnp.moveaxis(scan_steps(lambda x, lam: explicit_step(x, edges, lam), state, step_sizes), 0, -1)
+    if attachment is None:
+        state = scan_steps(lambda x, lam: explicit_step(x, edges, lam), state, step_sizes)
+    else:
+        held = state if source is None else jnp.moveaxis(source, -1, 0)
+        state = scan_steps(lambda x, lam: attached_step(x, edges, lam, attachment, held), state, step_sizes)
+    return jnp.moveaxis(state, 0, -1)
 
 
 def diffuse_step(y: Float[Array, "h w c"], edges: Edges, lam: Float[ArrayLike, ""]) -> Float[Array, "h w c"]:
@@ -172,20 +197,37 @@ def diffuse_step(y: Float[Array, "h w c"], edges: Edges, lam: Float[ArrayLike, "
     return diffuse(y, edges, jnp.reshape(jnp.asarray(lam, y.dtype), (1,)))
 
 
-def diffuse(y: Float[Array, "h w c"], edges: Edges, step_sizes: Float[ArrayLike, "n"]) -> Float[Array, "h w c"]:
+def diffuse(
+    y: Float[Array, "h w c"],
+    edges: Edges,
+    step_sizes: Float[ArrayLike, "n"],
+    *,
+    attachment: Float[ArrayLike, ""] | None = None,
+    source: Float[Array, "h w c"] | None = None,
+) -> Float[Array, "h w c"]:
     """Repeated `diffuse_step`, the operator D of Eq. 4, one step for each entry of `step_sizes`.
+
+    With an attachment α the flow is ∂y/∂t = div(c ∇y) + α (source − y) instead, which comes to rest where
+    (α + L) y = α source, L = −div c ∇: what `hyjax.solve` computes.
 
     Args:
         y: what is diffused, any number of channels.
         edges: conductances from `conductance`.
-        step_sizes: λ of each step, all in (0, 1/4); may be empty.
+        step_sizes: λ of each step, all in (0, 1/4), or a stable cycle (see `hyjax.cycles`); may be empty.
+        attachment: α ≥ 0; None for none.
+        source: what is held on to, shape as `y`; by default `y` itself.
 
     Raises:
-        InputError: a λ outside (0, 1/4), or edges that do not belong to a picture of this size.
+        InputError: step sizes that are not stable, α < 0, or edges that do not belong to a picture of this size.
+
+    Source of the data term: Nordström, *Biased anisotropic diffusion*, 1990.
     """
-    check_step_sizes(step_sizes)
+    check_step_sizes(step_sizes, dtype=y.dtype)
     check_edges(y, edges)
-    return _diffuse(y, edges, jnp.asarray(step_sizes, y.dtype))
+    if attachment is not None:
+        check_attachment(attachment)
+        attachment = jnp.asarray(attachment, y.dtype)
+    return _diffuse(y, edges, jnp.asarray(step_sizes, y.dtype), attachment, source)
 
 
 def check_edges(y: Float[Array, "h w c"], edges: Edges) -> None:
@@ -205,11 +247,30 @@ def check_kappa(kappa: Float[ArrayLike, ""], where: str = "kappa") -> None:
         raise InputError(f"{where}: must be finite and > 0, got {value}")
 
 
-def check_step_sizes(step_sizes: Float[ArrayLike, "n"], where: str = "lam") -> None:
-    """Raise `InputError` unless every λ is in (0, 1/4). Values known only while tracing are let through."""
+def check_attachment(attachment: Float[ArrayLike, ""], where: str = "attachment") -> None:
+    """Raise `InputError` unless α ≥ 0. Values known only while tracing are let through."""
+    value = concrete(attachment)
+    if value is not None and not (value >= 0 and value < float("inf")):
+        raise InputError(f"{where}: must be finite and >= 0, got {value}")
+
+
+def check_step_sizes(step_sizes: Float[ArrayLike, "n"], where: str = "lam", dtype: DTypeLike = jnp.float32) -> None:
+    """Raise `InputError` unless every λ is in (0, 1/4), or all together are a stable cycle in this precision.
+
+    Values known only while tracing are let through.
+    """
     values = concrete(step_sizes)
     if values is None:
         return
     bad = values[~((values > 0) & (values < 0.25))]
-    if bad.size:
-        raise InputError(f"{where}: a step size must lie inside (0, 1/4) to be stable, got {bad.flat[0]:g}")
+    if not bad.size or stable_cycle(values, dtype):
+        return
+    if stable_cycle(values):
+        name = jnp.dtype(dtype).name
+        raise InputError(
+            f"{where}: a cycle of {values.size} steps is too long for {name}; use shorter ones or float32"
+        )
+    raise InputError(
+        f"{where}: a step size must lie inside (0, 1/4) to be stable, or belong to a cycle as step_cycle makes them; "
+        f"got {bad.flat[0]:g}"
+    )

@@ -4,9 +4,14 @@ Order, as in the paper: shade the mesh without shadows, repair the shading by th
 a pass of its own, multiply the two, multiply with the frame. Diffusion is linear and every light has one colour, so
 in our own mode each light is a single channel of both passes: shading and shadow of one light never mix with those
 of another, and a sun that is mostly shadowed leaves no trace in what the sky lights.
+
+Missing surface and missing light are never confused: a hole has no shading and no visibility of its own, and takes
+both on from its surroundings; so does the visibility of a light on surfaces turned away from it, which may in truth
+well be lit or shadowed as their neighbours are.
 """
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, get_args
 
@@ -19,11 +24,12 @@ from hyjax.color import to_display, to_linear
 from hyjax.compositing import composite
 from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
-from hyjax.lights import Light
-from hyjax.refine import cascade_known, fill_visibility, shadow_pass
+from hyjax.lights import AmbientLight, Light
+from hyjax.refine import cascade_known, shadow_pass
 from hyjax.schedule import Schedule
 from hyjax.shading import colored, shade_each
 from hyjax.shadow import ShadowMap, visibilities
+from hyjax.values import concrete
 
 Mode = Literal["hyjax", "paper"]
 
@@ -63,6 +69,7 @@ def relight(
     shadow_maps: Sequence[ShadowMap | None] | None = None,
     shading: Float[Array, "h w l"] | None = None,
     visibility: Float[Array, "h w l"] | None = None,
+    confidence: Float[Array, "h w 1"] | None = None,
     shadow_schedule: Schedule | None = None,
     reference_lux: Float[ArrayLike, ""] = REFERENCE_LUX,
     mode: Mode = "hyjax",
@@ -78,7 +85,9 @@ def relight(
         shadow_maps: one for each light (None: casts no shadow); None for no shadows at all.
         shading: lux that each light throws on the visible surface, rendered elsewhere; default `shade_each`.
         visibility: what shadows leave of each light, in [0, 1], rendered elsewhere, instead of the shadow maps.
-        shadow_schedule: cascade for the visibility; default `Schedule.preset("shadow")`.
+        confidence: how far the shading of each pixel can be trusted, in [0, 1]; default: 1 where the mesh has a
+            surface, 0 in holes, which always have none. Mode `"paper"` trusts everything.
+        shadow_schedule: cascade for the visibility; default the preset `hyjax-shadow`, in mode `"paper"` `shadow`.
         reference_lux: illuminance under which the frame is taken to have been photographed. Light of this strength
             leaves the frame as it is.
         mode: `"hyjax"` multiplies linear light and treats pixels without surface as unknown; `"paper"` clips and
@@ -90,6 +99,10 @@ def relight(
     Raises:
         InputError: sizes differ, no lights, another number of shadow maps or channels than lights, both shadow maps
             and visibility, unknown mode, or a schedule that cannot be run.
+
+    Warns:
+        UserWarning: nothing of the frame is known. The relit frame is then what the ambient lights make of it; the
+            frame itself if there are none (in mode `"paper"`: black).
     """
     *_, (_, relit) = relight_stages(
         frame,
@@ -100,6 +113,7 @@ def relight(
         shadow_maps=shadow_maps,
         shading=shading,
         visibility=visibility,
+        confidence=confidence,
         shadow_schedule=shadow_schedule,
         reference_lux=reference_lux,
         mode=mode,
@@ -117,6 +131,7 @@ def relight_stages(
     shadow_maps: Sequence[ShadowMap | None] | None = None,
     shading: Float[Array, "h w l"] | None = None,
     visibility: Float[Array, "h w l"] | None = None,
+    confidence: Float[Array, "h w 1"] | None = None,
     shadow_schedule: Schedule | None = None,
     reference_lux: Float[ArrayLike, ""] = REFERENCE_LUX,
     mode: Mode = "hyjax",
@@ -145,20 +160,27 @@ def relight_stages(
     if len(maps) != len(lights):
         raise InputError(f"relight: {len(maps)} shadow maps for {len(lights)} lights; give one each, or None")
     lights = tuple(lights)
-    shadow_schedule = Schedule.preset("shadow") if shadow_schedule is None else shadow_schedule
+    if confidence is not None and confidence.shape != (*size, 1):
+        raise InputError(f"relight: confidence is {confidence.shape}, must be {(*size, 1)}")
+    if shadow_schedule is None:
+        shadow_schedule = Schedule.preset("shadow" if mode == "paper" else "hyjax-shadow")
     schedule.check(), shadow_schedule.check()
+    trust = gbuffer.hit[..., None] if confidence is None else jnp.where(gbuffer.hit[..., None], confidence, 0.0)
+    seen = concrete(trust)
+    if seen is not None and not (seen > 0).any():
+        warnings.warn("relight: nothing of the frame is known; only ambient light is used", stacklevel=3)
 
     def see() -> Float[Array, "h w l"]:
         return visibilities(gbuffer, lights, maps) if visibility is None else visibility
 
     each = shade_each(gbuffer, lights) if shading is None else shading
     run = _paper_stages if mode == "paper" else _stages
-    yield from run(frame, gbuffer.hit, each, see, lights, guide, schedule, shadow_schedule, reference_lux)
+    yield from run(frame, trust, each, see, lights, guide, schedule, shadow_schedule, reference_lux)
 
 
 def _stages(
     frame: Float[Array, "h w 3"],
-    hit: Bool[Array, "h w"],
+    trust: Float[Array, "h w 1"] | Bool[Array, "h w 1"],
     each: Float[Array, "h w l"],
     see: Callable[[], Float[Array, "h w l"]],
     lights: Sequence[Light],
@@ -171,11 +193,12 @@ def _stages(
     yield "shading", each
     seen = see()
     yield "visibility", seen
-    refined = cascade_known(each, hit[..., None], guide, schedule)
+    refined = cascade_known(each, trust, guide, schedule)
     yield "cascade", refined
-    refined_seen = shadow_pass(fill_visibility(seen, each > 0, guide, schedule), guide, shadow_schedule)
+    refined_seen = cascade_known(seen, each > 0, guide, shadow_schedule)
     yield "shadow pass", refined_seen
-    yield "composite", _composite_channels(frame, each, seen, refined, refined_seen, lights, reference_lux)
+    channels = each, seen, refined, refined_seen
+    yield "composite", _composite_channels(frame, *channels, trust, lights, reference_lux)
 
 
 @jax.jit
@@ -185,6 +208,7 @@ def _composite_channels(
     seen: Float[Array, "h w l"],
     refined: Float[Array, "h w l"],
     refined_seen: Float[Array, "h w l"],
+    trust: Float[Array, "h w 1"] | Bool[Array, "h w 1"],
     lights: Sequence[Light],
     reference_lux: Float[ArrayLike, ""],
 ) -> Relit:
@@ -192,14 +216,22 @@ def _composite_channels(
         colored(channels, lights) / reference_lux
         for channels in (each, each * seen, refined, refined * refined_seen)
     )
+    anything, ambient = jnp.any(trust > 0), _ambient(lights, reference_lux)
+    unshadowed, relight_filter = (jnp.where(anything, f, ambient) for f in (unshadowed, relight_filter))
     visible = _ratio(relight_filter, unshadowed)
     unrefined, image = composite(raw_shadowed, frame), composite(relight_filter, frame)
     return Relit(raw, unshadowed, visible, relight_filter, unrefined, image)
 
 
+def _ambient(lights: Sequence[Light], reference_lux: Float[ArrayLike, ""]) -> Float[Array, "3"]:
+    """The filter of the lights that fall on anything alike; 1, leaving the frame as it is, if there are none."""
+    ambient = [light.illuminance * light.color for light in lights if isinstance(light, AmbientLight)]
+    return sum(ambient[1:], ambient[0]) / reference_lux if ambient else jnp.ones(3)
+
+
 def _paper_stages(
     frame: Float[Array, "h w 3"],
-    hit: Bool[Array, "h w"],
+    trust: Float[Array, "h w 1"] | Bool[Array, "h w 1"],
     each: Float[Array, "h w l"],
     see: Callable[[], Float[Array, "h w l"]],
     lights: Sequence[Light],

@@ -33,21 +33,31 @@ def downsample(y: Float[Array, "h w c"], factor: int) -> Float[Array, "h/f w/f c
     if factor == 1:
         return y
     h, w, _ = y.shape
-    rows, columns = level_shape((h, w), factor)
-    total = y
-    for axis, cells in ((0, rows), (1, columns)):
-        # A single cell need not be padded to its full width.
-        total = _reduce_cells(total, factor if cells > 1 else y.shape[axis], cells, axis, jnp.add, 0.0)
+    total = _sum_cells(_sum_cells(y, factor, 0), factor, 1)
     return total * jnp.asarray(1.0 / cell_pixels((h, w), factor), y.dtype)
+
+
+def cell_means(x: Array, factor: int, axis: int) -> Array:
+    """As `downsample`, along one axis only."""
+    pixels = np.expand_dims(_pixels(x.shape[axis], factor), [a for a in range(x.ndim) if a != axis])
+    return _sum_cells(x, factor, axis) * jnp.asarray(1.0 / pixels, x.dtype)
+
+
+def _sum_cells(x: Array, factor: int, axis: int) -> Array:
+    length = x.shape[axis]
+    cells = -(-length // factor)
+    # A single cell need not be padded to its full width.
+    return _reduce_cells(x, factor if cells > 1 else length, cells, axis, jnp.add, 0.0)
+
+
+def _pixels(length: int, factor: int) -> Float[np.ndarray, "n"]:
+    """How many pixels each cell along an axis has."""
+    return np.minimum(factor, length - factor * np.arange(-(-length // factor))).astype(float)
 
 
 def cell_pixels(shape: tuple[int, int], factor: int) -> Float[np.ndarray, "h/f w/f 1"]:
     """How many pixels of a picture of `shape` each cell of a level has."""
-    counts = [
-        np.minimum(factor, length - factor * np.arange(cells))
-        for length, cells in zip(shape, level_shape(shape, factor))
-    ]
-    return np.outer(*counts)[..., None].astype(float)
+    return np.outer(*(_pixels(length, factor) for length in shape))[..., None]
 
 
 @functools.partial(jax.jit, static_argnames=("factor", "shape"))
@@ -159,7 +169,7 @@ def _pool_vertical(
     first = (factor - 1) // 2
     pooled = _reduce_cells(edges[first:], factor, rows - 1, 0, reduce, fill)
     if factor % 2 == 0:  # the edge on the next cell's centre line belongs to both
-        last = _fit(edges[first + factor :], factor * (rows - 1), 0, fill)[::factor]
+        last = fit_length(edges[first + factor :], factor * (rows - 1), 0, fill)[::factor]
         pooled = reduce(pooled, last)
     return pooled
 
@@ -171,7 +181,7 @@ def _reduce_cells(
 
     XLA's CPU backend turns these into fast fused passes, which it does not do for its own reductions.
     """
-    x = _fit(x, factor * cells, axis, fill)
+    x = fit_length(x, factor * cells, axis, fill)
     while factor > 1:
         run = 2 if factor % 2 == 0 else factor
         length = x.shape[axis]
@@ -181,7 +191,7 @@ def _reduce_cells(
     return x
 
 
-def _fit(x: Array, length: int, axis: int, fill: float) -> Array:
+def fit_length(x: Array, length: int, axis: int, fill: float = 0.0) -> Array:
     """Cut or pad `x` with `fill` at the end of `axis` to `length`."""
     x = jax.lax.slice_in_dim(x, 0, min(length, x.shape[axis]), axis=axis)
     missing = length - x.shape[axis]

@@ -1,6 +1,4 @@
-"""The cascade where something is unknown, and the shadow pass."""
-
-import dataclasses
+"""The cascade where something is unknown or doubtful, and the paper's shadow pass."""
 
 import jax
 import jax.numpy as jnp
@@ -17,23 +15,33 @@ HOLE_FLOOR = 1e-3
 
 @jax.jit
 def cascade_known(
-    y: Float[Array, "h w c"], known: Bool[Array, "h w k"], guide: Float[Array, "h w f"], schedule: Schedule
+    y: Float[Array, "h w c"],
+    confidence: Float[Array, "h w k"] | Bool[Array, "h w k"],
+    guide: Float[Array, "h w f"],
+    schedule: Schedule,
 ) -> Float[Array, "h w c"]:
-    """`cascade` that treats values outside `known` as missing instead of taking them for real.
+    """`cascade` that trusts values by their confidence instead of taking all for real.
 
-    Diffuses (w y, w) with w = 1 on what is known and divides, so that a hole takes on its surroundings' value
-    instead of darkening them. Where nothing known is within reach the mean of all that is known stands in.
+    Diffuses (w y, w) with the confidence w and divides, so that a hole (w = 0) takes on its surroundings' value
+    instead of darkening them. Where nothing known is within reach the mean of all that is known stands in; zero if
+    nothing is. Values and confidences that are not finite count as unknown, and spoil nothing beyond their pixel.
 
     Args:
         y: the filter to repair.
-        known: where its values mean anything; one channel for all of y's or one for each.
+        confidence: how far its values can be trusted, in [0, 1], or whether at all; one channel for all of y's or
+            one for each.
         guide: see `cascade`.
-        schedule: see `cascade`.
+        schedule: see `cascade`. Its attachment holds (w y, w) alike: confident pixels keep their value, unknown
+            ones have none to keep.
 
     Source: Knutsson and Westin, *Normalized and differential convolution*, CVPR 1993.
     """
-    weight, channels = known.astype(y.dtype), y.shape[-1]
-    weighted = jnp.concatenate([y * weight, weight], axis=-1)
+    weight, channels = confidence.astype(y.dtype), y.shape[-1]
+    usable = jnp.isfinite(y)
+    if weight.shape[-1] == 1:
+        usable = _all_channels(usable)
+    weight = jnp.where(usable & (weight > 0), jnp.minimum(weight, 1.0), 0.0)  # NaN > 0 is false
+    weighted = jnp.concatenate([jnp.where(weight > 0, y, 0.0) * weight, weight], axis=-1)
     # Summed over the coarsest cells, which the cascade needs anyhow: XLA's CPU backend is slow to sum over pixels.
     factor = schedule.levels[0].factor
     pixels = jnp.asarray(cell_pixels((y.shape[0], y.shape[1]), factor), y.dtype)
@@ -41,8 +49,17 @@ def cascade_known(
     mean = total[:channels] / jnp.maximum(total[channels:], TINY)
     diffused = cascade(weighted, guide, schedule)
     reached = diffused[..., channels:]
-    floor = HOLE_FLOOR * (1.0 - reached)  # nothing where everything is known
-    return (diffused[..., :channels] + floor * mean) / (reached + floor)
+    floor = jnp.maximum(HOLE_FLOOR * (1.0 - reached), 0.0)  # nothing where everything is known
+    divisor = reached + floor
+    return (diffused[..., :channels] + floor * mean) / jnp.where(divisor > 0, divisor, 1.0)
+
+
+def _all_channels(x: Bool[Array, "h w c"]) -> Bool[Array, "h w 1"]:
+    """One by one, as XLA's CPU reductions over short axes are slow."""
+    together = x[..., :1]
+    for k in range(1, x.shape[-1]):
+        together &= x[..., k : k + 1]
+    return together
 
 
 @jax.jit
@@ -51,7 +68,8 @@ def shadow_pass(
 ) -> Float[Array, "h w c"]:
     """Refine visibility by few steps at high resolution, which softens shadows and keeps their shape.
 
-    The same diffusion as for the shading: the guide keeps a shadow from leaking onto the next object.
+    The same diffusion as for the shading: the guide keeps a shadow from leaking onto the next object. This is the
+    paper's pass. Ours is `cascade_known`, whose confidence says where the mesh tells of shadows at all.
 
     Args:
         raw: visibility, in [0, 1].
@@ -59,22 +77,3 @@ def shadow_pass(
         schedule: few steps at factor 1 or 2, such as `Schedule.preset("shadow")`.
     """
     return cascade(raw, guide, schedule)
-
-
-@jax.jit
-def fill_visibility(
-    raw: Float[Array, "h w l"], known: Bool[Array, "h w l"], guide: Float[Array, "h w f"], schedule: Schedule
-) -> Float[Array, "h w l"]:
-    """Visibility where the mesh does not tell it, from the surroundings, by the coarse levels of a schedule.
-
-    Nothing is known in holes, nor of a light on surfaces turned away from it. What lies there in truth may well be
-    lit or shadowed as its neighbours are, and must not bring light (or darkness) of its own into the picture.
-
-    Args:
-        raw: visibility, a channel for each light.
-        known: where it means anything.
-        guide: as for `cascade`.
-        schedule: as for the shading; its finest level is left out, since only the coarse ones reach across holes.
-    """
-    coarse = dataclasses.replace(schedule, levels=schedule.levels[:-1] or schedule.levels)
-    return jnp.where(known, raw, cascade_known(raw, known, guide, coarse))

@@ -12,15 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from hyjax.diffusion import Norm, check_kappa, check_step_sizes
+from hyjax.diffusion import Norm, check_attachment, check_kappa, check_step_sizes
 from hyjax.errors import InputError, did_you_mean
 from hyjax.values import concrete
 
 Pooling = Literal["edges", "guide"]
+Upsampling = Literal["bilinear", "guide"]
 
-# Metzger's step size. The paper names neither λ nor κ; κ is ours, for display-encoded RGB guides in [0, 1] and
-# norm l2, from the tuning frames of experiments/kappa_sweep.py (best for our mode 0.005 to 0.02, the paper's 0.05
-# to 0.2).
+# Metzger's step size. The paper names neither λ nor κ; these κ are for display-encoded RGB guides in [0, 1] and norm
+# l2, from tuning frames: of the paper's schedules by experiments/kappa_sweep.py (best for our mode 0.005 to 0.02,
+# the paper's 0.05 to 0.2), of ours by experiments/beyond.py.
 DEFAULT_LAM = 0.24
 DEFAULT_KAPPA = 0.02
 PAPER_KAPPA = 0.05
@@ -28,31 +29,58 @@ PAPER_KAPPA = 0.05
 MOST_STEPS = 1_000_000
 COARSEST = 4096
 
-# Steps at each downsampling factor of the full frame; the paper writes 512/factor instead.
-PRESETS: dict[str, tuple[tuple[int, int], ...]] = {
-    "paper-50": ((16, 5), (8, 10), (4, 15), (2, 20)),
-    "paper-80": ((16, 10), (8, 15), (4, 25), (2, 30)),
-    "naive-50": ((2, 50),),
-    "naive-1000": ((2, 1000),),
-    # Ours. The shadow pass: "reducing the number of iterations and maintaining operation at higher resolutions".
-    "shadow": ((1, 8),),
+
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """What a schedule's name stands for.
+
+    Attributes:
+        steps: (downsampling factor of the full frame, steps); the paper writes 512/factor instead.
+        options: of `Schedule.uniform`, where they are not its defaults.
+    """
+
+    steps: tuple[tuple[int, int], ...]
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
+_OURS = ((16, 3), (8, 4), (4, 6))
+_GUIDED: dict[str, Any] = {"kappa": 0.05, "pooling": "guide", "upsampling": "guide"}
+
+PRESETS: dict[str, Preset] = {
+    # Ours (experiments/beyond.py): of the shading, and of the visibility, which holds on to its values more.
+    "hyjax": Preset(_OURS, _GUIDED | {"attachment": 0.1}),
+    "hyjax-shadow": Preset(_OURS, _GUIDED | {"attachment": 1.0}),
+    # The paper's.
+    "paper-50": Preset(((16, 5), (8, 10), (4, 15), (2, 20))),
+    "paper-80": Preset(((16, 10), (8, 15), (4, 25), (2, 30))),
+    # "Reducing the number of iterations and maintaining operation at higher resolutions" is all it says of this one.
+    "shadow": Preset(((1, 8),)),
+    # What it compares with.
+    "naive-50": Preset(((2, 50),)),
+    "naive-1000": Preset(((2, 1000),)),
 }
 
 
-@functools.partial(jax.tree_util.register_dataclass, data_fields=["step_sizes", "kappa"], meta_fields=["factor"])
+@functools.partial(
+    jax.tree_util.register_dataclass, data_fields=["step_sizes", "kappa", "attachment"], meta_fields=["factor"]
+)
 @dataclasses.dataclass(frozen=True, eq=False)
 class Level:
     """Diffusion at one resolution.
 
     Attributes:
         factor: downsampling factor of the full frame, ≥ 1 (static).
-        step_sizes: λ of each step, in (0, 1/4); as many steps as entries, possibly none.
+        step_sizes: λ of each step, in (0, 1/4) or a stable cycle (see `hyjax.cycles`); as many steps as entries,
+            possibly none.
         kappa: edge sensitivity κ > 0 at this level, in the guide's units.
+        attachment: α ≥ 0: how much each step holds on to the level's cell means (see `diffuse`); None, as in the
+            paper, leaves that term out.
     """
 
     factor: int
     step_sizes: Float[ArrayLike, "n"]
     kappa: Float[ArrayLike, ""]
+    attachment: Float[ArrayLike, ""] | None = None
 
     @property
     def steps(self) -> int:
@@ -60,7 +88,7 @@ class Level:
 
 
 @functools.partial(
-    jax.tree_util.register_dataclass, data_fields=["levels"], meta_fields=["pooling", "norm", "name"]
+    jax.tree_util.register_dataclass, data_fields=["levels"], meta_fields=["pooling", "norm", "name", "upsampling"]
 )
 @dataclasses.dataclass(frozen=True, eq=False)
 class Schedule:
@@ -75,12 +103,15 @@ class Schedule:
             conductances anew from the downsampled guide (the paper's equation).
         norm: norm of guide differences, see `guide_distance`.
         name: what tables call it.
+        upsampling: `"bilinear"` is the paper's; `"guide"` does not mix across the guide's edges, see
+            `guided_upsample`.
     """
 
     levels: tuple[Level, ...]
     pooling: Pooling = "edges"
     norm: Norm = "l2"
     name: str = "custom"
+    upsampling: Upsampling = "bilinear"
 
     @classmethod
     def uniform(
@@ -89,11 +120,13 @@ class Schedule:
         *,
         kappa: float = DEFAULT_KAPPA,
         lam: float = DEFAULT_LAM,
+        attachment: float | None = None,
         pooling: Pooling = "edges",
         norm: Norm = "l2",
+        upsampling: Upsampling = "bilinear",
         name: str = "custom",
     ) -> "Schedule":
-        """A schedule from (factor, number of steps) pairs, with one λ and one κ for all.
+        """A schedule from (factor, number of steps) pairs, with one λ, one κ and one α for all.
 
         Example:
             >>> print(Schedule.uniform([(4, 15), (2, 20)], kappa=0.1))
@@ -109,12 +142,19 @@ class Schedule:
         for factor, count in steps:
             if count < 0:
                 raise InputError(f"schedule {name}: number of steps must be >= 0, got {count} at factor {factor}")
-            levels.append(Level(factor, np.full(count, lam, np.float32), np.float32(kappa)))
-        return cls(tuple(levels), pooling, norm, name).check()
+            held = None if attachment is None else np.float32(attachment)
+            levels.append(Level(factor, np.full(count, lam, np.float32), np.float32(kappa), held))
+        return cls(tuple(levels), pooling, norm, name, upsampling).check()
 
     @classmethod
-    def preset(cls, name: str, *, kappa: float = DEFAULT_KAPPA, lam: float = DEFAULT_LAM) -> "Schedule":
-        """One of the paper's schedules and baselines, paper-50, paper-80, naive-50, naive-1000, or the shadow pass.
+    def preset(cls, name: str, *, kappa: float | None = None, lam: float = DEFAULT_LAM) -> "Schedule":
+        """Our schedules, `hyjax` and `hyjax-shadow`; the paper's, `paper-50`, `paper-80` and `shadow`; `naive-50` and
+        `naive-1000`, which it compares with.
+
+        Args:
+            name: one of these.
+            kappa: κ of all levels; default: the preset's own, for the RGB guide.
+            lam: λ of all steps.
 
         Raises:
             InputError: unknown name.
@@ -123,19 +163,22 @@ class Schedule:
             raise InputError(
                 f"schedule: no preset {name!r}{did_you_mean(name, PRESETS)}; there are {', '.join(PRESETS)}"
             )
-        return cls.uniform(PRESETS[name], kappa=kappa, lam=lam, name=name)
+        preset = PRESETS[name]
+        options = preset.options if kappa is None else preset.options | {"kappa": kappa}
+        return cls.uniform(preset.steps, lam=lam, name=name, **options)
 
     def check(self) -> "Schedule":
         """Return self if it can be run. Values known only while tracing are let through.
 
         Raises:
-            InputError: no level, factor < 1, factors not falling or not multiples, κ ≤ 0, λ outside (0, 1/4),
-                unknown pooling or norm.
+            InputError: no level, factor < 1, factors not falling or not multiples, κ ≤ 0, λ outside (0, 1/4) and no
+                stable cycle, α < 0, unknown pooling, norm or upsampling.
         """
         where = f"schedule {self.name}"
         if not self.levels:
             raise InputError(f"{where}: needs at least one level")
-        for value, known in ((self.pooling, get_args(Pooling)), (self.norm, get_args(Norm))):
+        named = ((self.pooling, Pooling), (self.norm, Norm), (self.upsampling, Upsampling))
+        for value, known in ((value, get_args(names)) for value, names in named):
             if value not in known:
                 raise InputError(f"{where}: {value!r} is unknown; use one of {', '.join(known)}")
         factors = [level.factor for level in self.levels]
@@ -153,6 +196,8 @@ class Schedule:
             at = f"{where}, factor {level.factor}"
             check_kappa(level.kappa, f"{at}, kappa")
             check_step_sizes(level.step_sizes, f"{at}, lam")
+            if level.attachment is not None:
+                check_attachment(level.attachment, f"{at}, attachment")
         return self
 
     def to_json(self) -> str:
@@ -164,9 +209,12 @@ class Schedule:
                 "lam": _pack(level.step_sizes),
                 "kappa": _float(level.kappa),
             }
+            | ({} if level.attachment is None else {"attachment": _float(level.attachment)})
             for level in self.levels
         ]
-        content = {"name": self.name, "pooling": self.pooling, "norm": self.norm, "levels": levels}
+        content = {"name": self.name, "pooling": self.pooling, "norm": self.norm}
+        content |= {"upsampling": self.upsampling} if self.upsampling != "bilinear" else {}
+        content |= {"levels": levels}
         return json.dumps(content, indent=2)
 
     @classmethod
@@ -180,31 +228,39 @@ class Schedule:
             content = json.loads(text)
         except json.JSONDecodeError as error:
             raise InputError(f"schedule: not JSON (line {error.lineno}: {error.msg})") from None
-        content = _keys("schedule", content, {"levels"}, {"name", "pooling", "norm"})
+        names = ("name", "pooling", "norm", "upsampling")
+        content = _keys("schedule", content, {"levels"}, set(names))
         if not isinstance(content["levels"], list):
             raise InputError("schedule: 'levels' must be a list of levels, coarse to fine")
         if not isinstance(content.get("name", ""), str):
             raise InputError(f"schedule: 'name' must be a text, got {content['name']!r}")
         levels = tuple(_read_level(index, level) for index, level in enumerate(content["levels"]))
-        rest = {key: content[key] for key in ("name", "pooling", "norm") if key in content}
+        rest = {key: content[key] for key in names if key in content}
         return cls(levels, **rest).check()
 
     def __str__(self) -> str:
         total = sum(level.steps for level in self.levels)
-        lines = [f"{self.name}: {total} steps, pooling {self.pooling}, norm {self.norm}"]
-        lines.append(f"{'factor':>8}{'steps':>7}{'kappa':>12}{'lam':>20}")
+        guided = "" if self.upsampling == "bilinear" else f", upsampling {self.upsampling}"
+        lines = [f"{self.name}: {total} steps, pooling {self.pooling}, norm {self.norm}{guided}"]
+        attached = any(level.attachment is not None for level in self.levels)
+        lines.append(f"{'factor':>8}{'steps':>7}{'kappa':>12}{'lam':>20}" + attached * f"{'attachment':>12}")
         for level in self.levels:
             lam = concrete(level.step_sizes)
-            kappa = concrete(level.kappa)
             lam_text = "traced" if lam is None else _span(lam)
-            kappa_text = "traced" if kappa is None else f"{float(kappa):.4g}"
-            lines.append(f"{level.factor:>8}{level.steps:>7}{kappa_text:>12}{lam_text:>20}")
+            alpha_text = "-" if level.attachment is None else _number(level.attachment)
+            line = f"{level.factor:>8}{level.steps:>7}{_number(level.kappa):>12}{lam_text:>20}"
+            lines.append(line + attached * f"{alpha_text:>12}")
         return "\n".join(lines)
 
 
 def _float(value: ArrayLike) -> float:
     # The shortest decimal that reads back as this float32, rather than the 17 digits of its float64 neighbour.
     return float(np.format_float_positional(np.float32(np.asarray(value)), unique=True))
+
+
+def _number(value: ArrayLike) -> str:
+    known = concrete(value)
+    return "traced" if known is None else f"{float(known):.4g}"
 
 
 def _pack(step_sizes: ArrayLike) -> float | list[float] | None:
@@ -233,7 +289,7 @@ def _keys(where: str, content: Any, needed: set[str], optional: set[str]) -> dic
 
 def _read_level(index: int, content: Any) -> Level:
     where = f"schedule, level {index}"
-    content = _keys(where, content, {"factor", "steps", "kappa"}, {"lam"})
+    content = _keys(where, content, {"factor", "steps", "kappa"}, {"lam", "attachment"})
     factor, steps, lam = content["factor"], content["steps"], content.get("lam", DEFAULT_LAM)
     if not isinstance(steps, int) or isinstance(steps, bool) or steps < 0:
         raise InputError(f"{where}: 'steps' must be a whole number >= 0, got {steps!r}")
@@ -241,11 +297,12 @@ def _read_level(index: int, content: Any) -> Level:
         raise InputError(f"{where}: {steps} steps are too many; at most {MOST_STEPS}")
     try:
         kappa = np.float32(content["kappa"] + 0.0)  # a list or a text has no sum with a number
+        attachment = None if content.get("attachment") is None else np.float32(content["attachment"] + 0.0)
         step_sizes = np.zeros(0, np.float32) if steps == 0 else np.asarray(lam, np.float32)
     except (TypeError, ValueError):
-        raise InputError(f"{where}: 'kappa' and 'lam' must be numbers") from None
+        raise InputError(f"{where}: 'kappa', 'lam' and 'attachment' must be numbers") from None
     if step_sizes.ndim == 0:
         step_sizes = np.full(steps, step_sizes)
     if step_sizes.shape != (steps,):
         raise InputError(f"{where}: 'lam' has {step_sizes.size} entries for {steps} steps")
-    return Level(factor, step_sizes, kappa)
+    return Level(factor, step_sizes, kappa, attachment)

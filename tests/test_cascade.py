@@ -141,7 +141,7 @@ def test_preset_options_and_refusal() -> None:
     schedule = Schedule.preset("paper-50", kappa=0.5, lam=0.125)
     assert all(level.kappa == 0.5 and np.all(level.step_sizes == 0.125) for level in schedule.levels)
     with pytest.raises(
-        InputError, match=r"^schedule: no preset 'paper-5' \(did you mean 'paper-[58]0'\?\); there are paper-50, "
+        InputError, match=r"^schedule: no preset 'paper-5' \(did you mean 'paper-[58]0'\?\); there are hyjax, "
     ):
         Schedule.preset("paper-5")
 
@@ -212,7 +212,7 @@ LEVEL = Level(2, np.array([0.1]), 0.5)
         ((dataclasses.replace(LEVEL, factor=5), LEVEL), {}, "factor 5 is no multiple of the next finer factor 2"),
         ((dataclasses.replace(LEVEL, kappa=0.0),), {}, "factor 2, kappa: must be finite and > 0, got 0.0"),
         ((dataclasses.replace(LEVEL, kappa=float("nan")),), {}, "kappa: must be finite and > 0, got nan"),
-        ((dataclasses.replace(LEVEL, step_sizes=np.array([0.1, 0.25])),), {}, "factor 2, lam: .* got 0.25"),
+        ((dataclasses.replace(LEVEL, step_sizes=np.array([0.1, 0.9])),), {}, "factor 2, lam: .* got 0.9"),
         ((dataclasses.replace(LEVEL, step_sizes=np.array([0.1, -1])),), {}, "factor 2, lam: .* got -1"),
     ],
 )
