@@ -16,9 +16,9 @@ def cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Sc
     """Diffuse coarse to fine under a guide (Eq. 4).
 
     The picture enters at the coarsest level as cell means and leaves the finest level by interpolation; each level
-    adds its steps of diffusion with its own pooled conductances. Beyond the paper, a schedule may hold each level on
-    to its own cell means (`Level.attachment`), which keeps fine detail that coarser levels have lost, and may
-    interpolate under the guide (`Schedule.upsampling`).
+    adds its steps of diffusion with its own pooled conductances. Beyond the paper, a schedule may let each level
+    hold on to its own cell means (`Level.attachment`), which brings back detail that coarser levels have lost, and
+    may interpolate under the guide (`Schedule.upsampling`).
 
     Args:
         y: the filter to repair, any number of channels.

@@ -38,10 +38,10 @@ class Relight:
     """Which frames, by position in the capture: all, 7, 0:300:30, or a list such as 0,5,9:12."""
     lights: str = "noon-window"
     """noon-window, golden-hour, evening-lamps, night-moon, center-point, two-colors, or a YAML or JSON file."""
-    schedule: str = "paper-80"
-    """paper-50, paper-80, naive-50, naive-1000, shadow, or a JSON file."""
+    schedule: str | None = None
+    """hyjax, paper-50, paper-80, naive-50, naive-1000, or a JSON file. Default: hyjax; in paper mode paper-80."""
     kappa: float | None = None
-    """Edge sensitivity of a named schedule. Default: 0.02, in paper mode 0.05."""
+    """Edge sensitivity of a named schedule. Default: 0.05 for hyjax and in paper mode, 0.02 for the others."""
     size: str | None = None
     """Work at this size: 512 (square) or 640x480 (width x height), of the largest centred part of that shape.
     Default: as captured."""
@@ -373,12 +373,12 @@ def run_info() -> None:
 
 
 def _schedule(command: Relight) -> "Schedule":
-    from hyjax.schedule import DEFAULT_KAPPA, PAPER_KAPPA, Schedule
+    from hyjax.schedule import PAPER_KAPPA, Schedule
 
-    text = command.schedule
+    text = command.schedule or ("paper-80" if command.paper_mode else "hyjax")
     if Path(text).suffix.lower() != ".json":
-        usual = PAPER_KAPPA if command.paper_mode else DEFAULT_KAPPA
-        return Schedule.preset(text, kappa=usual if command.kappa is None else command.kappa)
+        kappa = PAPER_KAPPA if command.kappa is None and command.paper_mode else command.kappa
+        return Schedule.preset(text, kappa=kappa)
     if command.kappa is not None:
         raise InputError(f"kappa: {text} brings its own; give --kappa with a named schedule only")
     try:

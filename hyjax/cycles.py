@@ -1,14 +1,14 @@
 """Step sizes that vary: n explicit steps that cover O(n²) instead of O(n) diffusion time.
 
-One explicit step λ multiplies a wave of the Laplacian's eigenvalue μ ∈ [0, 8] by 1 − λμ, so that n steps multiply it
-by p(μ) = ∏ (1 − λ_i μ). Single steps beyond 1/4 amplify the finest waves, but all n together do no harm as long as
-|p| ≤ 1 on [0, 8]. Of all such polynomials a shifted Chebyshev polynomial goes furthest in time, Σ λ_i; its own
+One explicit step λ multiplies a wave of the Laplacian's eigenvalue μ ∈ [0, 8] by 1 − λμ, so that n steps multiply
+it by p(μ) = ∏ (1 − λ_i μ). Single steps beyond 1/4 amplify the finest waves, but all n together do no harm as long
+as |p| ≤ 1 on [0, 8]. Of all such polynomials a shifted Chebyshev polynomial goes furthest in time, Σ λ_i; its
 relative, fast explicit diffusion, trades a third of that for |p| that falls off with μ, as diffusion does.
 
 Symbols of this file: λ_i are the n steps of a cycle, t = Σ λ_i its time in squared pixels.
 
-Sources: Grewenig, Weickert and Bruhn, *From box filtering to fast explicit diffusion*, DAGM 2010; Weickert, Grewenig,
-Schroers and Bruhn, *Cyclic schemes for PDE-based image analysis*, IJCV 2016.
+Sources: Grewenig, Weickert and Bruhn, *From box filtering to fast explicit diffusion*, DAGM 2010; Weickert,
+Grewenig, Schroers and Bruhn, *Cyclic schemes for PDE-based image analysis*, IJCV 2016.
 """
 
 import math

@@ -271,6 +271,6 @@ def check_step_sizes(step_sizes: Float[ArrayLike, "n"], where: str = "lam", dtyp
             f"{where}: a cycle of {values.size} steps is too long for {name}; use shorter ones or float32"
         )
     raise InputError(
-        f"{where}: a step size must lie inside (0, 1/4) to be stable, or belong to a cycle as step_cycle makes them; "
+        f"{where}: a step size must lie inside (0, 1/4) to be stable, or belong to a cycle as step_cycle makes it, "
         f"got {bad.flat[0]:g}"
     )

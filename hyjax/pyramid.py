@@ -169,7 +169,7 @@ def _pool_vertical(
     first = (factor - 1) // 2
     pooled = _reduce_cells(edges[first:], factor, rows - 1, 0, reduce, fill)
     if factor % 2 == 0:  # the edge on the next cell's centre line belongs to both
-        last = fit_length(edges[first + factor :], factor * (rows - 1), 0, fill)[::factor]
+        last = _fit(edges[first + factor :], factor * (rows - 1), 0, fill)[::factor]
         pooled = reduce(pooled, last)
     return pooled
 
@@ -181,7 +181,7 @@ def _reduce_cells(
 
     XLA's CPU backend turns these into fast fused passes, which it does not do for its own reductions.
     """
-    x = fit_length(x, factor * cells, axis, fill)
+    x = _fit(x, factor * cells, axis, fill)
     while factor > 1:
         run = 2 if factor % 2 == 0 else factor
         length = x.shape[axis]
@@ -191,7 +191,7 @@ def _reduce_cells(
     return x
 
 
-def fit_length(x: Array, length: int, axis: int, fill: float = 0.0) -> Array:
+def _fit(x: Array, length: int, axis: int, fill: float) -> Array:
     """Cut or pad `x` with `fill` at the end of `axis` to `length`."""
     x = jax.lax.slice_in_dim(x, 0, min(length, x.shape[axis]), axis=axis)
     missing = length - x.shape[axis]

@@ -19,12 +19,14 @@ from hyjax.values import concrete
 Pooling = Literal["edges", "guide"]
 Upsampling = Literal["bilinear", "guide"]
 
-# Metzger's step size. The paper names neither λ nor κ; these κ are for display-encoded RGB guides in [0, 1] and norm
-# l2, from tuning frames: of the paper's schedules by experiments/kappa_sweep.py (best for our mode 0.005 to 0.02,
-# the paper's 0.05 to 0.2), of ours by experiments/beyond.py.
+# Metzger's step size. The paper names neither λ nor κ; these κ are for display-encoded RGB guides in [0, 1] and
+# norm l2, from tuning frames: with pooled edges by experiments/kappa_sweep.py (best for our mode 0.005 to 0.02, the
+# paper's 0.05 to 0.2), with pooled guides, together with α, by experiments/beyond.py.
 DEFAULT_LAM = 0.24
 DEFAULT_KAPPA = 0.02
 PAPER_KAPPA = 0.05
+GUIDED_KAPPA = 0.05
+GUIDED_ATTACHMENT = 0.1
 
 MOST_STEPS = 1_000_000
 COARSEST = 4096
@@ -44,16 +46,21 @@ class Preset:
 
 
 _OURS = ((16, 3), (8, 4), (4, 6))
-_GUIDED: dict[str, Any] = {"kappa": 0.05, "pooling": "guide", "upsampling": "guide"}
+_GUIDED: dict[str, Any] = {
+    "kappa": GUIDED_KAPPA,
+    "attachment": GUIDED_ATTACHMENT,
+    "pooling": "guide",
+    "upsampling": "guide",
+}
 
 PRESETS: dict[str, Preset] = {
     # Ours (experiments/beyond.py): of the shading, and of the visibility, which holds on to its values more.
-    "hyjax": Preset(_OURS, _GUIDED | {"attachment": 0.1}),
+    "hyjax": Preset(_OURS, _GUIDED),
     "hyjax-shadow": Preset(_OURS, _GUIDED | {"attachment": 1.0}),
     # The paper's.
     "paper-50": Preset(((16, 5), (8, 10), (4, 15), (2, 20))),
     "paper-80": Preset(((16, 10), (8, 15), (4, 25), (2, 30))),
-    # "Reducing the number of iterations and maintaining operation at higher resolutions" is all it says of this one.
+    # Of this one it says "reducing the number of iterations and maintaining operation at higher resolutions".
     "shadow": Preset(((1, 8),)),
     # What it compares with.
     "naive-50": Preset(((2, 50),)),
@@ -148,8 +155,8 @@ class Schedule:
 
     @classmethod
     def preset(cls, name: str, *, kappa: float | None = None, lam: float = DEFAULT_LAM) -> "Schedule":
-        """Our schedules, `hyjax` and `hyjax-shadow`; the paper's, `paper-50`, `paper-80` and `shadow`; `naive-50` and
-        `naive-1000`, which it compares with.
+        """Our schedules, `hyjax` and `hyjax-shadow`; the paper's, `paper-50`, `paper-80` and `shadow`; and
+        `naive-50` and `naive-1000`, which it compares with.
 
         Args:
             name: one of these.
@@ -212,7 +219,7 @@ class Schedule:
             | ({} if level.attachment is None else {"attachment": _float(level.attachment)})
             for level in self.levels
         ]
-        content = {"name": self.name, "pooling": self.pooling, "norm": self.norm}
+        content: dict[str, Any] = {"name": self.name, "pooling": self.pooling, "norm": self.norm}
         content |= {"upsampling": self.upsampling} if self.upsampling != "bilinear" else {}
         content |= {"levels": levels}
         return json.dumps(content, indent=2)
@@ -251,6 +258,17 @@ class Schedule:
             line = f"{level.factor:>8}{level.steps:>7}{_number(level.kappa):>12}{lam_text:>20}"
             lines.append(line + attached * f"{alpha_text:>12}")
         return "\n".join(lines)
+
+
+def guided_schedule(steps: Iterable[tuple[int, int]], *, name: str = "custom", **options: Any) -> Schedule:
+    """`Schedule.uniform` in the form of our presets: guide-aware pooling and upsampling, with a data term.
+
+    Args:
+        steps: (factor, number of steps).
+        name: what tables call it.
+        options: of `Schedule.uniform`, instead of the presets'.
+    """
+    return Schedule.uniform(steps, name=name, **(_GUIDED | options))
 
 
 def _float(value: ArrayLike) -> float:

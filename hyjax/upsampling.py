@@ -1,9 +1,9 @@
 """Upsampling that does not mix across the edges of a guide.
 
 Bilinear interpolation gives a pixel the values of the two nearest cell centres of each axis, by their distance in
-space alone. Here each of the two also counts by the conductance (Eq. 3) between the pixel's guide and the cell's, so
-that a pixel beside an edge listens to its own side. Rows and columns are taken one after the other, as bilinear
-interpolation may be; between the two the guide is a cell high or wide in one axis only.
+space alone. Here each of the two also counts by the conductance (Eq. 3) between the pixel's guide and the cell's,
+so that a pixel beside an edge listens to its own side. Rows and columns are taken one after the other, as bilinear
+interpolation may be; halfway the guide is a pixel high and a cell wide.
 
 Source: Kopf, Cohen, Lischinski and Uyttendaele, *Joint bilateral upsampling*, SIGGRAPH 2007.
 """
@@ -12,11 +12,12 @@ import functools
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.diffusion import Norm
 from hyjax.errors import InputError
-from hyjax.pyramid import cell_means, fit_length, level_shape
+from hyjax.pyramid import cell_means, level_shape
 
 
 @functools.partial(jax.jit, static_argnames=("factor", "norm"))
@@ -30,7 +31,7 @@ def guided_upsample(
 ) -> Float[Array, "h w c"]:
     """`upsample` with each cell weighted by its conductance to the pixel.
 
-    Where the guide is constant it is `upsample`; everywhere the result lies between the values of neighbouring cells.
+    Where the guide is constant it is `upsample`; everywhere the result lies between the values of neighbours.
 
     Args:
         y: cells of a level.
@@ -42,7 +43,7 @@ def guided_upsample(
     Raises:
         InputError: factor below 1, or a guide's size that does not have `y`'s number of cells.
     """
-    if factor < 1 or level_shape(guide.shape[:2], factor) != y.shape[:2]:
+    if factor < 1 or level_shape((guide.shape[0], guide.shape[1]), factor) != y.shape[:2]:
         raise InputError(
             f"guided_upsample: {y.shape[0]}x{y.shape[1]} cells times {factor} make no picture of "
             f"{guide.shape[0]}x{guide.shape[1]}"
@@ -67,30 +68,31 @@ def _guided_lerp(
     norm: Norm,
     axis: int,
 ) -> Float[Array, "c H W"]:
-    """Along one axis; every output pixel at the same place in its cell has the same two neighbours."""
-    cells = y.shape[axis]
-    pad = [(1, 1) if a == axis else (0, 0) for a in range(3)]
+    """Along one axis. Between two neighbouring centres lie `factor` pixels, at the same distances everywhere."""
+    cells, length = y.shape[axis], fine.shape[axis]
+    start = (factor + 1) // 2  # pixels between the centre of the cell before the first one and the picture
 
-    def shifted(x: Array) -> list[Array]:
-        padded = jnp.pad(x, pad, mode="edge")
-        return [jax.lax.slice_in_dim(padded, k, k + cells, axis=axis) for k in range(3)]
+    def neighbours(x: Array) -> list[Array]:
+        padded = jnp.pad(x, [(1, 1) if a == axis else (0, 0) for a in range(3)], mode="edge")
+        both = [jax.lax.slice_in_dim(padded, k, k + cells + 1, axis=axis) for k in (0, 1)]
+        return [jnp.expand_dims(cell, axis + 1) for cell in both]
 
-    values, guides = shifted(y), shifted(coarse)
-    fitted, phases = fit_length(fine, factor * cells, axis), []
-    for phase in range(factor):
-        position = (phase + 0.5) / factor - 0.5  # of the output pixel, in cells from its own cell's centre
-        near, weight = (0, position + 1.0) if position < 0 else (1, position)
-        pixels = jax.lax.slice_in_dim(fitted, phase, factor * cells, factor, axis)
-        # Of the weights (1-w) c(d₀) and w c(d₁), c = κ²/(κ²+d²): the second's share, without a division by zero.
-        first, second = (kappa**2 + _distance(pixels, guides[near + k], norm) for k in (0, 1))
-        share = weight * first / ((1.0 - weight) * second + weight * first)
-        lower, upper = values[near], values[near + 1]
-        phases.append(lower + share.astype(y.dtype) * (upper - lower))
-    shape = (*y.shape[:axis], factor * cells, *y.shape[axis + 1 :])
-    return jax.lax.slice_in_dim(jnp.stack(phases, axis=axis + 1).reshape(shape), 0, fine.shape[axis], axis=axis)
+    missing = (start, (cells + 1) * factor - start - length)
+    pixels = jnp.pad(fine, [missing if a == axis else (0, 0) for a in range(3)])
+    pixels = pixels.reshape(*fine.shape[:axis], cells + 1, factor, *fine.shape[axis + 1 :])
+    position = (np.arange(factor) + (0.5 if factor % 2 == 0 else 0.0)) / factor  # from the first of two centres
+    near = jnp.asarray(np.expand_dims(position, [a for a in range(3) if a != axis]), kappa.dtype)
+    # Of the weights (1-w) c(d₀) and w c(d₁), c = κ²/(κ²+d²), the second's share: κ² + d² of the other does for
+    # dividing by one's own.
+    first, second = (kappa**2 + _distance(pixels, cell, norm) for cell in neighbours(coarse))
+    share = near * first / ((1.0 - near) * second + near * first)
+    lower, upper = neighbours(y)
+    result = lower + share.astype(y.dtype) * (upper - lower)
+    result = result.reshape(*y.shape[:axis], (cells + 1) * factor, *y.shape[axis + 1 :])
+    return jax.lax.slice_in_dim(result, start, start + length, axis=axis)
 
 
-def _distance(a: Float[Array, "f h w"], b: Float[Array, "f h w"], norm: Norm) -> Float[Array, "h w"]:
+def _distance(a: Float[Array, "f *s"], b: Float[Array, "f *s"], norm: Norm) -> Float[Array, "*s"]:
     """Squared distance of two guides, pixel by pixel; added one by one, as XLA's CPU reductions are slow."""
     differences = [a[k] - b[k] for k in range(a.shape[0])]
     if norm == "mean_abs":

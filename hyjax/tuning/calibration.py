@@ -15,7 +15,7 @@ from hyjax.cascade import level_edges
 from hyjax.errors import InputError
 from hyjax.pyramid import downsample, upsample
 from hyjax.refine import cascade_known
-from hyjax.schedule import PRESETS, Schedule
+from hyjax.schedule import PRESETS, Schedule, guided_schedule
 from hyjax.tuning import latency
 from hyjax.tuning.cost_model import CostModel, fit, leave_one_out
 from hyjax.tuning.result import Milliseconds
@@ -48,13 +48,13 @@ class Calibration:
 
 
 def schedule_of(ladder: Sequence[int], steps: Sequence[int]) -> Schedule:
-    """The schedule with these steps over the ladder."""
-    return Schedule.uniform([(factor, count) for factor, count in zip(ladder, steps) if count])
+    """The schedule with these steps over the ladder, of the form that is searched."""
+    return guided_schedule([(factor, count) for factor, count in zip(ladder, steps) if count])
 
 
 def probe_steps(ladder: Sequence[int]) -> tuple[int, ...]:
     """The paper's 50 steps as far as the ladder has their levels; two a level if it has none of them."""
-    paper = dict(PRESETS["paper-50"])
+    paper = dict(PRESETS["paper-50"].steps)
     steps = tuple(paper.get(factor, 0) for factor in ladder)
     return steps if any(steps) else (FEW_STEPS,) * len(ladder)
 
@@ -77,7 +77,7 @@ def calibration_steps(ladder: Sequence[int]) -> list[tuple[int, ...]]:
         )
 
     rows = [probe_steps(ladder)]
-    paper = dict(PRESETS["paper-80"])
+    paper = dict(PRESETS["paper-80"].steps)
     rows += [tuple(paper.get(factor, 0) for factor in ladder)]
     for i in range(count):
         rows += [tuple(steps if j == i else 0 for j in range(count)) for steps in (FEW_STEPS, many[i])]

@@ -12,9 +12,9 @@ from hyjax.color import to_linear
 from hyjax.compositing import composite
 from hyjax.errors import InputError
 from hyjax.pipeline import relight
-from hyjax.refine import fill_visibility, shadow_pass
+from hyjax.refine import cascade_known
 from hyjax.scene.shadow_caster import cast_shadow_maps
-from hyjax.schedule import Schedule
+from hyjax.schedule import Schedule, guided_schedule
 from hyjax.shading import shade_each
 from hyjax.shadow import ShadowMap, visibilities
 from hyjax.tuning import calibration
@@ -67,6 +67,11 @@ def workload_of(case: Case) -> Workload:
     return Workload(h, w, lights, case.guide.shape[-1], str(case.shading.dtype))
 
 
+def searchable(schedule: Schedule) -> bool:
+    """Whether a schedule has the form that the search gives all of its own."""
+    return schedule.upsampling == schedule.pooling == "guide"
+
+
 class CascadeClock:
     """The diffusion stage: `cascade_known`, from the shading to the refined filter.
 
@@ -82,6 +87,9 @@ class CascadeClock:
         self.cost = self.table.p95
 
     def predict(self, schedule: Schedule) -> Milliseconds:
+        known = self.table.timed.get(schedule_key(schedule))
+        if known is not None and not searchable(schedule):
+            return known  # the table's model is of the form that is searched
         return self.table.predict(self.table.steps_of(schedule))
 
     def measure(
@@ -101,17 +109,13 @@ class CascadeClock:
 class FrameClock:
     """A whole frame: G-buffer, guide, shading, visibility, diffusion, shadow pass and composite, without files.
 
-    The schedule's coarse levels are run twice in a frame, once more to fill unseen visibility.
-
     Args:
         cascade: for the table.
         bench: what renders the frame.
         index: of the frame to time on, which must see the mesh.
     """
 
-    FILL = "fill of visibility"
-    """The one stage whose time hangs on the schedule."""
-    NAMES = ("G-buffer", "guide", "shading", "visibility", FILL, "shadow pass", "composite")
+    NAMES = ("G-buffer", "guide", "shading", "visibility", "shadow pass", "composite")
 
     def __init__(self, cascade: CascadeClock, bench: Workbench, index: int) -> None:
         self.cascade, self.table = cascade, cascade.table
@@ -119,7 +123,6 @@ class FrameClock:
         self.camera, self.lights = frame.camera, tuple(bench.setup.lights)
         self.display, self.reference_lux = jnp.asarray(frame.image), bench.setup.reference_lux
         self.guide = bench.guide
-        self.probe = Schedule.uniform([(factor, 8) for factor in self.table.ladder], name="probe")
         kinds = ", ".join(type(light).__name__ for light in self.lights)
         with_what = f"{kinds}; {len(self.caster.mesh.faces)} triangles; {self.guide.name} guide"
         self.stages = {name: f"{name} ({with_what})" for name in self.NAMES}
@@ -127,18 +130,9 @@ class FrameClock:
             calls = self._calls()
             time_stages(self.table, {self.stages[n]: calls[n] for n in self.NAMES}, STAGE_REPEATS)
             save_table(self.table)
-        coarse = dataclasses.replace(self.probe, levels=self.probe.levels[:-1] or self.probe.levels)
-        alone = self.table.predict(self.table.steps_of(coarse)).median
-        self.fill_ratio = self._stage(self.FILL).median / alone
-        p95, more = self.table.p95, 1.0 + self.fill_ratio
-        self.rest = Milliseconds(
-            sum(self._stage(name).median for name in self.NAMES if name != self.FILL),
-            sum(self._stage(name).p95 for name in self.NAMES if name != self.FILL),
-        )
-        self.cost = CostModel(
-            self.rest.p95 + more * p95.fixed,
-            *(tuple(more * x for x in part) for part in (p95.level, p95.step, p95.finest)),
-        )
+        stages = [self._stage(name) for name in self.NAMES]
+        self.rest = Milliseconds(sum(stage.median for stage in stages), sum(stage.p95 for stage in stages))
+        self.cost = dataclasses.replace(self.table.p95, fixed=self.rest.p95 + self.table.p95.fixed)
 
     @functools.cached_property
     def maps(self) -> list[ShadowMap | None]:
@@ -151,7 +145,7 @@ class FrameClock:
     def _calls(self) -> Mapping[str, Callable[[], Any]]:
         """Each stage by itself."""
         gbuffer = self.caster.gbuffer(self.camera)
-        each, shadow = shade_each(gbuffer, self.lights), Schedule.preset("shadow")
+        each, shadow = shade_each(gbuffer, self.lights), Schedule.preset("hyjax-shadow")
         seen, linear = visibilities(gbuffer, self.lights, self.maps), to_linear(self.display)
         features = self.guide.features(self.display)
         return {
@@ -159,19 +153,13 @@ class FrameClock:
             "guide": lambda: self.guide.features(self.display),
             "shading": lambda: shade_each(gbuffer, self.lights),
             "visibility": lambda: visibilities(gbuffer, self.lights, self.maps),
-            self.FILL: lambda: fill_visibility(seen, each > 0, features, self.probe),
-            "shadow pass": lambda: shadow_pass(seen, features, shadow),
+            "shadow pass": lambda: cascade_known(seen, each > 0, features, shadow),
             "composite": lambda: composite(linear, linear),
         }
 
     def predict(self, schedule: Schedule) -> Milliseconds:
         own = self.cascade.predict(schedule)
-        coarse = dataclasses.replace(schedule, levels=schedule.levels[:-1] or schedule.levels)
-        again = self.cascade.predict(coarse)
-        return Milliseconds(
-            self.rest.median + own.median + self.fill_ratio * again.median,
-            self.rest.p95 + own.p95 + self.fill_ratio * again.p95,
-        )
+        return Milliseconds(self.rest.median + own.median, self.rest.p95 + own.p95)
 
     def measure(
         self, schedules: Sequence[Schedule], *, again: bool = False, progress: bool = True
@@ -200,14 +188,14 @@ class FrameClock:
 
     def parts(self) -> dict[str, float]:
         own = self.cascade.parts()
-        times = {name: self._stage(name).p95 for name in self.NAMES if name != self.FILL}
-        times[f"diffusion and {self.FILL}"] = (1.0 + self.fill_ratio) * sum(own.values())
+        times = {name: self._stage(name).p95 for name in self.NAMES}
+        times["diffusion"] = sum(own.values())
         return dict(sorted(times.items(), key=lambda item: -item[1]))
 
 
 def smallest_schedules(clock: Clocked) -> list[Schedule]:
     """One step at each level of the clock's ladder alone, the fastest first, by the latency table."""
-    singles = [Schedule.uniform([(factor, 1)], name=f"1 step at 1/{factor}") for factor in clock.table.ladder]
+    singles = [guided_schedule([(factor, 1)], name=f"1 step at 1/{factor}") for factor in clock.table.ladder]
     return sorted(singles, key=lambda schedule: clock.predict(schedule).p95)
 
 

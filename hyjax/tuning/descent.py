@@ -1,4 +1,4 @@
-"""The continuous part of the search: starting points, relaxed projected descent, polishing of κ and λ.
+"""The continuous part of the search: starting points, relaxed projected descent, polishing of κ, λ and α.
 
 Symbols of this file: n are the steps over the ladder, as in `hyjax.tuning.relaxation`; a *cost* is the latency
 table's model of the 95th percentile, in milliseconds; u_l = n_l · step_l / budget is the share of the budget that
@@ -17,10 +17,11 @@ from jaxopt.projection import projection_box
 from jaxtyping import Array, Float
 from scipy.optimize import minimize
 
-from hyjax.schedule import DEFAULT_KAPPA
+from hyjax.schedule import GUIDED_KAPPA
 from hyjax.tuning.budget import Steps, fits, project, single_steps
 from hyjax.tuning.cost_model import CostModel
 from hyjax.tuning.relaxation import (
+    ATTACHMENT_RANGE,
     KAPPA_RANGE,
     LAM_RANGE,
     Plan,
@@ -66,12 +67,12 @@ def whole(plan: Plan) -> Steps:
 
 
 def with_steps(plan: Plan, steps: Sequence[float] | np.ndarray) -> Plan:
-    """The plan with other steps. A level that was not there takes κ and λ of the nearest that was."""
+    """The plan with other steps. A level that was not there takes κ, λ and α of the nearest that was."""
     there = np.flatnonzero(np.asarray(plan.steps) > 0)
     if there.size == 0:
         there = np.arange(len(steps))
     nearest = np.array([there[np.argmin(np.abs(there - i))] for i in range(len(steps))])
-    return Plan(jnp.asarray(steps, jnp.float32), plan.log_kappa[nearest], plan.logit_lam[nearest])
+    return Plan(jnp.asarray(steps, jnp.float32), *(part[nearest] for part in _continuous(plan)))
 
 
 # ---- relax ----
@@ -95,7 +96,7 @@ def starts(count: int, cost: CostModel, budget: float, seed: int) -> list[Plan]:
             shares = np.isin(np.arange(size), runs[i % len(runs)]).astype(float)
         else:
             shares = rng.dirichlet(np.ones(size)) * (rng.random(size) < 0.6)
-        kappa = DEFAULT_KAPPA if i % 4 < 2 else float(np.exp(rng.uniform(*np.log(START_KAPPA))))
+        kappa = GUIDED_KAPPA if i % 4 < 2 else float(np.exp(rng.uniform(*np.log(START_KAPPA))))
         time = shares / max(shares.sum(), 1e-9) * SPENT[i % len(SPENT)] * budget
         steps = tuple(int(n) for n in project(time / per_step, cost, budget))
         if fits(steps, cost, budget):
@@ -111,7 +112,7 @@ _adam = optax.scale_by_adam(b2=0.99)
 def _advance(
     plan: Plan, slope: Plan, state: optax.OptState, unit: Float[Array, "l"], rate: Float[Array, ""]
 ) -> tuple[Plan, optax.OptState]:
-    """One step of Adam in shares of the budget, log κ and logit λ."""
+    """One step of Adam in shares of the budget, log κ, logit λ and log α."""
     updates, state = _adam.update(dataclasses.replace(slope, steps=slope.steps * unit), state)
     updates = dataclasses.replace(updates, steps=updates.steps * unit)
     return bounded(jax.tree.map(lambda x, u: x - rate * u, plan, updates)), state
@@ -126,7 +127,7 @@ def relax(
     seed: int,
     expired: Callable[[], bool] = lambda: False,
 ) -> Plan:
-    """Projected stochastic descent (Adam) on real-valued steps, log κ and logit λ, one frame an iteration."""
+    """Projected stochastic descent (Adam) on real-valued steps, log κ, logit λ and log α, one frame each."""
     unit = jnp.asarray(budget / np.maximum(cost.step, 1e-6 * budget), jnp.float32)  # steps in the whole budget
     plan, state = start, _adam.init(start)
     rng = np.random.default_rng(seed)
@@ -141,19 +142,16 @@ def relax(
 
 
 def bounded(plan: Plan) -> Plan:
-    """κ and λ brought back into their ranges."""
-    low, high = bounds()
-    return Plan(
-        plan.steps,
-        projection_box(plan.log_kappa, (low[0], high[0])),
-        projection_box(plan.logit_lam, (low[1], high[1])),
-    )
+    """κ, λ and α brought back into their ranges."""
+    values = (plan.log_kappa, plan.logit_lam, plan.log_attachment)
+    return Plan(plan.steps, *(projection_box(value, box) for value, box in zip(values, bounds())))
 
 
-def bounds() -> tuple[tuple[float, float], tuple[float, float]]:
-    """Lowest and highest (log κ, logit 4 λ)."""
-    kappa, lam = np.log(KAPPA_RANGE), [logit(4.0 * x) for x in LAM_RANGE]
-    return (float(kappa[0]), lam[0]), (float(kappa[1]), lam[1])
+def bounds() -> list[tuple[float, float]]:
+    """Ranges of log κ, logit 4 λ and log α."""
+    lam = tuple(logit(4.0 * x) for x in LAM_RANGE)
+    kappa, attachment = (tuple(float(x) for x in np.log(values)) for values in (KAPPA_RANGE, ATTACHMENT_RANGE))
+    return [kappa, lam, attachment]  # type: ignore[list-item]
 
 
 # ---- round ----
@@ -169,7 +167,7 @@ def promising(candidates: Sequence[Steps], plan: Plan, slope: Plan, count: int) 
 
 
 def polish(objective: Objective, plan: Plan, iterations: int) -> Found:
-    """κ and λ of the levels that are there, by bounded quasi-Newton steps on all frames, the step counts fixed.
+    """κ, λ and α of the levels that are there, by bounded quasi-Newton steps on all frames, the step counts fixed.
 
     Source: Byrd, Lu, Nocedal and Zhu, *A limited memory algorithm for bound constrained optimization*, 1995.
     """
@@ -177,8 +175,8 @@ def polish(objective: Objective, plan: Plan, iterations: int) -> Found:
     best = Found(plan, objective(plan))
 
     def placed(x: np.ndarray) -> Plan:
-        kappa, lam = np.split(x.astype(np.float32), 2)
-        return Plan(plan.steps, plan.log_kappa.at[there].set(kappa), plan.logit_lam.at[there].set(lam))
+        values = zip(_continuous(plan), np.split(x.astype(np.float32), 3))
+        return Plan(plan.steps, *(old.at[there].set(new) for old, new in values))
 
     def loss(x: np.ndarray) -> tuple[float, np.ndarray]:
         nonlocal best
@@ -186,16 +184,19 @@ def polish(objective: Objective, plan: Plan, iterations: int) -> Found:
         value, slope = objective.gradient(candidate)
         if value < best.loss:
             best = Found(candidate, float(value))
-        gradient = np.concatenate([np.asarray(slope.log_kappa)[there], np.asarray(slope.logit_lam)[there]])
+        gradient = np.concatenate([np.asarray(part)[there] for part in _continuous(slope)])
         return SCALE * float(value), SCALE * gradient.astype(float)
 
-    low, high = bounds()
-    box = [(low[k], high[k]) for k in (0, 1) for _ in there]
-    first = np.concatenate([np.asarray(plan.log_kappa)[there], np.asarray(plan.logit_lam)[there]]).astype(float)
+    box = [bound for bound in bounds() for _ in there]
+    first = np.concatenate([np.asarray(part)[there] for part in _continuous(plan)]).astype(float)
     # float32 losses are smooth to about seven digits: SciPy's own stopping rule would chase the noise.
     options = {"maxiter": iterations, "maxfun": iterations + 4, "ftol": 1e-5}
     minimize(loss, np.clip(first, *np.array(box).T), jac=True, method="L-BFGS-B", bounds=box, options=options)
     return best
+
+
+def _continuous(plan: Plan) -> tuple[Array, ...]:
+    return plan.log_kappa, plan.logit_lam, plan.log_attachment
 
 
 SCALE = 100.0

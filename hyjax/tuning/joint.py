@@ -1,4 +1,4 @@
-"""The last convolution of a learned guide, tuned together with κ and λ of a schedule.
+"""The last convolution of a learned guide, tuned together with κ, λ and α of a schedule.
 
 The search finds which levels take how many steps under a guide as it is. Then κ, λ and the guide's last layer are
 all continuous, and one descent on the search's own loss moves them together. The layers before stay: what the last
@@ -27,12 +27,12 @@ from hyjax.files import write_text
 from hyjax.guide.choose import FrameGuide
 from hyjax.guide.convolution import convolve
 from hyjax.guide.inference import Guide
-from hyjax.schedule import DEFAULT_KAPPA, DEFAULT_LAM, Schedule
+from hyjax.schedule import DEFAULT_LAM, GUIDED_ATTACHMENT, GUIDED_KAPPA, Schedule
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.cases import Case, refined_filter, scores
 from hyjax.tuning.clocked import Clocked
 from hyjax.tuning.descent import bounded
-from hyjax.tuning.relaxation import Plan, logit, prepare, relaxed_loss
+from hyjax.tuning.relaxation import ATTACHMENT_RANGE, Plan, logit, prepare, relaxed_loss
 from hyjax.tuning.result import Scores
 from hyjax.tuning.watch import Watch
 
@@ -50,7 +50,7 @@ class Joint:
     """What is tuned.
 
     Attributes:
-        plan: whole steps, which stay, with κ and λ.
+        plan: whole steps, which stay, with κ, λ and α.
         kernel: of the guide's last convolution, in multiples of the root mean square of the one it started from.
     """
 
@@ -140,7 +140,7 @@ class JointlyTuned:
 
     Attributes:
         guide: with the tuned last layer.
-        schedule: with the tuned κ and λ.
+        schedule: with the tuned κ, λ and α.
         tuning: (before, after) on the tuning frames.
         held_out: likewise, on frames that nothing was chosen on; None if there are none.
     """
@@ -255,13 +255,15 @@ def check_joint(guide: FrameGuide, out: Path | None) -> Guide:
 
 
 def plan_of(schedule: Schedule, ladder: Sequence[int]) -> Plan:
-    """A schedule as a plan over a ladder; a level's λ is the mean of its steps'."""
+    """A schedule as a plan over a ladder; a level's λ is the mean of its steps', its α small if it has none."""
     levels = {level.factor: level for level in schedule.levels if level.steps}
-    steps, kappa, lam = [], [], []
+    steps, kappa, lam, attachment = [], [], [], []
     for factor in ladder:
         level = levels.get(factor)
         steps.append(0 if level is None else level.steps)
-        kappa.append(DEFAULT_KAPPA if level is None else float(np.asarray(level.kappa)))
+        kappa.append(GUIDED_KAPPA if level is None else float(np.asarray(level.kappa)))
+        held = GUIDED_ATTACHMENT if level is None else level.attachment
+        attachment.append(ATTACHMENT_RANGE[0] if held is None else float(np.asarray(held)))
         lam.append(DEFAULT_LAM if level is None else float(np.mean(np.asarray(level.step_sizes))))
-    plan = Plan.of(steps, kappa)
+    plan = Plan.of(steps, kappa, attachment=[max(x, ATTACHMENT_RANGE[0]) for x in attachment])
     return dataclasses.replace(plan, logit_lam=jnp.asarray([logit(4.0 * x) for x in lam], jnp.float32))

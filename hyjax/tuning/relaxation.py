@@ -1,7 +1,10 @@
 """A cascade with real-valued step counts, in which levels may vanish: what the search takes gradients of.
 
-Symbols of this file: the *ladder* is all factors that may be used, coarse to fine; n_l, κ_l, λ_l belong to level l;
-p_l = min(1, n_l) says how far the level is there at all.
+What is searched has the form of our presets: conductances and interpolation from guides at the levels' resolution,
+and a data term.
+
+Symbols of this file: the *ladder* is all factors that may be used, coarse to fine; n_l, κ_l, λ_l, α_l belong to
+level l; p_l = min(1, n_l) says how far the level is there at all.
 
 - Step i of a level has size λ·clip(n − i, 0, 1): the last of n steps is scaled, so that the result is continuous
   and piecewise differentiable in n.
@@ -25,17 +28,19 @@ from jaxtyping import Array, Bool, Float
 from hyjax.diffusion import diffuse, edge_stopping, guide_distance
 from hyjax.lights import TINY
 from hyjax.losses import as_seen, seen_loss
-from hyjax.pyramid import downsample, level_shape, max_pool, upsample
+from hyjax.pyramid import downsample
 from hyjax.refine import HOLE_FLOOR
-from hyjax.schedule import DEFAULT_KAPPA, DEFAULT_LAM, Level, Schedule
+from hyjax.schedule import DEFAULT_LAM, GUIDED_ATTACHMENT, GUIDED_KAPPA, Level, Schedule
 from hyjax.stencil import Edges
 from hyjax.tuning.budget import MOST_STEPS
 from hyjax.tuning.cases import Case, mix
+from hyjax.upsampling import guided_upsample
 
 BLOCK = 8
 KAPPA_RANGE = (1e-3, 1.0)
 """For guides in [0, 1], of which an edge of full contrast differs by √3."""
 LAM_RANGE = (0.01, 0.2499)
+ATTACHMENT_RANGE = (1e-4, 10.0)
 
 
 @jax.tree_util.register_dataclass
@@ -47,23 +52,30 @@ class Plan:
         steps: n_l ≥ 0 (kept by projection, see `hyjax.tuning.budget.project`).
         log_kappa: κ = exp(·).
         logit_lam: λ = sigmoid(·)/4, inside (0, 1/4).
+        log_attachment: α = exp(·).
     """
 
     steps: Float[Array, "l"]
     log_kappa: Float[Array, "l"]
     logit_lam: Float[Array, "l"]
+    log_attachment: Float[Array, "l"]
 
     @classmethod
     def of(
         cls,
         steps: Sequence[float] | np.ndarray,
-        kappa: float | Sequence[float] = DEFAULT_KAPPA,
+        kappa: float | Sequence[float] = GUIDED_KAPPA,
         lam: float = DEFAULT_LAM,
+        attachment: float | Sequence[float] = GUIDED_ATTACHMENT,
     ) -> "Plan":
-        """A plan with these n_l, κ and λ."""
+        """A plan with these n_l, κ, λ and α."""
         n = np.asarray(steps, np.float32)
-        log_kappa = np.log(np.broadcast_to(np.asarray(kappa, np.float32), n.shape))
-        return cls(jnp.asarray(n), jnp.asarray(log_kappa), jnp.full(n.shape, logit(4.0 * lam), jnp.float32))
+        log_kappa, log_attachment = (
+            jnp.asarray(np.log(np.broadcast_to(np.asarray(value, np.float32), n.shape)))
+            for value in (kappa, attachment)
+        )
+        lams = jnp.full(n.shape, logit(4.0 * lam), jnp.float32)
+        return cls(jnp.asarray(n), log_kappa, lams, log_attachment)
 
     @property
     def kappa(self) -> Float[Array, "l"]:
@@ -73,6 +85,10 @@ class Plan:
     def lam(self) -> Float[Array, "l"]:
         return 0.25 * jax.nn.sigmoid(self.logit_lam)
 
+    @property
+    def attachment(self) -> Float[Array, "l"]:
+        return jnp.exp(self.log_attachment)
+
     def schedule(self, ladder: Sequence[int], name: str = "tuned") -> Schedule:
         """The cascade that this plan stands for; step counts are rounded, levels without steps left out.
 
@@ -80,11 +96,12 @@ class Plan:
             InputError: no level has a step.
         """
         levels = []
-        for factor, n, kappa, lam in zip(ladder, np.round(self.steps), self.kappa, self.lam, strict=True):
+        columns = ladder, np.round(self.steps), self.kappa, self.lam, self.attachment
+        for factor, n, kappa, lam, attachment in zip(*columns, strict=True):
             if n > 0:
                 step_sizes = np.full(int(n), np.float32(lam))
-                levels.append(Level(int(factor), step_sizes, np.float32(kappa)))
-        return Schedule(tuple(levels), name=name).check()
+                levels.append(Level(int(factor), step_sizes, np.float32(kappa), np.float32(attachment)))
+        return Schedule(tuple(levels), pooling="guide", name=name, upsampling="guide").check()
 
 
 def logit(p: float) -> float:
@@ -95,15 +112,17 @@ def logit(p: float) -> float:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Prepared:
-    """Of a case, all that no candidate changes: (w y, w) and its cell means, pooled guide distances, the target.
+    """Of a case, all that no candidate changes: cell means of (w y, w) and of the guide, the target.
 
     Attributes:
         entries: for each factor of the ladder, and last for the full picture.
-        distances: for each factor of the ladder.
+        guides: likewise.
+        distances: of these, for each factor of the ladder.
         mean: of all that is known.
     """
 
     entries: tuple[Float[Array, "ch cw c"], ...]
+    guides: tuple[Float[Array, "ch cw f"], ...]
     distances: tuple[Edges, ...]
     mean: Float[Array, "l"]
     colors: Float[Array, "l 3"]
@@ -118,10 +137,11 @@ def prepare(case: Case, ladder: tuple[int, ...]) -> Prepared:
     weight = case.known.astype(case.shading.dtype)
     weighted = jnp.concatenate([case.shading * weight, weight], axis=-1)
     total = jnp.sum(weighted, axis=(0, 1))
-    fine = guide_distance(case.guide)
+    guides = tuple(downsample(case.guide, factor) for factor in ladder)
     return Prepared(
         entries=(*(downsample(weighted, factor) for factor in ladder), weighted),
-        distances=tuple(max_pool(fine, factor) for factor in ladder),
+        guides=(*guides, case.guide),
+        distances=tuple(guide_distance(guide) for guide in guides),
         mean=total[:-1] / jnp.maximum(total[-1], TINY),
         colors=case.colors,
         frame=case.frame,
@@ -132,35 +152,39 @@ def prepare(case: Case, ladder: tuple[int, ...]) -> Prepared:
 
 def relaxed_cascade(prepared: Prepared, plan: Plan, ladder: tuple[int, ...]) -> Float[Array, "h w c"]:
     """The cascade of `plan` on (w y, w), full size."""
-    h, w, _ = prepared.entries[-1].shape
     present = jnp.clip(plan.steps, 0.0, 1.0)
-    kappa, lam = plan.kappa, plan.lam
+    kappa, lam, attachment = plan.kappa, plan.lam, plan.attachment
     states: list[Array] = []
-    for level, factor in enumerate(ladder):
+    for level in range(len(ladder)):
 
-        def refine(states: list[Array], level: int = level, factor: int = factor) -> Array:
-            state = _arriving(states, prepared.entries[level], present, ladder, factor, (h, w))
+        def refine(states: list[Array], level: int = level) -> Array:
+            state = _arriving(states, prepared, present, kappa, ladder)
             edges = edge_stopping(prepared.distances[level], kappa[level])
-            return _real_steps(state, edges, lam[level], plan.steps[level])
+            held = attachment[level], prepared.entries[level]
+            return _real_steps(state, edges, lam[level], plan.steps[level], *held)
 
         absent = jnp.zeros_like(prepared.entries[level])
         states.append(jax.lax.cond(plan.steps[level] > 0, refine, lambda _, absent=absent: absent, states))
-    return _arriving(states, prepared.entries[-1], present, ladder, 1, (h, w))
+    return _arriving(states, prepared, present, kappa, ladder)
 
 
 def _arriving(
     states: list[Array],
-    entry: Float[Array, "ch cw c"],
+    prepared: Prepared,
     present: Float[Array, "l"],
+    kappa: Float[Array, "l"],
     ladder: tuple[int, ...],
-    factor: int,
-    full: tuple[int, int],
 ) -> Float[Array, "ch cw c"]:
-    """What a level of `factor` after these starts from; sources of no weight cost nothing."""
-    shape, free = level_shape(full, factor), jnp.ones(())
+    """What the level after these starts from, or the full picture; sources of no weight cost nothing."""
+    level = len(states)
+    factor = (*ladder, 1)[level]
+    entry, guide, free = prepared.entries[level], prepared.guides[level], jnp.ones(())
     total = jnp.zeros_like(entry)
-    for coarser in reversed(range(len(states))):
-        source = functools.partial(upsample, factor=ladder[coarser] // factor, shape=shape)
+    for coarser in reversed(range(level)):
+
+        def source(state: Array, coarser: int = coarser) -> Array:
+            return guided_upsample(state, ladder[coarser] // factor, guide, kappa[coarser])
+
         total = _add(total, free * present[coarser], source, states[coarser])
         free = free * (1.0 - present[coarser])
     return _add(total, free, lambda entry: entry, entry)
@@ -176,13 +200,17 @@ def _add(total: Array, weight: Array, source: Callable[[Array], Array], state: A
     return more(total, state, weight)
 
 
-def _real_steps(state: Array, edges: Edges, lam: Array, steps: Array) -> Array:
+def _real_steps(state: Array, edges: Edges, lam: Array, steps: Array, attachment: Array, source: Array) -> Array:
     """`steps` steps of which the last is scaled, in blocks; blocks beyond the last step are skipped."""
 
     @jax.checkpoint
     def block(state: Array, first: Array) -> tuple[Array, None]:
         sizes = lam * jnp.clip(steps - first - jnp.arange(BLOCK), 0.0, 1.0)
-        return jax.lax.cond(first < steps, lambda s: diffuse(s, edges, sizes), lambda s: s, state), None
+
+        def run(state: Array) -> Array:
+            return diffuse(state, edges, sizes, attachment=attachment, source=source)
+
+        return jax.lax.cond(first < steps, run, lambda s: s, state), None
 
     return jax.lax.scan(block, state, jnp.arange(0.0, MOST_STEPS, BLOCK))[0]
 

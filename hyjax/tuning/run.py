@@ -26,7 +26,7 @@ from hyjax.tuning.result import Budget, Candidate, Milliseconds, Tuned
 from hyjax.tuning.search import AGAIN, QUICK, Effort, Search
 from hyjax.tuning.watch import Watch
 
-BASELINES = ("paper-50", "paper-80", "naive-50", "naive-1000")
+BASELINES = ("hyjax", "paper-50", "paper-80", "naive-50", "naive-1000")
 MOST_EXTRA = 3
 ATTEMPTS = 4
 FINALISTS = 3
@@ -63,8 +63,8 @@ def tune_bench(
         time_limit: seconds after which the search only finishes what it has; None for no limit.
         effort: how long to look at each budget.
         extra: also tune for a few more budgets, which draw the curve of quality against time.
-        joint: at the end, tune the last layer of the bench's guide together with κ and λ of the best schedule for
-            the first budget; needs `out`, where `guide.safetensors` and `joint.json` are then.
+        joint: at the end, tune the last layer of the bench's guide together with κ, λ and α of the best schedule
+            for the first budget; needs `out`, where `guide.safetensors` and `joint.json` are then.
         recalibrate: make the latency table anew.
         out: folder for the results, written as they are found; None writes nothing.
         resume: go on with what an interrupted run left in `out`.
@@ -279,7 +279,7 @@ def _front(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _reaches(name: str, ladder: Sequence[int]) -> bool:
-    return all(factor in ladder for factor, _ in PRESETS[name])
+    return all(factor in ladder for factor, _ in PRESETS[name].steps)
 
 
 def _fingerprint(caster: RayCaster | None) -> str | None:

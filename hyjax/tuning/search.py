@@ -26,7 +26,7 @@ class Effort:
         relaxed: of these, how many are relaxed.
         iterations: of the relaxation, one frame each.
         rounded: integer neighbours of the relaxed optimum that are evaluated.
-        polished: how many of these get their κ and λ polished.
+        polished: how many of these get their κ, λ and α polished.
         polishing: iterations of the polishing, all frames each.
         descents: rounds of looking at all neighbours of the best.
     """
@@ -121,7 +121,7 @@ class Search:
         return True
 
     def ranked(self, budget: float) -> list[Found]:
-        """All that was evaluated and fits, best first, the best κ and λ of each step counts only."""
+        """All that was evaluated and fits, best first, the best κ, λ and α of each step counts only."""
         best: dict[Steps, Found] = {}
         for found in sorted(self.found.values(), key=lambda f: f.loss):
             if found.steps not in best and fits(found.steps, self.cost, budget):

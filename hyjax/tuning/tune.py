@@ -64,8 +64,8 @@ def tune(
         time_limit: seconds after which the search only finishes what it has.
         effort: how long to look at each budget.
         extra: also tune for a few more budgets, which draw the curve of quality against time.
-        joint: also tune the last layer of a learned guide with κ and λ of the best schedule for the first budget;
-            needs `out`, where `guide.safetensors` and `joint.json` are then.
+        joint: also tune the last layer of a learned guide with κ, λ and α of the best schedule for the first
+            budget; needs `out`, where `guide.safetensors` and `joint.json` are then.
         recalibrate: make the device's latency table anew.
         voxel: of a fused `mesh`, in metres.
         repair_mesh: drop unusable triangles of a mesh file instead of refusing it.

@@ -111,10 +111,14 @@ def check_ladder(ladder: Sequence[int]) -> None:
 
 
 def schedule_key(schedule: Schedule) -> str:
-    """What decides a schedule's time: `16:5 8:10`, factor and steps, with pooling and norm if not the defaults."""
+    """What decides a schedule's time: `16:5 8:10`, factor and steps, with what is not the paper's."""
     text = " ".join(f"{level.factor}:{level.steps}" for level in schedule.levels)
     if schedule.pooling != "edges":
         text += f" pooling={schedule.pooling}"
     if schedule.norm != "l2":
         text += f" norm={schedule.norm}"
+    if schedule.upsampling != "bilinear":
+        text += f" upsampling={schedule.upsampling}"
+    if any(level.attachment is not None for level in schedule.levels):
+        text += " attached"
     return text
