@@ -30,7 +30,7 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.judging import summarise
-from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, View, reported, with_kappa
+from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, View, reported
 from experiments.plotting import new_figure
 from experiments.records import Row
 from hyjax import metrics
@@ -127,7 +127,7 @@ def time_schedules(bench: Bench, view: View, repeats: int) -> dict[Mode, dict[st
     raw = bench.relight(view, LIGHTS, "paper", ANY).shading
     calls = {}
     for name in SCHEDULES:
-        paper, ours = (jax.device_put(with_kappa(Schedule.preset(name), bench.kappa[mode])) for mode in METHODS)
+        paper, ours = (jax.device_put(bench.own_kappa(Schedule.preset(name), mode)) for mode in METHODS)
         calls[f"paper {name}"] = functools.partial(hyjax.cascade, raw, view.guide, paper)
         calls[f"hyjax {name}"] = functools.partial(hyjax.cascade_known, each, known, view.guide, ours)
     times = time_calls(calls, repeats, progress=True)

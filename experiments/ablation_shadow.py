@@ -4,8 +4,9 @@
 
 Of each light, what it leaves visible is estimated three ways: looked up in a surface's shadow map (*raw*); as the
 ratio of the filter diffused with its shadows in it to the filter diffused without (*together*); and refined by a
-pass of its own with few steps at high resolution (*separate*). All are compared with the shadow that the accurate
-surface throws on itself, where that is relied on and the light is not dim, by
+pass of its own (*separate*): the paper's few steps at high resolution, and in our mode our own schedule too. All
+are compared with the shadow that the accurate surface throws on itself, where that is relied on and the light is
+not dim, by
 
 - *overlap*: intersection over union of the shadows (visibility below one half);
 - *edge error*: mean difference of visibility within `EDGE` of the true shadow's border;
@@ -35,7 +36,7 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table, write_blocks
 from experiments.command import run
 from experiments.judging import summarise
-from experiments.paper_bench import METHODS, Bench, KappaConfig, View, reported, with_kappa
+from experiments.paper_bench import METHODS, Bench, KappaConfig, View, reported
 from experiments.plotting import new_figure
 from experiments.records import Row
 from hyjax.contact_sheet import write_contact_sheet
@@ -136,19 +137,21 @@ def ratio(part: Array, whole: Array) -> Array:
 
 def estimate(rough: Lit, view: View, bench: Bench, mode: Mode) -> Mapping[tuple[str, int, int], np.ndarray]:
     """(method, factor, steps) → visibility of each light."""
-    guide, kappa = view.guide, bench.kappa[mode]
-    schedule = with_kappa(bench.schedule, kappa)
+    guide, schedule = view.guide, bench.own_kappa(bench.schedules[mode], mode)
+    made = {("raw", 1, 0): rough.visible}
     if mode == "paper":
         together = ratio(*(hyjax.cascade(y, guide, schedule) for y in (rough.shadowed, rough.unshadowed)))
         start = rough.visible
     else:
         known = (hyjax.cascade_known(y, rough.hit, guide, schedule) for y in (rough.shadowed, rough.unshadowed))
         together = ratio(*known)
-        start = hyjax.fill_visibility(rough.visible, rough.each > 0, guide, schedule)
-    made = {("raw", 1, 0): rough.visible, ("together", 1, 0): together}
+        lit = rough.each > 0
+        made["ours", 0, 0] = hyjax.cascade_known(rough.visible, lit, guide, Schedule.preset("hyjax-shadow"))
+        start = jnp.where(lit, rough.visible, made["ours", 0, 0])
+    made["together", 1, 0] = together
     for factor in SIZES:
         for steps in STEPS:
-            own = Schedule.uniform([(factor, steps)], kappa=kappa)
+            own = bench.own_kappa(Schedule.uniform([(factor, steps)]), mode)
             made["separate", factor, steps] = hyjax.shadow_pass(start, guide, own)
     return {key: np.asarray(value) for key, value in made.items()}
 
@@ -184,7 +187,7 @@ def pictures(view: View, bench: Bench, mode: Mode, rough_maps: Any, accurate_map
     """A row of the sheet: the frame relit with each estimate of the shadows, brighter than it would be."""
     relit = []
     for maps, accurate in ((rough_maps, False), (accurate_maps, True)):
-        separate = bench.relight(view, LIGHTS, mode, bench.schedule, accurate=accurate, shadow_maps=maps)
+        separate = bench.relight(view, LIGHTS, mode, bench.schedules[mode], accurate=accurate, shadow_maps=maps)
         relit += [separate.unrefined, together(view, bench, mode, maps, accurate), separate.image]
     truth = relit.pop(3)
     seen = [np.asarray(hyjax.to_display(jnp.clip(GAIN * x, 0.0, 1.0))) for x in (*relit, truth)]
@@ -194,7 +197,7 @@ def pictures(view: View, bench: Bench, mode: Mode, rough_maps: Any, accurate_map
 def together(view: View, bench: Bench, mode: Mode, maps: Any, accurate: bool) -> Array:
     """The frame relit with a filter that was diffused with its shadows in it; linear."""
     setup, linear = bench.setups[LIGHTS], hyjax.to_linear(view.display)
-    schedule = with_kappa(bench.schedule, bench.kappa[mode])
+    schedule = bench.own_kappa(bench.schedules[mode], mode)
     lit = Lit(view, bench, "hyjax", maps, accurate=accurate)
     if mode == "paper":
         raw = hyjax.to_display(hyjax.colored(lit.shadowed, setup.lights) / setup.reference_lux)
@@ -213,6 +216,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         "raw": ("raw", 1, 0),
         "together": ("together", 1, 0),
         f"separate, {preset.steps} steps": ("separate", preset.factor, preset.steps),
+        "separate, hyjax-shadow": ("ours", 0, 0),
     }
     header = ["", "overlap", "edge error", "border offset px"]
     made: list[Block] = []
@@ -220,7 +224,10 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         own = [row for row in scores if row["surface"] == surface]
         count = len({(row["frame"], row["light"]) for row in own})
         lines = [
-            [f"{mode} mode, {name}", *cells(own, mode, *key)] for mode in METHODS for name, key in kinds.items()
+            [f"{mode} mode, {name}", *cells(own, mode, *key)]
+            for mode in METHODS
+            for name, key in kinds.items()
+            if (mode, key[0]) != ("paper", "ours")
         ]
         caption = f"On the {surface} surface: {count} shadows of one light in one frame; mean over frames ± 95 %."
         made.append(Table(caption, header, lines))

@@ -25,12 +25,12 @@ from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
 from hyjax.guide.choose import RGB, FrameGuide, open_guide
 from hyjax.metrics import LpipsWeights
-from hyjax.pipeline import Mode, Relit
+from hyjax.pipeline import Mode, Relit, Settle
 from hyjax.relighting import Renderer
 from hyjax.scene.blender import BlenderRenderer
 from hyjax.scene.camera import Camera
 from hyjax.scene.raycast import RayCaster
-from hyjax.schedule import DEFAULT_KAPPA, PAPER_KAPPA, Schedule
+from hyjax.schedule import PAPER_KAPPA, Schedule
 from hyjax.shadow import ShadowMap
 
 BENCHMARKS = {
@@ -45,8 +45,8 @@ METHODS: dict[Mode, str] = {"paper": "paper's method", "hyjax": "ours"}
 """Mode of the pipeline → how its filter is called."""
 OWN_GROUP: dict[Mode, str] = dict(zip(METHODS, GROUPS))
 """What each mode multiplies its filter with when it is used as it is meant."""
-KAPPA: dict[Mode, float] = {"paper": PAPER_KAPPA, "hyjax": DEFAULT_KAPPA}
-"""Best for the RGB guide on tuning frames."""
+KAPPA: dict[Mode, float | None] = {"paper": PAPER_KAPPA, "hyjax": None}
+"""Best for the RGB guide on tuning frames; None: what the schedule brings."""
 ANY = Schedule.uniform([(16, 1)])
 """For the accurate surface, of which only the raw filter is looked at."""
 SHEET = ("frame", "bare mesh", "paper's method", "ours", "accurate surface", "relied on")
@@ -57,14 +57,15 @@ class Bench:
 
     Args:
         capture: frames.
-        schedule: of the cascade, but for its κ.
+        schedule: of the paper's mode, but for its κ.
         mesh: the rough surface, as `surface_of` takes it; the capture's own or else a simulated scan if None.
         reference: the accurate surface, as `open_reference` takes it.
         size: pixels a side.
         seed: of the simulated scan.
         renderer: what shades the surfaces.
         guide: what guides the diffusion.
-        kappa: mode → κ, of features as the guide gives them.
+        kappa: mode → κ, of features as the guide gives them; None for the schedule's own.
+        own: schedule of our mode; the preset `hyjax` if None.
 
     Raises:
         InputError: any of these cannot be used.
@@ -80,15 +81,17 @@ class Bench:
         seed: int = 0,
         renderer: Renderer = "hyjax",
         guide: FrameGuide = RGB,
-        kappa: Mapping[Mode, float] = KAPPA,
+        kappa: Mapping[Mode, float | None] = KAPPA,
+        own: Schedule | None = None,
     ) -> None:
         check_size(size)
         for mode, value in kappa.items():
-            if not 0 < value < float("inf"):
+            if value is not None and not 0 < value < float("inf"):
                 raise InputError(f"kappa of {METHODS[mode]}: {value:g} given; it must be a number > 0")
         self.guide, self.kappa = guide, kappa
         self.source, rough = surface_of(capture, mesh or rough_mesh(capture), seed=seed)
-        self.capture, self.schedule, self.size = capture, schedule, (size, size)
+        self.capture, self.size = capture, (size, size)
+        self.schedules: dict[Mode, Schedule] = {"paper": schedule, "hyjax": own or Schedule.preset("hyjax")}
         self.rough, self.reference = RayCaster(rough), open_reference(capture, reference)
         stage = survey_capture(self.rough, capture)
         self.setups = {name: named_setup(name, stage) for name in dict.fromkeys(BENCHMARKS.values())}
@@ -164,8 +167,7 @@ class Bench:
 
         All filters are multiplied both ways, so that what refining does is not mixed up with what multiplying does.
         """
-        paper = self.relight(view, lights, "paper", self.schedule)
-        ours = self.relight(view, lights, "hyjax", self.schedule)
+        paper, ours = (self.relight(view, lights, mode, self.schedules[mode]) for mode in METHODS)
         filters = {
             "bare mesh": ours.shading,
             METHODS["paper"]: linear_filter(paper, "paper"),
@@ -190,8 +192,12 @@ class Bench:
         kappa: float | None = None,
         accurate: bool = False,
         shadow_maps: Sequence[ShadowMap | None] | None = None,
+        settle: Settle | None = None,
     ) -> Relit:
-        """A frame on the rough surface, or on the accurate one. κ is the bench's for the mode unless given."""
+        """A frame on the rough surface, or on the accurate one. κ is the bench's for the mode unless given.
+
+        See `own_kappa`.
+        """
         setup = self.setups[lights]
         gbuffer, shading = (view.accurate if accurate else view.rough), None
         if view.shading:
@@ -203,12 +209,18 @@ class Bench:
             gbuffer,
             setup.lights,
             view.guide,
-            with_kappa(schedule, self.kappa[mode] if kappa is None else kappa),
+            self.own_kappa(schedule, mode) if kappa is None else with_kappa(schedule, kappa),
             shading=shading,
             shadow_maps=shadow_maps,
             reference_lux=setup.reference_lux,
+            settle=settle,
             mode=mode,
         )
+
+    def own_kappa(self, schedule: Schedule, mode: Mode) -> Schedule:
+        """The schedule with the bench's κ for the mode, if it has one."""
+        kappa = self.kappa[mode]
+        return schedule if kappa is None else with_kappa(schedule, kappa)
 
     def sheet_row(self, index: int) -> tuple[str, list[np.ndarray]] | None:
         """Pictures of a frame under two colours; None if it sees no surface."""
@@ -249,29 +261,40 @@ class BenchConfig:
 
     def bench(self, capture: Capture, schedule: Schedule, renderer: Renderer = "hyjax") -> Bench:
         """Both surfaces of the capture."""
-        guide = open_guide(self.guide)
+        surfaces = self.mesh, self.reference, self.size, self.seed
         return Bench(
-            capture, schedule, self.mesh, self.reference, self.size, self.seed, renderer, guide, self.kappas
+            capture, schedule, *surfaces, renderer, open_guide(self.guide), self.kappas, self.preset_of_ours
         )
 
     @property
-    def kappas(self) -> Mapping[Mode, float]:
+    def kappas(self) -> Mapping[Mode, float | None]:
         """Mode → κ."""
         return KAPPA
+
+    @property
+    def preset_of_ours(self) -> Schedule:
+        """Schedule of our mode."""
+        return Schedule.preset("hyjax")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class KappaConfig(BenchConfig):
     """With a κ for each mode."""
 
-    kappa: float = DEFAULT_KAPPA
-    """κ of our mode, for this guide (`guide_worth` finds it)."""
+    kappa: float | None = None
+    """κ of our mode, for this guide (`guide_worth` finds it). Default: the schedule's own."""
     paper_kappa: float = PAPER_KAPPA
     """κ of the paper's mode."""
+    ours: str = "hyjax"
+    """Named schedule of our mode."""
 
     @property
-    def kappas(self) -> Mapping[Mode, float]:
+    def kappas(self) -> Mapping[Mode, float | None]:
         return {"paper": self.paper_kappa, "hyjax": self.kappa}
+
+    @property
+    def preset_of_ours(self) -> Schedule:
+        return Schedule.preset(self.ours)
 
 
 def reported(capture: Capture, frames: str | None = None) -> list[int]:

@@ -68,6 +68,7 @@ SHEET_ROWS = 6
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Config(KappaConfig):
     schedule: str = "paper-80"
+    """Named schedule of the paper's mode."""
     frames: str | None = None
     """Which, see `hyjax relight --frames`. Default: the last quarter of a capture, all of the built-in room."""
     renderer: Renderer = "hyjax"

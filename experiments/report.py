@@ -29,6 +29,8 @@ from hyjax.tuning.report_markup import Html, join, tag
 EXPERIMENTS = (
     "paper_table",
     "paper_difference",
+    "beyond",
+    "flicker",
     "ablation_cascade",
     "ablation_shadow",
     "structure",

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from hyjax.diffusion import diffuse, edge_stopping, guide_distance
 from hyjax.errors import InputError
-from hyjax.pyramid import downsample, level_shape, max_pool, upsample
+from hyjax.pyramid import cell_pyramid, level_shape, max_pool, upsample
 from hyjax.schedule import Schedule
 from hyjax.stencil import Edges
 from hyjax.upsampling import guided_upsample
@@ -43,20 +43,21 @@ def cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Sc
 
 @jax.jit
 def _cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w c"]:
-    full, guided = (y.shape[0], y.shape[1]), schedule.upsampling == "guide"
-    coarser, kappa = schedule.levels[0].factor, schedule.levels[0].kappa
-    state = downsample(y, coarser)
+    full, factors = (y.shape[0], y.shape[1]), [level.factor for level in schedule.levels]
+    means, guides = cell_pyramid(y, factors), cell_pyramid(guide, [*factors, 1])
+    coarser, kappa = factors[0], schedule.levels[0].kappa
+    state = means[coarser]
 
     def rise(state: Array, factor: int) -> Array:
         """From the last level that was diffused to a finer one."""
-        if guided:
-            return guided_upsample(state, coarser // factor, downsample(guide, factor), kappa, norm=schedule.norm)
+        if schedule.upsampling == "guide":
+            return guided_upsample(state, coarser // factor, guides[factor], kappa, norm=schedule.norm)
         return upsample(state, coarser // factor, level_shape(full, factor))
 
     for level, edges in zip(schedule.levels, level_edges(guide, schedule), strict=True):
         state = rise(state, level.factor)
-        held = None if level.attachment is None else downsample(y, level.factor)
-        state = diffuse(state, edges, level.step_sizes, attachment=level.attachment, source=held)
+        source = means[level.factor]
+        state = diffuse(state, edges, level.step_sizes, attachment=level.attachment, source=source)
         coarser, kappa = level.factor, level.kappa
     return rise(state, 1)
 
@@ -64,8 +65,8 @@ def _cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: S
 def level_edges(guide: Float[Array, "h w f"], schedule: Schedule) -> list[Edges]:
     """The conductances C^(l) of every level of a schedule, coarse to fine (Eq. 4)."""
     if schedule.pooling == "guide":
-        guides = [downsample(guide, level.factor) for level in schedule.levels]
-        distances = [guide_distance(g, norm=schedule.norm) for g in guides]
+        guides = cell_pyramid(guide, [level.factor for level in schedule.levels])
+        distances = [guide_distance(guides[level.factor], norm=schedule.norm) for level in schedule.levels]
     else:
         fine = guide_distance(guide, norm=schedule.norm)
         distances = [max_pool(fine, level.factor) for level in schedule.levels]

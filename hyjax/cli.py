@@ -50,6 +50,8 @@ class Relight:
     file that train or tune wrote."""
     paper_mode: bool = False
     """Exactly the paper: multiply display values, leave holes in the mesh black."""
+    video: bool = False
+    """The frames follow each other: carry refined light from each to the next, so that it does not flicker."""
     shadows: bool = True
     """Whether lights cast shadows."""
     renderer: Literal["hyjax", "blender"] = "hyjax"
@@ -249,6 +251,7 @@ def run_relight(command: Relight) -> None:
         size=size,
         guide=guide,
         mode="paper" if command.paper_mode else "hyjax",
+        video=command.video,
         shadows=command.shadows,
         renderer=command.renderer,
         outputs=Outputs(command.save_filters, command.save_visibility),

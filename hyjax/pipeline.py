@@ -11,6 +11,7 @@ well be lit or shadowed as their neighbours are.
 """
 
 import dataclasses
+import functools
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, get_args
@@ -32,6 +33,9 @@ from hyjax.shadow import ShadowMap, visibilities
 from hyjax.values import concrete
 
 Mode = Literal["hyjax", "paper"]
+Settle = Callable[
+    [Float[Array, "h w l"], Float[Array, "h w l"]], tuple[Float[Array, "h w l"], Float[Array, "h w l"]]
+]
 
 # Illuminance under which the frame is taken to have been photographed: an ordinary room in daylight or lamplight.
 REFERENCE_LUX = 300.0
@@ -72,6 +76,7 @@ def relight(
     confidence: Float[Array, "h w 1"] | None = None,
     shadow_schedule: Schedule | None = None,
     reference_lux: Float[ArrayLike, ""] = REFERENCE_LUX,
+    settle: Settle | None = None,
     mode: Mode = "hyjax",
 ) -> Relit:
     """Relight one camera frame.
@@ -90,6 +95,8 @@ def relight(
         shadow_schedule: cascade for the visibility; default the preset `hyjax-shadow`, in mode `"paper"` `shadow`.
         reference_lux: illuminance under which the frame is taken to have been photographed. Light of this strength
             leaves the frame as it is.
+        settle: called with the refined shading and visibility of each light; returns what to take instead. See
+            `hyjax.video`; not in mode `"paper"`.
         mode: `"hyjax"` multiplies linear light and treats pixels without surface as unknown; `"paper"` clips and
             display-encodes the filter, leaves holes black, and multiplies display values.
 
@@ -116,6 +123,7 @@ def relight(
         confidence=confidence,
         shadow_schedule=shadow_schedule,
         reference_lux=reference_lux,
+        settle=settle,
         mode=mode,
     )
     return relit
@@ -134,6 +142,7 @@ def relight_stages(
     confidence: Float[Array, "h w 1"] | None = None,
     shadow_schedule: Schedule | None = None,
     reference_lux: Float[ArrayLike, ""] = REFERENCE_LUX,
+    settle: Settle | None = None,
     mode: Mode = "hyjax",
 ) -> Iterator[tuple[str, Any]]:
     """`relight` stage by stage: yields each stage's name with what it made, and last ("composite", `Relit`).
@@ -142,6 +151,8 @@ def relight_stages(
     """
     if mode not in get_args(Mode):
         raise InputError(f"mode: {mode!r} is unknown; use one of {', '.join(get_args(Mode))}")
+    if settle is not None and mode == "paper":
+        raise InputError("relight: settle works on channels of lights, which mode 'paper' does not have")
     if not lights:
         raise InputError("relight: no lights; give at least one")
     size = frame.shape[:2]
@@ -174,11 +185,12 @@ def relight_stages(
         return visibilities(gbuffer, lights, maps) if visibility is None else visibility
 
     each = shade_each(gbuffer, lights) if shading is None else shading
-    run = _paper_stages if mode == "paper" else _stages
-    yield from run(frame, trust, each, see, lights, guide, schedule, shadow_schedule, reference_lux)
+    stages = _paper_stages if mode == "paper" else functools.partial(_stages, settle)
+    yield from stages(frame, trust, each, see, lights, guide, schedule, shadow_schedule, reference_lux)
 
 
 def _stages(
+    settle: Settle | None,
     frame: Float[Array, "h w 3"],
     trust: Float[Array, "h w 1"] | Bool[Array, "h w 1"],
     each: Float[Array, "h w l"],
@@ -197,6 +209,9 @@ def _stages(
     yield "cascade", refined
     refined_seen = cascade_known(seen, each > 0, guide, shadow_schedule)
     yield "shadow pass", refined_seen
+    if settle is not None:
+        refined, refined_seen = settle(refined, refined_seen)
+        yield "settle", (refined, refined_seen)
     channels = each, seen, refined, refined_seen
     yield "composite", _composite_channels(frame, *channels, trust, lights, reference_lux)
 

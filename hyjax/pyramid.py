@@ -7,7 +7,7 @@ cell cut off at the border stands for the pixels it has.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import jax
 import jax.numpy as jnp
@@ -35,6 +35,16 @@ def downsample(y: Float[Array, "h w c"], factor: int) -> Float[Array, "h/f w/f c
     h, w, _ = y.shape
     total = _sum_cells(_sum_cells(y, factor, 0), factor, 1)
     return total * jnp.asarray(1.0 / cell_pixels((h, w), factor), y.dtype)
+
+
+def cell_pyramid(y: Float[Array, "h w c"], factors: Iterable[int]) -> dict[int, Float[Array, "h/f w/f c"]]:
+    """`downsample` by several factors, each from the next finer one that divides it: one pass over the picture."""
+    sums, means, size = {1: y}, {}, (y.shape[0], y.shape[1])
+    for factor in sorted(factors):
+        finer = max(f for f in sums if factor % f == 0)
+        sums[factor] = _sum_cells(_sum_cells(sums[finer], factor // finer, 0), factor // finer, 1)
+        means[factor] = sums[factor] * jnp.asarray(1.0 / cell_pixels(size, factor), y.dtype)
+    return means
 
 
 def cell_means(x: Array, factor: int, axis: int) -> Array:

@@ -29,6 +29,7 @@ from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.schedule import Schedule
 from hyjax.tuning.latency import StageClock
+from hyjax.video import Video
 
 Renderer = Literal["hyjax", "blender"]
 
@@ -55,6 +56,7 @@ def relight_capture(
     size: tuple[int, int] | None = None,
     guide: FrameGuide = RGB,
     mode: Mode = "hyjax",
+    video: bool = False,
     shadows: bool = True,
     renderer: Renderer = "hyjax",
     outputs: Outputs | None = None,
@@ -76,6 +78,7 @@ def relight_capture(
         size: (height, width) to work at: the largest centred window of that shape, resampled. Default: as captured.
         guide: what makes the guide of a frame, see `open_guide`.
         mode: see `relight`.
+        video: whether the light is kept still from one frame to the next, see `hyjax.video`.
         shadows: whether lights cast shadows.
         renderer: who shades the mesh and casts the shadows: `"hyjax"` from G-buffer and shadow maps, or
             `"blender"`, which traces rays (see `hyjax.scene.blender`).
@@ -88,11 +91,15 @@ def relight_capture(
         The content of `run.json`.
 
     Raises:
-        InputError: the folder cannot be written, no frame sees the mesh, or there is no Blender to render with.
+        InputError: a video in mode `"paper"`, the folder cannot be written, no frame sees the mesh, or there is no
+            Blender to render with.
     """
     if renderer not in get_args(Renderer):
         raise InputError(f"renderer: {renderer!r} is unknown; use one of {', '.join(get_args(Renderer))}")
+    if video and mode == "paper":
+        raise InputError("video: the paper's mode has no memory of earlier frames; leave one of the two out")
     outputs, clock = outputs or Outputs(), clock or StageClock()
+    memory = Video()
     chosen = range(len(capture)) if frames is None else frames
     make_writable(out)
     for summary in ("run.json", "lights.json", "contact_sheet.png"):
@@ -120,10 +127,18 @@ def relight_capture(
                 with clock("blender"):
                     rendering = blender.render(frame.camera)
                 gbuffer = rendering.seen_by_both(gbuffer)
-                given = {"shading": jnp.asarray(rendering.shading), "visibility": jnp.asarray(rendering.visibility)}
+                given |= {
+                    "shading": jnp.asarray(rendering.shading),
+                    "visibility": jnp.asarray(rendering.visibility),
+                }
             display = jnp.asarray(frame.image)
             with clock("guide"):
                 features = jax.block_until_ready(guide.features(display))
+            if video:
+                camera = frame.camera
+                given["settle"] = memory.settle(
+                    gbuffer, setup.lights, features, schedule, camera.pose, camera.intrinsics.matrix
+                )
             stages = relight_stages(
                 to_linear(display),
                 gbuffer,
@@ -153,6 +168,7 @@ def relight_capture(
         "mesh_faces": len(caster.mesh.faces),
         "size": list(frame.image.shape[:2]),
         "mode": mode,
+        "video": video,
         "guide": guide.name,
         "renderer": renderer,
         "schedule": json.loads(schedule.to_json()),

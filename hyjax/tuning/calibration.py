@@ -13,13 +13,14 @@ from tqdm import tqdm
 
 from hyjax.cascade import level_edges
 from hyjax.errors import InputError
-from hyjax.pyramid import downsample, upsample
+from hyjax.pyramid import downsample
 from hyjax.refine import cascade_known
 from hyjax.schedule import PRESETS, Schedule, guided_schedule
 from hyjax.tuning import latency
 from hyjax.tuning.cost_model import CostModel, fit, leave_one_out
 from hyjax.tuning.result import Milliseconds
 from hyjax.tuning.workload import Arguments
+from hyjax.upsampling import guided_upsample
 
 REPEATS = 60
 # Large pictures get fewer rounds instead of minutes.
@@ -185,13 +186,13 @@ def time_probe(probe: Callable[[], Any], repeats: int = PROBE_REPEATS) -> Millis
 
 
 def own_stages(ladder: Sequence[int], arguments: Arguments) -> dict[str, Callable[[], Any]]:
-    """Parts of the paper's cascade alone: the conductances of its levels; down to its entry level and up again."""
+    """Parts of the probe's cascade alone: the conductances of its levels; down to its entry level and up again."""
     y, _, guide = arguments
     schedule = jax.device_put(schedule_of(ladder, probe_steps(ladder)))
-    entry, full = schedule.levels[0].factor, y.shape[:2]
+    entry, kappa = schedule.levels[0].factor, schedule.levels[0].kappa
     edges = jax.jit(level_edges)
-    resample = jax.jit(lambda picture: upsample(downsample(picture, entry), entry, full))
+    resample = jax.jit(lambda y, guide, kappa: guided_upsample(downsample(y, entry), entry, guide, kappa))
     return {
         "conductance": functools.partial(edges, guide, schedule),
-        "resampling": functools.partial(resample, y),
+        "resampling": functools.partial(resample, y, guide, kappa),
     }

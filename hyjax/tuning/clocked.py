@@ -69,7 +69,8 @@ def workload_of(case: Case) -> Workload:
 
 def searchable(schedule: Schedule) -> bool:
     """Whether a schedule has the form that the search gives all of its own."""
-    return schedule.upsampling == schedule.pooling == "guide"
+    attached = all(level.attachment is not None for level in schedule.levels)
+    return schedule.upsampling == schedule.pooling == "guide" and schedule.norm == "l2" and attached
 
 
 class CascadeClock:
@@ -158,14 +159,16 @@ class FrameClock:
         }
 
     def predict(self, schedule: Schedule) -> Milliseconds:
+        known = self.table.timed.get(self._key(schedule))
+        if known is not None and not searchable(schedule):
+            return known
         own = self.cascade.predict(schedule)
         return Milliseconds(self.rest.median + own.median, self.rest.p95 + own.p95)
 
     def measure(
         self, schedules: Sequence[Schedule], *, again: bool = False, progress: bool = True
     ) -> list[Milliseconds]:
-        where = self.stages["G-buffer"]
-        keys = [f"whole frame {schedule_key(schedule)} {where}" for schedule in schedules]
+        keys = [self._key(schedule) for schedule in schedules]
         wanted = {key: schedule for key, schedule in zip(keys, schedules) if again or key not in self.table.timed}
         if wanted:
             calls = {key: (lambda s=schedule: self._frame(s)) for key, schedule in wanted.items()}
@@ -173,6 +176,9 @@ class FrameClock:
             self.table.timed.update(calibration.time_calls(calls, REPEATS, most_seconds=most, progress=progress))
             save_table(self.table)
         return [self.table.timed[key] for key in keys]
+
+    def _key(self, schedule: Schedule) -> str:
+        return f"whole frame {schedule_key(schedule)} {self.stages['G-buffer']}"
 
     def _frame(self, schedule: Schedule) -> jax.Array:
         gbuffer = self.caster.gbuffer(self.camera)

@@ -1,8 +1,8 @@
 """The last convolution of a learned guide, tuned together with κ, λ and α of a schedule.
 
-The search finds which levels take how many steps under a guide as it is. Then κ, λ and the guide's last layer are
-all continuous, and one descent on the search's own loss moves them together. The layers before stay: what the last
-one takes in is computed once a frame.
+The search finds which levels take how many steps under a guide as it is. Then κ, λ, α and the guide's last layer
+are all continuous, and one descent on the search's own loss moves them together. The layers before stay: what the
+last one takes in is computed once a frame.
 
 Symbols of this file: x (H, W, T) is what enters the last layer, its *trunk*; the guide is x convolved with the
 kernel. A bias would cancel in every difference of the guide, so there is none to tune.
@@ -32,7 +32,7 @@ from hyjax.tuning.bench import Workbench
 from hyjax.tuning.cases import Case, refined_filter, scores
 from hyjax.tuning.clocked import Clocked
 from hyjax.tuning.descent import bounded
-from hyjax.tuning.relaxation import ATTACHMENT_RANGE, Plan, logit, prepare, relaxed_loss
+from hyjax.tuning.relaxation import ATTACHMENT_RANGE, LAM_RANGE, Plan, logit, prepare, relaxed_loss
 from hyjax.tuning.result import Scores
 from hyjax.tuning.watch import Watch
 
@@ -79,7 +79,7 @@ def tune_jointly(
     report: Callable[[int, float], None] = lambda iteration, loss: None,
     expired: Callable[[], bool] = lambda: False,
 ) -> tuple[Plan, Kernel, float, float]:
-    """Descend (Adam, one frame an iteration) on κ, λ and the kernel together.
+    """Descend (Adam, one frame an iteration) on κ, λ, α and the kernel together.
 
     Args:
         cases: the tuning frames; their own guides are not looked at.
@@ -264,6 +264,7 @@ def plan_of(schedule: Schedule, ladder: Sequence[int]) -> Plan:
         kappa.append(GUIDED_KAPPA if level is None else float(np.asarray(level.kappa)))
         held = GUIDED_ATTACHMENT if level is None else level.attachment
         attachment.append(ATTACHMENT_RANGE[0] if held is None else float(np.asarray(held)))
-        lam.append(DEFAULT_LAM if level is None else float(np.mean(np.asarray(level.step_sizes))))
+        mean = DEFAULT_LAM if level is None else float(np.mean(np.asarray(level.step_sizes)))
+        lam.append(min(mean, LAM_RANGE[1]))  # of a step cycle it may be beyond
     plan = Plan.of(steps, kappa, attachment=[max(x, ATTACHMENT_RANGE[0]) for x in attachment])
     return dataclasses.replace(plan, logit_lam=jnp.asarray([logit(4.0 * x) for x in lam], jnp.float32))

@@ -209,7 +209,7 @@ def time_schedules(
 
     Args:
         table: for its workload and its memory; `save_table` keeps what it learns.
-        schedules: any; those that differ in λ and κ alone take the same time and are timed once.
+        schedules: any; those that differ in λ, κ and α alone take the same time and are timed once.
         arguments: filter, known and guide to time on; the workload's if not given.
         repeats: times each schedule runs, fewer (at least ten) if that would take more than a minute.
         again: also time those that the table remembers.

@@ -10,7 +10,15 @@ from hyjax.files import make_writable, remove, whole, write_text
 from hyjax.tuning.report_html import page
 from hyjax.tuning.report_pictures import Example, contact_sheet_rows
 from hyjax.tuning.report_plots import draw_pareto
-from hyjax.tuning.report_text import best_for, candidates, kappa_text, lam_text, steps_text, summary
+from hyjax.tuning.report_text import (
+    attachment_text,
+    best_for,
+    candidates,
+    kappa_text,
+    lam_text,
+    steps_text,
+    summary,
+)
 from hyjax.tuning.result import Milliseconds, Scores, Tuned
 
 __all__ = [
@@ -27,7 +35,7 @@ __all__ = [
 ]
 
 CSV_COLUMNS = (
-    *("name", "kind", "best_for", "schedule", "pooling", "norm", "kappa", "lam"),
+    *("name", "kind", "best_for", "schedule", "pooling", "upsampling", "norm", "kappa", "lam", "attachment"),
     *("predicted_median_ms", "predicted_p95_ms", "measured_median_ms", "measured_p95_ms"),
     *("tuning_loss", "tuning_psnr_db", "tuning_ssim", "held_out_loss", "held_out_psnr_db", "held_out_ssim"),
 )
@@ -81,8 +89,9 @@ def _file_name(text: str) -> str:
 def write_pareto_csv(path: Path, tuned: Tuned) -> None:
     """Write a row for each candidate: the front, the best for each budget, the baselines, each once.
 
-    Columns are `CSV_COLUMNS`: `schedule` is factor:steps of each level, coarse to fine; `kappa` and `lam` have one
-    entry for each level, and a level's λ are joined by `/` where its steps differ. What is not known is empty.
+    Columns are `CSV_COLUMNS`: `schedule` is factor:steps of each level, coarse to fine; `kappa`, `lam` and
+    `attachment` have one entry for each level, and a level's λ are joined by `/` where its steps differ. What is
+    not known is empty.
 
     Raises:
         InputError: the file cannot be written.
@@ -95,7 +104,8 @@ def write_pareto_csv(path: Path, tuned: Tuned) -> None:
         table.writerow(
             [
                 *(candidate.name, kind, ", ".join(best_for(tuned, candidate)) if kind == "tuned" else ""),
-                *(steps_text(schedule), schedule.pooling, schedule.norm, kappa_text(schedule), lam_text(schedule)),
+                *(steps_text(schedule), schedule.pooling, schedule.upsampling, schedule.norm),
+                *(kappa_text(schedule), lam_text(schedule), attachment_text(schedule)),
                 *(*_times(candidate.predicted), *_times(candidate.measured)),
                 *(*_scores(candidate.tuning), *_scores(candidate.held_out)),
             ]

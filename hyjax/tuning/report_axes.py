@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from hyjax.tuning.report_markup import Html
 
 # Okabe and Ito's palette, apart for the colour-blind; shapes tell the kinds apart too.
-COLORS = {"tuned": "#0072b2", "paper": "#d55e00", "naive": "#009e73", "extra": "#cc79a7"}
+COLORS = {"tuned": "#0072b2", "paper": "#d55e00", "naive": "#009e73", "preset": "#cc79a7"}
 INK, QUIET, GRID, GROUND = "#1b1f24", "#5b6570", "#d9dee3", "#fefefe"
 FONT = 10
 

@@ -166,10 +166,10 @@ def _schedules(tuned: Tuned) -> Html:
     for labels, kind, candidate in sorted(labelled, key=lambda item: not item[0]):
         schedule = candidate.schedule
         total = sum(level.steps for level in schedule.levels)
-        title = f" {total} steps, pooling {schedule.pooling}, norm {schedule.norm}"
-        head = tag(
-            "tr", [tag("th", x, class_=c) for x, c in zip(["factor", "steps", "κ", "λ"], ["n", "n", "n", None])]
-        )
+        form = f"pooling {schedule.pooling}, upsampling {schedule.upsampling}, norm {schedule.norm}"
+        title = f" {total} steps, {form}"
+        names = {"factor": "n", "steps": "n", "κ": "n", "α": "n", "λ": None}
+        head = tag("tr", [tag("th", name, class_=class_) for name, class_ in names.items()])
         table = tag("table", tag("thead", head), tag("tbody", [_level(level) for level in schedule.levels]))
         name = [_dot(kind if kind == "tuned" else kind_of_baseline(candidate)), tag("strong", candidate.name)]
         parts.append(
@@ -193,7 +193,9 @@ def _level(level: Level) -> Html:
         each = " ".join(f"{value:.3g}" for value in lam)
         text = [_bars(lam), f" {lam.min():.3g} to {lam.max():.3g} ", tag("small", each)]
     kappa = f"{float(np.asarray(level.kappa)):.4g}"
-    return tag("tr", _number(str(level.factor)), _number(str(level.steps)), _number(kappa), tag("td", text))
+    alpha = MISSING if level.attachment is None else f"{float(np.asarray(level.attachment)):.4g}"
+    numbers = [_number(value) for value in (str(level.factor), str(level.steps), kappa, alpha)]
+    return tag("tr", numbers, tag("td", text))
 
 
 def _bars(lam: np.ndarray) -> Html:

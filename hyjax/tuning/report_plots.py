@@ -29,7 +29,7 @@ from hyjax.tuning.report_axes import (
 from hyjax.tuning.report_text import best_for, candidates, kind_of_baseline, on_front, time_of
 from hyjax.tuning.result import Candidate, Tuned
 
-MARKERS = {"tuned": "o", "paper": "s", "naive": "D"}
+MARKERS = {"tuned": "o", "preset": "^", "paper": "s", "naive": "D"}
 # Where a label may go beside its marker, in points, best first.
 PLACES = [(9, 0), (8, 10), (8, -10), (-9, 0), (-8, 10), (-8, -10), (0, 14), (0, -14)]
 PLACES += [(14, 22), (14, -22), (-14, 22), (-14, -22), (22, 0), (26, 12), (26, -12)]
@@ -50,7 +50,7 @@ class _Point:
 
 
 def draw_pareto(tuned: Tuned) -> Figure:
-    """Time against quality of everything known: the front, the paper's schedules, the naive ones and the budgets.
+    """Time against quality of everything known: the front, our preset, the paper's schedules, naive ones, budgets.
 
     Above, loss on the tuning frames; below, PSNR on the held-out frames, or on the tuning frames if there are none.
     Nine inches wide. A hollow marker was not measured and stands at its predicted time.
@@ -273,7 +273,8 @@ def _legend(figure: Figure, points: list[_Point], budgets: bool) -> None:
         return Line2D([], [], label=label, **{"linestyle": "none", "marker": "o", **look})
 
     entries = []
-    texts = {"tuned": "tuned: the front", "paper": "the paper's schedules", "naive": "naive diffusion"}
+    texts = {"tuned": "tuned: the front", "preset": "our preset"}
+    texts |= {"paper": "the paper's schedules", "naive": "naive diffusion"}
     for kind, text in texts.items():
         if any(point.kind == kind for point in points):
             line = "-" if kind == "tuned" else "none"

@@ -1,5 +1,6 @@
 """What a tuning run found, in words and cells: shared by the table, the plots and the page."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -29,7 +30,7 @@ def on_front(tuned: Tuned, candidate: Candidate) -> bool:
 
 
 def _content(schedule: Schedule) -> str:
-    return Schedule(schedule.levels, schedule.pooling, schedule.norm).to_json()
+    return dataclasses.replace(schedule, name="custom").to_json()
 
 
 def _order(candidate: Candidate) -> float:
@@ -48,8 +49,9 @@ def best_for(tuned: Tuned, candidate: Candidate) -> list[str]:
 
 
 def kind_of_baseline(candidate: Candidate) -> str:
-    """Whose schedule a baseline is: "paper" or "naive"."""
-    return "naive" if candidate.name.startswith("naive") else "paper"
+    """Whose schedule a baseline is: "preset" (ours), "paper" or "naive"."""
+    kinds = {"hyjax": "preset", "naive": "naive"}
+    return next((kind for start, kind in kinds.items() if candidate.name.startswith(start)), "paper")
 
 
 def steps_text(schedule: Schedule) -> str:
@@ -60,6 +62,12 @@ def steps_text(schedule: Schedule) -> str:
 def kappa_text(schedule: Schedule) -> str:
     """κ of each level."""
     return " ".join(f"{float(np.asarray(level.kappa)):.6g}" for level in schedule.levels)
+
+
+def attachment_text(schedule: Schedule) -> str:
+    """α of each level, or `-` for one without."""
+    held = (level.attachment for level in schedule.levels)
+    return " ".join("-" if alpha is None else f"{float(np.asarray(alpha)):.6g}" for alpha in held)
 
 
 def lam_text(schedule: Schedule) -> str:

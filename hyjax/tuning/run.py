@@ -16,7 +16,15 @@ from hyjax.schedule import PRESETS, Schedule
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.budget import MOST_STEPS, Steps
 from hyjax.tuning.cases import Case, refined_filter, scores
-from hyjax.tuning.clocked import CascadeClock, Clocked, FrameClock, Stage, check_reachable, smallest_schedules
+from hyjax.tuning.clocked import (
+    CascadeClock,
+    Clocked,
+    FrameClock,
+    Stage,
+    check_reachable,
+    searchable,
+    smallest_schedules,
+)
 from hyjax.tuning.descent import Found, Objective
 from hyjax.tuning.examples import write_report_with_pictures
 from hyjax.tuning.journal import Journal
@@ -129,7 +137,7 @@ def tune_bench(
             expired=watch.expired,
         )
         try:
-            run.write(out)  # the paper's best that fits, until there is better
+            run.write(out)  # the best baseline that fits, until there is better
             for budget in budgets:
                 run.search(search, budget, effort or Effort())
                 run.write(out)
@@ -137,7 +145,7 @@ def tune_bench(
                 from hyjax.tuning.joint import tune_and_save  # with flax, which only learned guides need
 
                 seeing_held = [i for i in holdout if bench.name(i) not in held_blind]
-                best = run.best(budgets[0], MOST_STEPS).schedule
+                best = run.best(budgets[0], within_search=True).schedule
                 record["joint"] = tune_and_save(bench, best, clock, chosen, seeing_held, out, watch, seed=seed)
             for budget in run.extra_budgets() if extra else ():
                 if not watch.expired():
@@ -246,14 +254,15 @@ class _Run:
         front = _front(list(self.tuned.values()))
         return Tuned(best[0].schedule, best, self.budgets, front, self.baselines, self.watch.history, self.record)
 
-    def best(self, budget: Budget, most_steps: int | None = None) -> Candidate:
+    def best(self, budget: Budget, *, within_search: bool = False) -> Candidate:
         """The best of all that is measured to fit, whatever budget it was tuned for, the baselines included.
 
-        With `most_steps`, of those that have no more at any level.
+        With `within_search`, only of those that the search could have found: of its form, with few enough steps.
         """
         known = [*self.tuned.values(), *self.baselines]
-        if most_steps is not None:
-            known = [c for c in known if max(level.steps for level in c.schedule.levels) <= most_steps]
+        if within_search:
+            known = [c for c in known if searchable(c.schedule)]
+            known = [c for c in known if max(level.steps for level in c.schedule.levels) <= MOST_STEPS]
         fitting = [c for c in known if c.measured and c.measured.p95 <= budget.milliseconds]
         if fitting:
             return min(fitting, key=lambda c: c.tuning.loss if c.tuning else math.inf)

@@ -1,0 +1,201 @@
+"""From frame to frame: what was refined before is carried along the surface, so that the light keeps still.
+
+The guide is a camera's picture, noisy and never twice the same, and so is what it lets through; a mesh is fixed in
+the world, and so is the light on it as long as no lamp moves. So each pixel's surface point is looked up in the
+last frame, and where it was seen there, its refined light is averaged with what it was: an exponential mean over
+the frames, along the surface instead of along the pixels.
+
+Holes have no surface to look up. Their depth is filled as their light is, by diffusion under the guide.
+
+Source of the reprojection: Nehab et al., *Accelerating real-time shading with reverse reprojection caching*, 2007;
+Yang et al., *A survey of temporal antialiasing techniques*, 2020.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from hyjax.errors import InputError
+from hyjax.gbuffer import GBuffer
+from hyjax.lights import Light
+from hyjax.refine import cascade_known
+from hyjax.schedule import Schedule
+from hyjax.values import concrete
+
+KEEP = 0.8
+"""Share of the last frame: halves the light's tremor, and its delay is over within ten frames."""
+SAME_DEPTH = 0.05
+"""Of the depth: a point seen in the last frame this much nearer or farther was another one."""
+LEAST_FOUND = 0.1
+"""Share of the pixels. Where less is found again the camera has jumped, and all starts anew."""
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Memory:
+    """What one frame leaves to the next.
+
+    Attributes:
+        channels: refined lux and visibility of each light.
+        depth: metres along the camera's axis, filled in holes; 0 where nothing is known.
+        pose: camera-to-world.
+        intrinsics: of the camera, as `Intrinsics.matrix`.
+        lights: that the channels belong to.
+    """
+
+    channels: Float[Array, "h w c"]
+    depth: Float[Array, "h w"]
+    pose: Float[Array, "4 4"]
+    intrinsics: Float[Array, "3 3"]
+    lights: tuple[Light, ...]
+
+
+@jax.jit
+def fill_depth(gbuffer: GBuffer, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w"]:
+    """Depth everywhere, in metres: that of holes from their surroundings; 0 if no pixel has any.
+
+    1/depth is what is diffused: on a plane that is linear in the picture.
+    """
+    hit = gbuffer.hit
+    inverse = jnp.where(hit, 1.0 / jnp.where(hit, gbuffer.depth, 1.0), 0.0)[..., None]
+    filled = cascade_known(inverse, hit[..., None], guide, schedule)[..., 0]
+    return jnp.where(hit, gbuffer.depth, jnp.where(filled > 0, 1.0 / jnp.where(filled > 0, filled, 1.0), 0.0))
+
+
+@jax.jit
+def recall(
+    memory: Memory, depth: Float[Array, "h w"], pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
+) -> tuple[Float[Array, "h w c"], Bool[Array, "h w"]]:
+    """What a frame remembers of this one's surface points.
+
+    Args:
+        memory: of that frame.
+        depth: of this one, see `fill_depth`.
+        pose: of this one's camera.
+        intrinsics: likewise.
+
+    Returns:
+        (channels, found): bilinear samples of the memory, and whether that frame saw the point at all.
+    """
+    h, w = depth.shape
+    x, y = jnp.meshgrid(jnp.arange(w) + 0.5, jnp.arange(h) + 0.5)
+    local = [
+        (x - intrinsics[0, 2]) / intrinsics[0, 0] * depth,
+        (y - intrinsics[1, 2]) / intrinsics[1, 1] * depth,
+        depth,
+    ]
+    # From this camera straight to that one's: coordinates stay small, whatever the world's.
+    turn = memory.pose[:3, :3].T @ pose[:3, :3]
+    shift = memory.pose[:3, :3].T @ (pose[:3, 3] - memory.pose[:3, 3])
+    there = [sum(turn[i, k] * local[k] for k in range(3)) + shift[i] for i in range(3)]
+    z, then = there[2], memory.intrinsics
+    ahead = (depth > 0) & (z > 0)
+    scale = 1.0 / jnp.where(ahead, z, 1.0)
+    column = there[0] * scale * then[0, 0] + then[0, 2] - 0.5
+    row = there[1] * scale * then[1, 1] + then[1, 2] - 0.5
+    rows, columns = memory.depth.shape
+    inside = ahead & (row >= -0.5) & (row <= rows - 0.5) & (column >= -0.5) & (column <= columns - 0.5)
+    row, column = (jnp.clip(jnp.where(inside, at, 0.0), 0.0, n - 1) for at, n in ((row, rows), (column, columns)))
+    seen = memory.depth.reshape(-1)[(jnp.round(row) * columns + jnp.round(column)).astype(jnp.int32)]
+    found = inside & (jnp.abs(seen - z) < SAME_DEPTH * z)
+    return _bilinear(memory.channels, row, column), found
+
+
+def _bilinear(
+    picture: Float[Array, "h w c"], row: Float[Array, "*s"], column: Float[Array, "*s"]
+) -> Float[Array, "*s c"]:
+    h, w, channels = picture.shape
+    top, left = jnp.floor(row), jnp.floor(column)
+    down, right = (row - top)[..., None], (column - left)[..., None]
+    first = (top * w + left).astype(jnp.int32)
+    below = jnp.where(top < h - 1, w, 0).astype(jnp.int32)
+    beside = jnp.where(left < w - 1, 1, 0).astype(jnp.int32)
+    flat = picture.reshape(-1, channels)
+    upper = flat[first] * (1.0 - right) + flat[first + beside] * right
+    lower = flat[first + below] * (1.0 - right) + flat[first + below + beside] * right
+    return upper * (1.0 - down) + lower * down
+
+
+@jax.jit
+def steady(
+    channels: Float[Array, "h w c"],
+    depth: Float[Array, "h w"],
+    pose: Float[Array, "4 4"],
+    intrinsics: Float[Array, "3 3"],
+    memory: Memory,
+    keep: Float[ArrayLike, ""] = KEEP,
+) -> Float[Array, "h w c"]:
+    """The mean of a frame's channels and what the last one remembers of the same surface points.
+
+    Args:
+        channels: refined, of this frame.
+        depth: see `recall`.
+        pose: see `recall`.
+        intrinsics: see `recall`.
+        memory: of the last frame, of the same channels.
+        keep: share of the last frame, 0 to below 1.
+
+    Returns:
+        Points that the last frame did not see as they were given; all of them if it saw hardly any.
+    """
+    before, found = recall(memory, depth, pose, intrinsics)
+    share = jnp.where(found & (jnp.mean(found) >= LEAST_FOUND), keep, 0.0)[..., None]
+    return channels + jnp.where(share > 0, share * (before - channels), 0.0)
+
+
+def remembers(memory: Memory | None, shape: tuple[int, ...], lights: Sequence[Light]) -> bool:
+    """Whether a memory is of frames of this size, under just these lights."""
+    if memory is None or memory.channels.shape != shape:
+        return False
+    (old, form), (new, new_form) = (jax.tree.flatten(tuple(several)) for several in (memory.lights, lights))
+    return bool(form == new_form) and all(np.array_equal(a, b) for a, b in zip(old, new))  # type: ignore[operator]
+
+
+@dataclasses.dataclass
+class Video:
+    """Keeps a memory from frame to frame, for `relight_stages(settle=...)`.
+
+    Example:
+        video = Video()
+        for frame, gbuffer, camera in frames:
+            settle = video.settle(gbuffer, lights, guide, schedule, camera.pose, camera.intrinsics.matrix)
+            relit = hyjax.relight(frame, gbuffer, lights, guide, schedule, settle=settle)
+
+    Attributes:
+        keep: share of the last frame, 0 to below 1.
+        memory: of the last frame; None before the first. A frame of another size or under other lights starts anew.
+    """
+
+    keep: float = KEEP
+    memory: Memory | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.keep < 1:
+            raise InputError(f"keep: must lie in [0, 1), got {self.keep:g}")
+
+    def settle(
+        self,
+        gbuffer: GBuffer,
+        lights: Sequence[Light],
+        guide: Float[Array, "h w f"],
+        schedule: Schedule,
+        pose: Float[ArrayLike, "4 4"],
+        intrinsics: Float[ArrayLike, "3 3"],
+    ) -> Callable[[Array, Array], tuple[Array, Array]]:
+        """What keeps the next frame's refined shading and visibility still, and remembers them."""
+
+        def settled(refined: Array, seen: Array) -> tuple[Array, Array]:
+            channels, count = jnp.concatenate([refined, seen], axis=-1), refined.shape[-1]
+            depth = fill_depth(gbuffer, guide, schedule)
+            view = jnp.asarray(pose, channels.dtype), jnp.asarray(intrinsics, channels.dtype)
+            if self.memory is not None and remembers(self.memory, channels.shape, lights):
+                channels = steady(channels, depth, *view, self.memory, self.keep)
+            if concrete(channels) is not None:  # nothing traced outlives its trace
+                self.memory = Memory(channels, depth, *view, tuple(lights))
+            return channels[..., :count], channels[..., count:]
+
+        return settled
