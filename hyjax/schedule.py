@@ -45,7 +45,6 @@ class Preset:
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
-_OURS = ((16, 3), (8, 4), (4, 6))
 _GUIDED: dict[str, Any] = {
     "kappa": GUIDED_KAPPA,
     "attachment": GUIDED_ATTACHMENT,
@@ -54,9 +53,9 @@ _GUIDED: dict[str, Any] = {
 }
 
 PRESETS: dict[str, Preset] = {
-    # Ours (experiments/beyond.py): of the shading, and of the visibility, which holds on to its values more.
-    "hyjax": Preset(_OURS, _GUIDED),
-    "hyjax-shadow": Preset(_OURS, _GUIDED | {"attachment": 1.0}),
+    # Ours (experiments/beyond.py): of the shading; and of the visibility, which at full size holds on to its borders.
+    "hyjax": Preset(((16, 3), (8, 4), (4, 6)), _GUIDED),
+    "hyjax-shadow": Preset(((16, 2), (8, 2), (4, 2), (2, 2), (1, 2)), _GUIDED | {"attachment": 2.0}),
     # The paper's.
     "paper-50": Preset(((16, 5), (8, 10), (4, 15), (2, 20))),
     "paper-80": Preset(((16, 10), (8, 15), (4, 25), (2, 30))),
