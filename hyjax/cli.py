@@ -202,7 +202,7 @@ def run_relight(command: Relight) -> None:
     from hyjax.data.surfaces import check_mesh_name, surface_of
     from hyjax.files import make_writable
     from hyjax.guide.choose import open_guide
-    from hyjax.relighting import Outputs, relight_capture
+    from hyjax.relighting import Outputs, check_video, relight_capture
     from hyjax.scene.blender import blender_python
     from hyjax.scene.raycast import RayCaster
     from hyjax.tuning.latency import StageClock
@@ -211,6 +211,7 @@ def run_relight(command: Relight) -> None:
     # All that can be checked is checked before the first slow step.
     clock, bars = StageClock(), not command.quiet
     schedule = _schedule(command)
+    check_video(command.video, "paper" if command.paper_mode else "hyjax")
     size = _size(command.size)
     from_file = is_light_file(command.lights)
     if not from_file:

@@ -96,8 +96,7 @@ def relight_capture(
     """
     if renderer not in get_args(Renderer):
         raise InputError(f"renderer: {renderer!r} is unknown; use one of {', '.join(get_args(Renderer))}")
-    if video and mode == "paper":
-        raise InputError("video: the paper's mode has no memory of earlier frames; leave one of the two out")
+    check_video(video, mode)
     outputs, clock = outputs or Outputs(), clock or StageClock()
     memory = Video()
     chosen = range(len(capture)) if frames is None else frames
@@ -179,6 +178,12 @@ def relight_capture(
     } | environment()
     write_text(out / "run.json", json.dumps(run, indent=2) + "\n")
     return run
+
+
+def check_video(video: bool, mode: Mode) -> None:
+    """Raise `InputError` if light is to be kept still in a mode that cannot."""
+    if video and mode == "paper":
+        raise InputError("video: the paper's mode has no memory of earlier frames; leave one of the two out")
 
 
 def _write_frame(out: Path, name: str, relit: Relit, mode: Mode, outputs: Outputs) -> None:

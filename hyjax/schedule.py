@@ -53,7 +53,7 @@ _GUIDED: dict[str, Any] = {
 }
 
 PRESETS: dict[str, Preset] = {
-    # Ours (experiments/beyond.py): of the shading; and of the visibility, which at full size holds on to its borders.
+    # Ours (experiments/beyond.py): of the shading; and of the visibility, up to full size for sharp borders.
     "hyjax": Preset(((16, 3), (8, 4), (4, 6)), _GUIDED),
     "hyjax-shadow": Preset(((16, 2), (8, 2), (4, 2), (2, 2), (1, 2)), _GUIDED | {"attachment": 2.0}),
     # The paper's.
