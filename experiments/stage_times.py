@@ -68,8 +68,8 @@ def main(config: Config) -> None:
     each = hyjax.shade_each(gbuffer, lights)
     seen = hyjax.visibilities(gbuffer, lights, maps)
     shading = hyjax.shade(gbuffer, lights)
-    paper_50, paper_80 = (hyjax.Schedule.preset(name) for name in ("paper-50", "paper-80"))
-    shadow = hyjax.Schedule.preset("shadow")
+    names = "paper-50", "paper-80", "hyjax", "hyjax-shadow"
+    paper_50, paper_80, ours, shadow = (hyjax.Schedule.preset(name) for name in names)
 
     stages: list[tuple[str, Callable[..., Any], tuple[Any, ...], int]] = [
         ("G-buffer (host)", caster.gbuffer, (frame.camera,), config.repeats),
@@ -79,11 +79,13 @@ def main(config: Config) -> None:
         (CONDUCTANCES, jax.jit(hyjax.level_edges), (guide, paper_50), config.repeats),
         ("cascade paper-50", hyjax.cascade, (shading, guide, paper_50), config.repeats),
         ("cascade paper-80", hyjax.cascade, (shading, guide, paper_80), config.repeats),
-        ("fill of unseen visibility", hyjax.fill_visibility, (seen, each > 0, guide, paper_80), config.repeats),
-        ("shadow pass", hyjax.shadow_pass, (seen, guide, shadow), config.repeats),
+        ("cascade hyjax", hyjax.cascade, (shading, guide, ours), config.repeats),
+        ("shadow pass", hyjax.cascade_known, (seen, each > 0, guide, shadow), config.repeats),
         ("composite", hyjax.composite, (shading, linear), config.repeats),
-        ("frame on the device, paper-80", _frame, (linear, gbuffer, lights, guide, paper_80, maps), config.repeats),
     ]
+    for schedule in (paper_80, ours):
+        args = linear, gbuffer, lights, guide, schedule, maps
+        stages.append((f"frame on the device, {schedule.name}", _frame, args, config.repeats))
     results.add(kind="scene", mesh=source, faces=len(mesh.faces), lights=[type(light).__name__ for light in lights])
     for name, function, args, repeats in stages:
         jax.clear_caches()  # a stage must not find parts of itself compiled by the one before

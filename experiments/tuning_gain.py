@@ -4,9 +4,9 @@
 
 Tunes for the measured p95 of `paper-50`, of `paper-80`, and for half of the latter, and judges on frames of the
 last quarter of the capture, on which nothing is chosen. Beside them: the bare raw filter, the best constant (which
-knows each frame's target), the naive schedules, and the paper's schedules with κ and λ polished on the tuning
-frames: these tell what κ and λ gain from what the steps' places gain. All times are taken afresh at the end, in
-turns. Takes about ten minutes on two cores.
+knows each frame's target), the naive schedules, our preset, and the paper's steps in the form that is searched,
+with κ, λ and α polished on the tuning frames: these tell what the form and its values gain from what the steps'
+places gain. All times are taken afresh at the end, in turns. Takes about ten minutes on two cores.
 
 Expect: tuned schedules five to ten percent below the paper's loss in a third of `paper-80`'s time; level with the
 polished ones, so that κ and λ make the quality and the places of the steps the speed. `naive-50` is as good where
@@ -53,6 +53,8 @@ from hyjax.tuning.run import BASELINES, tune_bench
 NAME = "tuning_gain"
 TITLE = "What tuning gains"
 COMPARISONS = (
+    ("hyjax", "paper-50"),
+    ("tuned, time of paper-50", "hyjax"),
     ("paper-50 polished", "paper-50"),
     ("tuned, time of paper-50", "paper-50"),
     ("tuned, time of paper-50", "paper-50 polished"),
@@ -70,7 +72,7 @@ class Config(ComparisonConfig):
     kitchen: Path | None = None
     """A capture to tune on besides the built-in room."""
     polishing: int = 40
-    """Iterations of κ and λ of the paper's schedules."""
+    """Iterations of κ, λ and α of the paper's steps."""
     out: Path = Path("results/tuning_gain")
 
 
@@ -193,7 +195,7 @@ def figure(rows: Sequence[Row]) -> Figure:
     return fig
 
 
-KINDS = {"tuned": "C0", "paper": "C1", "naive": "C2"}
+KINDS = {"tuned": "C0", "hyjax": "C3", "paper": "C1", "naive": "C2"}
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 
 Takes about four minutes on two cores, once the built-in room is made. On the paper's ladder with eight step counts
 a level, all 4095 schedules are evaluated, once: each budget's optimum on this grid is known for sure. The search
-gets the same objective, cost model and budgets, and the same fixed κ and λ; its step counts may be any whole
+gets the same objective, cost model and budgets, and the same fixed κ, λ and α; its step counts may be any whole
 numbers. Two kinds of regret, relative to the loss of the grid's optimum:
 
 - of what it found, below zero where finer step counts help;
@@ -24,6 +24,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
@@ -34,7 +35,7 @@ from experiments.plotting import new_figure
 from experiments.records import Results, Row, machine, of_kind
 from hyjax.data.frames import spread
 from hyjax.errors import InputError
-from hyjax.schedule import DEFAULT_KAPPA, DEFAULT_LAM
+from hyjax.schedule import DEFAULT_LAM, GUIDED_ATTACHMENT, GUIDED_KAPPA
 from hyjax.tuning.bench import open_bench
 from hyjax.tuning.budget import MOST_STEPS, Steps, fits, project
 from hyjax.tuning.clocked import workload_of
@@ -63,8 +64,9 @@ class Config:
     """Steps that a level of the grid may have; 0 and 1 must be among them."""
     budgets: int = 5
     """How many, evenly spread in ratio from the cheapest schedule of the grid to its best, the last budget."""
-    kappa: float = DEFAULT_KAPPA
+    kappa: float = GUIDED_KAPPA
     lam: float = DEFAULT_LAM
+    attachment: float = GUIDED_ATTACHMENT
     recalibrate: bool = False
     """Make the latency table anew."""
     seed: int = 0
@@ -90,21 +92,22 @@ class Counted(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class StepsOnly(Counted):
-    """Of a plan's steps alone: κ and λ are these whatever the plan says, so its slopes in them are zero."""
+    """Of a plan's steps alone: κ, λ and α are these whatever the plan says, so its slopes in them are zero."""
 
-    kappa: float = DEFAULT_KAPPA
+    kappa: float = GUIDED_KAPPA
     lam: float = DEFAULT_LAM
+    attachment: float = GUIDED_ATTACHMENT
 
     def fixed(self, plan: Plan) -> Plan:
-        return Plan.of(np.asarray(plan.steps), self.kappa, self.lam)
+        return Plan.of(np.asarray(plan.steps), self.kappa, self.lam, self.attachment)
 
     def __call__(self, plan: Plan) -> float:
         return super().__call__(self.fixed(plan))
 
     def gradient(self, plan: Plan, frames: Iterable[int] | None = None) -> tuple[float, Plan]:
         loss, slope = super().gradient(self.fixed(plan), frames)
-        zero = np.zeros_like(slope.log_kappa)
-        return loss, dataclasses.replace(slope, log_kappa=zero, logit_lam=zero)
+        zero = jax.tree.map(np.zeros_like, slope)
+        return loss, dataclasses.replace(zero, steps=slope.steps)
 
 
 def prepare_room(
@@ -153,7 +156,8 @@ def main(config: Config) -> None:
         raise InputError(f"budgets: must be at least 1, got {config.budgets}")
     results = Results(config.out, NAME, config, resume=config.resume)
     prepared, ladder, cost = prepare_room(results, config.size, config.frames, config.ladder, config.recalibrate)
-    objective = StepsOnly(prepared, ladder, kappa=config.kappa, lam=config.lam)
+    fixed = {name: getattr(config, name) for name in ("kappa", "lam", "attachment")}
+    objective = StepsOnly(prepared, ladder, **fixed)
     warm_up(objective, cost)
 
     grid = [steps for steps in itertools.product(counts, repeat=len(ladder)) if any(steps)]

@@ -5,16 +5,16 @@
 
 Takes methods x seeds x seconds, 20 minutes by default on two cores, once the built-in room and its latency table
 are made; leave the machine alone meanwhile. The methods run one after another, seed by seed, on the same objective
-(the default tuning frames) and the same cost model (95th percentile by the latency table). All start cold,
-but ours knows the defaults of κ and λ and tries them first. The loss
-and its gradient are compiled before any clock starts; whatever else a method compiles is on its clock.
+(the default tuning frames) and the same cost model (95th percentile by the latency table). All start cold, but ours
+knows the defaults of κ, λ and α and tries them first. The loss and its gradient are compiled before any clock
+starts; whatever else a method compiles is on its clock.
 
 - Ours: `Search` with its default effort, which may end before the time is up. Its relaxed, real-valued plans are
   not schedules and do not count; neither does anything that comes in after the time.
 - Optuna's TPE and NSGA-II, in their default settings with the budget as a constraint: whole steps from 0 to 64 for
-  each level of the ladder, κ on a logarithmic scale and λ in the ranges that ours has. A trial over the budget is
-  recognised before it is evaluated and costs them next to nothing; its value is not looked at, only by how much it
-  is over.
+  each level of the ladder, κ and α on logarithmic scales and λ in the ranges that ours has. A trial over the budget
+  is recognised before it is evaluated and costs them next to nothing; its value is not looked at, only by how much
+  it is over.
 - Random search: uniform in the same space, redrawn until within the budget.
 
 `--resume` goes on with the runs that are left.
@@ -47,7 +47,7 @@ from hyjax.errors import InputError
 from hyjax.tuning.budget import MOST_STEPS, fits, single_steps
 from hyjax.tuning.cost_model import CostModel
 from hyjax.tuning.latency import Stopwatch
-from hyjax.tuning.relaxation import KAPPA_RANGE, LAM_RANGE, Plan
+from hyjax.tuning.relaxation import ATTACHMENT_RANGE, KAPPA_RANGE, LAM_RANGE, Plan
 from hyjax.tuning.search import Search
 
 NAME = "tuning_race"
@@ -109,9 +109,10 @@ class Run:
             self.best = loss
             self.curve.append((self.clock.seconds, loss))
 
-    def evaluate(self, steps: list[int], kappa: list[float], lam: list[float]) -> float:
+    def evaluate(self, steps: list[int], kappa: list[float], lam: list[float], attachment: list[float]) -> float:
         quarters = 4.0 * np.array(lam)
-        parts = np.array(steps), np.log(kappa), np.log(quarters) - np.log1p(-quarters)
+        free = np.log(kappa), np.log(quarters) - np.log1p(-quarters), np.log(attachment)
+        parts = np.array(steps), *free
         loss = self.objective(Plan(*(jnp.asarray(part, jnp.float32) for part in parts)))
         self.note(loss)
         return loss
@@ -151,13 +152,14 @@ def optuna_search(run: Run, sampler: str) -> None:
         steps = [trial.suggest_int(f"steps {factor}", 0, MOST_STEPS) for factor in ladder]
         kappa = [trial.suggest_float(f"kappa {factor}", *KAPPA_RANGE, log=True) for factor in ladder]
         lam = [trial.suggest_float(f"lam {factor}", *LAM_RANGE) for factor in ladder]
+        attachment = [trial.suggest_float(f"alpha {factor}", *ATTACHMENT_RANGE, log=True) for factor in ladder]
         over = run.cost(steps) - run.budget if any(steps) else run.budget
         trial.set_user_attr("over", over)
         if over > 0:
             run.over_budget += 1
             run.expired()
             return OVER_BUDGET
-        return run.evaluate(steps, kappa, lam)
+        return run.evaluate(steps, kappa, lam, attachment)
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     with warnings.catch_warnings():
@@ -182,8 +184,10 @@ def random_search(run: Run) -> None:
         for steps in fitting:
             if run.expired():
                 break
-            kappa = np.exp(rng.uniform(*np.log(KAPPA_RANGE), size))
-            run.evaluate(steps, kappa.tolist(), rng.uniform(*LAM_RANGE, size).tolist())
+            kappa, attachment = (
+                np.exp(rng.uniform(*np.log(bounds), size)).tolist() for bounds in (KAPPA_RANGE, ATTACHMENT_RANGE)
+            )
+            run.evaluate(steps, kappa, rng.uniform(*LAM_RANGE, size).tolist(), attachment)
 
 
 OURS = "ours"

@@ -16,7 +16,7 @@ from hyjax.schedule import Schedule
 from hyjax.tuning.bench import Workbench, open_bench
 from hyjax.tuning.calibration import compile_all, time_calls
 from hyjax.tuning.cases import Case, scores
-from hyjax.tuning.report_text import kappa_text, lam_text, steps_text
+from hyjax.tuning.report_text import attachment_text, kappa_text, lam_text, steps_text
 from hyjax.tuning.request import split_frames
 from hyjax.tuning.result import Milliseconds
 from hyjax.tuning.search import Effort
@@ -125,8 +125,8 @@ def add_scores(
 
 
 def texts(schedule: Schedule) -> dict[str, str]:
-    """A schedule's name, steps, κ and λ, for a row."""
-    parts = {"steps": steps_text, "kappa": kappa_text, "lam": lam_text}
+    """A schedule's name, steps, κ, λ and α, for a row."""
+    parts = {"steps": steps_text, "kappa": kappa_text, "lam": lam_text, "attachment": attachment_text}
     return {"schedule": schedule.name} | {key: text(schedule) for key, text in parts.items()}
 
 

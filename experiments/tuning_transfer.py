@@ -92,7 +92,8 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     for row in of_kind(rows, "schedule"):
         time = times.get(row["name"])
         cells = [f"{time['median']:.2f}", f"{time['p95']:.2f}"] if time else ["–", "–"]
-        schedules.append([row["name"], row["steps"], row["kappa"], row["lam"], *cells])
+        values = [row.get(key, "–") for key in ("steps", "kappa", "lam", "attachment")]
+        schedules.append([row["name"], *values, *cells])
     lines = []
     for scene in scenes_of(rows):
         for name, each in scored(rows, scene).items():
@@ -104,9 +105,9 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         own = tuned_on(scene)
         return [(name, own) for name in names if name not in (own, RAW)]
 
-    header = ["schedule", "steps", "κ", "λ", "median ms", "p95 ms"]
+    header = ["schedule", "steps", "κ", "λ", "α", "median ms", "p95 ms"]
     return [
-        Table(f"The schedules; {conditions(rows)}", header, schedules, names=4),
+        Table(f"The schedules; {conditions(rows)}", header, schedules, names=5),
         Table(
             "Means over held-out frames.",
             ["held-out frames of", "schedule", "loss", "PSNR dB", "SSIM"],

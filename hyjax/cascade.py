@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hyjax.diffusion import check_step_sizes, diffuse, edge_stopping, guide_distance
+from hyjax.diffusion import diffuse, edge_stopping, guide_distance
 from hyjax.errors import InputError
 from hyjax.pyramid import cell_pyramid, level_shape, max_pool, upsample
 from hyjax.schedule import Schedule
@@ -31,9 +31,7 @@ def cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Sc
     Raises:
         InputError: sizes of `y` and `guide` differ, or the schedule cannot be run (see `Schedule.check`).
     """
-    schedule.check()
-    for level in schedule.levels:
-        check_step_sizes(level.step_sizes, f"schedule {schedule.name}, factor {level.factor}, lam", y.dtype)
+    schedule.check(dtype=y.dtype)
     if y.ndim != 3 or guide.ndim != 3 or y.shape[:2] != guide.shape[:2]:
         raise InputError(
             f"cascade: filter {y.shape} and guide {guide.shape} must both be H x W x channels, same H x W"

@@ -25,9 +25,12 @@ LARGEST_EIGENVALUE = 8.0
 LIMIT = 2.0 / LARGEST_EIGENVALUE
 """Below this a single step is stable."""
 LONGEST = 100
-"""Steps of a cycle. Beyond, single precision is not enough; repeat shorter ones instead."""
-# What one rounding error may become within a cycle, relative to the picture, if all that could go wrong did.
-WORST_ERROR = 0.1
+"""Steps of a cycle. Beyond, rounding errors grow too much; repeat shorter ones instead."""
+LONGEST_RUN = 2048
+"""Steps of a level that may vary: several cycles."""
+# What a rounding error may become within a cycle, relative to the picture, if all that could go wrong did. In fact
+# some millionth of that is seen.
+WORST_ERROR = 4.0
 
 
 def longest_time(n: int) -> float:
@@ -50,15 +53,16 @@ def step_cycle(n: int, time: float) -> Float[np.ndarray, "n"]:
     Raises:
         InputError: another number of steps, or a time that n steps cannot cover (see `longest_time`).
     """
-    if not 1 <= n <= LONGEST:
+    if int(n) != n or not 1 <= n <= LONGEST:
         raise InputError(f"cycle: need 1 to {LONGEST} steps, got {n}")
     most = longest_time(n)
     if not 0 < time < math.inf:
         raise InputError(f"cycle: the diffusion time must be finite and > 0, got {time:g}")
     if time > most * (1 + 1e-6):
+        needed = shortest_cycle(time)
+        instead = f"take at least {needed} steps" if needed <= LONGEST else "repeat shorter cycles"
         raise InputError(
-            f"cycle: {n} steps cover a diffusion time of at most {most:.4g} squared pixels, not {time:g}; take at "
-            f"least {shortest_cycle(time)} steps"
+            f"cycle: {n} steps cover a diffusion time of at most {most:.4g} squared pixels, not {time:g}; {instead}"
         )
     i = np.arange(n)
     sizes = time / most * LIMIT / (2.0 * np.cos(np.pi * (2 * i + 1) / (4 * n + 2)) ** 2)
@@ -100,9 +104,16 @@ def growth(step_sizes: Float[ArrayLike, "n"]) -> tuple[float, float]:
 
 
 def stable_cycle(step_sizes: Float[ArrayLike, "n"], dtype: DTypeLike = np.float32) -> bool:
-    """Whether steps, some beyond the limit for single ones, are stable together, in this order and precision."""
+    """Whether steps, some beyond the limit for single ones, are stable together, in this order and precision.
+
+    They may be several cycles, one after the other.
+    """
     sizes = np.asarray(step_sizes, float)
-    if sizes.ndim != 1 or not 2 <= sizes.size <= LONGEST or not (np.isfinite(sizes).all() and (sizes > 0).all()):
+    if (
+        sizes.ndim != 1
+        or not 2 <= sizes.size <= LONGEST_RUN
+        or not (np.isfinite(sizes).all() and (sizes > 0).all())
+    ):
         return False
     worst, whole = growth(sizes)
     return whole <= 1.0 + 1e-4 and worst * float(jnp.finfo(dtype).eps) <= WORST_ERROR

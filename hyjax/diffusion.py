@@ -215,10 +215,11 @@ def diffuse(
         edges: conductances from `conductance`.
         step_sizes: λ of each step, all in (0, 1/4), or a stable cycle (see `hyjax.cycles`); may be empty.
         attachment: α ≥ 0; None for none.
-        source: what is held on to, shape as `y`; by default `y` itself.
+        source: what is held on to, shape as `y`; by default `y` itself. Nothing without an attachment.
 
     Raises:
-        InputError: step sizes that are not stable, α < 0, or edges that do not belong to a picture of this size.
+        InputError: step sizes that are not stable, α < 0, or edges or a source that do not belong to a picture of
+            this size.
 
     Source of the data term: Nordström, *Biased anisotropic diffusion*, 1990.
     """
@@ -227,6 +228,10 @@ def diffuse(
     if attachment is not None:
         check_attachment(attachment)
         attachment = jnp.asarray(attachment, y.dtype)
+    if source is not None:
+        if source.shape != y.shape:
+            raise InputError(f"source: shape {source.shape} is not that of what is diffused, {y.shape}")
+        source = source.astype(y.dtype)
     return _diffuse(y, edges, jnp.asarray(step_sizes, y.dtype), attachment, source)
 
 
@@ -265,10 +270,10 @@ def check_step_sizes(step_sizes: Float[ArrayLike, "n"], where: str = "lam", dtyp
     bad = values[~((values > 0) & (values < 0.25))]
     if not bad.size or stable_cycle(values, dtype):
         return
-    if stable_cycle(values):
-        name = jnp.dtype(dtype).name
+    if stable_cycle(values, jnp.float64):
         raise InputError(
-            f"{where}: a cycle of {values.size} steps is too long for {name}; use shorter ones or float32"
+            f"{where}: these {values.size} steps amplify rounding errors too much for {jnp.dtype(dtype).name}; use "
+            f"shorter cycles, or float32"
         )
     raise InputError(
         f"{where}: a step size must lie inside (0, 1/4) to be stable, or belong to a cycle as step_cycle makes it, "

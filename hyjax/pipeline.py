@@ -175,10 +175,11 @@ def relight_stages(
         raise InputError(f"relight: confidence is {confidence.shape}, must be {(*size, 1)}")
     if shadow_schedule is None:
         shadow_schedule = Schedule.preset("shadow" if mode == "paper" else "hyjax-shadow")
-    schedule.check(), shadow_schedule.check()
+    for used in (schedule, shadow_schedule):
+        used.check(dtype=frame.dtype)
     trust = gbuffer.hit[..., None] if confidence is None else jnp.where(gbuffer.hit[..., None], confidence, 0.0)
     seen = concrete(trust)
-    if seen is not None and not (seen > 0).any():
+    if mode == "hyjax" and seen is not None and not (seen > 0).any():
         warnings.warn("relight: nothing of the frame is known; only ambient light is used", stacklevel=3)
 
     def see() -> Float[Array, "h w l"]:

@@ -40,7 +40,7 @@ def cascade_known(
     usable = jnp.isfinite(y)
     if weight.shape[-1] == 1:
         usable = _all_channels(usable)
-    weight = jnp.where(usable & (weight > 0), jnp.minimum(weight, 1.0), 0.0)  # NaN > 0 is false
+    weight = jnp.where(usable & jnp.isfinite(weight) & (weight > 0), jnp.minimum(weight, 1.0), 0.0)
     weighted = jnp.concatenate([jnp.where(weight > 0, y, 0.0) * weight, weight], axis=-1)
     # Summed over the coarsest cells, which the cascade needs anyhow: XLA's CPU backend is slow to sum over pixels.
     factor = schedule.levels[0].factor

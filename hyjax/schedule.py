@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import ArrayLike, Float
 
 from hyjax.diffusion import Norm, check_attachment, check_kappa, check_step_sizes
@@ -173,8 +174,8 @@ class Schedule:
         options = preset.options if kappa is None else preset.options | {"kappa": kappa}
         return cls.uniform(preset.steps, lam=lam, name=name, **options)
 
-    def check(self) -> "Schedule":
-        """Return self if it can be run. Values known only while tracing are let through.
+    def check(self, *, dtype: DTypeLike = np.float32) -> "Schedule":
+        """Return self if it can be run in this precision. Values known only while tracing are let through.
 
         Raises:
             InputError: no level, factor < 1, factors not falling or not multiples, κ ≤ 0, λ outside (0, 1/4) and no
@@ -201,7 +202,7 @@ class Schedule:
         for level in self.levels:
             at = f"{where}, factor {level.factor}"
             check_kappa(level.kappa, f"{at}, kappa")
-            check_step_sizes(level.step_sizes, f"{at}, lam")
+            check_step_sizes(level.step_sizes, f"{at}, lam", dtype)
             if level.attachment is not None:
                 check_attachment(level.attachment, f"{at}, attachment")
         return self
@@ -313,8 +314,9 @@ def _read_level(index: int, content: Any) -> Level:
     if steps > MOST_STEPS:
         raise InputError(f"{where}: {steps} steps are too many; at most {MOST_STEPS}")
     try:
-        kappa = np.float32(content["kappa"] + 0.0)  # a list or a text has no sum with a number
-        attachment = None if content.get("attachment") is None else np.float32(content["attachment"] + 0.0)
+        with np.errstate(over="ignore"):  # infinite, and refused as such
+            kappa = np.float32(content["kappa"] + 0.0)  # a list or a text has no sum with a number
+            attachment = None if content.get("attachment") is None else np.float32(content["attachment"] + 0.0)
         step_sizes = np.zeros(0, np.float32) if steps == 0 else np.asarray(lam, np.float32)
     except (TypeError, ValueError):
         raise InputError(f"{where}: 'kappa', 'lam' and 'attachment' must be numbers") from None

@@ -15,7 +15,6 @@ import functools
 
 import jax
 import jax.numpy as jnp
-from jaxopt import linear_solve
 from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.diffusion import check_attachment, check_edges
@@ -66,11 +65,13 @@ def _solve(
     tolerance: float,
     most_iterations: int,
 ) -> Float[Array, "h w c"]:
+    from jaxopt import linear_solve  # a third of the time that `import hyjax` takes
+
     right, first = (jnp.moveaxis(x, -1, 0) for x in (attachment * source, start))
     vertical, horizontal = edges
     around = jnp.zeros(source.shape[:2], source.dtype).at[:-1].add(vertical).at[1:].add(vertical)
     around = around.at[:, :-1].add(horizontal).at[:, 1:].add(horizontal)
-    diagonal = jax.lax.stop_gradient(attachment + around)
+    diagonal = jax.lax.stop_gradient(attachment + around)[None]
     solution = linear_solve.solve_cg(
         functools.partial(_apply, edges=edges, attachment=attachment),
         right,
@@ -85,4 +86,4 @@ def _solve(
 def _apply(y: Float[Array, "c h w"], *, edges: Edges, attachment: Float[Array, ""]) -> Float[Array, "c h w"]:
     """(α + L) y."""
     vertical, horizontal = gradient(y)
-    return attachment * y - divergence((edges[0] * vertical, edges[1] * horizontal))
+    return attachment * y - divergence((edges[0][None] * vertical, edges[1][None] * horizontal))

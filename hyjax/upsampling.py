@@ -9,18 +9,18 @@ Source: Kopf, Cohen, Lischinski and Uyttendaele, *Joint bilateral upsampling*, S
 """
 
 import functools
+from typing import get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from hyjax.diffusion import Norm
+from hyjax.diffusion import Norm, check_kappa
 from hyjax.errors import InputError
 from hyjax.pyramid import cell_means, level_shape
 
 
-@functools.partial(jax.jit, static_argnames=("factor", "norm"))
 def guided_upsample(
     y: Float[Array, "ch cw c"],
     factor: int,
@@ -41,22 +41,39 @@ def guided_upsample(
         norm: of guide differences, see `guide_distance`.
 
     Raises:
-        InputError: factor below 1, or a guide's size that does not have `y`'s number of cells.
+        InputError: factor below 1, a guide that is not H×W×F or does not have `y`'s number of cells, κ ≤ 0, or an
+            unknown norm.
     """
+    check_kappa(kappa)
+    if norm not in get_args(Norm):
+        raise InputError(f"norm: {norm!r} is unknown; use one of {', '.join(get_args(Norm))}")
+    if guide.ndim != 3 or guide.shape[-1] == 0:
+        raise InputError(f"guide: need H x W x F features, got shape {guide.shape}")
     if factor < 1 or level_shape((guide.shape[0], guide.shape[1]), factor) != y.shape[:2]:
         raise InputError(
             f"guided_upsample: {y.shape[0]}x{y.shape[1]} cells times {factor} make no picture of "
             f"{guide.shape[0]}x{guide.shape[1]}"
         )
-    if factor == 1:
-        return y
+    return y if factor == 1 else _guided_upsample(y, factor, guide, kappa, norm=norm)
+
+
+@functools.partial(jax.jit, static_argnames=("factor", "norm"))
+def _guided_upsample(
+    y: Float[Array, "ch cw c"],
+    factor: int,
+    guide: Float[Array, "h w f"],
+    kappa: Float[ArrayLike, ""],
+    *,
+    norm: Norm,
+) -> Float[Array, "h w c"]:
     fine = jnp.moveaxis(guide, -1, 0)  # planes: channels innermost leave the CPU's vector units half empty
     rows_fine = cell_means(fine, factor, axis=2)
     cells = cell_means(rows_fine, factor, axis=1)
-    # At least float32, in which κ² of any sensible κ is not rounded to zero.
+    # In at least float32, and far from where squares are rounded to zero or infinity.
     kappa = jnp.asarray(kappa, jnp.promote_types(guide.dtype, jnp.float32))
-    result = _guided_lerp(jnp.moveaxis(y, -1, 0), cells, rows_fine, factor, kappa, norm, axis=1)
-    return jnp.moveaxis(_guided_lerp(result, rows_fine, fine, factor, kappa, norm, axis=2), 0, -1)
+    scale = jnp.clip(kappa, 1e-15, 1e15) ** -2
+    result = _guided_lerp(jnp.moveaxis(y, -1, 0), cells, rows_fine, factor, scale, norm, axis=1)
+    return jnp.moveaxis(_guided_lerp(result, rows_fine, fine, factor, scale, norm, axis=2), 0, -1)
 
 
 def _guided_lerp(
@@ -64,7 +81,7 @@ def _guided_lerp(
     coarse: Float[Array, "f h w"],
     fine: Float[Array, "f H W"],
     factor: int,
-    kappa: Float[Array, ""],
+    scale: Float[Array, ""],
     norm: Norm,
     axis: int,
 ) -> Float[Array, "c H W"]:
@@ -81,13 +98,12 @@ def _guided_lerp(
     pixels = jnp.pad(fine, [missing if a == axis else (0, 0) for a in range(3)])
     pixels = pixels.reshape(*fine.shape[:axis], cells + 1, factor, *fine.shape[axis + 1 :])
     position = (np.arange(factor) + (0.5 if factor % 2 == 0 else 0.0)) / factor  # from the first of two centres
-    near = jnp.asarray(np.expand_dims(position, [a for a in range(3) if a != axis]), kappa.dtype)
-    # Of the weights (1-w) c(d₀) and w c(d₁), c = κ²/(κ²+d²), the second's share: κ² + d² of the other does for
-    # dividing by one's own.
-    first, second = (kappa**2 + _distance(pixels, cell, norm) for cell in neighbours(coarse))
+    near = jnp.asarray(np.expand_dims(position, [a for a in range(3) if a != axis]), scale.dtype)
+    # Weights are (1-w) c(d₀) and w c(d₁) with 1/c(d) = 1 + d²/κ²; the share of the second, times both inverses:
+    first, second = (1.0 + scale * _distance(pixels, cell, norm) for cell in neighbours(coarse))
     share = near * first / ((1.0 - near) * second + near * first)
     lower, upper = neighbours(y)
-    result = lower + share.astype(y.dtype) * (upper - lower)
+    result = lower + share.astype(y.dtype)[None] * (upper - lower)
     result = result.reshape(*y.shape[:axis], (cells + 1) * factor, *y.shape[axis + 1 :])
     return jax.lax.slice_in_dim(result, start, start + length, axis=axis)
 

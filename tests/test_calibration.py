@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
+from hyjax.cascade import cascade
 from hyjax.errors import InputError
 from hyjax.refine import cascade_known
-from hyjax.schedule import Schedule
-from hyjax.tuning.calibration import calibration_steps, compile_all, probe_steps, schedule_of
+from hyjax.schedule import GUIDED_ATTACHMENT, Schedule, guided_schedule
+from hyjax.tuning.calibration import calibration_steps, compile_all, own_stages, probe_steps, schedule_of
+from hyjax.tuning.clocked import searchable
 from hyjax.tuning.cost_model import row_of
-from hyjax.tuning.workload import LADDER, Workload
+from hyjax.tuning.relaxation import Plan
+from hyjax.tuning.workload import LADDER, Workload, schedule_key
 
 
 @pytest.mark.parametrize("ladder", [LADDER, (16, 8, 4, 2), (4, 2, 1), (2, 1), (8,)])
@@ -17,16 +20,32 @@ def test_calibration_schedules_are_valid_and_tell_all_costs_apart(ladder: tuple[
     assert len(set(steps)) == len(steps) and len(steps) <= 32
     assert probe_steps(ladder) in steps
     for row in steps:
-        schedule_of(ladder, row)  # checks it
+        assert searchable(schedule_of(ladder, row))
     # Two costs cannot be told apart by any schedules: the last level's two constants, and a constant moved from
     # `fixed` to every possible finest level.
     design = np.stack([row_of(row) for row in steps])
     assert np.linalg.matrix_rank(design) == design.shape[1] - 2
 
 
+def test_what_is_timed_takes_the_time_of_what_is_searched() -> None:
+    for row in calibration_steps((8, 4, 1)):
+        assert schedule_key(schedule_of((8, 4, 1), row)) == schedule_key(Plan.of(row).schedule((8, 4, 1)))
+    assert searchable(Schedule.preset("hyjax")) and not searchable(Schedule.preset("paper-50"))
+    for changes in ({"attachment": None}, {"norm": "mean_abs"}, {"pooling": "edges"}, {"upsampling": "bilinear"}):
+        assert not searchable(guided_schedule([(4, 2)], **changes))
+
+
+def test_parts_of_the_cascade_are_the_probes() -> None:
+    ladder, (y, known, guide) = (4, 2), Workload(16, 12, 1).arguments()
+    stages = own_stages(ladder, (y, known, guide))
+    assert {edge.shape for edges in stages["conductance"]() for edge in edges} == {(3, 3), (4, 2), (7, 6), (8, 5)}
+    without = guided_schedule([(4, 0)], attachment=GUIDED_ATTACHMENT)
+    np.testing.assert_allclose(stages["resampling"](), cascade(y, guide, without), rtol=1e-6)
+
+
 def test_what_is_timed_is_the_pipelines_cascade() -> None:
     arguments = Workload(16, 12, 1).arguments()
-    schedules = [Schedule.uniform([(4, 2), (2, 3)]), Schedule.uniform([(2, 1)])]
+    schedules = [schedule_of((4, 2), (2, 3)), Schedule.uniform([(4, 2), (2, 3)]), Schedule.uniform([(2, 1)])]
     calls = compile_all(schedules, arguments, progress=False)
     for call, schedule in zip(calls, schedules):
         np.testing.assert_allclose(call(), cascade_known(*arguments, schedule), rtol=1e-6)

@@ -219,6 +219,86 @@ def test_flat_guides_have_finite_gradients() -> None:
         assert np.all(np.isfinite(grad))
 
 
+# ---- the data term ----
+
+pulls = st.floats(0.0, 20.0)
+few_sizes = st.sampled_from([(1, 6), (9, 8)])
+
+
+@given(few_sizes, seeds, pulls)
+def test_the_data_term_is_implicit(size: tuple[int, int], seed: int, pull: float) -> None:
+    """(1 + λ α) y' = y + λ div(c ∇y) + λ α source, step by step."""
+    y, source, edges = picture(seed, size, 2), picture(seed + 1, size, 2), random_edges(seed, size)
+    lam = np.random.default_rng(seed).uniform(0.01, 0.249, 3)
+    expected = y
+    for step in lam:
+        moved = paper.diffuse_step(expected, edges, step)
+        expected = (moved + step * pull * source) / (1 + step * pull)
+    with jax.enable_x64(True):
+        held = jnp.asarray(source)
+        got = diffuse(jnp.asarray(y), tuple(map(jnp.asarray, edges)), lam, attachment=pull, source=held)
+        np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-13)
+
+
+@given(few_sizes, seeds, pulls)
+def test_with_a_data_term_range_and_mean_are_kept(size: tuple[int, int], seed: int, pull: float) -> None:
+    """Nothing leaves the range of picture and source; held on to itself a picture keeps its mean, held on to
+    another the mean goes over to that one's, by 1/(1 + λ α) a step."""
+    with jax.enable_x64(True):
+        edges, lam = tuple(map(jnp.asarray, random_edges(seed, size))), np.full(3, 0.2499999)
+        y, source = (jnp.asarray(picture(seed + k, size, 2)) for k in (0, 1))
+        itself = np.asarray(diffuse(y, edges, lam, attachment=pull))
+        other = np.asarray(diffuse(y, edges, lam, attachment=pull, source=source))
+        both = np.concatenate([y, source])
+        for out, values in ((itself, np.asarray(y)), (other, both)):
+            assert np.all(out >= np.min(values, (0, 1)) - 1e-12) and np.all(out <= np.max(values, (0, 1)) + 1e-12)
+        mean, goal = (np.mean(a, (0, 1)) for a in (y, source))
+        np.testing.assert_allclose(np.mean(itself, (0, 1)), mean, atol=1e-13)
+        left = (1 + 0.2499999 * pull) ** -3
+        np.testing.assert_allclose(np.mean(other, (0, 1)), goal + left * (mean - goal), atol=1e-13)
+
+
+@given(seeds)
+def test_the_ends_of_the_data_term(seed: int) -> None:
+    """α = 0 is none; a huge α gives the source; a constant that holds on to itself stays."""
+    y, source = (jnp.asarray(picture(seed + k, (9, 8), 2), jnp.float32) for k in (0, 1))
+    edges = tuple(jnp.asarray(e, jnp.float32) for e in random_edges(seed, (9, 8)))
+    lam = np.full(3, 0.2, np.float32)
+    np.testing.assert_allclose(diffuse(y, edges, lam, attachment=0.0), diffuse(y, edges, lam), atol=1e-6)
+    np.testing.assert_allclose(diffuse(y, edges, lam, attachment=1e7, source=source), source, atol=1e-5)
+    np.testing.assert_array_equal(
+        diffuse(y, edges, lam, attachment=0.5), diffuse(y, edges, lam, attachment=0.5, source=y)
+    )
+    flat = jnp.full_like(y, 0.3)
+    np.testing.assert_allclose(diffuse(flat, edges, lam, attachment=0.7), flat, rtol=1e-6)
+
+
+def test_gradients_of_the_data_term() -> None:
+    """With respect to the picture, the source, the guide, every λ and α."""
+    target = picture(9, (5, 4), 2)
+
+    def loss(y: jax.Array, source: jax.Array, guide: jax.Array, lam: jax.Array, pull: jax.Array) -> jax.Array:
+        held = diffuse(y, conductance(guide, 0.4), lam, attachment=pull, source=source)
+        return jnp.sum((held - target) ** 2)
+
+    with jax.enable_x64(True):
+        pictures = (picture(k, (5, 4), channels) for k, channels in ((0, 2), (1, 2), (2, 3)))
+        assert_gradients(loss, *pictures, np.array([0.1, 0.24, 0.2]), 0.7)
+
+
+@pytest.mark.parametrize("pull", [-1e-3, -1.0, float("nan"), float("inf")])
+def test_bad_attachments_are_refused(pull: float) -> None:
+    y = jnp.zeros((3, 4, 1))
+    with pytest.raises(InputError, match=rf"^attachment: must be finite and >= 0, got {pull}"):
+        diffuse(y, conductance(y, 1.0), np.array([0.1]), attachment=pull)
+
+
+def test_a_source_of_another_size_is_refused() -> None:
+    y = jnp.zeros((3, 4, 1))
+    with pytest.raises(InputError, match=r"source"):
+        diffuse(y, conductance(y, 1.0), np.array([0.1]), attachment=1.0, source=jnp.ones((1, 4, 1)))
+
+
 def test_small_kappa_in_half_precision() -> None:
     vertical, _ = edge_stopping(guide_distance(jnp.array([[[0.0]], [[0.01]]], jnp.float16)), 0.01)
     np.testing.assert_allclose(np.asarray(vertical, np.float32), 0.5, rtol=0.01)

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from test_relaxation import case_of
 
-from hyjax import InputError, Schedule
+from hyjax import InputError, Schedule, step_cycle
 from hyjax.guide.choose import RGB
 from hyjax.guide.convolution import convolve
+from hyjax.schedule import GUIDED_KAPPA, Level, guided_schedule
 from hyjax.tuning.cases import Case, mix, refined_filter, scores
 from hyjax.tuning.joint import check_joint, plan_of, tune_jointly
-from hyjax.tuning.relaxation import Plan, prepare, relaxed_loss
+from hyjax.tuning.relaxation import ATTACHMENT_RANGE, LAM_RANGE, Plan, prepare, relaxed_loss
 
 SIZE = (16, 24)
 LADDER = (4, 1)
@@ -38,13 +39,15 @@ def two_halves() -> tuple[Case, jnp.ndarray]:
 
 def test_the_kernel_learns_where_the_border_is() -> None:
     case, trunk = two_halves()
-    kernel = jnp.zeros((1, 1, 2, 1)).at[0, 0].set(jnp.array([[0.02], [0.05]]))
+    kernel = jnp.zeros((1, 1, 2, 1)).at[0, 0].set(GUIDED_KAPPA * jnp.array([[1.0], [2.5]]))
     start = Plan.of((6.0, 6.0))
     plan, tuned, before, after = tune_jointly([case], [trunk], kernel, start, LADDER, iterations=120)
     assert after < 0.85 * before
     ratio = [abs(float(k[0, 0, 0, 0] / k[0, 0, 1, 0])) for k in (kernel, tuned)]
     assert ratio[1] > 1.1 * ratio[0]  # the channel with the border counts for more
     np.testing.assert_array_equal(plan.steps, start.steps)
+    for name in ("log_kappa", "logit_lam", "log_attachment"):
+        assert np.all(getattr(plan, name) != getattr(start, name)), name
     with_guide = dataclasses.replace(case, guide=convolve(trunk[None], tuned)[0])
     assert float(relaxed_loss(plan, prepare(with_guide, LADDER), LADDER)) == pytest.approx(after, rel=1e-4)
     schedule = plan.schedule(LADDER)
@@ -63,13 +66,28 @@ def test_without_time_nothing_changes() -> None:
 
 
 def test_a_schedule_becomes_a_plan_and_back() -> None:
-    schedule = Schedule.uniform([(4, 3), (1, 5)], kappa=0.07, lam=0.2)
+    schedule = guided_schedule([(4, 3), (1, 5)], kappa=0.07, lam=0.2, attachment=0.3)
     plan = plan_of(schedule, LADDER)
     again = plan.schedule(LADDER)
     assert [(level.factor, level.steps) for level in again.levels] == [(4, 3), (1, 5)]
+    assert (again.pooling, again.upsampling) == (schedule.pooling, schedule.upsampling)
     for level in again.levels:
         np.testing.assert_allclose(level.kappa, 0.07, rtol=1e-5)
         np.testing.assert_allclose(level.step_sizes, 0.2, rtol=1e-5)
+        np.testing.assert_allclose(level.attachment, 0.3, rtol=1e-5)
+
+
+def test_a_schedule_without_data_term_becomes_a_plan_with_next_to_none() -> None:
+    plan = plan_of(Schedule.uniform([(4, 3), (1, 5)], kappa=0.07), LADDER)
+    np.testing.assert_allclose(plan.attachment, ATTACHMENT_RANGE[0], rtol=1e-5)
+    np.testing.assert_allclose(plan_of(guided_schedule([(4, 3)], attachment=0.0), LADDER).attachment[0], 1e-4, 1e-5)
+
+
+def test_a_step_cycle_becomes_the_largest_steps() -> None:
+    cycle = step_cycle(6, 3.4)
+    assert np.mean(cycle) > 0.25
+    plan = plan_of(Schedule((Level(4, cycle, np.float32(0.07)),)), LADDER)
+    np.testing.assert_allclose(plan.lam[0], LAM_RANGE[1], rtol=1e-5)
 
 
 def test_only_a_learned_guide_has_a_layer_to_tune() -> None:

@@ -15,7 +15,7 @@ import pytest
 from reference.costs import TRUTH, random_steps
 
 from hyjax.errors import InputError
-from hyjax.schedule import Schedule
+from hyjax.schedule import Schedule, guided_schedule
 from hyjax.tuning import calibration, latency, latency_table
 from hyjax.tuning.calibration import calibration_steps, probe_steps
 from hyjax.tuning.latency_table import (
@@ -131,6 +131,15 @@ def test_timed_schedules_are_remembered(machine: FakeMachine, table: LatencyTabl
     assert time_schedules(table, [], progress=False) == []
 
 
+def test_schedules_of_other_forms_are_timed_apart(machine: FakeMachine, table: LatencyTable) -> None:
+    before, steps = len(machine.compiled), [(16, 5), (8, 10)]
+    paper, guided, free = Schedule.uniform(steps), guided_schedule(steps), guided_schedule(steps, attachment=None)
+    held_more = guided_schedule(steps, attachment=2.0)
+    time_schedules(table, [paper, guided, free, held_more], progress=False)
+    assert len(machine.compiled) == before + 3  # α does not matter, as long as there is one
+    assert {schedule_key(paper), schedule_key(guided), schedule_key(free)} == set(table.timed)
+
+
 def test_arguments_of_other_shapes_are_refused(table: LatencyTable) -> None:
     wrong = jnp.zeros((1024, 1024, 2)), jnp.zeros((1024, 1024, 1), bool), jnp.zeros((1024, 1000, 3))
     with pytest.raises(InputError, match="guide: shape"):
@@ -159,6 +168,7 @@ def test_json_gives_the_same_table_back(table: LatencyTable) -> None:
 
 BREAKERS: dict[str, Callable[[dict[str, Any]], object]] = {
     "other format": lambda c: c.update(format=99),
+    "of the paper's form": lambda c: c.update(format=3),
     "no format": lambda c: c.pop("format"),
     "missing part": lambda c: c.pop("median"),
     "missing cost": lambda c: c["median"].pop("step"),
@@ -310,7 +320,7 @@ def test_a_small_calibration_for_real(monkeypatch: pytest.MonkeyPatch, tmp_path:
     predicted = table.predict([5, 5])
     assert 0 < predicted.median <= predicted.p95 < float("inf")
     assert LatencyTable.from_json(table.to_json()) == table
-    schedules = [Schedule.uniform([(4, 3), (2, 3)]), Schedule.uniform([(1, 2)], pooling="guide")]
+    schedules = [Schedule.uniform([(4, 3), (2, 3)]), guided_schedule([(1, 2)])]
     for time in time_schedules(table, schedules, repeats=2, progress=False):
         assert 0 < time.median <= time.p95
     y, known, guide = table.workload.arguments()

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from hyjax import InputError
 from hyjax.color import to_linear
 from hyjax.losses import filter_loss
-from hyjax.schedule import DEFAULT_KAPPA, DEFAULT_LAM
+from hyjax.schedule import DEFAULT_LAM, GUIDED_ATTACHMENT, GUIDED_KAPPA, Schedule
 from hyjax.tuning.budget import MOST_STEPS
 from hyjax.tuning.cases import Case, refined_filter
 from hyjax.tuning.relaxation import (
+    ATTACHMENT_RANGE,
     BLOCK,
     Plan,
     Prepared,
@@ -57,8 +58,9 @@ def cases() -> dict[tuple[int, int], tuple[Case, Prepared]]:
 def random_plan(steps: tuple[float, ...], seed: int) -> Plan:
     rng = np.random.default_rng(seed)
     kappa, lam = rng.uniform(0.02, 0.8, len(steps)), rng.uniform(0.05, 0.249, len(steps))
+    attachment = np.exp(rng.uniform(*np.log((0.01, 3.0)), len(steps)))
     free = [logit(4.0 * x) for x in lam]
-    return Plan(*(jnp.asarray(x, jnp.float32) for x in (steps, np.log(kappa), free)))
+    return Plan(*(jnp.asarray(x, jnp.float32) for x in (steps, np.log(kappa), free, np.log(attachment))))
 
 
 # ---- whole steps ----
@@ -91,6 +93,37 @@ def test_levels_may_vanish_anywhere(cases: dict, size: tuple[int, int], steps: t
     plan = random_plan(steps, 7)
     want = np.asarray(refined_filter(case, plan.schedule(LADDER)))
     np.testing.assert_allclose(filter_of(prepared, plan, LADDER), want, rtol=2e-5, atol=2e-5)
+
+
+@pytest.mark.parametrize("attachment", ATTACHMENT_RANGE)
+def test_the_data_term_is_the_real_one_at_the_ends_of_its_range(cases: dict, attachment: float) -> None:
+    case, prepared = cases[SIZES[1]]
+    plan = dataclasses.replace(random_plan((3, 2, 1), 7), log_attachment=jnp.full(3, np.log(attachment)))
+    want = np.asarray(refined_filter(case, plan.schedule(LADDER)))
+    np.testing.assert_allclose(filter_of(prepared, plan, LADDER), want, rtol=2e-5, atol=2e-5)
+
+
+def test_without_attachment_it_is_the_cascade_without_a_data_term(cases: dict) -> None:
+    case, prepared = cases[SIZES[1]]
+    plan = dataclasses.replace(random_plan((3, 2, 1), 7), log_attachment=jnp.full(3, -jnp.inf))
+    schedule = plan.schedule(LADDER)
+    free = dataclasses.replace(
+        schedule, levels=tuple(dataclasses.replace(level, attachment=None) for level in schedule.levels)
+    )
+    want = np.asarray(refined_filter(case, free))
+    np.testing.assert_allclose(filter_of(prepared, plan, LADDER), want, rtol=2e-5, atol=2e-5)
+
+
+@pytest.mark.parametrize("level", range(3))
+def test_each_level_holds_on_by_its_own_attachment(cases: dict, level: int) -> None:
+    _, prepared = cases[SIZES[0]]
+    plan = random_plan((3, 2, 1), 3)
+    more = dataclasses.replace(plan, log_attachment=plan.log_attachment.at[level].add(1.0))
+    change = jnp.abs(filter_of(prepared, more, LADDER) - filter_of(prepared, plan, LADDER))
+    assert float(change.max()) > 1e-3
+    without = dataclasses.replace(plan, steps=plan.steps.at[level].set(0.0))
+    more = dataclasses.replace(more, steps=without.steps)
+    np.testing.assert_array_equal(filter_of(prepared, more, LADDER), filter_of(prepared, without, LADDER))
 
 
 @pytest.mark.parametrize("steps", [(1, 0), (0, 1)])
@@ -201,12 +234,13 @@ def test_the_loss_is_the_one_of_the_real_filter(fine: tuple[Case, Prepared]) -> 
 
 @pytest.mark.parametrize("steps", [FREE, (0.4, 2.5), (0.7, 0.2), (BLOCK + 0.5, 1.5)])
 def test_gradients_are_the_differences(fine: tuple[Case, Prepared], steps: tuple[float, ...]) -> None:
-    """Every entry: steps between whole numbers (of levels half there, too), log κ, logit λ."""
+    """Every entry: steps between whole numbers (of levels half there, too), log κ, logit λ, log α."""
     _, prepared = fine
     with jax.enable_x64(True):
         plan = double_plan(steps, 5)
         _, slope = evaluate_with_gradient(plan, prepared, SHORT)
         leaves, structure = jax.tree.flatten(plan)
+        assert len(leaves) == 4
         for index, leaf in enumerate(leaves):
             for entry in range(len(SHORT)):
 
@@ -247,30 +281,50 @@ def test_one_compilation_serves_all_step_counts(fine: tuple[Case, Prepared]) -> 
     values=st.lists(st.floats(-30, 30, width=32), min_size=3, max_size=3),
     logs=st.lists(st.floats(-20, 20, width=32), min_size=3, max_size=3),
 )
-def test_lambda_and_kappa_stay_in_range(values: list[float], logs: list[float]) -> None:
-    plan = Plan(jnp.ones(3), jnp.asarray(logs, jnp.float32), jnp.asarray(values, jnp.float32))
-    assert np.all(plan.kappa > 0) and np.all(np.isfinite(plan.kappa))
+def test_kappa_lambda_and_alpha_stay_in_range(values: list[float], logs: list[float]) -> None:
+    free = jnp.asarray(logs, jnp.float32)
+    plan = Plan(jnp.ones(3), free, jnp.asarray(values, jnp.float32), free[::-1])
+    for positive in (plan.kappa, plan.attachment):
+        assert np.all(positive > 0) and np.all(np.isfinite(positive))
     assert np.all(plan.lam >= 0) and np.all(plan.lam <= 0.25)
     inside = np.abs(values) < 10
     assert np.all(np.asarray(plan.lam)[inside] > 0) and np.all(np.asarray(plan.lam)[inside] < 0.25)
 
 
 def test_plan_of() -> None:
-    plan = Plan.of([1, 2.5, 0], kappa=[0.1, 0.2, 0.3], lam=0.2)
+    plan = Plan.of([1, 2.5, 0], kappa=[0.1, 0.2, 0.3], lam=0.2, attachment=[0.4, 0.5, 6.0])
     np.testing.assert_allclose(plan.steps, [1, 2.5, 0])
     np.testing.assert_allclose(plan.kappa, [0.1, 0.2, 0.3], rtol=1e-6)
     np.testing.assert_allclose(plan.lam, 0.2, rtol=1e-6)
+    np.testing.assert_allclose(plan.attachment, [0.4, 0.5, 6.0], rtol=1e-6)
     usual = Plan.of([1, 1])
-    np.testing.assert_allclose(usual.kappa, DEFAULT_KAPPA, rtol=1e-6)
+    np.testing.assert_allclose(usual.kappa, GUIDED_KAPPA, rtol=1e-6)
     np.testing.assert_allclose(usual.lam, DEFAULT_LAM, rtol=1e-6)
+    np.testing.assert_allclose(usual.attachment, GUIDED_ATTACHMENT, rtol=1e-6)
+    assert {leaf.dtype for leaf in jax.tree.leaves(plan)} == {jnp.dtype("float32")}
+
+
+def test_a_plan_as_it_is_by_default_is_the_preset() -> None:
+    """Its steps, in its form, at its κ, λ and α: no tuning run ends worse than the preset `hyjax`."""
+    preset = Schedule.preset("hyjax")
+    steps = {level.factor: level.steps for level in preset.levels}
+    ladder = (32, 16, 8, 4, 2, 1)
+    got = Plan.of([steps.get(factor, 0) for factor in ladder]).schedule(ladder)
+    assert (got.pooling, got.upsampling, got.norm) == (preset.pooling, preset.upsampling, preset.norm)
+    for ours, theirs in zip(got.levels, preset.levels, strict=True):
+        assert ours.factor == theirs.factor
+        np.testing.assert_allclose(ours.step_sizes, theirs.step_sizes, rtol=1e-6)
+        np.testing.assert_allclose([ours.kappa, ours.attachment], [theirs.kappa, theirs.attachment], rtol=1e-6)
 
 
 def test_a_schedule_leaves_out_empty_levels() -> None:
-    plan = Plan.of([0.4, 2.6, 0, 1], kappa=[0.1, 0.2, 0.3, 0.4], lam=0.2)
+    plan = Plan.of([0.4, 2.6, 0, 1], kappa=[0.1, 0.2, 0.3, 0.4], lam=0.2, attachment=[1, 2, 3, 4])
     schedule = plan.schedule((8, 4, 2, 1), "mine")
     assert schedule.name == "mine"
+    assert (schedule.pooling, schedule.upsampling, schedule.norm) == ("guide", "guide", "l2")
     assert [(level.factor, level.steps) for level in schedule.levels] == [(4, 3), (1, 1)]
     np.testing.assert_allclose([level.kappa for level in schedule.levels], [0.2, 0.4], rtol=1e-6)
+    np.testing.assert_allclose([level.attachment for level in schedule.levels], [2, 4], rtol=1e-6)
     for level in schedule.levels:
         np.testing.assert_allclose(level.step_sizes, 0.2, rtol=1e-6)
 
@@ -278,7 +332,10 @@ def test_a_schedule_leaves_out_empty_levels() -> None:
 def test_a_schedule_of_a_plan_survives_json() -> None:
     schedule = random_plan((3, 0, 2), 9).schedule(LADDER)
     again = type(schedule).from_json(schedule.to_json())
-    assert again.to_json() == schedule.to_json()
+    assert again.to_json() == schedule.to_json() and again.upsampling == "guide"
+    for one, other in zip(again.levels, schedule.levels, strict=True):
+        assert (one.factor, one.kappa, one.attachment) == (other.factor, other.kappa, other.attachment)
+        np.testing.assert_array_equal(one.step_sizes, other.step_sizes)
 
 
 @pytest.mark.parametrize("steps", [(0, 0), (0.4, 0.2)])

@@ -24,22 +24,23 @@ from hyjax.tuning.descent import (
     with_steps,
 )
 from hyjax.tuning.latency_table import CostModel
-from hyjax.tuning.relaxation import KAPPA_RANGE, LAM_RANGE, Plan, logit
+from hyjax.tuning.relaxation import ATTACHMENT_RANGE, KAPPA_RANGE, LAM_RANGE, Plan, logit
 from hyjax.tuning.search import AGAIN, QUICK, Effort, Search
 
 COST = CostModel(1.0, (0.3, 0.4, 0.6), (0.1, 0.2, 0.5), (0.8, 0.2, 0.0))
 BUDGET = 8.0
-KAPPA, LOGIT = float(np.log(0.05)), 1.0  # where they are best
+KAPPA, LOGIT, ATTACHMENT = float(np.log(0.02)), 1.0, float(np.log(0.3))  # where they are best
 GAIN, HALF = np.array([0.03, 0.04, 0.02], np.float32), np.array([12.0, 5.0, 2.5], np.float32)
 FAST = Effort(sampled=8, relaxed=2, iterations=20, rounded=12, polished=2, polishing=8, descents=2)
 
 
 @jax.jit
 def bowl(plan: Plan, frame: jax.Array) -> jax.Array:
-    """Each level repairs its share, less and less with every step, and costs for κ and λ beside the best."""
+    """Each level repairs its share, less and less with every step, and costs for κ, λ and α beside the best."""
     present = jnp.clip(plan.steps, 0.0, 1.0)
     left = jnp.sum(GAIN * jnp.exp(-plan.steps / HALF))
     beside = (plan.log_kappa - KAPPA) ** 2 + 0.3 * (plan.logit_lam - LOGIT) ** 2
+    beside += 0.5 * (plan.log_attachment - ATTACHMENT) ** 2
     return left + 1e-3 * jnp.sum(present * beside) + 1e-4 * frame * jnp.sum(plan.steps / (1.0 + plan.steps))
 
 
@@ -67,7 +68,7 @@ def bowl_objective() -> Bowl:
 
 
 def best_by_brute_force(budget: float, cost: CostModel = COST) -> tuple[float, Steps]:
-    """Over all whole steps that fit, with the best κ and λ."""
+    """Over all whole steps that fit, with the best κ, λ and α."""
     table = [np.exp(-np.arange(65) / half) * gain for half, gain in zip(HALF, GAIN)]
     all_steps = itertools.product(*(range(65) for _ in HALF))
     rough = np.array([1.0 / max(s, 1e-3) for s in cost.step])
@@ -99,14 +100,14 @@ def test_all_it_returns_fits_and_is_in_order(effort: Effort) -> None:
     found = search.run(BUDGET, effort, warm=[Plan.of([30, 20, 10])])
     losses = [f.loss for f in found]
     assert losses == sorted(losses) and len({f.steps for f in found}) == len(found) > 1
-    low, high = bounds()
     for f in found:
         assert fits(f.steps, COST, BUDGET)
         np.testing.assert_array_equal(np.asarray(f.plan.steps), f.steps)
         there = np.array(f.steps) > 0
-        for values, k in ((f.plan.log_kappa, 0), (f.plan.logit_lam, 1)):
-            assert np.all(np.asarray(values)[there] >= low[k] - 1e-5)
-            assert np.all(np.asarray(values)[there] <= high[k] + 1e-5)
+        own = f.plan.log_kappa, f.plan.logit_lam, f.plan.log_attachment
+        for values, (low, high) in zip(own, bounds(), strict=True):
+            assert np.all(np.asarray(values)[there] >= low - 1e-5)
+            assert np.all(np.asarray(values)[there] <= high + 1e-5)
 
 
 def test_same_seed_same_result() -> None:
@@ -270,9 +271,11 @@ def test_starts_fit_and_are_the_same_again() -> None:
 
 
 def test_relaxing_improves_and_stays_inside() -> None:
-    objective, start = bowl_objective(), Plan.of([2, 2, 2], kappa=0.5, lam=0.05)
+    objective, start = bowl_objective(), Plan.of([2, 2, 2], kappa=0.5, lam=0.05, attachment=5.0)
     plan = relax(objective, start, COST, BUDGET, 40, 0)
     assert objective(plan) < 0.7 * objective(start)
+    moved = [(getattr(plan, name) - getattr(start, name)) for name in ("log_kappa", "logit_lam", "log_attachment")]
+    assert [np.sign(x).tolist() for x in moved] == [[-1] * 3, [1] * 3, [-1] * 3], "towards the best"
     assert COST(np.asarray(plan.steps).tolist()) <= BUDGET * (1 + 1e-4)
     jax.tree.map(np.testing.assert_array_equal, bounded(plan), plan)
     again = relax(objective, start, COST, BUDGET, 40, 0)
@@ -287,40 +290,44 @@ def test_relaxing_looks_at_one_frame_an_iteration() -> None:
 
 @pytest.mark.parametrize("kappa", [KAPPA_RANGE[0], 0.02, KAPPA_RANGE[1]])
 @pytest.mark.parametrize("lam", [0.011, 0.24, 0.2498])
-def test_polishing_never_makes_worse_and_stays_inside(kappa: float, lam: float) -> None:
+@pytest.mark.parametrize("attachment", [ATTACHMENT_RANGE[0], 0.1, ATTACHMENT_RANGE[1]])
+def test_polishing_never_makes_worse_and_stays_inside(kappa: float, lam: float, attachment: float) -> None:
     objective = bowl_objective()
-    plan = Plan.of([4, 0, 2], kappa=kappa, lam=lam)
+    plan = Plan.of([4, 0, 2], kappa=kappa, lam=lam, attachment=attachment)
     found = polish(objective, plan, 10)
     assert found.loss <= objective(plan) and found.steps == (4, 0, 2)
     assert found.loss == pytest.approx(objective(found.plan), rel=1e-6)
     assert found.plan.log_kappa[1] == plan.log_kappa[1] and found.plan.logit_lam[1] == plan.logit_lam[1]
-    assert np.all(np.asarray(found.plan.kappa) >= KAPPA_RANGE[0] * (1 - 1e-5))
-    assert np.all(np.asarray(found.plan.kappa) <= KAPPA_RANGE[1] * (1 + 1e-5))
+    assert found.plan.log_attachment[1] == plan.log_attachment[1]
+    for values, (low, high) in ((found.plan.kappa, KAPPA_RANGE), (found.plan.attachment, ATTACHMENT_RANGE)):
+        assert np.all(np.asarray(values) >= low * (1 - 1e-5)) and np.all(np.asarray(values) <= high * (1 + 1e-5))
     assert np.all(np.asarray(found.plan.lam) >= LAM_RANGE[0] * (1 - 1e-4))
     assert np.all(np.asarray(found.plan.lam) <= LAM_RANGE[1] * (1 + 1e-4)) and np.all(found.plan.lam < 0.25)
     np.testing.assert_allclose(np.asarray(found.plan.log_kappa)[[0, 2]], KAPPA, atol=0.15)
+    np.testing.assert_allclose(np.asarray(found.plan.log_attachment)[[0, 2]], ATTACHMENT, atol=0.3)
 
 
 def test_polishing_ends_at_the_bounds() -> None:
-    """An objective that wants ever larger κ and λ."""
+    """An objective that wants ever larger κ and λ, and ever smaller α."""
 
     @dataclasses.dataclass(frozen=True)
     class Slope(Objective):
         def gradient(self, plan: Plan, frames: Iterable[int] | None = None) -> tuple[float, Plan]:
             ones = jnp.ones_like(plan.steps)
-            return self(plan), Plan(ones, -0.01 * ones, -0.01 * ones)
+            return self(plan), Plan(ones, -0.01 * ones, -0.01 * ones, 0.01 * ones)
 
         def __call__(self, plan: Plan) -> float:
-            return float(1.0 - 0.01 * jnp.sum(plan.log_kappa + plan.logit_lam))
+            return float(1.0 - 0.01 * jnp.sum(plan.log_kappa + plan.logit_lam - plan.log_attachment))
 
     found = polish(Slope([], (2, 1)), Plan.of([1, 1]), 20)
     np.testing.assert_allclose(found.plan.kappa, KAPPA_RANGE[1], rtol=1e-5)
     np.testing.assert_allclose(found.plan.lam, LAM_RANGE[1], rtol=1e-5)
+    np.testing.assert_allclose(found.plan.attachment, ATTACHMENT_RANGE[0], rtol=1e-5)
 
 
 def test_promising_is_by_first_order() -> None:
     plan = Plan.of([2.5, 3.5])
-    slope = Plan(jnp.array([-1.0, -0.1]), jnp.zeros(2), jnp.zeros(2))
+    slope = Plan(jnp.array([-1.0, -0.1]), *[jnp.zeros(2)] * 3)
     candidates = [(2, 5), (3, 3), (2, 3), (3, 4)]
     assert promising(candidates, plan, slope, 9) == [(3, 4), (3, 3), (2, 5), (2, 3)]
     assert promising(candidates, plan, slope, 2) == [(3, 4), (3, 3)]
@@ -329,19 +336,26 @@ def test_promising_is_by_first_order() -> None:
 
 
 def test_with_steps_takes_the_nearest_levels_values() -> None:
-    plan = Plan(jnp.array([0.0, 2.0, 0.0, 0.0, 3.0]), jnp.arange(5.0), 10.0 + jnp.arange(5.0))
+    columns = (start + jnp.arange(5.0) for start in (0.0, 10.0, 20.0))
+    plan = Plan(jnp.array([0.0, 2.0, 0.0, 0.0, 3.0]), *columns)
     got = with_steps(plan, (1, 1, 1, 1, 1))
     np.testing.assert_array_equal(got.log_kappa, [1, 1, 1, 4, 4])
     np.testing.assert_array_equal(got.logit_lam, [11, 11, 11, 14, 14])
+    np.testing.assert_array_equal(got.log_attachment, [21, 21, 21, 24, 24])
     none = with_steps(dataclasses.replace(plan, steps=jnp.zeros(5)), (1, 0, 0, 0, 0))
     np.testing.assert_array_equal(none.log_kappa, plan.log_kappa)
+    np.testing.assert_array_equal(none.log_attachment, plan.log_attachment)
 
 
 def test_whole_and_bounds() -> None:
     assert whole(Plan.of([0.4, 0.6, 7.2])) == (0, 1, 7)
-    outside = Plan(jnp.ones(2), jnp.array([-99.0, 99.0]), jnp.array([99.0, -99.0]))
+    low_high, high_low = jnp.array([-99.0, 99.0]), jnp.array([99.0, -99.0])
+    outside = Plan(jnp.ones(2), low_high, high_low, low_high)
     inside = bounded(outside)
     np.testing.assert_allclose(inside.kappa, KAPPA_RANGE, rtol=1e-5)
     np.testing.assert_allclose(inside.lam, LAM_RANGE[::-1], rtol=1e-5)
+    np.testing.assert_allclose(inside.attachment, ATTACHMENT_RANGE, rtol=1e-5)
     assert np.all(inside.lam < 0.25)
-    assert bounds()[1][1] == pytest.approx(logit(4 * LAM_RANGE[1]))
+    kappa, lam, attachment = bounds()
+    assert lam == pytest.approx([logit(4 * x) for x in LAM_RANGE])
+    assert kappa == pytest.approx(np.log(KAPPA_RANGE)) and attachment == pytest.approx(np.log(ATTACHMENT_RANGE))

@@ -59,9 +59,9 @@ def test_implicit_derivatives_equal_finite_differences() -> None:
 
 def test_refusals() -> None:
     source, edges = problem(3, 4, 0, np.float32)
-    with pytest.raises(InputError, match="^attachment: must be finite and >= 0, got -1"):
+    with pytest.raises(InputError, match=r"^attachment: must be finite and >= 0, got -1"):
         solve(source, edges, -1.0)
-    with pytest.raises(InputError, match="^attachment: must be > 0; without it everything flows"):
+    with pytest.raises(InputError, match=r"^attachment: must be > 0; without it everything flows"):
         solve(source, edges, 0.0)
-    with pytest.raises(InputError, match="^edges: "):
+    with pytest.raises(InputError, match=r"^edges: "):
         solve(source[:2], edges, 0.1)

@@ -2,7 +2,9 @@
 
 import base64
 import csv
+import dataclasses
 import html.parser
+import importlib.resources
 import itertools
 import json
 import math
@@ -19,14 +21,17 @@ from hyjax.errors import InputError
 from hyjax.images import read_image
 from hyjax.schedule import Level, Schedule
 from hyjax.tuning import report
+from hyjax.tuning.report_axes import COLORS
 from hyjax.tuning.report_markup import tag
 from hyjax.tuning.report_pictures import data_uris, pair_to_compare
-from hyjax.tuning.report_text import candidates
+from hyjax.tuning.report_plots import MARKERS
+from hyjax.tuning.report_text import candidates, kind_of_baseline
 from hyjax.tuning.result import Budget, Candidate, Milliseconds, Scores, Tuned
 
 RUDE = "<b>&amp;\"'$x_$</script>"
 FPS60, MS8, RUDEST = Budget("60 fps", 1000 / 60), Budget("8 ms", 8.0), Budget(f"../{RUDE}", 30.0)
 VOID = {"img", "meta"}
+GUIDED = ("tuned", "hyjax", "trial")
 
 
 def scores(loss: float) -> Scores:
@@ -34,17 +39,18 @@ def scores(loss: float) -> Scores:
 
 
 def candidate(name: str, steps: list[tuple[int, int]], ms: float, loss: float, **changes: Any) -> Candidate:
-    levels = [
-        Level(factor, np.linspace(0.1 + 0.01 * i, 0.24, n, dtype=np.float32), np.float32(0.02 * (i + 1)))
-        for i, (factor, n) in enumerate(steps)
-    ]
+    form: dict[str, Any] = {"pooling": "guide", "upsampling": "guide"} if name.startswith(GUIDED) else {}
+    levels = []
+    for i, (factor, n) in enumerate(steps):
+        sizes, attachment = np.linspace(0.1 + 0.01 * i, 0.24, n, dtype=np.float32), np.float32(0.1 * (i + 1))
+        levels.append(Level(factor, sizes, np.float32(0.02 * (i + 1)), attachment if form else None))
     values = {
         "predicted": Milliseconds(0.96 * ms, 1.05 * ms),
         "measured": Milliseconds(ms, 1.1 * ms),
         "tuning": scores(loss),
         "held_out": scores(1.1 * loss),
     }
-    return Candidate(Schedule(tuple(levels), name=name), **(values | changes))
+    return Candidate(Schedule(tuple(levels), name=name, **form), **(values | changes))
 
 
 def fake(budgets: list[Budget], *, baselines: bool = True, front: int = 5, **changes: Any) -> Tuned:
@@ -56,6 +62,7 @@ def fake(budgets: list[Budget], *, baselines: bool = True, front: int = 5, **cha
     times = [2.0 + 3 * i for i in range(front)]
     rest = [candidate(f"tuned-{t:.0f}", [(8, 3), (2, round(t))], t, 0.55 / t, **changes) for t in times]
     usual = [
+        candidate("hyjax", [(16, 3), (8, 4), (4, 6)], 3.3, 0.2, **changes),
         candidate("paper-50", [(16, 5), (8, 10), (4, 15), (2, 20)], 7.7, 0.09, **changes),
         candidate("paper-80", [(16, 10), (8, 15), (4, 25), (2, 30)], 11.3, 0.07, **changes),
         candidate("naive-50", [(2, 50)], 14.0, 0.4, **changes),
@@ -207,7 +214,12 @@ def test_csv_reads_back(tmp_path: Path) -> None:
     for level, kappa, lam in zip(tuned.schedule.levels, best["kappa"].split(), best["lam"].split(), strict=True):
         assert float(kappa) == pytest.approx(float(level.kappa), rel=1e-5)
         np.testing.assert_allclose([float(x) for x in lam.split("/")], level.step_sizes, rtol=1e-5)
-    assert {row["kind"] for row in rows if row["name"].startswith(("paper", "naive"))} == {"baseline"}
+    held = [float(x) for x in best["attachment"].split()]
+    np.testing.assert_allclose(held, [level.attachment for level in tuned.schedule.levels], rtol=1e-5)
+    assert (best["pooling"], best["upsampling"], best["norm"]) == ("guide", "guide", "l2")
+    paper = rows[names.index("paper-50")]
+    assert (paper["pooling"], paper["upsampling"], paper["attachment"]) == ("edges", "bilinear", "- - - -")
+    assert {row["kind"] for row in rows if row["name"].startswith(("hyjax", "paper", "naive"))} == {"baseline"}
 
 
 def test_csv_leaves_empty_what_is_unknown(tmp_path: Path) -> None:
@@ -225,7 +237,24 @@ def test_every_candidate_once() -> None:
     twin = candidate("trial-7", [(16, 4), (4, 8), (2, 17)], 16.0, 0.1)
     tuned = Tuned(tuned.schedule, tuned.best, tuned.budgets, [twin, *tuned.front], tuned.baselines, [], {})
     names = [c.name for _, c in candidates(tuned)]
-    assert names == ["tuned-2", "tuned-60fps", "paper-50", "paper-80", "naive-50", "naive-1000"]
+    assert names == ["tuned-2", "tuned-60fps", "hyjax", "paper-50", "paper-80", "naive-50", "naive-1000"]
+
+
+@pytest.mark.parametrize("change", [{"upsampling": "bilinear"}, {"pooling": "edges"}, {"norm": "mean_abs"}])
+def test_what_differs_in_form_alone_is_another(change: dict[str, Any]) -> None:
+    tuned = fake([FPS60], front=1)
+    other = dataclasses.replace(tuned.best[0].schedule, name="trial-7", **change)
+    other = dataclasses.replace(tuned.best[0], schedule=other)
+    tuned = Tuned(tuned.schedule, tuned.best, tuned.budgets, [other], [], [], {})
+    assert [c.name for _, c in candidates(tuned)] == ["tuned-60fps", "trial-7"]
+
+
+def test_whose_a_baseline_is() -> None:
+    kinds = {c.name: kind_of_baseline(c) for c in fake([FPS60]).baselines}
+    want = {"hyjax": "preset", "paper-50": "paper", "paper-80": "paper", "naive-50": "naive", "naive-1000": "naive"}
+    assert kinds == want and set(COLORS) >= {"tuned", *want.values()} and set(MARKERS) >= {"tuned", *want.values()}
+    style = importlib.resources.files("hyjax.tuning").joinpath("report.css").read_text(encoding="utf-8")
+    assert all(style.count(f"--{kind}: #") == 2 for kind in want.values()), "in light and in dark"
 
 
 # ---- sentences ----
@@ -244,7 +273,7 @@ def test_sentences_where_less_is_known() -> None:
     assert report.summary(fake([MS8], baselines=False))[0].endswith("p95 8.54 ms; loss 0.06875.")
     assert "8 ms: schedule" in report.summary(fake([MS8]))[0]
     tight = report.summary(fake([Budget("1 ms", 1.0)]))[0]
-    assert tight.endswith("of paper-50 at 7.70 ms, which does not fit (held-out frames).")
+    assert tight.endswith("of hyjax at 3.30 ms, which does not fit (held-out frames).")
     mixed = report.summary(fake([FPS60], held_out=None))[0]
     assert mixed.endswith("loss 0.03 against 0.07 of paper-80 at 11.30 ms (tuning frames).")
 
@@ -298,6 +327,16 @@ def test_the_page_stands_alone(tuned: Tuned, tmp_path: Path) -> None:
     assert not re.search(r"<(?!b>|/script>)", words)
     for example in examples():
         assert example.name in words and example.note in words
+
+
+def test_the_page_tells_each_levels_values(tmp_path: Path) -> None:
+    tuned = fake([FPS60])
+    report.write_report(tmp_path / "r.html", tuned, [])
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert text.count("pooling guide, upsampling guide, norm l2") == 1 + 5 + 1
+    assert text.count("pooling edges, upsampling bilinear, norm l2") == 4
+    for values in (("4", "8", "0.04", "0.2"), ("4", "15", "0.06", "–")):  # the tuned one's, and paper-50's
+        assert "<tr>" + "".join(f'<td class="n">{value}</td>' for value in values) + "<td>" in text
 
 
 def test_no_examples_no_pictures(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from hyjax.errors import InputError
-from hyjax.schedule import Schedule
+from hyjax.schedule import Schedule, guided_schedule
 from hyjax.tuning.workload import LADDER, Workload, check_ladder, ladder_for, schedule_key
 
 
@@ -53,3 +53,8 @@ def test_schedule_key_has_what_decides_the_time() -> None:
     assert schedule_key(Schedule.uniform([(16, 5), (8, 10)], kappa=0.3, lam=0.1, name="x")) == "16:5 8:10"
     other = dataclasses.replace(schedule, pooling="guide", norm="mean_abs")
     assert schedule_key(other) == "16:5 8:10 pooling=guide norm=mean_abs"
+    guided = guided_schedule([(16, 5), (8, 10)])
+    assert schedule_key(guided) == "16:5 8:10 pooling=guide upsampling=guide attached"
+    assert schedule_key(guided_schedule([(16, 5), (8, 10)], attachment=3.0, kappa=0.3)) == schedule_key(guided)
+    free = guided_schedule([(16, 5), (8, 10)], attachment=None)
+    assert schedule_key(free) == "16:5 8:10 pooling=guide upsampling=guide"
