@@ -177,10 +177,13 @@ def relight_stages(
         shadow_schedule = Schedule.preset("shadow" if mode == "paper" else "hyjax-shadow")
     for used in (schedule, shadow_schedule):
         used.check(dtype=frame.dtype)
-    trust = gbuffer.hit[..., None] if confidence is None else jnp.where(gbuffer.hit[..., None], confidence, 0.0)
-    seen = concrete(trust)
-    if mode == "hyjax" and seen is not None and not (seen > 0).any():
-        warnings.warn("relight: nothing of the frame is known; only ambient light is used", stacklevel=3)
+    trust: Array = gbuffer.hit[..., None]
+    if confidence is not None and mode == "hyjax":
+        trust = jnp.where(trust, confidence, 0.0)
+    trusted = concrete(trust)
+    if trusted is not None and not (trusted > 0).any():
+        left = "the relit frame is black" if mode == "paper" else "only ambient light is used"
+        warnings.warn(f"relight: nothing of the frame is known; {left}", stacklevel=3)
 
     def see() -> Float[Array, "h w l"]:
         return visibilities(gbuffer, lights, maps) if visibility is None else visibility

@@ -47,12 +47,6 @@ def cell_pyramid(y: Float[Array, "h w c"], factors: Iterable[int]) -> dict[int, 
     return means
 
 
-def cell_means(x: Array, factor: int, axis: int) -> Array:
-    """As `downsample`, along one axis only."""
-    pixels = np.expand_dims(_pixels(x.shape[axis], factor), [a for a in range(x.ndim) if a != axis])
-    return _sum_cells(x, factor, axis) * jnp.asarray(1.0 / pixels, x.dtype)
-
-
 def _sum_cells(x: Array, factor: int, axis: int) -> Array:
     length = x.shape[axis]
     cells = -(-length // factor)

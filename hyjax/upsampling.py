@@ -1,14 +1,14 @@
 """Upsampling that does not mix across the edges of a guide.
 
-Bilinear interpolation gives a pixel the values of the two nearest cell centres of each axis, by their distance in
-space alone. Here each of the two also counts by the conductance (Eq. 3) between the pixel's guide and the cell's,
-so that a pixel beside an edge listens to its own side. Rows and columns are taken one after the other, as bilinear
-interpolation may be; halfway the guide is a pixel high and a cell wide.
+Bilinear interpolation gives a pixel the values of the four nearest cell centres, by their distance in space alone.
+Here each of the four also counts by the conductance (Eq. 3) between the pixel's guide and the cell's, so that a
+pixel beside an edge listens to its own side.
 
 Source: Kopf, Cohen, Lischinski and Uyttendaele, *Joint bilateral upsampling*, SIGGRAPH 2007.
 """
 
 import functools
+import itertools
 from typing import get_args
 
 import jax
@@ -18,7 +18,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.diffusion import Norm, check_kappa
 from hyjax.errors import InputError
-from hyjax.pyramid import cell_means, level_shape
+from hyjax.pyramid import downsample, level_shape
 
 
 def guided_upsample(
@@ -66,46 +66,32 @@ def _guided_upsample(
     *,
     norm: Norm,
 ) -> Float[Array, "h w c"]:
-    fine = jnp.moveaxis(guide, -1, 0)  # planes: channels innermost leave the CPU's vector units half empty
-    rows_fine = cell_means(fine, factor, axis=2)
-    cells = cell_means(rows_fine, factor, axis=1)
+    (rows, columns, _), (height, width, _) = y.shape, guide.shape
+    start = (factor + 1) // 2  # pixels between the centre of the cell before the first one and the picture
+    # Planes: channels innermost leave the CPU's vector units half empty. Pixels between four cell centres together.
+    missing = [(start, (cells + 1) * factor - start - n) for cells, n in ((rows, height), (columns, width))]
+    pixels = jnp.pad(jnp.moveaxis(guide, -1, 0), [(0, 0), *missing])
+    pixels = pixels.reshape(-1, rows + 1, factor, columns + 1, factor)
+    values, cells = (
+        jnp.pad(jnp.moveaxis(x, -1, 0), [(0, 0), (1, 1), (1, 1)], mode="edge")
+        for x in (y, downsample(guide, factor))
+    )
     # In at least float32, and far from where squares are rounded to zero or infinity.
     kappa = jnp.asarray(kappa, jnp.promote_types(guide.dtype, jnp.float32))
     scale = jnp.clip(kappa, 1e-15, 1e15) ** -2
-    result = _guided_lerp(jnp.moveaxis(y, -1, 0), cells, rows_fine, factor, scale, norm, axis=1)
-    return jnp.moveaxis(_guided_lerp(result, rows_fine, fine, factor, scale, norm, axis=2), 0, -1)
+    second = (np.arange(factor) + (0.5 if factor % 2 == 0 else 0.0)) / factor  # weight of the second of two centres
+    shares, total, weights = (1.0 - second, second), jnp.zeros(()), jnp.zeros(())
+    for down, right in itertools.product((0, 1), repeat=2):
 
+        def corner(x: Array, down: int = down, right: int = right) -> Array:
+            return x[:, down : down + rows + 1, None, right : right + columns + 1, None]
 
-def _guided_lerp(
-    y: Float[Array, "c h w"],
-    coarse: Float[Array, "f h w"],
-    fine: Float[Array, "f H W"],
-    factor: int,
-    scale: Float[Array, ""],
-    norm: Norm,
-    axis: int,
-) -> Float[Array, "c H W"]:
-    """Along one axis. Between two neighbouring centres lie `factor` pixels, at the same distances everywhere."""
-    cells, length = y.shape[axis], fine.shape[axis]
-    start = (factor + 1) // 2  # pixels between the centre of the cell before the first one and the picture
-
-    def neighbours(x: Array) -> list[Array]:
-        padded = jnp.pad(x, [(1, 1) if a == axis else (0, 0) for a in range(3)], mode="edge")
-        both = [jax.lax.slice_in_dim(padded, k, k + cells + 1, axis=axis) for k in (0, 1)]
-        return [jnp.expand_dims(cell, axis + 1) for cell in both]
-
-    missing = (start, (cells + 1) * factor - start - length)
-    pixels = jnp.pad(fine, [missing if a == axis else (0, 0) for a in range(3)])
-    pixels = pixels.reshape(*fine.shape[:axis], cells + 1, factor, *fine.shape[axis + 1 :])
-    position = (np.arange(factor) + (0.5 if factor % 2 == 0 else 0.0)) / factor  # from the first of two centres
-    near = jnp.asarray(np.expand_dims(position, [a for a in range(3) if a != axis]), scale.dtype)
-    # Weights are (1-w) c(d₀) and w c(d₁) with 1/c(d) = 1 + d²/κ²; the share of the second, times both inverses:
-    first, second = (1.0 + scale * _distance(pixels, cell, norm) for cell in neighbours(coarse))
-    share = near * first / ((1.0 - near) * second + near * first)
-    lower, upper = neighbours(y)
-    result = lower + share.astype(y.dtype)[None] * (upper - lower)
-    result = result.reshape(*y.shape[:axis], (cells + 1) * factor, *y.shape[axis + 1 :])
-    return jax.lax.slice_in_dim(result, start, start + length, axis=axis)
+        near = jnp.asarray(np.outer(shares[down], shares[right])[None, :, None, :], scale.dtype)
+        weight = near / (1.0 + scale * _distance(pixels, corner(cells), norm))
+        total, weights = total + weight[None] * corner(values), weights + weight
+    result = (total / weights[None]).reshape(-1, (rows + 1) * factor, (columns + 1) * factor)
+    result = result[:, start : start + height, start : start + width].astype(y.dtype)
+    return jnp.moveaxis(result, 0, -1)
 
 
 def _distance(a: Float[Array, "f *s"], b: Float[Array, "f *s"], norm: Norm) -> Float[Array, "*s"]:
