@@ -68,6 +68,7 @@ def main(config: Config) -> None:
     each = hyjax.shade_each(gbuffer, lights)
     seen = hyjax.visibilities(gbuffer, lights, maps)
     shading = hyjax.shade(gbuffer, lights)
+    filled = hyjax.fill_visibility(seen, each > 0, guide)
     names = "paper-50", "paper-80", "hyjax", "hyjax-shadow"
     paper_50, paper_80, ours, shadow = (hyjax.Schedule.preset(name) for name in names)
 
@@ -80,7 +81,8 @@ def main(config: Config) -> None:
         ("cascade paper-50", hyjax.cascade, (shading, guide, paper_50), config.repeats),
         ("cascade paper-80", hyjax.cascade, (shading, guide, paper_80), config.repeats),
         ("cascade hyjax", hyjax.cascade, (shading, guide, ours), config.repeats),
-        ("shadow pass", hyjax.cascade_known, (seen, each > 0, guide, shadow), config.repeats),
+        ("fill of unseen visibility", hyjax.fill_visibility, (seen, each > 0, guide), config.repeats),
+        ("shadow pass", hyjax.shadow_pass, (filled, guide, shadow), config.repeats),
         ("composite", hyjax.composite, (shading, linear), config.repeats),
     ]
     for schedule in (paper_80, ours):

@@ -17,7 +17,7 @@ from hyjax.gbuffer import GBuffer
 from hyjax.lights import AmbientLight, Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
 from hyjax.pipeline import Relit, relight, relight_stages
 from hyjax.pyramid import downsample, min_pool, upsample
-from hyjax.refine import cascade_known, shadow_pass
+from hyjax.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.schedule import Level, Schedule
 from hyjax.shading import colored, shade, shade_each
 from hyjax.shadow import ShadowMap, visibilities, visibility
@@ -59,6 +59,7 @@ __all__ = [
     "diffuse",
     "diffuse_step",
     "downsample",
+    "fill_visibility",
     "guided_upsample",
     "level_edges",
     "luminance",

@@ -26,7 +26,7 @@ from hyjax.compositing import composite
 from hyjax.errors import InputError
 from hyjax.gbuffer import GBuffer
 from hyjax.lights import AmbientLight, Light
-from hyjax.refine import cascade_known, shadow_pass
+from hyjax.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.schedule import Schedule
 from hyjax.shading import colored, shade_each
 from hyjax.shadow import ShadowMap, visibilities
@@ -211,7 +211,7 @@ def _stages(
     yield "visibility", seen
     refined = cascade_known(each, trust, guide, schedule)
     yield "cascade", refined
-    refined_seen = cascade_known(seen, each > 0, guide, shadow_schedule)
+    refined_seen = shadow_pass(fill_visibility(seen, each > 0, guide), guide, shadow_schedule)
     yield "shadow pass", refined_seen
     if settle is not None:
         refined, refined_seen = settle(refined, refined_seen)

@@ -1,4 +1,4 @@
-"""The cascade where something is unknown or doubtful, and the paper's shadow pass."""
+"""The cascade where something is unknown or doubtful, and the shadow pass."""
 
 import jax
 import jax.numpy as jnp
@@ -68,8 +68,7 @@ def shadow_pass(
 ) -> Float[Array, "h w c"]:
     """Refine visibility by few steps at high resolution, which softens shadows and keeps their shape.
 
-    The same diffusion as for the shading: the guide keeps a shadow from leaking onto the next object. This is the
-    paper's pass. Ours is `cascade_known`, whose confidence says where the mesh tells of shadows at all.
+    The same diffusion as for the shading: the guide keeps a shadow from leaking onto the next object.
 
     Args:
         raw: visibility, in [0, 1].
@@ -77,3 +76,20 @@ def shadow_pass(
         schedule: few steps at factor 1 or 2, such as `Schedule.preset("shadow")`.
     """
     return cascade(raw, guide, schedule)
+
+
+@jax.jit
+def fill_visibility(
+    raw: Float[Array, "h w l"], known: Bool[Array, "h w l"], guide: Float[Array, "h w f"]
+) -> Float[Array, "h w l"]:
+    """Visibility where the mesh does not tell it, from the surroundings, by the preset `hyjax`.
+
+    Nothing is known in holes, nor of a light on surfaces turned away from it. What lies there in truth may well be
+    lit or shadowed as its neighbours are, and must not bring light (or darkness) of its own into the picture.
+
+    Args:
+        raw: visibility, a channel for each light.
+        known: where it means anything.
+        guide: as for `cascade`.
+    """
+    return jnp.where(known, raw, cascade_known(raw, known, guide, Schedule.preset("hyjax")))

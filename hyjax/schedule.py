@@ -54,9 +54,9 @@ _GUIDED: dict[str, Any] = {
 }
 
 PRESETS: dict[str, Preset] = {
-    # Ours (experiments/beyond.py): of the shading; and of the visibility, up to full size for sharp borders.
+    # Ours (experiments/beyond.py, ablation_shadow.py): of the shading, and of the visibility.
     "hyjax": Preset(((16, 3), (8, 4), (4, 6)), _GUIDED),
-    "hyjax-shadow": Preset(((16, 2), (8, 2), (4, 2), (2, 2), (1, 2)), _GUIDED | {"attachment": 2.0}),
+    "hyjax-shadow": Preset(((1, 2),)),
     # The paper's.
     "paper-50": Preset(((16, 5), (8, 10), (4, 15), (2, 20))),
     "paper-80": Preset(((16, 10), (8, 15), (4, 25), (2, 30))),

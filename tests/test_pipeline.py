@@ -312,13 +312,14 @@ def relit(gbuffer: GBuffer, lights: tuple = LAMPS, **options: Any) -> Relit:
 
 
 def test_hyjax_mode_is_the_composition_of_its_pieces(floor: GBuffer) -> None:
-    """Shading trusted by confidence where there is surface, visibility where a light falls at all."""
+    """Shading trusted by confidence where there is surface, visibility filled where no light falls."""
     shading, confidence = jnp.maximum(SHADING - 100.0, 0.0), jnp.asarray(small(3, 1))
     shadows = Schedule.uniform([(4, 3)], kappa=0.3, attachment=2.0)
     got = relit(floor, shading=shading, confidence=confidence, shadow_schedule=shadows)
     trust = jnp.where(floor.hit[..., None], confidence, 0.0)
     refined = cascade_known(shading, trust, PICTURE, FILL)
-    refined_seen = cascade_known(SEEN, shading > 0, PICTURE, shadows)
+    filled = jnp.where(shading > 0, SEEN, cascade_known(SEEN, shading > 0, PICTURE, Schedule.preset("hyjax")))
+    refined_seen = cascade(filled, PICTURE, shadows)
     unshadowed, relight_filter = (colored(each, LAMPS) / 300.0 for each in (refined, refined * refined_seen))
     expected = {
         "shading": colored(shading, LAMPS) / 300.0,
@@ -350,7 +351,7 @@ def test_default_schedule_of_the_visibility(floor: GBuffer, mode: Any, name: str
 
     default = image(shadow_schedule=None)
     np.testing.assert_array_equal(default, image(shadow_schedule=Schedule.preset(name)))
-    assert np.abs(default - image(shadow_schedule=Schedule.preset(other))).max() > 1e-2
+    assert np.abs(default - image(shadow_schedule=Schedule.preset(other))).max() > 1e-3
 
 
 def test_where_nothing_is_known_only_ambient_light_is_used(floor: GBuffer) -> None:

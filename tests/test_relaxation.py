@@ -188,6 +188,7 @@ def test_a_level_appears_without_a_jump(cases: dict, level: int, others: float) 
     changes = [float(jnp.abs(filter_with(n) - without).max()) for n in (0.1, 1e-2, 1e-4, 1e-6)]
     assert changes[0] > 1e-6, changes
     assert np.all(np.diff(changes[:3]) < 0) and changes[2] < 0.03 and changes[3] < 5e-4, changes
+    assert changes[3] < 0.0125 * changes[2] + 2e-6, "in proportion to n, once that is small against HOLE_FLOOR"
     assert float(jnp.abs(filter_with(1e-30) - without).max()) < 1e-6, "divided by what is left"
 
 

@@ -12,7 +12,7 @@ from hyjax.color import to_linear
 from hyjax.compositing import composite
 from hyjax.errors import InputError
 from hyjax.pipeline import relight
-from hyjax.refine import cascade_known
+from hyjax.refine import fill_visibility, shadow_pass
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.schedule import Schedule, guided_schedule
 from hyjax.shading import shade_each
@@ -154,7 +154,7 @@ class FrameClock:
             "guide": lambda: self.guide.features(self.display),
             "shading": lambda: shade_each(gbuffer, self.lights),
             "visibility": lambda: visibilities(gbuffer, self.lights, self.maps),
-            "shadow pass": lambda: cascade_known(seen, each > 0, features, shadow),
+            "shadow pass": lambda: shadow_pass(fill_visibility(seen, each > 0, features), features, shadow),
             "composite": lambda: composite(linear, linear),
         }
 
