@@ -7,7 +7,11 @@ fidelity on tuning frames (the built-in room: another seed's scan; a capture: it
 everything is reported on frames that nothing was chosen on. Beside them: the bare mesh, the mean colour of its
 filter, which any gain has to beat to be one, and the paper's method in the paper's mode. The time is that of
 shading the lights and repairing the filter (in the second part of the latter alone); all are timed in turns.
-*Perfect confidence* knows where the rough surface is wrong: no method can, but it bounds what confidence is worth.
+*Perfect confidence* knows where the rough surface is wrong, which no method can: it shows what confidence may be
+worth at most.
+
+Each is compared with the accurate surface's frame as its own mode multiplies it: display values in the paper's,
+light in all others. *Harmonic* and *converged* divide by what has arrived without `cascade_known`'s floor.
 
 A second part weighs quality against time: the paper's method, its cascade with holes unknown, and ours, each with
 few and with many steps.
@@ -50,6 +54,7 @@ from hyjax.contact_sheet import write_contact_sheet
 from hyjax.data.frames import spread
 from hyjax.data.light_file import LightSetup
 from hyjax.data.room import RoomCapture, load_room
+from hyjax.errors import InputError
 from hyjax.metrics import load_lpips, psnr
 from hyjax.pipeline import Mode
 from hyjax.schedule import Schedule, guided_schedule
@@ -84,6 +89,8 @@ def main(config: Config) -> None:
     weights = load_lpips(config.weights)
     capture, out, results = config.start(NAME)
     room = isinstance(capture, RoomCapture)
+    if room and config.seed == TUNING_SEED:
+        raise InputError(f"seed: {TUNING_SEED} is the room that κ is chosen on; give another to report on")
     chosen = spread(reported(capture), config.frames)
     first_held = len(capture) if room else min(reported(capture))
     tuned = spread(range(first_held), config.tuning)

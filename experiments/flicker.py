@@ -9,6 +9,7 @@ of the accurate surface tells. *Flicker* is the mean difference of the filters' 
 both frames see and where the accurate surface is relied on. Compared are the bare mesh, the paper's method, ours
 frame by frame, and ours with its memory of earlier frames (`hyjax.video`), keeping different shares of it. A memory
 could buy stillness with old light: the relit frames' distance to those of the accurate surface is told beside it.
+All filters are multiplied with light there, the paper's too.
 
 Takes three minutes on two cores, once the capture's surfaces are made.
 
@@ -91,6 +92,8 @@ def main(config: Config) -> None:
             if shown:
                 sheet.append((view.frame.name, [np.asarray(view.display), *shown]))
             last = Last(view, filters)
+    if not sheet:
+        raise InputError("frames: only one of them sees both surfaces; flicker is between frames")
     every = max(1, len(sheet) // SHEET_ROWS)
     write_contact_sheet(out / "differences.png", sheet[::every][:SHEET_ROWS], ("frame", *filters))
     write_blocks(out, NAME, blocks(results.finish(), out))

@@ -51,7 +51,10 @@ def _cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: S
     def rise(state: Array, factor: int) -> Array:
         """From the last level that was diffused to a finer one."""
         if schedule.upsampling == "guide":
-            return guided_upsample(state, coarser // factor, guides[factor], kappa, norm=schedule.norm)
+            cells = guides[coarser]
+            return guided_upsample(
+                state, coarser // factor, guides[factor], kappa, coarse=cells, norm=schedule.norm
+            )
         return upsample(state, coarser // factor, level_shape(full, factor))
 
     for level, edges in zip(schedule.levels, level_edges(guide, schedule), strict=True):

@@ -101,7 +101,7 @@ class Tune:
     guide: str = "rgb"
     """What guides the diffusion: rgb, small or a safetensors file; see relight."""
     joint: bool = False
-    """Also tune the last layer of a learned guide together with the best schedule's kappa and lambda."""
+    """Also tune a learned guide's last layer, together with the best schedule's kappa, lambda and attachment."""
     voxel: float = 0.03
     """Voxel of a fused rough mesh in metres."""
     repair_mesh: bool = False

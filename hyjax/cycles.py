@@ -2,8 +2,12 @@
 
 One explicit step λ multiplies a wave of the Laplacian's eigenvalue μ ∈ [0, 8] by 1 − λμ, so that n steps multiply
 it by p(μ) = ∏ (1 − λ_i μ). Single steps beyond 1/4 amplify the finest waves, but all n together do no harm as long
-as |p| ≤ 1 on [0, 8]. Of all such polynomials a shifted Chebyshev polynomial goes furthest in time, Σ λ_i; its
-relative, fast explicit diffusion, trades a third of that for |p| that falls off with μ, as diffusion does.
+as |p| ≤ 1 on [0, 8]. Of all such polynomials a shifted Chebyshev polynomial goes furthest in time, Σ λ_i = n²/4;
+its relative, fast explicit diffusion, goes a third as far, with |p| that falls off with μ, as diffusion does.
+
+That bounds sums of squares, not values: within and after a cycle a value may lie outside the range of the picture,
+which single steps never let happen. Where a quotient is taken, as in `cascade_known`, give cycles a gentle share of
+`longest_time`, or known values nearby.
 
 Symbols of this file: λ_i are the n steps of a cycle, t = Σ λ_i its time in squared pixels.
 

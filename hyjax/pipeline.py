@@ -176,12 +176,12 @@ def relight_stages(
     if shadow_schedule is None:
         shadow_schedule = Schedule.preset("shadow" if mode == "paper" else "hyjax-shadow")
     for used in (schedule, shadow_schedule):
-        used.check(dtype=frame.dtype)
+        used.check(dtype=gbuffer.depth.dtype if shading is None else shading.dtype)
     trust: Array = gbuffer.hit[..., None]
     if confidence is not None and mode == "hyjax":
         trust = jnp.where(trust, confidence, 0.0)
-    trusted = concrete(trust)
-    if trusted is not None and not (trusted > 0).any():
+    anything = concrete(jnp.any(trust > 0))
+    if anything is not None and not anything:
         left = "the relit frame is black" if mode == "paper" else "only ambient light is used"
         warnings.warn(f"relight: nothing of the frame is known; {left}", stacklevel=3)
 
@@ -211,7 +211,7 @@ def _stages(
     yield "visibility", seen
     refined = cascade_known(each, trust, guide, schedule)
     yield "cascade", refined
-    refined_seen = shadow_pass(fill_visibility(seen, each > 0, guide), guide, shadow_schedule)
+    refined_seen = shadow_pass(fill_visibility(seen, (each > 0) & (trust > 0), guide), guide, shadow_schedule)
     yield "shadow pass", refined_seen
     if settle is not None:
         refined, refined_seen = settle(refined, refined_seen)

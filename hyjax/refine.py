@@ -44,9 +44,10 @@ def cascade_known(
     weighted = jnp.concatenate([jnp.where(weight > 0, y, 0.0) * weight, weight], axis=-1)
     # Summed over the coarsest cells, which the cascade needs anyhow: XLA's CPU backend is slow to sum over pixels.
     factor = schedule.levels[0].factor
-    pixels = jnp.asarray(cell_pixels((y.shape[0], y.shape[1]), factor), y.dtype)
-    total = jnp.sum(downsample(weighted, factor) * pixels, axis=(0, 1))
-    mean = total[:channels] / jnp.maximum(total[channels:], TINY)
+    pixels = jnp.asarray(cell_pixels((y.shape[0], y.shape[1]), factor), jnp.float32)
+    # In single precision at least: a sum over a picture overflows half precision.
+    total = jnp.sum((downsample(weighted, factor) * pixels).astype(jnp.promote_types(y.dtype, jnp.float32)), (0, 1))
+    mean = (total[:channels] / jnp.maximum(total[channels:], TINY)).astype(y.dtype)
     diffused = cascade(weighted, guide, schedule)
     reached = diffused[..., channels:]
     floor = jnp.maximum(HOLE_FLOOR * (1.0 - reached), 0.0)  # nothing where everything is known
@@ -92,4 +93,5 @@ def fill_visibility(
         known: where it means anything.
         guide: as for `cascade`.
     """
+    known = known & jnp.isfinite(raw)
     return jnp.where(known, raw, cascade_known(raw, known, guide, Schedule.preset("hyjax")))

@@ -21,8 +21,9 @@ Pooling = Literal["edges", "guide"]
 Upsampling = Literal["bilinear", "guide"]
 
 # Metzger's step size. The paper names neither λ nor κ; these κ are for display-encoded RGB guides in [0, 1] and
-# norm l2, from tuning frames: with pooled edges by experiments/kappa_sweep.py (best for our mode 0.005 to 0.02, the
-# paper's 0.05 to 0.2), with pooled guides, together with α, by experiments/beyond.py.
+# norm l2: with pooled edges by experiments/kappa_sweep.py (best for our mode 0.005 to 0.02, the paper's 0.05 to
+# 0.2). κ, α and steps of our presets were chosen together, by hand, on tuning frames of 7-Scenes' kitchen (five of
+# its first three quarters) and of the built-in room (seed 0): a flat optimum; experiments/beyond.py looks along κ.
 DEFAULT_LAM = 0.24
 DEFAULT_KAPPA = 0.02
 PAPER_KAPPA = 0.05
@@ -54,7 +55,7 @@ _GUIDED: dict[str, Any] = {
 }
 
 PRESETS: dict[str, Preset] = {
-    # Ours (experiments/beyond.py, ablation_shadow.py): of the shading, and of the visibility.
+    # Ours: of the shading, and of the visibility.
     "hyjax": Preset(((16, 3), (8, 4), (4, 6)), _GUIDED),
     "hyjax-shadow": Preset(((1, 2),)),
     # The paper's.
@@ -99,7 +100,7 @@ class Level:
 )
 @dataclasses.dataclass(frozen=True, eq=False)
 class Schedule:
-    """Levels from coarse to fine. Step sizes and κ are leaves of a pytree; the rest is static.
+    """Levels from coarse to fine. Step sizes, κ and α are leaves of a pytree; the rest is static.
 
     An optimiser that steps on the leaves themselves may leave the allowed range, which inside `jit` nothing checks:
     optimise log κ and the logit of 4 λ instead, and build the schedule from them.

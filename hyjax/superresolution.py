@@ -23,6 +23,7 @@ from hyjax.errors import InputError
 from hyjax.pyramid import downsample, level_shape, upsample
 from hyjax.schedule import Schedule
 from hyjax.stencil import Edges
+from hyjax.values import concrete
 
 # Metzger's guard against division by zero.
 EPSILON = 1e-8
@@ -56,9 +57,17 @@ def super_resolve(
         adjusted: keep to the source; otherwise it only enters at the start.
 
     Raises:
-        InputError: shapes that do not belong together, or a schedule that cannot be run or does not fit the factor.
+        InputError: shapes that do not belong together, or a schedule that cannot be run, does not fit the factor,
+            or has cycles of steps, a data term or guided upsampling.
     """
     schedule.check()
+    if schedule.upsampling != "bilinear" or any(level.attachment is not None for level in schedule.levels):
+        raise InputError(
+            f"super_resolve: schedule {schedule.name} has a data term or guided upsampling, which do nothing for a "
+            "result that keeps to its source; give one without these, such as the paper's"
+        )
+    for level in schedule.levels:
+        _check_single_steps(level.step_sizes)
     h, w = guide.shape[:2]
     check_source((h, w), source, known, factor)
     for level in schedule.levels:
@@ -147,6 +156,7 @@ def diffuse_adjusted(
         InputError: as `diffuse` and `adjust` do.
     """
     check_step_sizes(step_sizes)
+    _check_single_steps(step_sizes)
     check_edges(y, edges)
     check_source((y.shape[0], y.shape[1]), source, known, factor)
     return _diffuse_adjusted(y, edges, jnp.asarray(step_sizes, y.dtype), source, known, factor=factor)
@@ -243,3 +253,10 @@ def check_source(
             f"source: shape {source.shape} with known cells {known.shape} does not fit a picture of "
             f"{shape[0]}x{shape[1]} at factor {factor}, which has {cells[0]}x{cells[1]} cells"
         )
+
+
+def _check_single_steps(step_sizes: Float[ArrayLike, "n"]) -> None:
+    """Adjusting to the source between its steps takes a cycle's stability away."""
+    values = concrete(step_sizes)
+    if values is not None and (values >= 0.25).any():
+        raise InputError("lam: super-resolution takes no cycles of steps; every step size must lie inside (0, 1/4)")

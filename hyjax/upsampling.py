@@ -27,6 +27,7 @@ def guided_upsample(
     guide: Float[Array, "h w f"],
     kappa: Float[ArrayLike, ""],
     *,
+    coarse: Float[Array, "ch cw f"] | None = None,
     norm: Norm = "l2",
 ) -> Float[Array, "h w c"]:
     """`upsample` with each cell weighted by its conductance to the pixel.
@@ -38,6 +39,7 @@ def guided_upsample(
         factor: how many times finer the result is.
         guide: features of the finer picture; its size is the result's.
         kappa: edge sensitivity κ > 0, in the guide's units.
+        coarse: features of the cells; by default the means of `guide` over them.
         norm: of guide differences, see `guide_distance`.
 
     Raises:
@@ -54,7 +56,12 @@ def guided_upsample(
             f"guided_upsample: {y.shape[0]}x{y.shape[1]} cells times {factor} make no picture of "
             f"{guide.shape[0]}x{guide.shape[1]}"
         )
-    return y if factor == 1 else _guided_upsample(y, factor, guide, kappa, norm=norm)
+    if factor == 1:
+        return y
+    if y.shape[:2] == (1, 1):  # however much wider than the picture the cell is
+        return jnp.broadcast_to(y, (*guide.shape[:2], y.shape[-1]))
+    cells = downsample(guide, factor) if coarse is None else coarse
+    return _guided_upsample(y, factor, guide, cells, kappa, norm=norm)
 
 
 @functools.partial(jax.jit, static_argnames=("factor", "norm"))
@@ -62,6 +69,7 @@ def _guided_upsample(
     y: Float[Array, "ch cw c"],
     factor: int,
     guide: Float[Array, "h w f"],
+    coarse: Float[Array, "ch cw f"],
     kappa: Float[ArrayLike, ""],
     *,
     norm: Norm,
@@ -72,10 +80,7 @@ def _guided_upsample(
     missing = [(start, (cells + 1) * factor - start - n) for cells, n in ((rows, height), (columns, width))]
     pixels = jnp.pad(jnp.moveaxis(guide, -1, 0), [(0, 0), *missing])
     pixels = pixels.reshape(-1, rows + 1, factor, columns + 1, factor)
-    values, cells = (
-        jnp.pad(jnp.moveaxis(x, -1, 0), [(0, 0), (1, 1), (1, 1)], mode="edge")
-        for x in (y, downsample(guide, factor))
-    )
+    values, cells = (jnp.pad(jnp.moveaxis(x, -1, 0), [(0, 0), (1, 1), (1, 1)], mode="edge") for x in (y, coarse))
     # In at least float32, and far from where squares are rounded to zero or infinity.
     kappa = jnp.asarray(kappa, jnp.promote_types(guide.dtype, jnp.float32))
     scale = jnp.clip(kappa, 1e-15, 1e15) ** -2

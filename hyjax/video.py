@@ -12,6 +12,7 @@ Yang et al., *A survey of temporal antialiasing techniques*, 2020.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 
 import jax
@@ -27,9 +28,11 @@ from hyjax.schedule import Schedule
 from hyjax.values import concrete
 
 KEEP = 0.8
-"""Share of the last frame: halves the light's tremor, and its delay is over within ten frames."""
+"""Share of the last frame. What was wrong is down to a tenth after ten frames."""
 SAME_DEPTH = 0.05
 """Of the depth: a point seen in the last frame this much nearer or farther was another one."""
+LEAST_WEIGHT = 1e-3
+"""Of the bilinear neighbours on the same surface, below which a point was not seen."""
 LEAST_FOUND = 0.1
 """Share of the pixels. Where less is found again the camera has jumped, and all starts anew."""
 
@@ -79,7 +82,8 @@ def recall(
         intrinsics: likewise.
 
     Returns:
-        (channels, found): bilinear samples of the memory, and whether that frame saw the point at all.
+        (channels, found): bilinear samples of the memory, of those neighbours that lie on the same surface; and
+        whether that frame saw the point at all.
     """
     h, w = depth.shape
     x, y = jnp.meshgrid(jnp.arange(w) + 0.5, jnp.arange(h) + 0.5)
@@ -99,25 +103,20 @@ def recall(
     row = there[1] * scale * then[1, 1] + then[1, 2] - 0.5
     rows, columns = memory.depth.shape
     inside = ahead & (row >= -0.5) & (row <= rows - 0.5) & (column >= -0.5) & (column <= columns - 0.5)
-    row, column = (jnp.clip(jnp.where(inside, at, 0.0), 0.0, n - 1) for at, n in ((row, rows), (column, columns)))
-    seen = memory.depth.reshape(-1)[(jnp.round(row) * columns + jnp.round(column)).astype(jnp.int32)]
-    found = inside & (jnp.abs(seen - z) < SAME_DEPTH * z)
-    return _bilinear(memory.channels, row, column), found
-
-
-def _bilinear(
-    picture: Float[Array, "h w c"], row: Float[Array, "*s"], column: Float[Array, "*s"]
-) -> Float[Array, "*s c"]:
-    h, w, channels = picture.shape
-    top, left = jnp.floor(row), jnp.floor(column)
-    down, right = (row - top)[..., None], (column - left)[..., None]
-    first = (top * w + left).astype(jnp.int32)
-    below = jnp.where(top < h - 1, w, 0).astype(jnp.int32)
-    beside = jnp.where(left < w - 1, 1, 0).astype(jnp.int32)
-    flat = picture.reshape(-1, channels)
-    upper = flat[first] * (1.0 - right) + flat[first + beside] * right
-    lower = flat[first + below] * (1.0 - right) + flat[first + below + beside] * right
-    return upper * (1.0 - down) + lower * down
+    top, left = (
+        jnp.clip(jnp.floor(at), 0.0, n - 1).astype(jnp.int32) for at, n in ((row, rows), (column, columns))
+    )
+    down, right = row - top, column - left
+    total, weights = jnp.zeros((h, w, memory.channels.shape[-1])), jnp.zeros((h, w))
+    flat, depths = memory.channels.reshape(rows * columns, -1), memory.depth.reshape(-1)
+    for below, beside in itertools.product((0, 1), repeat=2):
+        pixel = jnp.minimum(top + below, rows - 1) * columns + jnp.minimum(left + beside, columns - 1)
+        share = (down if below else 1.0 - down) * (right if beside else 1.0 - right)
+        # A neighbour across a silhouette is another surface, whose light must not bleed into this one's.
+        share = jnp.where(jnp.abs(depths[pixel] - z) < SAME_DEPTH * z, jnp.maximum(share, 0.0), 0.0)
+        total, weights = total + share[..., None] * flat[pixel], weights + share
+    found = inside & (weights > LEAST_WEIGHT)
+    return total / jnp.where(found, weights, 1.0)[..., None], found
 
 
 @jax.jit
@@ -143,8 +142,9 @@ def steady(
         Points that the last frame did not see as they were given; all of them if it saw hardly any.
     """
     before, found = recall(memory, depth, pose, intrinsics)
-    share = jnp.where(found & (jnp.mean(found) >= LEAST_FOUND), keep, 0.0)[..., None]
-    return channels + jnp.where(share > 0, share * (before - channels), 0.0)
+    usable = (found & (jnp.mean(found) >= LEAST_FOUND))[..., None] & jnp.isfinite(before)
+    mean = jnp.where(jnp.isfinite(channels), channels + keep * (before - channels), before)
+    return jnp.where(usable, mean, channels)
 
 
 def remembers(memory: Memory | None, shape: tuple[int, ...], lights: Sequence[Light]) -> bool:
@@ -191,10 +191,14 @@ class Video:
         def settled(refined: Array, seen: Array) -> tuple[Array, Array]:
             channels, count = jnp.concatenate([refined, seen], axis=-1), refined.shape[-1]
             depth = fill_depth(gbuffer, guide, schedule)
-            view = jnp.asarray(pose, channels.dtype), jnp.asarray(intrinsics, channels.dtype)
-            if self.memory is not None and remembers(self.memory, channels.shape, lights):
-                channels = steady(channels, depth, *view, self.memory, self.keep)
-            if concrete(channels) is not None:  # nothing traced outlives its trace
+            view = jnp.asarray(pose, jnp.float32), jnp.asarray(intrinsics, jnp.float32)
+            memory = self.memory
+            if memory is not None and remembers(memory, channels.shape, lights):
+                channels = steady(channels, depth, *view, memory, self.keep)
+            something = concrete(jnp.any(refined != 0))
+            if (
+                something is not None and something
+            ):  # nothing traced outlives its trace; the unlit is not worth keeping
                 self.memory = Memory(channels, depth, *view, tuple(lights))
             return channels[..., :count], channels[..., count:]
 

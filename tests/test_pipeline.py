@@ -318,7 +318,8 @@ def test_hyjax_mode_is_the_composition_of_its_pieces(floor: GBuffer) -> None:
     got = relit(floor, shading=shading, confidence=confidence, shadow_schedule=shadows)
     trust = jnp.where(floor.hit[..., None], confidence, 0.0)
     refined = cascade_known(shading, trust, PICTURE, FILL)
-    filled = jnp.where(shading > 0, SEEN, cascade_known(SEEN, shading > 0, PICTURE, Schedule.preset("hyjax")))
+    told = (shading > 0) & (trust > 0)
+    filled = jnp.where(told, SEEN, cascade_known(SEEN, told, PICTURE, Schedule.preset("hyjax")))
     refined_seen = cascade(filled, PICTURE, shadows)
     unshadowed, relight_filter = (colored(each, LAMPS) / 300.0 for each in (refined, refined * refined_seen))
     expected = {

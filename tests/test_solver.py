@@ -57,6 +57,13 @@ def test_implicit_derivatives_equal_finite_differences() -> None:
         check_grads(loss, point, order=1, modes=["rev"], eps=1e-5, rtol=1e-5)
 
 
+def test_small_slopes_do_not_drown() -> None:
+    """In single precision, of light in hundreds of lux: the solution's mean is its source's."""
+    source, edges = problem(32, 24, 1, np.float32)
+    slope = jax.grad(lambda s: 1e-3 * jnp.mean(solve(s, edges, 0.005)))(200.0 * source + 300.0)
+    np.testing.assert_allclose(slope, 1e-3 / source.size, rtol=1e-3)
+
+
 def test_refusals() -> None:
     source, edges = problem(3, 4, 0, np.float32)
     with pytest.raises(InputError, match=r"^attachment: must be finite and >= 0, got -1"):

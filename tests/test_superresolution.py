@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from reference import superresolution as literal
 from reference.differences import assert_gradients
 
-from hyjax import InputError, Level, Schedule, cascade, conductance, diffuse, downsample, upsample
+from hyjax import InputError, Level, Schedule, cascade, conductance, diffuse, downsample, step_cycle, upsample
 from hyjax.superresolution import adjust, coarsen, diffuse_adjusted, diffuse_adjusted_forward, super_resolve
 
 pytestmark = pytest.mark.usefixtures("strict_ranks")
@@ -254,3 +254,12 @@ def test_bad_input_is_refused() -> None:
         diffuse_adjusted_forward(guide[..., :1], edges, 0.3, 1, source, known, 4)
     with pytest.raises(InputError, match=r"(?m)^edges: "):
         diffuse_adjusted(guide[..., :1], edges[::-1], np.array([0.2]), source, known, 4)
+
+
+def test_schedules_beyond_the_paper_are_refused() -> None:
+    source, known, guide = jnp.zeros((2, 2, 1)), jnp.ones((2, 2), bool), jnp.zeros((16, 16, 1))
+    with pytest.raises(InputError, match=r"^super_resolve: schedule hyjax has a data term or guided upsampling"):
+        super_resolve(source, known, guide, Schedule.preset("hyjax"), 8)
+    cycles = Schedule((Level(8, step_cycle(10, 9.0), 0.1),))
+    with pytest.raises(InputError, match=r"^lam: super-resolution takes no cycles"):
+        super_resolve(source, known, guide, cycles, 8)

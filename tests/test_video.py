@@ -91,6 +91,28 @@ def test_steady_averages_what_is_found_and_only_that() -> None:
     np.testing.assert_array_equal(got[~np.asarray(found)], 1.0)
 
 
+def test_light_does_not_bleed_across_a_silhouette() -> None:
+    """A near half before a far one, seen again from 0.4 pixels beside: each keeps its own light."""
+    near = np.arange(SIZE[1]) < 16
+    depth = jnp.asarray(np.where(near, 1.0, 3.0) * np.ones(SIZE), jnp.float32)
+    light = jnp.asarray(near * np.ones(SIZE), jnp.float32)[..., None]
+    pose, matrix = view(camera())
+    old = Memory(light, depth, pose, matrix, LIGHTS)
+    moved = pose.at[0, 3].add(0.4 / 30.0)
+    channels, found = recall(old, depth, moved, matrix)
+    assert found[:, :15].all() and found[:, 17:].all()
+    np.testing.assert_allclose(channels[..., 0][found], np.asarray(light[..., 0])[found], atol=1e-6)
+
+
+def test_a_frame_that_is_not_a_number_is_forgotten() -> None:
+    old, now = memory(camera(), jnp.ones((*SIZE, 2))), camera()
+    nothing = jnp.full((*SIZE, 2), jnp.nan)
+    got = steady(nothing, wall(now).depth, *view(now), old)
+    np.testing.assert_allclose(got, 1.0, atol=1e-5)
+    bad = dataclasses.replace(old, channels=nothing)
+    np.testing.assert_array_equal(steady(jnp.ones((*SIZE, 2)), wall(now).depth, *view(now), bad), 1.0)
+
+
 def test_after_a_jump_all_starts_anew() -> None:
     now, old = camera(3.1), memory(camera(), jnp.zeros((*SIZE, 2)))
     _, found = recall(old, wall(now).depth, *view(now))

@@ -27,7 +27,7 @@ class FrameGuide(Protocol):
     def fingerprint(self) -> str: ...
 
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
-        """Features of a display-encoded frame, in units in which `DEFAULT_KAPPA` is a sensible κ."""
+        """Features of a display-encoded frame, in units in which the presets' κ are sensible."""
         ...
 
 

@@ -102,6 +102,10 @@ class TrainSettings:
         if not self.factors or any(f < 2 or self.size % f for f in self.factors):
             raise InputError(f"factors: {self.factors} must be 2 or more and divide the size, {self.size}")
         levels = [factor for factor, _ in PRESETS[self.schedule].steps]
+        if PRESETS[self.schedule].options:
+            raise InputError(
+                f"schedule: guides are trained through one of the paper's schedules, not {self.schedule}"
+            )
         if self.through == "cascade" and any(f % level and level % f for f in self.factors for level in levels):
             raise InputError(
                 f"factors: {self.factors} must each divide, or be a multiple of, every level of {self.schedule}: "

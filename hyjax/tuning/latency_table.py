@@ -25,7 +25,7 @@ from hyjax.tuning.workload import LADDER, Arguments, Workload, check_ladder, lad
 log = logging.getLogger(__name__)
 
 # Counted up when the file changes, or what a schedule's steps cost.
-FORMAT = 4
+FORMAT = 5
 # A stored table is believed while a probe takes between 1/1.3 and 1.3 times as long as it did then.
 PROBE_TOLERANCE = 1.3
 

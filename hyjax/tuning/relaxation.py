@@ -183,7 +183,8 @@ def _arriving(
     for coarser in reversed(range(level)):
 
         def source(state: Array, coarser: int = coarser) -> Array:
-            return guided_upsample(state, ladder[coarser] // factor, guide, kappa[coarser])
+            cells = prepared.guides[coarser]
+            return guided_upsample(state, ladder[coarser] // factor, guide, kappa[coarser], coarse=cells)
 
         total = _add(total, free * present[coarser], source, states[coarser])
         free = free * (1.0 - present[coarser])
