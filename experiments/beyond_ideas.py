@@ -234,4 +234,4 @@ IDEAS: Mapping[str, Idea] = {
     "hyjax, perfect confidence": Idea(functools.partial(known, schedule=OURS, trust=perfect), OURS, "bound"),
 }
 
-KAPPAS = (0.005, 0.01, DEFAULT_KAPPA, 0.05, 0.1)
+KAPPAS = (0.0025, 0.005, 0.01, DEFAULT_KAPPA, 0.05, 0.1)

@@ -119,5 +119,7 @@ def stable_cycle(step_sizes: Float[ArrayLike, "n"], dtype: DTypeLike = np.float3
         or not (np.isfinite(sizes).all() and (sizes > 0).all())
     ):
         return False
+    if np.prod(np.abs(1.0 - LARGEST_EIGENVALUE * sizes)) >= 1.0:
+        return False  # a checkerboard would stay for ever
     worst, whole = growth(sizes)
     return whole <= 1.0 + 1e-4 and worst * float(jnp.finfo(dtype).eps) <= WORST_ERROR

@@ -126,7 +126,7 @@ def test_a_run_on_the_built_in_room(first: Path) -> None:
 def test_the_record_of_a_run(first: Path) -> None:
     run = record(first)
     assert run["frames"] == ["000", "012"] and run["frames_without_surface"] == []
-    assert run["size"] == [120, 160] and run["mode"] == "hyjax" and run["schedule"]["name"] == "paper-80"
+    assert run["size"] == [120, 160] and run["mode"] == "hyjax" and run["schedule"]["name"] == "hyjax"
     assert run["versions"]["hyjax"] and run["versions"]["jax"] and run["device"] and run["cpu_count"] > 0
     settings = run["settings"]
     assert settings["frames"] == "0:24:12" and settings["lights"] == "two-colors" and settings["save_filters"]

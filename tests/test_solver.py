@@ -19,8 +19,9 @@ def problem(h: int, w: int, seed: int, dtype: type = np.float64) -> tuple:
 
 
 @settings(max_examples=20, deadline=None)
-@given(st.integers(1, 6), st.integers(1, 6), st.floats(1e-3, 10.0), st.integers(0, 99))
-def test_equals_a_dense_solve(h: int, w: int, attachment: float, seed: int) -> None:
+@given(st.sampled_from([(1, 1), (1, 6), (5, 4)]), st.floats(1e-3, 10.0), st.integers(0, 99))
+def test_equals_a_dense_solve(size: tuple[int, int], attachment: float, seed: int) -> None:
+    h, w = size
     with jax.enable_x64(True):
         source, edges = problem(h, w, seed)
         basis = jnp.eye(h * w).reshape(h * w, h, w)
