@@ -35,6 +35,6 @@ except KeyboardInterrupt:
 )
 def test_an_interrupt_in_a_callback(keep: str, error: str, seconds: float, expected: str) -> None:
     code = CODE.format(keep=keep, error=error, seconds=seconds)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=25)
     assert done.stdout.split("\n")[0] == expected
     assert ("told" in done.stderr) == ("told" in error)

@@ -368,7 +368,7 @@ t.train(settings, Path({str(tmp_path)!r}), resume={resume}, progress=False)
         hosts = [
             subprocess.Popen(
                 [sys.executable, "-c", code, str(k)],
-                env=devices(1) | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "compiled")},
+                env=devices(1),
                 stderr=subprocess.PIPE,
                 text=True,
             )
