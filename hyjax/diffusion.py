@@ -23,6 +23,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.cycles import stable_cycle
 from hyjax.errors import InputError
+from hyjax.forms import fastest, with_fast_values
 from hyjax.stencil import Edges, divergence, gradient
 from hyjax.values import concrete
 
@@ -166,8 +167,7 @@ def channels_first(y: Float[Array, "h w c"], edges: Edges) -> tuple[Float[Array,
     return jnp.moveaxis(y, -1, 0), (vertical, horizontal)
 
 
-@jax.jit
-def _diffuse(
+def _steps(
     y: Float[Array, "h w c"],
     edges: Edges,
     step_sizes: Float[Array, "n"],
@@ -181,6 +181,10 @@ def _diffuse(
         held = state if source is None else jnp.moveaxis(source, -1, 0)
         state = scan_steps(lambda x, lam: attached_step(x, edges, lam, attachment, held), state, step_sizes)
     return jnp.moveaxis(state, 0, -1)
+
+
+# Derivatives are always those of the plain form, whichever form computes the value.
+_diffuse = jax.jit(with_fast_values(_steps, fastest(_steps)))
 
 
 def diffuse_step(y: Float[Array, "h w c"], edges: Edges, lam: Float[ArrayLike, ""]) -> Float[Array, "h w c"]:

@@ -1,0 +1,103 @@
+"""The fast form of repeated steps against the plain one, and derivatives of the two together."""
+
+import hypothesis
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import strategies
+
+from hyjax import conductance, diffuse
+from hyjax.diffusion import _steps
+from hyjax.forms import fastest, with_fast_values
+from hyjax.inplace import steps_in_place
+
+pytestmark = pytest.mark.usefixtures("strict_ranks")
+
+
+def example(seed: int, h: int, w: int, c: int, n: int) -> tuple:
+    random = np.random.default_rng(seed)
+    y, source = (jnp.asarray(random.random((h, w, c), np.float32)) for _ in range(2))
+    edges = conductance(jnp.asarray(random.random((h, w, 3), np.float32)), 0.3)
+    return y, edges, jnp.asarray(random.uniform(0.02, 0.24, n), jnp.float32), source
+
+
+@hypothesis.settings(max_examples=15)
+@hypothesis.given(
+    seed=strategies.integers(0, 99),
+    h=strategies.sampled_from([1, 2, 7, 40]),
+    w=strategies.sampled_from([1, 3, 33]),
+    c=strategies.sampled_from([1, 2, 5]),
+    n=strategies.sampled_from([0, 1, 2, 3, 8]),
+    attachment=strategies.sampled_from([None, 0.0, 0.4]),
+    with_source=strategies.booleans(),
+)
+def test_it_is_the_plain_form(
+    seed: int, h: int, w: int, c: int, n: int, attachment: float | None, with_source: bool
+) -> None:
+    y, edges, sizes, source = example(seed, h, w, c, n)
+    rest = None if attachment is None else jnp.float32(attachment), source if with_source else None
+    expected, found = _steps(y, edges, sizes, *rest), steps_in_place(y, edges, sizes, *rest)
+    assert found.dtype == expected.dtype
+    np.testing.assert_allclose(found, expected, atol=2e-6)
+    np.testing.assert_array_equal(found if n == 0 else y, y)
+
+
+def test_whatever_stands_on_the_rim_counts_nothing() -> None:
+    y, edges, sizes, _ = example(0, 6, 5, 1, 4)
+    flat = jnp.full_like(y, 1e6)
+    np.testing.assert_array_equal(steps_in_place(flat, edges, sizes, None, None), flat)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
+def test_half_precision_stays(dtype: jnp.dtype) -> None:
+    y, edges, sizes, _ = example(1, 9, 8, 2, 5)
+    found = steps_in_place(y.astype(dtype), edges, sizes.astype(dtype), None, None)
+    assert found.dtype == dtype
+    np.testing.assert_allclose(found.astype(jnp.float32), _steps(y, edges, sizes, None, None), atol=0.02)
+
+
+@pytest.mark.parametrize("argument", range(5))
+def test_derivatives_are_those_of_the_plain_form(argument: int) -> None:
+    """To the last bit: the fast form has no part in them."""
+    y, edges, sizes, source = example(2, 6, 7, 2, 5)
+    arguments = y, edges, sizes, jnp.float32(0.2), source
+    fast = with_fast_values(_steps, steps_in_place)
+    slopes = [
+        jax.grad(lambda *a, form=form: jnp.sum(form(*a) ** 2), argument)(*arguments) for form in (_steps, fast)
+    ]
+    jax.tree.map(np.testing.assert_array_equal, *slopes)
+    assert any(np.any(np.asarray(leaf)) for leaf in jax.tree.leaves(slopes[1]))
+
+
+def test_second_derivatives_batches_and_forward_mode() -> None:
+    y, edges, sizes, _ = example(3, 4, 5, 1, 3)
+    fast = with_fast_values(_steps, steps_in_place)
+
+    def energy(form, sizes):
+        return jnp.sum(form(y, edges, sizes, None, None) ** 2)
+
+    np.testing.assert_allclose(
+        jax.hessian(lambda s: energy(fast, s))(sizes), jax.hessian(lambda s: energy(_steps, s))(sizes), rtol=1e-5
+    )
+    batch = jnp.stack([y, 2 * y])
+    found = jax.vmap(lambda y: fast(y, edges, sizes, None, None))(batch)
+    np.testing.assert_allclose(found[1], 2 * found[0], rtol=1e-5)
+    _, slope = jax.jvp(lambda y: fast(y, edges, sizes, None, None), (y,), (y,))
+    np.testing.assert_allclose(slope, found[0], rtol=1e-5)  # linear in y
+
+
+def test_values_come_from_the_fast_form() -> None:
+    """Else the tests above compare the plain form with itself."""
+    function = with_fast_values(lambda x: x**2, lambda x: x**2 + 1.0)
+    assert float(function(3.0)) == 10.0
+    assert float(jax.grad(function)(3.0)) == 6.0
+
+
+def test_few_cores_take_the_steps_in_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    y, edges, sizes, _ = example(4, 8, 8, 1, 4)
+    for count, marker in ((1, True), (64, False)):
+        monkeypatch.setattr("hyjax.forms.cores", lambda count=count: count)
+        text = jax.jit(fastest(_steps)).lower(y, edges, sizes, None, None).as_text()
+        assert ("dynamic_update_slice" in text) == marker
+    np.testing.assert_allclose(diffuse(y, edges, sizes), _steps(y, edges, sizes, None, None), atol=2e-6)
