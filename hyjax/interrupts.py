@@ -31,8 +31,8 @@ def _raise_again(before: Callable[[Any], Any], unraisable: Any) -> None:
 
 
 def _interrupt() -> None:
-    # A signal that falls between the main thread's letting go of the interpreter and its going to sleep wakes nobody,
-    # and that is just when this thread comes to run if it had to wait: let it fall asleep first.
+    # A signal that falls between the main thread's letting go of the interpreter and its going to sleep wakes
+    # nobody, and that is just when this thread comes to run if it had to wait: let it fall asleep first.
     time.sleep(DELAY)
     if hasattr(signal, "pthread_kill"):  # a real signal also ends what sleeps or waits
         signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)  # type: ignore[arg-type]

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,14 +22,16 @@ from hyjax.data.light_file import LightSetup, write_lights
 from hyjax.environment import environment, peak_memory_mib
 from hyjax.errors import InputError
 from hyjax.files import make_writable, remove, write_text
+from hyjax.gbuffer import GBuffer
 from hyjax.guide.choose import RGB, FrameGuide
 from hyjax.images import write_exr, write_png
+from hyjax.overlap import ahead, behind
 from hyjax.pipeline import Mode, Relit, relight_stages
 from hyjax.scene.blender import BlenderRenderer
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.schedule import Schedule
-from hyjax.tuning.latency import StageClock
+from hyjax.tuning.latency import StageClock, Stopwatch
 from hyjax.video import Video
 
 Renderer = Literal["hyjax", "blender"]
@@ -65,6 +68,10 @@ def relight_capture(
     progress: bool = True,
 ) -> dict[str, Any]:
     """Relight frames of a capture and write pictures, a contact sheet, the lights and `run.json` to `out`.
+
+    While the device relights a frame, the next ones are read and their rays cast, and the last ones encoded and
+    written: the stages' milliseconds in `run.json` overlap, and `frames_per_second` (without the first, which
+    compiles) is what comes out.
 
     Every file appears whole or not at all, so that an interrupted run leaves nothing half-written.
 
@@ -114,11 +121,17 @@ def relight_capture(
         rows: list[tuple[str, list[np.ndarray]]] = []
         sheet_every = max(1, -(-len(chosen) // SHEET_ROWS))
         skipped, written = [], []
-        for index in tqdm(chosen, desc="relighting", unit="frame", disable=not progress):
+
+        def see(index: int) -> tuple[Frame, GBuffer]:
             with clock("read"):
                 frame = fit(capture[index], size)
             with clock("g-buffer"):
-                gbuffer = jax.block_until_ready(caster.gbuffer(frame.camera))
+                return frame, jax.block_until_ready(caster.gbuffer(frame.camera))
+
+        later = stack.enter_context(behind())
+        seen = stack.enter_context(contextlib.closing(ahead(see, chosen)))
+        begun = Stopwatch()
+        for frame, gbuffer in tqdm(seen, "relighting", len(chosen), unit="frame", disable=not progress):
             if not bool(gbuffer.hit.any()):
                 skipped.append(frame.name)
                 continue
@@ -149,11 +162,13 @@ def relight_capture(
                 **given,
             )
             relit = clock.follow(stages)
-            with clock("write"):
-                _write_frame(out, frame.name, relit, mode, outputs)
+            later(functools.partial(_write_frame, clock, out, frame.name, relit, mode, outputs))
             written.append(frame.name)
+            if len(written) == 1:
+                begun = Stopwatch()  # the first frame compiles
             if (len(written) - 1) % sheet_every == 0:
                 rows.append((frame.name, _sheet_row(frame, relit, mode)))
+    frames_per_second = (len(written) - 1) / begun.seconds if len(written) > 1 else None
     if not written:
         raise InputError(
             f"{capture.name}: no ray of any chosen frame met the mesh; are the mesh and the poses in the same "
@@ -174,6 +189,7 @@ def relight_capture(
         "reference_lux": setup.reference_lux,
         "settings": settings or {},
         "milliseconds": clock.summary(),
+        "frames_per_second": frames_per_second and round(frames_per_second, 2),
         "peak_memory_mib": round(peak_memory_mib(), 1),
     } | environment()
     write_text(out / "run.json", json.dumps(run, indent=2) + "\n")
@@ -186,7 +202,12 @@ def check_video(video: bool, mode: Mode) -> None:
         raise InputError("video: the paper's mode has no memory of earlier frames; leave one of the two out")
 
 
-def _write_frame(out: Path, name: str, relit: Relit, mode: Mode, outputs: Outputs) -> None:
+def _write_frame(clock: StageClock, out: Path, name: str, relit: Relit, mode: Mode, outputs: Outputs) -> None:
+    with clock("write"):
+        _write_pictures(out, name, relit, mode, outputs)
+
+
+def _write_pictures(out: Path, name: str, relit: Relit, mode: Mode, outputs: Outputs) -> None:
     pictures = {"relit": relit.image}
     if outputs.filters:
         pictures |= {"filter": relit.shading, "refined": relit.refined}

@@ -1,0 +1,57 @@
+"""Doing several things at a time: what comes before and after the device's work, while it works.
+
+Threads do, since reading, encoding and XLA let go of Python while they run, and ray casting does from time to time.
+"""
+
+import collections
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+DEPTH = 2
+"""Results that wait to be used: enough to even out slow and fast ones, few enough for memory."""
+
+
+def ahead(function: Callable[[Item], Result], items: Iterable[Item], depth: int = DEPTH) -> Iterator[Result]:
+    """`map(function, items)`, with up to `depth` results made ahead by another thread, in order.
+
+    What `function` raises is raised here, in its turn. Nothing further is begun once the generator is closed.
+    """
+    with ThreadPoolExecutor(1, thread_name_prefix="ahead") as thread:
+        waiting: collections.deque[Future[Result]] = collections.deque()
+        try:
+            for item in items:
+                waiting.append(thread.submit(function, item))
+                if len(waiting) > depth:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            thread.shutdown(wait=True, cancel_futures=True)
+
+
+@contextlib.contextmanager
+def behind(depth: int = DEPTH) -> Iterator[Callable[[Callable[[], object]], None]]:
+    """A function that has calls done by another thread, in order; at its end all are.
+
+    It waits while `depth` calls are still to be done. What a call raises is raised by one of the next ones, or at
+    the end; what was to be done after it is not.
+    """
+    with ThreadPoolExecutor(1, thread_name_prefix="behind") as thread:
+        waiting: collections.deque[Future[object]] = collections.deque()
+
+        def later(call: Callable[[], object]) -> None:
+            waiting.append(thread.submit(call))
+            while waiting and (len(waiting) > depth or waiting[0].done()):
+                waiting.popleft().result()
+
+        try:
+            yield later
+            while waiting:
+                waiting.popleft().result()
+        finally:
+            thread.shutdown(wait=True, cancel_futures=True)
