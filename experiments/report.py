@@ -49,6 +49,7 @@ EXPERIMENTS = (
     "stage_times",
     "guide_speed",
     "fusion",
+    "bench_peers",
 )
 """Modules with a `TITLE` and `blocks(rows, folder)`, in the page's order."""
 

@@ -1,0 +1,312 @@
+"""hyjax beside others' ways to do the same, in one run: torch, OpenCV, ONNX Runtime, and a loop in C as the floor.
+
+    python -m experiments.bench_peers [--capture PATH] [--cores N] [--guard] [--out results/bench_peers]
+
+Every comparison is timed in turns (A B A B ...) after a first call that compiles; medians and 95th percentiles.
+
+- *Step*: one step of Eq. 2 at several sizes and channels, in the form that `hyjax.diffuse` chooses and in the plain
+  form; in torch, written from the formula, eager and compiled; in C, compiled on the spot. OpenCV's
+  `anisotropicDiffusion` (8 bits, no guide but itself) is timed beside them.
+- *Cascade*: whole schedules at 512 x 512, ours and torch's, with conductances by pooled guides in both; that they
+  agree is checked. Also frames in batches, and how time grows with pixels.
+- *Quality*: OpenCV's edge-aware filters do another thing, so they are compared by what comes out: the relit frame's
+  distance to that of the accurate surface, on frames held out. Each filters (w y, w) as ours does; its strength is
+  chosen on tuning frames, by PSNR.
+- *Guide*: the small network, ours, in torch and in ONNX Runtime.
+- *Frame*: the G-buffer of a mesh of 200 000 triangles and more, and a frame from its G-buffer to its picture.
+
+`--cores 1` binds everything to one core. `--guard` makes the process fail where a ratio is beyond its limit: ratios
+within one run, so that they hold on any machine. Takes about five minutes on two cores. Run it on an idle machine:
+torch's and OpenMP's threads wait for each other by spinning.
+
+Expect: a step as fast as the C loop on one core; on two, where the form in place still runs on one, behind it. The
+cascade several times faster than torch's. The preset `hyjax` at a better quality than any of OpenCV's filters, in a
+fraction of their time.
+"""
+
+import dataclasses
+import functools
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+
+import hyjax
+from experiments import peers
+from experiments.blocks import write_blocks
+from experiments.command import run
+from experiments.guide_speed import torch_network
+from experiments.peers_report import COMPILED, COPY, FLOOR, OURS, PLAIN, TORCH, blocks, guard
+from experiments.records import Results
+from hyjax.data.frames import spread
+from hyjax.diffusion import _steps
+from hyjax.errors import InputError
+from hyjax.forms import cores
+from hyjax.guide import Guide, GuideNetwork, normalise
+from hyjax.guide.weights import assign
+from hyjax.scene.raycast import RayCaster
+from hyjax.scene.shadow_caster import cast_shadow_maps
+from hyjax.schedule import Schedule
+from hyjax.tuning.bench import Workbench, open_bench
+from hyjax.tuning.calibration import check_repeats
+from hyjax.tuning.cases import Case, mix, refined_filter, scores
+from hyjax.tuning.latency import measure_each
+
+NAME = "bench_peers"
+TITLE = "Beside others, in one run"
+CASCADES = ("paper-50", "paper-80", "naive-1000", "hyjax")
+STRENGTHS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+OPERATIONS = 13  # of a step, a pixel and channel: four differences, four products, four sums, one by λ
+MOST_VALUES = 2**24
+LAM = 0.2
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    capture: Path | None = None
+    """A capture with depth; by default the built-in room."""
+    sizes: tuple[int, ...] = (128, 256, 512, 1024, 2048)
+    """Side lengths of square pictures."""
+    channels: tuple[int, ...] = (1, 3, 16)
+    batches: tuple[int, ...] = (1, 4, 16)
+    frames: int = 4
+    """How many to choose strengths on, and how many to report on."""
+    repeats: int = 20
+    triangles: int = 200_000
+    cores: int | None = None
+    """How many cores to run on; by default all that this process may use."""
+    guard: bool = False
+    """End with status 1 where a ratio is beyond its limit."""
+    seed: int = 0
+    out: Path = Path("results/bench_peers")
+
+
+def main(config: Config) -> None:
+    check_repeats(config.repeats)
+    if bad := [size for size in config.sizes if size < 64]:
+        raise InputError(f"sizes: a picture must be at least 64 pixels wide, got {bad[0]}")
+    if config.cores is not None:
+        available = sorted(os.sched_getaffinity(0))
+        if not 1 <= config.cores <= len(available):
+            raise InputError(f"cores: this process may use 1 to {len(available)}, got {config.cores}")
+        os.sched_setaffinity(0, available[: config.cores])  # before XLA and torch start their threads
+    torch = peers.optional("torch")
+    if torch is not None:
+        torch.set_num_threads(cores())
+    try:
+        floor = peers.Floor()
+    except (OSError, peers.subprocess.CalledProcessError) as error:
+        raise InputError(f"{NAME}: there is no C compiler to build the floor with ({error})") from None
+    bench = open_bench(config.capture, lights="two-colors")
+    results = Results(config.out, NAME, config)
+    results.add(kind="conditions", cores=cores(), capture=bench.capture.name, meshes=bench.description)
+    time_steps(config, results, floor, torch)
+    time_cascades(config, results, torch)
+    judge_filters(config, results, bench)
+    time_guides(config, results, torch)
+    time_frames(config, results, bench)
+    rows = results.finish()
+    write_blocks(config.out, NAME, blocks(rows, config.out))
+    if config.guard and (broken := [row for row in guard(rows) if not row[3]]):
+        print(f"{NAME}: beyond its limit: {'; '.join(row[0] for row in broken)}", file=sys.stderr)
+        sys.exit(1)
+
+
+def picture(seed: int, *shape: int) -> np.ndarray:
+    return np.random.default_rng(seed).random(shape, np.float32)
+
+
+def measured(calls: dict[str, Callable[[], Any]], config: Config, **most: Any) -> dict[str, dict[str, float | int]]:
+    """`measure_each`, with nothing compiled before."""
+    jax.clear_caches()
+    return measure_each(calls, config.repeats, **most)
+
+
+def time_steps(config: Config, results: Results, floor: peers.Floor, torch: Any) -> None:
+    for size in config.sizes:
+        values = size * size
+        for channels in config.channels:
+            if values * channels > MOST_VALUES:
+                continue
+            steps = 48 if values * channels <= 2**19 else 8
+            y, guide = picture(config.seed, size, size, channels), picture(config.seed + 1, size, size, 3)
+            edges = hyjax.conductance(jnp.asarray(guide), 0.1)
+            host = [np.asarray(edge) for edge in edges]
+            device, sizes = jnp.asarray(y), jnp.full(steps, LAM)
+            plain = jax.jit(_steps)
+            calls: dict[str, Callable[[], Any]] = {
+                OURS: lambda y=device, e=edges, s=sizes: hyjax.diffuse(y, e, s),
+                PLAIN: lambda f=plain, y=device, e=edges, s=sizes: f(y, e, s, None, None),
+                FLOOR: floor.diffuse(np.moveaxis(y, -1, 0), host, steps, LAM, cores()),
+                COPY: floor.copy(values * channels, cores()),
+            }
+            if torch is not None:
+                calls |= torch_steps_calls(torch, y, host, steps)
+            if channels == 3 and (diffusion := peers.opencv_diffusion(y, steps)) is not None:
+                calls["OpenCV anisotropicDiffusion"] = diffusion
+            for who, time in measured(calls, config, most_seconds=20.0).items():
+                each = 1 if who == COPY else steps
+                times = {key: time[key] / each for key in ("median_ms", "p95_ms")}
+                results.add(
+                    kind="step", size=size, channels=channels, who=who, first_ms=time["first_ms"], **times,
+                    bytes=8 * values * channels + (0 if each == 1 else 8 * values),
+                    operations=0 if each == 1 else OPERATIONS * values * channels,
+                )  # fmt: skip
+
+
+def torch_steps_calls(
+    torch: Any, y: np.ndarray, edges: list[np.ndarray], steps: int
+) -> dict[str, Callable[[], Any]]:
+    state = torch.tensor(np.moveaxis(y, -1, 0)[None].copy())
+    conductances = [torch.tensor(edge.copy())[None, None] for edge in edges]
+    compiled = torch.compile(peers.torch_step, dynamic=False)
+
+    def call(step: peers.Step) -> Any:
+        with torch.inference_mode():
+            return peers.torch_steps(state, conductances, steps, LAM, step)
+
+    return {TORCH: lambda: call(peers.torch_step), COMPILED: lambda: call(compiled)}
+
+
+def time_cascades(config: Config, results: Results, torch: Any) -> None:
+    y, guide = picture(config.seed, 512, 512, 3), picture(config.seed + 1, 512, 512, 3)
+    y_jax, guide_jax = jnp.asarray(y), jnp.asarray(guide)
+    for name in CASCADES:
+        schedule = Schedule.preset(name)
+        if name != "hyjax":  # the same operations as in torch
+            schedule = dataclasses.replace(schedule, pooling="guide")
+        calls: dict[str, Callable[[], Any]] = {OURS: lambda s=schedule: hyjax.cascade(y_jax, guide_jax, s)}
+        difference = None
+        if torch is not None and name != "hyjax":
+            inputs = [torch.tensor(np.moveaxis(x, -1, 0)[None].copy()) for x in (y, guide)]
+            compiled = torch.compile(peers.torch_step, dynamic=False)
+
+            def call(step: peers.Step, inputs: Any = inputs, schedule: Schedule = schedule) -> Any:
+                with torch.inference_mode():
+                    return peers.torch_cascade(*inputs, schedule, step)
+
+            calls |= {TORCH: lambda call=call: call(peers.torch_step), COMPILED: lambda c=compiled: call(c)}
+            theirs = np.moveaxis(calls[TORCH]()[0].numpy(), 0, -1)
+            difference = float(np.abs(theirs - np.asarray(calls[OURS]())).max())
+        for who, time in measured(calls, config, most_seconds=30.0).items():
+            results.add(kind="cascade", schedule=name, who=who, difference=difference, **time)
+    ours = Schedule.preset("hyjax")
+    batched = jax.jit(jax.vmap(lambda y, guide: hyjax.cascade(y, guide, ours)))
+    calls = {}
+    for count in config.batches:
+        inputs = [jnp.asarray(picture(k, count, 256, 256, 3)) for k in range(2)]
+        calls[str(count)] = functools.partial(batched, *inputs)
+    for count, time in measured(calls, config).items():
+        results.add(kind="batch", frames=int(count), **time)
+    calls = {}
+    for size in config.sizes:
+        inputs = [jnp.asarray(picture(k, size, size, 3)) for k in range(2)]
+        calls[str(size)] = functools.partial(hyjax.cascade, *inputs, ours)
+    for size, time in measured(calls, config).items():
+        results.add(kind="size", size=int(size), **time)
+
+
+def judge_filters(config: Config, results: Results, bench: Workbench) -> None:
+    count = len(bench.capture)
+    early, late = range(count - max(1, count // 4)), range(count - max(1, count // 4), count)
+    tuning, _ = bench.cases(spread(early, config.frames), "tuning")
+    held_out, _ = bench.cases(spread(late, config.frames), "held-out")
+    strengths: dict[str, float | None] = {}
+    for who in ("raw filter", *CASCADES, *peers.opencv_filters(np.asarray(tuning[0].guide))):
+        options: tuple[float | None, ...] = STRENGTHS if who.startswith("OpenCV") else (None,)
+        found = [scores(tuning, [filtered(case, who, s) for case in tuning]).psnr for s in options]
+        strengths[who] = options[int(np.argmax(found))]
+        score = scores(held_out, [filtered(case, who, strengths[who]) for case in held_out])
+        results.add(
+            kind="quality", who=who, strength=strengths[who], loss=score.loss, psnr=score.psnr, ssim=score.ssim,
+            at_limit=strengths[who] in (STRENGTHS[0], STRENGTHS[-1]),
+        )  # fmt: skip
+    case = held_out[0]
+    calls = {who: timed(case, who, strength) for who, strength in strengths.items() if who != "raw filter"}
+    for who, time in measured(calls, config, most_seconds=60.0).items():
+        results.add(kind="quality time", who=who, channels=case.shading.shape[-1] + 1, **time)
+
+
+def weighted(case: Case) -> np.ndarray:
+    """(w y, w), as `cascade_known` diffuses them."""
+    known = np.asarray(case.known, np.float32)
+    return np.concatenate([np.asarray(case.shading) * known, known], axis=-1)
+
+
+def filtered(case: Case, who: str, strength: float | None) -> Any:
+    """The filter that somebody makes of a case."""
+    if who == "raw filter":
+        return mix(case.shading, case.colors)
+    if strength is None:
+        return refined_filter(case, Schedule.preset(who))
+    out = peers.opencv_filters(np.asarray(case.guide))[who](weighted(case), strength)
+    return mix(jnp.asarray(out[..., :-1] / np.maximum(out[..., -1:], 1e-3)), case.colors)
+
+
+def timed(case: Case, who: str, strength: float | None) -> Callable[[], Any]:
+    """The repair of a case's channels by itself, on inputs as its library wants them."""
+    if strength is None:
+        schedule = Schedule.preset(who)
+        return lambda: hyjax.cascade_known(case.shading, case.known, case.guide, schedule)
+    function, inputs = peers.opencv_filters(np.asarray(case.guide))[who], weighted(case)
+    return lambda: function(inputs, strength)
+
+
+def time_guides(config: Config, results: Results, torch: Any) -> None:
+    encoder, features = "mobilenetv4_conv_small", 64
+    theirs = None if torch is None else torch_network(encoder, config.seed)
+    network = GuideNetwork(encoder, features, rngs=nnx.Rngs(config.seed))
+    if theirs is not None:
+        state = {name: tensor.numpy() for name, tensor in theirs.state_dict().items()}
+        assign(network, {n: a for n, a in state.items() if not n.endswith("tracked")}, "torch")
+    network.eval()
+    guide = Guide(network)
+    for size in (256, 512):
+        display = jnp.asarray(picture(config.seed, size, size, 3))
+        calls: dict[str, Callable[[], Any]] = {OURS: lambda x=display: guide.features(x)}
+        if theirs is not None:
+            inputs = torch.tensor(np.moveaxis(np.asarray(normalise(display)), -1, 0)[None].copy())
+
+            def call(inputs: Any = inputs) -> Any:
+                with torch.inference_mode():
+                    return theirs(inputs)
+
+            calls[TORCH] = call
+            if (session := peers.onnx_session(theirs, inputs, cores())) is not None:
+                calls["ONNX Runtime"] = session
+        for who, time in measured(calls, config, most_seconds=60.0).items():
+            results.add(kind="guide", size=size, who=who, **time)
+
+
+def time_frames(config: Config, results: Results, bench: Workbench) -> None:
+    frame = bench.frame(0)
+    mesh = bench.rough.mesh
+    while len(mesh.faces) < config.triangles:
+        mesh = mesh.subdivide()
+    casters = {len(bench.rough.mesh.faces): bench.rough, len(mesh.faces): RayCaster(mesh)}
+    calls: dict[str, Callable[[], Any]] = {
+        f"G-buffer of {faces} triangles": functools.partial(caster.gbuffer, frame.camera)
+        for faces, caster in casters.items()
+    }
+    seen, maps = bench.rough.gbuffer(frame.camera), cast_shadow_maps(bench.rough, bench.setup.lights)
+    display = jnp.asarray(frame.image)
+
+    def relit(shadow_maps: Any) -> Any:
+        linear, schedule = hyjax.to_linear(display), Schedule.preset("hyjax")
+        given = {"shadow_maps": shadow_maps, "reference_lux": bench.setup.reference_lux}
+        return hyjax.relight(linear, seen, bench.setup.lights, display, schedule, **given).image
+
+    calls["frame with shadows, from its G-buffer"] = functools.partial(relit, maps)
+    calls["frame without shadows, from its G-buffer"] = functools.partial(relit, None)
+    for what, time in measured(calls, config).items():
+        results.add(kind="frame", what=what, **time)
+
+
+if __name__ == "__main__":
+    run(main, Config)

@@ -1,0 +1,238 @@
+"""Others' ways to do what hyjax does: a loop in C, torch, OpenCV's filters and ONNX Runtime.
+
+What `bench_peers` compares with. Each is written from the formula or calls a library; what is not installed is left
+out with a word on stderr.
+"""
+
+import contextlib
+import ctypes
+import importlib
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from experiments.peers_report import SMOOTHER
+from hyjax.schedule import Schedule
+
+# Eq. 2, one pass over memory a step; what a C programmer writes first, with the compiler told to use the machine.
+SOURCE = r"""
+#include <stddef.h>
+
+static void rows(const float *restrict y, float *restrict out, const float *restrict cv, const float *restrict ch,
+                 int h, int w, int from, int to, float lam) {
+  for (int i = from; i < to; i++) {
+    const float *s = y + (size_t)i * w, *u = i ? s - w : s, *d = i < h - 1 ? s + w : s;
+    const float *vu = cv + (size_t)(i ? i - 1 : 0) * w, *vd = cv + (size_t)(i < h - 1 ? i : h - 2) * w;
+    const float *e = ch + (size_t)i * (w - 1);
+    float *o = out + (size_t)i * w;
+    o[0] = s[0] + lam * (vu[0] * (u[0] - s[0]) + vd[0] * (d[0] - s[0]) + e[0] * (s[1] - s[0]));
+    for (int j = 1; j < w - 1; j++)
+      o[j] = s[j] + lam * (vu[j] * (u[j] - s[j]) + vd[j] * (d[j] - s[j])
+                         + e[j] * (s[j + 1] - s[j]) + e[j - 1] * (s[j - 1] - s[j]));
+    int k = w - 1;
+    o[k] = s[k] + lam * (vu[k] * (u[k] - s[k]) + vd[k] * (d[k] - s[k]) + e[k - 1] * (s[k - 1] - s[k]));
+  }
+}
+
+/* n steps, from a to b and back; the result is in a if n is even, else in b. */
+void diffuse(float *a, float *b, const float *cv, const float *ch, int channels, int h, int w, int n, float lam) {
+#pragma omp parallel
+  for (int s = 0; s < n; s++) {
+    const float *from = s % 2 ? b : a;
+    float *to = s % 2 ? a : b;
+#pragma omp for collapse(2) schedule(static)
+    for (int c = 0; c < channels; c++)
+      for (int block = 0; block < 16; block++)
+        rows(from + (size_t)c * h * w, to + (size_t)c * h * w, cv, ch, h, w,
+             h * block / 16, h * (block + 1) / 16, lam);
+  }
+}
+
+/* Reads n floats and writes n floats. */
+void copy(const float *restrict from, float *restrict to, long n) {
+#pragma omp parallel for schedule(static)
+  for (long i = 0; i < n; i++) to[i] = from[i];
+}
+"""
+FLAGS = ["-O3", "-march=native", "-ffast-math", "-fopenmp", "-shared", "-fPIC"]
+
+
+Step = Callable[..., Any]
+
+
+class Floor:
+    """The C loop, compiled on the spot.
+
+    Raises:
+        FileNotFoundError: there is no C compiler.
+    """
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory()
+        source, library = (Path(self._folder.name) / name for name in ("floor.c", "floor.so"))
+        source.write_text(SOURCE)
+        subprocess.run(["cc", *FLAGS, "-o", str(library), str(source)], check=True)
+        self._library = ctypes.CDLL(str(library))
+        self._openmp = ctypes.CDLL("libgomp.so.1")
+
+    def diffuse(
+        self, y: Float[np.ndarray, "c h w"], edges: Sequence[np.ndarray], steps: int, lam: float, threads: int
+    ) -> Callable[[], np.ndarray]:
+        """A call that does `steps` steps on `y` in place, so that calls go on where the last one ended."""
+        state, other = np.array(y, np.float32, order="C"), np.empty(y.shape, np.float32)
+        vertical, horizontal = (np.ascontiguousarray(edge, np.float32) for edge in edges)
+
+        def call() -> np.ndarray:
+            self._openmp.omp_set_num_threads(threads)
+            pointers = (array.ctypes.data_as(ctypes.c_void_p) for array in (state, other, vertical, horizontal))
+            self._library.diffuse(*pointers, *y.shape, steps, ctypes.c_float(lam))
+            return state if steps % 2 == 0 else other
+
+        return call
+
+    def copy(self, floats: int, threads: int) -> Callable[[], None]:
+        """A call that copies so many floats."""
+        source, target = np.ones(floats, np.float32), np.zeros(floats, np.float32)
+
+        def call() -> None:
+            self._openmp.omp_set_num_threads(threads)
+            pointers = (array.ctypes.data_as(ctypes.c_void_p) for array in (source, target))
+            self._library.copy(*pointers, ctypes.c_long(floats))
+
+        return call
+
+
+def optional(name: str) -> Any:
+    """A module that need not be there; None, and a word on stderr, if it is not."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        print(f"bench_peers: {name} is not installed and is left out", file=sys.stderr)
+        return None
+
+
+# ---- torch, written from the formula, channels first with a batch ----
+
+
+def torch_conductance(guide: Any, kappa: float) -> list[Any]:
+    """Eq. 3 of a guide B×F×H×W."""
+    vertical, horizontal = guide[:, :, 1:] - guide[:, :, :-1], guide[..., 1:] - guide[..., :-1]
+    return [kappa**2 / (kappa**2 + (d * d).sum(1, keepdim=True)) for d in (vertical, horizontal)]
+
+
+def torch_step(y: Any, vertical: Any, horizontal: Any, lam: float) -> Any:
+    """Eq. 2: fluxes along the edges, added on one side and taken on the other."""
+    down = lam * vertical * (y[:, :, 1:] - y[:, :, :-1])
+    right = lam * horizontal * (y[..., 1:] - y[..., :-1])
+    y = y.clone()
+    y[:, :, :-1] += down
+    y[:, :, 1:] -= down
+    y[..., :-1] += right
+    y[..., 1:] -= right
+    return y
+
+
+def torch_steps(y: Any, edges: Sequence[Any], steps: int, lam: float, step: Step = torch_step) -> Any:
+    """Eq. 2, repeated."""
+    for _ in range(steps):
+        y = step(y, *edges, lam)
+    return y
+
+
+def torch_cascade(y: Any, guide: Any, schedule: Schedule, step: Step = torch_step) -> Any:
+    """Eq. 4 with conductances by the guide's own coarse pictures, bilinear in between."""
+    from torch.nn.functional import avg_pool2d, interpolate
+
+    state = None
+    for level in schedule.levels:
+        cells = avg_pool2d(guide, level.factor)
+        if state is None:
+            state = avg_pool2d(y, level.factor)
+        else:
+            state = interpolate(state, size=cells.shape[-2:], mode="bilinear", align_corners=False)
+        edges = torch_conductance(cells, float(level.kappa))
+        if level.steps:
+            state = torch_steps(state, edges, level.steps, float(np.asarray(level.step_sizes)[0]), step)
+    return interpolate(state, size=y.shape[-2:], mode="bilinear", align_corners=False)
+
+
+# ---- OpenCV's edge-aware filters ----
+
+
+Filter = Callable[[Float[np.ndarray, "h w c"], float], Float[np.ndarray, "h w c"]]
+
+
+def opencv_filters(guide: Float[np.ndarray, "h w 3"]) -> dict[str, Filter]:
+    """Filters of `cv2.ximgproc` by name, (channels, strength) → channels, under a display-encoded guide.
+
+    A strength is how far apart two colours of the guide are that are kept apart, on its scale of 0 to 1.
+    """
+    cv2 = optional("cv2")
+    if cv2 is None or not hasattr(cv2, "ximgproc"):
+        return {}
+    eight_bits = np.round(np.clip(guide, 0, 1) * 255).astype(np.uint8)
+    floats = np.ascontiguousarray(guide, np.float32)
+    reach = max(guide.shape[:2]) // 16
+
+    def each(filter_one: Callable[[np.ndarray], np.ndarray], y: np.ndarray) -> np.ndarray:
+        return np.stack([filter_one(np.ascontiguousarray(y[..., k])) for k in range(y.shape[-1])], axis=-1)
+
+    def global_smoother(y: np.ndarray, strength: float) -> np.ndarray:
+        made = cv2.ximgproc.createFastGlobalSmootherFilter(eight_bits, 900.0, 255 * strength)
+        return each(made.filter, y)
+
+    def guided(y: np.ndarray, strength: float) -> np.ndarray:
+        made = cv2.ximgproc.createGuidedFilter(floats, reach, strength**2)
+        return each(made.filter, y)
+
+    def bilateral_solver(y: np.ndarray, strength: float) -> np.ndarray:
+        """Knows confidences itself: the last channel is taken for it, and what is returned is divided already."""
+        sigma = max(255 * strength, 1.0)
+        confidence = np.ascontiguousarray(y[..., -1])
+        made = cv2.ximgproc.createFastBilateralSolverFilter(eight_bits, 16.0, sigma, sigma)
+        largest = max(float(y[..., :-1].max()), 1e-6)  # it wants values in [0, 1]
+        solved = each(lambda channel: made.filter(channel / largest, confidence) * largest, y[..., :-1])
+        return np.concatenate([solved, np.ones_like(y[..., -1:])], axis=-1)
+
+    return {
+        SMOOTHER: global_smoother,
+        "OpenCV guidedFilter": guided,
+        "OpenCV fastBilateralSolverFilter": bilateral_solver,
+    }
+
+
+def opencv_diffusion(picture: Float[np.ndarray, "h w 3"], steps: int) -> Callable[[], np.ndarray] | None:
+    """A call of `cv2.ximgproc.anisotropicDiffusion`, which takes 8 bits, three channels and no guide but itself."""
+    cv2 = optional("cv2")
+    if cv2 is None or not hasattr(cv2, "ximgproc"):
+        return None
+    eight_bits = np.round(picture * 255).astype(np.uint8)
+    return lambda: cv2.ximgproc.anisotropicDiffusion(eight_bits, 0.2, 0.1, steps)
+
+
+# ---- ONNX Runtime ----
+
+
+def onnx_session(network: Any, picture: Any, threads: int) -> Callable[[], np.ndarray] | None:
+    """A torch network exported to ONNX Runtime, as a call on one picture."""
+    runtime = optional("onnxruntime")
+    if runtime is None or optional("onnxscript") is None:
+        return None
+    import torch
+
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), contextlib.redirect_stdout(None):
+        warnings.simplefilter("ignore")
+        path = Path(folder) / "network.onnx"
+        torch.onnx.export(network, (picture,), str(path), dynamo=True, external_data=False, verbose=False)
+        options = runtime.SessionOptions()
+        options.intra_op_num_threads = threads
+        session = runtime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
+    inputs = {session.get_inputs()[0].name: picture.numpy()}
+    return lambda: session.run(None, inputs)[0]
