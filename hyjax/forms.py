@@ -11,6 +11,8 @@ from hyjax.inplace import steps_in_place
 
 FEW_CORES = 2
 """Up to so many, steps in place on one of them are faster than plain steps on all. Measured with two."""
+GPU_KERNEL = "HYJAX_GPU_KERNEL"
+"""In the environment: 1 takes `hyjax.tiles` on a GPU, which was not measured on one yet."""
 
 
 def with_fast_values(plain: Callable[..., Any], fast: Callable[..., Any]) -> Callable[..., Any]:
@@ -47,9 +49,14 @@ def fastest(plain: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     def choose(*arguments: Any) -> Any:
-        if cores() > FEW_CORES:
-            return plain(*arguments)
-        return jax.lax.platform_dependent(*arguments, cpu=steps_in_place, default=plain)
+        forms: dict[str, Callable[..., Any]] = {}
+        if cores() <= FEW_CORES:
+            forms["cpu"] = steps_in_place
+        if os.environ.get(GPU_KERNEL) == "1":
+            from hyjax.tiles import steps_in_tiles
+
+            forms["cuda"] = steps_in_tiles
+        return jax.lax.platform_dependent(*arguments, **forms, default=plain) if forms else plain(*arguments)
 
     return choose
 

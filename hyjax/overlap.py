@@ -5,7 +5,7 @@ Threads do, since reading, encoding and XLA let go of Python while they run, and
 
 import collections
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
@@ -16,7 +16,9 @@ DEPTH = 2
 """Results that wait to be used: enough to even out slow and fast ones, few enough for memory."""
 
 
-def ahead(function: Callable[[Item], Result], items: Iterable[Item], depth: int = DEPTH) -> Iterator[Result]:
+def ahead(
+    function: Callable[[Item], Result], items: Iterable[Item], depth: int = DEPTH
+) -> Generator[Result, None, None]:
     """`map(function, items)`, with up to `depth` results made ahead by another thread, in order.
 
     What `function` raises is raised here, in its turn. Nothing further is begun once the generator is closed.

@@ -112,7 +112,7 @@ def test_classes_are_frozen_pytrees(name: str) -> None:
 LAYERS: list[set[str]] = [
     {"errors", "values", "vectors", "cache", "files", "environment", "interrupts", "recent", "overlap"},
     {"stencil", "cycles"},
-    {"inplace"},
+    {"inplace", "tiles"},
     {"forms"},
     {"pyramid", "diffusion"},
     {"schedule", "upsampling", "solver"},

@@ -1,4 +1,4 @@
-"""The fast form of repeated steps against the plain one, and derivatives of the two together."""
+"""The fast forms of repeated steps against the plain one, and derivatives of the two together."""
 
 import hypothesis
 import jax
@@ -6,11 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import strategies
+from jax import export
 
 from hyjax import conductance, diffuse
 from hyjax.diffusion import _steps
 from hyjax.forms import fastest, with_fast_values
 from hyjax.inplace import steps_in_place
+from hyjax.tiles import steps_in_tiles
 
 pytestmark = pytest.mark.usefixtures("strict_ranks")
 
@@ -101,3 +103,26 @@ def test_few_cores_take_the_steps_in_place(monkeypatch: pytest.MonkeyPatch) -> N
         text = jax.jit(fastest(_steps)).lower(y, edges, sizes, None, None).as_text()
         assert ("dynamic_update_slice" in text) == marker
     np.testing.assert_allclose(diffuse(y, edges, sizes), _steps(y, edges, sizes, None, None), atol=2e-6)
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 7, 2), (33, 17, 2), (140, 150, 1), (200, 5, 1)])
+@pytest.mark.parametrize("count", [0, 1, 11])
+@pytest.mark.parametrize("held", [False, True])
+def test_tiles_are_the_plain_form(shape: tuple[int, int, int], count: int, held: bool) -> None:
+    """In the interpreter: pictures of one tile, of several, and of a size that tiles do not divide."""
+    y, edges, sizes, source = example(5, *shape, count)
+    rest = (jnp.float32(0.3), source) if held else (None, None)
+    found = steps_in_tiles(y, edges, sizes, *rest, interpret=True)
+    np.testing.assert_allclose(found, _steps(y, edges, sizes, *rest), atol=2e-6)
+
+
+@pytest.mark.parametrize("size", [64, 300])
+def test_tiles_become_a_gpu_kernel(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As far as that can be seen without a GPU: `diffuse`, asked to, is lowered to Triton's code for CUDA."""
+    y, edges, sizes, _ = example(6, size, size, 2, 11)
+    checks = [export.DisabledSafetyCheck.custom_call("__gpu$xla.gpu.triton")]
+    for wanted in ("1", "0"):
+        monkeypatch.setenv("HYJAX_GPU_KERNEL", wanted)
+        form = jax.jit(fastest(_steps))
+        exported = export.export(form, platforms=["cuda"], disabled_checks=checks)(y, edges, sizes, None, None)
+        assert ("xla.gpu.triton" in exported.mlir_module()) == (wanted == "1")
