@@ -165,7 +165,7 @@ def torch_steps_calls(
 ) -> dict[str, Callable[[], Any]]:
     state = torch.tensor(np.moveaxis(y, -1, 0)[None].copy())
     conductances = [torch.tensor(edge.copy())[None, None] for edge in edges]
-    compiled = torch.compile(peers.torch_step, dynamic=False)
+    compiled = peers.torch_compiled(torch)
 
     def call(step: peers.Step) -> Any:
         with torch.inference_mode():
@@ -185,7 +185,7 @@ def time_cascades(config: Config, results: Results, torch: Any) -> None:
         difference = None
         if torch is not None and name != "hyjax":
             inputs = [torch.tensor(np.moveaxis(x, -1, 0)[None].copy()) for x in (y, guide)]
-            compiled = torch.compile(peers.torch_step, dynamic=False)
+            compiled = peers.torch_compiled(torch)
 
             def call(step: peers.Step, inputs: Any = inputs, schedule: Schedule = schedule) -> Any:
                 with torch.inference_mode():
@@ -218,7 +218,8 @@ def judge_filters(config: Config, results: Results, bench: Workbench) -> None:
     tuning, _ = bench.cases(spread(early, config.frames), "tuning")
     held_out, _ = bench.cases(spread(late, config.frames), "held-out")
     strengths: dict[str, float | None] = {}
-    for who in ("raw filter", *CASCADES, *peers.opencv_filters(np.asarray(tuning[0].guide))):
+    theirs = peers.opencv_filters(np.asarray(tuning[0].guide))
+    for who in ("raw filter", *CASCADES, *theirs):
         options: tuple[float | None, ...] = STRENGTHS if who.startswith("OpenCV") else (None,)
         found = [scores(tuning, [filtered(case, who, s) for case in tuning]).psnr for s in options]
         strengths[who] = options[int(np.argmax(found))]

@@ -6,6 +6,7 @@ out with a word on stderr.
 
 import contextlib
 import ctypes
+import functools
 import importlib
 import subprocess
 import sys
@@ -109,6 +110,7 @@ class Floor:
         return call
 
 
+@functools.cache
 def optional(name: str) -> Any:
     """A module that need not be there; None, and a word on stderr, if it is not."""
     try:
@@ -137,6 +139,12 @@ def torch_step(y: Any, vertical: Any, horizontal: Any, lam: float) -> Any:
     y[..., :-1] += right
     y[..., 1:] -= right
     return y
+
+
+def torch_compiled(torch: Any) -> Step:
+    """`torch_step` compiled, for each size anew."""
+    torch.compiler.reset()
+    return torch.compile(torch_step, dynamic=False)
 
 
 def torch_steps(y: Any, edges: Sequence[Any], steps: int, lam: float, step: Step = torch_step) -> Any:
@@ -201,11 +209,22 @@ def opencv_filters(guide: Float[np.ndarray, "h w 3"]) -> dict[str, Filter]:
         solved = each(lambda channel: made.filter(channel / largest, confidence) * largest, y[..., :-1])
         return np.concatenate([solved, np.ones_like(y[..., -1:])], axis=-1)
 
-    return {
-        SMOOTHER: global_smoother,
-        "OpenCV guidedFilter": guided,
-        "OpenCV fastBilateralSolverFilter": bilateral_solver,
-    }
+    filters = {SMOOTHER: global_smoother, "OpenCV guidedFilter": guided}
+    if _has_bilateral_solver():
+        filters["OpenCV fastBilateralSolverFilter"] = bilateral_solver
+    return filters
+
+
+@functools.cache
+def _has_bilateral_solver() -> bool:
+    """OpenCV's own wheels come without it."""
+    cv2 = optional("cv2")
+    try:
+        cv2.ximgproc.createFastBilateralSolverFilter(np.zeros((8, 8, 3), np.uint8), 4.0, 8.0, 8.0)
+    except cv2.error:
+        print("bench_peers: this OpenCV was built without the fast bilateral solver", file=sys.stderr)
+        return False
+    return True
 
 
 def opencv_diffusion(picture: Float[np.ndarray, "h w 3"], steps: int) -> Callable[[], np.ndarray] | None:

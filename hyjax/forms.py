@@ -9,8 +9,9 @@ import jax
 
 from hyjax.inplace import steps_in_place
 
-FEW_CORES = 2
-"""Up to so many, steps in place on one of them are faster than plain steps on all. Measured with two."""
+MOST_VALUES = 2**18
+"""Of a picture whose steps in place on one core are faster than plain steps shared with one more core. Measured on
+two cores; with more of them in proportion fewer."""
 GPU_KERNEL = "HYJAX_GPU_KERNEL"
 """In the environment: 1 takes `hyjax.tiles` on a GPU, which was not measured on one yet."""
 
@@ -50,7 +51,7 @@ def fastest(plain: Callable[..., Any]) -> Callable[..., Any]:
 
     def choose(*arguments: Any) -> Any:
         forms: dict[str, Callable[..., Any]] = {}
-        if cores() <= FEW_CORES:
+        if arguments[0].size * (cores() - 1) <= MOST_VALUES:
             forms["cpu"] = steps_in_place
         if os.environ.get(GPU_KERNEL) == "1":
             from hyjax.tiles import steps_in_tiles

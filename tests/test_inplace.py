@@ -96,12 +96,20 @@ def test_values_come_from_the_fast_form() -> None:
     assert float(jax.grad(function)(3.0)) == 6.0
 
 
-def test_few_cores_take_the_steps_in_place(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("count", "size", "marker"), [(1, 600, True), (2, 8, True), (2, 600, False), (64, 80, False)]
+)
+def test_what_is_worth_sharing_is_shared(
+    monkeypatch: pytest.MonkeyPatch, count: int, size: int, marker: bool
+) -> None:
+    y, edges, sizes, _ = example(4, size, size, 1, 4)
+    monkeypatch.setattr("hyjax.forms.cores", lambda: count)
+    text = jax.jit(fastest(_steps)).lower(y, edges, sizes, None, None).as_text()
+    assert ("dynamic_update_slice" in text) == marker
+
+
+def test_diffuse_takes_it() -> None:
     y, edges, sizes, _ = example(4, 8, 8, 1, 4)
-    for count, marker in ((1, True), (64, False)):
-        monkeypatch.setattr("hyjax.forms.cores", lambda count=count: count)
-        text = jax.jit(fastest(_steps)).lower(y, edges, sizes, None, None).as_text()
-        assert ("dynamic_update_slice" in text) == marker
     np.testing.assert_allclose(diffuse(y, edges, sizes), _steps(y, edges, sizes, None, None), atol=2e-6)
 
 
