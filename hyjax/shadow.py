@@ -123,8 +123,11 @@ def visibility(gbuffer: GBuffer, light: Light, shadow_map: ShadowMap | None) -> 
     if shadow_map is None:
         return jnp.ones_like(gbuffer.depth)
 
+    # Component by component: interleaved they keep the CPU's vector units from being used.
+    position, normal = jnp.moveaxis(gbuffer.position, -1, 0), jnp.moveaxis(gbuffer.normal, -1, 0)
+
     def add_view(total: tuple[Array, Array], view: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], None]:
-        lit, weight = _view_visibility(gbuffer, light, shadow_map, *view)
+        lit, weight = _view_visibility(position, normal, light, shadow_map, *view)
         return (total[0] + lit * weight, total[1] + weight), None
 
     zero = jnp.zeros_like(gbuffer.depth)
@@ -132,34 +135,45 @@ def visibility(gbuffer: GBuffer, light: Light, shadow_map: ShadowMap | None) -> 
     (lit, weight), _ = jax.lax.scan(add_view, (zero, zero), views)
     if isinstance(light, DirectionalLight) and light.aperture is not None:
         # What lies before the opening, on the sun's side, is not lit through it.
-        normal = cross(light.aperture.right, light.aperture.up)
-        side = dot(gbuffer.position - light.aperture.center, normal) * dot(light.direction, normal)
+        across = cross(light.aperture.right, light.aperture.up)
+        side = dot(gbuffer.position - light.aperture.center, across) * dot(light.direction, across)
         lit = jnp.where(side > 0, lit, 0.0)
     return jnp.where(gbuffer.hit & (weight > 0), lit / jnp.where(weight > 0, weight, 1.0), 1.0)
 
 
 def _view_visibility(
-    gbuffer: GBuffer, light: Light, shadow_map: ShadowMap, depth: Array, origin: Array, axes: Array
+    position: Float[Array, "3 h w"],
+    normal: Float[Array, "3 h w"],
+    light: Light,
+    shadow_map: ShadowMap,
+    depth: Float[Array, "s s"],
+    origin: Float[Array, "3"],
+    axes: Float[Array, "3 3"],
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
     """Lit fraction and weight of one view."""
-    offset = origin - gbuffer.position
+    offset = [origin[k] - position[k] for k in range(3)]
     if shadow_map.projection == "orthographic":
-        to_light = jnp.broadcast_to(-axes[2], offset.shape)
-        squared, texel = jnp.ones(()), jnp.broadcast_to(shadow_map.texel, offset.shape[:2])
+        to_light = [-axes[2, k] for k in range(3)]
+        squared, texel = jnp.ones(()), shadow_map.texel
     else:
-        squared = dot(offset, offset) + 1e-12
-        to_light = offset * jax.lax.rsqrt(squared)[..., None]
+        squared = _inner(offset, offset) + 1e-12
+        to_light = [component * jax.lax.rsqrt(squared) for component in offset]
         texel = shadow_map.texel * jnp.sqrt(squared)
-    cosine = jnp.clip(dot(gbuffer.normal, to_light), 0.0, 1.0)
+    cosine = jnp.clip(_inner(normal, to_light), 0.0, 1.0)
     weight = cosine / squared
     if isinstance(light, RectLight):
-        weight *= jnp.maximum(dot(-to_light, cross(light.right, light.up)), 0.0)
+        weight *= jnp.maximum(-_inner(to_light, cross(light.right, light.up)), 0.0)
 
     sine = jnp.sqrt(jnp.maximum(1.0 - cosine**2, 1e-12))
-    moved = gbuffer.normal * (NORMAL_OFFSET * texel * sine)[..., None] - offset
-    local = (dot(moved, axes[0]), dot(moved, axes[1]), dot(moved, axes[2]))
+    moved = [normal[k] * (NORMAL_OFFSET * texel * sine) - offset[k] for k in range(3)]
+    local = (_inner(moved, axes[0]), _inner(moved, axes[1]), _inner(moved, axes[2]))
     u, v, distance = map_coordinates(local, shadow_map.projection)
     return _filtered_comparison(depth, u, v, distance - DEPTH_BIAS * texel), weight
+
+
+def _inner(a: Sequence[Array] | Array, b: Sequence[Array] | Array) -> Array:
+    """Inner product of two vectors given by components."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _filtered_comparison(
