@@ -16,8 +16,7 @@ Every comparison is timed in turns (A B A B ...) after a first call that compile
 - *Frame*: the G-buffer of a mesh of 200 000 triangles and more, and a frame from its G-buffer to its picture.
 
 `--cores 1` binds everything to one core. `--guard` makes the process fail where a ratio is beyond its limit: ratios
-within one run, so that they hold on any machine. Takes about five minutes on two cores. Run it on an idle machine:
-torch's and OpenMP's threads wait for each other by spinning.
+within one run, so that they hold on any machine. Takes about five minutes on two cores, which should be idle.
 
 Expect: a step as fast as the C loop on one core; on two, where the form in place still runs on one, behind it. The
 cascade several times faster than torch's. The preset `hyjax` at a better quality than any of OpenCV's filters, in a
@@ -65,6 +64,7 @@ STRENGTHS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 OPERATIONS = 13  # of a step, a pixel and channel: four differences, four products, four sums, one by λ
 MOST_VALUES = 2**24
 LAM = 0.2
+PAUSE = 0.01  # seconds between calls: OpenMP's threads spin for some milliseconds after a call, at others' cost
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,7 +125,7 @@ def picture(seed: int, *shape: int) -> np.ndarray:
 def measured(calls: dict[str, Callable[[], Any]], config: Config, **most: Any) -> dict[str, dict[str, float | int]]:
     """`measure_each`, with nothing compiled before."""
     jax.clear_caches()
-    return measure_each(calls, config.repeats, **most)
+    return measure_each(calls, config.repeats, pause=PAUSE, **most)
 
 
 def time_steps(config: Config, results: Results, floor: peers.Floor, torch: Any) -> None:

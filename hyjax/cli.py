@@ -356,7 +356,7 @@ def _keep_compiled() -> None:
         compiled = cache_folder() / "compiled"
         make_writable(compiled)
         jax.config.update("jax_compilation_cache_dir", str(compiled))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def run_info() -> None:

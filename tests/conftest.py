@@ -21,8 +21,8 @@ sys.path.append(str(Path(__file__).parents[1]))
 # Workers, and commands, notebooks and hosts that tests start, compile much alike: each finds what another has.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache_folder() / "compiled"))
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 hypothesis.settings.register_profile("hyjax", derandomize=True, deadline=None, max_examples=25, database=None)
 hypothesis.settings.load_profile("hyjax")
