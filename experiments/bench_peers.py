@@ -2,29 +2,35 @@
 
     python -m experiments.bench_peers [--capture PATH] [--cores N] [--guard] [--out results/bench_peers]
 
-Every comparison is timed in turns (A B A B ...) after a first call that compiles; medians and 95th percentiles.
+Every comparison is timed in turns (A B A B ...) after a first call that compiles, each time after an untimed call
+of the same, so that nobody pays for what the one before left behind; medians and 95th percentiles. That all compute
+the same is measured first, and part of the guard.
 
 - *Step*: one step of Eq. 2 at several sizes and channels, in the form that `hyjax.diffuse` chooses and in the plain
   form; in torch, written from the formula, eager and compiled; in C, compiled on the spot. OpenCV's
-  `anisotropicDiffusion` (8 bits, no guide but itself) is timed beside them.
-- *Cascade*: whole schedules at 512 x 512, ours and torch's, with conductances by pooled guides in both; that they
-  agree is checked. Also frames in batches, and how time grows with pixels.
+  `anisotropicDiffusion` (8 bits, no guide but itself) is timed beside them. Above `hyjax.forms.MOST_VALUES` ours is
+  the plain form: what they differ by is the noise.
+- *Cascade*: whole schedules at 512 x 512, ours and torch's, with conductances by pooled guides in both. torch's is
+  compiled a step at a time. Also frames in batches, and how time grows with pixels.
 - *Quality*: OpenCV's edge-aware filters do another thing, so they are compared by what comes out: the relit frame's
-  distance to that of the accurate surface, on frames held out. Each filters (w y, w) as ours does; its strength is
-  chosen on tuning frames, by PSNR.
+  distance to that of the accurate surface, on frames held out. Each filters (w y, w) as ours does; its strength and
+  reach are chosen on tuning frames, by PSNR. Ours are presets, of which nothing is chosen here.
 - *Guide*: the small network, ours, in torch and in ONNX Runtime.
 - *Frame*: the G-buffer of a mesh of 200 000 triangles and more, and a frame from its G-buffer to its picture.
 
-`--cores 1` binds everything to one core. `--guard` makes the process fail where a ratio is beyond its limit: ratios
-within one run, so that they hold on any machine. Takes about five minutes on two cores, which should be idle.
+`--cores 1` binds everything to one core. `--guard` makes the process fail where a ratio within the run is beyond
+its limit, or could not be measured; the limits are those for `--cores 1`. Takes about ten minutes on two cores,
+which should be idle.
 
 Expect: a step as fast as the C loop on one core; on two, where the form in place still runs on one, behind it. The
 cascade several times faster than torch's. The preset `hyjax` at a better quality than any of OpenCV's filters, in a
 fraction of their time.
 """
 
+import copy
 import dataclasses
 import functools
+import itertools
 import os
 import sys
 from collections.abc import Callable
@@ -49,6 +55,7 @@ from hyjax.errors import InputError
 from hyjax.forms import cores
 from hyjax.guide import Guide, GuideNetwork, normalise
 from hyjax.guide.weights import assign
+from hyjax.refine import HOLE_FLOOR
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.schedule import Schedule
@@ -60,11 +67,10 @@ from hyjax.tuning.latency import measure_each
 NAME = "bench_peers"
 TITLE = "Beside others, in one run"
 CASCADES = ("paper-50", "paper-80", "naive-1000", "hyjax")
-STRENGTHS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 OPERATIONS = 13  # of a step, a pixel and channel: four differences, four products, four sums, one by λ
 MOST_VALUES = 2**24
 LAM = 0.2
-PAUSE = 0.01  # seconds between calls: OpenMP's threads spin for some milliseconds after a call, at others' cost
+MOST_SECONDS = 30.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +98,8 @@ def main(config: Config) -> None:
     if bad := [size for size in config.sizes if size < 64]:
         raise InputError(f"sizes: a picture must be at least 64 pixels wide, got {bad[0]}")
     if config.cores is not None:
+        if not hasattr(os, "sched_setaffinity"):
+            raise InputError("cores: this system cannot bind a process to some of its cores; leave it out")
         available = sorted(os.sched_getaffinity(0))
         if not 1 <= config.cores <= len(available):
             raise InputError(f"cores: this process may use 1 to {len(available)}, got {config.cores}")
@@ -99,10 +107,7 @@ def main(config: Config) -> None:
     torch = peers.optional("torch")
     if torch is not None:
         torch.set_num_threads(cores())
-    try:
-        floor = peers.Floor()
-    except (OSError, peers.subprocess.CalledProcessError) as error:
-        raise InputError(f"{NAME}: there is no C compiler to build the floor with ({error})") from None
+    floor = peers.Floor()
     bench = open_bench(config.capture, lights="two-colors")
     results = Results(config.out, NAME, config)
     results.add(kind="conditions", cores=cores(), capture=bench.capture.name, meshes=bench.description)
@@ -122,10 +127,14 @@ def picture(seed: int, *shape: int) -> np.ndarray:
     return np.random.default_rng(seed).random(shape, np.float32)
 
 
-def measured(calls: dict[str, Callable[[], Any]], config: Config, **most: Any) -> dict[str, dict[str, float | int]]:
+def measured(calls: dict[str, Callable[[], Any]], config: Config) -> dict[str, dict[str, float | int]]:
     """`measure_each`, with nothing compiled before."""
     jax.clear_caches()
-    return measure_each(calls, config.repeats, pause=PAUSE, **most)
+    return measure_each(calls, config.repeats, settled=True, most_seconds=MOST_SECONDS)
+
+
+def furthest(a: Any, b: Any) -> float:
+    return float(np.abs(np.asarray(a) - np.asarray(b)).max())
 
 
 def time_steps(config: Config, results: Results, floor: peers.Floor, torch: Any) -> None:
@@ -134,44 +143,46 @@ def time_steps(config: Config, results: Results, floor: peers.Floor, torch: Any)
         for channels in config.channels:
             if values * channels > MOST_VALUES:
                 continue
-            steps = 48 if values * channels <= 2**19 else 8
+            steps = 48 if values * channels <= 2**19 else 16
             y, guide = picture(config.seed, size, size, channels), picture(config.seed + 1, size, size, 3)
             edges = hyjax.conductance(jnp.asarray(guide), 0.1)
             host = [np.asarray(edge) for edge in edges]
             device, sizes = jnp.asarray(y), jnp.full(steps, LAM)
-            plain = jax.jit(_steps)
+            plain, first = jax.jit(_steps), np.moveaxis(y, -1, 0)
+            expected = np.moveaxis(np.asarray(hyjax.diffuse(device, edges, sizes)), -1, 0)
             calls: dict[str, Callable[[], Any]] = {
                 OURS: lambda y=device, e=edges, s=sizes: hyjax.diffuse(y, e, s),
                 PLAIN: lambda f=plain, y=device, e=edges, s=sizes: f(y, e, s, None, None),
-                FLOOR: floor.diffuse(np.moveaxis(y, -1, 0), host, steps, LAM, cores()),
-                COPY: floor.copy(values * channels, cores()),
+                FLOOR: floor.diffuse(first, host, steps, LAM, cores()),
+                COPY: floor.copy(values * channels, steps, cores()),
             }
+            difference = furthest(floor.diffuse(first, host, steps, LAM, cores())(), expected)
             if torch is not None:
-                calls |= torch_steps_calls(torch, y, host, steps)
+                calls |= torch_calls(torch, first, host, steps)
+                difference = max(difference, *(furthest(calls[who]()[0], expected) for who in (TORCH, COMPILED)))
+            results.add(kind="agreement", what=f"steps at {size}², {channels} channels", difference=difference)
             if channels == 3 and (diffusion := peers.opencv_diffusion(y, steps)) is not None:
                 calls["OpenCV anisotropicDiffusion"] = diffusion
-            for who, time in measured(calls, config, most_seconds=20.0).items():
-                each = 1 if who == COPY else steps
-                times = {key: time[key] / each for key in ("median_ms", "p95_ms")}
+            for who, time in measured(calls, config).items():
+                times = {key: time[key] / steps for key in ("median_ms", "p95_ms")}
+                copied = who == COPY
                 results.add(
                     kind="step", size=size, channels=channels, who=who, first_ms=time["first_ms"], **times,
-                    bytes=8 * values * channels + (0 if each == 1 else 8 * values),
-                    operations=0 if each == 1 else OPERATIONS * values * channels,
+                    bytes=8 * values * channels + (0 if copied else 8 * values),
+                    operations=0 if copied else OPERATIONS * values * channels,
                 )  # fmt: skip
 
 
-def torch_steps_calls(
-    torch: Any, y: np.ndarray, edges: list[np.ndarray], steps: int
-) -> dict[str, Callable[[], Any]]:
-    state = torch.tensor(np.moveaxis(y, -1, 0)[None].copy())
-    conductances = [torch.tensor(edge.copy())[None, None] for edge in edges]
+def torch_calls(torch: Any, y: np.ndarray, edges: list[np.ndarray], steps: int) -> dict[str, Callable[[], Any]]:
+    state = torch.tensor(y[None].copy())
+    conductances = [torch.tensor(LAM * edge)[None, None] for edge in edges]
     compiled = peers.torch_compiled(torch)
 
-    def call(step: peers.Step) -> Any:
+    def call(run: peers.Steps) -> Any:
         with torch.inference_mode():
-            return peers.torch_steps(state, conductances, steps, LAM, step)
+            return run(state, *conductances, steps)
 
-    return {TORCH: lambda: call(peers.torch_step), COMPILED: lambda: call(compiled)}
+    return {TORCH: lambda: call(peers.torch_steps), COMPILED: lambda: call(compiled)}
 
 
 def time_cascades(config: Config, results: Results, torch: Any) -> None:
@@ -182,20 +193,20 @@ def time_cascades(config: Config, results: Results, torch: Any) -> None:
         if name != "hyjax":  # the same operations as in torch
             schedule = dataclasses.replace(schedule, pooling="guide")
         calls: dict[str, Callable[[], Any]] = {OURS: lambda s=schedule: hyjax.cascade(y_jax, guide_jax, s)}
-        difference = None
         if torch is not None and name != "hyjax":
             inputs = [torch.tensor(np.moveaxis(x, -1, 0)[None].copy()) for x in (y, guide)]
             compiled = peers.torch_compiled(torch)
 
-            def call(step: peers.Step, inputs: Any = inputs, schedule: Schedule = schedule) -> Any:
+            def call(run: peers.Steps, inputs: Any = inputs, schedule: Schedule = schedule) -> Any:
                 with torch.inference_mode():
-                    return peers.torch_cascade(*inputs, schedule, step)
+                    return peers.torch_cascade(*inputs, schedule, run)
 
-            calls |= {TORCH: lambda call=call: call(peers.torch_step), COMPILED: lambda c=compiled: call(c)}
-            theirs = np.moveaxis(calls[TORCH]()[0].numpy(), 0, -1)
-            difference = float(np.abs(theirs - np.asarray(calls[OURS]())).max())
-        for who, time in measured(calls, config, most_seconds=30.0).items():
-            results.add(kind="cascade", schedule=name, who=who, difference=difference, **time)
+            calls |= {TORCH: lambda c=call: c(peers.torch_steps), COMPILED: lambda c=call, r=compiled: c(r)}
+            ours_first = np.moveaxis(np.asarray(calls[OURS]()), -1, 0)
+            difference = max(furthest(calls[who]()[0], ours_first) for who in (TORCH, COMPILED))
+            results.add(kind="agreement", what=name, difference=difference)
+        for who, time in measured(calls, config).items():
+            results.add(kind="cascade", schedule=name, who=who, **time)
     ours = Schedule.preset("hyjax")
     batched = jax.jit(jax.vmap(lambda y, guide: hyjax.cascade(y, guide, ours)))
     calls = {}
@@ -217,46 +228,54 @@ def judge_filters(config: Config, results: Results, bench: Workbench) -> None:
     early, late = range(count - max(1, count // 4)), range(count - max(1, count // 4), count)
     tuning, _ = bench.cases(spread(early, config.frames), "tuning")
     held_out, _ = bench.cases(spread(late, config.frames), "held-out")
-    strengths: dict[str, float | None] = {}
-    theirs = peers.opencv_filters(np.asarray(tuning[0].guide))
-    for who in ("raw filter", *CASCADES, *theirs):
-        options: tuple[float | None, ...] = STRENGTHS if who.startswith("OpenCV") else (None,)
-        found = [scores(tuning, [filtered(case, who, s) for case in tuning]).psnr for s in options]
-        strengths[who] = options[int(np.argmax(found))]
-        score = scores(held_out, [filtered(case, who, strengths[who]) for case in held_out])
+    options: dict[str, list[tuple[float, float]]] = {
+        who: list(itertools.product(peers.STRENGTHS, reaches))
+        for who, (_, reaches) in peers.opencv_filters(np.asarray(tuning[0].guide)).items()
+    }
+    chosen: dict[str, tuple[float, float] | None] = {}
+    for who in ("raw filter", *CASCADES, *options):
+        tried = options.get(who, [None])
+        found = [scores(tuning, [filtered(case, who, option) for case in tuning]).psnr for option in tried]
+        chosen[who] = option = tried[int(np.argmax(found))]
+        score = scores(held_out, [filtered(case, who, option) for case in held_out])
+        ends = {value for values in zip(*tried) for value in (min(values), max(values))} if option else set()
         results.add(
-            kind="quality", who=who, strength=strengths[who], loss=score.loss, psnr=score.psnr, ssim=score.ssim,
-            at_limit=strengths[who] in (STRENGTHS[0], STRENGTHS[-1]),
+            kind="quality", who=who, chosen=option, at_end=bool(option) and not ends.isdisjoint(option),
+            loss=score.loss, psnr=score.psnr, ssim=score.ssim,
         )  # fmt: skip
     case = held_out[0]
-    calls = {who: timed(case, who, strength) for who, strength in strengths.items() if who != "raw filter"}
-    for who, time in measured(calls, config, most_seconds=60.0).items():
+    calls = {who: repair(case, who, option) for who, option in chosen.items() if who != "raw filter"}
+    for who, time in measured(calls, config).items():
         results.add(kind="quality time", who=who, channels=case.shading.shape[-1] + 1, **time)
 
 
 def weighted(case: Case) -> np.ndarray:
     """(w y, w), as `cascade_known` diffuses them."""
     known = np.asarray(case.known, np.float32)
-    return np.concatenate([np.asarray(case.shading) * known, known], axis=-1)
+    return np.ascontiguousarray(np.concatenate([np.asarray(case.shading) * known, known], axis=-1))
 
 
-def filtered(case: Case, who: str, strength: float | None) -> Any:
-    """The filter that somebody makes of a case."""
+def filtered(case: Case, who: str, option: tuple[float, float] | None) -> Any:
+    """The filter that somebody makes of a case; where a hole is out of reach the mean of all that is known."""
     if who == "raw filter":
         return mix(case.shading, case.colors)
-    if strength is None:
+    if option is None:
         return refined_filter(case, Schedule.preset(who))
-    out = peers.opencv_filters(np.asarray(case.guide))[who](weighted(case), strength)
-    return mix(jnp.asarray(out[..., :-1] / np.maximum(out[..., -1:], 1e-3)), case.colors)
+    out, known = repair(case, who, option)(), weighted(case)
+    mean = known[..., :-1].sum((0, 1)) / known[..., -1:].sum()
+    reached = np.clip(out[..., -1:], 0.0, 1.0)  # not every filter keeps between the values it is given
+    floor = HOLE_FLOOR * (1.0 - reached)
+    values = np.clip(out[..., :-1], 0.0, None) + floor * mean
+    return mix(jnp.asarray(values / np.maximum(reached + floor, 1e-6)), case.colors)
 
 
-def timed(case: Case, who: str, strength: float | None) -> Callable[[], Any]:
+def repair(case: Case, who: str, option: tuple[float, float] | None) -> Callable[[], Any]:
     """The repair of a case's channels by itself, on inputs as its library wants them."""
-    if strength is None:
+    if option is None:
         schedule = Schedule.preset(who)
         return lambda: hyjax.cascade_known(case.shading, case.known, case.guide, schedule)
-    function, inputs = peers.opencv_filters(np.asarray(case.guide))[who], weighted(case)
-    return lambda: function(inputs, strength)
+    function, inputs = peers.opencv_filters(np.asarray(case.guide))[who][0], weighted(case)
+    return lambda: function(inputs, *option)
 
 
 def time_guides(config: Config, results: Results, torch: Any) -> None:
@@ -274,15 +293,22 @@ def time_guides(config: Config, results: Results, torch: Any) -> None:
         if theirs is not None:
             inputs = torch.tensor(np.moveaxis(np.asarray(normalise(display)), -1, 0)[None].copy())
 
-            def call(inputs: Any = inputs) -> Any:
-                with torch.inference_mode():
-                    return theirs(inputs)
-
-            calls[TORCH] = call
+            calls[TORCH] = lambda x=inputs: call_network(torch, theirs, x)
+            last, network_last = inputs.contiguous(memory_format=torch.channels_last), copy.deepcopy(theirs)
+            network_last.to(memory_format=torch.channels_last)
+            calls[f"{TORCH}, channels last"] = lambda x=last, n=network_last: call_network(torch, n, x)
             if (session := peers.onnx_session(theirs, inputs, cores())) is not None:
                 calls["ONNX Runtime"] = session
-        for who, time in measured(calls, config, most_seconds=60.0).items():
+            features = np.moveaxis(np.asarray(calls[OURS]()), -1, 0)
+            difference = furthest(calls[TORCH]()[0], features) / np.abs(features).max()
+            results.add(kind="agreement", what=f"guide at {size}²", difference=difference)
+        for who, time in measured(calls, config).items():
             results.add(kind="guide", size=size, who=who, **time)
+
+
+def call_network(torch: Any, network: Any, picture: Any) -> Any:
+    with torch.inference_mode():
+        return network(picture)
 
 
 def time_frames(config: Config, results: Results, bench: Workbench) -> None:

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments.peers_report import SMOOTHER
+from hyjax.errors import InputError
 from hyjax.schedule import Schedule
 
 # Eq. 2, one pass over memory a step; what a C programmer writes first, with the compiler told to use the machine.
@@ -56,32 +57,42 @@ void diffuse(float *a, float *b, const float *cv, const float *ch, int channels,
   }
 }
 
-/* Reads n floats and writes n floats. */
-void copy(const float *restrict from, float *restrict to, long n) {
-#pragma omp parallel for schedule(static)
-  for (long i = 0; i < n; i++) to[i] = from[i];
+/* Copies n floats from a to b and back, so many times. */
+void copy(float *a, float *b, long n, int times) {
+#pragma omp parallel
+  for (int t = 0; t < times; t++) {
+    const float *from = t % 2 ? b : a;
+    float *to = t % 2 ? a : b;
+#pragma omp for simd schedule(static)
+    for (long i = 0; i < n; i++) to[i] = from[i];
+  }
 }
 """
 FLAGS = ["-O3", "-march=native", "-ffast-math", "-fopenmp", "-shared", "-fPIC"]
 
 
-Step = Callable[..., Any]
+Steps = Callable[..., Any]
 
 
 class Floor:
     """The C loop, compiled on the spot.
 
+    Its buffers stay where they are from call to call, where ours are made anew in each: a floor, not a peer.
+
     Raises:
-        FileNotFoundError: there is no C compiler.
+        InputError: it cannot be compiled here.
     """
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory()
         source, library = (Path(self._folder.name) / name for name in ("floor.c", "floor.so"))
         source.write_text(SOURCE)
-        subprocess.run(["cc", *FLAGS, "-o", str(library), str(source)], check=True)
-        self._library = ctypes.CDLL(str(library))
-        self._openmp = ctypes.CDLL("libgomp.so.1")
+        try:
+            subprocess.run(["cc", *FLAGS, "-o", str(library), str(source)], check=True, capture_output=True)
+            self._library = ctypes.CDLL(str(library))
+            self._openmp = ctypes.CDLL("libgomp.so.1")
+        except (OSError, subprocess.CalledProcessError) as error:
+            raise InputError(f"bench_peers: needs gcc with OpenMP as cc to compile the floor ({error})") from None
 
     def diffuse(
         self, y: Float[np.ndarray, "c h w"], edges: Sequence[np.ndarray], steps: int, lam: float, threads: int
@@ -98,14 +109,14 @@ class Floor:
 
         return call
 
-    def copy(self, floats: int, threads: int) -> Callable[[], None]:
-        """A call that copies so many floats."""
+    def copy(self, floats: int, times: int, threads: int) -> Callable[[], None]:
+        """A call that copies so many floats, so many times."""
         source, target = np.ones(floats, np.float32), np.zeros(floats, np.float32)
 
         def call() -> None:
             self._openmp.omp_set_num_threads(threads)
             pointers = (array.ctypes.data_as(ctypes.c_void_p) for array in (source, target))
-            self._library.copy(*pointers, ctypes.c_long(floats))
+            self._library.copy(*pointers, ctypes.c_long(floats), times)
 
         return call
 
@@ -129,32 +140,36 @@ def torch_conductance(guide: Any, kappa: float) -> list[Any]:
     return [kappa**2 / (kappa**2 + (d * d).sum(1, keepdim=True)) for d in (vertical, horizontal)]
 
 
-def torch_step(y: Any, vertical: Any, horizontal: Any, lam: float) -> Any:
-    """Eq. 2: fluxes along the edges, added on one side and taken on the other."""
-    down = lam * vertical * (y[:, :, 1:] - y[:, :, :-1])
-    right = lam * horizontal * (y[..., 1:] - y[..., :-1])
-    y = y.clone()
-    y[:, :, :-1] += down
-    y[:, :, 1:] -= down
-    y[..., :-1] += right
-    y[..., 1:] -= right
-    return y
+def torch_steps(y: Any, vertical: Any, horizontal: Any, steps: int) -> Any:
+    """Eq. 2, repeated: fluxes along the edges, added on one side and taken on the other.
 
-
-def torch_compiled(torch: Any) -> Step:
-    """`torch_step` compiled, for each size anew."""
-    torch.compiler.reset()
-    return torch.compile(torch_step, dynamic=False)
-
-
-def torch_steps(y: Any, edges: Sequence[Any], steps: int, lam: float, step: Step = torch_step) -> Any:
-    """Eq. 2, repeated."""
+    `vertical` and `horizontal` are conductances times λ.
+    """
     for _ in range(steps):
-        y = step(y, *edges, lam)
+        down = vertical * (y[:, :, 1:] - y[:, :, :-1])
+        right = horizontal * (y[..., 1:] - y[..., :-1])
+        y = y.clone()
+        y[:, :, :-1] += down
+        y[:, :, 1:] -= down
+        y[..., :-1] += right
+        y[..., 1:] -= right
     return y
 
 
-def torch_cascade(y: Any, guide: Any, schedule: Schedule, step: Step = torch_step) -> Any:
+def torch_compiled(torch: Any) -> Steps:
+    """`torch_steps` compiled a step at a time: of several it fuses all, computing them again for every neighbour."""
+    torch.compiler.reset()
+    step = torch.compile(functools.partial(torch_steps, steps=1), dynamic=False)
+
+    def run(y: Any, vertical: Any, horizontal: Any, steps: int) -> Any:
+        for _ in range(steps):
+            y = step(y, vertical, horizontal)
+        return y
+
+    return run
+
+
+def torch_cascade(y: Any, guide: Any, schedule: Schedule, run: Steps = torch_steps) -> Any:
     """Eq. 4 with conductances by the guide's own coarse pictures, bilinear in between."""
     from torch.nn.functional import avg_pool2d, interpolate
 
@@ -165,53 +180,52 @@ def torch_cascade(y: Any, guide: Any, schedule: Schedule, step: Step = torch_ste
             state = avg_pool2d(y, level.factor)
         else:
             state = interpolate(state, size=cells.shape[-2:], mode="bilinear", align_corners=False)
-        edges = torch_conductance(cells, float(level.kappa))
-        if level.steps:
-            state = torch_steps(state, edges, level.steps, float(np.asarray(level.step_sizes)[0]), step)
+        lam = float(np.asarray(level.step_sizes)[0])
+        edges = [lam * edge for edge in torch_conductance(cells, float(level.kappa))]
+        state = run(state, *edges, level.steps)
     return interpolate(state, size=y.shape[-2:], mode="bilinear", align_corners=False)
 
 
 # ---- OpenCV's edge-aware filters ----
 
 
-Filter = Callable[[Float[np.ndarray, "h w c"], float], Float[np.ndarray, "h w c"]]
+Filter = Callable[[Float[np.ndarray, "h w c"], float, float], Float[np.ndarray, "h w c"]]
+STRENGTHS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 
 
-def opencv_filters(guide: Float[np.ndarray, "h w 3"]) -> dict[str, Filter]:
-    """Filters of `cv2.ximgproc` by name, (channels, strength) → channels, under a display-encoded guide.
+def opencv_filters(guide: Float[np.ndarray, "h w 3"]) -> dict[str, tuple[Filter, tuple[float, ...]]]:
+    """Filters of `cv2.ximgproc` under a display-encoded guide by name, each with the reaches to try.
 
-    A strength is how far apart two colours of the guide are that are kept apart, on its scale of 0 to 1.
+    A filter takes channels, a strength (how far apart two colours of the guide are that are kept apart, on its
+    scale of 0 to 1, see `STRENGTHS`) and a reach, which means something else for each.
     """
     cv2 = optional("cv2")
     if cv2 is None or not hasattr(cv2, "ximgproc"):
         return {}
     eight_bits = np.round(np.clip(guide, 0, 1) * 255).astype(np.uint8)
     floats = np.ascontiguousarray(guide, np.float32)
-    reach = max(guide.shape[:2]) // 16
 
-    def each(filter_one: Callable[[np.ndarray], np.ndarray], y: np.ndarray) -> np.ndarray:
-        return np.stack([filter_one(np.ascontiguousarray(y[..., k])) for k in range(y.shape[-1])], axis=-1)
+    def global_smoother(y: np.ndarray, strength: float, smoothness: float) -> np.ndarray:
+        return cv2.ximgproc.createFastGlobalSmootherFilter(eight_bits, smoothness, 255 * strength).filter(y)
 
-    def global_smoother(y: np.ndarray, strength: float) -> np.ndarray:
-        made = cv2.ximgproc.createFastGlobalSmootherFilter(eight_bits, 900.0, 255 * strength)
-        return each(made.filter, y)
+    def guided(y: np.ndarray, strength: float, radius: float) -> np.ndarray:
+        return cv2.ximgproc.createGuidedFilter(floats, int(radius), strength**2).filter(y)
 
-    def guided(y: np.ndarray, strength: float) -> np.ndarray:
-        made = cv2.ximgproc.createGuidedFilter(floats, reach, strength**2)
-        return each(made.filter, y)
-
-    def bilateral_solver(y: np.ndarray, strength: float) -> np.ndarray:
+    def bilateral_solver(y: np.ndarray, strength: float, spatial: float) -> np.ndarray:
         """Knows confidences itself: the last channel is taken for it, and what is returned is divided already."""
         sigma = max(255 * strength, 1.0)
-        confidence = np.ascontiguousarray(y[..., -1])
-        made = cv2.ximgproc.createFastBilateralSolverFilter(eight_bits, 16.0, sigma, sigma)
-        largest = max(float(y[..., :-1].max()), 1e-6)  # it wants values in [0, 1]
-        solved = each(lambda channel: made.filter(channel / largest, confidence) * largest, y[..., :-1])
-        return np.concatenate([solved, np.ones_like(y[..., -1:])], axis=-1)
+        made = cv2.ximgproc.createFastBilateralSolverFilter(eight_bits, spatial, sigma, sigma)
+        confidence, largest = np.ascontiguousarray(y[..., -1]), max(float(y[..., :-1].max()), 1e-6)
+        values = np.moveaxis(y[..., :-1], -1, 0) / largest  # it wants values in [0, 1]
+        solved = [made.filter(np.ascontiguousarray(channel), confidence) * largest for channel in values]
+        return np.stack([*solved, np.ones_like(confidence)], axis=-1)
 
-    filters = {SMOOTHER: global_smoother, "OpenCV guidedFilter": guided}
+    filters: dict[str, tuple[Filter, tuple[float, ...]]] = {
+        SMOOTHER: (global_smoother, (3.0, 10.0, 30.0, 100.0, 1_000.0, 10_000.0)),
+        "OpenCV guidedFilter": (guided, (8.0, 16.0, 32.0, 64.0)),
+    }
     if _has_bilateral_solver():
-        filters["OpenCV fastBilateralSolverFilter"] = bilateral_solver
+        filters["OpenCV fastBilateralSolverFilter"] = (bilateral_solver, (8.0, 16.0, 32.0))
     return filters
 
 

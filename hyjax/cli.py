@@ -357,6 +357,8 @@ def _keep_compiled() -> None:
         make_writable(compiled)
         jax.config.update("jax_compilation_cache_dir", str(compiled))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        # Half-written by a process that was killed, or that writes it just now: compiled anew.
+        warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
 
 
 def run_info() -> None:

@@ -10,14 +10,14 @@ import jax
 from hyjax.inplace import steps_in_place
 
 MOST_VALUES = 2**18
-"""Of a picture whose steps in place on one core are faster than plain steps shared with one more core. Measured on
-two cores; with more of them in proportion fewer."""
+"""Of a picture whose two buffers stay in a core's cache. Beyond it steps in place are no faster, and plain steps are
+shared among cores. Measured on one core and on two; with more of them in proportion fewer."""
 GPU_KERNEL = "HYJAX_GPU_KERNEL"
 """In the environment: 1 takes `hyjax.tiles` on a GPU, which was not measured on one yet."""
 
 
 def with_fast_values(plain: Callable[..., Any], fast: Callable[..., Any]) -> Callable[..., Any]:
-    """`fast` for values, `plain` for derivatives of any order, forwards and backwards.
+    """`fast` for values, `plain` for derivatives of any order, forwards and backwards, and values beside them.
 
     Args:
         plain: a function of arrays, or pytrees of them.
@@ -45,13 +45,16 @@ def with_fast_values(plain: Callable[..., Any], fast: Callable[..., Any]) -> Cal
 def fastest(plain: Callable[..., Any]) -> Callable[..., Any]:
     """Repeated steps of diffusion in the form that runs fastest on the platform that they are compiled for.
 
+    Chosen while tracing: the number of cores and the environment count as they are then. Under `vmap` the size is
+    that of one picture.
+
     Args:
         plain: the steps in their plain form, with the arguments of `steps_in_place`.
     """
 
     def choose(*arguments: Any) -> Any:
         forms: dict[str, Callable[..., Any]] = {}
-        if arguments[0].size * (cores() - 1) <= MOST_VALUES:
+        if arguments[0].size * max(1, cores() - 1) <= MOST_VALUES:
             forms["cpu"] = steps_in_place
         if os.environ.get(GPU_KERNEL) == "1":
             from hyjax.tiles import steps_in_tiles

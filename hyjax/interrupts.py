@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 DELAY = 0.05
-"""Seconds after which a lost interrupt is raised again, when the callback that lost it has returned."""
+"""Seconds, twice: until the callback that lost an interrupt has returned, and until the main thread sleeps."""
 
 
 def keep_interrupts() -> None:

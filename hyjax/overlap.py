@@ -5,6 +5,7 @@ Threads do, since reading, encoding and XLA let go of Python while they run, and
 
 import collections
 import contextlib
+import threading
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
@@ -23,37 +24,53 @@ def ahead(
 
     What `function` raises is raised here, in its turn. Nothing further is begun once the generator is closed.
     """
-    with ThreadPoolExecutor(1, thread_name_prefix="ahead") as thread:
-        waiting: collections.deque[Future[Result]] = collections.deque()
-        try:
-            for item in items:
-                waiting.append(thread.submit(function, item))
-                if len(waiting) > depth:
-                    yield waiting.popleft().result()
-            while waiting:
+    thread = ThreadPoolExecutor(1, thread_name_prefix="ahead")
+    waiting: collections.deque[Future[Result]] = collections.deque()
+    try:
+        for item in items:
+            waiting.append(thread.submit(function, item))
+            if len(waiting) > depth:
                 yield waiting.popleft().result()
-        finally:
-            thread.shutdown(wait=True, cancel_futures=True)
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        thread.shutdown(wait=True, cancel_futures=True)
 
 
 @contextlib.contextmanager
 def behind(depth: int = DEPTH) -> Iterator[Callable[[Callable[[], object]], None]]:
-    """A function that has calls done by another thread, in order; at its end all are.
+    """A function that has calls done by another thread, in order; at the end of the context all are.
 
-    It waits while `depth` calls are still to be done. What a call raises is raised by one of the next ones, or at
-    the end; what was to be done after it is not.
+    It waits while more than `depth` calls are still to be done. What a call raises is raised by one of the next
+    ones, or at the end; calls after it are not done. If the body raises an exception, what it has asked for is
+    still done; if it is interrupted, only what has begun.
     """
-    with ThreadPoolExecutor(1, thread_name_prefix="behind") as thread:
-        waiting: collections.deque[Future[object]] = collections.deque()
+    thread = ThreadPoolExecutor(1, thread_name_prefix="behind")
+    waiting: collections.deque[Future[object]] = collections.deque()
+    failed = threading.Event()
 
-        def later(call: Callable[[], object]) -> None:
-            waiting.append(thread.submit(call))
-            while waiting and (len(waiting) > depth or waiting[0].done()):
-                waiting.popleft().result()
+    def unless_failed(call: Callable[[], object]) -> None:
+        if not failed.is_set():
+            try:
+                call()
+            except BaseException:
+                failed.set()
+                raise
 
-        try:
-            yield later
-            while waiting:
-                waiting.popleft().result()
-        finally:
-            thread.shutdown(wait=True, cancel_futures=True)
+    def later(call: Callable[[], object]) -> None:
+        waiting.append(thread.submit(unless_failed, call))
+        while waiting and (len(waiting) > depth or waiting[0].done()):
+            waiting.popleft().result()
+
+    interrupted = False
+    try:
+        yield later
+        while waiting:
+            waiting.popleft().result()
+    except Exception:
+        raise
+    except BaseException:
+        interrupted = True
+        raise
+    finally:
+        thread.shutdown(wait=True, cancel_futures=interrupted)

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from hyjax.color import to_display, to_linear
@@ -25,7 +25,7 @@ from hyjax.files import make_writable, remove, write_text
 from hyjax.gbuffer import GBuffer
 from hyjax.guide.choose import RGB, FrameGuide
 from hyjax.images import write_exr, write_png
-from hyjax.overlap import ahead, behind
+from hyjax.overlap import DEPTH, ahead, behind
 from hyjax.pipeline import Mode, Relit, relight_stages
 from hyjax.scene.blender import BlenderRenderer
 from hyjax.scene.raycast import RayCaster
@@ -38,6 +38,8 @@ Renderer = Literal["hyjax", "blender"]
 
 HEADINGS = ("frame", "raw filter", "refined filter", "visibility", "raw filter x frame", "relit")
 SHEET_ROWS = 12
+WARM_UP = DEPTH + 2
+"""Frames that do not count for frames per second: the first compiles, and others are read meanwhile."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,8 +72,8 @@ def relight_capture(
     """Relight frames of a capture and write pictures, a contact sheet, the lights and `run.json` to `out`.
 
     While the device relights a frame, the next ones are read and their rays cast, and the last ones encoded and
-    written: the stages' milliseconds in `run.json` overlap, and `frames_per_second` (without the first, which
-    compiles) is what comes out.
+    written: the stages' milliseconds in `run.json` overlap, and `frames_per_second` (after the first `WARM_UP`) is
+    what comes out. These threads do not see JAX's context managers that stand around the call.
 
     Every file appears whole or not at all, so that an interrupted run leaves nothing half-written.
 
@@ -128,47 +130,48 @@ def relight_capture(
             with clock("g-buffer"):
                 return frame, jax.block_until_ready(caster.gbuffer(frame.camera))
 
-        later = stack.enter_context(behind())
-        seen = stack.enter_context(contextlib.closing(ahead(see, chosen)))
         begun = Stopwatch()
-        for frame, gbuffer in tqdm(seen, "relighting", len(chosen), unit="frame", disable=not progress):
-            if not bool(gbuffer.hit.any()):
-                skipped.append(frame.name)
-                continue
-            if renderer == "blender":
-                with clock("blender"):
-                    rendering = blender.render(frame.camera)
-                gbuffer = rendering.seen_by_both(gbuffer)
-                given |= {
-                    "shading": jnp.asarray(rendering.shading),
-                    "visibility": jnp.asarray(rendering.visibility),
-                }
-            display = jnp.asarray(frame.image)
-            with clock("guide"):
-                features = jax.block_until_ready(guide.features(display))
-            if video:
-                camera = frame.camera
-                given["settle"] = memory.settle(
-                    gbuffer, setup.lights, features, schedule, camera.pose, camera.intrinsics.matrix
+        with behind() as later, contextlib.closing(ahead(see, chosen)) as seen:
+            for frame, gbuffer in tqdm(seen, "relighting", len(chosen), unit="frame", disable=not progress):
+                if not bool(gbuffer.hit.any()):
+                    skipped.append(frame.name)
+                    continue
+                if renderer == "blender":
+                    with clock("blender"):
+                        rendering = blender.render(frame.camera)
+                    gbuffer = rendering.seen_by_both(gbuffer)
+                    given |= {
+                        "shading": jnp.asarray(rendering.shading),
+                        "visibility": jnp.asarray(rendering.visibility),
+                    }
+                display = jnp.asarray(frame.image)
+                with clock("guide"):
+                    features = jax.block_until_ready(guide.features(display))
+                if video:
+                    camera = frame.camera
+                    given["settle"] = memory.settle(
+                        gbuffer, setup.lights, features, schedule, camera.pose, camera.intrinsics.matrix
+                    )
+                stages = relight_stages(
+                    to_linear(display),
+                    gbuffer,
+                    setup.lights,
+                    features,
+                    schedule,
+                    reference_lux=setup.reference_lux,
+                    mode=mode,
+                    **given,
                 )
-            stages = relight_stages(
-                to_linear(display),
-                gbuffer,
-                setup.lights,
-                features,
-                schedule,
-                reference_lux=setup.reference_lux,
-                mode=mode,
-                **given,
-            )
-            relit = clock.follow(stages)
-            later(functools.partial(_write_frame, clock, out, frame.name, relit, mode, outputs))
-            written.append(frame.name)
-            if len(written) == 1:
-                begun = Stopwatch()  # the first frame compiles
-            if (len(written) - 1) % sheet_every == 0:
-                rows.append((frame.name, _sheet_row(frame, relit, mode)))
-    frames_per_second = (len(written) - 1) / begun.seconds if len(written) > 1 else None
+                relit = clock.follow(stages)
+                pictures = _pictures(relit, outputs)
+                later(functools.partial(_write_frame, clock, out, frame.name, pictures, mode))
+                written.append(frame.name)
+                if len(written) == WARM_UP:
+                    begun = Stopwatch()
+                if (len(written) - 1) % sheet_every == 0:
+                    rows.append((frame.name, _sheet_row(frame, relit, mode)))
+        timed = len(written) - WARM_UP
+        frames_per_second = round(timed / begun.seconds, 2) if timed > 0 else None
     if not written:
         raise InputError(
             f"{capture.name}: no ray of any chosen frame met the mesh; are the mesh and the poses in the same "
@@ -189,7 +192,7 @@ def relight_capture(
         "reference_lux": setup.reference_lux,
         "settings": settings or {},
         "milliseconds": clock.summary(),
-        "frames_per_second": frames_per_second and round(frames_per_second, 2),
+        "frames_per_second": frames_per_second,
         "peak_memory_mib": round(peak_memory_mib(), 1),
     } | environment()
     write_text(out / "run.json", json.dumps(run, indent=2) + "\n")
@@ -202,22 +205,25 @@ def check_video(video: bool, mode: Mode) -> None:
         raise InputError("video: the paper's mode has no memory of earlier frames; leave one of the two out")
 
 
-def _write_frame(clock: StageClock, out: Path, name: str, relit: Relit, mode: Mode, outputs: Outputs) -> None:
-    with clock("write"):
-        _write_pictures(out, name, relit, mode, outputs)
-
-
-def _write_pictures(out: Path, name: str, relit: Relit, mode: Mode, outputs: Outputs) -> None:
+def _pictures(relit: Relit, outputs: Outputs) -> dict[str, Float[Array, "h w 3"]]:
+    """What is written of a frame, by kind; nothing else is kept until then."""
     pictures = {"relit": relit.image}
     if outputs.filters:
         pictures |= {"filter": relit.shading, "refined": relit.refined}
     if outputs.visibility:
         pictures |= {"visibility": relit.visibility}
-    for kind, picture in pictures.items():
-        shown = _shown(picture, encoded=kind == "visibility" or (mode == "paper" and kind != "relit"))
-        write_png(out / f"{name}.{kind}.png", shown)
-        encoded_filter = mode == "paper" and kind in ("filter", "refined")
-        write_exr(out / f"{name}.{kind}.exr", np.asarray(to_linear(picture) if encoded_filter else picture))
+    return pictures
+
+
+def _write_frame(
+    clock: StageClock, out: Path, name: str, pictures: dict[str, Float[Array, "h w 3"]], mode: Mode
+) -> None:
+    with clock("write"):
+        for kind, picture in pictures.items():
+            shown = _shown(picture, encoded=kind == "visibility" or (mode == "paper" and kind != "relit"))
+            write_png(out / f"{name}.{kind}.png", shown)
+            encoded_filter = mode == "paper" and kind in ("filter", "refined")
+            write_exr(out / f"{name}.{kind}.exr", np.asarray(to_linear(picture) if encoded_filter else picture))
 
 
 def _sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, "h w 3"]]:

@@ -45,11 +45,18 @@ def steps_in_tiles(
     """
     if attachment is not None and source is None:
         source = y
-    count, whole = len(step_sizes), max(y.shape[:2]) <= WHOLE
-    for k in range(0, count, max(count, 1) if whole else HALO):
-        sizes = step_sizes if whole else step_sizes[k : k + HALO]
-        y = _launch(y, edges, sizes, attachment, source, whole, interpret)
-    return y
+    whole = max(y.shape[:2]) <= WHOLE
+
+    def launch(y: Float[Array, "h w c"], sizes: Float[Array, "k"]) -> tuple[Float[Array, "h w c"], None]:
+        return _launch(y, edges, sizes, attachment, source, whole, interpret), None
+
+    if whole:
+        return launch(y, step_sizes)[0]
+    rest = len(step_sizes) % HALO
+    full = step_sizes[: len(step_sizes) - rest].reshape(-1, HALO)
+    if len(full):
+        y, _ = jax.lax.scan(launch, y, full)
+    return launch(y, step_sizes[-rest:])[0] if rest else y
 
 
 def _launch(

@@ -1,7 +1,10 @@
 """Shared by all tests: strictness settings, data and weights from outside."""
 
+import atexit
 import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +13,6 @@ import jax
 import numpy as np
 import pytest
 
-from hyjax.cache import cache_folder
 from hyjax.errors import InputError
 from hyjax.images import read_image
 from hyjax.metrics import LpipsWeights, load_lpips
@@ -19,9 +21,11 @@ from hyjax.metrics import LpipsWeights, load_lpips
 sys.path.append(str(Path(__file__).parents[1]))
 
 # Workers, and commands, notebooks and hosts that tests start, compile much alike: each finds what another has.
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache_folder() / "compiled"))
-jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="hyjax-tests-")
+    atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 hypothesis.settings.register_profile("hyjax", derandomize=True, deadline=None, max_examples=25, database=None)

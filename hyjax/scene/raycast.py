@@ -95,7 +95,7 @@ class RayCaster:
         face = result["primID"]
         u, v = result["u"], result["v"]
         return Hits(
-            distance=np.where(face >= 0, result["tfar"], np.float32(np.inf)),
+            distance=np.where(face >= 0, result["tfar"], np.inf),
             face=face,
             barycentric=np.stack([1.0 - u - v, u, v], axis=-1),
         )

@@ -72,7 +72,7 @@ def measure_each(
     repeats: int,
     *,
     most_seconds: float | None = None,
-    pause: float = 0.0,
+    settled: bool = False,
     progress: bool = False,
 ) -> dict[str, dict[str, float | int]]:
     """Time several calls in turns, A B C A B C ..., so that a machine that slows down slows all of them alike.
@@ -83,7 +83,8 @@ def measure_each(
         calls: what to time, by name.
         repeats: rounds after the first one.
         most_seconds: begin no further round after so long a time, if each call has run ten times by then.
-        pause: seconds before each call: threads of other libraries spin for a while after theirs.
+        settled: make each call twice and time the second, so that nobody pays for what the one before left: threads
+            that still spin, caches and memory full of other things.
         progress: show a bar on stderr.
 
     Returns:
@@ -95,7 +96,8 @@ def measure_each(
         if most_seconds is not None and count > FEWEST_ROUNDS and time.perf_counter() - start > most_seconds:
             break
         for name, call in calls.items():
-            time.sleep(pause)
+            if settled and count:
+                jax.block_until_ready(call())
             with clock(name):
                 jax.block_until_ready(call())
     return clock.summary()
