@@ -157,7 +157,7 @@ def torch_steps(y: Any, vertical: Any, horizontal: Any, steps: int) -> Any:
 
 
 def torch_compiled(torch: Any) -> Steps:
-    """`torch_steps` compiled a step at a time: of several it fuses all, computing them again for every neighbour."""
+    """`torch_steps`, compiled a step at a time: several it fuses, and computes them again for every neighbour."""
     torch.compiler.reset()
     step = torch.compile(functools.partial(torch_steps, steps=1), dynamic=False)
 

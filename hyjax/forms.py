@@ -10,8 +10,8 @@ import jax
 from hyjax.inplace import steps_in_place
 
 MOST_VALUES = 2**18
-"""Of a picture whose two buffers stay in a core's cache. Beyond it steps in place are no faster, and plain steps are
-shared among cores. Measured on one core and on two; with more of them in proportion fewer."""
+"""Of a picture whose two buffers stay in a core's cache. Beyond it steps in place are no faster, and plain steps
+are shared among cores. Measured on one core and on two; with more of them in proportion fewer."""
 GPU_KERNEL = "HYJAX_GPU_KERNEL"
 """In the environment: 1 takes `hyjax.tiles` on a GPU, which was not measured on one yet."""
 
