@@ -84,15 +84,17 @@ class Floor:
     """
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory()
-        source, library = (Path(self._folder.name) / name for name in ("floor.c", "floor.so"))
-        source.write_text(SOURCE)
-        try:
-            subprocess.run(["cc", *FLAGS, "-o", str(library), str(source)], check=True, capture_output=True)
-            self._library = ctypes.CDLL(str(library))
-            self._openmp = ctypes.CDLL("libgomp.so.1")
-        except (OSError, subprocess.CalledProcessError) as error:
-            raise InputError(f"bench_peers: needs gcc with OpenMP as cc to compile the floor ({error})") from None
+        with tempfile.TemporaryDirectory() as folder:  # what is loaded stays when its file is gone
+            source, library = (Path(folder) / name for name in ("floor.c", "floor.so"))
+            source.write_text(SOURCE)
+            try:
+                subprocess.run(["cc", *FLAGS, "-o", str(library), str(source)], check=True, capture_output=True)
+                self._library = ctypes.CDLL(str(library))
+                self._openmp = ctypes.CDLL("libgomp.so.1")
+            except (OSError, subprocess.CalledProcessError) as error:
+                raise InputError(
+                    f"bench_peers: needs gcc with OpenMP as cc to compile the floor ({error})"
+                ) from None
 
     def diffuse(
         self, y: Float[np.ndarray, "c h w"], edges: Sequence[np.ndarray], steps: int, lam: float, threads: int

@@ -43,6 +43,8 @@ def steps_in_tiles(
         y, edges, step_sizes, attachment, source: see `hyjax.inplace.steps_in_place`.
         interpret: run in Pallas's interpreter, on any platform.
     """
+    if len(step_sizes) == 0:
+        return y
     if attachment is not None and source is None:
         source = y
     whole = max(y.shape[:2]) <= WHOLE

@@ -71,10 +71,11 @@ def test_behind_waits_when_too_much_is_asked_for() -> None:
     go, done = threading.Event(), []
     with behind(depth=1) as later:
         later(lambda: go.wait(5))
-        later(lambda: done.append(1))
+        assert not go.is_set()
         threading.Timer(0.1, go.set).start()
-        later(lambda: done.append(2))  # two are before it
+        later(lambda: done.append(1))  # one is before it
         assert go.is_set()
+        later(lambda: done.append(2))
     assert done == [1, 2]
 
 

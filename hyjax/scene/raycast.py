@@ -147,7 +147,7 @@ def _gbuffer(
     """From rays of unit depth, where they met the mesh, and the normals of three corners and the triangle there."""
     # Directions have unit depth, so that Embree's ray parameter is the depth itself.
     depth = jnp.where(hit, distance, 0.0)
-    position = jnp.where(hit, origin + rays * depth, 0.0)
+    position = jnp.where(hit, origin[None, None] + rays * depth, 0.0)
     first, second, third = (barycentric[..., k : k + 1] * normals[..., k, :] for k in range(3))
     normal = first + second + third
     length = jnp.sqrt(dot(normal, normal))[..., None]
