@@ -324,7 +324,8 @@ def test_a_batch_that_no_devices_can_share_is_refused() -> None:
 
 def devices(count: int) -> dict[str, str]:
     """An environment in which the processor counts as several devices."""
-    return os.environ | {"XLA_FLAGS": f"--xla_force_host_platform_device_count={count}"}
+    flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count={count}"
+    return os.environ | {"XLA_FLAGS": flags}
 
 
 def run_python(code: str, count: int) -> subprocess.CompletedProcess:
