@@ -29,9 +29,11 @@ __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> object:
-    """`hyjax.tune`, which needs the whole upper half of the package: loaded when it is first asked for."""
+    """`hyjax.tune`, which needs the whole upper half of the package, and modules: loaded when first asked for."""
     if name == "tune":
         return importlib.import_module("hyjax.tuning.tune").tune
+    if name in ("losses", "metrics", "video"):
+        return importlib.import_module(f"hyjax.{name}")
     raise AttributeError(f"module 'hyjax' has no attribute {name!r}")
 
 

@@ -8,7 +8,7 @@ import sys
 import warnings
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import tyro
 
@@ -187,7 +187,15 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         print("hyjax: interrupted; the files written so far are whole", file=sys.stderr)
-        sys.exit(130)
+        _leave(130)
+
+
+def _leave(status: int) -> NoReturn:
+    """End the process at once: XLA may still be computing, which the interpreter's own end may not survive."""
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(status)
 
 
 def run_relight(command: Relight) -> None:
@@ -370,12 +378,12 @@ def run_info() -> None:
 
     record = environment()
     for name, version in record["versions"].items():
-        print(f"{name:<14}{version}")
+        print(f"{name:<32}{version}")
     for name in OPTIONAL:
-        print(f"{name:<14}{package_version(name)} (optional)")
-    print(f"{'devices':<14}{', '.join(f'{d.platform} ({d.device_kind})' for d in jax.devices())}")
-    print(f"{'cpu cores':<14}{record['cpu_count']}")
-    print(f"{'cache':<14}{cache_folder()}")
+        print(f"{name:<32}{package_version(name)} (optional)")
+    print(f"{'devices':<32}{', '.join(f'{d.platform} ({d.device_kind})' for d in jax.devices())}")
+    print(f"{'cpu cores':<32}{record['cpu_count']}")
+    print(f"{'cache':<32}{cache_folder()}")
 
 
 def _schedule(command: Relight) -> "Schedule":

@@ -28,13 +28,6 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
-# Most of what tests compile runs once, and LLVM's optimisation takes longer than it saves: none of it here, its
-# first level in what tests start.
-flags = os.environ.get("XLA_FLAGS", "")
-os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_optimization_level=0"
-jax.block_until_ready(jax.jit(lambda x: x + 1)(0.0))  # XLA reads its flags with the first program
-os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_optimization_level=1"
-
 hypothesis.settings.register_profile("hyjax", derandomize=True, deadline=None, max_examples=15, database=None)
 hypothesis.settings.load_profile("hyjax")
 
