@@ -19,15 +19,14 @@ the same is measured first, and part of the guard.
 - *Frame*: the G-buffer of a mesh of 200 000 triangles and more, and a frame from its G-buffer to its picture.
 
 `--cores 1` binds everything to one core. `--guard` makes the process fail where a ratio within the run is beyond
-its limit, or could not be measured; the limits are those for `--cores 1`. Takes about ten minutes on two cores,
-which should be idle.
+its limit, or could not be measured; the limits are those for `--cores 1`. Takes some minutes on two cores, which
+should be idle.
 
-Expect: a step as fast as the C loop on one core; on two, where the form in place still runs on one, behind it. The
-cascade several times faster than torch's. The preset `hyjax` at a better quality than any of OpenCV's filters, in a
-fraction of their time.
+Expect: a step near the C loop's time on one core; on two, where the form in place still runs on one, behind it.
+The cascade a few times faster than torch's. OpenCV's global smoother, tuned, near the preset `hyjax` in quality and
+time.
 """
 
-import copy
 import dataclasses
 import functools
 import itertools
@@ -40,21 +39,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import nnx
 
 import hyjax
 from experiments import peers
 from experiments.blocks import write_blocks
 from experiments.command import run
-from experiments.guide_speed import torch_network
+from experiments.guide_speed import same_networks, torch_calls
 from experiments.peers_report import COMPILED, COPY, FLOOR, OURS, PLAIN, TORCH, blocks, guard
 from experiments.records import Results
 from hyjax.data.frames import spread
 from hyjax.diffusion import _steps
+from hyjax.environment import cores
 from hyjax.errors import InputError
-from hyjax.forms import cores
-from hyjax.guide import Guide, GuideNetwork, normalise
-from hyjax.guide.weights import assign
+from hyjax.guide import Guide, normalise
 from hyjax.refine import HOLE_FLOOR
 from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import cast_shadow_maps
@@ -114,7 +111,7 @@ def main(config: Config) -> None:
     time_steps(config, results, floor, torch)
     time_cascades(config, results, torch)
     judge_filters(config, results, bench)
-    time_guides(config, results, torch)
+    time_guides(config, results)
     time_frames(config, results, bench)
     rows = results.finish()
     write_blocks(config.out, NAME, blocks(rows, config.out))
@@ -158,7 +155,7 @@ def time_steps(config: Config, results: Results, floor: peers.Floor, torch: Any)
             }
             difference = furthest(floor.diffuse(first, host, steps, LAM, cores())(), expected)
             if torch is not None:
-                calls |= torch_calls(torch, first, host, steps)
+                calls |= torch_step_calls(torch, first, host, steps)
                 difference = max(difference, *(furthest(calls[who]()[0], expected) for who in (TORCH, COMPILED)))
             results.add(kind="agreement", what=f"steps at {size}², {channels} channels", difference=difference)
             if channels == 3 and (diffusion := peers.opencv_diffusion(y, steps)) is not None:
@@ -173,7 +170,9 @@ def time_steps(config: Config, results: Results, floor: peers.Floor, torch: Any)
                 )  # fmt: skip
 
 
-def torch_calls(torch: Any, y: np.ndarray, edges: list[np.ndarray], steps: int) -> dict[str, Callable[[], Any]]:
+def torch_step_calls(
+    torch: Any, y: np.ndarray, edges: list[np.ndarray], steps: int
+) -> dict[str, Callable[[], Any]]:
     state = torch.tensor(y[None].copy())
     conductances = [torch.tensor(LAM * edge)[None, None] for edge in edges]
     compiled = peers.torch_compiled(torch)
@@ -278,37 +277,22 @@ def repair(case: Case, who: str, option: tuple[float, float] | None) -> Callable
     return lambda: function(inputs, *option)
 
 
-def time_guides(config: Config, results: Results, torch: Any) -> None:
-    encoder, features = "mobilenetv4_conv_small", 64
-    theirs = None if torch is None else torch_network(encoder, config.seed)
-    network = GuideNetwork(encoder, features, rngs=nnx.Rngs(config.seed))
-    if theirs is not None:
-        state = {name: tensor.numpy() for name, tensor in theirs.state_dict().items()}
-        assign(network, {n: a for n, a in state.items() if not n.endswith("tracked")}, "torch")
-    network.eval()
+def time_guides(config: Config, results: Results) -> None:
+    network, theirs = same_networks("mobilenetv4_conv_small", config.seed)
     guide = Guide(network)
     for size in (256, 512):
         display = jnp.asarray(picture(config.seed, size, size, 3))
         calls: dict[str, Callable[[], Any]] = {OURS: lambda x=display: guide.features(x)}
         if theirs is not None:
-            inputs = torch.tensor(np.moveaxis(np.asarray(normalise(display)), -1, 0)[None].copy())
-
-            calls[TORCH] = lambda x=inputs: call_network(torch, theirs, x)
-            last, network_last = inputs.contiguous(memory_format=torch.channels_last), copy.deepcopy(theirs)
-            network_last.to(memory_format=torch.channels_last)
-            calls[f"{TORCH}, channels last"] = lambda x=last, n=network_last: call_network(torch, n, x)
-            if (session := peers.onnx_session(theirs, inputs, cores())) is not None:
+            normalised = np.asarray(normalise(display))
+            calls |= torch_calls(theirs, normalised)
+            if (session := peers.onnx_session(theirs, normalised, cores())) is not None:
                 calls["ONNX Runtime"] = session
             features = np.moveaxis(np.asarray(calls[OURS]()), -1, 0)
             difference = furthest(calls[TORCH]()[0], features) / np.abs(features).max()
             results.add(kind="agreement", what=f"guide at {size}²", difference=difference)
         for who, time in measured(calls, config).items():
             results.add(kind="guide", size=size, who=who, **time)
-
-
-def call_network(torch: Any, network: Any, picture: Any) -> Any:
-    with torch.inference_mode():
-        return network(picture)
 
 
 def time_frames(config: Config, results: Results, bench: Workbench) -> None:

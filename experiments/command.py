@@ -9,7 +9,7 @@ from typing import TypeVar
 import tyro
 
 from hyjax.errors import InputError
-from hyjax.interrupts import keep_interrupts
+from hyjax.interrupts import keep_interrupts, leave
 
 Config = TypeVar("Config")
 
@@ -29,4 +29,4 @@ def run(main: Callable[[Config], None], config_type: type[Config]) -> None:
     except KeyboardInterrupt:
         going_on = "; the rows so far are kept, go on with --resume" if hasattr(config_type, "resume") else ""
         print(f"{name}: interrupted{going_on}", file=sys.stderr)
-        sys.exit(130)
+        leave(130)

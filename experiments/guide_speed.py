@@ -61,12 +61,7 @@ def main(config: Config) -> None:
     results = Results(config.out, NAME, config)
     for size_of_encoder in config.encoders:
         encoder = f"mobilenetv4_conv_{size_of_encoder}"
-        theirs = torch_network(encoder, config.seed)
-        network = GuideNetwork(encoder, FEATURES, rngs=nnx.Rngs(config.seed))
-        if theirs is not None:
-            state = {name: tensor.numpy() for name, tensor in theirs.state_dict().items()}
-            assign(network, {n: a for n, a in state.items() if not n.endswith("tracked")}, "torch")
-        network.eval()
+        network, theirs = same_networks(encoder, config.seed)
         guide = Guide(network)
         for size in config.sizes:
             picture = np.random.default_rng(config.seed).random((size, size, 3), np.float32)
@@ -86,6 +81,17 @@ def main(config: Config) -> None:
                     parameters=sum(leaf.size for leaf in jax.tree.leaves(nnx.state(network, nnx.Param))),
                 )  # fmt: skip
     write_blocks(config.out, NAME, blocks(results.finish(), config.out))
+
+
+def same_networks(encoder: str, seed: int) -> tuple[GuideNetwork, Any]:
+    """Ours and torch's with the same random weights, in inference mode; None for torch's, see `torch_network`."""
+    theirs = torch_network(encoder, seed)
+    network = GuideNetwork(encoder, FEATURES, rngs=nnx.Rngs(seed))
+    if theirs is not None:
+        state = {name: tensor.numpy() for name, tensor in theirs.state_dict().items()}
+        assign(network, {n: a for n, a in state.items() if not n.endswith("tracked")}, "torch")
+    network.eval()
+    return network, theirs
 
 
 def torch_network(encoder: str, seed: int) -> Any:

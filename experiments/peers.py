@@ -68,7 +68,8 @@ void copy(float *a, float *b, long n, int times) {
   }
 }
 """
-FLAGS = ["-O3", "-march=native", "-ffast-math", "-fopenmp", "-shared", "-fPIC"]
+FLAGS = ["-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fopenmp", "-shared", "-fPIC"]
+"""Not -ffast-math: a library linked with it makes the process that loads it flush subnormal numbers to zero."""
 
 
 Steps = Callable[..., Any]
@@ -255,13 +256,16 @@ def opencv_diffusion(picture: Float[np.ndarray, "h w 3"], steps: int) -> Callabl
 # ---- ONNX Runtime ----
 
 
-def onnx_session(network: Any, picture: Any, threads: int) -> Callable[[], np.ndarray] | None:
+def onnx_session(
+    network: Any, normalised: Float[np.ndarray, "h w 3"], threads: int
+) -> Callable[[], np.ndarray] | None:
     """A torch network exported to ONNX Runtime, as a call on one picture."""
     runtime = optional("onnxruntime")
     if runtime is None or optional("onnxscript") is None:
         return None
     import torch
 
+    picture = torch.tensor(normalised).permute(2, 0, 1)[None].contiguous()
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), contextlib.redirect_stdout(None):
         warnings.simplefilter("ignore")
         path = Path(folder) / "network.onnx"

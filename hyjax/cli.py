@@ -8,12 +8,12 @@ import sys
 import warnings
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from hyjax.errors import InputError
-from hyjax.interrupts import keep_interrupts
+from hyjax.interrupts import keep_interrupts, leave
 from hyjax.training.settings import PAPER, TrainSettings
 
 if TYPE_CHECKING:
@@ -187,15 +187,7 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         print("hyjax: interrupted; the files written so far are whole", file=sys.stderr)
-        _leave(130)
-
-
-def _leave(status: int) -> NoReturn:
-    """End the process at once: XLA may still be computing, which the interpreter's own end may not survive."""
-    with contextlib.suppress(OSError):
-        sys.stdout.flush()
-        sys.stderr.flush()
-    os._exit(status)
+        leave(130)
 
 
 def run_relight(command: Relight) -> None:

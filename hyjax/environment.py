@@ -27,6 +27,14 @@ PACKAGES = (
 )
 
 
+def cores() -> int:
+    """Processor cores that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on this system
+        return os.cpu_count() or 1
+
+
 def environment() -> dict[str, Any]:
     """Versions and devices, for the record."""
     versions = {"hyjax": package_version("hyjax"), "python": platform.python_version()}

@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 
+from hyjax.environment import cores
 from hyjax.inplace import steps_in_place
 
 MOST_VALUES = 2**18
@@ -63,8 +64,3 @@ def fastest(plain: Callable[..., Any]) -> Callable[..., Any]:
         return jax.lax.platform_dependent(*arguments, **forms, default=plain) if forms else plain(*arguments)
 
     return choose
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

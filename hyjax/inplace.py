@@ -2,9 +2,9 @@
 
 Two buffers with a rim of one pixel take turns: each step reads one and writes the inside of the other, where XLA
 writes it without a copy, and every loop runs over pixels of which none is special. Conductances are zero on the
-rim, so that whatever stands there counts nothing. On one core this takes up to half of the time of
-`hyjax.diffusion.explicit_step` repeated; XLA does not share it among cores as it shares the latter, which pays for
-large pictures. `hyjax.forms` chooses; `experiments.bench_peers` measures both.
+rim, so that whatever stands there counts nothing. XLA does not share this among cores, as it shares
+`hyjax.diffusion.explicit_step` repeated, which pays for large pictures. `hyjax.forms` chooses;
+`experiments.bench_peers` measures both.
 """
 
 import jax

@@ -1,13 +1,15 @@
 """Ctrl-C that is not lost."""
 
 import _thread
+import contextlib
 import functools
+import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 DELAY = 0.05
 """Seconds, twice: until the callback that lost an interrupt has returned, and until the main thread sleeps."""
@@ -21,6 +23,14 @@ def keep_interrupts() -> None:
     before = sys.unraisablehook
     if not (isinstance(before, functools.partial) and before.func is _raise_again):
         sys.unraisablehook = functools.partial(_raise_again, before)
+
+
+def leave(status: int) -> NoReturn:
+    """End an interrupted process at once: XLA may still be computing, which Python's own end may not survive."""
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(status)
 
 
 def _raise_again(before: Callable[[Any], Any], unraisable: Any) -> None:

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from hyjax.gbuffer import GBuffer
 from hyjax.lights import DirectionalLight, Light, RectLight
-from hyjax.vectors import cross, dot
+from hyjax.vectors import cross, dot, inner
 
 Projection = Literal["octahedral", "hemisphere", "perspective", "orthographic"]
 Vector = tuple[Array, Array, Array]  # by components: see `hyjax.vectors` for why
@@ -156,24 +156,19 @@ def _view_visibility(
         to_light = [-axes[2, k] for k in range(3)]
         squared, texel = jnp.ones(()), shadow_map.texel
     else:
-        squared = _inner(offset, offset) + 1e-12
+        squared = inner(offset, offset) + 1e-12
         to_light = [component * jax.lax.rsqrt(squared) for component in offset]
         texel = shadow_map.texel * jnp.sqrt(squared)
-    cosine = jnp.clip(_inner(normal, to_light), 0.0, 1.0)
+    cosine = jnp.clip(inner(normal, to_light), 0.0, 1.0)
     weight = cosine / squared
     if isinstance(light, RectLight):
-        weight *= jnp.maximum(-_inner(to_light, cross(light.right, light.up)), 0.0)
+        weight *= jnp.maximum(-inner(to_light, cross(light.right, light.up)), 0.0)
 
     sine = jnp.sqrt(jnp.maximum(1.0 - cosine**2, 1e-12))
     moved = [normal[k] * (NORMAL_OFFSET * texel * sine) - offset[k] for k in range(3)]
-    local = (_inner(moved, axes[0]), _inner(moved, axes[1]), _inner(moved, axes[2]))
+    local = (inner(moved, axes[0]), inner(moved, axes[1]), inner(moved, axes[2]))
     u, v, distance = map_coordinates(local, shadow_map.projection)
     return _filtered_comparison(depth, u, v, distance - DEPTH_BIAS * texel), weight
-
-
-def _inner(a: Sequence[Array] | Array, b: Sequence[Array] | Array) -> Array:
-    """Inner product of two vectors given by components."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _filtered_comparison(

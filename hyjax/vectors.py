@@ -4,13 +4,20 @@ XLA's CPU backend reduces a short last axis element by element; written out, the
 it and runs faster.
 """
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
+def inner(a: Sequence[Array] | Array, b: Sequence[Array] | Array) -> Array:
+    """Inner product of vectors given component by component: sequences of three arrays, or a leading axis."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
 def dot(a: Float[Array, "*s 3"], b: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
     """Inner product along the last axis."""
-    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+    return inner([a[..., k] for k in range(3)], [b[..., k] for k in range(3)])
 
 
 def cross(a: Float[Array, "*s 3"], b: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:

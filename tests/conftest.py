@@ -1,10 +1,7 @@
 """Shared by all tests: strictness settings, data and weights from outside."""
 
-import atexit
 import os
-import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,14 +16,6 @@ from hyjax.metrics import LpipsWeights, load_lpips
 
 # `experiments` is not installed; after what is, so that `hyjax` stays the installed one.
 sys.path.append(str(Path(__file__).parents[1]))
-
-# Workers, and commands, notebooks and hosts that tests start, compile much alike: each finds what another has.
-if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="hyjax-tests-")
-    atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
-jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 hypothesis.settings.register_profile("hyjax", derandomize=True, deadline=None, max_examples=15, database=None)
 hypothesis.settings.load_profile("hyjax")

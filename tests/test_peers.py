@@ -35,6 +35,12 @@ def test_the_floor_is_the_same_diffusion(shape: tuple[int, int, int], steps: int
     np.testing.assert_allclose(np.moveaxis(found, 0, -1), expected, atol=2e-6)
 
 
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_the_floor_leaves_subnormal_numbers() -> None:
+    peers.Floor()
+    assert np.array([5e-324])[0] > 0, "loading the floor made this thread take subnormal numbers for zero"
+
+
 def test_without_a_compiler_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(peers, "FLAGS", ["--no-such-option"])
     with pytest.raises(InputError, match="needs gcc with OpenMP"):

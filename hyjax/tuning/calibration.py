@@ -3,7 +3,6 @@
 import concurrent.futures
 import dataclasses
 import functools
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from hyjax.cascade import level_edges
+from hyjax.environment import cores
 from hyjax.errors import InputError
 from hyjax.pyramid import downsample
 from hyjax.refine import cascade_known
@@ -90,14 +90,6 @@ def calibration_steps(ladder: Sequence[int]) -> list[tuple[int, ...]]:
 
 
 # ---- the timing ----
-
-
-def cores() -> int:
-    """Processor cores that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on this system
-        return os.cpu_count() or 1
 
 
 def compile_all(schedules: Sequence[Schedule], arguments: Arguments, *, progress: bool) -> list[Callable[[], Any]]:

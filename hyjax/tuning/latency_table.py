@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from hyjax.cache import cache_folder
-from hyjax.environment import environment
+from hyjax.environment import cores, environment
 from hyjax.errors import InputError
 from hyjax.files import write_text
 from hyjax.schedule import Schedule
@@ -234,7 +234,7 @@ def time_schedules(
 
 def _device_and_versions() -> tuple[dict[str, Any], dict[str, str]]:
     record = environment()
-    device = {"name": record["device"], "cores": calibration.cores(), "xla_flags": os.environ.get("XLA_FLAGS", "")}
+    device = {"name": record["device"], "cores": cores(), "xla_flags": os.environ.get("XLA_FLAGS", "")}
     return device, {name: record["versions"][name] for name in ("hyjax", "jax", "jaxlib")}
 
 
