@@ -248,7 +248,7 @@ CHANGES: dict[str, Callable[[pytest.MonkeyPatch], tuple[Workload, tuple[int, ...
     "guide": lambda patch: (dataclasses.replace(WORKLOAD, guide_channels=64), LADDER),
     "dtype": lambda patch: (dataclasses.replace(WORKLOAD, dtype="bfloat16"), LADDER),
     "ladder": lambda patch: (WORKLOAD, LADDER[1:]),
-    "cores": lambda patch: (patch.setattr(calibration, "cores", lambda: 99), (WORKLOAD, LADDER))[1],
+    "cores": lambda patch: (patch.setattr(latency_table, "cores", lambda: 99), (WORKLOAD, LADDER))[1],
     "flags": lambda patch: (patch.setenv("XLA_FLAGS", "--x"), (WORKLOAD, LADDER))[1],
     "version": lambda patch: (
         patch.setattr(latency_table, "environment", other_version),
