@@ -50,6 +50,7 @@ EXPERIMENTS = (
     "guide_speed",
     "fusion",
     "bench_peers",
+    "tour_latency",
 )
 """Modules with a `TITLE` and `blocks(rows, folder)`, in the page's order."""
 

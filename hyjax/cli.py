@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 
 LARGEST = 16384  # pixels a side
+WIDEST = 640  # pixels of a tour's picture, unless another size is given
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,11 +145,41 @@ class Train:
 
 
 @dataclasses.dataclass(frozen=True)
+class Tour:
+    """Relight a capture live in the browser: hour and weather, windows, lamps, furniture."""
+
+    capture: Path | None = None
+    """Folder of a capture: 7-Scenes layout, or a scan of ARKitScenes. Default: the built-in room."""
+    mesh: str | None = None
+    """PLY, OBJ or GLB file in the capture's world coordinates, or a word; see relight."""
+    guide: str = "rgb"
+    """What guides the diffusion: rgb, small or a safetensors file; see relight."""
+    schedule: Path | None = None
+    """A JSON file, such as tune writes, to choose from beside the named ones."""
+    size: str | None = None
+    """Work at this size: 512 (square) or 640x480 (width x height). Default: as captured, at most 640 wide."""
+    port: int = 8080
+    """Where the page is served."""
+    host: str = "127.0.0.1"
+    """Address to listen at. Anybody who reaches another address than the default can see and change the tour."""
+    voxel: float = 0.03
+    """Voxel of a fused mesh in metres."""
+    seed: int = 0
+    """Of the simulated scan."""
+    repair_mesh: bool = False
+    """Drop unusable triangles of the mesh file instead of refusing it."""
+    out: Path = Path("tour")
+    """Folder for what one saves, and for the set-up, with which the tour goes on next time."""
+    quiet: bool = False
+    """No progress bars."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Info:
     """Print versions, devices and what optional parts are installed."""
 
 
-def parse() -> Relight | Tune | Train | Info:
+def parse() -> Relight | Tune | Train | Tour | Info:
     """The command line. Exits with status 2 if it is none."""
     # The defaults of `train`, and what its help says they are.
     recipe = PAPER if "--paper" in sys.argv else TrainSettings()
@@ -156,6 +187,7 @@ def parse() -> Relight | Tune | Train | Info:
         Annotated[Relight, tyro.conf.subcommand("relight")]
         | Annotated[Tune, tyro.conf.subcommand("tune")]
         | Annotated[Train, tyro.conf.subcommand("train", default=Train(recipe))]
+        | Annotated[Tour, tyro.conf.subcommand("tour")]
         | Annotated[Info, tyro.conf.subcommand("info")]
     )
     return tyro.cli(commands, prog="hyjax", description="Relight camera frames of real rooms.")
@@ -177,6 +209,8 @@ def main() -> None:
             run_tune(command)
         elif isinstance(command, Train):
             run_train(command)
+        elif isinstance(command, Tour):
+            run_tour(command)
         else:
             run_info()
         sys.stdout.flush()
@@ -345,6 +379,60 @@ def run_train(command: Train) -> None:
     print(f"Look at {command.out / 'curve.png'}; relight with --guide {command.out / 'guide.safetensors'}")
 
 
+def run_tour(command: Tour) -> None:
+    """`hyjax tour`."""
+    import threading
+
+    try:
+        import astral  # noqa: F401
+        import av  # noqa: F401
+        import viser  # noqa: F401
+    except ImportError as error:
+        raise InputError(f"tour: needs the package {error.name}; install it with: pip install '.[tour]'") from None
+    from hyjax.data.open import open_capture
+    from hyjax.data.room import load_room
+    from hyjax.data.surfaces import check_mesh_name, surface_of
+    from hyjax.files import make_writable
+    from hyjax.guide.choose import open_guide
+    from hyjax.schedule import PRESETS, Schedule
+    from hyjax.tour.page import LOCAL, check_port
+    from hyjax.tour.page import Tour as ServedTour
+    from hyjax.tour.studio import Studio
+
+    _keep_compiled()
+    bars = not command.quiet
+    check_port(command.host, command.port)
+    size = _size(command.size)
+    check_mesh_name(command.mesh)
+    guide = open_guide(command.guide)
+    schedules = {name: Schedule.preset(name) for name in PRESETS if not name.endswith("shadow")}
+    if command.schedule is not None:
+        tuned = _read_schedule(str(command.schedule))
+        schedules = {f"{tuned.name} ({command.schedule.name})": tuned} | schedules
+    capture = None if command.capture is None else open_capture(command.capture)
+    make_writable(command.out)
+    capture = load_room(progress=bars) if capture is None else capture
+    _, mesh = surface_of(
+        capture, command.mesh, voxel=command.voxel, seed=command.seed, repair=command.repair_mesh, progress=bars
+    )
+    height, width = capture[0].camera.intrinsics.shape
+    if size is None and width > WIDEST:
+        size = round(height * WIDEST / width), WIDEST
+    studio = Studio(capture, mesh, guide=guide, size=size, folder=command.out)
+    if command.host not in (LOCAL, "localhost"):
+        print(
+            f"hyjax: listening at {command.host}: whoever reaches it can see and change this tour", file=sys.stderr
+        )
+    tour = ServedTour(studio, schedules, command.out, host=command.host, port=command.port)
+    print(f"The tour is open at {tour.url} (Ctrl-C ends it)", flush=True)
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        tour.stop()
+        print(f"The tour has ended; with --out {command.out} it goes on from here")
+        leave(0)
+
+
 def _keep_compiled() -> None:
     """Keep what XLA compiles in the cache folder."""
     import jax
@@ -387,6 +475,12 @@ def _schedule(command: Relight) -> "Schedule":
         return Schedule.preset(text, kappa=kappa)
     if command.kappa is not None:
         raise InputError(f"kappa: {text} brings its own; give --kappa with a named schedule only")
+    return _read_schedule(text)
+
+
+def _read_schedule(text: str) -> "Schedule":
+    from hyjax.schedule import Schedule
+
     try:
         return Schedule.from_json(Path(text).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:

@@ -18,7 +18,7 @@ from experiments.records import FILE, is_finished, of_kind, read_rows
 from hyjax.data.room import load_room
 
 SHARED = {"__init__", "blocks", "command", "judging", "paper_bench", "plotting", "records", "references", "report"}
-SHARED |= {"tuning_scenes", "depth_methods", "beyond_ideas", "peers", "peers_report"}
+SHARED |= {"tuning_scenes", "depth_methods", "beyond_ideas", "browser", "peers", "peers_report"}
 
 
 @pytest.fixture

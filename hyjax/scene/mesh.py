@@ -52,6 +52,11 @@ def load_mesh(path: Path, repair: bool = False) -> trimesh.Trimesh:
     return _compact(vertices, kept, normals) if repair else _mesh(vertices, kept, normals)
 
 
+def submesh(mesh: trimesh.Trimesh, chosen: Bool[np.ndarray, "m"]) -> trimesh.Trimesh:
+    """The chosen faces of a mesh, with its vertex normals, and no more vertices than they need."""
+    return _compact(np.asarray(mesh.vertices), np.asarray(mesh.faces)[chosen], np.asarray(mesh.vertex_normals))
+
+
 def save_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
     """Write a mesh with its vertex normals as binary PLY or GLB (float32), by a temporary name and a rename.
 

@@ -1,0 +1,43 @@
+"""A real browser without a screen: Debian's chromium, driven by playwright."""
+
+import contextlib
+import shutil
+from collections.abc import Iterator
+from typing import Any
+
+from hyjax.errors import InputError
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+ARGUMENTS = [
+    "--no-sandbox",
+    "--no-first-run",
+    "--disable-quic",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
+
+
+@contextlib.contextmanager
+def browser() -> Iterator[Any]:
+    """The browser.
+
+    Raises:
+        InputError: playwright or chromium is not installed.
+    """
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        raise InputError("browser: needs playwright; pip install playwright") from None
+    chromium = next((path for name in NAMES if (path := shutil.which(name))), None)
+    if chromium is None:
+        raise InputError("browser: needs chromium; apt install chromium")
+    with sync_playwright() as driver:
+        launched = driver.chromium.launch(executable_path=chromium, args=ARGUMENTS)
+        try:
+            yield launched
+        finally:
+            launched.close()

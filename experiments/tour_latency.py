@@ -1,0 +1,180 @@
+"""How long a visitor of the room tour waits for a picture, and what the tour's memory does, seen from the browser.
+
+    python -m experiments.tour_latency [--changes 1000] [--size 512] [--out results/tour_latency]
+
+Takes three minutes on two cores, and the browser, which renders without a GPU here, has its share of them. Needs
+chromium, playwright and the extra `tour`. The tour of the built-in room runs in a process of its own. A key on the
+slider of the hour makes one change; the next one waits for its picture. Timed by the browser: from the moment that
+it sends the change until the picture has arrived. Warmed up by changes that do not count.
+
+Expect: a median below 100 ms for a picture of 512 x 512 pixels on two cores, and memory that stays where it was
+after the first hundred changes.
+"""
+
+import base64
+import contextlib
+import dataclasses
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from experiments.blocks import Block, Plot, Table, write_blocks
+from experiments.browser import browser
+from experiments.command import run
+from experiments.plotting import new_figure
+from experiments.records import Results, Row, machine, of_kind
+from hyjax.errors import InputError
+
+NAME = "tour_latency"
+TITLE = "The room tour, from slider to picture"
+HOUR = 2  # which slider, from the top
+PICTURE_BYTES = 8000  # what is larger than this is a picture
+THERE_AND_BACK = 20  # changes until the slider turns round
+WAIT = 120.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    changes: int = 1000
+    warm_up: int = 100
+    """Changes that do not count."""
+    size: int = 512
+    """Pixels a side."""
+    out: Path = Path("results") / NAME
+
+
+def main(config: Config) -> None:
+    if config.changes < 2 or config.warm_up < 1:
+        raise InputError("changes: need at least 2, after a warm-up of at least 1")
+    results = Results(config.out, NAME, config)
+    with served(config.size) as (url, process), browser() as launched:
+        page = launched.new_page(viewport={"width": 1280, "height": 720})
+        sent, received = listen(page)
+        page.goto(url)
+        page.get_by_text("ms for this picture").wait_for(timeout=1e3 * WAIT)
+        page.locator(".mantine-Slider-thumb").nth(HOUR).focus()
+        waits = []
+        for number in tqdm(range(config.warm_up + config.changes), "changes"):
+            sent.clear()
+            received.clear()
+            page.keyboard.press("ArrowRight" if number // THERE_AND_BACK % 2 else "ArrowLeft")
+            end = time.monotonic() + WAIT
+            while not (sent and any(when > sent[0] for when in received)):
+                page.wait_for_timeout(1)
+                if time.monotonic() > end:
+                    raise InputError(f"tour_latency: no picture came for change {number}")
+            waits.append(1e3 * (next(when for when in received if when > sent[0]) - sent[0]))
+            if number % 20 == 0:
+                results.add(kind="memory", change=number - config.warm_up, mebibytes=resident(process.pid))
+        results.add(kind="waits", milliseconds=waits[config.warm_up :], first_ms=waits[0], size=config.size)
+        page.screenshot(path=str(config.out / "page.png"))
+    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
+
+
+def listen(page: Any) -> tuple[list[float], list[float]]:
+    """When the browser sends changes and when pictures come in, by its own clock in seconds; filled as they do."""
+    sent: list[float] = []
+    received: list[float] = []
+    wire = page.context.new_cdp_session(page)
+    wire.send("Network.enable")
+
+    def size(event: dict[str, Any]) -> int:
+        return len(base64.b64decode(event["response"]["payloadData"]))
+
+    def out(event: dict[str, Any]) -> None:
+        if b"GuiUpdateMessage" in base64.b64decode(event["response"]["payloadData"]):
+            sent.append(event["timestamp"])
+
+    wire.on("Network.webSocketFrameSent", out)
+    wire.on(
+        "Network.webSocketFrameReceived",
+        lambda event: received.append(event["timestamp"]) if size(event) > PICTURE_BYTES else None,
+    )
+    return sent, received
+
+
+@contextlib.contextmanager
+def served(size: int) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """A tour of the built-in room in a process of its own: its address and the process."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    with tempfile.TemporaryDirectory() as folder:
+        command = [
+            sys.executable,
+            "-m",
+            "hyjax.cli",
+            "tour",
+            "--size",
+            str(size),
+            "--port",
+            str(port),
+            "--out",
+            folder,
+        ]
+        process = subprocess.Popen([*command, "--quiet"], stdout=subprocess.PIPE, text=True)
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            if "http" not in line:
+                raise InputError("tour_latency: the tour did not start; see above")
+            yield line.split()[5], process
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def resident(pid: int) -> float:
+    """Memory of a process in MiB."""
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("VmRSS"):
+            return float(line.split()[1]) / 1024
+    return float("nan")
+
+
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Table and figure from the rows."""
+    waits = of_kind(rows, "waits")
+    memory = of_kind(rows, "memory")
+    if not waits:
+        return ["No change has been timed yet."]
+    values = np.asarray(waits[0]["milliseconds"])
+    after = [row["mebibytes"] for row in memory if row["change"] >= 0]
+    table = Table(
+        "From the change to its picture.",
+        ["", "ms"],
+        [
+            ["median", f"{np.median(values):.0f}"],
+            ["p95", f"{np.percentile(values, 95):.0f}"],
+            ["largest", f"{values.max():.0f}"],
+        ],
+    )
+    size = waits[0]["size"]
+    text = (
+        f"{len(values)} changes of the hour, pictures of {size} x {size}; {machine(waits[0])}. Memory of the tour: "
+        f"{after[0]:.0f} MiB at the first of them, {after[-1]:.0f} MiB at the last, {max(after):.0f} MiB at most."
+    )
+    return [table, text, Plot("waits", "Waiting time and memory over the changes.", draw(values, memory))]
+
+
+def draw(values: np.ndarray, memory: Sequence[Row]) -> Figure:
+    figure = new_figure(10, 3.4)
+    left, right = figure.subplots(1, 2)
+    left.hist(values, bins=60)
+    left.set(xlabel="ms from change to picture", ylabel="changes")
+    right.plot([row["change"] for row in memory], [row["mebibytes"] for row in memory])
+    right.set(xlabel="change", ylabel="memory of the tour, MiB", ylim=(0, None))
+    return figure
+
+
+if __name__ == "__main__":
+    run(main, Config)

@@ -1,0 +1,105 @@
+"""One thread that paints whatever changed last: a slider dragged fast never queues up pictures."""
+
+import logging
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator
+
+QUIET = 0.2
+"""Seconds without a change before coarse shadows are painted finely."""
+_log = logging.getLogger(__name__)
+
+
+class Easel:
+    """Paints for several viewers in turns, always their latest wish.
+
+    A viewer who asks again before the last wish was begun gets one picture, not two. When nobody asks for anything,
+    drafts are painted again finely, and then jobs go on, a step at a time, so that nobody waits long for them.
+
+    Args:
+        paint: called with a viewer and whether a draft will do; returns whether a finer picture is to follow. What
+            it raises is logged, and the thread goes on.
+    """
+
+    def __init__(self, paint: Callable[[Hashable, bool], bool]) -> None:
+        self._paint = paint
+        self._wanted: OrderedDict[Hashable, None] = OrderedDict()
+        self._drafts: OrderedDict[Hashable, None] = OrderedDict()
+        self._jobs: list[Iterator[None]] = []
+        self._changed = threading.Condition()
+        self._last = 0.0
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, name="easel", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def want(self, *viewers: Hashable) -> None:
+        """These viewers' pictures are out of date."""
+        with self._changed:
+            for viewer in viewers:
+                self._wanted[viewer] = None
+                self._drafts.pop(viewer, None)
+            self._last = time.monotonic()
+            self._changed.notify()
+
+    def forget(self, viewer: Hashable) -> None:
+        """This viewer has left."""
+        with self._changed:
+            self._wanted.pop(viewer, None)
+            self._drafts.pop(viewer, None)
+
+    def work_on(self, job: Iterator[None]) -> None:
+        """Go through a job's steps when there is nothing better to do."""
+        with self._changed:
+            self._jobs.append(job)
+            self._changed.notify()
+
+    def stop(self) -> None:
+        """End the thread when what it is at is done."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        while (task := self._next()) is not None:
+            try:
+                task()
+            except Exception:
+                _log.exception("a picture of the tour could not be painted")
+
+    def _next(self) -> Callable[[], None] | None:
+        with self._changed:
+            while not self._ended:
+                if self._wanted:
+                    viewer, _ = self._wanted.popitem(last=False)
+                    return lambda: self._draft(viewer)
+                quiet = time.monotonic() - self._last
+                if self._drafts and quiet >= QUIET:
+                    viewer, _ = self._drafts.popitem(last=False)
+                    return lambda: self._finish(viewer)
+                if self._jobs and not self._drafts:
+                    return self._step
+                self._changed.wait(QUIET - quiet if self._drafts else None)
+            return None
+
+    def _draft(self, viewer: Hashable) -> None:
+        if self._paint(viewer, True):
+            with self._changed:
+                if viewer not in self._wanted:
+                    self._drafts[viewer] = None
+
+    def _finish(self, viewer: Hashable) -> None:
+        self._paint(viewer, False)
+
+    def _step(self) -> None:
+        job = self._jobs[0]
+        try:
+            next(job)
+        except BaseException as end:
+            self._jobs.remove(job)
+            if not isinstance(end, StopIteration):
+                raise

@@ -1,0 +1,137 @@
+"""What stands in a scanned room, found from a point on it; and casting rays at a room whose pieces have moved.
+
+A scan is one surface: floor, walls and furniture hang together. Without its shell (floor, ceiling, outer walls) it
+falls apart into pieces.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+from jaxtyping import Array, Bool, Float
+from scipy import sparse
+
+from hyjax.gbuffer import GBuffer
+from hyjax.scene.camera import Camera
+from hyjax.scene.raycast import Hits, RayCaster
+
+SHELL = 0.07
+"""Metres: what is nearer to floor, ceiling or an outer wall belongs to it."""
+LARGEST = 2.5
+"""Metres: what hangs together over more than this is no piece of furniture; it is cut to a box around the point."""
+BOX = 0.7
+"""Metres from the point to the sides of that box."""
+
+
+def piece_at(
+    mesh: trimesh.Trimesh, point: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, "m"] | None:
+    """The faces of the piece of furniture nearest to a point; None if the point lies on the room itself."""
+    centres = mesh.triangles_center
+    loose = ~shell(mesh, up)
+    distance = np.linalg.norm(centres - np.asarray(point), axis=1)
+    seed = int(np.argmin(distance))
+    if not loose[seed]:
+        near = loose & (distance < SHELL)
+        if not near.any():
+            return None
+        seed = int(np.flatnonzero(near)[np.argmin(distance[near])])
+    pairs = mesh.face_adjacency[loose[mesh.face_adjacency].all(axis=1)]
+    count = len(mesh.faces)
+    graph = sparse.coo_matrix((np.ones(len(pairs), bool), pairs.T), (count, count))
+    _, label = sparse.csgraph.connected_components(graph, directed=False)
+    piece = (label == label[seed]) & loose
+    if np.ptp(mesh.vertices[mesh.faces[piece].reshape(-1)], axis=0).max() > LARGEST:
+        piece &= (np.abs(centres - np.asarray(point)) < BOX).all(axis=1)
+    return piece
+
+
+def shell(mesh: trimesh.Trimesh, up: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "m"]:
+    """The faces of floor, ceiling and outer walls, for a room whose walls meet at right angles."""
+    normals, areas, centres = mesh.face_normals, mesh.area_faces, mesh.triangles_center
+    found = np.zeros(len(mesh.faces), bool)
+    for axis in _axes(normals, areas, np.asarray(up, float)):
+        height = centres @ axis
+        across = np.abs(normals @ axis) > 0.9
+        if not across.any():
+            continue
+        bins = np.arange(height[across].min() - SHELL, height[across].max() + 2 * SHELL, SHELL)
+        weight, _ = np.histogram(height[across], bins, weights=areas[across])
+        strong = np.flatnonzero(weight > 0.25 * weight.max())
+        for outer, sign in ((bins[strong[0]] + SHELL, 1.0), (bins[strong[-1]], -1.0)):
+            # Everything beyond the outermost large plane, and what lies on it.
+            found |= sign * (height - outer) < SHELL
+    return found
+
+
+def _axes(
+    normals: Float[np.ndarray, "m 3"], areas: Float[np.ndarray, "m"], up: Float[np.ndarray, "3"]
+) -> list[Float[np.ndarray, "3"]]:
+    """Up and the two directions that most of the upright surface faces."""
+    x = np.eye(3)[np.argmin(np.abs(up))]
+    x = (x - (x @ up) * up) / np.linalg.norm(x - (x @ up) * up)
+    y = np.cross(up, x)
+    upright = np.abs(normals @ up) < 0.3
+    angle = np.arctan2(normals[upright] @ y, normals[upright] @ x)
+    # Four times the angle is the same for all four walls; its weighted mean is theirs.
+    turn = np.angle(np.sum(areas[upright] * np.exp(4j * angle))) / 4 if upright.any() else 0.0
+    return [up, np.cos(turn) * x + np.sin(turn) * y, -np.sin(turn) * x + np.cos(turn) * y]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Part:
+    """A rigid part of the room: its surface as it was scanned, and where it is now (4×4).
+
+    Quacks like a `RayCaster` for the shadow maps: `mesh` is the whole room's, as it says what a map must cover.
+    """
+
+    caster: RayCaster
+    pose: Float[np.ndarray, "4 4"]
+    mesh: trimesh.Trimesh
+
+    @property
+    def moved(self) -> bool:
+        return not np.array_equal(self.pose, np.eye(4))
+
+    def cast(
+        self,
+        origins: Float[np.ndarray, "n 3"],
+        directions: Float[np.ndarray, "n 3"],
+        grid: tuple[int, int] | None = None,
+    ) -> Hits:
+        """`RayCaster.cast`, with rays and hits in the room's coordinates."""
+        if not self.moved:
+            return self.caster.cast(origins, directions, grid)
+        turn, shift = self.pose[:3, :3], self.pose[:3, 3]
+        return self.caster.cast((origins - shift) @ turn, directions @ turn, grid)
+
+    def gbuffer(self, camera: Camera) -> GBuffer:
+        """What a camera sees of this part alone."""
+        if not self.moved:
+            return self.caster.gbuffer(camera)
+        seen = self.caster.gbuffer(Camera(camera.intrinsics, np.linalg.inv(self.pose) @ camera.pose))
+        return _posed(seen, jnp.asarray(self.pose, jnp.float32))
+
+
+def nearest(parts: list[GBuffer]) -> GBuffer:
+    """What is in front, pixel by pixel."""
+    whole = parts[0]
+    for part in parts[1:]:
+        whole = _nearer(whole, part)
+    return whole
+
+
+@jax.jit
+def _posed(seen: GBuffer, pose: Float[Array, "4 4"]) -> GBuffer:
+    position = seen.position @ pose[:3, :3].T + pose[:3, 3]
+    return GBuffer(
+        jnp.where(seen.hit[..., None], position, 0.0), seen.normal @ pose[:3, :3].T, seen.depth, seen.hit
+    )
+
+
+@jax.jit
+def _nearer(a: GBuffer, b: GBuffer) -> GBuffer:
+    first = a.hit & (~b.hit | (a.depth <= b.depth))
+    return jax.tree.map(lambda x, y: jnp.where(first[..., None] if x.ndim == 3 else first, x, y), a, b)

@@ -1,0 +1,322 @@
+"""The room tour as a web page: one plan that all viewers share, served by viser.
+
+Controls of the plan belong to the server, so that every viewer sees and moves the same; those of a view to each
+viewer. Handlers only change the plan and tell the easel who is out of date.
+"""
+
+import contextlib
+import dataclasses
+import io
+import logging
+import socket
+import threading
+import time
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import viser
+
+from hyjax.errors import InputError
+from hyjax.files import make_writable, write_text
+from hyjax.schedule import Schedule
+from hyjax.tour import plan as plans
+from hyjax.tour.controls import Controls
+from hyjax.tour.easel import Easel
+from hyjax.tour.exports import export_setup, export_view, video_job
+from hyjax.tour.handles import Handles
+from hyjax.tour.plan import Piece, Plan
+from hyjax.tour.studio import Studio, check_piece
+from hyjax.tour.viewer import Viewer
+
+LOCAL = "127.0.0.1"
+SAVED = "tour.json"
+SAVE_AFTER = 0.5
+"""Seconds after a change until the plan is kept."""
+MOST_UPLOADED = 64 * 2**20
+UPLOADS = (".ply", ".obj", ".glb")
+_log = logging.getLogger(__name__)
+
+
+class Tour:
+    """A tour of a capture, served until it is stopped.
+
+    Attributes:
+        plan: what is set up just now; replaced, never changed.
+        viewers: by the number of their browser.
+        url: where the page is.
+
+    Args:
+        studio: paints.
+        schedules: to choose from, by name; the first is taken.
+        out: folder that exports and the plan are written to, and nothing else is.
+        host, port: where to listen.
+
+    Raises:
+        InputError: the port is in use, the folder cannot be written, or a plan in it makes no sense.
+    """
+
+    def __init__(
+        self,
+        studio: Studio,
+        schedules: Mapping[str, Schedule],
+        out: Path,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+    ) -> None:
+        make_writable(out)
+        self.studio, self.schedules, self.out = studio, dict(schedules), out
+        self.plan = self._kept_plan()
+        check_port(host, port)
+        self.viewers: dict[int, Viewer] = {}
+        self.easel = Easel(self._paint)
+        self._lock = threading.RLock()
+        self._saving: threading.Timer | None = None
+        self._begun = time.monotonic()
+        with contextlib.redirect_stdout(io.StringIO()):  # viser draws a box
+            self.server = viser.ViserServer(host, port, label="hyjax room tour", verbose=False)
+        self.url = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{self.server.get_port()}"
+        self.server.request_share_url = _never_share  # type: ignore[method-assign]
+        self.server.scene.set_up_direction(tuple(studio.up))
+        self.server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        self.server.gui.main_panel.dock_right()
+        self.handles = Handles(self)
+        self.controls = Controls(self)
+        self.handles.draw()
+        self.easel.start()
+        self.server.on_client_connect(self._come)
+        self.server.on_client_disconnect(self._go)
+
+    def stop(self) -> None:
+        """Keep the plan and end the server."""
+        self._save()
+        self.easel.stop()
+        self.server.stop()
+
+    # ---- the plan ----
+
+    def change(self, *, redraw: bool = False, **changes: Any) -> None:
+        """Replace parts of the plan, for all viewers.
+
+        Args:
+            redraw: whether things have come, gone or been moved by something else than their handles.
+            changes: fields of `Plan`.
+
+        Raises:
+            InputError: the plan would make no sense; it stays as it was.
+        """
+        with self._lock:
+            self.plan = dataclasses.replace(self.plan, **changes).check()
+        if redraw:
+            self.handles.draw()
+        self.controls.follow()
+        self.easel.want(*self.viewers)
+        self._save_soon()
+
+    def replace(self, kind: str, index: int, *, redraw: bool = False, **changes: Any) -> None:
+        """Change one of the plan's `windows`, `lamps` or `pieces`."""
+        with self._lock:
+            things = list(getattr(self.plan, kind))
+            if index < len(things):
+                things[index] = dataclasses.replace(things[index], **changes)
+                self.change(redraw=redraw, **{kind: tuple(things)})
+
+    def remove(self, kind: str, index: int) -> None:
+        """Take one of them out of the plan."""
+        with self._lock:
+            things = list(getattr(self.plan, kind))
+            if index < len(things):
+                del things[index]
+                self.handles.select(None)
+                self.change(redraw=True, **{kind: tuple(things)})
+
+    def click(self, viewer: Viewer, tool: str, origin: Any, direction: Any) -> None:
+        """A viewer has clicked into the scene with a tool."""
+        try:
+            touch = self.studio.touch(self.plan, origin, direction)
+            if touch is None:
+                raise InputError("there is no surface here; click on a wall, the floor or a thing")
+            if tool == "window":
+                windows = (*self.plan.windows, plans.place_window(touch.point, touch.normal, self.studio.up))
+                self.change(redraw=True, windows=windows)
+                self.handles.select(("windows", len(windows) - 1))
+            elif tool == "furniture":
+                self._pick(touch.piece, touch.origin)
+            else:
+                lamps = (*self.plan.lamps, plans.place_lamp(tool, touch.point, touch.normal))  # type: ignore[arg-type]
+                self.change(redraw=True, lamps=lamps)
+                self.handles.select(("lamps", len(lamps) - 1))
+        except InputError as error:
+            viewer.refuse(error)
+
+    def _pick(self, number: int | None, point: np.ndarray) -> None:
+        if number is None:
+            x, y, z = (round(float(v), 4) for v in point)
+            piece = Piece((x, y, z))
+            check_piece(self.studio, piece)
+            self.change(redraw=True, pieces=(*self.plan.pieces, piece))
+            number = len(self.plan.pieces) - 1
+        self.handles.select(("pieces", number))
+
+    def bring(self, viewer: Viewer, name: str, content: bytes) -> None:
+        """Put a mesh file into the room, on the floor in front of the viewer."""
+        try:
+            suffix = Path(name).suffix.lower()
+            if suffix not in UPLOADS:
+                raise InputError(f"{Path(name).name}: give a mesh as {', '.join(UPLOADS)}, in metres")
+            if not 0 < len(content) <= MOST_UPLOADED:
+                raise InputError(f"{Path(name).name}: {len(content)} bytes; give a mesh of at most 64 MiB")
+            file = f"mesh-{int(time.time() * 1e3):x}{suffix}"
+            (self.out / file).write_bytes(content)
+            try:
+                piece = self._brought(viewer, file)
+                self.change(redraw=True, pieces=(*self.plan.pieces, piece))
+            except InputError as error:
+                (self.out / file).unlink(missing_ok=True)
+                raise InputError(str(error).replace(str(self.out / file), Path(name).name)) from None
+            self.handles.select(("pieces", len(self.plan.pieces) - 1))
+        except InputError as error:
+            viewer.refuse(error)
+
+    def _brought(self, viewer: Viewer, file: str) -> Piece:
+        piece = Piece((0.0, 0.0, 0.0), file=file)
+        mesh = self.studio.piece_mesh(piece)
+        assert mesh is not None
+        if not 0.02 < max(mesh.extents) < 10:
+            raise InputError(f"{file}: spans {max(mesh.extents):.3g} m; furniture must be in metres")
+        camera = self.studio.camera(viewer.view().frame)
+        height, width = camera.intrinsics.shape
+        ahead = camera.rays()[height * 2 // 3, width // 2]
+        touch = self.studio.touch(self.plan, camera.origin.tolist(), ahead.tolist())
+        place = camera.origin + camera.pose[:3, 2] if touch is None else touch.point
+        pose = np.eye(4)
+        lowest = float((mesh.vertices @ self.studio.up).min())
+        centre = mesh.bounds.mean(axis=0)
+        foot = centre + (lowest - centre @ self.studio.up) * self.studio.up
+        pose[:3, 3] = place - foot
+        return dataclasses.replace(piece, pose=tuple(pose.reshape(-1).tolist()))
+
+    def warn_if_hidden(self, viewer: Viewer, index: int) -> None:
+        """Tell whoever has put a lamp where its light cannot get out."""
+        lamps = self.plan.lamps
+        if index < len(lamps) and self.studio.hidden(self.plan, lamps[index].position):
+            where = "This lamp is inside a wall or a thing, or outside the room: its light hardly gets out."
+            viewer.say("Is it meant there?", where, color="yellow")
+
+    def flickers(self) -> bool:
+        """Whether the picture changes by itself."""
+        return any(lamp.kind == "candle" and lamp.on for lamp in self.plan.lamps)
+
+    # ---- painting ----
+
+    def _paint(self, number: Hashable, draft: bool) -> bool:
+        viewer = self.viewers.get(number)  # type: ignore[call-overload]
+        if viewer is None:
+            return False
+        begun = time.perf_counter()
+        view, plan = viewer.view(), self.plan
+        try:
+            with viewer.patience() if draft else contextlib.nullcontext():
+                painting = self.studio.paint(plan, view, draft=draft, seconds=time.monotonic() - self._begun)
+        except InputError as error:
+            viewer.refuse(error)
+            return False
+        except Exception:
+            viewer.say("Something went wrong", "This picture could not be painted; see the terminal.", color="red")
+            raise
+        viewer.show(painting, time.perf_counter() - begun, latest=draft)
+        return painting.draft
+
+    # ---- exports ----
+
+    def save_view(self, viewer: Viewer) -> None:
+        """Write the viewer's picture as PNG and EXR, and let the browser download both."""
+        if viewer.painting is None:
+            return
+        for file in export_view(viewer.painting, self.out):
+            viewer.client.send_file_download(file.name, file.read_bytes())
+        viewer.say("Saved", f"Also in {self.out}", color="green")
+
+    def save_setup(self, viewer: Viewer) -> None:
+        """Write the lights file, and the mesh if furniture was moved."""
+        files = export_setup(self.studio, self.plan, self.out)
+        for file in files:
+            viewer.client.send_file_download(file.name, file.read_bytes())
+        names = " --mesh ".join(str(file) for file in files)
+        viewer.say("Saved", f"`hyjax relight --lights {names}` makes the same pictures", color="green", seconds=12)
+
+    def save_video(self, viewer: Viewer) -> None:
+        """Relight the whole capture as a video, while nobody needs the machine for anything else."""
+        viewer.say("Video", f"{len(self.studio.capture)} frames are being relit; you can go on meanwhile")
+        view = viewer.view()
+        self.easel.work_on(
+            video_job(self.studio, self.plan, view, self.out, done=lambda file: self._filmed(viewer, file))
+        )
+
+    def _filmed(self, viewer: Viewer, file: Path) -> None:
+        viewer.client.send_file_download(file.name, file.read_bytes())
+        viewer.say("Video", f"Saved as {file}", color="green")
+
+    # ---- coming and going ----
+
+    def _come(self, client: viser.ClientHandle) -> None:
+        viewer = Viewer(self, client)
+        self.viewers[client.client_id] = viewer
+        self.easel.want(client.client_id)
+        viewer.say(
+            "Room tour", "Drag the hour, or put a lamp somewhere. Drag the picture to look around.", seconds=10
+        )
+
+    def _go(self, client: viser.ClientHandle) -> None:
+        self.easel.forget(client.client_id)
+        viewer = self.viewers.pop(client.client_id, None)
+        if viewer is not None:
+            viewer.leave()
+
+    # ---- keeping the plan ----
+
+    def _kept_plan(self) -> Plan:
+        file = self.out / SAVED
+        if not file.is_file():
+            return self.studio.first_plan()
+        try:
+            return Plan.from_json(file.read_text(encoding="utf-8"))
+        except (InputError, UnicodeDecodeError) as error:
+            raise InputError(f"{file}: {error}; remove it to begin anew, or choose another --out") from None
+
+    def _save_soon(self) -> None:
+        with self._lock:
+            if self._saving is None:
+                self._saving = threading.Timer(SAVE_AFTER, self._save)
+                self._saving.daemon = True
+                self._saving.start()
+
+    def _save(self) -> None:
+        with self._lock:
+            if self._saving is not None:
+                self._saving.cancel()
+                self._saving = None
+            try:
+                write_text(self.out / SAVED, self.plan.to_json() + "\n")
+            except InputError as error:
+                _log.warning("%s", error)
+
+
+def check_port(host: str, port: int) -> None:
+    """Raise `InputError` unless one can listen there."""
+    if not 0 <= port <= 65535:
+        raise InputError(f"port: must lie in 0..65535, got {port}")
+    try:
+        with socket.socket() as test:
+            test.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            test.bind((host, port))
+    except OSError as error:
+        raise InputError(
+            f"port {port} on {host}: {error.strerror or error}; choose another --port or --host"
+        ) from None
+
+
+def _never_share(verbose: bool = True) -> None:
+    """viser can open a tunnel through somebody else's server; a tour stays where it is."""

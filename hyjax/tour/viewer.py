@@ -1,0 +1,383 @@
+"""One browser: what it looks at, its own controls, and how a painting gets onto its screen.
+
+A viewer is in the picture (the camera stands where the frame's camera stood, the painting fills the background and
+the handles of lamps and windows lie over it where they belong) or flies around the mesh. Dragging the scene leaves
+the picture, a button or a click on a camera goes back into one.
+"""
+
+import contextlib
+import functools
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, get_args
+
+import numpy as np
+import viser
+import viser.transforms
+from jaxtyping import Float, UInt8
+
+from hyjax.data.frames import spread
+from hyjax.errors import InputError
+from hyjax.scene.camera import Camera
+from hyjax.schedule import Level, Schedule
+from hyjax.tour.plan import Plan
+from hyjax.tour.studio import Painting, Shown, View, bytes_of
+
+if TYPE_CHECKING:
+    from hyjax.tour.page import Tour
+
+WAIT = ("One moment", "Compiling what this picture needs; it is kept for the next time.")
+PATIENCE = 0.6  # seconds
+MARGIN = 22  # grey beside the picture
+AWAY, TURNED = 0.02, 0.01  # metres and radians that mean leaving the picture
+SETTLING = 1.0  # seconds that a browser may take to put its camera where it was told to
+TYPING = 0.6  # seconds after a key
+REDRAW_AFTER = 0.5  # seconds after the last change
+CAMERAS = 24
+KAPPA_RANGE, MOST_STEPS = 1.5, 4.0
+PLAYING_HZ, FLICKER_HZ = 12.0, 6.0
+JPEG_QUALITY = 88
+STAGES = {
+    "surface": "surface seen by the camera",
+    "light": "light and shadow maps",
+    "cascade": "diffusion of the light",
+    "shadow pass": "diffusion of the shadows",
+    "composite": "times the photo",
+}
+
+
+class Viewer:
+    """See the module's docstring. All methods may be called from any thread."""
+
+    def __init__(self, tour: "Tour", client: viser.ClientHandle) -> None:
+        self.tour, self.client = tour, client
+        self.tool: str | None = None
+        """What the next click on a surface puts there or picks up."""
+        self.painting: Painting | None = None
+        self._in_picture, self._moved_at = True, 0.0
+        self._aspect = float(client.camera.aspect)
+        self._nodes: list[Any] = []
+        self._drawn: Plan | None = None
+        client.scene.configure_default_lights(enabled=False)
+        self._timer: threading.Timer | None = None
+        self._gone = False
+        self.touched = 0.0
+        """When this browser last used a control. Arrow keys on a slider move its camera too, which nobody means."""
+        self._busy: Any = None
+        self._build()
+        self._enter()
+        self.show_photo()
+        client.camera.on_update(self._camera_moved)
+        client.scene.on_click()(self._clicked)
+
+    # ---- what it looks at ----
+
+    def view(self) -> View:
+        """As its controls say."""
+        shown: Any = self._shown.value if self._shown.value in get_args(Shown) else "relit"
+        return View(self.frame, shown, self._schedule())
+
+    @property
+    def frame(self) -> int:
+        """Number of the frame, whatever the browser says."""
+        return round(within(self._frame.value, 0, len(self.tour.studio.capture) - 1))
+
+    def _schedule(self) -> Schedule:
+        schedules = self.tour.schedules
+        base = schedules.get(self._named.value, next(iter(schedules.values())))
+        steps = within(self._steps.value, 0.0, MOST_STEPS)
+        kappa = 10.0 ** within(self._kappa.value, -KAPPA_RANGE, KAPPA_RANGE)
+
+        def level(old: Level) -> Level:
+            sizes = np.resize(np.asarray(old.step_sizes), round(old.steps * steps)) if old.steps else old.step_sizes
+            return Level(old.factor, sizes, np.float32(np.asarray(old.kappa) * kappa), old.attachment)
+
+        levels = tuple(level(old) for old in base.levels)
+        return Schedule(levels, base.pooling, base.norm, base.name, base.upsampling)
+
+    def _build(self) -> None:
+        gui, last = self.client.gui, len(self.tour.studio.capture) - 1
+        repaint = self._repaint
+        with gui.add_folder("View", order=-2):
+            self._frame: Any = gui.add_slider("Frame", 0, max(last, 1), 1, 0, hint="Where the photo was taken from")
+            self._wipe = gui.add_slider(
+                "Photo ◂▸ relit", 0.0, 1.0, 0.01, 0.0, hint="Wipe the photo over the relit one"
+            )
+            self._play = gui.add_checkbox("Play the capture", False)
+            self._back = gui.add_button("Back into the picture", visible=False, color="orange")
+            self._stats = gui.add_markdown("Compiling the first picture …")
+        self._frame.on_update(self._go)
+        self._wipe.on_update(self._rewipe)
+        self._play.on_update(repaint)
+        self._back.on_click(self._enter_again)
+        with gui.add_folder("How it works", expand_by_default=False, order=2):
+            self._shown = gui.add_dropdown("Show", get_args(Shown), hint="A stage of the picture")
+            self._named = gui.add_dropdown(
+                "Schedule", tuple(self.tour.schedules), hint="Steps of diffusion by size"
+            )
+            less = "Less: fainter edges stop the light"
+            self._kappa = gui.add_slider("κ × 10^", -KAPPA_RANGE, KAPPA_RANGE, 0.05, 0.0, hint=less)
+            self._steps = gui.add_slider("Steps ×", 0.0, MOST_STEPS, 0.5, 1.0, hint="0: nothing is repaired")
+            self._times = gui.add_markdown("")
+            self._photo = gui.add_image(np.zeros((3, 4, 3), np.uint8), label="The photo", format="jpeg")
+        for control in (self._shown, self._named, self._kappa, self._steps):
+            control.on_update(repaint)
+
+    async def _repaint(self, _: Any) -> None:
+        self.touched = time.monotonic()
+        self.tour.easel.want(self.client.client_id)
+
+    async def _rewipe(self, _: Any) -> None:
+        self.touched = time.monotonic()
+        if self.painting is not None:  # nothing new to compute
+            self._put(self.painting)
+
+    async def _go(self, event: Any) -> None:
+        if event.client is not None:
+            self.touched = time.monotonic()
+            self.go(self.frame)
+
+    def go(self, frame: int) -> None:
+        """Go into the picture of a frame."""
+        self._frame.value = min(max(int(frame), 0), len(self.tour.studio.capture) - 1)
+        self._enter()
+        self.tour.easel.want(self.client.client_id)
+
+    # ---- showing ----
+
+    def show(self, painting: Painting, seconds: float, *, latest: bool = True) -> None:
+        """Put a painting on the screen.
+
+        Args:
+            painting: of this viewer's view.
+            seconds: that it took.
+            latest: whether something has changed, or the last picture was only painted more finely.
+        """
+        if self._gone:
+            return
+        if self.painting is None or self.painting.frame.name != painting.frame.name:
+            self._photo.image = painting.photo
+        self.painting = painting
+        self._put(painting)
+        times = painting.milliseconds
+        if latest:
+            rate = f"**{1 / seconds:.0f} fps** · " if seconds < 1 else ""
+            self._stats.content = f"{rate}{1e3 * seconds:.0f} ms for this picture"
+        rows = "\n".join(f"| {told} | {times[key]:.1f} |" for key, told in STAGES.items() if key in times)
+        self._times.content = f"| stage | ms |\n|---|---|\n{rows}"
+        if not self._in_picture and self._drawn is not self.tour.plan:
+            self._later(REDRAW_AFTER, self.draw_room)
+        elif self._play.value:
+            self._later(max(0.0, 1 / PLAYING_HZ - seconds), self._advance)
+        elif self.tour.flickers():
+            self._later(max(0.0, 1 / FLICKER_HZ - seconds), lambda: self.tour.easel.want(self.client.client_id))
+
+    def say(self, title: str, body: str, *, color: Any = "blue", seconds: float | None = 6.0) -> None:
+        """A notice in the page."""
+        if not self._gone:
+            self.client.add_notification(title, body, color=color, auto_close_seconds=seconds)
+
+    def refuse(self, error: InputError) -> None:
+        """What was asked for cannot be."""
+        self.say("That does not work", str(error), color="red")
+
+    @contextlib.contextmanager
+    def patience(self) -> Iterator[None]:
+        """Say so if what is done in the block takes its time."""
+        done, lock = threading.Event(), threading.Lock()
+
+        def wait() -> None:
+            with lock:
+                if not done.is_set() and not self._gone:
+                    self._busy = self.client.add_notification(*WAIT, loading=True, with_close_button=False)
+
+        timer = threading.Timer(PATIENCE, wait)
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+            with lock:
+                done.set()
+                if self._busy is not None:
+                    self._busy.remove()
+                    self._busy = None
+
+    def show_photo(self) -> None:
+        """Show the frame as it was taken, until there is a painting of it."""
+        frame = self.tour.studio.frame(self.frame)
+        framed, _ = framed_picture(bytes_of(frame.image), frame.camera, self._aspect)
+        self.client.scene.set_background_image(framed, "jpeg", jpeg_quality=JPEG_QUALITY)
+
+    def leave(self) -> None:
+        """The browser has gone."""
+        self._gone = True
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _later(self, seconds: float, task: Callable[[], None]) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = threading.Timer(seconds, task)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def _advance(self) -> None:
+        if not self._gone and self._play.value:
+            self.go((self.frame + 1) % len(self.tour.studio.capture))
+
+    def _put(self, painting: Painting) -> None:
+        picture = wiped(painting.photo, painting.picture, self._wipe.value)
+        if self._in_picture:
+            framed, _ = framed_picture(picture, painting.frame.camera, self._aspect)
+            self.client.scene.set_background_image(framed, "jpeg", jpeg_quality=JPEG_QUALITY)
+        self.client.flush()
+
+    # ---- in the picture or around the mesh ----
+
+    async def _enter_again(self, _: Any) -> None:
+        self.go(self.frame)
+
+    def _enter(self) -> None:
+        camera = self.tour.studio.camera(self.frame)
+        _, angle = framed_picture(np.zeros((*camera.intrinsics.shape, 3), np.uint8), camera, self._aspect)
+        self._moved_at = time.monotonic()
+        self._in_picture = True
+        with self.client.atomic():
+            self.client.camera.wxyz = quaternion(camera.pose)
+            self.client.camera.position = camera.origin
+            self.client.camera.fov = angle
+            self._back.visible = False
+            for node in self._nodes:
+                node.visible = False
+
+    async def _camera_moved(self, camera: viser.CameraHandle) -> None:
+        if not self._in_picture:
+            return
+        if abs(camera.aspect - self._aspect) > 1e-3:
+            self._aspect = float(camera.aspect)
+            self.go(self.frame)
+            return
+        pose = self.tour.studio.camera(self.frame).pose
+        facing = viser.transforms.SO3(camera.wxyz).as_matrix()[:, 2]
+        near = np.linalg.norm(camera.position - pose[:3, 3]) < AWAY and facing @ pose[:3, 2] > np.cos(TURNED)
+        if near:
+            self._moved_at = 0.0
+        elif time.monotonic() - self.touched < TYPING:
+            self._enter()
+        elif time.monotonic() - self._moved_at > SETTLING:
+            self.fly()
+
+    def fly(self) -> None:
+        """Leave the picture: show the mesh and the cameras."""
+        self._in_picture = False
+        self.client.scene.set_background_image(None)
+        self._back.visible = True
+        self.draw_room()
+
+    def draw_room(self) -> None:
+        """The mesh and the camera path, as they are now, for whoever flies."""
+        if self._in_picture:
+            return
+        for node in self._nodes:
+            node.remove()
+        scene, studio = self.client.scene, self.tour.studio
+        self._drawn = self.tour.plan
+        self._nodes = [
+            # Light is painted on: one that the scene added would shade it twice.
+            scene.add_light_ambient("/ambient", intensity=math.pi),
+            scene.add_mesh_trimesh("/room", studio.lit_mesh(self._drawn)),
+        ]
+        for index in spread(range(len(studio.capture)), CAMERAS):
+            camera = studio.capture[index].camera
+            k = camera.intrinsics
+            here = index == self.frame
+            frustum = scene.add_camera_frustum(
+                f"/cameras/{index}",
+                2 * float(np.arctan(0.5 * k.height / k.fy)),
+                k.width / k.height,
+                scale=0.12,
+                color=(255, 140, 0) if here else (70, 70, 70),
+                wxyz=quaternion(camera.pose),
+                position=camera.origin,
+                image=self.painting.picture[::4, ::4] if here and self.painting is not None else None,
+            )
+            frustum.on_click(functools.partial(self._go_to, index))
+            self._nodes.append(frustum)
+
+    def _go_to(self, index: int, _: Any) -> None:
+        self.go(index)
+
+    def _clicked(self, event: Any) -> None:
+        tool, self.tool = self.tool, None
+        if tool is not None:
+            self.tour.click(self, tool, event.ray_origin, event.ray_direction)
+
+
+def guarded(tour: "Tour", handler: Callable[[Any], None]) -> Callable[[Any], Any]:
+    """A handler of what a browser sends: what it must not ask for becomes a notice in its page.
+
+    Changes that the server makes to its own controls are not passed on.
+    """
+
+    async def handle(event: Any) -> None:
+        if event.client is None:
+            return
+        viewer = tour.viewers.get(event.client_id)
+        if viewer is not None:
+            viewer.touched = time.monotonic()
+        try:
+            handler(event)
+        except InputError as error:
+            if viewer is not None:
+                viewer.refuse(error)
+
+    return handle
+
+
+def within(value: Any, low: float, high: float) -> float:
+    """A number that a browser sent, brought into its range; the nearest to 0 that is there, if it is none."""
+    number = float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
+    return min(max(number, low), high)
+
+
+def quaternion(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
+    """Rotation of a pose as w, x, y, z."""
+    wxyz: np.ndarray = viser.transforms.SO3.from_matrix(np.asarray(pose)[:3, :3]).wxyz
+    return wxyz
+
+
+def wiped(
+    photo: UInt8[np.ndarray, "h w 3"], picture: UInt8[np.ndarray, "h w 3"], share: float
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The photo over the left `share` of the picture, with a line where they meet."""
+    column = round(float(np.clip(share, 0.0, 1.0)) * picture.shape[1])
+    if column == 0:
+        return picture
+    both = picture.copy()
+    both[:, :column] = photo[:, :column]
+    if column < picture.shape[1]:
+        both[:, max(0, column - 1) : column + 1] = 255
+    return both
+
+
+def framed_picture(
+    picture: UInt8[np.ndarray, "h w 3"], camera: Camera, aspect: float
+) -> tuple[UInt8[np.ndarray, "H W 3"], float]:
+    """A picture in the middle of a canvas of the browser's proportions, and the canvas's vertical angle of view.
+
+    In the middle stands the camera's principal point, so that a browser's camera, which always looks through the
+    middle, sees the world where the picture shows it.
+    """
+    h, w = picture.shape[:2]
+    k = camera.intrinsics
+    height = h if aspect * h >= w else round(w / aspect)
+    width = round(height * aspect)
+    top, left = round(0.5 * height - k.cy), round(0.5 * width - k.cx)
+    canvas = np.full((height, width, 3), MARGIN, np.uint8)
+    y0, x0 = max(top, 0), max(left, 0)
+    y1, x1 = min(top + h, height), min(left + w, width)
+    canvas[y0:y1, x0:x1] = picture[y0 - top : y1 - top, x0 - left : x1 - left]
+    return canvas, 2.0 * float(np.arctan(0.5 * height / k.fy))

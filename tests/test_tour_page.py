@@ -1,0 +1,303 @@
+"""The tour in a real browser: what a visitor does, and what the page then shows."""
+
+import contextlib
+import dataclasses
+import json
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="needs the extra 'tour'")
+pytest.importorskip("astral", reason="needs the extra 'tour'")
+pytest.importorskip("av", reason="needs the extra 'tour'")
+
+from browser import Page, until
+
+from experiments.browser import browser
+from hyjax.data.light_file import read_lights
+from hyjax.data.room import RoomCapture, load_room
+from hyjax.errors import InputError
+from hyjax.images import read_image
+from hyjax.relighting import relight_capture
+from hyjax.scene.raycast import RayCaster
+from hyjax.schedule import Schedule
+from hyjax.tour.page import Tour, check_port
+from hyjax.tour.plan import MOST_LAMPS, place_lamp
+from hyjax.tour.studio import Studio
+from hyjax.tour.viewer import framed_picture, wiped
+
+SCHEDULES = {name: Schedule.preset(name) for name in ("hyjax", "paper-50")}
+FRAME, WIPE, HOUR = 0, 1, 2  # sliders, from the top
+
+
+@pytest.fixture(scope="module")
+def room() -> RoomCapture:
+    return load_room(n_frames=6, width=160, height=120, quality=0.25, progress=False)
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with contextlib.ExitStack() as stack:
+        try:
+            launched = stack.enter_context(browser())
+        except InputError as error:
+            pytest.skip(str(error))
+        yield launched
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+@pytest.fixture
+def tour(room: RoomCapture, tmp_path: Path) -> Iterator[Tour]:
+    tour = Tour(Studio(room, room.mesh, folder=tmp_path), SCHEDULES, tmp_path, port=free_port())
+    yield tour
+    tour.stop()
+
+
+def on_screen(tour: Tour, page: Page, point: Any, frame: int = 0) -> tuple[float, float]:
+    """Pixels of the scene where a point of the room is."""
+    camera, box = tour.studio.camera(frame), page.box()
+    blank = np.zeros((*camera.intrinsics.shape, 3), np.uint8)
+    _, angle = framed_picture(blank, camera, box["width"] / box["height"])
+    x, y, z = camera.pose[:3, :3].T @ (np.asarray(point, float) - camera.origin)
+    scale = 0.5 * box["height"] / np.tan(0.5 * angle)
+    return 0.5 * box["width"] + scale * x / z, 0.5 * box["height"] + scale * y / z
+
+
+def table(tour: Tour) -> np.ndarray:
+    """A point on top of something that stands in the room, in view of the first frame."""
+    camera = tour.studio.camera(0)
+    rays = camera.rays()
+    for row in range(camera.intrinsics.height - 8, camera.intrinsics.height // 2, -2):
+        for column in range(20, camera.intrinsics.width - 20, 4):
+            touch = tour.studio.touch(tour.plan, camera.origin.tolist(), rays[row, column].tolist())
+            if touch is not None and touch.normal[2] > 0.99 and 0.3 < touch.point[2] < 0.9:
+                return touch.point
+    raise AssertionError("no table in view")
+
+
+@pytest.mark.slow
+def test_a_visit(tour: Tour, room: RoomCapture, chromium: Any, tmp_path: Path) -> None:
+    """Evening comes, a lamp is put somewhere, the photo is wiped over, all is taken home."""
+    page = Page(chromium, tour.url)
+    afternoon = page.picture()
+    assert afternoon.std() > 10, "there is a picture"
+
+    page.slide(HOUR, 0.96)
+    until(lambda: tour.plan.hour > 22)
+    evening = page.picture()
+    assert np.abs(evening - afternoon).mean() > 5
+
+    page.press("Bulb")
+    page.click(*on_screen(tour, page, table(tour)))
+    until(lambda: tour.plan.lamps)
+    (lamp,) = tour.plan.lamps
+    np.testing.assert_allclose(lamp.position[:2], table(tour)[:2], atol=0.05)
+    page.press("Done")
+    lit = page.picture()
+    assert np.abs(lit - evening).mean() > 2
+
+    page.slide(WIPE, 0.5)
+    half = page.picture()
+    middle = half.shape[1] // 2
+    changed = np.abs(half - lit).mean(axis=(0, 2))
+    assert changed[middle - 60 : middle - 10].mean() > 5 and changed[middle + 10 : middle + 60].mean() < 1
+    page.slide(WIPE, 0.0)
+
+    page.unfold("Take home")
+    for name, files in (("The lights", ["lights.json"]), ("This picture", ["000.relit.png", "000.relit.exr"])):
+        page.press(name)
+        for file in files:
+            until((tmp_path / file).is_file)
+    setup = read_lights(tmp_path / "lights.json", room.up)
+    relight_capture(
+        room, RayCaster(room.mesh), setup, SCHEDULES["hyjax"], tmp_path / "again", frames=[0], progress=False
+    )
+    ours, theirs = (read_image(folder / "000.relit.exr") for folder in (tmp_path, again))
+    np.testing.assert_allclose(ours, theirs, rtol=0.02, atol=2e-3)
+
+    page.page.reload()
+    page.shown()
+    assert np.abs(page.picture() - lit).mean() < 2, "reloaded, it is as it was"
+
+
+@pytest.mark.slow
+def test_a_piece_of_furniture_is_moved(tour: Tour, chromium: Any) -> None:
+    page = Page(chromium, tour.url)
+    before = page.picture()
+    page.unfold("Furniture")
+    page.press("Pick up")
+    page.click(*on_screen(tour, page, table(tour)))
+    until(lambda: tour.plan.pieces)
+    (piece,) = tour.plan.pieces
+    mesh = tour.studio.piece_mesh(piece)
+    assert mesh is not None
+    pivot = mesh.bounds.mean(axis=0)
+    up = np.array([0.0, 0.0, 1.0])
+    tip = pivot + 0.3 * up  # the gizmo's upright arrow
+    page.picture()
+    page.drag(on_screen(tour, page, tip), on_screen(tour, page, tip + 0.4 * up))
+    until(lambda: tour.plan.pieces[0].matrix[2, 3] > 0.2)
+    assert abs(tour.plan.pieces[0].matrix[0, 3]) < 0.05, "up only"
+    page.press("Done")
+    assert np.abs(page.picture() - before).mean() > 0.3, "its shadow is another"
+
+
+@pytest.mark.slow
+def test_two_visitors_share_the_room_but_not_the_view(tour: Tour, chromium: Any) -> None:
+    first, second = Page(chromium, tour.url), Page(chromium, tour.url)
+    until(lambda: len(tour.viewers) == 2)
+    second.slide(FRAME, 1.0)
+    until(lambda: sorted(viewer.frame for viewer in tour.viewers.values()) == [0, 5])
+    before = first.picture(), second.picture()
+    assert np.abs(before[0] - before[1]).mean() > 5
+    first.slide(HOUR, 0.9)
+    until(lambda: tour.plan.hour > 20)
+    after = first.picture(), second.picture()
+    assert all(np.abs(a - b).mean() > 3 for a, b in zip(before, after)), "evening for both"
+    second.page.close()
+    until(lambda: len(tour.viewers) == 1)
+
+
+@pytest.mark.slow
+def test_dragging_the_scene_leaves_the_picture_and_the_button_goes_back(tour: Tour, chromium: Any) -> None:
+    page = Page(chromium, tour.url)
+    before = page.picture()
+    box = page.box()
+    page.page.wait_for_timeout(1500)
+    page.drag((0.5 * box["width"], 0.5 * box["height"]), (0.7 * box["width"], 0.5 * box["height"]))
+    page.page.get_by_role("button", name="Back into the picture").wait_for()
+    assert np.abs(page.picture() - before).mean() > 10
+    page.press("Back into the picture")
+    assert np.abs(page.picture() - before).mean() < 2
+
+
+@pytest.mark.slow
+def test_a_server_that_was_stopped_goes_on(tour: Tour, chromium: Any, tmp_path: Path) -> None:
+    page = Page(chromium, tour.url)
+    page.slide(HOUR, 0.2)
+    until(lambda: tour.plan.hour < 6)
+    plan, port = tour.plan, tour.server.get_port()
+    dark = page.picture()
+    tour.stop()
+    again = Tour(tour.studio, SCHEDULES, tmp_path, port=port)
+    try:
+        assert again.plan == plan
+        until(lambda: again.viewers)  # the page comes back by itself
+        until(lambda: next(iter(again.viewers.values())).painting)
+        assert np.abs(page.picture() - dark).mean() < 2
+    finally:
+        again.stop()
+
+
+@pytest.mark.slow
+def test_nonsense_gets_a_notice_and_the_server_goes_on(tour: Tour, chromium: Any) -> None:
+    page = Page(chromium, tour.url)
+    (viewer,) = tour.viewers.values()
+    lamp = place_lamp("bulb", np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    tour.change(lamps=(lamp,) * MOST_LAMPS)
+    tour.click(viewer, "bulb", tour.studio.camera(0).origin, tour.studio.camera(0).pose[:3, 2])
+    page.page.get_by_text(f"at most {MOST_LAMPS} on a tour").wait_for()
+    plan = tour.plan
+    tour.bring(viewer, "../../x.txt", b"hello")
+    page.page.get_by_text("give a mesh as").wait_for()
+    tour.bring(viewer, "x.ply", b"not a mesh")
+    until(lambda: page.page.get_by_text("x.ply").count())
+    send_nonsense(tour)
+    assert tour.plan == plan and not list(tour.out.glob("mesh-*"))
+    page.slide(HOUR, 0.2)
+    until(lambda: tour.plan.hour < 6)
+
+
+def send_nonsense(tour: Tour) -> None:
+    """Messages that no page sends: noise, and numbers that are none for every shared slider."""
+    import msgspec
+    import viser
+    from websockets.sync.client import connect
+
+    url = tour.url.replace("http", "ws")
+    for noise in (b"", b"\x00\xff", msgspec.msgpack.encode({"type": "NoSuchMessage"}), b"[" * 1000):
+        with connect(url, subprotocols=[f"viser-v{viser.__version__}"]) as wire:  # type: ignore[list-item]
+            wire.send(noise)
+    with connect(url, subprotocols=[f"viser-v{viser.__version__}"]) as wire:  # type: ignore[list-item]
+        for control in tour.controls._plain.values():
+            for value in (float("nan"), 1e300, -5.0, "text", None, [1, 2]):
+                message = {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": {"value": value}}
+                wire.send(msgspec.msgpack.encode(message))
+
+
+@pytest.mark.slow
+def test_a_mesh_is_brought_and_a_video_taken_home(tour: Tour, chromium: Any, tmp_path: Path) -> None:
+    import trimesh
+
+    page = Page(chromium, tour.url)
+    (viewer,) = tour.viewers.values()
+    content = trimesh.creation.box((0.4, 0.4, 1.2)).export(file_type="ply")
+    tour.bring(viewer, "stool.ply", content)
+    (piece,) = tour.plan.pieces
+    assert (tmp_path / piece.file).is_file()
+    mesh = tour.studio.piece_mesh(piece)
+    assert mesh is not None
+    lowest = (mesh.vertices @ piece.matrix[:3, :3].T + piece.matrix[:3, 3])[:, 2].min()
+    assert -0.05 < lowest < 1.0, "it stands on something"
+    page.unfold("Take home")
+    page.press("A video")
+    until((tmp_path / "relit.mp4").is_file)
+    import av
+
+    with av.open(str(tmp_path / "relit.mp4")) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == len(tour.studio.capture) and frames[0].shape == (120, 160, 3)
+    assert np.abs(frames[0].astype(float) - frames[-1]).mean() > 5
+
+
+# ---- without a browser ----
+
+
+def test_a_wipe_shows_the_photo_on_the_left() -> None:
+    photo, relit = np.full((4, 10, 3), 50, np.uint8), np.full((4, 10, 3), 200, np.uint8)
+    assert (wiped(photo, relit, 0.0) == relit).all() and (wiped(photo, relit, 1.0)[:, :9] == photo[:, :9]).all()
+    half = wiped(photo, relit, 0.5)
+    assert (half[:, :4] == 50).all() and (half[:, 6:] == 200).all() and (half[:, 4:6] == 255).all()
+
+
+def test_a_port_in_use_is_one_clear_line(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"port {port}"):
+            check_port("127.0.0.1", port)
+        command = [
+            str(Path(sys.executable).with_name("hyjax")),
+            "tour",
+            "--port",
+            str(port),
+            "--out",
+            str(tmp_path / "o"),
+        ]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2 and done.stderr.startswith(f"hyjax: port {port}") and done.stderr.count("\n") == 1
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_damaged_set_up_is_told_by_name(room: RoomCapture, tmp_path: Path) -> None:
+    (tmp_path / "tour.json").write_text(json.dumps({"hour": 99}))
+    with pytest.raises(InputError, match=r"tour\.json.*hour"):
+        Tour(Studio(room, room.mesh), SCHEDULES, tmp_path, port=free_port())
+
+
+def test_nothing_is_shared_with_the_world(tour: Tour) -> None:
+    assert tour.server.get_host() == "127.0.0.1" and tour.server.request_share_url() is None
+    assert dataclasses.is_dataclass(tour.plan)
