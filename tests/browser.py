@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from hyjax.tour.page import Tour
+
 SIZE = {"width": 1000, "height": 600}
-WAIT = 120.0
+WAIT = 60.0
 
 
 def until(condition: Callable[[], Any], seconds: float = WAIT) -> Any:
@@ -24,17 +26,17 @@ def until(condition: Callable[[], Any], seconds: float = WAIT) -> Any:
 class Page:
     """The tour's page in a browser."""
 
-    def __init__(self, context: Any, url: str) -> None:
-        self.page = context.new_page(viewport=SIZE)
-        self.page.goto(url)
+    def __init__(self, browser: Any, tour: Tour) -> None:
+        self.tour = tour
+        self.page = browser.new_page(viewport=SIZE)
+        self.page.goto(tour.url)
         self.shown()
 
     def shown(self) -> None:
         """Wait for the first picture."""
         self.page.get_by_text("ms for this picture").wait_for(timeout=1e3 * WAIT)
-        self.page.get_by_role("button", name="Close").or_(
-            self.page.locator(".mantine-CloseButton-root")
-        ).first.click()
+        # They would be in the pictures, and in the way of clicks.
+        self.page.add_style_tag(content=".mantine-Notifications-root { opacity: 0; pointer-events: none }")
 
     def picture(self) -> np.ndarray:
         """What the scene shows once it is still, (h, w, 3) in [0, 255]."""
@@ -43,6 +45,7 @@ class Page:
             content = self.page.locator("canvas").first.screenshot()
             return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"), np.float32)
 
+        until(lambda: not self.tour.easel.busy)
         before, end = shot(), time.monotonic() + WAIT
         still = 0
         while still < 3:

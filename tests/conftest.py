@@ -18,13 +18,19 @@ from hyjax.metrics import LpipsWeights, load_lpips
 sys.path.append(str(Path(__file__).parents[1]))
 
 # Most of what tests compile runs once, and optimising it takes longer than it saves. What tests start is optimised.
+UNOPTIMISED = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
 FLAGS = os.environ.get("XLA_FLAGS", "")
-os.environ["XLA_FLAGS"] = f"--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true {FLAGS}"
+os.environ["XLA_FLAGS"] = f"{UNOPTIMISED} {FLAGS}"
 jax.block_until_ready(jax.jit(lambda x: x + 1)(0.0))  # XLA reads its flags with the first program
 os.environ["XLA_FLAGS"] = FLAGS
 
 hypothesis.settings.register_profile("hyjax", derandomize=True, deadline=None, max_examples=15, database=None)
 hypothesis.settings.load_profile("hyjax")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Slow tests first: at the end no worker waits for another."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 def data_folder() -> Path:

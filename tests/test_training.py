@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import UNOPTIMISED
 from flax import nnx
 from jax.experimental.compilation_cache import compilation_cache
 
@@ -324,7 +325,7 @@ def test_a_batch_that_no_devices_can_share_is_refused() -> None:
 
 def devices(count: int) -> dict[str, str]:
     """An environment in which the processor counts as several devices."""
-    return os.environ | {"XLA_FLAGS": f"--xla_force_host_platform_device_count={count}"}
+    return os.environ | {"XLA_FLAGS": f"{UNOPTIMISED} --xla_force_host_platform_device_count={count}"}
 
 
 def run_python(code: str, count: int) -> subprocess.CompletedProcess:
@@ -349,6 +350,8 @@ def assert_same_run(log: list[dict], expected: list[dict]) -> None:
 
 @pytest.mark.slow
 def test_two_hosts_make_the_same_updates_and_resume(folder: Path, tmp_path: Path, alone: list[dict]) -> None:
+    cache = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "compiled")}
+    cache["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     for iterations, resume in ((2, False), (3, True)):
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
@@ -368,7 +371,7 @@ t.train(settings, Path({str(tmp_path)!r}), resume={resume}, progress=False)
         hosts = [
             subprocess.Popen(
                 [sys.executable, "-c", code, str(k)],
-                env=devices(1) | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "compiled")},
+                env=devices(1) | cache,
                 stderr=subprocess.PIPE,
                 text=True,
             )

@@ -29,8 +29,14 @@ class Easel:
         self._jobs: list[Iterator[None]] = []
         self._changed = threading.Condition()
         self._last = 0.0
-        self._ended = False
+        self._ended = self._painting = False
         self._thread = threading.Thread(target=self._run, name="easel", daemon=True)
+
+    @property
+    def busy(self) -> bool:
+        """Whether anything is being painted or waits for it, finer pictures among it; jobs aside."""
+        with self._changed:
+            return self._painting or bool(self._wanted or self._drafts)
 
     def start(self) -> None:
         self._thread.start()
@@ -70,16 +76,19 @@ class Easel:
                 task()
             except Exception:
                 _log.exception("a picture of the tour could not be painted")
+            self._painting = False
 
     def _next(self) -> Callable[[], None] | None:
         with self._changed:
             while not self._ended:
                 if self._wanted:
                     viewer, _ = self._wanted.popitem(last=False)
+                    self._painting = True
                     return lambda: self._draft(viewer)
                 quiet = time.monotonic() - self._last
                 if self._drafts and quiet >= QUIET:
                     viewer, _ = self._drafts.popitem(last=False)
+                    self._painting = True
                     return lambda: self._finish(viewer)
                 if self._jobs and not self._drafts:
                     return self._step
