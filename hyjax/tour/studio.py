@@ -51,6 +51,7 @@ CHANNELS = 4
 """Lights are rounded up to a multiple of this: a lamp more rarely means compiling anew."""
 MAPS_MIB, LAYERS_MIB, FRAMES_MIB = 256, 192, 128
 MOST_PARTS = 64
+BESIDE = (0.0, 0.01, 0.025, 0.05)  # tangents of angles
 ALBEDO = 0.6  # of the mesh in the 3-D view, whose colours nobody knows
 AFTERNOON, BEARING = 16.0, 240.0
 AMOUNTS = ("power", "illuminance")
@@ -209,10 +210,22 @@ class Studio:
         return self.frame(index).camera
 
     def touch(self, plan: Plan, origin: Sequence[float], direction: Sequence[float]) -> Touch | None:
-        """The first surface on a ray, None if there is none."""
+        """The first surface on a ray, or beside one that goes through a hole of the scan; None if there is none."""
+        ray = np.asarray(direction, float) / np.linalg.norm(direction)
+        across = np.cross(ray, np.eye(3)[np.argmin(np.abs(ray))])
+        across /= np.linalg.norm(across)
+        for tangent in BESIDE:
+            turns = np.linspace(0.0, 2.0 * np.pi, 8 if tangent else 1, endpoint=False)
+            for turn in turns:
+                aside = np.cos(turn) * across + np.sin(turn) * np.cross(ray, across)
+                if (touch := self._touch(plan, origin, ray + tangent * aside)) is not None:
+                    return touch
+        return None
+
+    def _touch(self, plan: Plan, origin: Sequence[float], direction: Float[np.ndarray, "3"]) -> Touch | None:
         best: tuple[float, Touch] | None = None
         room = self._room(plan)
-        start, ray = np.asarray(origin, float)[None], np.asarray(direction, float)[None]
+        start, ray = np.asarray(origin, float)[None], direction[None]
         for part, piece in zip(room.parts, room.pieces, strict=True):
             hits = part.cast(start, ray)
             distance = float(hits.distance[0])
