@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Generator, Hashable, Iterator
 
 import pytest
 
@@ -103,7 +103,7 @@ def test_jobs_make_way(easel: Easel, painter: Painter) -> None:
     painter.free.set()
     order: list[str] = []
 
-    def job() -> Iterator[None]:
+    def job() -> Generator[None]:
         for step in "123":
             order.append(step)
             if step == "1":
@@ -118,10 +118,30 @@ def test_jobs_make_way(easel: Easel, painter: Painter) -> None:
     assert order == ["1", "2", "a", "b", "3"]
 
 
+def test_time_that_passes_does_not_keep_pictures_coarse_nor_jobs_waiting(easel: Easel, painter: Painter) -> None:
+    """As with a candle, which asks for a picture several times a second."""
+    painter.drafts = True
+    painter.free.set()
+    steps: list[int] = []
+
+    def job() -> Generator[None]:
+        for step in range(3):
+            steps.append(step)
+            yield
+
+    easel.want("a")
+    easel.work_on(job())
+    end = time.monotonic() + WAIT
+    while ("a", False) not in painter.painted or len(steps) < 3:
+        assert time.monotonic() < end
+        easel.want("a", moved=False)
+        time.sleep(0.5 * QUIET)
+
+
 def test_a_job_that_fails_is_dropped(easel: Easel, painter: Painter, caplog: pytest.LogCaptureFixture) -> None:
     painter.free.set()
 
-    def job() -> Iterator[None]:
+    def job() -> Generator[None]:
         yield
         raise OSError("disk full")
 

@@ -1,11 +1,11 @@
 """The tour in a real browser: what a visitor does, and what the page then shows."""
 
 import contextlib
-import dataclasses
 import json
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from hyjax.schedule import Schedule
 from hyjax.tour.page import Tour, check_port
 from hyjax.tour.plan import MOST_LAMPS, place_lamp
 from hyjax.tour.studio import Studio
-from hyjax.tour.viewer import framed_picture, wiped
+from hyjax.tour.viewer import canvas_of, framed_picture, more_steps, wiped
 
 SCHEDULES = {name: Schedule.preset(name) for name in ("hyjax", "paper-50")}
 FRAME, WIPE, HOUR = 0, 1, 2  # sliders, from the top
@@ -68,8 +68,7 @@ def tour(room: RoomCapture, tmp_path: Path) -> Iterator[Tour]:
 def on_screen(tour: Tour, page: Page, point: Any, frame: int = 0) -> tuple[float, float]:
     """Pixels of the scene where a point of the room is."""
     camera, box = tour.studio.camera(frame), page.box()
-    blank = np.zeros((*camera.intrinsics.shape, 3), np.uint8)
-    _, angle = framed_picture(blank, camera, box["width"] / box["height"])
+    _, _, angle = canvas_of(camera, box["width"] / box["height"])
     x, y, z = camera.pose[:3, :3].T @ (np.asarray(point, float) - camera.origin)
     scale = 0.5 * box["height"] / np.tan(0.5 * angle)
     return 0.5 * box["width"] + scale * x / z, 0.5 * box["height"] + scale * y / z
@@ -217,7 +216,8 @@ def test_nonsense_gets_a_notice_and_the_server_goes_on(tour: Tour, chromium: Any
     tour.bring(viewer, "x.ply", b"not a mesh")
     until(lambda: page.page.get_by_text("x.ply").count())
     send_nonsense(tour)
-    assert tour.plan == plan and not list(tour.out.glob("mesh-*"))
+    assert tour.plan == plan, "numbers that are none change nothing"
+    assert not list(tour.out.glob("mesh-*"))
     page.slide(HOUR, 0.2)
     until(lambda: tour.plan.hour < 6)
 
@@ -232,11 +232,31 @@ def send_nonsense(tour: Tour) -> None:
     for noise in (b"", b"\x00\xff", msgspec.msgpack.encode({"type": "NoSuchMessage"}), b"[" * 1000):
         with connect(url, subprotocols=[f"viser-v{viser.__version__}"]) as wire:  # type: ignore[list-item]
             wire.send(noise)
+    camera = {"wxyz": (1, 0, 0, 0), "position": (0, 0, 0), "look_at": (0, 0, 1), "up_direction": (0, 1, 0)}
+    camera |= {"fov": 1.0, "near": 0.1, "far": 10.0, "image_height": 1, "image_width": 10**7}
     with connect(url, subprotocols=[f"viser-v{viser.__version__}"]) as wire:  # type: ignore[list-item]
+        wire.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage"} | camera))
+        until(lambda: len(tour.viewers) == 2)  # a visitor now, with a scene as wide as a city
         for control in tour.controls._plain.values():
             for value in (float("nan"), 1e300, -5.0, "text", None, [1, 2]):
                 message = {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": {"value": value}}
                 wire.send(msgspec.msgpack.encode(message))
+        time.sleep(2.0)
+    until(lambda: len(tour.viewers) == 1)
+
+
+def test_pages_of_other_sites_are_hung_up_on(tour: Tour) -> None:
+    import viser
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    url, wanted = tour.url.replace("http", "ws"), [f"viser-v{viser.__version__}"]
+    for headers in ({"origin": "http://elsewhere.example"}, {"additional_headers": {"Host": "elsewhere.example"}}):
+        with connect(url, subprotocols=wanted, **headers) as wire, pytest.raises(ConnectionClosed, match="1008"):  # type: ignore[arg-type]
+            while True:
+                wire.recv(timeout=10)
+    with connect(url, subprotocols=wanted, origin=tour.url) as wire:  # type: ignore[arg-type]
+        assert wire.recv(timeout=10)
 
 
 @pytest.mark.slow
@@ -302,4 +322,20 @@ def test_a_damaged_set_up_is_told_by_name(room: RoomCapture, tmp_path: Path) -> 
 
 def test_nothing_is_shared_with_the_world(tour: Tour) -> None:
     assert tour.server.get_host() == "127.0.0.1" and tour.server.request_share_url() is None
-    assert dataclasses.is_dataclass(tour.plan)
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.2", tour.server.get_port())) != 0
+
+
+def test_more_steps_of_a_cycle_are_whole_cycles() -> None:
+    cycle, plain = np.array([0.1, 0.9, 0.3]), np.full(4, 0.2)
+    assert more_steps(cycle, 1.5).size in (3, 6) and more_steps(cycle, 0.5).tolist() == cycle.tolist()
+    assert more_steps(cycle, 0.0).size == 0
+    assert [more_steps(plain, times).size for times in (0.0, 0.5, 1.0, 2.0)] == [0, 2, 4, 8]
+
+
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 4 / 3, 3.0])
+def test_a_picture_is_framed_whole(room: RoomCapture, aspect: float) -> None:
+    camera = room[0].camera
+    framed = framed_picture(np.full((120, 160, 3), 200, np.uint8), camera, aspect)
+    assert framed.shape[1] / framed.shape[0] == pytest.approx(aspect, rel=0.02)
+    assert (framed == 200).all(axis=-1).sum() >= 0.98 * 120 * 160

@@ -10,7 +10,7 @@ import viser
 from hyjax.errors import InputError
 from hyjax.tour.plan import KINDS, Plan, facing
 from hyjax.tour.sky import Weather
-from hyjax.tour.viewer import guarded
+from hyjax.tour.viewer import guarded, within
 
 if TYPE_CHECKING:
     from hyjax.tour.page import Tour
@@ -62,6 +62,8 @@ class Controls:
             control.on_update(guarded(self.tour, functools.partial(self._set, name)))
 
     def _set(self, name: str, event: Any) -> None:
+        if name == "day" and len(str(event.target.value)) < len("2026-06-21"):
+            return  # still being typed
         self.tour.change(**{name: event.target.value})
 
     def _lamps(self) -> None:
@@ -129,7 +131,8 @@ class Controls:
         plan = self.tour.plan
         for name, control in self._plain.items():
             value = getattr(plan, name)
-            control.value = value % 360 if name == "north" else value
+            if name != "day" or len(control.value) >= len(value):  # not while it is being typed
+                control.value = value % 360 if name == "north" else value
         self._told.content = told(plan, self.tour)
 
     def choose(self, chosen: tuple[str, int] | None) -> None:
@@ -159,11 +162,11 @@ class Controls:
                     gui.add_slider("Lumen", 0.0, 100.0 if thing.kind == "candle" else most, step, thing.lumen),
                     "lumen",
                 )
-                bind(gui.add_slider("Kelvin", *KELVIN, 50, round(thing.kelvin)), "kelvin")
+                bind(gui.add_slider("Kelvin", *KELVIN, 50, round(within(thing.kelvin, *KELVIN))), "kelvin")
                 bind(gui.add_checkbox("On", thing.on), "on", bool)
             elif kind == "windows":
-                bind(gui.add_slider("Width", 0.2, 5.0, 0.05, thing.width), "width")
-                bind(gui.add_slider("Height", 0.2, 4.0, 0.05, thing.height), "height")
+                bind(gui.add_slider("Width", 0.2, 5.0, 0.05, within(thing.width, 0.2, 5.0)), "width")
+                bind(gui.add_slider("Height", 0.2, 4.0, 0.05, within(thing.height, 0.2, 4.0)), "height")
             else:
                 bind(gui.add_checkbox("Taken away", thing.removed), "removed", bool)
             done = gui.add_button("Done", icon=viser.Icon.CHECK)

@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Generator, Hashable
 
 QUIET = 0.2
 """Seconds without a change before coarse shadows are painted finely."""
@@ -26,7 +26,7 @@ class Easel:
         self._paint = paint
         self._wanted: OrderedDict[Hashable, None] = OrderedDict()
         self._drafts: OrderedDict[Hashable, None] = OrderedDict()
-        self._jobs: list[Iterator[None]] = []
+        self._jobs: list[Generator[None]] = []
         self._changed = threading.Condition()
         self._last = 0.0
         self._ended = self._painting = False
@@ -41,13 +41,20 @@ class Easel:
     def start(self) -> None:
         self._thread.start()
 
-    def want(self, *viewers: Hashable) -> None:
-        """These viewers' pictures are out of date."""
+    def want(self, *viewers: Hashable, moved: bool = True) -> None:
+        """These viewers' pictures are out of date.
+
+        Args:
+            viewers: whose.
+            moved: whether somebody is at it; if it is only time that has passed, drafts still become fine.
+        """
         with self._changed:
             for viewer in viewers:
                 self._wanted[viewer] = None
-                self._drafts.pop(viewer, None)
-            self._last = time.monotonic()
+                if moved:
+                    self._drafts.pop(viewer, None)
+            if moved:
+                self._last = time.monotonic()
             self._changed.notify()
 
     def forget(self, viewer: Hashable) -> None:
@@ -56,7 +63,7 @@ class Easel:
             self._wanted.pop(viewer, None)
             self._drafts.pop(viewer, None)
 
-    def work_on(self, job: Iterator[None]) -> None:
+    def work_on(self, job: Generator[None]) -> None:
         """Go through a job's steps when there is nothing better to do."""
         with self._changed:
             self._jobs.append(job)
@@ -69,6 +76,8 @@ class Easel:
             self._changed.notify()
         if self._thread.is_alive():
             self._thread.join()
+        for job in self._jobs:
+            job.close()  # what it has begun to write goes
 
     def _run(self) -> None:
         while (task := self._next()) is not None:
@@ -90,9 +99,9 @@ class Easel:
                     viewer, _ = self._drafts.popitem(last=False)
                     self._painting = True
                     return lambda: self._finish(viewer)
-                if self._jobs and not self._drafts:
+                if self._jobs and quiet >= QUIET:
                     return self._step
-                self._changed.wait(QUIET - quiet if self._drafts else None)
+                self._changed.wait(QUIET - quiet if self._drafts or self._jobs else None)
             return None
 
     def _draft(self, viewer: Hashable) -> None:

@@ -1,6 +1,6 @@
 """What one takes home from a tour: the picture, the set-up, a video. Files appear whole or not at all."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import av
@@ -35,7 +35,7 @@ def export_setup(studio: Studio, plan: Plan, out: Path) -> list[Path]:
     return files
 
 
-def video_job(studio: Studio, plan: Plan, view: View, out: Path, done: Callable[[Path], None]) -> Iterator[None]:
+def video_job(studio: Studio, plan: Plan, view: View, out: Path, done: Callable[[Path], None]) -> Generator[None]:
     """Relight the whole capture into an MP4 file, one frame a step.
 
     Args:

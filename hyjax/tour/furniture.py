@@ -18,7 +18,7 @@ from hyjax.scene.camera import Camera
 from hyjax.scene.raycast import Hits, RayCaster
 
 SHELL = 0.07
-"""Metres: what is nearer to floor, ceiling or an outer wall belongs to it."""
+"""Metres: what is nearer to floor, ceiling or outer wall belongs to it; up to twice that, as planes are binned."""
 LARGEST = 2.5
 """Metres: what hangs together over more than this is no piece of furniture; it is cut to a box around the point."""
 BOX = 0.7

@@ -1,5 +1,6 @@
 """What one grabs in the scene: lamps, windows, and the gizmo of whichever is chosen."""
 
+import threading
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +27,7 @@ class Handles:
         self.chosen: Chosen | None = None
         self._nodes: list[Any] = []
         self._gizmo: Any = None
+        self._drawing = threading.RLock()
 
     def select(self, chosen: Chosen | None) -> None:
         """Choose a lamp, window or piece by kind and number, as `("lamps", 0)`; None for nothing."""
@@ -35,6 +37,10 @@ class Handles:
 
     def draw(self) -> None:
         """Draw them all anew."""
+        with self._drawing:
+            self._draw()
+
+    def _draw(self) -> None:
         scene, plan = self.tour.server.scene, self.tour.plan
         for node in [*self._nodes, *([self._gizmo] if self._gizmo is not None else [])]:
             node.remove()
@@ -52,7 +58,7 @@ class Handles:
         if self.chosen is not None:
             self._gizmo = self._grab(*self.chosen)
         for viewer in list(self.tour.viewers.values()):
-            viewer.draw_room()
+            viewer.redraw_soon()
 
     def _add(self, node: Any, chosen: Chosen | None) -> None:
         self._nodes.append(node)

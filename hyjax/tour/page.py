@@ -6,20 +6,22 @@ viewer. Handlers only change the plan and tell the easel who is out of date.
 
 import contextlib
 import dataclasses
+import functools
 import io
 import logging
 import socket
 import threading
 import time
-from collections.abc import Hashable, Mapping
+from collections.abc import Generator, Hashable, Mapping
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import viser
 
 from hyjax.errors import InputError
-from hyjax.files import make_writable, write_text
+from hyjax.files import make_writable, whole, write_text
 from hyjax.schedule import Schedule
 from hyjax.tour import plan as plans
 from hyjax.tour.controls import Controls
@@ -86,6 +88,7 @@ class Tour:
         self.controls = Controls(self)
         self.handles.draw()
         self.easel.start()
+        self.server._websock_server.on_client_connect(self._same_site)
         self.server.on_client_connect(self._come)
         self.server.on_client_disconnect(self._go)
 
@@ -128,9 +131,11 @@ class Tour:
         with self._lock:
             things = list(getattr(self.plan, kind))
             if index < len(things):
-                del things[index]
+                gone = things.pop(index)
                 self.handles.select(None)
                 self.change(redraw=True, **{kind: tuple(things)})
+                if getattr(gone, "file", ""):
+                    (self.out / gone.file).unlink(missing_ok=True)
 
     def click(self, viewer: Viewer, tool: str, origin: Any, direction: Any) -> None:
         """A viewer has clicked into the scene with a tool."""
@@ -139,25 +144,30 @@ class Tour:
             if touch is None:
                 raise InputError("there is no surface here; click on a wall, the floor or a thing")
             if tool == "window":
-                windows = (*self.plan.windows, plans.place_window(touch.point, touch.normal, self.studio.up))
-                self.change(redraw=True, windows=windows)
-                self.handles.select(("windows", len(windows) - 1))
+                window = plans.place_window(touch.point, touch.normal, self.studio.up)
+                self.handles.select(("windows", self._add("windows", window)))
             elif tool == "furniture":
                 self._pick(touch.piece, touch.origin)
             else:
-                lamps = (*self.plan.lamps, plans.place_lamp(tool, touch.point, touch.normal))  # type: ignore[arg-type]
-                self.change(redraw=True, lamps=lamps)
-                self.handles.select(("lamps", len(lamps) - 1))
+                lamp = plans.place_lamp(tool, touch.point, touch.normal)  # type: ignore[arg-type]
+                self.handles.select(("lamps", self._add("lamps", lamp)))
         except InputError as error:
             viewer.refuse(error)
+
+    def _add(self, kind: str, thing: Any) -> int:
+        """Add to the plan's `windows`, `lamps` or `pieces`; its number."""
+        with self._lock:
+            things = (*getattr(self.plan, kind), thing)
+            self.change(redraw=True, **{kind: things})
+        return len(things) - 1
 
     def _pick(self, number: int | None, point: np.ndarray) -> None:
         if number is None:
             x, y, z = (round(float(v), 4) for v in point)
             piece = Piece((x, y, z))
             check_piece(self.studio, piece)
-            self.change(redraw=True, pieces=(*self.plan.pieces, piece))
-            number = len(self.plan.pieces) - 1
+            number = self.studio.same_piece(self.plan, piece)
+            number = self._add("pieces", piece) if number is None else number
         self.handles.select(("pieces", number))
 
     def bring(self, viewer: Viewer, name: str, content: bytes) -> None:
@@ -169,14 +179,14 @@ class Tour:
             if not 0 < len(content) <= MOST_UPLOADED:
                 raise InputError(f"{Path(name).name}: {len(content)} bytes; give a mesh of at most 64 MiB")
             file = f"mesh-{int(time.time() * 1e3):x}{suffix}"
-            (self.out / file).write_bytes(content)
+            with whole(self.out / file) as temporary:
+                temporary.write_bytes(content)
             try:
-                piece = self._brought(viewer, file)
-                self.change(redraw=True, pieces=(*self.plan.pieces, piece))
+                number = self._add("pieces", self._brought(viewer, file))
             except InputError as error:
                 (self.out / file).unlink(missing_ok=True)
                 raise InputError(str(error).replace(str(self.out / file), Path(name).name)) from None
-            self.handles.select(("pieces", len(self.plan.pieces) - 1))
+            self.handles.select(("pieces", number))
         except InputError as error:
             viewer.refuse(error)
 
@@ -233,9 +243,10 @@ class Tour:
 
     def save_view(self, viewer: Viewer) -> None:
         """Write the viewer's picture as PNG and EXR, and let the browser download both."""
-        if viewer.painting is None:
-            return
-        for file in export_view(viewer.painting, self.out):
+        painting = viewer.painting
+        if painting is None or painting.draft:
+            painting = self.studio.paint(self.plan, viewer.view())
+        for file in export_view(painting, self.out):
             viewer.client.send_file_download(file.name, file.read_bytes())
         viewer.say("Saved", f"Also in {self.out}", color="green")
 
@@ -245,15 +256,22 @@ class Tour:
         for file in files:
             viewer.client.send_file_download(file.name, file.read_bytes())
         names = " --mesh ".join(str(file) for file in files)
-        viewer.say("Saved", f"`hyjax relight --lights {names}` makes the same pictures", color="green", seconds=12)
+        height, width = self.studio.camera(viewer.frame).intrinsics.shape
+        command = f"hyjax relight --lights {names} --size {width}x{height}"
+        viewer.say("Saved", f"The same light, with your capture: {command}", color="green", seconds=15)
 
     def save_video(self, viewer: Viewer) -> None:
         """Relight the whole capture as a video, while nobody needs the machine for anything else."""
         viewer.say("Video", f"{len(self.studio.capture)} frames are being relit; you can go on meanwhile")
-        view = viewer.view()
-        self.easel.work_on(
-            video_job(self.studio, self.plan, view, self.out, done=lambda file: self._filmed(viewer, file))
-        )
+        self.easel.work_on(self._film(viewer))
+
+    def _film(self, viewer: Viewer) -> Generator[None]:
+        done = functools.partial(self._filmed, viewer)
+        try:
+            yield from video_job(self.studio, self.plan, viewer.view(), self.out, done)
+        except Exception as error:
+            viewer.say("The video was not made", str(error), color="red", seconds=None)
+            raise
 
     def _filmed(self, viewer: Viewer, file: Path) -> None:
         viewer.client.send_file_download(file.name, file.read_bytes())
@@ -261,9 +279,22 @@ class Tour:
 
     # ---- coming and going ----
 
+    async def _same_site(self, connection: Any) -> None:
+        """Hang up on pages of other sites: a browser lets them talk to servers of its own machine."""
+        wire = self.server._websock_server._live_connections[connection.client_id]
+        headers: Mapping[str, str] = wire.request.headers if wire.request is not None else {}
+        origin, host = headers.get("Origin"), headers.get("Host", "")
+        foreign = origin is not None and urlsplit(origin).netloc != host
+        renamed = self.server.get_host() == LOCAL and urlsplit(f"//{host}").hostname not in (LOCAL, "localhost")
+        if foreign or renamed:
+            await wire.close(1008, "not a page of this tour")
+
     def _come(self, client: viser.ClientHandle) -> None:
         viewer = Viewer(self, client)
         self.viewers[client.client_id] = viewer
+        if client.client_id not in self.server.get_clients():  # gone meanwhile
+            self._go(client)
+            return
         self.easel.want(client.client_id)
         viewer.say(
             "Room tour", "Drag the hour, or put a lamp somewhere. Drag the picture to look around.", seconds=10

@@ -23,6 +23,7 @@ T = TypeVar("T")
 Point = tuple[float, float, float]
 
 MOST_WINDOWS, MOST_LAMPS, MOST_PIECES = 8, 16, 8
+YEARS = 1900, 2100
 GLASS = 0.7
 """Share of the light that a window lets in."""
 GROUND = 0.2
@@ -137,7 +138,7 @@ class Plan:
         _within("hour", self.hour, 0, 24)
         _within("latitude", self.latitude, -90, 90)
         _within("north", self.north, -720, 720)
-        _within("exposure", self.exposure, -10, 10)
+        _within("exposure", self.exposure, -4, 4)
         _one_of("weather", self.weather, Weather)
         self.date()
         for name, things, most in (
@@ -172,9 +173,12 @@ class Plan:
             InputError: it is none.
         """
         try:
-            return datetime.date.fromisoformat(self.day)
+            day = datetime.date.fromisoformat(self.day)
         except (TypeError, ValueError):
             raise InputError(f"day: {self.day!r} must be a date such as 2026-06-21") from None
+        if not YEARS[0] <= day.year <= YEARS[1]:
+            raise InputError(f"day: {self.day} must lie in the years {YEARS[0]} to {YEARS[1]}")
+        return day
 
     def sky(self) -> Sky:
         """What shines outside."""
@@ -279,23 +283,24 @@ def reference_lux(entries: Sequence[Mapping[str, Any]], exposure: float) -> floa
     return float((2.0 * ambient) ** ADAPTATION * REFERENCE_LUX ** (1.0 - ADAPTATION) * 2.0**-exposure)
 
 
-def lights_file(plan: Plan, up: Float[np.ndarray, "3"], surface: float) -> dict[str, Any]:
-    """The plan as the content of a lights file, which `hyjax relight --lights` takes."""
-    entries = lights_of(plan, up, surface)
-    return {"reference_lux": reference_lux(entries, plan.exposure), "lights": entries}
+def lights_file(
+    plan: Plan, up: Float[np.ndarray, "3"], surface: float, flicker: Mapping[int, float] | None = None
+) -> dict[str, Any]:
+    """The plan as the content of a lights file, which `hyjax relight --lights` takes; see `lights_of`.
+
+    The camera does not follow a flicker: exposure is that of steady lamps.
+    """
+    steady = lights_of(plan, up, surface)
+    entries = lights_of(plan, up, surface, flicker) if flicker else steady
+    return {"reference_lux": reference_lux(steady, plan.exposure), "lights": entries}
 
 
 def setup_of(
     plan: Plan, up: Float[np.ndarray, "3"], surface: float, flicker: Mapping[int, float] | None = None
 ) -> tuple[list[dict[str, Any]], LightSetup]:
-    """Entries of `lights_of`, and the lights that they make.
-
-    The camera does not follow a flicker, hence exposure is that of steady lamps.
-    """
-    steady = lights_of(plan, up, surface)
-    entries = lights_of(plan, up, surface, flicker) if flicker else steady
-    content = {"reference_lux": reference_lux(steady, plan.exposure), "lights": entries}
-    return entries, parse_lights(content, up, "tour")
+    """Entries of `lights_file`, and the lights that they make."""
+    content = lights_file(plan, up, surface, flicker)
+    return content["lights"], parse_lights(content, up, "tour")
 
 
 def place_lamp(kind: LampKind, point: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) -> Lamp:

@@ -49,7 +49,7 @@ DRAFT = 0.25
 """Resolution of shadow maps while something is being dragged, relative to that of `hyjax relight`."""
 CHANNELS = 4
 """Lights are rounded up to a multiple of this: a lamp more rarely means compiling anew."""
-MAPS_MIB, LAYERS_MIB, FRAMES_MIB = 256, 192, 128
+MAPS_MIB, LAYERS_MIB, FRAMES_MIB = 512, 192, 128
 MOST_PARTS = 64
 BESIDE = (0.0, 0.01, 0.025, 0.05)  # tangents of angles
 ALBEDO = 0.6  # of the mesh in the 3-D view, whose colours nobody knows
@@ -183,7 +183,9 @@ class Studio:
         self._size, self._folder = size, folder
         self._caster = RayCaster(mesh)
         self._frames, self._maps, self._layers = Kept(FRAMES_MIB), Kept(MAPS_MIB), Kept(LAYERS_MIB)
-        self._parts: dict[tuple[Hashable, ...], Any] = {}
+        self._cameras: dict[int, Camera] = {}
+        self._parts: OrderedDict[tuple[Hashable, ...], Any] = OrderedDict()
+        self._making = threading.RLock()
 
     # ---- what there is ----
 
@@ -208,6 +210,12 @@ class Studio:
 
     def camera(self, index: int) -> Camera:
         return self.frame(index).camera
+
+    def captured_camera(self, index: int) -> Camera:
+        """Of a frame as it was captured; its picture is read for it only once."""
+        if index not in self._cameras:
+            self._cameras[index] = self.capture[index].camera
+        return self._cameras[index]
 
     def touch(self, plan: Plan, origin: Sequence[float], direction: Sequence[float]) -> Touch | None:
         """The first surface on a ray, or beside one that goes through a hole of the scan; None if there is none."""
@@ -257,7 +265,7 @@ class Studio:
             InputError: its file cannot be read.
         """
         if piece.file:
-            return self._remembered(("file", piece.file), lambda: load_mesh(self._folder / piece.file, repair=True))
+            return self._remembered(("file", piece.file), lambda: self._brought(piece.file))
         faces = self._faces(piece)
         if faces is None:
             return None
@@ -294,7 +302,7 @@ class Studio:
             picture = np.asarray(_quantised(_shown(view, relit, seen, gbuffer)))
             photo = bytes_of(frame.image)
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
-        coarse = draft and any(("fine", *self._light_key(e, view.frame, room)) not in self._layers for e in entries)
+        coarse = draft and not all(self._is_fine(entry, room) for entry in entries)
         return Painting(picture, photo, np.asarray(relit.image), frame, times, coarse)
 
     def lit_mesh(self, plan: Plan) -> trimesh.Trimesh:
@@ -315,7 +323,7 @@ class Studio:
         """The whole surface as the plan arranges it."""
         moved = []
         for part in self._room(plan).parts:
-            copy = part.caster.mesh.copy()
+            copy = part.caster.mesh.copy(include_cache=True)  # scanned normals, which shade it
             copy.apply_transform(part.pose)
             moved.append(copy)
         whole: trimesh.Trimesh = trimesh.util.concatenate(moved)  # type: ignore[assignment]
@@ -328,11 +336,28 @@ class Studio:
         return Seen(to_linear(display), self.guide.features(display))
 
     def _remembered(self, key: tuple[Hashable, ...], make: Callable[[], T]) -> T:
-        if key not in self._parts:
-            if len(self._parts) >= MOST_PARTS:
-                del self._parts[next(iter(self._parts))]
-            self._parts[key] = make()
-        return self._parts[key]
+        with self._making:
+            if key not in self._parts:
+                self._parts[key] = make()
+                while len(self._parts) > MOST_PARTS:
+                    self._parts.popitem(last=False)
+            self._parts.move_to_end(key)
+            return self._parts[key]
+
+    def _brought(self, file: str) -> trimesh.Trimesh:
+        mesh = load_mesh(self._folder / file, repair=True)
+        if Path(file).suffix == ".glb":  # whose y axis is up, always
+            mesh.apply_transform(trimesh.geometry.align_vectors([0.0, 1.0, 0.0], self.up))
+        return mesh
+
+    def same_piece(self, plan: Plan, piece: Piece) -> int | None:
+        """The number of the plan's piece that some of a new piece's surface belongs to."""
+        faces = self._faces(piece)
+        for number, other in enumerate(plan.pieces):
+            mask = None if other.file else self._faces(other)
+            if faces is not None and mask is not None and bool((faces & mask).any()):
+                return number
+        return None
 
     def _faces(self, piece: Piece) -> np.ndarray | None:
         return self._remembered(("faces", piece.seed), lambda: piece_at(self.mesh, np.asarray(piece.seed), self.up))
@@ -366,16 +391,19 @@ class Studio:
 
         return nearest([part_of(part, key) for part, key in zip(room.parts, room.keys, strict=True)])
 
-    def _light_key(self, entry: dict[str, Any], index: int, room: Room) -> tuple[Hashable, ...]:
-        return _geometry(entry), index, room.keys
-
     def _layer(
         self, entry: dict[str, Any], index: int, gbuffer: GBuffer, room: Room, draft: bool
     ) -> tuple[Array, Array]:
         """Lux of one light for an amount of 1, and what shadows leave of it."""
-        key = self._light_key(entry, index, room)
-        quality = "draft" if draft and ("fine", *key) not in self._layers else "fine"
-        return self._layers((quality, *key), lambda: self._light(entry, gbuffer, room, quality))
+        quality = "draft" if draft and not self._is_fine(entry, room) else "fine"
+        key = quality, _geometry(entry), index, room.keys
+        return self._layers(key, lambda: self._light(entry, gbuffer, room, quality))
+
+    def _is_fine(self, entry: dict[str, Any], room: Room) -> bool:
+        """Whether a light's shadow maps are there already."""
+        if entry["kind"] == "ambient":
+            return True
+        return all((_geometry(entry), key, "fine") in self._maps for key in room.keys)
 
     def _light(self, entry: dict[str, Any], gbuffer: GBuffer, room: Room, quality: str) -> tuple[Array, Array]:
         unit = {k: v for k, v in entry.items() if k not in LOOKS} | {_amount_key(entry): 1.0}

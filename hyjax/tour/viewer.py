@@ -7,6 +7,7 @@ the picture, a button or a click on a camera goes back into one.
 
 import contextlib
 import functools
+import logging
 import math
 import threading
 import time
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 WAIT = ("One moment", "Compiling what this picture needs; it is kept for the next time.")
 PATIENCE = 0.6  # seconds
+_log = logging.getLogger(__name__)
 MARGIN = 22  # grey beside the picture
 AWAY, TURNED = 0.02, 0.01  # metres and radians that mean leaving the picture
 SETTLING = 1.0  # seconds that a browser may take to put its camera where it was told to
@@ -40,11 +42,13 @@ KAPPA_RANGE, MOST_STEPS = 1.5, 4.0
 PLAYING_HZ, FLICKER_HZ = 12.0, 6.0
 JPEG_QUALITY = 88
 STAGES = {
+    "guide": "guide",
     "surface": "surface seen by the camera",
     "light": "light and shadow maps",
     "cascade": "diffusion of the light",
     "shadow pass": "diffusion of the shadows",
     "composite": "times the photo",
+    "show": "to the screen's bytes",
 }
 
 
@@ -57,9 +61,11 @@ class Viewer:
         """What the next click on a surface puts there or picks up."""
         self.painting: Painting | None = None
         self._in_picture, self._moved_at = True, 0.0
-        self._aspect = float(client.camera.aspect)
+        self._aspect = sensible_aspect(client.camera)
+        self._drawing = threading.RLock()
         self._nodes: list[Any] = []
         self._drawn: Plan | None = None
+        self._drawn_frame = -1
         client.scene.configure_default_lights(enabled=False)
         self._timer: threading.Timer | None = None
         self._gone = False
@@ -91,8 +97,12 @@ class Viewer:
         kappa = 10.0 ** within(self._kappa.value, -KAPPA_RANGE, KAPPA_RANGE)
 
         def level(old: Level) -> Level:
-            sizes = np.resize(np.asarray(old.step_sizes), round(old.steps * steps)) if old.steps else old.step_sizes
-            return Level(old.factor, sizes, np.float32(np.asarray(old.kappa) * kappa), old.attachment)
+            return Level(
+                old.factor,
+                more_steps(np.asarray(old.step_sizes), steps),
+                np.float32(np.asarray(old.kappa) * kappa),
+                old.attachment,
+            )
 
         levels = tuple(level(old) for old in base.levels)
         return Schedule(levels, base.pooling, base.norm, base.name, base.upsampling)
@@ -139,11 +149,11 @@ class Viewer:
             self.touched = time.monotonic()
             self.go(self.frame)
 
-    def go(self, frame: int) -> None:
-        """Go into the picture of a frame."""
+    def go(self, frame: int, *, moved: bool = True) -> None:
+        """Go into the picture of a frame; `moved`, see `Easel.want`."""
         self._frame.value = min(max(int(frame), 0), len(self.tour.studio.capture) - 1)
         self._enter()
-        self.tour.easel.want(self.client.client_id)
+        self.tour.easel.want(self.client.client_id, moved=moved)
 
     # ---- showing ----
 
@@ -167,12 +177,15 @@ class Viewer:
             self._stats.content = f"{rate}{1e3 * seconds:.0f} ms for this picture"
         rows = "\n".join(f"| {told} | {times[key]:.1f} |" for key, told in STAGES.items() if key in times)
         self._times.content = f"| stage | ms |\n|---|---|\n{rows}"
-        if not self._in_picture and self._drawn is not self.tour.plan:
-            self._later(REDRAW_AFTER, self.draw_room)
+        if not self._in_picture:
+            self.redraw_soon()
         elif self._play.value:
             self._later(max(0.0, 1 / PLAYING_HZ - seconds), self._advance)
         elif self.tour.flickers():
-            self._later(max(0.0, 1 / FLICKER_HZ - seconds), lambda: self.tour.easel.want(self.client.client_id))
+            self._later(
+                max(0.0, 1 / FLICKER_HZ - seconds),
+                functools.partial(self.tour.easel.want, self.client.client_id, moved=False),
+            )
 
     def say(self, title: str, body: str, *, color: Any = "blue", seconds: float | None = 6.0) -> None:
         """A notice in the page."""
@@ -208,7 +221,7 @@ class Viewer:
     def show_photo(self) -> None:
         """Show the frame as it was taken, until there is a painting of it."""
         frame = self.tour.studio.frame(self.frame)
-        framed, _ = framed_picture(bytes_of(frame.image), frame.camera, self._aspect)
+        framed = framed_picture(bytes_of(frame.image), frame.camera, self._aspect)
         self.client.scene.set_background_image(framed, "jpeg", jpeg_quality=JPEG_QUALITY)
 
     def leave(self) -> None:
@@ -226,12 +239,12 @@ class Viewer:
 
     def _advance(self) -> None:
         if not self._gone and self._play.value:
-            self.go((self.frame + 1) % len(self.tour.studio.capture))
+            self.go((self.frame + 1) % len(self.tour.studio.capture), moved=False)
 
     def _put(self, painting: Painting) -> None:
-        picture = wiped(painting.photo, painting.picture, self._wipe.value)
+        picture = wiped(painting.photo, painting.picture, within(self._wipe.value, 0.0, 1.0))
         if self._in_picture:
-            framed, _ = framed_picture(picture, painting.frame.camera, self._aspect)
+            framed = framed_picture(picture, painting.frame.camera, self._aspect)
             self.client.scene.set_background_image(framed, "jpeg", jpeg_quality=JPEG_QUALITY)
         self.client.flush()
 
@@ -242,10 +255,10 @@ class Viewer:
 
     def _enter(self) -> None:
         camera = self.tour.studio.camera(self.frame)
-        _, angle = framed_picture(np.zeros((*camera.intrinsics.shape, 3), np.uint8), camera, self._aspect)
+        _, _, angle = canvas_of(camera, self._aspect)
         self._moved_at = time.monotonic()
         self._in_picture = True
-        with self.client.atomic():
+        with self._drawing, self.client.atomic():
             self.client.camera.wxyz = quaternion(camera.pose)
             self.client.camera.position = camera.origin
             self.client.camera.fov = angle
@@ -256,8 +269,8 @@ class Viewer:
     async def _camera_moved(self, camera: viser.CameraHandle) -> None:
         if not self._in_picture:
             return
-        if abs(camera.aspect - self._aspect) > 1e-3:
-            self._aspect = float(camera.aspect)
+        if abs(sensible_aspect(camera) - self._aspect) > 1e-3:
+            self._aspect = sensible_aspect(camera)
             self.go(self.frame)
             return
         pose = self.tour.studio.camera(self.frame).pose
@@ -275,23 +288,33 @@ class Viewer:
         self._in_picture = False
         self.client.scene.set_background_image(None)
         self._back.visible = True
-        self.draw_room()
+        for node in self._nodes:
+            node.visible = True
+        self.redraw_soon()
 
-    def draw_room(self) -> None:
-        """The mesh and the camera path, as they are now, for whoever flies."""
-        if self._in_picture:
-            return
+    def redraw_soon(self) -> None:
+        """Draw the room anew, if it has changed, for whoever flies; not on the thread that serves all browsers."""
+        if not self._in_picture and (self._drawn is not self.tour.plan or self._drawn_frame != self.frame):
+            self._later(REDRAW_AFTER, self._draw_room)
+
+    def _draw_room(self) -> None:
+        """The mesh and the camera path, as they are now."""
+        with self._drawing:
+            if not self._in_picture and not self._gone:
+                self._draw_nodes()
+
+    def _draw_nodes(self) -> None:
         for node in self._nodes:
             node.remove()
         scene, studio = self.client.scene, self.tour.studio
-        self._drawn = self.tour.plan
+        self._drawn, self._drawn_frame = self.tour.plan, self.frame
         self._nodes = [
             # Light is painted on: one that the scene added would shade it twice.
             scene.add_light_ambient("/ambient", intensity=math.pi),
             scene.add_mesh_trimesh("/room", studio.lit_mesh(self._drawn)),
         ]
         for index in spread(range(len(studio.capture)), CAMERAS):
-            camera = studio.capture[index].camera
+            camera = studio.captured_camera(index)
             k = camera.intrinsics
             here = index == self.frame
             frustum = scene.add_camera_frustum(
@@ -331,8 +354,13 @@ def guarded(tour: "Tour", handler: Callable[[Any], None]) -> Callable[[Any], Any
         try:
             handler(event)
         except InputError as error:
+            tour.controls.follow()
             if viewer is not None:
                 viewer.refuse(error)
+        except Exception:
+            _log.exception("a control of the tour failed")
+            if viewer is not None:
+                viewer.say("Something went wrong", "See the terminal for what it was.", color="red")
 
     return handle
 
@@ -363,21 +391,43 @@ def wiped(
     return both
 
 
+def sensible_aspect(camera: viser.CameraHandle) -> float:
+    """Width of a browser's scene over its height, whatever it says."""
+    try:
+        aspect = float(camera.aspect)
+    except ZeroDivisionError:
+        aspect = 1.0
+    return min(max(aspect, 0.2), 5.0) if math.isfinite(aspect) else 1.0
+
+
+def more_steps(step_sizes: Float[np.ndarray, "n"], times: float) -> Float[np.ndarray, "m"]:
+    """Step sizes for so many times the steps; cycles of varying sizes are repeated whole, as they must be."""
+    if len(set(step_sizes.tolist())) > 1:
+        return np.tile(step_sizes, max(round(times), int(times > 0)))
+    return np.resize(step_sizes, round(len(step_sizes) * times)) if len(step_sizes) else step_sizes
+
+
+def canvas_of(camera: Camera, aspect: float) -> tuple[int, int, float]:
+    """Height and width of the canvas of `framed_picture`, and its vertical angle of view in radians."""
+    k = camera.intrinsics
+    height = k.height if aspect * k.height >= k.width else round(k.width / aspect)
+    return height, round(height * aspect), 2.0 * float(np.arctan(0.5 * height / k.fy))
+
+
 def framed_picture(
     picture: UInt8[np.ndarray, "h w 3"], camera: Camera, aspect: float
-) -> tuple[UInt8[np.ndarray, "H W 3"], float]:
-    """A picture in the middle of a canvas of the browser's proportions, and the canvas's vertical angle of view.
+) -> UInt8[np.ndarray, "H W 3"]:
+    """A camera's picture in the middle of a canvas of the browser's proportions.
 
     In the middle stands the camera's principal point, so that a browser's camera, which always looks through the
     middle, sees the world where the picture shows it.
     """
     h, w = picture.shape[:2]
     k = camera.intrinsics
-    height = h if aspect * h >= w else round(w / aspect)
-    width = round(height * aspect)
+    height, width, _ = canvas_of(camera, aspect)
     top, left = round(0.5 * height - k.cy), round(0.5 * width - k.cx)
     canvas = np.full((height, width, 3), MARGIN, np.uint8)
     y0, x0 = max(top, 0), max(left, 0)
     y1, x1 = min(top + h, height), min(left + w, width)
     canvas[y0:y1, x0:x1] = picture[y0 - top : y1 - top, x0 - left : x1 - left]
-    return canvas, 2.0 * float(np.arctan(0.5 * height / k.fy))
+    return canvas
