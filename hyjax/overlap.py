@@ -18,23 +18,23 @@ DEPTH = 2
 
 
 def ahead(
-    function: Callable[[Item], Result], items: Iterable[Item], depth: int = DEPTH
+    function: Callable[[Item], Result], items: Iterable[Item], depth: int = DEPTH, threads: int = 1
 ) -> Generator[Result, None, None]:
-    """`map(function, items)`, with up to `depth` results made ahead by another thread, in order.
+    """`map(function, items)`, with up to `depth` results made ahead by other threads, in order.
 
     What `function` raises is raised here, in its turn. Nothing further is begun once the generator is closed.
     """
-    thread = ThreadPoolExecutor(1, thread_name_prefix="ahead")
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="ahead")
     waiting: collections.deque[Future[Result]] = collections.deque()
     try:
         for item in items:
-            waiting.append(thread.submit(function, item))
+            waiting.append(pool.submit(function, item))
             if len(waiting) > depth:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
     finally:
-        thread.shutdown(wait=True, cancel_futures=True)
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 @contextlib.contextmanager
@@ -45,7 +45,7 @@ def behind(depth: int = DEPTH) -> Iterator[Callable[[Callable[[], object]], None
     ones, or at the end; calls after it are not done. If the body raises an exception, what it has asked for is
     still done; if it is interrupted, only what has begun.
     """
-    thread = ThreadPoolExecutor(1, thread_name_prefix="behind")
+    pool = ThreadPoolExecutor(1, thread_name_prefix="behind")
     waiting: collections.deque[Future[object]] = collections.deque()
     failed = threading.Event()
 
@@ -58,7 +58,7 @@ def behind(depth: int = DEPTH) -> Iterator[Callable[[Callable[[], object]], None
                 raise
 
     def later(call: Callable[[], object]) -> None:
-        waiting.append(thread.submit(unless_failed, call))
+        waiting.append(pool.submit(unless_failed, call))
         while waiting and (len(waiting) > depth or waiting[0].done()):
             waiting.popleft().result()
 
@@ -73,4 +73,4 @@ def behind(depth: int = DEPTH) -> Iterator[Callable[[Callable[[], object]], None
         interrupted = True
         raise
     finally:
-        thread.shutdown(wait=True, cancel_futures=interrupted)
+        pool.shutdown(wait=True, cancel_futures=interrupted)

@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import functools
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -73,7 +73,8 @@ def relight_capture(
 
     While the device relights a frame, the next ones are read and their rays cast, and the last ones encoded and
     written: the stages' milliseconds in `run.json` overlap, and `frames_per_second` (after the first `WARM_UP`) is
-    what comes out. These threads do not see JAX's context managers that stand around the call.
+    what comes out. These threads do not see JAX's context managers that stand around the call. Where there are
+    several devices, frames go to them in turns, unless each needs the one before it (`video`).
 
     Every file appears whole or not at all, so that an interrupted run leaves nothing half-written.
 
@@ -124,45 +125,64 @@ def relight_capture(
         sheet_every = max(1, -(-len(chosen) // SHEET_ROWS))
         skipped, written = [], []
 
+        # Each device has its own lights and shadow maps; Blender, and what frames leave to the next, there is once.
+        devices = jax.local_devices()[: 1 if video or renderer == "blender" else None]
+        held = [jax.device_put((setup.lights, given), device) for device in devices] if len(devices) > 1 else []
+
         def see(index: int) -> tuple[Frame, GBuffer]:
             with clock("read"):
                 frame = fit(capture[index], size)
             with clock("g-buffer"):
                 return frame, jax.block_until_ready(caster.gbuffer(frame.camera))
 
+        def relight_frame(numbered: tuple[int, tuple[Frame, GBuffer]]) -> tuple[Frame, Relit | None]:
+            number, (frame, gbuffer) = numbered
+            if not bool(gbuffer.hit.any()):
+                return frame, None
+            lights, options = setup.lights, dict(given)
+            display = jnp.asarray(frame.image)
+            if held:
+                lights, options = held[number % len(held)]
+                display, gbuffer = jax.device_put((display, gbuffer), devices[number % len(held)])
+            if renderer == "blender":
+                with clock("blender"):
+                    rendering = blender.render(frame.camera)
+                gbuffer = rendering.seen_by_both(gbuffer)
+                options |= {
+                    "shading": jnp.asarray(rendering.shading),
+                    "visibility": jnp.asarray(rendering.visibility),
+                }
+            with clock("guide"):
+                features = jax.block_until_ready(guide.features(display))
+            if video:
+                camera = frame.camera
+                options["settle"] = memory.settle(
+                    gbuffer, lights, features, schedule, camera.pose, camera.intrinsics.matrix
+                )
+            stages = relight_stages(
+                to_linear(display),
+                gbuffer,
+                lights,
+                features,
+                schedule,
+                reference_lux=setup.reference_lux,
+                mode=mode,
+                **options,
+            )
+            return frame, clock.follow(stages)
+
         begun = Stopwatch()
-        with behind() as later, contextlib.closing(ahead(see, chosen)) as seen:
-            for frame, gbuffer in tqdm(seen, "relighting", len(chosen), unit="frame", disable=not progress):
-                if not bool(gbuffer.hit.any()):
+        with contextlib.ExitStack() as running:
+            later = running.enter_context(behind())
+            seen = enumerate(running.enter_context(contextlib.closing(ahead(see, chosen))))
+            done: Iterator[tuple[Frame, Relit | None]] = map(relight_frame, seen)
+            if held:
+                many = ahead(relight_frame, seen, len(held), threads=len(held))
+                done = running.enter_context(contextlib.closing(many))
+            for frame, relit in tqdm(done, "relighting", len(chosen), unit="frame", disable=not progress):
+                if relit is None:
                     skipped.append(frame.name)
                     continue
-                if renderer == "blender":
-                    with clock("blender"):
-                        rendering = blender.render(frame.camera)
-                    gbuffer = rendering.seen_by_both(gbuffer)
-                    given |= {
-                        "shading": jnp.asarray(rendering.shading),
-                        "visibility": jnp.asarray(rendering.visibility),
-                    }
-                display = jnp.asarray(frame.image)
-                with clock("guide"):
-                    features = jax.block_until_ready(guide.features(display))
-                if video:
-                    camera = frame.camera
-                    given["settle"] = memory.settle(
-                        gbuffer, setup.lights, features, schedule, camera.pose, camera.intrinsics.matrix
-                    )
-                stages = relight_stages(
-                    to_linear(display),
-                    gbuffer,
-                    setup.lights,
-                    features,
-                    schedule,
-                    reference_lux=setup.reference_lux,
-                    mode=mode,
-                    **given,
-                )
-                relit = clock.follow(stages)
                 pictures = _pictures(relit, outputs)
                 later(functools.partial(_write_frame, clock, out, frame.name, pictures, mode))
                 written.append(frame.name)

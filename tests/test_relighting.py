@@ -1,12 +1,17 @@
 """A capture relit from Python: which frames, at which size, what is written, what is skipped."""
 
+import dataclasses
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from conftest import UNOPTIMISED
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -190,14 +195,33 @@ class Corner:
         return (self[i] for i in range(3))
 
 
-@pytest.fixture(scope="module")
-def wall() -> RayCaster:
+class Twice(Corner):
+    """Each of them once more."""
+
+    def __len__(self) -> int:
+        return 6
+
+    def __getitem__(self, index: int) -> Frame:
+        frame = super().__getitem__(index % 3)
+        return frame if index < 3 else dataclasses.replace(frame, name=frame.name.replace("f", "g"))
+
+
+def make_wall() -> RayCaster:
     corners = [[2, -5, -5], [2, 5, -5], [2, 5, 5], [2, -5, 5.0]]
     return RayCaster(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False))
 
 
 @pytest.fixture(scope="module")
+def wall() -> RayCaster:
+    return make_wall()
+
+
+@pytest.fixture(scope="module")
 def setup() -> LightSetup:
+    return make_setup()
+
+
+def make_setup() -> LightSetup:
     lights = [
         {"kind": "point", "position": [0.5, 0.5, 0.5], "power": 3000},
         {"kind": "ambient", "illuminance": 50, "color": [0.5, 0.7, 1.0]},
@@ -231,7 +255,7 @@ def test_run_is_summarised(run: tuple[dict, Path], setup: LightSetup) -> None:
     )
     assert {stages[stage]["count"] for stage in ("shading", "cascade", "composite", "write")} == {1}
     assert stages["read"]["count"] == 2 and stages["shadow maps"]["count"] == 0
-    assert stages["cascade"]["first_ms"] > stages["cascade"]["median_ms"] > 0
+    assert stages["cascade"]["first_ms"] > 0 and stages["cascade"]["median_ms"] > 0
     again = read_lights(out / "lights.json", UP)
     assert again.reference_lux == 250 and len(again.lights) == len(setup.lights)
 
@@ -249,6 +273,37 @@ def test_all_files_of_a_run_are_there_and_whole(run: tuple[dict, Path]) -> None:
     dark = linear < 0.9
     curve = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
     np.testing.assert_allclose(shown[dark], curve[dark], atol=0.6 / 255 + 1e-3)
+
+
+@pytest.mark.slow
+def test_several_devices_make_the_same_pictures(run: tuple[dict, Path], tmp_path: Path) -> None:
+    _, out = run
+    code = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+import hyjax.relighting as relighting
+import jax
+import test_relighting as t
+assert jax.device_count() == 2
+used = set()
+real = relighting.relight_stages
+def noted(frame, *arguments, **options):
+    used.add(frame.device)
+    return real(frame, *arguments, **options)
+relighting.relight_stages = noted
+out = t.Path({str(tmp_path)!r})
+summary = t.relight_capture(t.Twice(), t.make_wall(), t.make_setup(), t.SCHEDULE, out, progress=False)
+assert len(used) == 2 and summary["frames"] == ["f0", "f2", "g0", "g2"], (used, summary["frames"])
+"""
+    environment = os.environ | {"XLA_FLAGS": f"{UNOPTIMISED} --xla_force_host_platform_device_count=2"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=400
+    )
+    assert done.returncode == 0, done.stderr
+    for name, again in (("f0", "g0"), ("f2", "g2")):
+        one = read_image(out / f"{name}.relit.exr")
+        for other in (name, again):
+            np.testing.assert_allclose(one, read_image(tmp_path / f"{other}.relit.exr"), rtol=2e-3, atol=1e-4)
 
 
 def test_frames_size_and_mode_are_obeyed(wall: RayCaster, setup: LightSetup, tmp_path: Path) -> None:
