@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import trimesh
@@ -234,6 +235,7 @@ def run(wall: RayCaster, setup: LightSetup, tmp_path_factory: pytest.TempPathFac
     out = tmp_path_factory.mktemp("run") / "made" / "here"
     kinds = Outputs(filters=True, visibility=True)
     settings = {"note": "für immer"}
+    jax.clear_caches()  # the first frame is to compile, whatever ran before
     return relight_capture(
         Corner(), wall, setup, SCHEDULE, out, outputs=kinds, settings=settings, progress=False
     ), out
@@ -255,7 +257,7 @@ def test_run_is_summarised(run: tuple[dict, Path], setup: LightSetup) -> None:
     )
     assert {stages[stage]["count"] for stage in ("shading", "cascade", "composite", "write")} == {1}
     assert stages["read"]["count"] == 2 and stages["shadow maps"]["count"] == 0
-    assert stages["cascade"]["first_ms"] > 0 and stages["cascade"]["median_ms"] > 0
+    assert stages["cascade"]["first_ms"] > stages["cascade"]["median_ms"] > 0
     again = read_lights(out / "lights.json", UP)
     assert again.reference_lux == 250 and len(again.lights) == len(setup.lights)
 

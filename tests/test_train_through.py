@@ -19,7 +19,7 @@ def test_both_ways_are_trained_and_judged(tmp_path: Path, monkeypatch: pytest.Mo
     config = Config(
         *specs,
         encoder="toy",
-        updates=6,
+        updates=20,
         batch=2,
         features=2,
         size=32,
@@ -31,7 +31,7 @@ def test_both_ways_are_trained_and_judged(tmp_path: Path, monkeypatch: pytest.Mo
     rows = read_rows(config.out / FILE)
     runs = of_kind(rows, "run")
     assert [row["through"] for row in runs] == list(THROUGH)
-    assert all(len(row["losses"]) == 6 and row["seconds"] > 0 for row in runs)
+    assert all(len(row["losses"]) == 20 and row["seconds"] > 0 for row in runs)
     assert runs[0]["losses"] != runs[1]["losses"]
     methods = {row["method"] for row in of_kind(rows, "score")}
     assert {f"{through}.safetensors, 20 steps" for through in THROUGH} < methods

@@ -86,7 +86,7 @@ class Controls:
             if viewer is not None:
                 tour.bring(viewer, event.target.value.name, event.target.value.content)
 
-        bring.on_upload(lambda event: uploaded(event))
+        bring.on_upload(uploaded)
 
     def _save(self) -> None:
         gui, tour = self.tour.server.gui, self.tour
@@ -156,12 +156,9 @@ class Controls:
 
         with self._chosen:
             if kind == "lamps":
-                most = max(LARGEST_LUMEN, thing.lumen)
-                step = 1.0 if thing.kind == "candle" else 10.0
-                bind(
-                    gui.add_slider("Lumen", 0.0, 100.0 if thing.kind == "candle" else most, step, thing.lumen),
-                    "lumen",
-                )
+                most, step = (100.0, 1.0) if thing.kind == "candle" else (LARGEST_LUMEN, 10.0)
+                most = max(most, thing.lumen)
+                bind(gui.add_slider("Lumen", 0.0, most, step, thing.lumen), "lumen")
                 bind(gui.add_slider("Kelvin", *KELVIN, 50, round(within(thing.kelvin, *KELVIN))), "kelvin")
                 bind(gui.add_checkbox("On", thing.on), "on", bool)
             elif kind == "windows":

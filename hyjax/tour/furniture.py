@@ -5,17 +5,19 @@ falls apart into pieces.
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 from scipy import sparse
 
 from hyjax.gbuffer import GBuffer
 from hyjax.scene.camera import Camera
 from hyjax.scene.raycast import Hits, RayCaster
+from hyjax.tour.plan import compass
 
 SHELL = 0.07
 """Metres: what is nearer to floor, ceiling or outer wall belongs to it; up to twice that, as planes are binned."""
@@ -70,9 +72,7 @@ def _axes(
     normals: Float[np.ndarray, "m 3"], areas: Float[np.ndarray, "m"], up: Float[np.ndarray, "3"]
 ) -> list[Float[np.ndarray, "3"]]:
     """Up and the two directions that most of the upright surface faces."""
-    x = np.eye(3)[np.argmin(np.abs(up))]
-    x = (x - (x @ up) * up) / np.linalg.norm(x - (x @ up) * up)
-    y = np.cross(up, x)
+    x, y, up = compass(0.0, up)
     upright = np.abs(normals @ up) < 0.3
     angle = np.arctan2(normals[upright] @ y, normals[upright] @ x)
     # Four times the angle is the same for all four walls; its weighted mean is theirs.
@@ -113,6 +113,21 @@ class Part:
             return self.caster.gbuffer(camera)
         seen = self.caster.gbuffer(Camera(camera.intrinsics, np.linalg.inv(self.pose) @ camera.pose))
         return _posed(seen, jnp.asarray(self.pose, jnp.float32))
+
+
+def cast_parts(
+    parts: Sequence[Part], origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], Int[np.ndarray, "n"]]:
+    """Nearest hits among parts: distance (infinite for a miss), normal of the triangle, number of the part."""
+    distances, normals = np.full(len(directions), np.inf), np.zeros((len(directions), 3))
+    numbers = np.zeros(len(directions), int)
+    for number, part in enumerate(parts):
+        hits = part.cast(origins, directions)
+        nearer = hits.distance < distances
+        faces = part.caster.mesh.face_normals[hits.face[nearer]]
+        distances[nearer], numbers[nearer] = hits.distance[nearer], number
+        normals[nearer] = np.asarray(faces, float) @ part.pose[:3, :3].T
+    return distances, normals, numbers
 
 
 def nearest(parts: list[GBuffer]) -> GBuffer:

@@ -7,7 +7,7 @@ import numpy as np
 import viser.transforms
 
 from hyjax.color import blackbody, to_display
-from hyjax.tour.plan import Lamp, Piece, Window, compass
+from hyjax.tour.plan import Lamp, Piece, Window, upright
 from hyjax.tour.viewer import guarded, quaternion
 
 if TYPE_CHECKING:
@@ -124,10 +124,7 @@ class Handles:
 def _frame(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
     """A rotation whose z axis is `forward`, its y axis as upright as can be."""
     z = forward / np.linalg.norm(forward)
-    y = up - (up @ z) * z
-    if np.linalg.norm(y) < 1e-2:
-        y = compass(0.0, up)[1] - (compass(0.0, up)[1] @ z) * z
-    y /= np.linalg.norm(y)
+    y = upright(z, up)
     return np.stack([np.cross(y, z), y, z], axis=1)
 
 

@@ -65,7 +65,7 @@ class Tour:
         schedules: Mapping[str, Schedule],
         out: Path,
         *,
-        host: str = "127.0.0.1",
+        host: str = LOCAL,
         port: int = 8080,
     ) -> None:
         make_writable(out)
@@ -79,7 +79,7 @@ class Tour:
         self._begun = time.monotonic()
         with contextlib.redirect_stdout(io.StringIO()):  # viser draws a box
             self.server = viser.ViserServer(host, port, label="hyjax room tour", verbose=False)
-        self.url = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{self.server.get_port()}"
+        self.url = f"http://{'localhost' if host in (LOCAL, '0.0.0.0') else host}:{self.server.get_port()}"
         self.server.request_share_url = _never_share  # type: ignore[method-assign]
         self.server.scene.set_up_direction(tuple(studio.up))
         self.server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
@@ -234,7 +234,7 @@ class Tour:
             viewer.refuse(error)
             return False
         except Exception:
-            viewer.say("Something went wrong", "This picture could not be painted; see the terminal.", color="red")
+            viewer.fail()
             raise
         viewer.show(painting, time.perf_counter() - begun, latest=draft)
         return painting.draft

@@ -233,7 +233,7 @@ def lights_of(
         opening = {
             "center": (np.asarray(window.center) + 0.01 * inward).tolist(),
             "normal": inward.tolist(),
-            "up": _upright(inward, up).tolist(),
+            "up": upright(inward, up).tolist(),
             "width": float(window.width),
             "height": float(window.height),
         }
@@ -357,7 +357,7 @@ def _lamp_entry(lamp: Lamp, lumen: float, up: Float[np.ndarray, "3"]) -> dict[st
             | angles
             | light
         )
-    size = {"width": STRIP[0], "height": STRIP[1], "up": _upright(direction, up).tolist()}
+    size = {"width": STRIP[0], "height": STRIP[1], "up": upright(direction, up).tolist()}
     return {"kind": "rect", "center": position, "normal": direction.tolist()} | size | light
 
 
@@ -367,8 +367,8 @@ def _balanced(kelvin: float) -> float:
     return 1.0 / (neutral + (1.0 - BALANCE) * (1.0 / kelvin - neutral))
 
 
-def _upright(normal: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """The direction across `normal` that is nearest to `up`; any, where normal and up are one."""
+def upright(normal: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The unit direction across `normal` that is nearest to `up`; any, where normal and up are one."""
     across = up - (up @ normal) * normal
     if np.linalg.norm(across) < 1e-2:
         axis = np.eye(3)[np.argmin(np.abs(normal))]

@@ -18,12 +18,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Array, ArrayLike, Float, UInt8
 
 from hyjax.color import blackbody, to_display, to_linear
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit
-from hyjax.data.light_file import LightSetup, parse_lights
+from hyjax.data.light_file import parse_lights
 from hyjax.data.light_setups import survey_capture
 from hyjax.diffusion import conductance
 from hyjax.errors import InputError
@@ -38,8 +38,8 @@ from hyjax.scene.shadow_caster import cast_shadow_maps, fibonacci_sphere
 from hyjax.schedule import Schedule
 from hyjax.shading import colored, shade_each
 from hyjax.shadow import ShadowMap, visibility
-from hyjax.tour.furniture import Part, nearest, piece_at
-from hyjax.tour.plan import Piece, Plan, Window, facing, flicker, setup_of
+from hyjax.tour.furniture import Part, cast_parts, nearest, piece_at
+from hyjax.tour.plan import Piece, Plan, Window, facing, flicker, lights_file, setup_of
 from hyjax.tuning.latency import StageClock
 
 Shown = Literal["relit", "photo", "raw filter", "refined filter", "visibility", "conductances", "holes"]
@@ -105,13 +105,19 @@ class Touch:
     origin: Float[np.ndarray, "3"]
 
 
-class Kept:
-    """What was made last, up to a size in memory."""
+def mebibytes(made: object) -> float:
+    """What arrays, or the picture of a frame, take in memory."""
+    pixels = made.image if isinstance(made, Frame) else made
+    return sum(getattr(leaf, "nbytes", 0) for leaf in jax.tree.leaves(pixels)) / 2**20
 
-    def __init__(self, mebibytes: float) -> None:
-        self._most = mebibytes * 2**20
+
+class Kept:
+    """What was made last, up to a sum of weights: of what it takes in memory, unless `weigh` says otherwise."""
+
+    def __init__(self, most: float, weigh: Callable[[object], float] = mebibytes) -> None:
+        self._most, self._weigh = most, weigh
         self._made: OrderedDict[Hashable, Any] = OrderedDict()
-        self._size = 0
+        self._size = 0.0
         self._lock = threading.Lock()
 
     def __contains__(self, key: Hashable) -> bool:
@@ -126,16 +132,11 @@ class Kept:
         with self._lock:
             if key not in self._made:
                 self._made[key] = made
-                self._size += _bytes(made)
+                self._size += self._weigh(made)
             while self._size > self._most and len(self._made) > 1:
                 _, old = self._made.popitem(last=False)
-                self._size -= _bytes(old)
+                self._size -= self._weigh(old)
         return made
-
-
-def _bytes(made: object) -> int:
-    pixels = made.image if isinstance(made, Frame) else made
-    return sum(getattr(leaf, "nbytes", 0) for leaf in jax.tree.leaves(pixels))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -184,8 +185,7 @@ class Studio:
         self._caster = RayCaster(mesh)
         self._frames, self._maps, self._layers = Kept(FRAMES_MIB), Kept(MAPS_MIB), Kept(LAYERS_MIB)
         self._cameras: dict[int, Camera] = {}
-        self._parts: OrderedDict[tuple[Hashable, ...], Any] = OrderedDict()
-        self._making = threading.RLock()
+        self._parts = Kept(MOST_PARTS, weigh=lambda _: 1.0)
 
     # ---- what there is ----
 
@@ -231,32 +231,21 @@ class Studio:
         return None
 
     def _touch(self, plan: Plan, origin: Sequence[float], direction: Float[np.ndarray, "3"]) -> Touch | None:
-        best: tuple[float, Touch] | None = None
-        room = self._room(plan)
-        start, ray = np.asarray(origin, float)[None], direction[None]
-        for part, piece in zip(room.parts, room.pieces, strict=True):
-            hits = part.cast(start, ray)
-            distance = float(hits.distance[0])
-            if hits.hit[0] and (best is None or distance < best[0]):
-                turn, shift = part.pose[:3, :3], part.pose[:3, 3]
-                point = start[0] + distance * ray[0]
-                normal = turn @ np.asarray(part.caster.mesh.face_normals[hits.face[0]], float)
-                normal = -normal if normal @ ray[0] > 0 else normal
-                best = distance, Touch(point, normal, piece, (point - shift) @ turn)
-        return None if best is None else best[1]
+        room, start = self._room(plan), np.asarray(origin, float)
+        distances, normals, numbers = cast_parts(room.parts, start[None], direction[None])
+        if not np.isfinite(distances[0]):
+            return None
+        pose, point, normal = room.parts[numbers[0]].pose, start + distances[0] * direction, normals[0]
+        towards = -normal if normal @ direction > 0 else normal
+        return Touch(point, towards, room.pieces[numbers[0]], (point - pose[:3, 3]) @ pose[:3, :3])
 
     def hidden(self, plan: Plan, point: Sequence[float]) -> bool:
         """Whether a point is inside something, or outside the room: most surfaces around show it their backs."""
         directions = fibonacci_sphere(64)
         origins = np.broadcast_to(np.asarray(point, float), directions.shape)
-        distance, back = np.full(len(directions), np.inf), np.zeros(len(directions), bool)
-        for part in self._room(plan).parts:
-            hits = part.cast(origins, directions)
-            normals = np.asarray(part.caster.mesh.face_normals, float)[hits.face] @ part.pose[:3, :3].T
-            nearer = hits.distance < distance
-            back = np.where(nearer, np.einsum("nk,nk->n", normals, directions) > 0, back)
-            distance = np.where(nearer, hits.distance, distance)
-        return bool(back.sum() > 0.5 * np.isfinite(distance).sum())
+        distances, normals, _ = cast_parts(self._room(plan).parts, origins, directions)
+        back = np.einsum("nk,nk->n", normals, directions) > 0
+        return bool(back.sum() > 0.5 * np.isfinite(distances).sum())
 
     def piece_mesh(self, piece: Piece) -> trimesh.Trimesh | None:
         """The surface of a piece where it was scanned; None if there is nothing at its seed but the room itself.
@@ -265,11 +254,11 @@ class Studio:
             InputError: its file cannot be read.
         """
         if piece.file:
-            return self._remembered(("file", piece.file), lambda: self._brought(piece.file))
+            return self._parts(("file", piece.file), lambda: self._brought(piece.file))
         faces = self._faces(piece)
         if faces is None:
             return None
-        return self._remembered(("mesh", piece.seed), lambda: submesh(self.mesh, faces))
+        return self._parts(("mesh", piece.seed), lambda: submesh(self.mesh, faces))
 
     # ---- painting ----
 
@@ -287,7 +276,8 @@ class Studio:
         """
         clock = StageClock()
         flames = {k: flicker(seconds, k) for k, lamp in enumerate(plan.lamps) if lamp.kind == "candle"}
-        entries, setup = setup_of(plan, self.up, self.surface, flames if seconds else None)
+        content = lights_file(plan, self.up, self.surface, flames if seconds else None)
+        entries, lux = content["lights"], content["reference_lux"]
         frame = self.frame(view.frame)
         with clock("guide"):
             seen = self._frames(("seen", view.frame), lambda: jax.block_until_ready(self._see(frame)))
@@ -297,10 +287,10 @@ class Studio:
         with clock("light"):
             layers = [self._layer(entry, view.frame, gbuffer, room, draft) for entry in entries]
             jax.block_until_ready(layers)
-        relit = _relight(clock, entries, setup, layers, seen, gbuffer, view.schedule)
+        relit = _relight(clock, entries, lux, layers, seen, gbuffer, view.schedule)
         with clock("show"):
-            picture = np.asarray(_quantised(_shown(view, relit, seen, gbuffer)))
-            photo = bytes_of(frame.image)
+            picture = bytes_of(_shown(view, relit, seen, gbuffer))
+            photo = self._frames(("photo", view.frame), lambda: bytes_of(frame.image))
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
         coarse = draft and not all(self._is_fine(entry, room) for entry in entries)
         return Painting(picture, photo, np.asarray(relit.image), frame, times, coarse)
@@ -312,11 +302,11 @@ class Studio:
         vertices, normals = (jnp.asarray(x, jnp.float32)[None] for x in (mesh.vertices, mesh.vertex_normals))
         everywhere = jnp.ones(vertices.shape[:2])
         seen = GBuffer(vertices, normals, everywhere, everywhere > 0)
-        layers = [self._light(entry, seen, room, "draft") for entry in entries]
+        layers = [self._light(entry, seen, room, self._quality(entry, room, draft=True)) for entry in entries]
         amounts = [float(entry[_amount_key(entry)]) for entry in entries]
         shades = [amount * lux * lit for amount, (lux, lit) in zip(amounts, layers, strict=True)]
         light = colored(jnp.stack(shades, axis=-1), setup.lights) / setup.reference_lux
-        mesh.visual.vertex_colors = bytes_of(np.asarray(to_display(ALBEDO * light))[0])  # type: ignore[union-attr]
+        mesh.visual.vertex_colors = bytes_of(to_display(ALBEDO * light))[0]  # type: ignore[union-attr]
         return mesh
 
     def arranged_mesh(self, plan: Plan) -> trimesh.Trimesh:
@@ -335,15 +325,6 @@ class Studio:
         display = jnp.asarray(frame.image)
         return Seen(to_linear(display), self.guide.features(display))
 
-    def _remembered(self, key: tuple[Hashable, ...], make: Callable[[], T]) -> T:
-        with self._making:
-            if key not in self._parts:
-                self._parts[key] = make()
-                while len(self._parts) > MOST_PARTS:
-                    self._parts.popitem(last=False)
-            self._parts.move_to_end(key)
-            return self._parts[key]
-
     def _brought(self, file: str) -> trimesh.Trimesh:
         mesh = load_mesh(self._folder / file, repair=True)
         if Path(file).suffix == ".glb":  # whose y axis is up, always
@@ -360,14 +341,14 @@ class Studio:
         return None
 
     def _faces(self, piece: Piece) -> np.ndarray | None:
-        return self._remembered(("faces", piece.seed), lambda: piece_at(self.mesh, np.asarray(piece.seed), self.up))
+        return self._parts(("faces", piece.seed), lambda: piece_at(self.mesh, np.asarray(piece.seed), self.up))
 
     def _room(self, plan: Plan) -> Room:
         still = np.eye(4)
         scanned = tuple(sorted({piece.seed for piece in plan.pieces if not piece.file}))
         masks = [mask for seed in scanned if (mask := self._faces(Piece(seed))) is not None]
         if masks:
-            rest = self._remembered(
+            rest = self._parts(
                 ("rest", scanned), lambda: RayCaster(submesh(self.mesh, ~np.logical_or.reduce(masks)))
             )
         else:
@@ -379,7 +360,7 @@ class Studio:
             if piece.removed or (mesh := self.piece_mesh(piece)) is None:
                 continue
             name = ("piece", piece.seed, piece.file)
-            caster = self._remembered(("caster", name), functools.partial(RayCaster, mesh))
+            caster = self._parts(("caster", name), functools.partial(RayCaster, mesh))
             parts.append(Part(caster, piece.matrix, self.mesh))
             keys.append((name, piece.pose))
             pieces.append(number)
@@ -395,9 +376,12 @@ class Studio:
         self, entry: dict[str, Any], index: int, gbuffer: GBuffer, room: Room, draft: bool
     ) -> tuple[Array, Array]:
         """Lux of one light for an amount of 1, and what shadows leave of it."""
-        quality = "draft" if draft and not self._is_fine(entry, room) else "fine"
+        quality = self._quality(entry, room, draft)
         key = quality, _geometry(entry), index, room.keys
         return self._layers(key, lambda: self._light(entry, gbuffer, room, quality))
+
+    def _quality(self, entry: dict[str, Any], room: Room, draft: bool) -> str:
+        return "draft" if draft and not self._is_fine(entry, room) else "fine"
 
     def _is_fine(self, entry: dict[str, Any], room: Room) -> bool:
         """Whether a light's shadow maps are there already."""
@@ -443,7 +427,7 @@ def _color(kelvin: float) -> np.ndarray:
 def _relight(
     clock: StageClock,
     entries: list[dict[str, Any]],
-    setup: LightSetup,
+    reference_lux: float,
     layers: list[tuple[Array, Array]],
     seen: Seen,
     gbuffer: GBuffer,
@@ -466,7 +450,7 @@ def _relight(
         schedule,
         shading=each,
         visibility=visible,
-        reference_lux=np.float32(setup.reference_lux),
+        reference_lux=np.float32(reference_lux),
     )
     return clock.follow(stages)
 
@@ -508,9 +492,9 @@ def _quantised(picture: Array) -> Array:
     return jnp.round(jnp.clip(picture, 0.0, 1.0) * 255.0).astype(jnp.uint8)
 
 
-def bytes_of(picture: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+def bytes_of(picture: Float[ArrayLike, "*s 3"]) -> UInt8[np.ndarray, "*s 3"]:
     """A display-encoded picture in whole numbers."""
-    return np.round(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)
+    return np.asarray(_quantised(picture))
 
 
 def check_piece(studio: Studio, piece: Piece) -> None:

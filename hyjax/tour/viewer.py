@@ -109,7 +109,6 @@ class Viewer:
 
     def _build(self) -> None:
         gui, last = self.client.gui, len(self.tour.studio.capture) - 1
-        repaint = self._repaint
         with gui.add_folder("View", order=-2):
             self._frame: Any = gui.add_slider("Frame", 0, max(last, 1), 1, 0, hint="Where the photo was taken from")
             self._wipe = gui.add_slider(
@@ -120,7 +119,7 @@ class Viewer:
             self._stats = gui.add_markdown("Compiling the first picture …")
         self._frame.on_update(self._go)
         self._wipe.on_update(self._rewipe)
-        self._play.on_update(repaint)
+        self._play.on_update(self._repaint)
         self._back.on_click(self._enter_again)
         with gui.add_folder("How it works", expand_by_default=False, order=2):
             self._shown = gui.add_dropdown("Show", get_args(Shown), hint="A stage of the picture")
@@ -133,7 +132,7 @@ class Viewer:
             self._times = gui.add_markdown("")
             self._photo = gui.add_image(np.zeros((3, 4, 3), np.uint8), label="The photo", format="jpeg")
         for control in (self._shown, self._named, self._kappa, self._steps):
-            control.on_update(repaint)
+            control.on_update(self._repaint)
 
     async def _repaint(self, _: Any) -> None:
         self.touched = time.monotonic()
@@ -151,7 +150,7 @@ class Viewer:
 
     def go(self, frame: int, *, moved: bool = True) -> None:
         """Go into the picture of a frame; `moved`, see `Easel.want`."""
-        self._frame.value = min(max(int(frame), 0), len(self.tour.studio.capture) - 1)
+        self._frame.value = round(within(frame, 0, len(self.tour.studio.capture) - 1))
         self._enter()
         self.tour.easel.want(self.client.client_id, moved=moved)
 
@@ -196,6 +195,10 @@ class Viewer:
         """What was asked for cannot be."""
         self.say("That does not work", str(error), color="red")
 
+    def fail(self) -> None:
+        """Something that nobody thought of; the log has it."""
+        self.say("Something went wrong", "See the terminal for what it was.", color="red")
+
     @contextlib.contextmanager
     def patience(self) -> Iterator[None]:
         """Say so if what is done in the block takes its time."""
@@ -221,8 +224,7 @@ class Viewer:
     def show_photo(self) -> None:
         """Show the frame as it was taken, until there is a painting of it."""
         frame = self.tour.studio.frame(self.frame)
-        framed = framed_picture(bytes_of(frame.image), frame.camera, self._aspect)
-        self.client.scene.set_background_image(framed, "jpeg", jpeg_quality=JPEG_QUALITY)
+        self._fill(bytes_of(frame.image), frame.camera)
 
     def leave(self) -> None:
         """The browser has gone."""
@@ -244,9 +246,12 @@ class Viewer:
     def _put(self, painting: Painting) -> None:
         picture = wiped(painting.photo, painting.picture, within(self._wipe.value, 0.0, 1.0))
         if self._in_picture:
-            framed = framed_picture(picture, painting.frame.camera, self._aspect)
-            self.client.scene.set_background_image(framed, "jpeg", jpeg_quality=JPEG_QUALITY)
+            self._fill(picture, painting.frame.camera)
         self.client.flush()
+
+    def _fill(self, picture: UInt8[np.ndarray, "h w 3"], camera: Camera) -> None:
+        framed = framed_picture(picture, camera, self._aspect)
+        self.client.scene.set_background_image(framed, "jpeg", jpeg_quality=JPEG_QUALITY)
 
     # ---- in the picture or around the mesh ----
 
@@ -360,7 +365,7 @@ def guarded(tour: "Tour", handler: Callable[[Any], None]) -> Callable[[Any], Any
         except Exception:
             _log.exception("a control of the tour failed")
             if viewer is not None:
-                viewer.say("Something went wrong", "See the terminal for what it was.", color="red")
+                viewer.fail()
 
     return handle
 
