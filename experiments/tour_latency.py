@@ -38,7 +38,7 @@ TITLE = "The room tour, from slider to picture"
 HOUR = 2  # which slider, from the top
 PICTURE_BYTES = 8000  # what is larger than this is a picture
 THERE_AND_BACK = 20  # changes until the slider turns round
-REST = 60  # milliseconds, in which the last change's pictures may still come
+REST = 80  # milliseconds without a picture, after which the last change has had all of its pictures
 WAIT = 120.0
 
 
@@ -64,7 +64,8 @@ def main(config: Config) -> None:
         page.locator(".mantine-Slider-thumb").nth(HOUR).focus()
         waits = []
         for number in tqdm(range(config.warm_up + config.changes), "changes"):
-            page.wait_for_timeout(REST)
+            while received and 1e3 * (time.perf_counter() - received[-1]) < REST:
+                page.wait_for_timeout(5)
             sent.clear()
             received.clear()
             page.keyboard.press("ArrowRight" if number // THERE_AND_BACK % 2 else "ArrowLeft")

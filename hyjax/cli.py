@@ -395,7 +395,7 @@ def run_tour(command: Tour) -> None:
     from hyjax.files import make_writable
     from hyjax.guide.choose import open_guide
     from hyjax.schedule import PRESETS, Schedule
-    from hyjax.tour.page import LOCAL, check_port
+    from hyjax.tour.door import LOCAL, check_port
     from hyjax.tour.page import Tour as ServedTour
     from hyjax.tour.studio import Studio
 
@@ -424,6 +424,7 @@ def run_tour(command: Tour) -> None:
             f"hyjax: listening at {command.host}: whoever reaches it can see and change this tour", file=sys.stderr
         )
     tour = ServedTour(studio, schedules, command.out, host=command.host, port=command.port)
+    tour.warm_up()
     print(f"The tour is open at {tour.url} (Ctrl-C ends it)", flush=True)
     try:
         threading.Event().wait()

@@ -27,12 +27,18 @@ from hyjax.images import read_image
 from hyjax.relighting import relight_capture
 from hyjax.scene.raycast import RayCaster
 from hyjax.schedule import Schedule
-from hyjax.tour.page import Tour, check_port
-from hyjax.tour.plan import MOST_LAMPS, place_lamp
+from hyjax.tour.canvas import canvas_of, framed_picture, rays_through, wiped
+from hyjax.tour.door import check_port
+from hyjax.tour.house import Touch
+from hyjax.tour.page import Tour
+from hyjax.tour.painting import more_steps
+from hyjax.tour.place import place_lamp
+from hyjax.tour.plan import MOST_LAMPS
 from hyjax.tour.studio import Studio
-from hyjax.tour.viewer import canvas_of, framed_picture, more_steps, wiped
+from hyjax.tour.viewer import quaternion
 
 SCHEDULES = {name: Schedule.preset(name) for name in ("hyjax", "paper-50")}
+UP = np.array([0.0, 0.0, 1.0])
 FRAME, WIPE, HOUR = 0, 1, 2  # sliders, from the top
 
 
@@ -73,13 +79,32 @@ def on_screen(tour: Tour, page: Page, point: Any, frame: int = 0) -> tuple[float
     return 0.5 * box["width"] + scale * x / z, 0.5 * box["height"] + scale * y / z
 
 
+def wall(tour: Tour) -> Touch:
+    """A place on a bare wall, in view of the first frame."""
+    house, camera = tour.studio.house, tour.studio.camera(0)
+    for ray in camera.rays()[10:-40:4, 20:-20:4].reshape(-1, 3):
+        touch = house.touch(tour.plan, camera.origin.tolist(), ray.tolist())
+        if touch is None or abs(touch.normal @ UP) > 0.05:
+            continue
+        across = np.cross(UP, touch.normal)
+        around = [
+            touch.point + 0.45 * (a * across + b * UP) - camera.origin for a in (-1, 0, 1) for b in (-1, 0, 1)
+        ]
+        points, _ = house.seen(tour.plan, camera.origin, np.stack(around))
+        flat = len(points) == 9 and np.abs((points - touch.point) @ touch.normal).max() < 0.03
+        facing = -touch.normal @ ray / np.linalg.norm(ray) > 0.7
+        if flat and facing:
+            return touch
+    raise AssertionError("no bare wall in view")
+
+
 def table(tour: Tour) -> np.ndarray:
     """A point on top of something that stands in the room, in view of the first frame."""
     camera = tour.studio.camera(0)
     rays = camera.rays()
     for row in range(camera.intrinsics.height - 8, camera.intrinsics.height // 2, -2):
         for column in range(20, camera.intrinsics.width - 20, 4):
-            touch = tour.studio.touch(tour.plan, camera.origin.tolist(), rays[row, column].tolist())
+            touch = tour.studio.house.touch(tour.plan, camera.origin.tolist(), rays[row, column].tolist())
             if touch is not None and touch.normal[2] > 0.99 and 0.3 < touch.point[2] < 0.9:
                 return touch.point
     raise AssertionError("no table in view")
@@ -139,7 +164,7 @@ def test_a_piece_of_furniture_is_moved(tour: Tour, chromium: Any) -> None:
     page.click(*on_screen(tour, page, table(tour)))
     until(lambda: tour.plan.pieces)
     (piece,) = tour.plan.pieces
-    mesh = tour.studio.piece_mesh(piece)
+    mesh = tour.studio.house.piece_mesh(piece)
     assert mesh is not None
     pivot = mesh.bounds.mean(axis=0)
     up = np.array([0.0, 0.0, 1.0])
@@ -150,6 +175,28 @@ def test_a_piece_of_furniture_is_moved(tour: Tour, chromium: Any) -> None:
     assert abs(tour.plan.pieces[0].matrix[0, 3]) < 0.05, "up only"
     page.press("Done")
     assert np.abs(page.picture() - before).mean() > 0.3, "its shadow is another"
+
+
+@pytest.mark.slow
+def test_a_window_is_drawn_on_a_wall(tour: Tour, chromium: Any) -> None:
+    page = Page(chromium, tour)
+    before = page.picture()
+    place = wall(tour)
+    across, high = np.cross(UP, place.normal), UP
+    page.press("Add a window")
+    page.page.get_by_text("draw a rectangle on a wall").wait_for()
+    page.page.wait_for_timeout(500)
+    corners = (place.point + 0.3 * (high - across), place.point + 0.3 * (across - high))
+    page.drag(*(on_screen(tour, page, corner) for corner in corners))
+    until(lambda: len(tour.plan.windows) == 2)
+    window = tour.plan.windows[-1]
+    assert window.normal == pytest.approx(place.normal, abs=0.1)
+    assert window.center == pytest.approx(place.point, abs=0.15)
+    assert 0.4 < window.width < 0.8 and 0.4 < window.height < 0.8
+    page.press("Done")
+    assert np.abs(page.picture() - before).mean() > 1
+    page.drag((300.0, 300.0), (340.0, 300.0))
+    page.page.get_by_role("button", name="Back into the picture").wait_for()  # dragging turns the camera again
 
 
 @pytest.mark.slow
@@ -268,7 +315,7 @@ def test_a_mesh_is_brought_and_a_video_taken_home(tour: Tour, chromium: Any, tmp
     tour.bring(viewer, "stool.ply", content)
     (piece,) = tour.plan.pieces
     assert (tmp_path / piece.file).is_file()
-    mesh = tour.studio.piece_mesh(piece)
+    mesh = tour.studio.house.piece_mesh(piece)
     assert mesh is not None
     lowest = (mesh.vertices @ piece.matrix[:3, :3].T + piece.matrix[:3, 3])[:, 2].min()
     assert -0.05 < lowest < 1.0, "it stands on something"
@@ -338,3 +385,16 @@ def test_a_picture_is_framed_whole(room: RoomCapture, aspect: float) -> None:
     framed = framed_picture(np.full((120, 160, 3), 200, np.uint8), camera, aspect)
     assert framed.shape[1] / framed.shape[0] == pytest.approx(aspect, rel=0.02)
     assert (framed == 200).all(axis=-1).sum() >= 0.98 * 120 * 160
+
+
+@pytest.mark.parametrize("aspect", [0.5, 4 / 3, 3.0])
+def test_rays_through_the_scene_are_those_of_the_camera(room: RoomCapture, aspect: float) -> None:
+    camera = room[2].camera
+    height, width, angle = canvas_of(camera, aspect)
+    k = camera.intrinsics
+    pixels = np.array([(3.5, 4.5), (100.5, 7.5), (80.5, 110.5)])
+    screen = 0.5 + (pixels - (k.cx, k.cy)) / (width, height)
+    found = rays_through(screen, quaternion(camera.pose), angle, width / height)
+    columns, rows = pixels.astype(int).T
+    expected = camera.rays()[rows, columns]
+    np.testing.assert_allclose(found, expected / (expected @ camera.pose[:3, 2])[:, None], atol=1e-5)

@@ -24,8 +24,12 @@ from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.schedule import Schedule
 from hyjax.tour import studio as studio_module
 from hyjax.tour.furniture import Part, nearest, piece_at, shell
-from hyjax.tour.plan import Piece, Plan, Window, lights_file, place_lamp
-from hyjax.tour.studio import Kept, Studio, View
+from hyjax.tour.kept import Kept
+from hyjax.tour.lighting import lights_file
+from hyjax.tour.painting import View
+from hyjax.tour.place import place_lamp
+from hyjax.tour.plan import Piece, Plan, Window
+from hyjax.tour.studio import Studio
 
 HYJAX = Schedule.preset("hyjax")
 VIEW = View(0, "relit", HYJAX)
@@ -72,7 +76,7 @@ def plan() -> Plan:
 
 def seed_of(studio: Studio, plan: Plan) -> Piece:
     """The cube, as a click from above picks it."""
-    touch = studio.touch(plan, (0.5, 0.4, 2.0), (0.0, 0.0, -1.0))
+    touch = studio.house.touch(plan, (0.5, 0.4, 2.0), (0.0, 0.0, -1.0))
     assert touch is not None and touch.piece is None
     np.testing.assert_allclose(touch.point, (0.5, 0.4, 0.7), atol=1e-5)
     np.testing.assert_allclose(touch.normal, UP, atol=1e-6)
@@ -90,7 +94,7 @@ def test_a_painting_is_what_relight_makes_of_its_lights(studio: Studio, plan: Pl
     file = tmp_path / "lights.json"
     file.write_text(json.dumps(lights_file(plan, UP, studio.surface)))
     setup, frame = read_lights(file, UP), studio.frame(0)
-    caster = RayCaster(studio.mesh)
+    caster = RayCaster(studio.house.mesh)
     display = jnp.asarray(frame.image)
     whole = relight(
         to_linear(display),
@@ -196,7 +200,7 @@ def test_shadows_follow_a_piece_that_moves(studio: Studio, plan: Plan) -> None:
     piece = seed_of(studio, at_night)
     there = dataclasses.replace(at_night, pieces=(dataclasses.replace(piece, pose=moved((0.0, -1.0, 0.0), 20.0)),))
     found = studio.paint(there, VIEW).linear
-    expected = Studio(BoxCapture(), studio.arranged_mesh(there)).paint(at_night, VIEW).linear
+    expected = Studio(BoxCapture(), studio.house.arranged_mesh(there)).paint(at_night, VIEW).linear
     still = studio.paint(at_night, VIEW).linear
     assert np.abs(found - still).mean() > 5 * np.abs(found - expected).mean()
 
@@ -213,13 +217,13 @@ def test_only_what_moved_is_cast_again(studio: Studio, plan: Plan, monkeypatch: 
     monkeypatch.setattr(studio_module, "cast_shadow_maps", counted)
     pushed = dataclasses.replace(piece, pose=moved((0.1, 0.0, 0.0)))
     studio.paint(dataclasses.replace(plan, pieces=(pushed,)), VIEW)
-    assert cast and {len(part.caster.mesh.faces) for part in cast} == {len(studio.piece_mesh(piece).faces)}  # type: ignore[union-attr]
+    assert cast and {len(part.caster.mesh.faces) for part in cast} == {len(studio.house.piece_mesh(piece).faces)}  # type: ignore[union-attr]
 
 
 def test_a_removed_piece_is_gone_and_put_back_all_is_as_before(studio: Studio, plan: Plan) -> None:
     piece = seed_of(studio, plan)
     gone = dataclasses.replace(plan, pieces=(dataclasses.replace(piece, removed=True),))
-    touch = studio.touch(gone, (0.5, 0.4, 2.0), (0.0, 0.0, -1.0))
+    touch = studio.house.touch(gone, (0.5, 0.4, 2.0), (0.0, 0.0, -1.0))
     assert touch is None or touch.point[2] < 0.1
     put_back = dataclasses.replace(plan, pieces=(piece,))
     before, back = (studio.paint(p, VIEW).linear for p in (plan, put_back))
@@ -228,7 +232,7 @@ def test_a_removed_piece_is_gone_and_put_back_all_is_as_before(studio: Studio, p
 
 def test_a_click_on_a_moved_piece_tells_which_and_where_it_came_from(studio: Studio, plan: Plan) -> None:
     piece = dataclasses.replace(seed_of(studio, plan), pose=moved((0.0, -1.0, 0.0)))
-    touch = studio.touch(dataclasses.replace(plan, pieces=(piece,)), (0.5, -0.6, 2.0), (0.0, 0.0, -1.0))
+    touch = studio.house.touch(dataclasses.replace(plan, pieces=(piece,)), (0.5, -0.6, 2.0), (0.0, 0.0, -1.0))
     assert touch is not None and touch.piece == 0
     np.testing.assert_allclose(touch.origin, (0.5, 0.4, 0.7), atol=1e-5)
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, get_args
 import viser
 
 from hyjax.errors import InputError
-from hyjax.tour.plan import KINDS, Plan, facing
+from hyjax.tour.place import facing
+from hyjax.tour.plan import KINDS, Plan
 from hyjax.tour.sky import Weather
 from hyjax.tour.viewer import guarded, within
 
@@ -55,7 +56,7 @@ class Controls:
                 self._plain["north"] = gui.add_slider(
                     "North", 0.0, 360.0, 1.0, plan.north % 360, hint="Turns the house"
                 )
-            gui.add_button("Add a window", icon=viser.Icon.WINDOW, hint="Then click on a wall").on_click(
+            gui.add_button("Add a window", icon=viser.Icon.WINDOW, hint="Then draw it on a wall").on_click(
                 self._tool("window")
             )
         for name, control in self._plain.items():
@@ -116,11 +117,7 @@ class Controls:
         async def take(event: Any) -> None:
             viewer = self.tour.viewers.get(event.client_id)
             if viewer is not None:
-                viewer.tool = tool
-                where = {"window": "on a wall", "furniture": "on a piece of furniture"}.get(
-                    tool, "where the lamp goes"
-                )
-                viewer.say(tool.capitalize(), f"Now click {where}.")
+                viewer.take(None if viewer.tool == tool else tool)
 
         return take
 

@@ -57,6 +57,11 @@ class Easel:
                 self._last = time.monotonic()
             self._changed.notify()
 
+    def wanted(self, viewer: Hashable) -> bool:
+        """Whether a viewer's latest wish still waits."""
+        with self._changed:
+            return viewer in self._wanted
+
     def forget(self, viewer: Hashable) -> None:
         """This viewer has left."""
         with self._changed:

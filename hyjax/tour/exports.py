@@ -10,8 +10,10 @@ from hyjax.data.light_file import write_lights
 from hyjax.files import whole
 from hyjax.images import write_exr, write_png
 from hyjax.scene.mesh import save_mesh
-from hyjax.tour.plan import Plan, setup_of
-from hyjax.tour.studio import Painting, Studio, View
+from hyjax.tour.lighting import setup_of
+from hyjax.tour.painting import Painting, View
+from hyjax.tour.plan import Plan
+from hyjax.tour.studio import Studio
 
 FRAME_RATE = 12
 
@@ -31,7 +33,7 @@ def export_setup(studio: Studio, plan: Plan, out: Path) -> list[Path]:
     write_lights(files[0], setup)
     if plan.pieces:
         files.append(out / "mesh.ply")
-        save_mesh(files[1], studio.arranged_mesh(plan))
+        save_mesh(files[1], studio.house.arranged_mesh(plan))
     return files
 
 

@@ -17,7 +17,7 @@ from scipy import sparse
 from hyjax.gbuffer import GBuffer
 from hyjax.scene.camera import Camera
 from hyjax.scene.raycast import Hits, RayCaster
-from hyjax.tour.plan import compass
+from hyjax.tour.place import compass
 
 SHELL = 0.07
 """Metres: what is nearer to floor, ceiling or outer wall belongs to it; up to twice that, as planes are binned."""

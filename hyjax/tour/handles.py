@@ -7,7 +7,8 @@ import numpy as np
 import viser.transforms
 
 from hyjax.color import blackbody, to_display
-from hyjax.tour.plan import Lamp, Piece, Window, upright
+from hyjax.tour.place import upright
+from hyjax.tour.plan import Lamp, Piece, Window
 from hyjax.tour.viewer import guarded, quaternion
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ class Handles:
 
     def _pivot(self, piece: Piece) -> np.ndarray:
         """A piece turns about the middle of its box."""
-        mesh = self.tour.studio.piece_mesh(piece)
+        mesh = self.tour.studio.house.piece_mesh(piece)
         return np.zeros(3) if mesh is None else np.asarray(mesh.bounds.mean(axis=0))
 
     def _move(self, kind: str, index: int, pose: np.ndarray) -> None:

@@ -7,32 +7,31 @@ viewer. Handlers only change the plan and tell the easel who is out of date.
 import contextlib
 import dataclasses
 import functools
-import io
 import logging
-import socket
 import threading
 import time
 from collections.abc import Generator, Hashable, Mapping
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import numpy as np
 import viser
+from jaxtyping import Float
 
 from hyjax.errors import InputError
 from hyjax.files import make_writable, whole, write_text
 from hyjax.schedule import Schedule
-from hyjax.tour import plan as plans
 from hyjax.tour.controls import Controls
+from hyjax.tour.door import LOCAL, address, open_door
 from hyjax.tour.easel import Easel
 from hyjax.tour.exports import export_setup, export_view, video_job
 from hyjax.tour.handles import Handles
+from hyjax.tour.painting import View
+from hyjax.tour.place import draw_window, place_lamp, place_window
 from hyjax.tour.plan import Piece, Plan
-from hyjax.tour.studio import Studio, check_piece
+from hyjax.tour.studio import Studio, Unwanted
 from hyjax.tour.viewer import Viewer
 
-LOCAL = "127.0.0.1"
 SAVED = "tour.json"
 SAVE_AFTER = 0.5
 """Seconds after a change until the plan is kept."""
@@ -71,16 +70,13 @@ class Tour:
         make_writable(out)
         self.studio, self.schedules, self.out = studio, dict(schedules), out
         self.plan = self._kept_plan()
-        check_port(host, port)
         self.viewers: dict[int, Viewer] = {}
         self.easel = Easel(self._paint)
         self._lock = threading.RLock()
         self._saving: threading.Timer | None = None
         self._begun = time.monotonic()
-        with contextlib.redirect_stdout(io.StringIO()):  # viser draws a box
-            self.server = viser.ViserServer(host, port, label="hyjax room tour", verbose=False)
-        self.url = f"http://{'localhost' if host in (LOCAL, '0.0.0.0') else host}:{self.server.get_port()}"
-        self.server.request_share_url = _never_share  # type: ignore[method-assign]
+        self.server = open_door(host, port)
+        self.url = address(host, self.server)
         self.server.scene.set_up_direction(tuple(studio.up))
         self.server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         self.server.gui.main_panel.dock_right()
@@ -88,9 +84,13 @@ class Tour:
         self.controls = Controls(self)
         self.handles.draw()
         self.easel.start()
-        self.server._websock_server.on_client_connect(self._same_site)
         self.server.on_client_connect(self._come)
         self.server.on_client_disconnect(self._go)
+
+    def warm_up(self) -> None:
+        """Compile what the first visitors may ask for, while nobody asks for anything."""
+        view = View(0, "relit", next(iter(self.schedules.values())))
+        self.easel.work_on(self.studio.warm_up(self.plan, view))
 
     def stop(self) -> None:
         """Keep the plan and end the server."""
@@ -140,17 +140,30 @@ class Tour:
     def click(self, viewer: Viewer, tool: str, origin: Any, direction: Any) -> None:
         """A viewer has clicked into the scene with a tool."""
         try:
-            touch = self.studio.touch(self.plan, origin, direction)
+            touch = self.studio.house.touch(self.plan, origin, direction)
             if touch is None:
                 raise InputError("there is no surface here; click on a wall, the floor or a thing")
             if tool == "window":
-                window = plans.place_window(touch.point, touch.normal, self.studio.up)
+                window = place_window(touch.point, touch.normal, self.studio.up)
                 self.handles.select(("windows", self._add("windows", window)))
             elif tool == "furniture":
                 self._pick(touch.piece, touch.origin)
             else:
-                lamp = plans.place_lamp(tool, touch.point, touch.normal)  # type: ignore[arg-type]
+                lamp = place_lamp(tool, touch.point, touch.normal)  # type: ignore[arg-type]
                 self.handles.select(("lamps", self._add("lamps", lamp)))
+        except InputError as error:
+            viewer.refuse(error)
+
+    def draw(self, viewer: Viewer, origin: Any, rays: Float[np.ndarray, "n m 3"]) -> None:
+        """A viewer has drawn a window; rays through a rectangle, from its top left to its bottom right."""
+        try:
+            start, inside = np.asarray(origin, float), rays.reshape(-1, 3)
+            if not (np.isfinite(start).all() and np.isfinite(rays).all()):
+                raise InputError("window: its corners must be finite numbers")
+            points, normals = self.studio.house.seen(self.plan, start, inside)
+            corners = rays[[0, 0, -1, -1], [0, -1, -1, 0]]
+            window = draw_window(start, corners, points, normals, self.studio.up)
+            self.handles.select(("windows", self._add("windows", window)))
         except InputError as error:
             viewer.refuse(error)
 
@@ -165,8 +178,8 @@ class Tour:
         if number is None:
             x, y, z = (round(float(v), 4) for v in point)
             piece = Piece((x, y, z))
-            check_piece(self.studio, piece)
-            number = self.studio.same_piece(self.plan, piece)
+            self.studio.house.check_piece(piece)
+            number = self.studio.house.same_piece(self.plan, piece)
             number = self._add("pieces", piece) if number is None else number
         self.handles.select(("pieces", number))
 
@@ -192,14 +205,14 @@ class Tour:
 
     def _brought(self, viewer: Viewer, file: str) -> Piece:
         piece = Piece((0.0, 0.0, 0.0), file=file)
-        mesh = self.studio.piece_mesh(piece)
+        mesh = self.studio.house.piece_mesh(piece)
         assert mesh is not None
         if not 0.02 < max(mesh.extents) < 10:
             raise InputError(f"{file}: spans {max(mesh.extents):.3g} m; furniture must be in metres")
         camera = self.studio.camera(viewer.view().frame)
         height, width = camera.intrinsics.shape
         ahead = camera.rays()[height * 2 // 3, width // 2]
-        touch = self.studio.touch(self.plan, camera.origin.tolist(), ahead.tolist())
+        touch = self.studio.house.touch(self.plan, camera.origin.tolist(), ahead.tolist())
         place = camera.origin + camera.pose[:3, 2] if touch is None else touch.point
         pose = np.eye(4)
         lowest = float((mesh.vertices @ self.studio.up).min())
@@ -211,7 +224,7 @@ class Tour:
     def warn_if_hidden(self, viewer: Viewer, index: int) -> None:
         """Tell whoever has put a lamp where its light cannot get out."""
         lamps = self.plan.lamps
-        if index < len(lamps) and self.studio.hidden(self.plan, lamps[index].position):
+        if index < len(lamps) and self.studio.house.hidden(self.plan, lamps[index].position):
             where = "This lamp is inside a wall or a thing, or outside the room: its light hardly gets out."
             viewer.say("Is it meant there?", where, color="yellow")
 
@@ -229,7 +242,15 @@ class Tour:
         view, plan = viewer.view(), self.plan
         try:
             with viewer.patience() if draft else contextlib.nullcontext():
-                painting = self.studio.paint(plan, view, draft=draft, seconds=time.monotonic() - self._begun)
+                painting = self.studio.paint(
+                    plan,
+                    view,
+                    draft=draft,
+                    seconds=time.monotonic() - self._begun,
+                    unwanted=lambda: not draft and self.easel.wanted(number),
+                )
+        except Unwanted:  # its draft is next
+            return False
         except InputError as error:
             viewer.refuse(error)
             return False
@@ -279,16 +300,6 @@ class Tour:
 
     # ---- coming and going ----
 
-    async def _same_site(self, connection: Any) -> None:
-        """Hang up on pages of other sites: a browser lets them talk to servers of its own machine."""
-        wire = self.server._websock_server._live_connections[connection.client_id]
-        headers: Mapping[str, str] = wire.request.headers if wire.request is not None else {}
-        origin, host = headers.get("Origin"), headers.get("Host", "")
-        foreign = origin is not None and urlsplit(origin).netloc != host
-        renamed = self.server.get_host() == LOCAL and urlsplit(f"//{host}").hostname not in (LOCAL, "localhost")
-        if foreign or renamed:
-            await wire.close(1008, "not a page of this tour")
-
     def _come(self, client: viser.ClientHandle) -> None:
         viewer = Viewer(self, client)
         self.viewers[client.client_id] = viewer
@@ -333,21 +344,3 @@ class Tour:
                 write_text(self.out / SAVED, self.plan.to_json() + "\n")
             except InputError as error:
                 _log.warning("%s", error)
-
-
-def check_port(host: str, port: int) -> None:
-    """Raise `InputError` unless one can listen there."""
-    if not 0 <= port <= 65535:
-        raise InputError(f"port: must lie in 0..65535, got {port}")
-    try:
-        with socket.socket() as test:
-            test.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            test.bind((host, port))
-    except OSError as error:
-        raise InputError(
-            f"port {port} on {host}: {error.strerror or error}; choose another --port or --host"
-        ) from None
-
-
-def _never_share(verbose: bool = True) -> None:
-    """viser can open a tunnel through somebody else's server; a tour stays where it is."""

@@ -22,22 +22,26 @@ from jaxtyping import Float, UInt8
 from hyjax.data.frames import spread
 from hyjax.errors import InputError
 from hyjax.scene.camera import Camera
-from hyjax.schedule import Level, Schedule
+from hyjax.tour.canvas import canvas_of, framed_picture, rays_through, sensible_aspect, wiped
+from hyjax.tour.painting import Painting, Shown, View, adjusted, bytes_of
 from hyjax.tour.plan import Plan
-from hyjax.tour.studio import Painting, Shown, View, bytes_of
 
 if TYPE_CHECKING:
     from hyjax.tour.page import Tour
 
 WAIT = ("One moment", "Compiling what this picture needs; it is kept for the next time.")
 PATIENCE = 0.6  # seconds
+HOW_TO = {
+    "window": "Now draw a rectangle on a wall, or click there for one of the usual size.",
+    "furniture": "Now click on a piece of furniture.",
+}
 _log = logging.getLogger(__name__)
-MARGIN = 22  # grey beside the picture
 AWAY, TURNED = 0.02, 0.01  # metres and radians that mean leaving the picture
 SETTLING = 1.0  # seconds that a browser may take to put its camera where it was told to
 TYPING = 0.6  # seconds after a key
 REDRAW_AFTER = 0.5  # seconds after the last change
 CAMERAS = 24
+GRID = 7  # rays a side through a rectangle that is drawn
 KAPPA_RANGE, MOST_STEPS = 1.5, 4.0
 PLAYING_HZ, FLICKER_HZ = 12.0, 6.0
 JPEG_QUALITY = 88
@@ -83,29 +87,15 @@ class Viewer:
     def view(self) -> View:
         """As its controls say."""
         shown: Any = self._shown.value if self._shown.value in get_args(Shown) else "relit"
-        return View(self.frame, shown, self._schedule())
+        schedules = self.tour.schedules
+        schedule = schedules.get(self._named.value, next(iter(schedules.values())))
+        kappa = 10.0 ** within(self._kappa.value, -KAPPA_RANGE, KAPPA_RANGE)
+        return View(self.frame, shown, adjusted(schedule, within(self._steps.value, 0.0, MOST_STEPS), kappa))
 
     @property
     def frame(self) -> int:
         """Number of the frame, whatever the browser says."""
         return round(within(self._frame.value, 0, len(self.tour.studio.capture) - 1))
-
-    def _schedule(self) -> Schedule:
-        schedules = self.tour.schedules
-        base = schedules.get(self._named.value, next(iter(schedules.values())))
-        steps = within(self._steps.value, 0.0, MOST_STEPS)
-        kappa = 10.0 ** within(self._kappa.value, -KAPPA_RANGE, KAPPA_RANGE)
-
-        def level(old: Level) -> Level:
-            return Level(
-                old.factor,
-                more_steps(np.asarray(old.step_sizes), steps),
-                np.float32(np.asarray(old.kappa) * kappa),
-                old.attachment,
-            )
-
-        levels = tuple(level(old) for old in base.levels)
-        return Schedule(levels, base.pooling, base.norm, base.name, base.upsampling)
 
     def _build(self) -> None:
         gui, last = self.client.gui, len(self.tour.studio.capture) - 1
@@ -338,10 +328,36 @@ class Viewer:
     def _go_to(self, index: int, _: Any) -> None:
         self.go(index)
 
-    def _clicked(self, event: Any) -> None:
+    # ---- tools ----
+
+    def take(self, tool: str | None) -> None:
+        """Take a tool into the hand that points at the scene, instead of whatever is in it."""
+        self._put_down()
+        self.tool = tool
+        if tool is None:
+            return
+        self.say(tool.capitalize(), HOW_TO.get(tool, "Now click where the lamp goes."))
+        if tool == "window":  # until it is drawn, dragging does not turn the camera
+            self.client.scene.on_rect_select()(self._drew)
+
+    def _put_down(self) -> str | None:
         tool, self.tool = self.tool, None
-        if tool is not None:
+        self.client.scene.remove_rect_select_callback()
+        return tool
+
+    def _clicked(self, event: Any) -> None:
+        if (tool := self._put_down()) is not None:
             self.tour.click(self, tool, event.ray_origin, event.ray_direction)
+
+    def _drew(self, event: Any) -> None:
+        if self._put_down() is None:
+            return
+        (left, top), (right, bottom) = event.screen_min, event.screen_max
+        across, down = np.linspace(left, right, GRID), np.linspace(top, bottom, GRID)
+        grid = np.stack(np.meshgrid(across, down), axis=-1)
+        camera = self.client.camera
+        rays = rays_through(grid.reshape(-1, 2), camera.wxyz, camera.fov, sensible_aspect(camera))
+        self.tour.draw(self, camera.position, rays.reshape(GRID, GRID, 3))
 
 
 def guarded(tour: "Tour", handler: Callable[[Any], None]) -> Callable[[Any], Any]:
@@ -380,59 +396,3 @@ def quaternion(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
     """Rotation of a pose as w, x, y, z."""
     wxyz: np.ndarray = viser.transforms.SO3.from_matrix(np.asarray(pose)[:3, :3]).wxyz
     return wxyz
-
-
-def wiped(
-    photo: UInt8[np.ndarray, "h w 3"], picture: UInt8[np.ndarray, "h w 3"], share: float
-) -> UInt8[np.ndarray, "h w 3"]:
-    """The photo over the left `share` of the picture, with a line where they meet."""
-    column = round(float(np.clip(share, 0.0, 1.0)) * picture.shape[1])
-    if column == 0:
-        return picture
-    both = picture.copy()
-    both[:, :column] = photo[:, :column]
-    if column < picture.shape[1]:
-        both[:, max(0, column - 1) : column + 1] = 255
-    return both
-
-
-def sensible_aspect(camera: viser.CameraHandle) -> float:
-    """Width of a browser's scene over its height, whatever it says."""
-    try:
-        aspect = float(camera.aspect)
-    except ZeroDivisionError:
-        aspect = 1.0
-    return min(max(aspect, 0.2), 5.0) if math.isfinite(aspect) else 1.0
-
-
-def more_steps(step_sizes: Float[np.ndarray, "n"], times: float) -> Float[np.ndarray, "m"]:
-    """Step sizes for so many times the steps; cycles of varying sizes are repeated whole, as they must be."""
-    if len(set(step_sizes.tolist())) > 1:
-        return np.tile(step_sizes, max(round(times), int(times > 0)))
-    return np.resize(step_sizes, round(len(step_sizes) * times)) if len(step_sizes) else step_sizes
-
-
-def canvas_of(camera: Camera, aspect: float) -> tuple[int, int, float]:
-    """Height and width of the canvas of `framed_picture`, and its vertical angle of view in radians."""
-    k = camera.intrinsics
-    height = k.height if aspect * k.height >= k.width else round(k.width / aspect)
-    return height, round(height * aspect), 2.0 * float(np.arctan(0.5 * height / k.fy))
-
-
-def framed_picture(
-    picture: UInt8[np.ndarray, "h w 3"], camera: Camera, aspect: float
-) -> UInt8[np.ndarray, "H W 3"]:
-    """A camera's picture in the middle of a canvas of the browser's proportions.
-
-    In the middle stands the camera's principal point, so that a browser's camera, which always looks through the
-    middle, sees the world where the picture shows it.
-    """
-    h, w = picture.shape[:2]
-    k = camera.intrinsics
-    height, width, _ = canvas_of(camera, aspect)
-    top, left = round(0.5 * height - k.cy), round(0.5 * width - k.cx)
-    canvas = np.full((height, width, 3), MARGIN, np.uint8)
-    y0, x0 = max(top, 0), max(left, 0)
-    y1, x1 = min(top + h, height), min(left + w, width)
-    canvas[y0:y1, x0:x1] = picture[y0 - top : y1 - top, x0 - left : x1 - left]
-    return canvas
