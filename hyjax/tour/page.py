@@ -96,6 +96,8 @@ class Tour:
         """Keep the plan and end the server."""
         self._save()
         self.easel.stop()
+        for viewer in list(self.viewers.values()):
+            viewer.leave()
         self.server.stop()
 
     # ---- the plan ----

@@ -223,9 +223,16 @@ class Viewer:
             self._timer.cancel()
 
     def _later(self, seconds: float, task: Callable[[], None]) -> None:
+        def run() -> None:
+            try:
+                task()
+            except Exception:
+                if not self._gone:  # else nobody is there to draw for
+                    _log.exception("a browser of the tour could not be drawn for")
+
         if self._timer is not None:
             self._timer.cancel()
-        self._timer = threading.Timer(seconds, task)
+        self._timer = threading.Timer(seconds, run)
         self._timer.daemon = True
         self._timer.start()
 
