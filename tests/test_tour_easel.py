@@ -48,6 +48,14 @@ def easel(painter: Painter) -> Iterator[Easel]:
     easel.stop()
 
 
+def test_who_has_changed_something_is_known_to_wait(easel: Easel, painter: Painter) -> None:
+    easel.want("a")
+    assert painter.begun.wait(WAIT)
+    assert not easel.wanted("a"), "it is being painted"
+    easel.want("a")
+    assert easel.wanted("a") and not easel.wanted("b")
+
+
 def test_a_slider_dragged_fast_makes_two_pictures(easel: Easel, painter: Painter) -> None:
     """The one that was being painted and the last."""
     easel.want("a")

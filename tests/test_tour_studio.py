@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ pytest.importorskip("astral", reason="needs the extra 'tour'")
 
 from hyjax.color import to_linear
 from hyjax.data.capture import Frame
+from hyjax.data.frames import fit
 from hyjax.data.light_file import read_lights
 from hyjax.data.room import UP, RoomCapture, load_room
+from hyjax.lights import PointLight
 from hyjax.pipeline import relight
 from hyjax.scene.camera import Camera, Intrinsics, look_at
 from hyjax.scene.mesh import submesh
@@ -29,7 +32,7 @@ from hyjax.tour.lighting import lights_file
 from hyjax.tour.painting import View
 from hyjax.tour.place import place_lamp
 from hyjax.tour.plan import Piece, Plan, Window
-from hyjax.tour.studio import Studio
+from hyjax.tour.studio import Studio, Unwanted
 
 HYJAX = Schedule.preset("hyjax")
 VIEW = View(0, "relit", HYJAX)
@@ -116,21 +119,66 @@ def test_the_hour_changes_the_picture_and_a_lamp_lights_it(studio: Studio, plan:
     assert np.abs(day - dark).max() > 0.05 and np.abs(lamp - dark).max() > 0.05
 
 
-def test_nothing_is_cast_twice(studio: Studio, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    studio.paint(plan, VIEW)
-    cast: list[Any] = []
+@pytest.fixture
+def cast(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """What shadow maps are cast of, as they are."""
+    found: list[Any] = []
 
     def counted(caster: Any, lights: Any, scale: float = 1.0) -> Any:
-        cast.append(lights)
+        found.append(lights)
         return cast_shadow_maps(caster, lights, scale)
 
     monkeypatch.setattr(studio_module, "cast_shadow_maps", counted)
+    return found
+
+
+def test_nothing_is_cast_twice(studio: Studio, plan: Plan, cast: list[Any]) -> None:
+    studio.paint(plan, VIEW)
+    cast.clear()
     dimmer = dataclasses.replace(plan.lamps[0], lumen=100.0, kelvin=5000.0)
     studio.paint(dataclasses.replace(plan, lamps=(dimmer,), weather="clear", exposure=1.0), VIEW)
     assert cast == [], "brightness, colour and exposure cast no shadow"
     elsewhere = dataclasses.replace(dimmer, position=(0.0, 0.0, 1.0))
     studio.paint(dataclasses.replace(plan, lamps=(elsewhere,)), VIEW)
     assert len(cast) == 1, "only of the lamp that moved"
+
+
+def test_a_picture_nobody_waits_for_is_given_up_and_what_was_cast_is_kept(
+    studio: Studio, plan: Plan, cast: list[Any]
+) -> None:
+    lamps = tuple(dataclasses.replace(plan.lamps[0], position=(0.1 * k, 0.2, 1.3)) for k in range(3))
+    crowded, asked = dataclasses.replace(plan, windows=(), lamps=lamps), iter([False, False, True])
+    with pytest.raises(Unwanted):
+        studio.paint(crowded, VIEW, unwanted=lambda: next(asked))
+    assert len(cast) == 2
+    studio.paint(crowded, VIEW)
+    assert len([light for lights in cast for light in lights if isinstance(light, PointLight)]) == 3
+
+
+def test_what_was_warmed_up_is_not_compiled_again(plan: Plan) -> None:
+    class Small(BoxCapture):
+        def __getitem__(self, index: int) -> Any:
+            return fit(super().__getitem__(index), (24, 32))
+
+    compiled: list[str] = []
+
+    def heard(event: str, _: float, **__: Any) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            compiled.append(event)
+
+    studio = Studio(Small(), box_room())
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    try:
+        dark = dataclasses.replace(plan, windows=(), lamps=())
+        steps = list(studio.warm_up(dark, VIEW))
+        assert len(steps) > 5 and compiled
+        compiled.clear()
+        for lamps in ((), plan.lamps, 2 * plan.lamps):
+            for draft in (True, False):
+                studio.paint(dataclasses.replace(dark, lamps=lamps), VIEW, draft=draft)
+        assert not compiled
+    finally:
+        jax.monitoring.unregister_event_duration_listener(heard)
 
 
 def test_a_draft_is_coarse_where_something_moved_and_says_so(studio: Studio, plan: Plan) -> None:

@@ -88,7 +88,9 @@ def relight_layers(
     colors = np.ones((count, 3), np.float32)
     for k, entry in enumerate(entries):
         amounts[k], colors[k] = entry[amount_key(entry)], _color(round(entry["temperature"], 0))
-    each, visible = _stack(tuple(layers), amounts, count)
+    lux, lit = layers[0]
+    dark = jnp.zeros_like(lux), jnp.ones_like(lit)
+    each, visible = _stack((*layers, *[dark] * (count - len(layers))), amounts)
     # All that is left of a light once it has been shaded is its colour.
     nowhere, nothing = jnp.zeros(3), jnp.zeros(())
     lights = [PointLight(nowhere, nothing, color) for color in colors]  # type: ignore[arg-type]
@@ -105,12 +107,10 @@ def relight_layers(
     return clock.follow(stages)
 
 
-@functools.partial(jax.jit, static_argnames="count")
-def _stack(layers: tuple[tuple[Array, Array], ...], amounts: Array, count: int) -> tuple[Array, Array]:
-    missing = count - len(layers)
-    blank = jnp.zeros_like(layers[0][0])
-    each = jnp.stack([lux for lux, _ in layers] + [blank] * missing, axis=-1) * amounts
-    return each, jnp.stack([lit for _, lit in layers] + [blank + 1.0] * missing, axis=-1)
+@jax.jit
+def _stack(layers: tuple[tuple[Array, Array], ...], amounts: Array) -> tuple[Array, Array]:
+    each = jnp.stack([lux for lux, _ in layers], axis=-1) * amounts
+    return each, jnp.stack([lit for _, lit in layers], axis=-1)
 
 
 def shown_in(view: View, relit: Relit, seen: Seen, gbuffer: GBuffer) -> Array:

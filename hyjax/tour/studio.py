@@ -165,7 +165,7 @@ class Studio:
         """Compile what visitors are likely to ask for, a little each step: lamps, the moon, the mesh."""
         lamps = tuple(place_lamp(kind, self.camera(view.frame).origin, self.up) for kind in get_args(LampKind))
         changes: list[dict[str, Any]] = [{"lamps": (lamp,)} for lamp in lamps]
-        for change in [*changes, {"weather": "full moon"}, {"lamps": lamps}]:
+        for change in [{}, *changes, {"weather": "full moon"}, {"lamps": lamps}]:
             for draft in (True, False):
                 self.paint(dataclasses.replace(plan, **change), view, draft=draft)
                 yield

@@ -41,6 +41,7 @@ SETTLING = 1.0  # seconds that a browser may take to put its camera where it was
 TYPING = 0.6  # seconds after a key
 REDRAW_AFTER = 0.5  # seconds after the last change
 CAMERAS = 24
+HOW_TO_SECONDS = 8.0
 GRID = 7  # rays a side through a rectangle that is drawn
 KAPPA_RANGE, MOST_STEPS = 1.5, 4.0
 PLAYING_HZ, FLICKER_HZ = 12.0, 6.0
@@ -76,6 +77,7 @@ class Viewer:
         self.touched = 0.0
         """When this browser last used a control. Arrow keys on a slider move its camera too, which nobody means."""
         self._busy: Any = None
+        self._told: Any = None
         self._build()
         self._enter()
         self.show_photo()
@@ -343,13 +345,17 @@ class Viewer:
         self.tool = tool
         if tool is None:
             return
-        self.say(tool.capitalize(), HOW_TO.get(tool, "Now click where the lamp goes."))
+        how_to = HOW_TO.get(tool, "Now click where the lamp goes.")
+        self._told = self.client.add_notification(tool.capitalize(), how_to, auto_close_seconds=HOW_TO_SECONDS)
         if tool == "window":  # until it is drawn, dragging does not turn the camera
             self.client.scene.on_rect_select()(self._drew)
 
     def _put_down(self) -> str | None:
         tool, self.tool = self.tool, None
         self.client.scene.remove_rect_select_callback()
+        if self._told is not None:  # it is in the way of what comes next
+            self._told.remove()
+            self._told = None
         return tool
 
     def _clicked(self, event: Any) -> None:
