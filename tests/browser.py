@@ -63,6 +63,7 @@ class Page:
 
     def slide(self, number: int, share: float) -> None:
         """Drag a slider, counted from the top, to a share of its length."""
+        self.page.locator(".mantine-Slider-thumb").nth(number).scroll_into_view_if_needed()
         track = (
             self.page.locator(".mantine-Slider-root").nth(number).locator(".mantine-Slider-track").bounding_box()
         )

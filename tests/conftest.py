@@ -2,6 +2,7 @@
 
 import os
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,9 +24,21 @@ FLAGS = os.environ.get("XLA_FLAGS", "")
 os.environ["XLA_FLAGS"] = f"{UNOPTIMISED} {FLAGS}"
 jax.block_until_ready(jax.jit(lambda x: x + 1)(0.0))  # XLA reads its flags with the first program
 os.environ["XLA_FLAGS"] = FLAGS
+COMPILED = "HYJAX_TESTS_COMPILED"
 
 hypothesis.settings.register_profile("hyjax", derandomize=True, deadline=None, max_examples=15, database=None)
 hypothesis.settings.load_profile("hyjax")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """What one worker has compiled the others take."""
+    if COMPILED not in os.environ:
+        folder = tempfile.TemporaryDirectory()
+        config.add_cleanup(folder.cleanup)
+        os.environ[COMPILED] = folder.name
+        config.add_cleanup(lambda: os.environ.pop(COMPILED))
+    jax.config.update("jax_compilation_cache_dir", os.environ[COMPILED])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

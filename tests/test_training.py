@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from conftest import UNOPTIMISED
 from flax import nnx
-from jax.experimental.compilation_cache import compilation_cache
 
 from hyjax.cli import Train, main, parse
 from hyjax.data.pair_loader import Batch
@@ -65,19 +64,6 @@ class ToyEncoder(nnx.Module):
 def toy_encoder(monkeypatch: pytest.MonkeyPatch) -> None:
     """A network that compiles in seconds."""
     monkeypatch.setitem(ENCODERS, "toy", ToyEncoder)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Every run has functions of its own, most of which are the same."""
-    before = jax.config.jax_compilation_cache_dir, jax.config.jax_persistent_cache_min_compile_time_secs
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path_factory.mktemp("compiled")))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    compilation_cache.reset_cache()
-    yield
-    jax.config.update("jax_compilation_cache_dir", before[0])
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", before[1])
-    compilation_cache.reset_cache()
 
 
 @pytest.fixture(scope="module")
