@@ -51,9 +51,11 @@ def easel(painter: Painter) -> Iterator[Easel]:
 def test_who_has_changed_something_is_known_to_wait(easel: Easel, painter: Painter) -> None:
     easel.want("a")
     assert painter.begun.wait(WAIT)
-    assert not easel.wanted("a"), "it is being painted"
-    easel.want("a")
-    assert easel.wanted("a") and not easel.wanted("b")
+    assert not easel.pressing, "it is being painted"
+    easel.want("b", moved=False)
+    assert not easel.pressing, "only time has passed"
+    easel.want("b")
+    assert easel.pressing
 
 
 def test_a_slider_dragged_fast_makes_two_pictures(easel: Easel, painter: Painter) -> None:
@@ -144,6 +146,41 @@ def test_time_that_passes_does_not_keep_pictures_coarse_nor_jobs_waiting(easel: 
         assert time.monotonic() < end
         easel.want("a", moved=False)
         time.sleep(0.5 * QUIET)
+
+
+def test_pictures_that_are_always_wanted_again_leave_every_other_turn(painter: Painter) -> None:
+    """Candles of more visitors than can be painted for."""
+    painter.drafts = True
+    painter.free.set()
+    easel, steps = Easel(lambda viewer, draft: again(viewer, draft)), []
+
+    def again(viewer: Hashable, draft: bool) -> bool:
+        easel.want(viewer, moved=False)
+        return painter(viewer, draft)
+
+    def job() -> Generator[None]:
+        for step in range(3):
+            steps.append(step)
+            yield
+
+    easel.want("a", "b", moved=False)
+    easel.work_on(job())
+    easel.start()
+    painter.until(lambda: {("a", False), ("b", False)} <= set(painter.painted))
+    painter.drafts = False
+    painter.until(lambda: len(steps) == 3)
+    easel.stop()
+    assert painter.painted.count(("a", True)) > 1
+
+
+def test_a_picture_that_was_given_up_is_painted_once_there_is_time(easel: Easel, painter: Painter) -> None:
+    painter.free.set()
+    given_up = iter([True, True, False])
+    calls: list[bool] = []
+    easel._paint = lambda viewer, draft: calls.append(draft) or next(given_up)  # type: ignore[func-returns-value]
+    easel.want("a")
+    painter.until(lambda: len(calls) == 3)
+    assert calls == [True, False, False]
 
 
 def test_a_job_that_fails_is_dropped(easel: Easel, painter: Painter, caplog: pytest.LogCaptureFixture) -> None:

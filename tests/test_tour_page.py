@@ -1,5 +1,6 @@
 """The tour in a real browser: what a visitor does, and what the page then shows."""
 
+import dataclasses
 import json
 import os
 import socket
@@ -33,7 +34,7 @@ from hyjax.tour.house import Touch
 from hyjax.tour.page import Tour
 from hyjax.tour.painting import more_steps
 from hyjax.tour.place import place_lamp
-from hyjax.tour.plan import MOST_LAMPS
+from hyjax.tour.plan import MOST_LAMPS, Piece
 from hyjax.tour.studio import Studio
 from hyjax.tour.viewer import quaternion
 
@@ -257,6 +258,8 @@ def test_nonsense_gets_a_notice_and_the_server_goes_on(tour: Tour, chromium: Any
     tour.click(viewer, "bulb", tour.studio.camera(0).origin, tour.studio.camera(0).pose[:3, 2])
     page.page.get_by_text(f"at most {MOST_LAMPS} on a tour").wait_for()
     plan = tour.plan
+    tour.click(viewer, "bulb", tour.studio.camera(0).origin, (0.0, float("nan"), "up"))
+    page.page.get_by_text("a ray must be").wait_for()
     tour.bring(viewer, "../../x.txt", b"hello")
     page.page.get_by_text("give a mesh as").wait_for()
     tour.bring(viewer, "x.ply", b"not a mesh")
@@ -370,6 +373,29 @@ def test_nothing_is_shared_with_the_world(tour: Tour) -> None:
     assert tour.server.get_host() == "127.0.0.1" and tour.server.request_share_url() is None
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.2", tour.server.get_port())) != 0
+
+
+def test_what_is_not_there_any_more_cannot_be_chosen(tour: Tour) -> None:
+    lamp = place_lamp("bulb", np.zeros(3), UP)
+    tour.change(redraw=True, lamps=(lamp, lamp))
+    tour.handles.select(("lamps", 1))
+    tour.change(redraw=True, lamps=(lamp,))  # by somebody else
+    tour.handles.select(("lamps", 1))
+    assert tour.handles.chosen is None
+    tour.remove("lamps", 0)
+    tour.handles.draw()
+
+
+def test_a_mesh_file_goes_with_the_plan_that_named_it(tour: Tour, tmp_path: Path) -> None:
+    file = tmp_path / "mesh-1.ply"
+    file.write_bytes(b"")
+    piece = Piece((0.0, 0.0, 0.0), file=file.name)
+    with tour.lock:
+        tour.plan = dataclasses.replace(tour.plan, pieces=(piece,))
+    tour.controls._anew()
+    assert file.is_file(), "the kept plan may still name it"
+    tour._save()
+    assert not file.exists() and (tmp_path / "tour.json").is_file()
 
 
 def test_more_steps_of_a_cycle_are_whole_cycles() -> None:

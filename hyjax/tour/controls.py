@@ -3,15 +3,15 @@
 import datetime
 import functools
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, get_args
 
 import viser
 
-from hyjax.errors import InputError
 from hyjax.tour.place import facing
 from hyjax.tour.plan import KINDS, Plan
 from hyjax.tour.sky import Weather
-from hyjax.tour.viewer import guarded, within
+from hyjax.tour.viewer import Viewer, asked_by, guarded, within
 
 if TYPE_CHECKING:
     from hyjax.tour.page import Tour
@@ -82,12 +82,10 @@ class Controls:
             pick.on_click(self._tool("furniture"))
             bring = gui.add_upload_button("Bring a mesh", icon=viser.Icon.UPLOAD, hint="PLY, OBJ or GLB, in metres")
 
-        def uploaded(event: Any) -> None:
-            viewer = tour.viewers.get(event.client_id)
-            if viewer is not None:
-                tour.bring(viewer, event.target.value.name, event.target.value.content)
+        def uploaded(viewer: Viewer, event: Any) -> None:
+            tour.bring(viewer, event.target.value.name, event.target.value.content)
 
-        bring.on_upload(uploaded)
+        bring.on_upload(asked_by(tour, uploaded))
 
     def _save(self) -> None:
         gui, tour = self.tour.server.gui, self.tour
@@ -97,18 +95,10 @@ class Controls:
                 ("The lights", tour.save_setup, viser.Icon.BULB),
                 ("A video", tour.save_video, viser.Icon.MOVIE),
             ):
-                gui.add_button(label, icon=icon).on_click(functools.partial(self._saved, save))
-            gui.add_button("Begin anew", icon=viser.Icon.TRASH, color="gray").on_click(guarded(tour, self._anew))
+                gui.add_button(label, icon=icon).on_click(asked_by(tour, functools.partial(_saved, save)))
+            gui.add_button("Begin anew", icon=viser.Icon.TRASH, color="gray").on_click(asked_by(tour, self._anew))
 
-    def _saved(self, save: Any, event: Any) -> None:
-        viewer = self.tour.viewers.get(event.client_id)
-        if viewer is not None:
-            try:
-                save(viewer)
-            except InputError as error:
-                viewer.refuse(error)
-
-    def _anew(self, _: Any) -> None:
+    def _anew(self, *_: Any) -> None:
         first = self.tour.studio.first_plan()
         self.tour.handles.select(None)
         self.tour.change(redraw=True, **{name: getattr(first, name) for name in first.__dataclass_fields__})
@@ -168,6 +158,10 @@ class Controls:
             gone = gui.add_button(word, icon=viser.Icon.TRASH, color="gray")
         done.on_click(guarded(tour, lambda _: tour.handles.select(None)))
         gone.on_click(guarded(tour, lambda _: tour.remove(kind, index)))
+
+
+def _saved(save: Callable[[Viewer], None], viewer: Viewer, _: Any) -> None:
+    save(viewer)
 
 
 def told(plan: Plan, tour: "Tour") -> str:

@@ -31,11 +31,12 @@ def open_door(host: str, port: int) -> viser.ViserServer:
         headers: Mapping[str, str] = wire.request.headers if wire.request is not None else {}
         origin, asked = headers.get("Origin"), headers.get("Host", "")
         foreign = origin is not None and urlsplit(origin).netloc != asked
-        renamed = host == LOCAL and urlsplit(f"//{asked}").hostname not in (LOCAL, "localhost")
+        renamed = host in (LOCAL, "localhost") and urlsplit(f"//{asked}").hostname not in (LOCAL, "localhost")
         if foreign or renamed:
             await wire.close(1008, "not a page of this tour")
 
     server._websock_server.on_client_connect(same_site)
+    server._websock_server.disconnect_all_clients()  # whoever was quicker comes back, and is looked at
     return server
 
 

@@ -5,6 +5,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Generator, Hashable
+from typing import Any
 
 QUIET = 0.2
 """Seconds without a change before coarse shadows are painted finely."""
@@ -18,18 +19,18 @@ class Easel:
     drafts are painted again finely, and then jobs go on, a step at a time, so that nobody waits long for them.
 
     Args:
-        paint: called with a viewer and whether a draft will do; returns whether a finer picture is to follow. What
-            it raises is logged, and the thread goes on.
+        paint: called with a viewer and whether a draft will do; returns whether a finer picture is still to come.
+            What it raises is logged, and the thread goes on.
     """
 
     def __init__(self, paint: Callable[[Hashable, bool], bool]) -> None:
         self._paint = paint
-        self._wanted: OrderedDict[Hashable, None] = OrderedDict()
+        self._wanted: OrderedDict[Hashable, bool] = OrderedDict()  # and whether somebody is at it
         self._drafts: OrderedDict[Hashable, None] = OrderedDict()
         self._jobs: list[Generator[None]] = []
-        self._changed = threading.Condition()
+        self._changed = threading.Condition()  # its lock may be taken again by who has it
         self._last = 0.0
-        self._ended = self._painting = False
+        self._ended = self._painting = self._ticked = False
         self._thread = threading.Thread(target=self._run, name="easel", daemon=True)
 
     @property
@@ -50,17 +51,18 @@ class Easel:
         """
         with self._changed:
             for viewer in viewers:
-                self._wanted[viewer] = None
+                self._wanted[viewer] = moved or self._wanted.get(viewer, False)
                 if moved:
                     self._drafts.pop(viewer, None)
             if moved:
                 self._last = time.monotonic()
             self._changed.notify()
 
-    def wanted(self, viewer: Hashable) -> bool:
-        """Whether a viewer's latest wish still waits."""
+    @property
+    def pressing(self) -> bool:
+        """Whether somebody waits for a picture of what they have just changed."""
         with self._changed:
-            return viewer in self._wanted
+            return any(self._wanted.values())
 
     def forget(self, viewer: Hashable) -> None:
         """This viewer has left."""
@@ -95,28 +97,31 @@ class Easel:
     def _next(self) -> Callable[[], None] | None:
         with self._changed:
             while not self._ended:
-                if self._wanted:
-                    viewer, _ = self._wanted.popitem(last=False)
-                    self._painting = True
-                    return lambda: self._draft(viewer)
                 quiet = time.monotonic() - self._last
-                if self._drafts and quiet >= QUIET:
-                    viewer, _ = self._drafts.popitem(last=False)
-                    self._painting = True
-                    return lambda: self._finish(viewer)
-                if self._jobs and quiet >= QUIET:
+                rest = quiet >= QUIET and not self.pressing
+                # Where only time passes, what is left to do has every other turn.
+                if self._wanted and not (rest and self._ticked and (self._drafts or self._jobs)):
+                    self._ticked = True
+                    return self._picture(self._wanted, draft=True)
+                self._ticked = False
+                if rest and self._drafts:
+                    return self._picture(self._drafts, draft=False)
+                if rest and self._jobs:
                     return self._step
                 self._changed.wait(QUIET - quiet if self._drafts or self._jobs else None)
             return None
 
-    def _draft(self, viewer: Hashable) -> None:
-        if self._paint(viewer, True):
-            with self._changed:
-                if viewer not in self._wanted:
-                    self._drafts[viewer] = None
+    def _picture(self, queue: OrderedDict[Hashable, Any], draft: bool) -> Callable[[], None]:
+        viewer, _ = queue.popitem(last=False)
+        self._painting = True
 
-    def _finish(self, viewer: Hashable) -> None:
-        self._paint(viewer, False)
+        def paint() -> None:
+            if self._paint(viewer, draft):
+                with self._changed:
+                    if not self._wanted.get(viewer):  # else its next draft comes first
+                        self._drafts[viewer] = None
+
+        return paint
 
     def _step(self) -> None:
         job = self._jobs[0]

@@ -32,9 +32,13 @@ class Handles:
 
     def select(self, chosen: Chosen | None) -> None:
         """Choose a lamp, window or piece by kind and number, as `("lamps", 0)`; None for nothing."""
-        self.chosen = chosen
-        self.tour.controls.choose(chosen)
-        self.draw()
+        with self.tour.lock:
+            self.chosen = chosen if chosen is not None and self._exists(*chosen) else None
+            self.tour.controls.choose(self.chosen)
+            self.draw()
+
+    def _exists(self, kind: str, index: int) -> bool:
+        return index < len(getattr(self.tour.plan, kind))
 
     def draw(self) -> None:
         """Draw them all anew."""
@@ -56,7 +60,7 @@ class Handles:
             self._add(scene.add_line_segments(f"/windows/{index}/frame", outline, color, thickness=0.012), None)
             knob = scene.add_icosphere(f"/windows/{index}/knob", 0.05, color=color, position=window.center)
             self._add(knob, ("windows", index))
-        if self.chosen is not None:
+        if self.chosen is not None and self._exists(*self.chosen):
             self._gizmo = self._grab(*self.chosen)
         for viewer in list(self.tour.viewers.values()):
             viewer.redraw_soon()
@@ -80,6 +84,8 @@ class Handles:
         )
 
         def moved(event: Any) -> None:
+            if event.target is not self._gizmo:  # taken away from under somebody's hand
+                return
             new = np.eye(4)
             new[:3, :3] = viser.transforms.SO3(np.asarray(event.target.wxyz)).as_matrix()
             new[:3, 3] = event.target.position

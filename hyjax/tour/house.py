@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
 from hyjax.errors import InputError
 from hyjax.scene.mesh import load_mesh, submesh
@@ -15,6 +15,7 @@ from hyjax.scene.raycast import RayCaster
 from hyjax.scene.shadow_caster import fibonacci_sphere
 from hyjax.tour.furniture import Part, cast_parts, piece_at
 from hyjax.tour.kept import Kept
+from hyjax.tour.place import unit
 from hyjax.tour.plan import Piece, Plan
 
 MOST_PARTS = 64
@@ -95,9 +96,9 @@ class House:
         whole: trimesh.Trimesh = trimesh.util.concatenate(moved)  # type: ignore[assignment]
         return whole
 
-    def touch(self, plan: Plan, origin: Sequence[float], direction: Sequence[float]) -> Touch | None:
+    def touch(self, plan: Plan, origin: ArrayLike, direction: ArrayLike) -> Touch | None:
         """The first surface on a ray, or beside one that goes through a hole of the scan; None if there is none."""
-        ray = np.asarray(direction, float) / np.linalg.norm(direction)
+        origin, ray = np.asarray(origin, float), unit(direction)
         across = np.cross(ray, np.eye(3)[np.argmin(np.abs(ray))])
         across /= np.linalg.norm(across)
         for tangent in BESIDE:
@@ -118,8 +119,8 @@ class House:
         points = origins[met] + distances[met, None] * directions[met]
         return points, towards(normals[met], directions[met])
 
-    def _touch(self, plan: Plan, origin: Sequence[float], direction: Float[np.ndarray, "3"]) -> Touch | None:
-        room, start = self.arranged(plan), np.asarray(origin, float)
+    def _touch(self, plan: Plan, start: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> Touch | None:
+        room = self.arranged(plan)
         distances, normals, numbers = cast_parts(room.parts, start[None], direction[None])
         if not np.isfinite(distances[0]):
             return None

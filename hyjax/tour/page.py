@@ -27,7 +27,7 @@ from hyjax.tour.easel import Easel
 from hyjax.tour.exports import export_setup, export_view, video_job
 from hyjax.tour.handles import Handles
 from hyjax.tour.painting import View
-from hyjax.tour.place import draw_window, place_lamp, place_window
+from hyjax.tour.place import check_rays, draw_window, place_lamp, place_window
 from hyjax.tour.plan import Piece, Plan
 from hyjax.tour.studio import Studio, Unwanted
 from hyjax.tour.viewer import Viewer
@@ -47,6 +47,7 @@ class Tour:
         plan: what is set up just now; replaced, never changed.
         viewers: by the number of their browser.
         url: where the page is.
+        lock: held while what is set up, or what is chosen, changes.
 
     Args:
         studio: paints.
@@ -72,7 +73,8 @@ class Tour:
         self.plan = self._kept_plan()
         self.viewers: dict[int, Viewer] = {}
         self.easel = Easel(self._paint)
-        self._lock = threading.RLock()
+        self.lock = threading.RLock()
+        self._unused: set[str] = set()
         self._saving: threading.Timer | None = None
         self._begun = time.monotonic()
         self.server = open_door(host, port)
@@ -112,8 +114,10 @@ class Tour:
         Raises:
             InputError: the plan would make no sense; it stays as it was.
         """
-        with self._lock:
-            self.plan = dataclasses.replace(self.plan, **changes).check()
+        with self.lock:
+            before = self.plan
+            self.plan = dataclasses.replace(before, **changes).check()
+            self._unused |= before.files - self.plan.files
         if redraw:
             self.handles.draw()
         self.controls.follow()
@@ -122,7 +126,7 @@ class Tour:
 
     def replace(self, kind: str, index: int, *, redraw: bool = False, **changes: Any) -> None:
         """Change one of the plan's `windows`, `lamps` or `pieces`."""
-        with self._lock:
+        with self.lock:
             things = list(getattr(self.plan, kind))
             if index < len(things):
                 things[index] = dataclasses.replace(things[index], **changes)
@@ -130,51 +134,41 @@ class Tour:
 
     def remove(self, kind: str, index: int) -> None:
         """Take one of them out of the plan."""
-        with self._lock:
+        with self.lock:
             things = list(getattr(self.plan, kind))
             if index < len(things):
-                gone = things.pop(index)
+                del things[index]
                 self.handles.select(None)
                 self.change(redraw=True, **{kind: tuple(things)})
-                if getattr(gone, "file", ""):
-                    (self.out / gone.file).unlink(missing_ok=True)
 
     def click(self, viewer: Viewer, tool: str, origin: Any, direction: Any) -> None:
         """A viewer has clicked into the scene with a tool."""
-        try:
-            touch = self.studio.house.touch(self.plan, origin, direction)
+        with viewer.answering():
+            start, ray = check_rays(origin, direction)
+            touch = self.studio.house.touch(self.plan, start, ray)
             if touch is None:
                 raise InputError("there is no surface here; click on a wall, the floor or a thing")
             if tool == "window":
-                window = place_window(touch.point, touch.normal, self.studio.up)
-                self.handles.select(("windows", self._add("windows", window)))
+                self._add("windows", place_window(touch.point, touch.normal, self.studio.up))
             elif tool == "furniture":
                 self._pick(touch.piece, touch.origin)
             else:
-                lamp = place_lamp(tool, touch.point, touch.normal)  # type: ignore[arg-type]
-                self.handles.select(("lamps", self._add("lamps", lamp)))
-        except InputError as error:
-            viewer.refuse(error)
+                self._add("lamps", place_lamp(tool, touch.point, touch.normal))  # type: ignore[arg-type]
 
-    def draw(self, viewer: Viewer, origin: Any, rays: Float[np.ndarray, "n m 3"]) -> None:
-        """A viewer has drawn a window; rays through a rectangle, from its top left to its bottom right."""
-        try:
-            start, inside = np.asarray(origin, float), rays.reshape(-1, 3)
-            if not (np.isfinite(start).all() and np.isfinite(rays).all()):
-                raise InputError("window: its corners must be finite numbers")
-            points, normals = self.studio.house.seen(self.plan, start, inside)
+    def draw(self, viewer: Viewer, origin: Any, rays: Float[np.ndarray, "n n 3"]) -> None:
+        """A viewer has drawn a window: rays through a rectangle, row by row."""
+        with viewer.answering():
+            start, rays = check_rays(origin, rays)
+            points, normals = self.studio.house.seen(self.plan, start, rays.reshape(-1, 3))
             corners = rays[[0, 0, -1, -1], [0, -1, -1, 0]]
-            window = draw_window(start, corners, points, normals, self.studio.up)
-            self.handles.select(("windows", self._add("windows", window)))
-        except InputError as error:
-            viewer.refuse(error)
+            self._add("windows", draw_window(start, corners, points, normals, self.studio.up))
 
-    def _add(self, kind: str, thing: Any) -> int:
-        """Add to the plan's `windows`, `lamps` or `pieces`; its number."""
-        with self._lock:
+    def _add(self, kind: str, thing: Any) -> None:
+        """Add to the plan's `windows`, `lamps` or `pieces`, and choose it."""
+        with self.lock:
             things = (*getattr(self.plan, kind), thing)
             self.change(redraw=True, **{kind: things})
-        return len(things) - 1
+            self.handles.select((kind, len(things) - 1))
 
     def _pick(self, number: int | None, point: np.ndarray) -> None:
         if number is None:
@@ -182,12 +176,14 @@ class Tour:
             piece = Piece((x, y, z))
             self.studio.house.check_piece(piece)
             number = self.studio.house.same_piece(self.plan, piece)
-            number = self._add("pieces", piece) if number is None else number
+            if number is None:
+                self._add("pieces", piece)
+                return
         self.handles.select(("pieces", number))
 
     def bring(self, viewer: Viewer, name: str, content: bytes) -> None:
         """Put a mesh file into the room, on the floor in front of the viewer."""
-        try:
+        with viewer.answering():
             suffix = Path(name).suffix.lower()
             if suffix not in UPLOADS:
                 raise InputError(f"{Path(name).name}: give a mesh as {', '.join(UPLOADS)}, in metres")
@@ -197,13 +193,12 @@ class Tour:
             with whole(self.out / file) as temporary:
                 temporary.write_bytes(content)
             try:
-                number = self._add("pieces", self._brought(viewer, file))
-            except InputError as error:
+                self._add("pieces", self._brought(viewer, file))
+            except Exception as error:
                 (self.out / file).unlink(missing_ok=True)
-                raise InputError(str(error).replace(str(self.out / file), Path(name).name)) from None
-            self.handles.select(("pieces", number))
-        except InputError as error:
-            viewer.refuse(error)
+                if isinstance(error, InputError):
+                    raise InputError(str(error).replace(str(self.out / file), Path(name).name)) from None
+                raise
 
     def _brought(self, viewer: Viewer, file: str) -> Piece:
         piece = Piece((0.0, 0.0, 0.0), file=file)
@@ -214,7 +209,7 @@ class Tour:
         camera = self.studio.camera(viewer.view().frame)
         height, width = camera.intrinsics.shape
         ahead = camera.rays()[height * 2 // 3, width // 2]
-        touch = self.studio.house.touch(self.plan, camera.origin.tolist(), ahead.tolist())
+        touch = self.studio.house.touch(self.plan, camera.origin, ahead)
         place = camera.origin + camera.pose[:3, 2] if touch is None else touch.point
         pose = np.eye(4)
         lowest = float((mesh.vertices @ self.studio.up).min())
@@ -249,10 +244,10 @@ class Tour:
                     view,
                     draft=draft,
                     seconds=time.monotonic() - self._begun,
-                    unwanted=lambda: not draft and self.easel.wanted(number),
+                    unwanted=lambda: not draft and self.easel.pressing,
                 )
-        except Unwanted:  # its draft is next
-            return False
+        except Unwanted:  # somebody waits for a draft; then again
+            return True
         except InputError as error:
             viewer.refuse(error)
             return False
@@ -331,18 +326,21 @@ class Tour:
             raise InputError(f"{file}: {error}; remove it to begin anew, or choose another --out") from None
 
     def _save_soon(self) -> None:
-        with self._lock:
+        with self.lock:
             if self._saving is None:
                 self._saving = threading.Timer(SAVE_AFTER, self._save)
                 self._saving.daemon = True
                 self._saving.start()
 
     def _save(self) -> None:
-        with self._lock:
+        with self.lock:
             if self._saving is not None:
                 self._saving.cancel()
                 self._saving = None
             try:
                 write_text(self.out / SAVED, self.plan.to_json() + "\n")
+                for file in self._unused - self.plan.files:  # not before the kept plan does without
+                    (self.out / file).unlink(missing_ok=True)
+                self._unused.clear()
             except InputError as error:
                 _log.warning("%s", error)

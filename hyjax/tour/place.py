@@ -73,7 +73,7 @@ def draw_window(
 
     Args:
         origin: where it is drawn from.
-        corners: rays through top left, top right, bottom right and bottom left.
+        corners: rays through its corners, in any order.
         points, normals: the surface in the rectangle; may be none.
         up: against gravity, world axes.
 
@@ -97,15 +97,37 @@ def draw_window(
     met = origin + ((anchor - origin) @ inward / along)[:, None] * corners
     high = upright(inward, up)
     across = np.cross(high, inward)
-    x, y = (met - anchor) @ across, (met - anchor) @ high
-    # What is a rectangle on the screen is none on the wall: opposite edges meet half-way.
-    left, right = 0.5 * (x[0] + x[3]), 0.5 * (x[1] + x[2])
-    top, bottom = 0.5 * (y[0] + y[1]), 0.5 * (y[2] + y[3])
-    width, height = abs(right - left), abs(top - bottom)
+    # A rectangle on the screen is none on the wall: edges go half-way between their ends. Cameras may lie sideways.
+    left, right = _edges((met - anchor) @ across)
+    bottom, top = _edges((met - anchor) @ high)
+    width, height = right - left, top - bottom
     if min(width, height) < SMALLEST:
         raise InputError(f"a window of {width:.2f} x {height:.2f} m is too small; draw it larger, or click")
     center = anchor + 0.5 * (left + right) * across + 0.5 * (top + bottom) * high
     return Window(triple(center), wall.normal, round(width, 3), round(height, 3))
+
+
+def check_rays(origin: Any, directions: Any) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "*n 3"]]:
+    """What a browser says it points at, as unit vectors.
+
+    Raises:
+        InputError: it says something else.
+    """
+    try:
+        start, rays = np.asarray(origin, float), np.asarray(directions, float)
+    except (TypeError, ValueError):
+        raise InputError("a ray must be numbers") from None
+    if start.shape != (3,) or rays.shape[-1:] != (3,):
+        raise InputError("a ray must have a start and a direction, three numbers each")
+    lengths = np.linalg.norm(rays, axis=-1, keepdims=True)
+    if not (np.isfinite(start).all() and np.isfinite(lengths).all() and (lengths > 0).all()):
+        raise InputError("a ray must be finite numbers, and its direction not zero")
+    return start, rays / lengths
+
+
+def _edges(places: Float[np.ndarray, "4"]) -> tuple[float, float]:
+    low, middle, higher, high = np.sort(places)
+    return 0.5 * float(low + middle), 0.5 * float(higher + high)
 
 
 def unit(vector: Any) -> Float[np.ndarray, "3"]:

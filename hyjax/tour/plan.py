@@ -152,6 +152,11 @@ class Plan:
                 raise InputError(f"piece: file {piece.file!r} must be the name of a file in the tour's folder")
         return self
 
+    @property
+    def files(self) -> set[str]:
+        """Names of the mesh files that were brought in."""
+        return {piece.file for piece in self.pieces if piece.file}
+
     def date(self) -> datetime.date:
         """`day` as a date.
 

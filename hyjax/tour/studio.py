@@ -26,6 +26,7 @@ from hyjax.data.light_setups import survey_capture
 from hyjax.gbuffer import GBuffer
 from hyjax.guide.choose import RGB, FrameGuide
 from hyjax.scene.camera import Camera
+from hyjax.scene.raycast import Hits
 from hyjax.scene.shadow_caster import cast_shadow_maps
 from hyjax.shading import colored, shade_each
 from hyjax.shadow import ShadowMap, visibility
@@ -130,7 +131,7 @@ class Studio:
             view: what is looked at.
             draft: whether coarse shadow maps will do for lights that have just moved.
             seconds: time that has passed, for what flickers.
-            unwanted: asked before each light that must be cast anew; true gives up.
+            unwanted: asked before each view of a shadow map that must be cast; true gives up.
 
         Raises:
             InputError: the plan makes no sense.
@@ -149,16 +150,14 @@ class Studio:
         with clock("light"):
             layers = []
             for entry in entries:
-                if unwanted():
-                    raise Unwanted
-                layers.append(self._layer(entry, view.frame, gbuffer, room, draft))
+                layers.append(self._layer(entry, view.frame, gbuffer, room, draft, unwanted))
             jax.block_until_ready(layers)
         relit = relight_layers(clock, entries, lux, layers, seen, gbuffer, view.schedule)
         with clock("show"):
             picture = bytes_of(shown_in(view, relit, seen, gbuffer))
             photo = self._frames(("photo", view.frame), lambda: bytes_of(frame.image))
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
-        coarse = draft and not all(self._is_fine(entry, room) for entry in entries)
+        coarse = draft and not all(self._is_fine(entry, view.frame, room) for entry in entries)
         return Painting(picture, photo, np.asarray(relit.image), frame, times, coarse)
 
     def warm_up(self, plan: Plan, view: View) -> Generator[None]:
@@ -178,7 +177,9 @@ class Studio:
         vertices, normals = (jnp.asarray(x, jnp.float32)[None] for x in (mesh.vertices, mesh.vertex_normals))
         everywhere = jnp.ones(vertices.shape[:2])
         seen = GBuffer(vertices, normals, everywhere, everywhere > 0)
-        layers = [self._light(entry, seen, room, self._quality(entry, room, draft=True)) for entry in entries]
+        layers = [
+            self._light(entry, seen, room, "fine" if self._has_maps(entry, room) else "draft") for entry in entries
+        ]
         amounts = [float(entry[amount_key(entry)]) for entry in entries]
         shades = [amount * lux * lit for amount, (lux, lit) in zip(amounts, layers, strict=True)]
         light = colored(jnp.stack(shades, axis=-1), setup.lights) / setup.reference_lux
@@ -198,33 +199,66 @@ class Studio:
         return nearest([part_of(part, key) for part, key in zip(room.parts, room.keys, strict=True)])
 
     def _layer(
-        self, entry: dict[str, Any], index: int, gbuffer: GBuffer, room: Room, draft: bool
+        self,
+        entry: dict[str, Any],
+        index: int,
+        gbuffer: GBuffer,
+        room: Room,
+        draft: bool,
+        unwanted: Callable[[], bool],
     ) -> tuple[Array, Array]:
         """Lux of one light for an amount of 1, and what shadows leave of it."""
-        quality = self._quality(entry, room, draft)
+        quality = "draft" if draft and not self._is_fine(entry, index, room) else "fine"
         key = quality, _geometry(entry), index, room.keys
-        return self._layers(key, lambda: self._light(entry, gbuffer, room, quality))
+        return self._layers(key, lambda: self._light(entry, gbuffer, room, quality, unwanted))
 
-    def _quality(self, entry: dict[str, Any], room: Room, draft: bool) -> str:
-        return "draft" if draft and not self._is_fine(entry, room) else "fine"
+    def _is_fine(self, entry: dict[str, Any], index: int, room: Room) -> bool:
+        """Whether a light in a frame needs nothing cast any more."""
+        return ("fine", _geometry(entry), index, room.keys) in self._layers or self._has_maps(entry, room)
 
-    def _is_fine(self, entry: dict[str, Any], room: Room) -> bool:
-        """Whether a light's shadow maps are there already."""
+    def _has_maps(self, entry: dict[str, Any], room: Room) -> bool:
+        """Whether a light's fine shadow maps are there."""
         if entry["kind"] == "ambient":
             return True
         return all((_geometry(entry), key, "fine") in self._maps for key in room.keys)
 
-    def _light(self, entry: dict[str, Any], gbuffer: GBuffer, room: Room, quality: str) -> tuple[Array, Array]:
+    def _light(
+        self,
+        entry: dict[str, Any],
+        gbuffer: GBuffer,
+        room: Room,
+        quality: str,
+        unwanted: Callable[[], bool] = lambda: False,
+    ) -> tuple[Array, Array]:
         unit = {k: v for k, v in entry.items() if k not in LOOKS} | {amount_key(entry): 1.0}
         light = parse_lights({"lights": [unit]}, self.up, "tour").lights[0]
         scale = DRAFT if quality == "draft" else 1.0
 
         def shadows(part: Part, key: Hashable) -> ShadowMap | None:
-            name = (_geometry(entry), key, quality)
-            return self._maps(name, lambda: cast_shadow_maps(part, [light], scale)[0])  # type: ignore[arg-type]
+            patient: Any = Patient(part, unwanted)
+            return self._maps(
+                (_geometry(entry), key, quality), lambda: cast_shadow_maps(patient, [light], scale)[0]
+            )
 
         maps = [shadows(part, key) for part, key in zip(room.parts, room.keys, strict=True)]
         return shade_each(gbuffer, [light])[..., 0], visibility(gbuffer, light, _together(maps))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Patient:
+    """Casts rays at a part of the room as long as somebody waits for them."""
+
+    part: Part
+    unwanted: Callable[[], bool]
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        return self.part.mesh
+
+    def cast(self, *rays: Any) -> Hits:
+        if self.unwanted():
+            raise Unwanted
+        return self.part.cast(*rays)
 
 
 def _together(maps: list[ShadowMap | None]) -> ShadowMap | None:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
+import trimesh
 import viser
 import viser.transforms
 from jaxtyping import Float, UInt8
@@ -67,7 +68,7 @@ class Viewer:
         self.painting: Painting | None = None
         self._in_picture, self._moved_at = True, 0.0
         self._aspect = sensible_aspect(client.camera)
-        self._drawing = threading.RLock()
+        self._drawing = threading.Lock()
         self._nodes: list[Any] = []
         self._drawn: Plan | None = None
         self._drawn_frame = -1
@@ -82,7 +83,7 @@ class Viewer:
         self._enter()
         self.show_photo()
         client.camera.on_update(self._camera_moved)
-        client.scene.on_click()(self._clicked)
+        client.scene.on_click()(asked_by(tour, Viewer._clicked))
 
     # ---- what it looks at ----
 
@@ -133,7 +134,7 @@ class Viewer:
     async def _rewipe(self, _: Any) -> None:
         self.touched = time.monotonic()
         if self.painting is not None:  # nothing new to compute
-            self._put(self.painting)
+            self._put()
 
     async def _go(self, event: Any) -> None:
         if event.client is not None:
@@ -161,7 +162,7 @@ class Viewer:
         if self.painting is None or self.painting.frame.name != painting.frame.name:
             self._photo.image = painting.photo
         self.painting = painting
-        self._put(painting)
+        self._put()
         times = painting.milliseconds
         if latest:
             rate = f"**{1 / seconds:.0f} fps** · " if seconds < 1 else ""
@@ -190,6 +191,19 @@ class Viewer:
     def fail(self) -> None:
         """Something that nobody thought of; the log has it."""
         self.say("Something went wrong", "See the terminal for what it was.", color="red")
+
+    @contextlib.contextmanager
+    def answering(self) -> Iterator[None]:
+        """What this browser must not ask for becomes a notice in its page."""
+        self.touched = time.monotonic()
+        try:
+            yield
+        except InputError as error:
+            self.tour.controls.follow()
+            self.refuse(error)
+        except Exception:
+            _log.exception("a control of the tour failed")
+            self.fail()
 
     @contextlib.contextmanager
     def patience(self) -> Iterator[None]:
@@ -242,10 +256,14 @@ class Viewer:
         if not self._gone and self._play.value:
             self.go((self.frame + 1) % len(self.tour.studio.capture), moved=False)
 
-    def _put(self, painting: Painting) -> None:
-        picture = wiped(painting.photo, painting.picture, within(self._wipe.value, 0.0, 1.0))
-        if self._in_picture:
-            self._fill(picture, painting.frame.camera)
+    def _put(self) -> None:
+        shown = None
+        while self._in_picture and self.painting is not None and shown is not self.painting:
+            shown = self.painting
+            picture = wiped(shown.photo, shown.picture, within(self._wipe.value, 0.0, 1.0))
+            self._fill(picture, shown.frame.camera)
+        if not self._in_picture:  # left while it was encoded
+            self.client.scene.set_background_image(None)
         self.client.flush()
 
     def _fill(self, picture: UInt8[np.ndarray, "h w 3"], camera: Camera) -> None:
@@ -262,13 +280,12 @@ class Viewer:
         _, _, angle = canvas_of(camera, self._aspect)
         self._moved_at = time.monotonic()
         self._in_picture = True
-        with self._drawing, self.client.atomic():
+        with self.client.atomic():
             self.client.camera.wxyz = quaternion(camera.pose)
             self.client.camera.position = camera.origin
             self.client.camera.fov = angle
             self._back.visible = False
-            for node in self._nodes:
-                node.visible = False
+            self._hide_room()
 
     async def _camera_moved(self, camera: viser.CameraHandle) -> None:
         if not self._in_picture:
@@ -292,7 +309,7 @@ class Viewer:
         self._in_picture = False
         self.client.scene.set_background_image(None)
         self._back.visible = True
-        for node in self._nodes:
+        for node in list(self._nodes):
             node.visible = True
         self.redraw_soon()
 
@@ -304,23 +321,30 @@ class Viewer:
     def _draw_room(self) -> None:
         """The mesh and the camera path, as they are now."""
         with self._drawing:
-            if not self._in_picture and not self._gone:
-                self._draw_nodes()
+            if self._in_picture or self._gone:
+                return
+            plan, frame, studio = self.tour.plan, self.frame, self.tour.studio
+            mesh = studio.lit_mesh(plan)  # until it is there the old one stays
+            cameras = {
+                index: studio.captured_camera(index) for index in spread(range(len(studio.capture)), CAMERAS)
+            }
+            for node in self._nodes:
+                node.remove()
+            self._nodes = self._room_nodes(mesh, cameras, frame)
+            self._drawn, self._drawn_frame = plan, frame
+            if self._in_picture:  # again, meanwhile
+                self._hide_room()
 
-    def _draw_nodes(self) -> None:
-        for node in self._nodes:
-            node.remove()
-        scene, studio = self.client.scene, self.tour.studio
-        self._drawn, self._drawn_frame = self.tour.plan, self.frame
-        self._nodes = [
+    def _room_nodes(self, mesh: trimesh.Trimesh, cameras: dict[int, Camera], frame: int) -> list[Any]:
+        scene = self.client.scene
+        nodes: list[Any] = [
             # Light is painted on: one that the scene added would shade it twice.
             scene.add_light_ambient("/ambient", intensity=math.pi),
-            scene.add_mesh_trimesh("/room", studio.lit_mesh(self._drawn)),
+            scene.add_mesh_trimesh("/room", mesh),
         ]
-        for index in spread(range(len(studio.capture)), CAMERAS):
-            camera = studio.captured_camera(index)
+        for index, camera in cameras.items():
             k = camera.intrinsics
-            here = index == self.frame
+            here = index == frame
             frustum = scene.add_camera_frustum(
                 f"/cameras/{index}",
                 2 * float(np.arctan(0.5 * k.height / k.fy)),
@@ -332,7 +356,12 @@ class Viewer:
                 image=self.painting.picture[::4, ::4] if here and self.painting is not None else None,
             )
             frustum.on_click(functools.partial(self._go_to, index))
-            self._nodes.append(frustum)
+            nodes.append(frustum)
+        return nodes
+
+    def _hide_room(self) -> None:
+        for node in list(self._nodes):
+            node.visible = False
 
     def _go_to(self, index: int, _: Any) -> None:
         self.go(index)
@@ -348,7 +377,7 @@ class Viewer:
         how_to = HOW_TO.get(tool, "Now click where the lamp goes.")
         self._told = self.client.add_notification(tool.capitalize(), how_to, auto_close_seconds=HOW_TO_SECONDS)
         if tool == "window":  # until it is drawn, dragging does not turn the camera
-            self.client.scene.on_rect_select()(self._drew)
+            self.client.scene.on_rect_select()(asked_by(self.tour, Viewer._drew))
 
     def _put_down(self) -> str | None:
         tool, self.tool = self.tool, None
@@ -374,27 +403,28 @@ class Viewer:
 
 
 def guarded(tour: "Tour", handler: Callable[[Any], None]) -> Callable[[Any], Any]:
-    """A handler of what a browser sends: what it must not ask for becomes a notice in its page.
+    """A handler of what a browser sends, in the order in which it is sent; see `Viewer.answering`.
 
     Changes that the server makes to its own controls are not passed on.
     """
 
     async def handle(event: Any) -> None:
-        if event.client is None:
-            return
+        viewer = tour.viewers.get(event.client_id)
+        if event.client is not None and viewer is not None:
+            with viewer.answering():
+                handler(event)
+
+    return handle
+
+
+def asked_by(tour: "Tour", handler: Callable[[Viewer, Any], None]) -> Callable[[Any], None]:
+    """A handler of what may take its time, on a thread of its own; it is given who asks."""
+
+    def handle(event: Any) -> None:
         viewer = tour.viewers.get(event.client_id)
         if viewer is not None:
-            viewer.touched = time.monotonic()
-        try:
-            handler(event)
-        except InputError as error:
-            tour.controls.follow()
-            if viewer is not None:
-                viewer.refuse(error)
-        except Exception:
-            _log.exception("a control of the tour failed")
-            if viewer is not None:
-                viewer.fail()
+            with viewer.answering():
+                handler(viewer, event)
 
     return handle
 
