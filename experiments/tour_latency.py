@@ -12,8 +12,10 @@ Expect: a median below 100 ms for a picture of 512 x 512 pixels on two cores, an
 after the first hundred changes.
 """
 
+import base64
 import contextlib
 import dataclasses
+import json
 import os
 import socket
 import subprocess
@@ -38,9 +40,9 @@ from hyjax.errors import InputError
 NAME = "tour_latency"
 TITLE = "The room tour, from slider to picture"
 HOUR = 2  # which slider, from the top
-PICTURE_BYTES = 8000  # what is larger than this is a picture
+PICTURE_LENGTH = 10_000  # what is longer than this, in base64, is a picture
 THERE_AND_BACK = 20  # changes until the slider turns round
-REST = 80  # milliseconds without a picture until the next change: a drag, in which shadows stay coarse
+REST = 40  # milliseconds without a picture until the next change: a drag, in which shadows stay coarse
 LONG_REST = 1000  # after a slow picture, so that its fine one, which comes late, is not taken for the next change's
 SLOW = 100
 STILL = 0.05  # share of a core, below which the tour has compiled all that it compiles ahead
@@ -63,25 +65,24 @@ def main(config: Config) -> None:
     results = Results(config.out, NAME, config)
     with served(config.size) as (url, process), browser() as launched:
         page = launched.new_page(viewport={"width": 1280, "height": 720})
-        sent, received = listen(page)
+        wire = Wire(page)
         page.goto(url)
         page.get_by_text("ms for this picture").wait_for(timeout=1e3 * WAIT)
         wait_until_still(process.pid)
         page.locator(".mantine-Slider-thumb").nth(HOUR).focus()
-        waits = []
+        waits: list[float] = []
         for number in tqdm(range(config.warm_up + config.changes), "changes"):
             rest = LONG_REST if waits and waits[-1] > SLOW else REST
-            while received and 1e3 * (time.perf_counter() - received[-1]) < rest:
+            while 1e3 * (time.perf_counter() - wire.heard) < rest:
                 page.wait_for_timeout(5)
-            sent.clear()
-            received.clear()
+            wire.forget()
             page.keyboard.press("ArrowRight" if number // THERE_AND_BACK % 2 else "ArrowLeft")
             end = time.monotonic() + WAIT
-            while not (sent and any(when > sent[0] for when in received)):
+            while (wait := wire.wait) is None:
                 page.wait_for_timeout(1)
                 if time.monotonic() > end:
                     raise InputError(f"tour_latency: no picture came for change {number}")
-            waits.append(1e3 * (next(when for when in received if when > sent[0]) - sent[0]))
+            waits.append(wait)
             if number % 20 == 0:
                 results.add(kind="memory", change=number - config.warm_up, mebibytes=resident(process.pid))
         results.add(kind="waits", milliseconds=waits[config.warm_up :], first_ms=waits[0], size=config.size)
@@ -89,25 +90,53 @@ def main(config: Config) -> None:
     write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
-def listen(page: Any) -> tuple[list[float], list[float]]:
-    """When the browser sends changes and when pictures come in, in seconds; filled as they do."""
-    sent: list[float] = []
-    received: list[float] = []
+class Wire:
+    """What goes over a page's socket, as the browser itself tells it.
 
-    def went(message: str | bytes) -> None:
-        if b"GuiUpdateMessage" in (message if isinstance(message, bytes) else message.encode()):
-            sent.append(time.perf_counter())
+    Attributes:
+        sent, received: when changes went and pictures came, in seconds of the browser's clock.
+        heard: when the last picture was told of, in seconds of ours.
+    """
 
-    def came(message: str | bytes) -> None:
-        if len(message) > PICTURE_BYTES:
-            received.append(time.perf_counter())
+    def __init__(self, page: Any) -> None:
+        self.sent: list[float] = []
+        self.received: list[float] = []
+        self.heard = 0.0
+        self._session = page.context.new_cdp_session(page)
+        self._session.on("Target.attachedToTarget", self._attached)
+        self._session.on("Target.receivedMessageFromTarget", self._told)
+        attach = {"autoAttach": True, "waitForDebuggerOnStart": False, "flatten": False}
+        self._session.send("Target.setAutoAttach", attach)  # viser's socket belongs to a worker
 
-    def follow(wire: Any) -> None:
-        wire.on("framesent", went)
-        wire.on("framereceived", came)
+    def forget(self) -> None:
+        """Begin anew."""
+        self.sent.clear()
+        self.received.clear()
 
-    page.on("websocket", follow)
-    return sent, received
+    @property
+    def wait(self) -> float | None:
+        """Milliseconds from the first change to the first picture after it; None while there is none."""
+        after = [when for when in self.received if self.sent and when > self.sent[0]]
+        return 1e3 * (after[0] - self.sent[0]) if after else None
+
+    def _attached(self, event: Any) -> None:
+        message = json.dumps({"id": 1, "method": "Network.enable"})
+        self._session.send("Target.sendMessageToTarget", {"sessionId": event["sessionId"], "message": message})
+
+    def _told(self, event: Any) -> None:
+        told = json.loads(event["message"])
+        heard = {"Network.webSocketFrameSent": self._went, "Network.webSocketFrameReceived": self._came}
+        if told.get("method") in heard:
+            heard[told["method"]](told["params"])
+
+    def _went(self, event: Any) -> None:
+        if b"GuiUpdateMessage" in base64.b64decode(event["response"]["payloadData"]):
+            self.sent.append(event["timestamp"])
+
+    def _came(self, event: Any) -> None:
+        if len(event["response"]["payloadData"]) > PICTURE_LENGTH:
+            self.received.append(event["timestamp"])
+            self.heard = time.perf_counter()
 
 
 @contextlib.contextmanager
