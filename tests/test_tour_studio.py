@@ -210,6 +210,19 @@ def test_floor_ceiling_and_walls_are_no_furniture() -> None:
     assert piece_at(mesh, np.array([0.0, 0.0, 0.0]), UP) is None
 
 
+@pytest.mark.parametrize("missing", [[0, 0, 1], [1, 0, 0], [0, -1, 0]])
+def test_a_side_that_was_not_scanned_makes_no_shell_of_what_stands_there(missing: list[int]) -> None:
+    """As with phones, which are seldom pointed at the ceiling."""
+    mesh = box_room()
+    side = np.asarray(missing)
+    open_side = np.abs(mesh.triangles_center @ side - (mesh.bounds @ side).max()) < 1e-6
+    mesh.update_faces(~open_side)
+    found = piece_at(mesh, TOP, UP)
+    assert found is not None and mesh.area_faces[found].sum() > 0.49 + 4 * 0.7 * 0.4
+    assert np.abs(mesh.triangles_center[found] - CUBE).max() < 0.36
+    assert shell(mesh, UP)[np.abs(mesh.triangles_center[:, 2]) < 1e-6].all(), "the floor is"
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.5])
 def test_a_click_finds_the_whole_piece_and_nothing_else(turn: float) -> None:
     mesh = box_room()

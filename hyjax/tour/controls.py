@@ -179,9 +179,9 @@ def told(plan: Plan, tour: "Tour") -> str:
     else:
         light = "dark outside"
     day = datetime.date.fromisoformat(plan.day)
-    where = ""
-    if plan.windows:
-        window = plan.windows[0]
-        bearing = (plan.north - facing(window, 0.0, tour.studio.up)) % 360
-        where = f"; window 1 looks {POINTS[round(bearing / 45) % 8]}"
+    where = "".join(
+        f"; window {number + 1} looks {POINTS[round(bearing / 45) % 8]}"
+        for number, window in enumerate(plan.windows)
+        for bearing in [(plan.north - facing(window, 0.0, tour.studio.up)) % 360]
+    )
     return f"{day:%-d %B}, {clock}: {light}{where}"

@@ -21,6 +21,8 @@ from hyjax.tour.place import compass
 
 SHELL = 0.07
 """Metres: what is nearer to floor, ceiling or outer wall belongs to it; up to twice that, as planes are binned."""
+BEYOND = 0.05
+"""Share of a room's surface that may lie outside of a wall, a floor or a ceiling, as scans are no better."""
 LARGEST = 2.5
 """Metres: what hangs together over more than this is no piece of furniture; it is cut to a box around the point."""
 BOX = 0.7
@@ -63,8 +65,10 @@ def shell(mesh: trimesh.Trimesh, up: Float[np.ndarray, "3"]) -> Bool[np.ndarray,
         weight, _ = np.histogram(height[across], bins, weights=areas[across])
         strong = np.flatnonzero(weight > 0.25 * weight.max())
         for outer, sign in ((bins[strong[0]] + SHELL, 1.0), (bins[strong[-1]], -1.0)):
-            # Everything beyond the outermost large plane, and what lies on it.
-            found |= sign * (height - outer) < SHELL
+            inwards = sign * (height - outer)
+            # A scan without its ceiling has tables for its highest planes; beyond walls there is next to nothing.
+            if areas[inwards < -2 * SHELL].sum() < BEYOND * areas.sum():
+                found |= inwards < SHELL
     return found
 
 

@@ -21,7 +21,7 @@ WALLS = 0.5
 BALANCE = 0.43
 """How far a camera's white balance makes up for coloured light, from nothing to all, in reciprocal kelvin."""
 NEUTRAL_KELVIN = 6500.0
-ADAPTATION = 0.9
+ADAPTATION = 0.8
 """How far a camera makes up for the dark: 1 shows night as bright as day, 0 leaves it black."""
 STRIP = (1.0, 0.03)  # metres
 

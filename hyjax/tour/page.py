@@ -275,8 +275,10 @@ class Tour:
             viewer.client.send_file_download(file.name, file.read_bytes())
         names = " --mesh ".join(str(file) for file in files)
         height, width = self.studio.camera(viewer.frame).intrinsics.shape
-        command = f"hyjax relight --lights {names} --size {width}x{height}"
-        viewer.say("Saved", f"The same light, with your capture: {command}", color="green", seconds=15)
+        command = f"hyjax relight --lights {names} --size {width}x{height} --out relit"
+        viewer.say(
+            "Saved", f"All frames in this light (add your --capture): {command}", color="green", seconds=None
+        )
 
     def save_video(self, viewer: Viewer) -> None:
         """Relight the whole capture as a video, while nobody needs the machine for anything else."""

@@ -37,6 +37,7 @@ HOW_TO = {
     "furniture": "Now click on a piece of furniture.",
 }
 _log = logging.getLogger(__name__)
+TURNS_ABOUT = 1.0  # metres ahead: whoever drags looks around, and does not fly through the floor
 AWAY, TURNED = 0.02, 0.01  # metres and radians that mean leaving the picture
 SETTLING = 1.0  # seconds that a browser may take to put its camera where it was told to
 TYPING = 0.6  # seconds after a key
@@ -105,7 +106,7 @@ class Viewer:
         with gui.add_folder("View", order=-2):
             self._frame: Any = gui.add_slider("Frame", 0, max(last, 1), 1, 0, hint="Where the photo was taken from")
             self._wipe = gui.add_slider(
-                "Photo ◂▸ relit", 0.0, 1.0, 0.01, 0.0, hint="Wipe the photo over the relit one"
+                "Photo over it", 0.0, 1.0, 0.01, 0.0, hint="Wipe the photo over the relit one, from the left"
             )
             self._play = gui.add_checkbox("Play the capture", False)
             self._back = gui.add_button("Back into the picture", visible=False, color="orange")
@@ -283,6 +284,7 @@ class Viewer:
         with self.client.atomic():
             self.client.camera.wxyz = quaternion(camera.pose)
             self.client.camera.position = camera.origin
+            self.client.camera.look_at = camera.origin + TURNS_ABOUT * camera.pose[:3, 2]
             self.client.camera.fov = angle
             self._back.visible = False
             self._hide_room()
@@ -309,6 +311,7 @@ class Viewer:
         self._in_picture = False
         self.client.scene.set_background_image(None)
         self._back.visible = True
+        self.say("Flying", "Press “Back into the picture”, or click on a camera, to see the relit photo again.")
         for node in list(self._nodes):
             node.visible = True
         self.redraw_soon()
