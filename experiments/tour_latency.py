@@ -2,10 +2,10 @@
 
     python -m experiments.tour_latency [--changes 1000] [--size 512] [--out results/tour_latency]
 
-Takes three minutes on two cores, and the browser, which renders without a GPU here, has its share of them. Needs
+Takes five minutes on two cores, and the browser, which renders without a GPU here, has its share of them. Needs
 chromium, playwright and the extra `tour`. The tour of the built-in room runs in a process of its own. A key on the
 slider of the hour makes one change; the next one waits for its picture, and comes before shadows become fine. Timed
-in the browser's driver: from the moment that the browser sends the change until it has received the picture. Begun
+by the browser's own clock: from the moment that it sends the change until it has received the picture. Begun
 when the tour has compiled what it compiles ahead, and warmed up by changes that do not count.
 
 Expect: a median below 100 ms for a picture of 512 x 512 pixels on two cores, and memory that stays where it was
