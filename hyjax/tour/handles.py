@@ -7,7 +7,7 @@ import numpy as np
 import viser.transforms
 
 from hyjax.color import blackbody, to_display
-from hyjax.tour.place import upright
+from hyjax.tour.place import unit, upright
 from hyjax.tour.plan import Lamp, Piece, Window
 from hyjax.tour.viewer import guarded, quaternion
 
@@ -130,7 +130,7 @@ class Handles:
 
 def _frame(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
     """A rotation whose z axis is `forward`, its y axis as upright as can be."""
-    z = forward / np.linalg.norm(forward)
+    z = unit(forward)
     y = upright(z, up)
     return np.stack([np.cross(y, z), y, z], axis=1)
 

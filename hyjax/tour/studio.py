@@ -148,9 +148,7 @@ class Studio:
             room = self.house.arranged(plan)
             gbuffer = jax.block_until_ready(self._gbuffer(view.frame, frame, room))
         with clock("light"):
-            layers = []
-            for entry in entries:
-                layers.append(self._layer(entry, view.frame, gbuffer, room, draft, unwanted))
+            layers = [self._layer(entry, view.frame, gbuffer, room, draft, unwanted) for entry in entries]
             jax.block_until_ready(layers)
         relit = relight_layers(clock, entries, lux, layers, seen, gbuffer, view.schedule)
         with clock("show"):
