@@ -27,21 +27,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import hyjax
-from experiments.blocks import Block, Picture, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Picture, Plot, Table
+from experiments.command import Start, experiment, run
 from experiments.judging import summarise
 from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, View, reported
 from experiments.plotting import new_figure
 from experiments.records import Row
 from hyjax import metrics
-from hyjax.contact_sheet import write_contact_sheet
+from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
 from hyjax.pipeline import Mode
-from hyjax.schedule import Schedule
 from hyjax.tuning.calibration import check_repeats, time_calls
+from hyjax.util.contact_sheet import write_contact_sheet
 
-NAME = "ablation_cascade"
-TITLE = "Ablation: the cascade"
 LIGHTS = "two-colors"
 SCHEDULES = ("paper-50", "naive-50", "naive-1000")
 CONVERGED = 20_000
@@ -57,9 +55,10 @@ class Config(KappaConfig):
     """Rounds of the timing."""
 
 
-def main(config: Config) -> None:
+@experiment("Ablation: the cascade")
+def main(config: Config, start: Start) -> None:
     check_repeats(config.repeats)
-    capture, out, results = config.start(NAME)
+    capture, results = config.start(start)
     chosen = spread(reported(capture), config.frames)  # before the first slow step
     bench = config.bench(capture, Schedule.preset("paper-50"))
     sheet = []
@@ -81,12 +80,11 @@ def main(config: Config) -> None:
             raw = bench.relight(view, LIGHTS, mode, ANY).shading
             shown = [raw, *(refined[name] for name in SCHEDULES), converged, accurate.shading]
             label = f"{view.frame.name}, {mode} mode, filters"
-            sheet.append((label, [np.asarray(view.display), *(np.asarray(seen(x, mode)) for x in shown)]))
+            sheet.append((label, [np.asarray(view.display), *(np.asarray(displayed(x, mode)) for x in shown)]))
     for mode, times in time_schedules(bench, view, config.repeats).items():
         for name, time in times.items():
             results.add(kind="time", mode=mode, schedule=name, **dataclasses.asdict(time))
-    write_contact_sheet(out / "side_by_side.png", sheet[: 2 * 4], SHEET)
-    write_blocks(out, NAME, blocks(results.finish(), out))
+    write_contact_sheet(results.out / "side_by_side.png", sheet[: 2 * 4], SHEET)
 
 
 def naive_name(steps: int) -> str:
@@ -99,19 +97,19 @@ def schedules() -> dict[str, Schedule]:
     return {"paper-50": Schedule.preset("paper-50")} | naive
 
 
-def seen(relight_filter: Float[Array, "h w 3"], mode: Mode) -> Float[Array, "h w 3"]:
+def displayed(relight_filter: Float[Array, "h w 3"], mode: Mode) -> Float[Array, "h w 3"]:
     """A filter as a picture."""
     return jnp.clip(relight_filter if mode == "paper" else hyjax.to_display(relight_filter), 0.0, 1.0)
 
 
 def rms(a: Array, b: Array, weight: Array, mode: Mode) -> float:
     """Root mean square difference of two filters' display values."""
-    squared = jnp.mean((seen(a, mode) - seen(b, mode)) ** 2, axis=-1)
+    squared = jnp.mean((displayed(a, mode) - displayed(b, mode)) ** 2, axis=-1)
     return float(jnp.sqrt(jnp.sum(squared * weight) / jnp.sum(weight)))
 
 
 def psnr(view: View, relight_filter: Array, accurate: Array, mode: Mode) -> float:
-    """Of the relit frame against that of the accurate surface, where this is relied on, in dB."""
+    """PSNR of the relit frame against that of the accurate surface, where this is relied on, in dB."""
     linear = hyjax.to_linear(view.display)
     a, b = (
         jnp.clip(f * view.display if mode == "paper" else hyjax.to_display(f * linear), 0.0, 1.0)
@@ -129,7 +127,7 @@ def time_schedules(bench: Bench, view: View, repeats: int) -> dict[Mode, dict[st
     for name in SCHEDULES:
         paper, ours = (jax.device_put(bench.own_kappa(Schedule.preset(name), mode)) for mode in METHODS)
         calls[f"paper {name}"] = functools.partial(hyjax.cascade, raw, view.guide, paper)
-        calls[f"hyjax {name}"] = functools.partial(hyjax.cascade_known, each, known, view.guide, ours)
+        calls[f"linear {name}"] = functools.partial(hyjax.cascade_known, each, known, view.guide, ours)
     times = time_calls(calls, repeats, progress=True)
     return {mode: {name: times[f"{mode} {name}"] for name in SCHEDULES} for mode in METHODS}
 
@@ -185,4 +183,4 @@ def figure(distances: Sequence[Row]) -> Any:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

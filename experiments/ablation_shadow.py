@@ -33,22 +33,20 @@ from jaxtyping import Array, Bool, Float
 from scipy import ndimage
 
 import hyjax
-from experiments.blocks import Block, Picture, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Picture, Plot, Table
+from experiments.command import Start, experiment, run
 from experiments.judging import summarise
 from experiments.paper_bench import METHODS, Bench, KappaConfig, View, reported
 from experiments.plotting import new_figure
 from experiments.records import Row
-from hyjax.contact_sheet import write_contact_sheet
+from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
-from hyjax.errors import InputError
+from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.pipeline import Mode
-from hyjax.scene.raycast import RayCaster
-from hyjax.scene.shadow_caster import cast_shadow_maps
-from hyjax.schedule import Schedule
+from hyjax.util.contact_sheet import write_contact_sheet
+from hyjax.util.errors import InputError
 
-NAME = "ablation_shadow"
-TITLE = "Ablation: the shadow pass"
 LIGHTS = "two-colors"
 STEPS = (0, 1, 2, 4, 8, 16, 32, 64, 128)
 SURFACES = ("rough", "accurate")
@@ -76,8 +74,9 @@ class Config(KappaConfig):
     """How many, spread over those that `paper_table` reports on."""
 
 
-def main(config: Config) -> None:
-    capture, out, results = config.start(NAME)
+@experiment("Ablation: the shadow pass")
+def main(config: Config, start: Start) -> None:
+    capture, results = config.start(start)
     chosen = spread(reported(capture), config.frames)  # before the first slow step
     bench = config.bench(capture, Schedule.preset("paper-80"))
     if not isinstance(bench.reference.geometry, trimesh.Trimesh):
@@ -103,8 +102,7 @@ def main(config: Config) -> None:
                         )
             shown = pictures(view, bench, mode, rough_maps, accurate_maps)
             sheet.append((f"{view.frame.name}, {mode} mode", shown))
-    write_contact_sheet(out / "side_by_side.png", sheet[:8], SHEET)
-    write_blocks(out, NAME, blocks(results.finish(), out))
+    write_contact_sheet(results.out / "side_by_side.png", sheet[:8], SHEET)
 
 
 class Lit:
@@ -131,7 +129,7 @@ class Lit:
 
 
 def ratio(part: Array, whole: Array) -> Array:
-    """What is left of the whole; 1 where there is nothing to lose."""
+    """Part of the whole that is left; 1 where there is nothing to lose."""
     return jnp.where(whole > 1e-6, jnp.clip(part / jnp.maximum(whole, 1e-6), 0.0, 1.0), 1.0)
 
 
@@ -196,7 +194,7 @@ def together(view: View, bench: Bench, mode: Mode, maps: Any, accurate: bool) ->
     """The frame relit with a filter that was diffused with its shadows in it; linear."""
     setup, linear = bench.setups[LIGHTS], hyjax.to_linear(view.display)
     schedule = bench.own_kappa(bench.schedules[mode], mode)
-    lit = Lit(view, bench, "hyjax", maps, accurate=accurate)
+    lit = Lit(view, bench, "linear", maps, accurate=accurate)
     if mode == "paper":
         raw = hyjax.to_display(hyjax.colored(lit.shadowed, setup.lights) / setup.reference_lux)
         return hyjax.to_linear(hyjax.cascade(raw, view.guide, schedule) * view.display)
@@ -272,4 +270,4 @@ def figure(scores: Sequence[Row]) -> Any:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

@@ -8,8 +8,8 @@ the same is measured first, and part of the guard.
 
 - *Step*: one step of Eq. 2 at several sizes and channels, in the form that `hyjax.diffuse` chooses and in the plain
   form; in torch, written from the formula, eager and compiled; in C, compiled on the spot. OpenCV's
-  `anisotropicDiffusion` (8 bits, no guide but itself) is timed beside them. Above `hyjax.forms.MOST_VALUES` ours is
-  the plain form: what they differ by is the noise.
+  `anisotropicDiffusion` (8 bits, no guide but itself) is timed beside them. Above
+  `hyjax.core.backends.MOST_VALUES` ours is the plain form: what they differ by is the noise.
 - *Cascade*: whole schedules at 512 x 512, ours and torch's, with conductances by pooled guides in both. torch's is
   compiled a step at a time. Also frames in batches, and how time grows with pixels.
 - *Quality*: OpenCV's edge-aware filters do another thing, so they are compared by what comes out: the relit frame's
@@ -31,7 +31,6 @@ import dataclasses
 import functools
 import itertools
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -42,27 +41,27 @@ import numpy as np
 
 import hyjax
 from experiments import peers
-from experiments.blocks import write_blocks
-from experiments.command import run
+from experiments.command import RunConfig, Start, experiment, run
 from experiments.guide_speed import same_networks, torch_calls
-from experiments.peers_report import COMPILED, COPY, FLOOR, OURS, PLAIN, TORCH, blocks, guard
+from experiments.peers_report import COMPILED, COPY, FLOOR, OURS, PLAIN, TORCH, guard
+from experiments.peers_report import blocks as blocks
 from experiments.records import Results
+from hyjax.core.diffusion import _steps
+from hyjax.core.refine import HOLE_FLOOR
+from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
-from hyjax.diffusion import _steps
-from hyjax.environment import cores
-from hyjax.errors import InputError
+from hyjax.geometry.raycast import RayCaster
 from hyjax.guide import Guide, normalise
-from hyjax.refine import HOLE_FLOOR
-from hyjax.scene.raycast import RayCaster
-from hyjax.scene.shadow_caster import cast_shadow_maps
-from hyjax.schedule import Schedule
+from hyjax.light.shading import mix_channels
+from hyjax.pipeline import refine_illuminance
 from hyjax.tuning.bench import Workbench, open_bench
 from hyjax.tuning.calibration import check_repeats
-from hyjax.tuning.cases import Case, mix, refined_filter, scores
-from hyjax.tuning.latency import measure_each
+from hyjax.tuning.cases import Case, filter_colors, raw_filter, refined_filter, scores
+from hyjax.tuning.settings import TuneScene, TuneSettings
+from hyjax.util.clock import measure_each
+from hyjax.util.environment import cores
+from hyjax.util.errors import InputError
 
-NAME = "bench_peers"
-TITLE = "Beside others, in one run"
 CASCADES = ("paper-50", "paper-80", "naive-1000", "hyjax")
 OPERATIONS = 13  # of a step, a pixel and channel: four differences, four products, four sums, one by λ
 MOST_VALUES = 2**24
@@ -71,7 +70,7 @@ MOST_SECONDS = 30.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     capture: Path | None = None
     """A capture with depth; by default the built-in room."""
     sizes: tuple[int, ...] = (128, 256, 512, 1024, 2048)
@@ -87,10 +86,10 @@ class Config:
     guard: bool = False
     """End with status 1 where a ratio is beyond its limit."""
     seed: int = 0
-    out: Path = Path("results/bench_peers")
 
 
-def main(config: Config) -> None:
+@experiment("Beside others, in one run")
+def main(config: Config, start: Start) -> str | None:
     check_repeats(config.repeats)
     if bad := [size for size in config.sizes if size < 64]:
         raise InputError(f"sizes: a picture must be at least 64 pixels wide, got {bad[0]}")
@@ -105,19 +104,16 @@ def main(config: Config) -> None:
     if torch is not None:
         torch.set_num_threads(cores())
     floor = peers.Floor()
-    bench = open_bench(config.capture, lights="two-colors")
-    results = Results(config.out, NAME, config)
-    results.add(kind="conditions", cores=cores(), capture=bench.capture.name, meshes=bench.description)
+    bench = open_bench(TuneSettings(TuneScene(capture=config.capture)))
+    results = start()
+    results.add(kind="conditions", cores=cores(), capture=bench.scene.capture.name, meshes=bench.description)
     time_steps(config, results, floor, torch)
     time_cascades(config, results, torch)
     judge_filters(config, results, bench)
     time_guides(config, results)
     time_frames(config, results, bench)
-    rows = results.finish()
-    write_blocks(config.out, NAME, blocks(rows, config.out))
-    if config.guard and (broken := [row for row in guard(rows) if not row[3]]):
-        print(f"{NAME}: beyond its limit: {'; '.join(row[0] for row in broken)}", file=sys.stderr)
-        sys.exit(1)
+    broken = [what for what, *_, holds in guard(results.rows) if not holds] if config.guard else []
+    return f"beyond its limit: {'; '.join(broken)}" if broken else None
 
 
 def picture(seed: int, *shape: int) -> np.ndarray:
@@ -223,7 +219,7 @@ def time_cascades(config: Config, results: Results, torch: Any) -> None:
 
 
 def judge_filters(config: Config, results: Results, bench: Workbench) -> None:
-    count = len(bench.capture)
+    count = len(bench.scene)
     early, late = range(count - max(1, count // 4)), range(count - max(1, count // 4), count)
     tuning, _ = bench.cases(spread(early, config.frames), "tuning")
     held_out, _ = bench.cases(spread(late, config.frames), "held-out")
@@ -234,30 +230,32 @@ def judge_filters(config: Config, results: Results, bench: Workbench) -> None:
     chosen: dict[str, tuple[float, float] | None] = {}
     for who in ("raw filter", *CASCADES, *options):
         tried = options.get(who, [None])
-        found = [scores(tuning, [filtered(case, who, option) for case in tuning]).psnr for option in tried]
+        found = [
+            scores(tuning, [filtered(case, who, option) for case in tuning]).metrics["psnr"] for option in tried
+        ]
         chosen[who] = option = tried[int(np.argmax(found))]
         score = scores(held_out, [filtered(case, who, option) for case in held_out])
         ends = {value for values in zip(*tried) for value in (min(values), max(values))} if option else set()
         results.add(
             kind="quality", who=who, chosen=option, at_end=bool(option) and not ends.isdisjoint(option),
-            loss=score.loss, psnr=score.psnr, ssim=score.ssim,
+            **score.row(),
         )  # fmt: skip
     case = held_out[0]
     calls = {who: repair(case, who, option) for who, option in chosen.items() if who != "raw filter"}
     for who, time in measured(calls, config).items():
-        results.add(kind="quality time", who=who, channels=case.shading.shape[-1] + 1, **time)
+        results.add(kind="quality time", who=who, channels=case.shaded.colors.shape[0] + 1, **time)
 
 
 def weighted(case: Case) -> np.ndarray:
     """(w y, w), as `cascade_known` diffuses them."""
-    known = np.asarray(case.known, np.float32)
-    return np.ascontiguousarray(np.concatenate([np.asarray(case.shading) * known, known], axis=-1))
+    known = np.asarray(case.shaded.confidence)
+    return np.ascontiguousarray(np.concatenate([np.asarray(case.shaded.illuminance) * known, known], axis=-1))
 
 
 def filtered(case: Case, who: str, option: tuple[float, float] | None) -> Any:
     """The filter that somebody makes of a case; where a hole is out of reach the mean of all that is known."""
     if who == "raw filter":
-        return mix(case.shading, case.colors)
+        return raw_filter(case.shaded)
     if option is None:
         return refined_filter(case, Schedule.preset(who))
     out, known = repair(case, who, option)(), weighted(case)
@@ -265,14 +263,14 @@ def filtered(case: Case, who: str, option: tuple[float, float] | None) -> Any:
     reached = np.clip(out[..., -1:], 0.0, 1.0)  # not every filter keeps between the values it is given
     floor = HOLE_FLOOR * (1.0 - reached)
     values = np.clip(out[..., :-1], 0.0, None) + floor * mean
-    return mix(jnp.asarray(values / np.maximum(reached + floor, 1e-6)), case.colors)
+    return mix_channels(jnp.asarray(values / np.maximum(reached + floor, 1e-6)), filter_colors(case.shaded))
 
 
 def repair(case: Case, who: str, option: tuple[float, float] | None) -> Callable[[], Any]:
     """The repair of a case's channels by itself, on inputs as its library wants them."""
     if option is None:
         schedule = Schedule.preset(who)
-        return lambda: hyjax.cascade_known(case.shading, case.known, case.guide, schedule)
+        return lambda: refine_illuminance(case.shaded, case.guide, schedule)
     function, inputs = peers.opencv_filters(np.asarray(case.guide))[who][0], weighted(case)
     return lambda: function(inputs, *option)
 
@@ -296,22 +294,22 @@ def time_guides(config: Config, results: Results) -> None:
 
 
 def time_frames(config: Config, results: Results, bench: Workbench) -> None:
-    frame = bench.frame(0)
-    mesh = bench.rough.mesh
+    frame = bench.scene.frame(0)
+    scene = bench.scene
+    mesh = scene.mesh
     while len(mesh.faces) < config.triangles:
         mesh = mesh.subdivide()
-    casters = {len(bench.rough.mesh.faces): bench.rough, len(mesh.faces): RayCaster(mesh)}
+    casters = {len(scene.mesh.faces): scene.caster, len(mesh.faces): RayCaster(mesh)}
     calls: dict[str, Callable[[], Any]] = {
         f"G-buffer of {faces} triangles": functools.partial(caster.gbuffer, frame.camera)
         for faces, caster in casters.items()
     }
-    seen, maps = bench.rough.gbuffer(frame.camera), cast_shadow_maps(bench.rough, bench.setup.lights)
-    display = jnp.asarray(frame.image)
+    maps = scene.shadow_maps(bench.lights)
+    view = scene.view(0)
 
     def relit(shadow_maps: Any) -> Any:
-        linear, schedule = hyjax.to_linear(display), Schedule.preset("hyjax")
-        given = {"shadow_maps": shadow_maps, "reference_lux": bench.setup.reference_lux}
-        return hyjax.relight(linear, seen, bench.setup.lights, display, schedule, **given).image
+        shaded = view.shade(bench.lights, shadow_maps=shadow_maps)
+        return hyjax.relight(view, shaded, view.display, Schedule.preset("hyjax")).image
 
     calls["frame with shadows, from its G-buffer"] = functools.partial(relit, maps)
     calls["frame without shadows, from its G-buffer"] = functools.partial(relit, None)
@@ -320,4 +318,4 @@ def time_frames(config: Config, results: Results, bench: Workbench) -> None:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

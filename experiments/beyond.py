@@ -33,9 +33,9 @@ from matplotlib.figure import Figure
 
 import hyjax
 from experiments.beyond_ideas import BASE, IDEAS, KAPPAS, OURS, equivalents, known
-from experiments.blocks import Block, Picture, Plot, Table, write_blocks
-from experiments.command import run
-from experiments.judging import METRICS, REGIONS, judge, pick, regions, summarise, tuning_curve
+from experiments.blocks import Block, Picture, Plot, Table
+from experiments.command import Start, experiment, run
+from experiments.judging import REGIONS, judge, pick, regions, summarise, text_of, tuning_curve
 from experiments.paper_bench import (
     ANY,
     BENCHMARKS,
@@ -50,18 +50,16 @@ from experiments.paper_bench import (
 )
 from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
-from hyjax.contact_sheet import write_contact_sheet
+from hyjax.core.schedule import Schedule, guided_schedule
+from hyjax.data.builtin_room import load_room
 from hyjax.data.frames import spread
-from hyjax.data.light_file import LightSetup
-from hyjax.data.room import RoomCapture, load_room
-from hyjax.errors import InputError
-from hyjax.metrics import load_lpips, psnr
+from hyjax.light.setup import LightSetup
+from hyjax.metrics import METRICS, load_lpips, psnr
 from hyjax.pipeline import Mode
-from hyjax.schedule import Schedule, guided_schedule
 from hyjax.tuning.calibration import check_repeats, time_calls
+from hyjax.util.contact_sheet import write_contact_sheet
+from hyjax.util.errors import InputError
 
-NAME = "beyond"
-TITLE = "Beyond the paper"
 FIDELITY = "relighting fidelity"
 PAPER = "paper's method"
 PAPER_KAPPAS = (0.02, 0.05, 0.1, 0.2, 0.4)
@@ -84,11 +82,12 @@ class Config(BenchConfig):
     """LPIPS weights. Default: those of the extra `lpips`."""
 
 
-def main(config: Config) -> None:
+@experiment("Beyond the paper")
+def main(config: Config, start: Start) -> None:
     check_repeats(config.repeats)
     weights = load_lpips(config.weights)
-    capture, out, results = config.start(NAME)
-    room = isinstance(capture, RoomCapture)
+    capture, results = config.start(start)
+    room = capture.reference() is not None
     if room and config.seed == TUNING_SEED:
         raise InputError(f"seed: {TUNING_SEED} is the room that κ is chosen on; give another to report on")
     chosen = spread(reported(capture), config.frames)
@@ -125,9 +124,7 @@ def main(config: Config) -> None:
                 results.add(kind="front", frame=view.frame.name, method=name, line=line, steps=steps, psnr=decibels)
         for name, time in measure(bench, view, kappas, config.repeats).items():
             results.add(kind="time", method=name, **dataclasses.asdict(time))
-    rows = results.finish()
-    write_contact_sheet(out / "best_and_worst.png", best_and_worst(rows, shown), SHEET)
-    write_blocks(out, NAME, blocks(rows, out))
+    write_contact_sheet(results.out / "best_and_worst.png", best_and_worst(results.rows, shown), SHEET)
 
 
 # ---- pictures ----
@@ -142,7 +139,7 @@ def idea_filter(bench: Bench, view: View, lights: str, name: str, kappa: float) 
     return hyjax.colored(IDEAS[name].refine(view, setup, kappa), setup.lights) / setup.reference_lux
 
 
-def true_filter(bench: Bench, view: View, lights: str, mode: Mode = "hyjax") -> Array:
+def true_filter(bench: Bench, view: View, lights: str, mode: Mode = "linear") -> Array:
     return bench.relight(view, lights, mode, ANY, accurate=True).shading
 
 
@@ -172,7 +169,7 @@ def everything(
     bench: Bench, view: View, lights: str, kappas: Mapping[str, float]
 ) -> tuple[dict[str, dict[str, Float[Array, "h w 3"]]], dict[str, Float[Array, "h w 3"]]]:
     """Group → method → relit frame, and group → that of the accurate surface."""
-    bare, true = bench.relight(view, lights, "hyjax", ANY).shading, true_filter(bench, view, lights)
+    bare, true = bench.relight(view, lights, "linear", ANY).shading, true_filter(bench, view, lights)
     light = {"bare mesh": bare, "mean colour": mean_colour(view, bare, "light")}
     light |= {name: idea_filter(bench, view, lights, name, kappas[name]) for name in IDEAS}
     filters = {"light": light, "display values": {PAPER: paper_filter(bench, view, lights, kappas[PAPER])}}
@@ -275,7 +272,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
 
 
 def whole(rows: Sequence[Row], frames: Sequence[Row], what: str) -> Table:
-    """A line for each method: κ, steps, time, and LPIPS and PSNR of the three benchmarks."""
+    """A line for each method: κ, steps, time, and the metrics of the three benchmarks."""
     kappas, times = best_kappas(rows), {row["method"]: row for row in of_kind(rows, "time")}
     lines = []
     for name in (*BASELINES, *IDEAS):
@@ -284,12 +281,12 @@ def whole(rows: Sequence[Row], frames: Sequence[Row], what: str) -> Table:
         cells.append("" if schedule is None else f"{equivalents(schedule):.2f}")
         cells.append("" if name not in times else f"{times[name]['median']:.1f} / {times[name]['p95']:.1f}")
         for benchmark in BENCHMARKS:
-            for metric, digits in (("lpips", 4), ("psnr", 2)):
+            for metric in METRICS:
                 mean = summarise([pick(row, "scores", benchmark, name, "all", metric) for row in frames])
-                cells.append("" if mean is None else mean.text(digits))
+                cells.append("" if mean is None else text_of(mean, metric))
         lines.append([name, *cells])
     header = ["", "κ", "full-size steps", "ms median / p95"]
-    header += [f"{benchmark}, {metric}" for benchmark in BENCHMARKS for metric in ("LPIPS", "PSNR")]
+    header += [f"{benchmark}, {metric.label}" for benchmark in BENCHMARKS for metric in METRICS.values()]
     count = len({row["frame"] for row in frames})
     caption = (
         f"{what}: {count} frames that nothing was chosen on, ± half of the 95 % interval. The paper's method "
@@ -299,15 +296,15 @@ def whole(rows: Sequence[Row], frames: Sequence[Row], what: str) -> Table:
 
 
 def by_region(frames: Sequence[Row], benchmark: str) -> Table:
-    """LPIPS, PSNR and SSIM by kind of pixel."""
-    header = ["", *(f"{region} {metric.upper()}" for region in REGIONS[1:] for metric in METRICS)]
+    """The metrics by kind of pixel."""
+    header = ["", *(f"{region} {metric.label}" for region in REGIONS[1:] for metric in METRICS.values())]
     lines = []
     for name in (*BASELINES, *IDEAS):
         cells = []
         for region in REGIONS[1:]:
             for metric in METRICS:
                 mean = summarise([pick(row, "scores", benchmark, name, region, metric) for row in frames])
-                cells.append("" if mean is None else f"{mean.mean:.{2 if metric == 'psnr' else 4}f}")
+                cells.append("" if mean is None else f"{mean.mean:.{METRICS[metric].digits}f}")
         lines.append([name, *cells])
     return Table(f"{benchmark}, by kind of pixel.", header, lines)
 
@@ -331,4 +328,4 @@ def figure(rows: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

@@ -17,14 +17,14 @@ from scipy import ndimage
 import hyjax
 from experiments.judging import JUMP
 from experiments.paper_bench import View, with_kappa
-from hyjax.cycles import longest_time, shortest_cycle
-from hyjax.data.light_file import LightSetup
-from hyjax.diffusion import edge_stopping, guide_distance
-from hyjax.gbuffer import GBuffer
-from hyjax.pyramid import downsample, level_shape, upsample
-from hyjax.schedule import DEFAULT_KAPPA, Level, Schedule
-from hyjax.stencil import Edges
-from hyjax.vectors import dot
+from hyjax.core.cycles import longest_time, shortest_cycle
+from hyjax.core.diffusion import edge_stopping, guide_distance
+from hyjax.core.pyramid import downsample, level_shape, upsample
+from hyjax.core.schedule import DEFAULT_KAPPA, Level, Schedule
+from hyjax.core.stencil import Edges
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.setup import LightSetup
+from hyjax.util.geometry import dot
 
 Refine = Callable[[View, LightSetup, float], Float[Array, "h w l"]]
 
@@ -35,8 +35,8 @@ DOUBT = 0.1
 """Confidence of what is doubtful."""
 TRUE_DEPTH = 0.05
 """Metres from the accurate surface within which the rough one is right, to whoever knows both."""
-ATTACHMENT = 0.1
-CONVERGED_ATTACHMENT = 0.005
+FIDELITY = 0.1
+CONVERGED_FIDELITY = 0.005
 LOG_OFFSET = 2.0
 """Lux added before the logarithm."""
 
@@ -94,7 +94,7 @@ def perfect(view: View) -> Float[Array, "h w 1"]:
 
 def attached(schedule: Schedule) -> Schedule:
     """With a data term."""
-    levels = tuple(dataclasses.replace(level, attachment=np.float32(ATTACHMENT)) for level in schedule.levels)
+    levels = tuple(dataclasses.replace(level, fidelity=np.float32(FIDELITY)) for level in schedule.levels)
     return dataclasses.replace(schedule, levels=levels)
 
 
@@ -155,7 +155,7 @@ def converged(view: View, setup: LightSetup, kappa: float) -> Array:
 
 @jax.jit
 def _converged(weighted: Array, guide: Array, kappa: Array) -> Array:
-    return hyjax.solve(weighted, hyjax.conductance(guide, kappa), CONVERGED_ATTACHMENT, tolerance=1e-4)
+    return hyjax.solve(weighted, hyjax.conductance(guide, kappa), CONVERGED_FIDELITY, tolerance=1e-4)
 
 
 def harmonic(view: View, setup: LightSetup, kappa: float) -> Array:

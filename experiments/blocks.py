@@ -1,18 +1,20 @@
-"""What a report is made of: text, tables, figures and pictures; Markdown for the terminal, HTML for the page."""
+"""Blocks of a report: text, tables, figures and pictures; Markdown for the terminal, HTML for the page."""
 
 import dataclasses
 import io
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
+from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from hyjax.errors import InputError
-from hyjax.files import whole, write_text
-from hyjax.images import read_image
-from hyjax.tuning.report_markup import Html, tag
+from hyjax.tuning.report_html import templates
 from hyjax.tuning.report_pictures import data_uri
+from hyjax.util.errors import InputError
+from hyjax.util.files import atomic_write, write_text
+from hyjax.util.images import read_image
 
 DPI = 120
 SVG = {"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -84,9 +86,10 @@ def markdown(blocks: Iterable[Block]) -> str:
     return "\n\n".join(parts)
 
 
-def html(blocks: Iterable[Block]) -> list[Html]:
+def html(blocks: Iterable[Block]) -> list[Markup]:
     """The same for a page of one file: figures are vector graphics, pictures are packed in."""
-    return [_html(block) for block in blocks]
+    macros: Any = templates(Path(__file__).parent).get_template("blocks.html.jinja").module
+    return [_html(block, macros) for block in blocks]
 
 
 def write_blocks(out: Path, name: str, blocks: Sequence[Block]) -> None:
@@ -96,7 +99,7 @@ def write_blocks(out: Path, name: str, blocks: Sequence[Block]) -> None:
     write_text(out / f"{name}.md", text + "\n")
     for block in blocks:
         if isinstance(block, Plot):
-            with whole(out / f"{block.name}.png") as temporary:
+            with atomic_write(out / f"{block.name}.png") as temporary:
                 block.figure.savefig(temporary, dpi=DPI)
 
 
@@ -105,27 +108,17 @@ def _line(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
 
 
-def _html(block: Block) -> Html:
+def _html(block: Block, macros: Any) -> Markup:
     if isinstance(block, str):
-        return tag("p", block)
+        return macros.text(block)
     if isinstance(block, Table):
-        places = [None] * block.names + ["n"] * (len(block.header) - block.names)
-        head = tag("tr", [tag("th", text, class_=place) for text, place in zip(block.header, places)])
-        body = [tag("tr", [tag("td", text, class_=p) for text, p in zip(row, places)]) for row in block.rows]
-        table = tag("table", tag("thead", head), tag("tbody", body))
-        return tag("figure", tag("figcaption", block.caption), tag("div", table, class_="wide"))
+        return macros.table(block)
     if isinstance(block, Plot):
         stream = io.StringIO()
         with rc_context({"svg.hashsalt": "hyjax"}):  # the same page from the same rows
             block.figure.savefig(stream, format="svg", metadata=SVG)
-        shown = Html(stream.getvalue()[stream.getvalue().index("<svg") :])
-        return tag("figure", tag("div", shown, class_="plot"), tag("figcaption", block.caption))
-    return tag("figure", _packed(block), tag("figcaption", block.caption))
-
-
-def _packed(picture: Picture) -> Html:
+        return macros.plot(block, Markup(stream.getvalue()[stream.getvalue().index("<svg") :]))
     try:
-        image = read_image(picture.path)
+        return macros.picture(block, data_uri(read_image(block.path)[..., :3]), "")
     except InputError as error:
-        return tag("p", f"The picture is missing: {error}", class_="quiet")
-    return tag("img", src=data_uri(image[..., :3]), alt=picture.caption)
+        return macros.picture(block, "", error)

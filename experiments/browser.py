@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Iterator
 from typing import Any
 
-from hyjax.errors import InputError
+from hyjax.util.errors import InputError
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 ARGUMENTS = [

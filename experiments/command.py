@@ -1,32 +1,111 @@
-"""What every experiment's command line does alike."""
+"""Experiments as one file each: the decorator that makes one of a module's `main`, and its command line.
 
+    @experiment("Title in the report")
+    def main(config: Config, start: Start) -> None:
+        results = start()
+        results.add(kind="score", ...)
+
+    def blocks(rows, folder): ...
+
+    if __name__ == "__main__":
+        run(main)
+
+The line in `experiments.EXPERIMENTS` puts it into the report.
+"""
+
+import dataclasses
+import functools
 import inspect
 import sys
-from collections.abc import Callable
+import typing
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import tyro
 
-from hyjax.errors import InputError
-from hyjax.interrupts import keep_interrupts, leave
+from experiments.blocks import Block, write_blocks
+from experiments.records import Results, Row
+from hyjax.util.errors import InputError
+from hyjax.util.interrupts import defer_interrupts, exit_now
 
-Config = TypeVar("Config")
+Start = Callable[..., Results]
+"""Opens the run's results; with the capture's name they go into a folder of that name."""
 
 
-def run(main: Callable[[Config], None], config_type: type[Config]) -> None:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """Options of every experiment. One that has `resume: bool` besides can go on with an interrupted run."""
+
+    out: Path | None = None
+    """Folder for the results. Default: results/EXPERIMENT, with many captures results/EXPERIMENT/CAPTURE."""
+
+
+class Experiment:
+    """Experiment of a module: options, results folder, tables and figures.
+
+    Attributes:
+        name: of its module.
+        title: in the report.
+    """
+
+    def __init__(self, main: Callable[[Any, Start], str | None], title: str) -> None:
+        functools.update_wrapper(self, main)
+        self.name, self.title, self._main = name_of(main), title, main
+
+    def __call__(self, config: Any) -> list[Row]:
+        """Run it and write rows, `NAME.md` and figures; the rows.
+
+        Raises:
+            InputError: bad options, or the folder cannot be written.
+            SystemExit: after everything is written, if `main` returned what went wrong.
+        """
+        opened: list[Results] = []
+
+        def start(capture: str = "") -> Results:
+            out = config.out or Path("results") / self.name / capture
+            opened.append(Results(out, self.name, config, resume=getattr(config, "resume", False)))
+            return opened[-1]
+
+        failure = self._main(config, start)
+        (results,) = opened
+        rows = results.finish()
+        write_blocks(results.out, self.name, self.blocks(rows, results.out))
+        if failure:
+            print(f"{self.name}: {failure}", file=sys.stderr)
+            sys.exit(1)
+        return rows
+
+    def blocks(self, rows: Sequence[Row], folder: Path) -> list[Block]:
+        """Tables and figures from the rows, by the module's own `blocks`."""
+        return list(self._main.__globals__["blocks"](rows, folder))
+
+
+def experiment(title: str) -> Callable[[Callable[[Any, Start], str | None]], Experiment]:
+    """Decorator of an experiment's `main(config, start)`."""
+    return functools.partial(Experiment, title=title)
+
+
+def run(main: Callable[[Any], Any]) -> None:
     """Call `main` with the options of the command line. Ends the process as `hyjax` does.
 
     Bad input: one line on stderr and exit status 2; interrupted: one line and 130.
     """
-    name = Path(inspect.getfile(main)).stem
-    keep_interrupts()
+    function = inspect.unwrap(main)
+    name, config_type = name_of(function), typing.get_type_hints(function)["config"]
+    defer_interrupts()
     try:
-        main(tyro.cli(config_type, prog=f"python -m experiments.{name}", description=main.__globals__["__doc__"]))
+        description = function.__globals__["__doc__"]
+        main(tyro.cli(config_type, prog=f"python -m experiments.{name}", description=description))
     except InputError as error:
         print(f"{name}: {error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         going_on = "; the rows so far are kept, go on with --resume" if hasattr(config_type, "resume") else ""
         print(f"{name}: interrupted{going_on}", file=sys.stderr)
-        leave(130)
+        exit_now(130)
+
+
+def name_of(main: Callable[..., Any]) -> str:
+    """Name of the module that a function is in, also where it runs as `__main__`."""
+    return Path(inspect.getfile(main)).stem

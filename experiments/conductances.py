@@ -5,7 +5,7 @@
     python -m experiments.conductances --pairs "capture:/data/kitchen?frames=225:300:5&depth=both"
 
 Conductances (Eq. 3) at full size and min-pooled to the cascade's coarser levels. `SPEC` names pictures with depth
-as `hyjax.data.open_pairs` takes them; default are generated rooms of a seed that no training uses. κ is chosen for
+as `hyjax.pairs.registry` takes them; default are generated rooms of a seed that no training uses. κ is chosen for
 each guide such that the median conductance across depth jumps is `AT_JUMPS`, so that guides can be compared by what
 they do elsewhere. They are compared at a level of the cascade, where it does not matter that no sensor's borders
 are those of the picture to the pixel. Edges of that level are of one of these kinds:
@@ -31,21 +31,19 @@ from jaxtyping import Bool, Float
 from scipy import ndimage, stats
 
 import hyjax
-from experiments.blocks import Block, Picture, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Picture, Table
+from experiments.command import RunConfig, Start, experiment, run
 from experiments.judging import JUMP, summarise
-from experiments.records import Results, Row, of_kind
-from hyjax.contact_sheet import write_contact_sheet
-from hyjax.data.depth_pairs import DepthPair
-from hyjax.data.open_pairs import open_pairs
-from hyjax.diffusion import edge_stopping, guide_distance
-from hyjax.errors import InputError
+from experiments.records import Row, of_kind
+from hyjax.core.diffusion import edge_stopping, guide_distance
+from hyjax.core.pyramid import max_pool
+from hyjax.core.stencil import Edges, least_around
 from hyjax.guide.choose import RGB, open_guide
-from hyjax.pyramid import max_pool
-from hyjax.stencil import Edges, least_around
+from hyjax.pairs.depth_pairs import DepthPair
+from hyjax.pairs.registry import open_pairs
+from hyjax.util.contact_sheet import write_contact_sheet
+from hyjax.util.errors import InputError
 
-NAME = "conductances"
-TITLE = "Conductances of an RGB guide and of a learned one"
 AT_JUMPS = 0.1
 FACTORS = (1, 4, 16)
 COMPARED_AT = 4  # pixels a cell is wide
@@ -57,22 +55,20 @@ EdgeValues = Float[np.ndarray, "e"]
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     pairs: str = "rooms?seed=1001&frames=0:96:4"
     guide: str = "small"
     """Learned guide: name of shipped weights, or a file. `rgb` for none."""
     shown: int = 0
     """Which pair becomes a picture."""
-    out: Path | None = None
-    """Default: results/conductances/NAME of the pairs."""
 
 
-def main(config: Config) -> None:
+@experiment("Conductances of an RGB guide and of a learned one")
+def main(config: Config, start: Start) -> None:
     guides = [RGB, *([] if config.guide == RGB.name else [open_guide(config.guide)])]
     pairs = open_pairs(config.pairs)
     if not 0 <= config.shown < len(pairs):
         raise InputError(f"shown: {config.shown} is not one of the pairs 0 to {len(pairs) - 1}")
-    out = config.out or Path("results") / NAME / pairs.name
     found: list[tuple[str, Mapping[str, EdgeMask], dict[str, EdgeValues]]] = []
     shown = None
     for number in range(len(pairs)):
@@ -82,7 +78,7 @@ def main(config: Config) -> None:
         found.append((pair.name, kinds(pair, pooled[RGB.name]), pooled))
         if number == config.shown:
             shown = pair, distances
-    results = Results(out, NAME, config)
+    results = start(pairs.name)
     rows = []
     for guide in guides:
         jumps = np.concatenate([pooled[guide.name][own["jump"]] for _, own, pooled in found])
@@ -99,8 +95,7 @@ def main(config: Config) -> None:
             columns = [levels(distances[guide.name], kappa, factor, pair.depth.shape) for factor in FACTORS]
             rows.append((f"{guide.name}, kappa {kappa:.3g}", [pair.image, *columns]))
     headings = ["frame", *(f"conductances at 1/{factor}" for factor in FACTORS)]
-    write_contact_sheet(out / "conductances.png", rows, headings)
-    write_blocks(out, NAME, blocks(results.finish(), out))
+    write_contact_sheet(results.out / "conductances.png", rows, headings)
 
 
 def kinds(pair: DepthPair, colour: EdgeValues) -> Mapping[str, EdgeMask]:
@@ -188,4 +183,4 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

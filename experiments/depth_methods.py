@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from hyjax.errors import InputError
-from hyjax.schedule import Schedule
-from hyjax.superresolution import adjust, coarsen, super_resolve
+from hyjax.core.schedule import Schedule
+from hyjax.core.superresolution import adjust, coarsen, super_resolve
+from hyjax.util.errors import InputError
 
 KAPPAS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 RADII = (0.25, 0.5, 1.0, 2.0)  # of the guided filter, in cells of the source
@@ -134,7 +134,7 @@ def _bicubic(source: Float[Array, "h/f w/f 1"], shape: tuple[int, int, int]) -> 
 
 
 def _positive(task: Task, y: Float[Array, "h w 1"]) -> Float[Array, "h w 1"]:
-    """What can be adjusted: bicubic interpolation overshoots beside jumps."""
+    """Positive pictures, which can be adjusted: bicubic interpolation overshoots beside jumps."""
     return jnp.maximum(y, 0.5 * jnp.min(task.source))
 
 

@@ -8,7 +8,7 @@
 Depth is coarsened by 4, 8, 16 and 32 and super-resolved under the colour frame: bicubic interpolation, OpenCV's
 guided filter and fast global smoother, and diffusion with adjustment under the frame itself and under learned
 guides, each at full size as Metzger et al. do and through the cascade. `SPEC` names pairs as
-`hyjax.data.open_pairs` takes them; default are generated rooms of seeds that no training uses. Parameters (κ of
+`hyjax.pairs.registry` takes them; default are generated rooms of seeds that no training uses. Parameters (κ of
 each guide, those of the filters) are chosen by factor on the tuning pairs alone.
 
 Takes minutes on two cores for the rooms. Metzger's convention (CVPR 2023, section 4, and the published code): depth
@@ -37,21 +37,19 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.figure import Figure
 
-from experiments.blocks import Block, Picture, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Picture, Plot, Table
+from experiments.command import RunConfig, Start, experiment, run
 from experiments.depth_methods import Method, Options, Task, make_task, methods
 from experiments.judging import beside_jump, summarise
 from experiments.plotting import new_figure
 from experiments.records import Results, Row, of_kind
-from hyjax.contact_sheet import write_contact_sheet
-from hyjax.data.depth_pairs import Unit
-from hyjax.data.open_pairs import open_pairs
-from hyjax.errors import InputError
+from hyjax.core.schedule import Schedule
 from hyjax.guide.choose import FrameGuide, open_guide
-from hyjax.schedule import Schedule
+from hyjax.pairs.depth_pairs import Unit
+from hyjax.pairs.registry import open_pairs
+from hyjax.util.contact_sheet import write_contact_sheet
+from hyjax.util.errors import InputError
 
-NAME = "depth_sr"
-TITLE = "Guided depth super-resolution"
 LEAST_VALID = 0.3  # share of a tile
 BORDER = 3  # pixels around a depth jump
 UNITS = {"metres": ("cm", 100.0), "disparity": ("px", 1.0)}  # as reported
@@ -59,7 +57,7 @@ BRIGHTEST = 3.0  # error that is white in pictures, in multiples of the bicubic 
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     pairs: tuple[str, ...] = ("rooms?seed=1001&frames=0:96:4",)
     """Reported on."""
     tuning: tuple[str, ...] = ("rooms?seed=1002&frames=0:32:4",)
@@ -76,7 +74,6 @@ class Config:
     """Share of a cell's pixels that must be valid for the result to be adjusted to it; one pixel at any rate."""
     peers: bool = True
     """With OpenCV's filters."""
-    out: Path = Path("results") / NAME
 
 
 class Tile(NamedTuple):
@@ -91,7 +88,8 @@ class Tile(NamedTuple):
     valid: Bool[np.ndarray, "s s"]
 
 
-def main(config: Config) -> None:
+@experiment("Guided depth super-resolution")
+def main(config: Config, start: Start) -> None:
     check(config)
     guides = [open_guide(name) for name in config.guides]
     if len({guide.name for guide in guides}) < len(guides):
@@ -99,7 +97,7 @@ def main(config: Config) -> None:
     compared = methods([g.name for g in guides], Schedule.preset(config.schedule), config.steps, config.peers)
     tuning = [tile for text in config.tuning for tile in tiles(text, config.tile)]
     reported = [tile for text in config.pairs for tile in tiles(text, config.tile)]
-    results = Results(config.out, NAME, config)
+    results = start()
     chosen = choose(results, list(tasks(tuning, guides, config)), compared)
     sheet: dict[tuple[str, int], tuple[float, str, list[Float[np.ndarray, "s s 3"]]]] = {}
     for task, tile in tasks(reported, guides, config):
@@ -114,8 +112,7 @@ def main(config: Config) -> None:
             sheet[key] = worst, f"{tile.pair}, x{factor}", pictures(tile, estimates)
     shown = [(label, columns) for _, label, columns in sheet.values()]
     headings = ["frame", "depth", *(f"error: {m.name}" for m in compared)]
-    write_contact_sheet(config.out / "errors.png", shown, headings)
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
+    write_contact_sheet(results.out / "errors.png", shown, headings)
 
 
 def check(config: Config) -> None:
@@ -220,7 +217,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     tables = [table(text, own, options) for text, own in by_source(scores).items()]
     return [
         *tables,
-        Plot(NAME, "RMSE against the factor between source and result.", figure(scores)),
+        Plot(main.name, "RMSE against the factor between source and result.", figure(scores)),
         Picture(
             folder / "errors.png",
             f"The tile of each source on which bicubic errs most; white is {BRIGHTEST:g} times its RMSE.",
@@ -288,4 +285,4 @@ def figure(scores: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

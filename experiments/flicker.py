@@ -1,4 +1,4 @@
-"""How still the light keeps from one frame to the next.
+"""Flicker: changes of the light from one frame to the next.
 
     python -m experiments.flicker [--capture PATH] [--out results/flicker/room]
 
@@ -27,21 +27,19 @@ from jaxtyping import Array, Bool, Float
 from matplotlib.figure import Figure
 
 import hyjax
-from experiments.blocks import Block, Picture, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Picture, Plot, Table
+from experiments.command import Start, experiment, run
 from experiments.judging import summarise
 from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, View, linear_filter, multiplied, reported
 from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
-from hyjax.contact_sheet import write_contact_sheet
+from hyjax.core.schedule import Schedule
 from hyjax.data.frames import select_frames
-from hyjax.errors import InputError
 from hyjax.metrics import psnr
-from hyjax.schedule import Schedule
-from hyjax.video import Memory, Video, recall
+from hyjax.util.contact_sheet import write_contact_sheet
+from hyjax.util.errors import InputError
+from hyjax.video.temporal_filter import Memory, Video, recall
 
-NAME = "flicker"
-TITLE = "Flicker"
 LIGHTS = "two-colors"
 KEPT = (0.5, 0.8, 0.9)
 """Shares of the last frame; the package's own is among them."""
@@ -62,15 +60,16 @@ class Config(KappaConfig):
 
 @dataclasses.dataclass(frozen=True)
 class Last:
-    """What is kept of the frame before."""
+    """State of the frame before."""
 
     view: View
     filters: dict[str, Float[Array, "h w 3"]]
 
 
-def main(config: Config) -> None:
+@experiment("Flicker")
+def main(config: Config, start: Start) -> None:
     schedule = Schedule.preset(config.schedule)  # before the first slow step
-    capture, out, results = config.start(NAME)
+    capture, results = config.start(start)
     chosen = select_frames(config.frames, len(capture)) if config.frames else reported(capture)[:40]
     if len(chosen) < 2:
         raise InputError("frames: flicker is between frames; give at least two")
@@ -95,23 +94,24 @@ def main(config: Config) -> None:
     if not sheet:
         raise InputError("frames: only one of them sees both surfaces; flicker is between frames")
     every = max(1, len(sheet) // SHEET_ROWS)
-    write_contact_sheet(out / "differences.png", sheet[::every][:SHEET_ROWS], ("frame", *filters))
-    write_blocks(out, NAME, blocks(results.finish(), out))
+    write_contact_sheet(results.out / "differences.png", sheet[::every][:SHEET_ROWS], ("frame", *filters))
 
 
 def filters_of(bench: Bench, view: View, videos: dict[float, Video]) -> dict[str, Float[Array, "h w 3"]]:
     """Method → its filter without shadows, display values."""
     lights = bench.setups[LIGHTS].lights
-    own = bench.own_kappa(bench.schedules["hyjax"], "hyjax")
+    own = bench.own_kappa(bench.schedules["linear"], "linear")
     relit = {METHODS[mode]: bench.relight(view, LIGHTS, mode, bench.schedules[mode]) for mode in METHODS}
-    found = {BARE: relit[METHODS["hyjax"]].shading}
+    found = {BARE: relit[METHODS["linear"]].shading}
     found |= {METHODS[mode]: linear_filter(relit[METHODS[mode]], mode) for mode in METHODS}
     camera = view.camera
+    pose, intrinsics = jnp.asarray(camera.pose, jnp.float32), jnp.asarray(camera.intrinsics.matrix, jnp.float32)
+    seen = hyjax.View.of(view.display, view.rough, pose=pose, intrinsics=intrinsics)
     for share, video in videos.items():
-        settle = video.settle(view.rough, lights, view.guide, own, camera.pose, camera.intrinsics.matrix)
-        kept = bench.relight(view, LIGHTS, "hyjax", bench.schedules["hyjax"], settle=settle)
+        temporal_filter = video.filter(seen, lights, view.guide, own)
+        kept = bench.relight(view, LIGHTS, "linear", bench.schedules["linear"], temporal_filter=temporal_filter)
         found[kept_name(share)] = kept.refined
-    found[ACCURATE] = bench.relight(view, LIGHTS, "hyjax", ANY, accurate=True).shading
+    found[ACCURATE] = bench.relight(view, LIGHTS, "linear", ANY, accurate=True).shading
     return {name: jnp.clip(hyjax.to_display(f), 0.0, 1.0) for name, f in found.items()}
 
 
@@ -165,7 +165,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     )
     return [
         Table(caption, ["method", "flicker", "over the paper's", "PSNR"], lines),
-        Plot(NAME, "Flicker of each frame.", figure(scores)),
+        Plot(main.name, "Flicker of each frame.", figure(scores)),
         Picture(folder / "differences.png", f"Change since the frame before, {GAIN:g} times."),
     ]
 
@@ -187,4 +187,4 @@ def figure(scores: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

@@ -1,4 +1,4 @@
-"""How long it takes to fuse all depth maps of a capture, and how much memory.
+"""Time and memory of fusing all depth maps of a capture.
 
     python -m experiments.fusion --capture PATH [--voxel 0.02] [--out results/fusion]
 
@@ -14,30 +14,27 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.blocks import Block, Picture, Table, write_blocks
-from experiments.command import run
-from experiments.records import Results, Row, machine, of_kind
+from experiments.blocks import Block, Picture, Table
+from experiments.command import RunConfig, Start, experiment, run
+from experiments.records import Row, machine, of_kind
 from hyjax.data.frames import spread
-from hyjax.data.open import open_capture
-from hyjax.images import write_png
-from hyjax.scene.raycast import RayCaster
-from hyjax.scene.tsdf import fuse
-from hyjax.tuning.latency import Stopwatch
-
-NAME = "fusion"
-TITLE = "Fusing the depth maps of a capture"
+from hyjax.data.registry import open_capture
+from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.tsdf import fuse
+from hyjax.util.clock import Stopwatch
+from hyjax.util.images import write_png
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     capture: Path
     voxel: float = 0.02
-    out: Path = Path("results/fusion")
 
 
-def main(config: Config) -> None:
+@experiment("Fusing the depth maps of a capture")
+def main(config: Config, start: Start) -> None:
     capture = open_capture(config.capture)
-    results = Results(config.out, NAME, config)
+    results = start()
     watch = Stopwatch()
     mesh = fuse((capture[i] for i in range(len(capture))), config.voxel)
     results.add(
@@ -49,8 +46,7 @@ def main(config: Config) -> None:
         rays, seen = camera.rays(), caster.gbuffer(camera)
         facing = -np.sum(np.asarray(seen.normal) * rays, axis=-1) / np.linalg.norm(rays, axis=-1)
         views.append(np.where(np.asarray(seen.hit)[..., None], np.clip(facing, 0, 1)[..., None], (0.3, 0.0, 0.0)))
-    write_png(config.out / "fusion.png", np.concatenate(views, axis=1)[::2, ::2])
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
+    write_png(results.out / "fusion.png", np.concatenate(views, axis=1)[::2, ::2])
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
@@ -67,4 +63,4 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

@@ -1,4 +1,4 @@
-"""What a learned guide costs a frame: ours against torch running the same network.
+"""Time of a learned guide for a frame: ours against torch running the same network.
 
     python -m experiments.guide_speed [--encoders small medium] [--sizes 256 512] [--repeats 30]
         [--out results/guide_speed]
@@ -26,39 +26,37 @@ import numpy as np
 from flax import nnx
 from matplotlib.figure import Figure
 
-from experiments.blocks import Block, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Plot, Table
+from experiments.command import RunConfig, Start, experiment, run
 from experiments.plotting import new_figure
-from experiments.records import Results, Row, machine, of_kind
-from hyjax.errors import InputError
+from experiments.records import Row, machine, of_kind
 from hyjax.guide import Guide, GuideNetwork, normalise
 from hyjax.guide.weights import assign
 from hyjax.tuning.calibration import check_repeats
-from hyjax.tuning.latency import measure_each
+from hyjax.util.clock import measure_each
+from hyjax.util.errors import InputError
 
-NAME = "guide_speed"
-TITLE = "What a learned guide costs a frame"
 OURS, TORCH, CHANNELS_LAST = "ours", "torch", "torch, channels last"
 FEATURES = 64
 SMALLEST = 32
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     encoders: tuple[Literal["small", "medium"], ...] = ("small", "medium")
     """MobileNetV4-Conv of these sizes."""
     sizes: tuple[int, ...] = (256, 512)
     """Side lengths of square pictures."""
     repeats: int = 30
     seed: int = 0
-    out: Path = Path("results/guide_speed")
 
 
-def main(config: Config) -> None:
+@experiment("What a learned guide costs a frame")
+def main(config: Config, start: Start) -> None:
     check_repeats(config.repeats)
     if bad := [size for size in config.sizes if size < SMALLEST]:
         raise InputError(f"sizes: a picture must be at least {SMALLEST} pixels wide, got {bad[0]}")
-    results = Results(config.out, NAME, config)
+    results = start()
     for size_of_encoder in config.encoders:
         encoder = f"mobilenetv4_conv_{size_of_encoder}"
         network, theirs = same_networks(encoder, config.seed)
@@ -80,7 +78,6 @@ def main(config: Config) -> None:
                     kind="time", encoder=encoder, size=size, who=who, difference=difference, **time,
                     parameters=sum(leaf.size for leaf in jax.tree.leaves(nnx.state(network, nnx.Param))),
                 )  # fmt: skip
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def same_networks(encoder: str, seed: int) -> tuple[GuideNetwork, Any]:
@@ -104,7 +101,7 @@ def torch_network(encoder: str, seed: int) -> Any:
             _import_torchvision(torch)
             import segmentation_models_pytorch as smp
     except ImportError as error:
-        print(f"{NAME}: ours is timed alone: {error.name} is not installed", file=sys.stderr)
+        print(f"{main.name}: ours is timed alone: {error.name} is not installed", file=sys.stderr)
         return None
     torch.manual_seed(seed)
     return smp.Unet(f"tu-{encoder}", encoder_weights=None, classes=FEATURES).eval()
@@ -157,7 +154,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     caption = f"A guide of {FEATURES} features for one picture; {machine(times[0])}{agreement}."
     return [
         Table(caption, ["network, picture", "run by", "first call ms", "median ms", "p95 ms"], lines, names=2),
-        Plot(NAME, "Milliseconds a picture: median (bar) and 95th percentile (tick).", figure(times)),
+        Plot(main.name, "Milliseconds a picture: median (bar) and 95th percentile (tick).", figure(times)),
     ]
 
 
@@ -175,4 +172,4 @@ def figure(times: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

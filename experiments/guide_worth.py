@@ -1,4 +1,4 @@
-"""What a guide is worth in relit frames, between none at all and one that knows every border.
+"""Worth of a guide in relit frames, between none at all and one that knows every border.
 
     python -m experiments.guide_worth [--capture PATH] [--guide small] [--out results/guide_worth/room]
 
@@ -21,19 +21,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from matplotlib.figure import Figure
 
-from experiments.blocks import Block, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Plot, Table
+from experiments.command import Start, experiment, run
 from experiments.judging import summarise, tuning_curve
 from experiments.paper_bench import ANY, METHODS, OWN_GROUP, Bench, BenchConfig, View, linear_filter, multiplied
 from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
+from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
 from hyjax.guide.choose import RGB, open_guide
 from hyjax.metrics import psnr
-from hyjax.schedule import Schedule
 
-NAME = "guide_worth"
-TITLE = "What a guide is worth"
 LIGHTS = "two-colors"
 KAPPAS = (0.0001, 0.0003, 0.0006, 0.00125, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 NONE, SURFACE = "none", "the surface"
@@ -54,9 +52,10 @@ class Config(BenchConfig):
     """Of the built-in room and of the simulated scan."""
 
 
-def main(config: Config) -> None:
+@experiment("What a guide is worth")
+def main(config: Config, start: Start) -> None:
     schedule, learned = Schedule.preset(config.schedule), open_guide(config.guide)
-    capture, out, results = config.start(NAME)
+    capture, results = config.start(start)
     first_held = len(capture) - max(1, len(capture) // 4)
     splits = {
         "tuning": spread(range(first_held), config.frames),
@@ -64,7 +63,7 @@ def main(config: Config) -> None:
     }
 
     def score(bench: Bench, split: str, view: View, guide: str, kappas: dict[str, Sequence[float]]) -> None:
-        target = bench.relight(view, LIGHTS, "hyjax", ANY, accurate=True).shading
+        target = bench.relight(view, LIGHTS, "linear", ANY, accurate=True).shading
         for mode, group in OWN_GROUP.items():
             for kappa in kappas[mode]:
                 relit = bench.relight(view, LIGHTS, mode, schedule, kappa=kappa)
@@ -88,7 +87,6 @@ def main(config: Config) -> None:
                     if split == "held-out":
                         kappas = {mode: (best(results.rows, METHODS[mode], name),) for mode in METHODS}
                     score(bench, split, dataclasses.replace(view, guide=features), name, kappas)
-    write_blocks(out, NAME, blocks(results.finish(), out))
 
 
 def surface_features(view: View) -> Float[Array, "h w 4"]:
@@ -132,7 +130,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         f"{counts[1]} held-out ones, ± half of the 95 % interval."
     )
     header = ["method, guide", "best kappa", "tuning dB", "held-out dB", "more than rgb, dB"]
-    return [Table(caption, header, lines), Plot(NAME, "PSNR on the tuning frames against κ.", figure(scores))]
+    return [Table(caption, header, lines), Plot(main.name, "PSNR on the tuning frames against κ.", figure(scores))]
 
 
 def figure(scores: Sequence[Row]) -> Figure:
@@ -156,4 +154,4 @@ def _of(rows: Sequence[Row], method: str, guide: str) -> list[Row]:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

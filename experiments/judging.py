@@ -1,4 +1,4 @@
-"""How near a picture comes to another, over the whole and by kind of pixel; and what many frames say together."""
+"""Scores of pictures against a target, over the whole and by kind of pixel; means and intervals over frames."""
 
 import dataclasses
 import functools
@@ -12,11 +12,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy import ndimage, stats
 
-from hyjax.errors import InputError
-from hyjax.gbuffer import GBuffer
-from hyjax.metrics import LpipsWeights, lpips_distance_map, lpips_features, ssim_map
+from hyjax.light.gbuffer import GBuffer
+from hyjax.metrics import METRICS, LpipsWeights, Metric
+from hyjax.util.errors import InputError
 
-METRICS = ("lpips", "psnr", "ssim")
 REGIONS = ("all", "holes", "silhouettes", "elsewhere")
 SILHOUETTE = 6 / 512  # of the picture's height: how near to a depth jump counts as beside it
 JUMP = 0.05  # of the depth, between neighbouring pixels
@@ -62,53 +61,55 @@ def judge(
         pictures: display values by name.
         target: display values.
         regions: masks by name.
-        weights: of LPIPS; None leaves it out.
+        weights: of learned metrics; None leaves these out.
         valid: where the target counts; None for everywhere.
 
     Returns:
-        Picture → region → metric. LPIPS and SSIM are means of their maps over the region. Regions smaller than
+        Picture → region → metric, from the mean of the metric's map over the region. Regions smaller than
         `SMALLEST` of the picture are left out.
     """
     valid = np.ones(target.shape[:2], bool) if valid is None else valid
-    features = None if weights is None else lpips_features(target, weights)
+    metrics = {name: m for name, m in METRICS.items() if m.prepare is None or weights is not None}
+    prepared = tuple(target if m.prepare is None else m.prepare(target, weights) for m in metrics.values())
     # All at once keeps an accelerator busy; XLA's CPU backend is faster with one after the other.
     together = jax.default_backend() != "cpu"
     stacked = jnp.stack([jnp.asarray(picture) for picture in pictures.values()])
+    inputs = target, jnp.asarray(valid), prepared, tuple(metrics.values())
     if together:
-        maps = [np.asarray(m) for m in _maps_of_all(stacked, target, jnp.asarray(valid), features, weights)]
+        maps = [np.asarray(m) for m in _maps_of_all(stacked, *inputs)]
     else:
-        each = [_maps(picture, target, jnp.asarray(valid), features, weights) for picture in stacked]
-        maps = [np.stack(m) for m in zip(*each)]
+        maps = [np.stack(m) for m in zip(*(_maps(picture, *inputs) for picture in stacked))]
     scores: dict[str, dict[str, dict[str, float]]] = {name: {} for name in pictures}
     for region, mask in regions.items():
         counted = mask & valid
         if counted.mean() < SMALLEST:
             continue
         for k, name in enumerate(pictures):
-            squared, similar, *perceived = (m[k][counted].mean(dtype=np.float64) for m in maps)
-            found = {"psnr": float("inf") if squared == 0 else -10.0 * math.log10(squared), "ssim": float(similar)}
-            scores[name][region] = found | ({"lpips": float(perceived[0])} if perceived else {})
+            means = (m[k][counted].mean(dtype=np.float64) for m in maps)
+            scores[name][region] = {
+                metric: float(metrics[metric].pooled(mean)) for metric, mean in zip(metrics, means)
+            }
     return scores
 
 
-@jax.jit
+@functools.partial(jax.jit, static_argnames="metrics")
 def _maps(
-    picture: Image,
+    picture: Image, target: Image, valid: Bool[Array, "h w"], prepared: tuple[Any, ...], metrics: tuple[Metric, ...]
+) -> tuple[Float[Array, "h w"], ...]:
+    """Map of each metric; `prepared` holds for each what it compares with."""
+    compared = jnp.where(valid[..., None], picture, target)
+    return tuple(metric.map(compared, own) for metric, own in zip(metrics, prepared, strict=True))
+
+
+@functools.partial(jax.jit, static_argnames="metrics")
+def _maps_of_all(
+    pictures: Float[Array, "n h w 3"],
     target: Image,
     valid: Bool[Array, "h w"],
-    features: list[Array] | None,
-    weights: LpipsWeights | None,
-) -> tuple[Float[Array, "h w"], ...]:
-    """Squared error, SSIM and LPIPS of every pixel; `features` are the target's."""
-    seen = jnp.where(valid[..., None], picture, target)
-    found = jnp.mean((seen - target) ** 2, axis=-1), ssim_map(seen, target)
-    if weights is None or features is None:
-        return found
-    perceived = lpips_distance_map(lpips_features(seen, weights), features, weights, shape=target.shape[:2])
-    return *found, perceived
-
-
-_maps_of_all = jax.jit(jax.vmap(_maps, in_axes=(0, None, None, None, None)))
+    prepared: tuple[Any, ...],
+    metrics: tuple[Metric, ...],
+) -> tuple[Float[Array, "n h w"], ...]:
+    return jax.vmap(lambda picture: _maps(picture, target, valid, prepared, metrics))(pictures)
 
 
 def beside_jump(depth: Float[np.ndarray, "h w"], reach: int | None = None) -> Bool[np.ndarray, "h w"]:
@@ -168,6 +169,16 @@ def summarise(values: Sequence[float | None]) -> Summary | None:
         count = max(1.0, there.size * (1.0 - correlation) / (1.0 + correlation))
         half = float(stats.t.ppf(0.975, there.size - 1) * spread / math.sqrt(count))
     return Summary(mean, half, there.size)
+
+
+def better_text() -> str:
+    """Which values are better, for captions: `LPIPS: lower is better; ...`."""
+    return "; ".join(f"{metric.label}: {metric.better} is better" for metric in METRICS.values())
+
+
+def text_of(found: Summary | None, metric: str) -> str:
+    """Mean and interval with the metric's decimals; a dash if there is none."""
+    return "–" if found is None else found.text(METRICS[metric].digits)
 
 
 def pick(row: Mapping[str, Any], *keys: str) -> Any:

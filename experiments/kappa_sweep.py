@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from matplotlib.figure import Figure
 
-from experiments.blocks import Block, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Plot, Table
+from experiments.command import Start, experiment, run
 from experiments.judging import tuning_curve
 from experiments.paper_bench import (
     ANY,
@@ -33,21 +33,19 @@ from experiments.paper_bench import (
 )
 from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
+from hyjax.core.diffusion import Norm
+from hyjax.core.schedule import Pooling, Schedule
 from hyjax.data.frames import spread
-from hyjax.diffusion import Norm
 from hyjax.metrics import psnr
 from hyjax.pipeline import Mode
-from hyjax.schedule import Pooling, Schedule
 
-NAME = "kappa_sweep"
-TITLE = "Fidelity against κ, pooling and norm"
 LIGHTS = "two-colors"
 KAPPAS = (0.0025, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.4)
 VARIANTS: dict[str, tuple[Mode, Pooling, Norm]] = {
     "paper's method, edges, l2": ("paper", "edges", "l2"),
-    "ours, edges, l2": ("hyjax", "edges", "l2"),
-    "ours, guide, l2": ("hyjax", "guide", "l2"),
-    "ours, edges, mean_abs": ("hyjax", "edges", "mean_abs"),
+    "ours, edges, l2": ("linear", "edges", "l2"),
+    "ours, guide, l2": ("linear", "guide", "l2"),
+    "ours, edges, mean_abs": ("linear", "edges", "mean_abs"),
 }
 BASELINES = ("bare mesh", "mean colour")
 
@@ -61,9 +59,10 @@ class Config(BenchConfig):
     """Of the built-in room and of the simulated scan."""
 
 
-def main(config: Config) -> None:
+@experiment("Fidelity against κ, pooling and norm")
+def main(config: Config, start: Start) -> None:
     schedule = Schedule.preset(config.schedule)
-    capture, out, results = config.start(NAME)
+    capture, results = config.start(start)
     first_held = len(capture) - max(1, len(capture) // 4)
     tuning = spread(range(first_held), config.frames)
     held_out = spread(range(first_held, len(capture)), config.frames)
@@ -71,7 +70,7 @@ def main(config: Config) -> None:
     def score(
         split: str, view: View, method: str, group: str, relight_filter: Float[Array, "h w 3"], **values: float
     ) -> None:
-        target = multiplied(view, bench.relight(view, LIGHTS, "hyjax", ANY, accurate=True).shading, group)
+        target = multiplied(view, bench.relight(view, LIGHTS, "linear", ANY, accurate=True).shading, group)
         found = float(psnr(multiplied(view, relight_filter, group), target, valid=view.valid))
         row = {"capture": capture.name, "split": split, "frame": view.frame.name, "method": method, "group": group}
         results.add(kind="score", **row, psnr=found, **values)
@@ -93,11 +92,10 @@ def main(config: Config) -> None:
                 continue
             for name in VARIANTS:
                 score_variant("held-out", view, name, best(results.rows, name)[0])
-            bare = bench.relight(view, LIGHTS, "hyjax", ANY).shading
+            bare = bench.relight(view, LIGHTS, "linear", ANY).shading
             for mode, group in OWN_GROUP.items():
                 for name, flat in zip(BASELINES, (bare, mean_colour(view, bare, group))):
                     score("held-out", view, f"{name}, as {METHODS[mode]}", group, flat)
-    write_blocks(out, NAME, blocks(results.finish(), out))
 
 
 def curve(rows: Sequence[Row], method: str) -> dict[float, float]:
@@ -132,7 +130,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     header = [f"{scores[0]['capture']}: method, pooling, norm", "best kappa", "tuning dB", "held-out dB"]
     return [
         Table(caption, header, lines),
-        Plot(NAME, "PSNR on the tuning frames against κ.", figure(rows)),
+        Plot(main.name, "PSNR on the tuning frames against κ.", figure(rows)),
     ]
 
 
@@ -149,4 +147,4 @@ def figure(rows: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

@@ -19,19 +19,17 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage, optimize
 
-from experiments.blocks import Block, Picture, Table, write_blocks
-from experiments.command import run
-from experiments.records import Results, Row, of_kind
-from hyjax.contact_sheet import write_contact_sheet
+from experiments.blocks import Block, Picture, Table
+from experiments.command import RunConfig, Start, experiment, run
+from experiments.records import Row, of_kind
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import select_frames, spread
-from hyjax.data.kinect import COLOUR, ROLL, colour_pose
-from hyjax.data.seven_scenes import KINECT, open_seven_scenes
-from hyjax.errors import InputError
-from hyjax.scene.camera import Camera, Intrinsics
+from hyjax.data.kinect import COLOUR, KINECT, ROLL, colour_pose
+from hyjax.data.seven_scenes import open_seven_scenes
+from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.util.contact_sheet import write_contact_sheet
+from hyjax.util.errors import InputError
 
-NAME = "kinect_registration"
-TITLE = "Registering the Kinect's depth to its pictures"
 JUMP = 1.06  # a border: the neighbour is this much farther away
 FARTHEST = 3.5  # metres; beyond, the steps of a Kinect's depth are borders too
 AROUND = 41  # pixels, whose contrast is compared with
@@ -45,19 +43,18 @@ KNOWN: Placement = (COLOUR.fx, COLOUR.cx, COLOUR.cy, ROLL)
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     capture: Path
     """A folder in the 7-Scenes layout."""
     fit: str = "0:225:5"
     """Frames to fit to."""
     judge: str = "225:300:5"
     """Frames to judge by."""
-    out: Path = Path("results") / NAME
 
 
 @dataclasses.dataclass(frozen=True)
 class Borders:
-    """Of one frame: where its depth jumps, in world coordinates, and its picture's contrast."""
+    """Borders of one frame: where its depth jumps, in world coordinates, and its picture's contrast."""
 
     frame: Frame
     points: Float[np.ndarray, "n 3"]
@@ -71,11 +68,12 @@ class Borders:
         )
 
 
-def main(config: Config) -> None:
+@experiment("Registering the Kinect's depth to its pictures")
+def main(config: Config, start: Start) -> None:
     capture = open_seven_scenes(config.capture)
     fit, judge = (select_frames(text, len(capture)) for text in (config.fit, config.judge))
     fitting, judging = borders_of(capture, fit), borders_of(capture, judge)
-    results = Results(config.out, NAME, config)
+    results = start()
     placements = {"as recorded": None, "hyjax.data.kinect": KNOWN}
     placements["fitted to the first"] = fitted(fitting)
     placements["fitted to the second"] = fitted(judging)
@@ -84,8 +82,7 @@ def main(config: Config) -> None:
         counts = [len(fit), len(judge)]
         results.add(kind="placement", name=name, placement=placement, contrast=scores, frames=counts)
     sheet = [(shown.frame.name, [marked(shown, None), marked(shown, KNOWN)]) for shown in spread(judging, 3)]
-    write_contact_sheet(config.out / "borders.png", sheet, ["as recorded", "registered"])
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
+    write_contact_sheet(results.out / "borders.png", sheet, ["as recorded", "registered"])
 
 
 def borders_of(capture: Capture, indices: Sequence[int]) -> list[Borders]:
@@ -177,4 +174,4 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

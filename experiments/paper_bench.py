@@ -12,26 +12,27 @@ from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
 import hyjax
+from experiments.command import RunConfig, Start
 from experiments.judging import check_size, judge, regions
 from experiments.records import Results
 from experiments.references import open_reference
+from hyjax.core.schedule import PAPER_KAPPA, Schedule
+from hyjax.data.builtin_room import load_room
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit, select_frames
-from hyjax.data.light_setups import named_setup, survey_capture
-from hyjax.data.open import open_capture
-from hyjax.data.room import RoomCapture, load_room
-from hyjax.data.surfaces import rough_mesh, surface_of
-from hyjax.errors import InputError
-from hyjax.gbuffer import GBuffer
+from hyjax.data.registry import open_capture
+from hyjax.geometry.camera import Camera
 from hyjax.guide.choose import RGB, FrameGuide, open_guide
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.shadow_map import ShadowMap
 from hyjax.metrics import LpipsWeights
-from hyjax.pipeline import Mode, Relit, Settle
-from hyjax.relighting import Renderer
+from hyjax.pipeline import Mode, Relit, TemporalFilter
+from hyjax.relighting.settings import Renderer
 from hyjax.scene.blender import BlenderRenderer
-from hyjax.scene.camera import Camera
-from hyjax.scene.raycast import RayCaster
-from hyjax.schedule import PAPER_KAPPA, Schedule
-from hyjax.shadow import ShadowMap
+from hyjax.scene.scene import Scene
+from hyjax.scene.settings import SceneSettings
+from hyjax.scene.surfaces import rough_mesh
+from hyjax.util.errors import InputError
 
 BENCHMARKS = {
     "mesh error correction": "center-point",
@@ -40,12 +41,12 @@ BENCHMARKS = {
 }
 """Benchmark → its lights."""
 GROUPS = ("display values", "light")
-"""What the filter is multiplied with."""
-METHODS: dict[Mode, str] = {"paper": "paper's method", "hyjax": "ours"}
+"""Quantities that the filter is multiplied with."""
+METHODS: dict[Mode, str] = {"paper": "paper's method", "linear": "ours"}
 """Mode of the pipeline → how its filter is called."""
 OWN_GROUP: dict[Mode, str] = dict(zip(METHODS, GROUPS))
 """What each mode multiplies its filter with when it is used as it is meant."""
-KAPPA: dict[Mode, float | None] = {"paper": PAPER_KAPPA, "hyjax": None}
+KAPPA: dict[Mode, float | None] = {"paper": PAPER_KAPPA, "linear": None}
 """Best for the RGB guide on tuning frames; None: what the schedule brings."""
 ANY = Schedule.uniform([(16, 1)])
 """For the accurate surface, of which only the raw filter is looked at."""
@@ -79,7 +80,7 @@ class Bench:
         reference: str | None = None,
         size: int = 512,
         seed: int = 0,
-        renderer: Renderer = "hyjax",
+        renderer: Renderer = "shadow_map",
         guide: FrameGuide = RGB,
         kappa: Mapping[Mode, float | None] = KAPPA,
         own: Schedule | None = None,
@@ -89,16 +90,16 @@ class Bench:
             if value is not None and not 0 < value < float("inf"):
                 raise InputError(f"kappa of {METHODS[mode]}: {value:g} given; it must be a number > 0")
         self.guide, self.kappa = guide, kappa
-        self.source, rough = surface_of(capture, mesh or rough_mesh(capture), seed=seed)
-        self.capture, self.size = capture, (size, size)
-        self.schedules: dict[Mode, Schedule] = {"paper": schedule, "hyjax": own or Schedule.preset("hyjax")}
-        self.rough, self.reference = RayCaster(rough), open_reference(capture, reference)
-        stage = survey_capture(self.rough, capture)
-        self.setups = {name: named_setup(name, stage) for name in dict.fromkeys(BENCHMARKS.values())}
+        settings = SceneSettings(mesh=mesh or rough_mesh(capture), seed=seed, size=str(size))
+        self.scene = Scene.open(settings, capture=capture)
+        self.capture, self.source = capture, self.scene.source
+        self.schedules: dict[Mode, Schedule] = {"paper": schedule, "linear": own or Schedule.preset("hyjax")}
+        self.rough, self.reference = self.scene.caster, open_reference(capture, reference)
+        self.setups = {name: self.scene.lights(name) for name in dict.fromkeys(BENCHMARKS.values())}
         self._stack, self._blender = contextlib.ExitStack(), []
         if renderer == "blender":
             lights = [light for setup in self.setups.values() for light in setup.lights]
-            for geometry in (rough, self.reference.geometry):
+            for geometry in (self.scene.mesh, self.reference.geometry):
                 made = BlenderRenderer(geometry, lights, shadows=False)
                 self._blender.append(self._stack.enter_context(made))
 
@@ -132,12 +133,12 @@ class Bench:
     def view(self, index: int) -> "View":
         """A frame with what its camera sees of both surfaces."""
         frame = self.capture[index]
-        fitted = fit(frame, self.size)
+        fitted = fit(frame, self.scene.size)
         seen = [gbuffer(fitted.camera) for gbuffer in (self.rough.gbuffer, self.reference.gbuffer)]
         shading = []
         for k, blender in enumerate(self._blender):
             rendering = blender.render(fitted.camera)
-            seen[k] = rendering.seen_by_both(seen[k])
+            seen[k] = rendering.hit_by_both(seen[k])
             shading.append(jnp.asarray(rendering.shading))
         valid = self.reference.reliable(frame, fitted.camera, seen[1])
         display = jnp.asarray(fitted.image)
@@ -159,7 +160,7 @@ class Bench:
             raise self.unseen()
 
     def unseen(self) -> InputError:
-        """What to say where no frame sees both surfaces."""
+        """Error for a capture of which no frame sees both surfaces."""
         return InputError(f"{self.capture.name}: no ray of any frame met both surfaces; are they in one world?")
 
     def pictures(self, view: "View", lights: str) -> dict[str, dict[str, Float[Array, "h w 3"]]]:
@@ -171,8 +172,8 @@ class Bench:
         filters = {
             "bare mesh": ours.shading,
             METHODS["paper"]: linear_filter(paper, "paper"),
-            METHODS["hyjax"]: linear_filter(ours, "hyjax"),
-            "accurate surface": self.relight(view, lights, "hyjax", ANY, accurate=True).shading,
+            METHODS["linear"]: linear_filter(ours, "linear"),
+            "accurate surface": self.relight(view, lights, "linear", ANY, accurate=True).shading,
         }
         made = {}
         for group in GROUPS:
@@ -192,30 +193,33 @@ class Bench:
         kappa: float | None = None,
         accurate: bool = False,
         shadow_maps: Sequence[ShadowMap | None] | None = None,
-        settle: Settle | None = None,
+        temporal_filter: TemporalFilter | None = None,
     ) -> Relit:
         """A frame on the rough surface, or on the accurate one. κ is the bench's for the mode unless given.
 
         See `own_kappa`.
         """
-        setup = self.setups[lights]
-        gbuffer, shading = (view.accurate if accurate else view.rough), None
-        if view.shading:
-            names = list(self.setups)
-            first = sum(len(self.setups[name].lights) for name in names[: names.index(lights)])
-            shading = view.shading[accurate][..., first : first + len(setup.lights)]
-        return hyjax.relight(
-            hyjax.to_linear(view.display),
-            gbuffer,
-            setup.lights,
-            view.guide,
-            self.own_kappa(schedule, mode) if kappa is None else with_kappa(schedule, kappa),
-            shading=shading,
-            shadow_maps=shadow_maps,
-            reference_lux=setup.reference_lux,
-            settle=settle,
-            mode=mode,
-        )
+        seen = hyjax.View.of(view.display, view.accurate if accurate else view.rough)
+        own = self.own_kappa(schedule, mode) if kappa is None else with_kappa(schedule, kappa)
+        shaded = self.shaded(view, lights, accurate=accurate, shadow_maps=shadow_maps)
+        return hyjax.relight(seen, shaded, view.guide, own, temporal_filter=temporal_filter, mode=mode)
+
+    def shaded(
+        self,
+        view: "View",
+        lights: str,
+        *,
+        accurate: bool = False,
+        shadow_maps: Sequence[ShadowMap | None] | None = None,
+    ) -> hyjax.Shaded:
+        """Light of a set-up on the rough surface, or on the accurate one."""
+        setup, gbuffer = self.setups[lights], (view.accurate if accurate else view.rough)
+        if not view.shading:
+            return hyjax.View.of(view.display, gbuffer).shade(setup, shadow_maps=shadow_maps)
+        names = list(self.setups)
+        first = sum(len(self.setups[name].lights) for name in names[: names.index(lights)])
+        illuminance = view.shading[accurate][..., first : first + len(setup.lights)]
+        return hyjax.Shaded.of(setup, illuminance, jnp.ones_like(illuminance), gbuffer.hit)
 
     def own_kappa(self, schedule: Schedule, mode: Mode) -> Schedule:
         """The schedule with the bench's κ for the mode, if it has one."""
@@ -228,15 +232,15 @@ class Bench:
         if view.blind:
             return None
         pictures = self.pictures(view, "two-colors")
-        shown = [pictures["light"][name] for name in ("bare mesh", METHODS["hyjax"], "accurate surface")]
+        shown = [pictures["light"][name] for name in ("bare mesh", METHODS["linear"], "accurate surface")]
         shown.insert(1, pictures["display values"][METHODS["paper"]])
         relied = np.repeat(view.valid[..., None].astype(np.float32), 3, axis=-1)
         return view.frame.name, [*(np.asarray(x) for x in (view.display, *shown)), relied]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class BenchConfig:
-    """What every experiment on a `Bench` is asked."""
+class BenchConfig(RunConfig):
+    """Options of every experiment on a `Bench`."""
 
     capture: Path | None = None
     """Folder of a capture. Default: the built-in room."""
@@ -250,16 +254,13 @@ class BenchConfig:
     """Pixels a side."""
     seed: int = 1
     """Of the built-in room and of the simulated scan."""
-    out: Path | None = None
-    """Default: results/EXPERIMENT/NAME of the capture."""
 
-    def start(self, name: str) -> tuple[Capture, Path, Results]:
-        """The capture, the folder for the results of experiment `name`, and the results."""
+    def start(self, start: Start) -> tuple[Capture, Results]:
+        """The capture, and the results in a folder of its name."""
         capture = load_room(self.seed) if self.capture is None else open_capture(self.capture)
-        out = self.out or Path("results") / name / capture.name
-        return capture, out, Results(out, name, self, resume=getattr(self, "resume", False))
+        return capture, start(capture.name)
 
-    def bench(self, capture: Capture, schedule: Schedule, renderer: Renderer = "hyjax") -> Bench:
+    def bench(self, capture: Capture, schedule: Schedule, renderer: Renderer = "shadow_map") -> Bench:
         """Both surfaces of the capture."""
         surfaces = self.mesh, self.reference, self.size, self.seed
         return Bench(
@@ -290,7 +291,7 @@ class KappaConfig(BenchConfig):
 
     @property
     def kappas(self) -> Mapping[Mode, float | None]:
-        return {"paper": self.paper_kappa, "hyjax": self.kappa}
+        return {"paper": self.paper_kappa, "linear": self.kappa}
 
     @property
     def preset_of_ours(self) -> Schedule:
@@ -306,7 +307,7 @@ def reported(capture: Capture, frames: str | None = None) -> list[int]:
     if frames is not None:
         return select_frames(frames, len(capture))
     quarter = len(capture) - max(1, len(capture) // 4)
-    return list(range(0 if isinstance(capture, RoomCapture) else quarter, len(capture)))
+    return list(range(quarter if capture.reference() is None else 0, len(capture)))
 
 
 def linear_filter(relit: Relit, mode: Mode) -> Float[Array, "h w 3"]:

@@ -1,4 +1,4 @@
-"""What changes from one run of `paper_table` to another on the same frames, such as under another guide.
+"""Difference of two runs of `paper_table` on the same frames, such as under another guide.
 
     python -m experiments.paper_difference --first results/paper_table/a --second results/paper_table/b
         [--out results/paper_difference]
@@ -15,31 +15,29 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.blocks import Block, Plot, Table, write_blocks
-from experiments.command import run
-from experiments.judging import pick, summarise
+from experiments.blocks import Block, Plot, Table
+from experiments.command import RunConfig, Start, experiment, run
+from experiments.judging import better_text, pick, summarise, text_of
 from experiments.paper_bench import BENCHMARKS, METHODS, OWN_GROUP
 from experiments.plotting import new_figure
-from experiments.records import FILE, Results, Row, is_finished, of_kind, read_rows
-from hyjax.errors import InputError
+from experiments.records import FILE, Row, is_finished, of_kind, read_rows
+from hyjax.metrics import METRICS
+from hyjax.util.errors import InputError
 
-NAME = "paper_difference"
-TITLE = "One run of the benchmarks against another"
-DIGITS = {"lpips": 4, "psnr": 2, "ssim": 4}
 SAME = ("capture", "size", "seed")
 """Settings that decide what pictures are judged."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Config:
+class Config(RunConfig):
     first: Path
     """Folder of a run of `paper_table`."""
     second: Path
     """Folder of another."""
-    out: Path = Path("results") / NAME
 
 
-def main(config: Config) -> None:
+@experiment("One run of the benchmarks against another")
+def main(config: Config, start: Start) -> None:
     first, second = (judged(folder) for folder in (config.first, config.second))
     shared = sorted(first.keys() & second.keys())
     if not shared:
@@ -52,16 +50,15 @@ def main(config: Config) -> None:
         if ours != theirs:
             told = f"second: {config.second} had {name} {theirs} and {config.first} {ours}"
             raise InputError(f"{told}; compare runs on the same pictures")
-    results = Results(config.out, NAME, config)
+    results = start()
     for index in shared:
         for benchmark in BENCHMARKS:
             for mode, group in OWN_GROUP.items():
-                for metric in DIGITS:
+                for metric in METRICS:
                     place = ("scores", benchmark, group, METHODS[mode], "all", metric)
                     values = {"first": pick(first[index], *place), "second": pick(second[index], *place)}
                     row = {"index": index, "benchmark": benchmark, "method": METHODS[mode], "metric": metric}
                     results.add(kind="pair", **row, **values)
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def judged(folder: Path) -> dict[int, Row]:
@@ -85,17 +82,17 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     for benchmark in BENCHMARKS:
         for method in METHODS.values():
             cells = []
-            for metric, digits in DIGITS.items():
+            for metric in METRICS:
                 found = summarise(differences(pairs, benchmark, method, metric))
-                cells.append("–" if found is None else ("+" if found.mean >= 0 else "") + found.text(digits))
+                cells.append(("+" if found is not None and found.mean >= 0 else "") + text_of(found, metric))
             lines.append([f"{benchmark}, {method}", *cells])
     settings = pairs[0]["settings"]
     caption = (
         f"{settings['second']} minus {settings['first']}: mean over {len({row['index'] for row in pairs})} frames "
-        "± 95 % interval. Of LPIPS less is better, of PSNR and SSIM more."
+        f"± 95 % interval. {better_text()}."
     )
-    table = Table(caption, ["benchmark, method", "LPIPS", "PSNR dB", "SSIM"], lines)
-    return [table, Plot(NAME, "Difference in PSNR, frame by frame.", figure(pairs))]
+    table = Table(caption, ["benchmark, method", *(metric.label for metric in METRICS.values())], lines)
+    return [table, Plot(main.name, "Difference in PSNR, frame by frame.", figure(pairs))]
 
 
 def differences(pairs: Sequence[Row], benchmark: str, method: str, metric: str) -> list[float]:
@@ -117,4 +114,4 @@ def figure(pairs: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

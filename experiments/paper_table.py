@@ -38,20 +38,17 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from experiments.blocks import Block, Picture, Plot, Table, write_blocks
-from experiments.command import run
-from experiments.judging import METRICS, REGIONS, Summary, pick, summarise
+from experiments.blocks import Block, Picture, Plot, Table
+from experiments.command import Start, experiment, run
+from experiments.judging import REGIONS, Summary, better_text, pick, summarise, text_of
 from experiments.paper_bench import BENCHMARKS, METHODS, OWN_GROUP, SHEET, KappaConfig, reported
 from experiments.plotting import new_figure
 from experiments.records import Row
-from hyjax.contact_sheet import write_contact_sheet
+from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
-from hyjax.metrics import load_lpips
-from hyjax.relighting import Renderer
-from hyjax.schedule import Schedule
-
-NAME = "paper_table"
-TITLE = "The paper's three benchmarks"
+from hyjax.metrics import METRICS, load_lpips
+from hyjax.relighting.settings import Renderer
+from hyjax.util.contact_sheet import write_contact_sheet
 
 PAPER = {
     "mesh error correction": {"lpips": (0.1322, 0.1078), "psnr": (12.7437, 12.8100)},
@@ -61,7 +58,6 @@ PAPER = {
 """The paper's own table: ARKit mesh, their method; 596 frames of ARKitScenes 47333462."""
 FEWEST = 5  # frames, below which no direction is claimed
 LITTLE = 0.5  # share of the pixels that the accurate surface is relied on, below which something is amiss
-DIGITS = {"lpips": 4, "psnr": 2, "ssim": 4}
 SHEET_ROWS = 6
 
 
@@ -71,7 +67,7 @@ class Config(KappaConfig):
     """Named schedule of the paper's mode."""
     frames: str | None = None
     """Which, see `hyjax relight --frames`. Default: the last quarter of a capture, all of the built-in room."""
-    renderer: Renderer = "hyjax"
+    renderer: Renderer = "shadow_map"
     """What shades the surfaces."""
     weights: Path | None = None
     """LPIPS weights. Default: those of the extra `lpips`."""
@@ -79,10 +75,11 @@ class Config(KappaConfig):
     """Go on with the interrupted run in the out folder."""
 
 
-def main(config: Config) -> None:
+@experiment("The paper's three benchmarks")
+def main(config: Config, start: Start) -> None:
     weights = load_lpips(config.weights)
     schedule = Schedule.preset(config.schedule)  # before the first slow step
-    capture, out, results = config.start(NAME)
+    capture, results = config.start(start)
     done = {row["index"] for row in results.rows if row.get("kind") == "frame"}
     chosen = reported(capture, config.frames)
     with config.bench(capture, schedule, config.renderer) as bench:
@@ -91,8 +88,7 @@ def main(config: Config) -> None:
         if not any(row.get("scores") for row in results.rows):
             raise bench.unseen()
         sheet = [row for i in spread(chosen, SHEET_ROWS) if (row := bench.sheet_row(i)) is not None]
-    write_contact_sheet(out / "contact_sheet.png", sheet, SHEET)
-    write_blocks(out, NAME, blocks(results.finish(), out))
+    write_contact_sheet(results.out / "contact_sheet.png", sheet, SHEET)
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
@@ -137,11 +133,12 @@ def whole(frames: Sequence[Row], benchmark: str) -> Table:
     """One benchmark over all pixels, the paper's own figures beside."""
     rows = []
     for group, method in methods(frames, benchmark):
-        cells = [_cell(summary(frames, benchmark, group, method, "all", metric), metric) for metric in METRICS]
+        cells = [text_of(summary(frames, benchmark, group, method, "all", metric), metric) for metric in METRICS]
         own = {"bare mesh": 0, METHODS["paper"]: 1}.get(method) if group == "display values" else None
-        theirs = ["" if own is None else f"{PAPER[benchmark][metric][own]:.4f}" for metric in ("lpips", "psnr")]
+        theirs = ["" if own is None else f"{values[own]:.4f}" for values in PAPER[benchmark].values()]
         rows.append([f"{method}, times {group}", *cells, *theirs])
-    header = ["", "LPIPS", "PSNR dB", "SSIM", "the paper's LPIPS", "the paper's PSNR"]
+    header = ["", *(metric.label for metric in METRICS.values())]
+    header += [f"the paper's {METRICS[name].label}" for name in PAPER[benchmark]]
     return Table(f"{benchmark.capitalize()}: mean over frames ± 95 % interval.", header, rows)
 
 
@@ -150,23 +147,22 @@ def by_region(frames: Sequence[Row], benchmark: str) -> Table:
     rows = []
     for group, method in methods(frames, benchmark):
         cells = []
-        for metric in ("lpips", "psnr"):
+        for metric in METRICS:
             for region in REGIONS[1:]:
                 found = summary(frames, benchmark, group, method, region, metric)
-                cells.append("–" if found is None else f"{found.mean:.{DIGITS[metric]}f}")
+                cells.append("–" if found is None else f"{found.mean:.{METRICS[metric].digits}f}")
         rows.append([f"{method}, times {group}", *cells])
-    header = ["", *(f"{metric} {region}" for metric in ("LPIPS", "PSNR") for region in REGIONS[1:])]
+    header = ["", *(f"{metric.label} {region}" for metric in METRICS.values() for region in REGIONS[1:])]
     caption = f"{benchmark.capitalize()}, by kind of pixel: means over the frames that have such pixels."
     return Table(caption, header, rows)
 
 
 def directions(frames: Sequence[Row]) -> Table:
-    """What refining changes against the bare mesh, beside what it changed in the paper."""
+    """Change by refining against the bare mesh, beside that in the paper."""
     rows = []
     for benchmark in BENCHMARKS:
-        for metric in ("lpips", "psnr"):
-            bare, refined = PAPER[benchmark][metric]
-            cells = [f"{benchmark}, {metric.upper()}", f"{refined - bare:+.4f}"]
+        for metric, (bare, refined) in PAPER[benchmark].items():
+            cells = [f"{benchmark}, {METRICS[metric].label}", f"{refined - bare:+.4f}"]
             verdicts = []
             for mode, group in OWN_GROUP.items():
                 change = summarise(
@@ -182,28 +178,28 @@ def directions(frames: Sequence[Row]) -> Table:
             rows.append([*cells, verdicts[0]])
     header = ["change against the bare mesh", "the paper's table", "paper's method", "ours", "same direction"]
     caption = (
-        "Does the paper's comparison reproduce? Refined minus bare, mean over the same frames ± 95 % interval; for "
-        "LPIPS less is better, for PSNR more. The last column is of the paper's method; open: the interval holds "
-        "0, or there are too few frames."
+        "Does the paper's comparison reproduce? Refined minus bare, mean over the same frames ± 95 % interval. "
+        f"{better_text()}. The last column is of the paper's method; open: the interval holds 0, or there are too "
+        "few frames."
     )
     return Table(caption, header, rows)
 
 
 def figure(frames: Sequence[Row]) -> Any:
-    """LPIPS and PSNR of every method, a column of axes for each benchmark; the same method on the same line."""
+    """The paper's metrics of every method: a column of axes for each benchmark, a line for each method."""
     names = methods(frames, next(iter(BENCHMARKS)))
     fig = new_figure(13, 7.5)
     axes = fig.subplots(2, len(BENCHMARKS), squeeze=False, sharey=True)
     for column, benchmark in enumerate(BENCHMARKS):
         axes[0, column].set_title(benchmark)
-        for ax, metric in zip(axes[:, column], ("lpips", "psnr")):
+        for ax, metric in zip(axes[:, column], PAPER[benchmark]):
             for y, (group, method) in enumerate(names):
                 found = summary(frames, benchmark, group, method, "all", metric)
                 if found is not None:
                     color = {"display values": "C1", "light": "C0"}[group]
                     ax.barh(y, found.mean, xerr=found.half, color=color, alpha=0.85, error_kw={"lw": 1})
             ax.set_yticks(range(len(names)), [f"{method}, times {group}" for group, method in names], fontsize=8)
-            ax.set_xlabel({"lpips": "LPIPS, less is better", "psnr": "PSNR in dB, more is better"}[metric])
+            ax.set_xlabel(f"{METRICS[metric].label}, {METRICS[metric].better} is better")
     axes[0, 0].invert_yaxis()
     return fig
 
@@ -211,10 +207,6 @@ def figure(frames: Sequence[Row]) -> Any:
 def _percent(frames: Sequence[Row], kind: str, name: str) -> str:
     found = summarise([pick(row, kind, name) for row in frames])
     return "–" if found is None else f"{100 * found.mean:.0f} %"
-
-
-def _cell(found: Summary | None, metric: str) -> str:
-    return "–" if found is None else found.text(DIGITS[metric])
 
 
 def _interval(found: Summary) -> str:
@@ -228,4 +220,4 @@ def _verdict(change: Summary | None, theirs: float) -> str:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

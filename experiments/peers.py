@@ -20,8 +20,8 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments.peers_report import SMOOTHER
-from hyjax.errors import InputError
-from hyjax.schedule import Schedule
+from hyjax.core.schedule import Schedule
+from hyjax.util.errors import InputError
 
 # Eq. 2, one pass over memory a step; what a C programmer writes first, with the compiler told to use the machine.
 SOURCE = r"""

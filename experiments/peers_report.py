@@ -1,4 +1,4 @@
-"""What the rows of `bench_peers` tell: tables, the roofline, and the guard's ratios."""
+"""Report of `bench_peers` from its rows: tables, the roofline, and the guard's ratios."""
 
 import math
 from collections.abc import Sequence

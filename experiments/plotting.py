@@ -1,4 +1,4 @@
-"""What every figure here starts from."""
+"""Empty figures."""
 
 from matplotlib.figure import Figure
 

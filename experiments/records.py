@@ -5,7 +5,6 @@ Tables, figures and pages are made from these rows alone (`experiments.report`).
 """
 
 import dataclasses
-import json
 import math
 import subprocess
 import sys
@@ -13,9 +12,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from hyjax.environment import environment, peak_memory_mib
-from hyjax.errors import InputError
-from hyjax.files import make_writable, write_text
+from hyjax.util.environment import environment, peak_memory_mib
+from hyjax.util.errors import InputError
+from hyjax.util.files import make_writable
+from hyjax.util.run_log import RunLog, check_same_settings, read_lines
 
 FILE = "rows.jsonl"
 ROOT = Path(__file__).parents[1]
@@ -31,6 +31,11 @@ class Results:
     own values. The last row of a finished run is `{"kind": "finished"}`. A finished run that is there already is
     replaced with the first row, not before.
 
+    Attributes:
+        out: the run's folder.
+        path: its file of rows.
+        rows: those so far.
+
     Args:
         out: the run's folder.
         experiment: name of the module.
@@ -44,7 +49,7 @@ class Results:
 
     def __init__(self, out: Path, experiment: str, config: Any, *, resume: bool = False) -> None:
         make_writable(out)
-        self.path = out / FILE
+        self.out, self.path = out, out / FILE
         settings = {key: value for key, value in dataclasses.asdict(config).items() if key not in UNSETTLED}
         self._stamp = _clean(
             {
@@ -55,12 +60,13 @@ class Results:
             }
             | environment()
         )
-        self.rows: list[Row] = []
+        rows: list[Row] = []
         earlier = read_rows(self.path) if self.path.is_file() else []
         if resume:
-            self.rows = [row for row in earlier if row.get("kind") != "finished"]
-            for row in self.rows:
-                self._compare(row)
+            rows = [row for row in earlier if row.get("kind") != "finished"]
+            for row in rows:
+                check_same_settings(out, *({"experiment": r["experiment"]} for r in (row, self._stamp)))
+                check_same_settings(out, row.get("settings") or {}, self._stamp["settings"])
         elif earlier and not is_finished(earlier):
             how = "add --resume to go on with it" if hasattr(config, "resume") else f"remove its {FILE}"
             raise InputError(
@@ -68,7 +74,12 @@ class Results:
             )
         elif earlier:
             print(f"{experiment}: replacing the finished run in {out}", file=sys.stderr)
-        self._begun = False
+        self._log = RunLog(self.path, rows)
+
+    @property
+    def rows(self) -> list[Row]:
+        """All rows so far."""
+        return self._log.lines
 
     def add(self, **values: Any) -> Row:
         """Append a row and return it. Numbers that are not finite become None, arrays become lists.
@@ -80,16 +91,7 @@ class Results:
         if taken := sorted(values.keys() & self._stamp.keys()):
             raise ValueError(f"every row has a {taken[0]!r} already; give the value another name")
         row: Row = _clean(values) | self._stamp
-        if self._begun:
-            try:
-                with self.path.open("a", encoding="utf-8") as file:
-                    file.write(_line(row))
-            except OSError as error:
-                raise InputError(f"{self.path}: cannot write ({error.strerror or error})") from None
-        else:  # anew, without what a crash cut off
-            write_text(self.path, "".join(map(_line, [*self.rows, row])))
-            self._begun = True
-        self.rows.append(row)
+        self._log.add(row)
         return row
 
     def finish(self) -> list[Row]:
@@ -97,41 +99,14 @@ class Results:
         self.add(kind="finished", peak_memory_mib=round(peak_memory_mib()))
         return self.rows
 
-    def _compare(self, row: Row) -> None:
-        for key in ("experiment", "settings"):
-            old, new = row.get(key), self._stamp[key]
-            if old == new:
-                continue
-            if isinstance(old, dict):
-                name = next(k for k in sorted({*old, *new}) if old.get(k) != new.get(k))
-                old, new, key = old.get(name), new.get(name), name
-            raise InputError(
-                f"{self.path.parent}: cannot resume, that run had {key} {old!r} and this one has {new!r}; give the "
-                "same options, or choose another --out"
-            )
-
 
 def read_rows(path: Path) -> list[Row]:
     """All whole rows of a file; a last line that a crash cut off is left out.
 
     Raises:
-        InputError: no such file, or a line in its midst is not a row.
+        InputError: no such file, or a line before the last is not a row.
     """
-    try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read ({error.strerror or error})") from None
-    rows: list[Row] = []
-    for number, line in enumerate(lines, start=1):
-        try:
-            row = json.loads(line)
-        except json.JSONDecodeError:
-            row = None
-        if isinstance(row, dict) and "experiment" in row:
-            rows.append(row)
-        elif number < len(lines):
-            raise InputError(f"{path}: line {number} is not a row of results; remove it or the file")
-    return rows
+    return read_lines(path, lambda row: "experiment" in row, "a row of results")
 
 
 def is_finished(rows: list[Row]) -> bool:
@@ -140,7 +115,7 @@ def is_finished(rows: list[Row]) -> bool:
 
 
 def machine(row: Row) -> str:
-    """What a row was made on, in words."""
+    """Machine that a row was made on, in words."""
     return f"{row['device']}, {row['cpu_count']} cores, jax {row['versions']['jax']}"
 
 
@@ -162,12 +137,8 @@ def _git(*arguments: str) -> str:
     return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def _line(row: Row) -> str:
-    return json.dumps(row) + "\n"
-
-
 def _clean(value: Any) -> Any:
-    """As JSON's types."""
+    """The value in JSON's types."""
     if isinstance(value, dict):
         return {str(key): _clean(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""How good a cleaned fusion is as a reference: on the built-in room, where the truth is known.
+"""Quality of a cleaned fusion as a reference: on the built-in room, where the truth is known.
 
     python -m experiments.reference_quality [--out results/reference_quality]
 
@@ -20,23 +20,21 @@ import numpy as np
 from tqdm import tqdm
 
 import hyjax
-from experiments.blocks import Block, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Table
+from experiments.command import RunConfig, Start, experiment, run
 from experiments.judging import check_size, judge, summarise
-from experiments.records import Results, Row
+from experiments.records import Row
 from experiments.references import VOXEL, cleaned
+from hyjax.data.builtin_room import load_room
 from hyjax.data.frames import fit
-from hyjax.data.light_setups import named_setup, survey_capture
-from hyjax.data.room import load_room
-from hyjax.gbuffer import GBuffer
-from hyjax.metrics import load_lpips
-from hyjax.scene.raycast import RayCaster
-from hyjax.scene.room import path
-from hyjax.scene.scan import RenderedDepths, ScanConfig, spoil
-from hyjax.scene.tsdf import fuse
+from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.scan import RenderedDepths, ScanConfig, simulate_sensor
+from hyjax.geometry.tsdf import fuse
+from hyjax.light.gbuffer import GBuffer
+from hyjax.metrics import METRICS, load_lpips
+from hyjax.scene.light_setups import named_setup, survey_capture
+from hyjax.synthetic.room import path
 
-NAME = "reference_quality"
-TITLE = "How good a cleaned fusion is as a reference"
 KINECT = ScanConfig(
     width=640, noise=0.0015, noise_grain=0.8, jitter=0.5, step=0.0028, drift=0.002, turn=0.001, max_depth=4.0
 )
@@ -46,7 +44,7 @@ PASSES = ((0, 0), (0, 2), (0, 4), (1, 2), (1, 4), (2, 4), (4, 4), (4, 16))
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     frames: int = 6
     """How many pictures to judge, of the first three quarters of the walk."""
     views: int = 120
@@ -57,19 +55,20 @@ class Config:
     """LPIPS weights. Default: those of the extra `lpips`."""
     seed: int = 0
     """Of the depth maps' noise."""
-    out: Path = Path("results") / NAME
 
 
-def main(config: Config) -> None:
+@experiment("How good a cleaned fusion is as a reference")
+def main(config: Config, start: Start) -> None:
     check_size(config.size)
     weights = load_lpips(config.weights)
-    results = Results(config.out, NAME, config)
+    results = start()
     room = load_room()
-    depths = RenderedDepths(room.mesh, path.camera_path(config.views, KINECT.width, 480))
+    depths = RenderedDepths(room.reference(), path.camera_path(config.views, KINECT.width, 480))
     mesh = fuse(
-        (spoil(depths[i], KINECT, np.random.default_rng((config.seed, i))) for i in range(config.views)), VOXEL
+        (simulate_sensor(depths[i], KINECT, np.random.default_rng((config.seed, i))) for i in range(config.views)),
+        VOXEL,
     )
-    truth = RayCaster(room.mesh)
+    truth = RayCaster(room.reference())
     setup = named_setup("two-colors", survey_capture(truth, room))
     chosen = np.linspace(0, 0.75 * len(room) - 1, config.frames).astype(int)
     frames = [fit(room[int(i)], (config.size, config.size)) for i in chosen]
@@ -98,7 +97,6 @@ def main(config: Config) -> None:
                 "share": float(reliable.mean()),
             }
             results.add(kind="score", frame=frame.name, **values)
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
@@ -108,12 +106,13 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     for passes in PASSES:
         own = [row for row in scores if (row["relaxing"], row["smoothing"]) == passes]
         cells = [f"{100 * np.mean([row['share'] for row in own]):.0f} %"] if own else ["–"]
-        for metric, digits in (("psnr", 2), ("lpips", 4)):
+        for metric, shown in METRICS.items():
             for region in ("all", "relied on"):
                 found = summarise([row["scores"].get(region, {}).get(metric) for row in own])
-                cells.append("–" if found is None else f"{found.mean:.{digits}f}")
+                cells.append("–" if found is None else f"{found.mean:.{shown.digits}f}")
         lines.append(["{} over vertices, {} over normals".format(*passes), *cells])
-    header = ["passes", "relied on", "PSNR dB, all", "PSNR dB, relied on", "LPIPS, all", "LPIPS, relied on"]
+    header = ["passes", "relied on"]
+    header += [f"{metric.label}, {region}" for metric in METRICS.values() for region in ("all", "relied on")]
     count = len({row["frame"] for row in scores})
     return [
         Table(f"The true mesh's relit frames against those of a cleaned fusion, {count} frames.", header, lines)
@@ -121,4 +120,4 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

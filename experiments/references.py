@@ -5,7 +5,7 @@ would prefer a bumpy filter to a right one. So a fused reference has its normals
 smoothed a little (`reference_quality` measures how much is good), and pixels do not count where
 
 - it has no surface,
-- its depth is off from the frame's own depth reading by more than `hyjax.scene.depth_map.SLACK`,
+- its depth is off from the frame's own depth reading by more than `hyjax.geometry.depth_map.SLACK`,
 - it is seen at a cosine below `GRAZING`, or
 - its normals turn by more than `BUMP` when they are smoothed further: a bump, or a crease that a fusion rounds off.
 
@@ -22,16 +22,15 @@ from jaxtyping import Bool
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.laser_scans import load_laser_scans
-from hyjax.data.room import RoomCapture
-from hyjax.data.surfaces import surface_of
-from hyjax.errors import InputError, did_you_mean
-from hyjax.gbuffer import GBuffer
-from hyjax.scene.camera import Camera
-from hyjax.scene.depth_map import confirmed
-from hyjax.scene.point_cloud import PointCloud
-from hyjax.scene.raycast import RayCaster
-from hyjax.scene.splatting import PointSplatter
-from hyjax.scene.surface import relax, with_normals
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.depth_map import confirmed
+from hyjax.geometry.point_cloud import PointCloud
+from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.splatting import PointSplatter
+from hyjax.geometry.surface import relax, with_normals
+from hyjax.light.gbuffer import GBuffer
+from hyjax.scene.surfaces import surface_of
+from hyjax.util.errors import InputError, did_you_mean
 
 WORDS = ("true", "laser", "fused")
 VOXEL = 0.02  # metres, of a fusion
@@ -92,9 +91,9 @@ def open_reference(capture: Capture, name: str | None = None, *, progress: bool 
     Raises:
         InputError: the capture does not have it, or it cannot be read.
     """
-    laser: Path | None = getattr(capture, "laser_folder", None)
+    laser = capture.laser_folder
     if name is None:
-        name = "true" if isinstance(capture, RoomCapture) else "laser" if laser is not None else "fused"
+        name = "true" if capture.reference() is not None else "laser" if laser is not None else "fused"
     if name not in WORDS and not Path(name).is_file():
         hint = did_you_mean(name, WORDS)
         raise InputError(f"reference: {name}: no such file{hint}; give a mesh file, or one of {', '.join(WORDS)}")

@@ -15,64 +15,21 @@ import inspect
 import json
 import re
 from collections.abc import Iterator
-from html import escape as html_escape
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup, escape
+
+from experiments import EXPERIMENTS
 from experiments.blocks import html
 from experiments.command import run
 from experiments.records import FILE, Row, is_finished, machine, read_rows
-from hyjax.errors import InputError
-from hyjax.files import make_writable, write_text
-from hyjax.tuning.report_markup import Html, join, tag
-
-EXPERIMENTS = (
-    "paper_table",
-    "paper_difference",
-    "beyond",
-    "flicker",
-    "ablation_cascade",
-    "ablation_shadow",
-    "structure",
-    "conductances",
-    "depth_sr",
-    "train_through",
-    "reference_quality",
-    "kinect_registration",
-    "kappa_sweep",
-    "guide_worth",
-    "tuning_gain",
-    "tuning_transfer",
-    "tuning_promise",
-    "tuning_optimum",
-    "tuning_race",
-    "stage_times",
-    "guide_speed",
-    "fusion",
-    "bench_peers",
-    "tour_latency",
-)
-"""Modules with a `TITLE` and `blocks(rows, folder)`, in the page's order."""
+from hyjax.tuning.report_html import templates
+from hyjax.util.errors import InputError
+from hyjax.util.files import make_writable, write_text
 
 PARAGRAPHS = re.compile(r"\n\n|\n(?=- |[0-9]\. )")
-"""What separates paragraphs and items of lists in docstrings."""
-
-STYLE = """
-nav { position: static; display: block; columns: 22rem; padding: .9rem 0; }
-nav a { display: block; padding: .1rem 0; break-inside: avoid; }
-section { border-top: 1px solid var(--grid); margin-top: 2.6rem; }
-section:first-child { border: 0; margin: 0; }
-section p, section pre { max-width: 62rem; }
-pre { margin: .6rem 0; }
-details { margin: 0 0 1.2rem; border: 0; padding: 0; } summary { color: var(--quiet); font-size: .9rem; }
-figure { margin: 1.6rem 0; }
-figcaption { max-width: 62rem; color: var(--quiet); font-size: .9rem; }
-.wide { margin-top: .3rem; } .plot, figure > img { margin-bottom: .5rem; }
-figure > img { display: block; max-width: 100%; border-radius: .4rem; }
-.plot svg { width: auto; min-width: 30rem; max-width: 100%; }
-.plot svg { padding: .5rem; background: #fff; border-radius: .4rem; }
-@media (max-width: 34rem) { .plot svg { max-width: none; } }
-"""
+"""Separator of paragraphs and items of lists in docstrings."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,21 +62,9 @@ def find_runs(results: Path) -> Iterator[tuple[Path, list[Row]]]:
 
 def page(runs: list[tuple[Path, list[Row]]]) -> str:
     """The whole page."""
-    sections = [(f"run-{n}", *_section(folder, rows)) for n, (folder, rows) in enumerate(runs)]
-    body = [
-        tag("header", tag("p", "hyjax", class_="kicker"), tag("h1", "Experiments")),
-        tag("nav", [tag("a", title, href=f"#{key}") for key, title, _ in sections]),
-        tag("main", [tag("section", tag("h2", title), content, id=key) for key, title, content in sections]),
-    ]
-    style = importlib.resources.files("hyjax.tuning").joinpath("report.css").read_text(encoding="utf-8") + STYLE
-    head = tag(
-        "head",
-        tag("meta", charset="utf-8"),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("title", "hyjax experiments"),
-        tag("style", Html(style)),
-    )
-    return "<!doctype html>\n" + tag("html", head, tag("body", body), lang="en")
+    style = importlib.resources.files("hyjax.tuning").joinpath("report.css").read_text(encoding="utf-8")
+    template = templates(Path(__file__).parent).get_template("report.html.jinja")
+    return template.render(style=Markup(style), runs=[_section(folder, rows) for folder, rows in runs])
 
 
 def _place(folder: Path, rows: list[Row]) -> tuple[int, str]:
@@ -127,40 +72,40 @@ def _place(folder: Path, rows: list[Row]) -> tuple[int, str]:
     return (EXPERIMENTS.index(name) if name in EXPERIMENTS else len(EXPERIMENTS)), str(folder)
 
 
-def _section(folder: Path, rows: list[Row]) -> tuple[str, Html]:
-    """Title and content of one run: what the module says of itself, its blocks, where the rows come from."""
+def _section(folder: Path, rows: list[Row]) -> dict[str, Any]:
+    """One run for the template: what the module says of itself, its blocks, where the rows come from."""
     module: Any = importlib.import_module(f"experiments.{rows[0]['experiment']}")
-    title = module.TITLE if folder.name == rows[0]["experiment"] else f"{module.TITLE}: {folder.name}"
-    unfinished = "" if is_finished(rows) else tag("p", tag("strong", "This run did not come to its end."))
-    first, *rest = PARAGRAPHS.split(inspect.cleandoc(module.__doc__))
-    told = [tag("pre" if text.startswith(" ") else "p", marked(inspect.cleandoc(text))) for text in rest]
-    about = [
-        tag("p", marked(first), class_="lead"),
-        tag("details", tag("summary", "How, and what to expect"), told),
-    ]
+    lead, *about = PARAGRAPHS.split(inspect.cleandoc(module.__doc__))
     try:
-        shown = html(module.blocks(rows, folder))
+        blocks = html(module.main.blocks(rows, folder))
     except Exception as error:  # rows of older code, or damaged: one run must not take the page with it
-        shown = [tag("p", f"These rows cannot be shown ({type(error).__name__}: {error}).")]
-    return title, join([about, unfinished, shown, footer(rows)])
+        blocks = html([f"These rows cannot be shown ({type(error).__name__}: {error})."])
+    return {
+        "title": module.main.title if folder.name == module.main.name else f"{module.main.title}: {folder.name}",
+        "lead": marked(lead),
+        "about": [(marked(inspect.cleandoc(text)), text.startswith(" ")) for text in about],
+        "finished": is_finished(rows),
+        "blocks": blocks,
+        "origin": origin(rows),
+    }
 
 
-def marked(text: str) -> Html:
+def marked(text: str) -> Markup:
     """A docstring's `code` and *stress* as such."""
-    escaped = re.sub(r"`+([^`]+)`+", r"<code>\1</code>", html_escape(text, quote=False))
-    return Html(re.sub(r"(?<!\w)\*([^*\n]+)\*(?!\w)", r"<em>\1</em>", escaped))
+    escaped = re.sub(r"`+([^`]+)`+", r"<code>\1</code>", str(escape(text)))
+    return Markup(re.sub(r"(?<!\w)\*([^*\n]+)\*(?!\w)", r"<em>\1</em>", escaped))
 
 
-def footer(rows: list[Row]) -> Html:
+def origin(rows: list[Row]) -> str:
     """Where the rows come from."""
     count = len(rows) - is_finished(rows)
     commits = ", ".join(dict.fromkeys(row["commit"][:12] + row["commit"][40:] for row in rows))
     machines = "; ".join(dict.fromkeys(machine(row) for row in rows))
-    given = {key: value for key, value in rows[-1]["settings"].items() if value is not None}
-    settings = ", ".join(f"{key} {json.dumps(value)}" for key, value in given.items())
+    options = {key: value for key, value in rows[-1]["settings"].items() if value is not None}
+    settings = ", ".join(f"{key} {json.dumps(value)}" for key, value in options.items())
     command = f"python -m experiments.{rows[0]['experiment']}"
-    return tag("p", f"{command}: {count} rows; commit {commits}; {machines}; settings: {settings}.", class_="quiet")
+    return f"{command}: {count} rows; commit {commits}; {machines}; settings: {settings}."
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

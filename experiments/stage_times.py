@@ -1,4 +1,4 @@
-"""What each stage of a frame costs at 512 x 512, first call and steady state.
+"""Time of each stage of a frame at 512 x 512, first call and steady state.
 
     python -m experiments.stage_times [--capture PATH] [--repeats 30] [--out results/stage_times]
 
@@ -16,55 +16,43 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 from matplotlib.figure import Figure
 
 import hyjax
-from experiments.blocks import Block, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Plot, Table
+from experiments.command import RunConfig, Start, experiment, run
 from experiments.plotting import new_figure
-from experiments.records import Results, Row, machine, of_kind
-from hyjax.data.frames import fit, select_frames
-from hyjax.data.light_setups import named_setup, survey_capture
-from hyjax.data.open import open_capture
-from hyjax.data.room import load_room
-from hyjax.data.surfaces import surface_of
-from hyjax.scene.raycast import RayCaster
-from hyjax.scene.shadow_caster import cast_shadow_maps
+from experiments.records import Row, machine, of_kind
+from hyjax.data.frames import select_frames
+from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.scene.scene import Scene, view_of
+from hyjax.scene.settings import SceneSettings
 from hyjax.tuning.calibration import check_repeats
-from hyjax.tuning.latency import measure
+from hyjax.util.clock import measure
 
-NAME = "stage_times"
-TITLE = "What each stage of a frame costs"
 CONDUCTANCES = "conductances, 4 levels"
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     capture: Path | None = None
     """Default: the built-in room with its simulated scan."""
     lights: str = "noon-window"
     """A named set-up."""
     frame: int = 0
     repeats: int = 30
-    out: Path = Path("results/stage_times")
 
 
-def main(config: Config) -> None:
-    capture = load_room() if config.capture is None else open_capture(config.capture)
-    results = Results(config.out, NAME, config)
-    (index,) = select_frames(str(config.frame), len(capture))
+@experiment("What each stage of a frame costs")
+def main(config: Config, start: Start) -> None:
+    results = start()
+    scene = Scene.open(SceneSettings(config.capture, size="512"), progress=True)
+    (index,) = select_frames(str(config.frame), len(scene))
     check_repeats(config.repeats)
-    source, mesh = surface_of(capture)
-    caster = RayCaster(mesh)
-    frame = fit(capture[index], (512, 512))
-    setup = named_setup(config.lights, survey_capture(caster, capture))
-
-    gbuffer = caster.gbuffer(frame.camera)
-    maps = cast_shadow_maps(caster, setup.lights)
-    guide = jnp.asarray(frame.image)
-    linear = hyjax.to_linear(guide)
-    lights = setup.lights
+    caster, frame, setup = scene.caster, scene.frame(index), scene.lights(config.lights)
+    lights, maps = setup.lights, scene.shadow_maps(setup)
+    view = view_of(frame, scene.gbuffer(frame.camera))
+    gbuffer, linear, guide = view.gbuffer, view.frame, view.display
     each = hyjax.shade_each(gbuffer, lights)
     seen = hyjax.visibilities(gbuffer, lights, maps)
     shading = hyjax.shade(gbuffer, lights)
@@ -86,19 +74,23 @@ def main(config: Config) -> None:
         ("composite", hyjax.composite, (shading, linear), config.repeats),
     ]
     for schedule in (paper_80, ours):
-        args = linear, gbuffer, lights, guide, schedule, maps
+        args = view, setup, schedule, maps
         stages.append((f"frame on the device, {schedule.name}", _frame, args, config.repeats))
-    results.add(kind="scene", mesh=source, faces=len(mesh.faces), lights=[type(light).__name__ for light in lights])
+    results.add(
+        kind="scene",
+        mesh=scene.source,
+        faces=len(scene.mesh.faces),
+        lights=[type(light).__name__ for light in lights],
+    )
     for name, function, args, repeats in stages:
         jax.clear_caches()  # a stage must not find parts of itself compiled by the one before
         results.add(kind="stage", stage=name, **measure(function, *args, repeats=repeats))
     for name, time in alone(shading, guide, paper_50, config.repeats).items():
         results.add(kind="part", part=name, **time)
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
-def _frame(linear: Any, gbuffer: Any, lights: Any, guide: Any, schedule: Any, maps: Any) -> Any:
-    return hyjax.relight(linear, gbuffer, lights, guide, schedule, shadow_maps=maps)
+def _frame(view: hyjax.View, setup: hyjax.LightSetup, schedule: hyjax.Schedule, maps: Any) -> hyjax.Relit:
+    return hyjax.relight(view, view.shade(setup, shadow_maps=maps), view.display, schedule)
 
 
 def alone(y: Any, guide: Any, schedule: hyjax.Schedule, repeats: int) -> dict[str, dict[str, Any]]:
@@ -137,7 +129,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     ] + [f"peak memory {row['peak_memory_mib']} MiB" for row in of_kind(rows, "finished")]
     return [
         Table("; ".join(conditions) + ".", ["stage", "first call ms", "median ms", "p95 ms"], lines),
-        Plot(NAME, "Milliseconds of every stage: median (bar) and 95th percentile (tick).", figure(stages)),
+        Plot(main.name, "Milliseconds of every stage: median (bar) and 95th percentile (tick).", figure(stages)),
     ]
 
 
@@ -154,4 +146,4 @@ def figure(stages: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

@@ -22,23 +22,20 @@ from jaxtyping import Float, Int
 from skimage.segmentation import felzenszwalb
 
 import hyjax
-from experiments.blocks import Block, Picture, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Picture, Table
+from experiments.command import RunConfig, Start, experiment, run
 from experiments.judging import check_size
-from experiments.records import Results, Row
-from hyjax.contact_sheet import write_contact_sheet
+from experiments.records import Row
+from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.data.frames import fit, select_frames
-from hyjax.data.open import open_capture
-from hyjax.data.room import load_room
-from hyjax.schedule import PAPER_KAPPA, Schedule
+from hyjax.data.registry import open_capture
+from hyjax.util.contact_sheet import write_contact_sheet
 
-NAME = "structure"
-TITLE = "Noise in, structure out"
 STEPS = (10, 100, 1000, 10_000)
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     capture: Path | None = None
     """Default: the built-in room."""
     frame: int = 0
@@ -47,16 +44,14 @@ class Config:
     kappa: float = PAPER_KAPPA
     seed: int = 0
     """Of the noise."""
-    out: Path | None = None
-    """Default: results/structure/NAME of the capture."""
 
 
-def main(config: Config) -> None:
+@experiment("Noise in, structure out")
+def main(config: Config, start: Start) -> None:
     check_size(config.size)
-    capture = load_room() if config.capture is None else open_capture(config.capture)
+    capture = open_capture(config.capture)
     (index,) = select_frames(str(config.frame), len(capture))
-    out = config.out or Path("results") / NAME / capture.name
-    results = Results(out, NAME, config)
+    results = start(capture.name)
     guide = fit(capture[index], (config.size, config.size)).image
     segments = felzenszwalb(guide, scale=100, sigma=0.8, min_size=50)
     noise = jax.random.uniform(jax.random.key(config.seed), (config.size, config.size, 1))
@@ -66,8 +61,7 @@ def main(config: Config) -> None:
     for name, value in diffused.items():
         results.add(kind="spread", schedule=name, **spread(np.asarray(value)[..., 0], segments))
     pictures = [guide, *(stretched(np.asarray(value)) for value in diffused.values())]
-    write_contact_sheet(out / "structure.png", [(f"frame {index}", pictures)], ["guide", *diffused])
-    write_blocks(out, NAME, blocks(results.finish(), out))
+    write_contact_sheet(results.out / "structure.png", [(f"frame {index}", pictures)], ["guide", *diffused])
 
 
 def spread(value: Float[np.ndarray, "h w"], segments: Int[np.ndarray, "h w"]) -> dict[str, float]:
@@ -100,4 +94,4 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

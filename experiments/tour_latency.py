@@ -1,4 +1,4 @@
-"""How long a visitor of the room tour waits for a picture, and what the tour's memory does, seen from the browser.
+"""Latency of the room tour from a change to its picture, and its memory, measured in the browser.
 
     python -m experiments.tour_latency [--changes 1000] [--size 512] [--out results/tour_latency]
 
@@ -30,15 +30,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from experiments.blocks import Block, Plot, Table, write_blocks
+from experiments.blocks import Block, Plot, Table
 from experiments.browser import browser
-from experiments.command import run
+from experiments.command import RunConfig, Start, experiment, run
 from experiments.plotting import new_figure
-from experiments.records import Results, Row, machine, of_kind
-from hyjax.errors import InputError
+from experiments.records import Row, machine, of_kind
+from hyjax.util.errors import InputError
 
-NAME = "tour_latency"
-TITLE = "The room tour, from slider to picture"
 HOUR = 2  # which slider, from the top
 PICTURE_LENGTH = 10_000  # what is longer than this, in base64, is a picture
 THERE_AND_BACK = 20  # changes until the slider turns round
@@ -50,22 +48,22 @@ WAIT = 120.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     changes: int = 1000
     warm_up: int = 100
     """Changes that do not count."""
     size: int = 512
     """Pixels a side."""
-    out: Path = Path("results") / NAME
 
 
-def main(config: Config) -> None:
+@experiment("The room tour, from slider to picture")
+def main(config: Config, start: Start) -> None:
     if config.changes < 2 or config.warm_up < 1:
         raise InputError("changes: need at least 2, after a warm-up of at least 1")
-    results = Results(config.out, NAME, config)
+    results = start()
     with served(config.size) as (url, process), browser() as launched:
         page = launched.new_page(viewport={"width": 1280, "height": 720})
-        wire = Wire(page)
+        monitor = SocketMonitor(page)
         page.goto(url)
         page.get_by_text("ms for this picture").wait_for(timeout=1e3 * WAIT)
         wait_until_still(process.pid)
@@ -73,12 +71,12 @@ def main(config: Config) -> None:
         waits: list[float] = []
         for number in tqdm(range(config.warm_up + config.changes), "changes"):
             rest = LONG_REST if waits and waits[-1] > SLOW else REST
-            while 1e3 * (time.perf_counter() - wire.heard) < rest:
+            while 1e3 * (time.perf_counter() - monitor.reported_at) < rest:
                 page.wait_for_timeout(5)
-            wire.forget()
+            monitor.reset()
             page.keyboard.press("ArrowRight" if number // THERE_AND_BACK % 2 else "ArrowLeft")
             end = time.monotonic() + WAIT
-            while (wait := wire.wait) is None:
+            while (wait := monitor.wait) is None:
                 page.wait_for_timeout(1)
                 if time.monotonic() > end:
                     raise InputError(f"tour_latency: no picture came for change {number}")
@@ -86,30 +84,29 @@ def main(config: Config) -> None:
             if number % 20 == 0:
                 results.add(kind="memory", change=number - config.warm_up, mebibytes=resident(process.pid))
         results.add(kind="waits", milliseconds=waits[config.warm_up :], first_ms=waits[0], size=config.size)
-        page.screenshot(path=str(config.out / "page.png"))
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
+        page.screenshot(path=str(results.out / "page.png"))
 
 
-class Wire:
-    """What goes over a page's socket, as the browser itself tells it.
+class SocketMonitor:
+    """Messages on a page's socket, as the browser reports them.
 
     Attributes:
         sent, received: when changes went and pictures came, in seconds of the browser's clock.
-        heard: when the last picture was told of, in seconds of ours.
+        reported_at: when the last picture was reported, in seconds of our clock.
     """
 
     def __init__(self, page: Any) -> None:
         self.sent: list[float] = []
         self.received: list[float] = []
-        self.heard = 0.0
+        self.reported_at = 0.0
         self._session = page.context.new_cdp_session(page)
-        self._session.on("Target.attachedToTarget", self._attached)
-        self._session.on("Target.receivedMessageFromTarget", self._told)
+        self._session.on("Target.attachedToTarget", self._on_attached)
+        self._session.on("Target.receivedMessageFromTarget", self._on_message)
         attach = {"autoAttach": True, "waitForDebuggerOnStart": False, "flatten": False}
         self._session.send("Target.setAutoAttach", attach)  # viser's socket belongs to a worker
 
-    def forget(self) -> None:
-        """Begin anew."""
+    def reset(self) -> None:
+        """Forget all messages."""
         self.sent.clear()
         self.received.clear()
 
@@ -119,24 +116,27 @@ class Wire:
         after = [when for when in self.received if self.sent and when > self.sent[0]]
         return 1e3 * (after[0] - self.sent[0]) if after else None
 
-    def _attached(self, event: Any) -> None:
+    def _on_attached(self, event: Any) -> None:
         message = json.dumps({"id": 1, "method": "Network.enable"})
         self._session.send("Target.sendMessageToTarget", {"sessionId": event["sessionId"], "message": message})
 
-    def _told(self, event: Any) -> None:
-        told = json.loads(event["message"])
-        heard = {"Network.webSocketFrameSent": self._went, "Network.webSocketFrameReceived": self._came}
-        if told.get("method") in heard:
-            heard[told["method"]](told["params"])
+    def _on_message(self, event: Any) -> None:
+        message = json.loads(event["message"])
+        handlers = {
+            "Network.webSocketFrameSent": self._on_sent,
+            "Network.webSocketFrameReceived": self._on_received,
+        }
+        if message.get("method") in handlers:
+            handlers[message["method"]](message["params"])
 
-    def _went(self, event: Any) -> None:
+    def _on_sent(self, event: Any) -> None:
         if b"GuiUpdateMessage" in base64.b64decode(event["response"]["payloadData"]):
             self.sent.append(event["timestamp"])
 
-    def _came(self, event: Any) -> None:
+    def _on_received(self, event: Any) -> None:
         if len(event["response"]["payloadData"]) > PICTURE_LENGTH:
             self.received.append(event["timestamp"])
-            self.heard = time.perf_counter()
+            self.reported_at = time.perf_counter()
 
 
 @contextlib.contextmanager
@@ -168,6 +168,8 @@ def served(size: int) -> Iterator[tuple[str, subprocess.Popen[str]]]:
         finally:
             process.terminate()
             process.wait()
+            if process.stdout is not None:
+                process.stdout.close()
 
 
 def wait_until_still(pid: int) -> None:
@@ -199,7 +201,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     if not waits:
         return ["No change has been timed yet."]
     values = np.asarray(waits[0]["milliseconds"])
-    after = [row["mebibytes"] for row in memory if row["change"] >= 0]
+    after = [row["mebibytes"] for row in memory if row["change"] >= 0] or [row["mebibytes"] for row in memory]
     table = Table(
         "From the change to its picture.",
         ["", "ms"],
@@ -228,4 +230,4 @@ def draw(values: np.ndarray, memory: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

@@ -22,23 +22,21 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments import depth_sr
-from experiments.blocks import Block, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Plot, Table
+from experiments.command import RunConfig, Start, experiment, run
 from experiments.judging import summarise
 from experiments.plotting import new_figure
-from experiments.records import FILE, Results, Row, of_kind, read_rows
-from hyjax.data.open_pairs import open_pairs
+from experiments.records import Row, of_kind
+from hyjax.pairs.registry import open_pairs
 from hyjax.training.run import train
 from hyjax.training.settings import Through, TrainSettings
-from hyjax.tuning.latency import StageClock
+from hyjax.util.clock import StageClock
 
-NAME = "train_through"
-TITLE = "Training through the cascade or through many steps"
 THROUGH: tuple[Through, ...] = ("cascade", "steps")
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     pairs: tuple[str, ...] = ("rooms?frames=0:320&cached=yes",)
     """Trained on."""
     tuning: tuple[str, ...] = ("rooms?seed=1002&frames=0:32:4",)
@@ -56,10 +54,10 @@ class Config:
     """At full size: at most so many without gradient, and so many where guides are judged."""
     steps_with_gradient: int = 64
     seed: int = 0
-    out: Path = Path("results") / NAME
 
 
-def main(config: Config) -> None:
+@experiment("Training through the cascade or through many steps")
+def main(config: Config, start: Start) -> None:
     settings = TrainSettings(
         encoder=config.encoder,
         features=config.features,
@@ -76,20 +74,20 @@ def main(config: Config) -> None:
         checkpoint_every=config.updates,
         seed=config.seed,
     ).check()
-    results = Results(config.out, NAME, config)
+    results = start()
     for pairs in map(open_pairs, config.pairs):
         for number in range(min(len(pairs), config.updates * config.batch)):
             pairs[number]  # so that neither run is the one that renders them
     files = []
     for through in THROUGH:
-        folder, clock = config.out / "runs" / through, StageClock()
+        folder, clock = results.out / "runs" / through, StageClock()
         shutil.rmtree(folder, ignore_errors=True)  # of an earlier run of this experiment
         with clock("run"):
             train(dataclasses.replace(settings, through=through), folder)
         lines = [json.loads(line) for line in (folder / "log.jsonl").read_text(encoding="utf-8").splitlines()]
         losses = [line["loss"] for line in lines if "loss" in line]
         results.add(kind="run", through=through, seconds=clock.seconds["run"][0], losses=losses)
-        files.append(config.out / f"{through}.safetensors")
+        files.append(results.out / f"{through}.safetensors")
         shutil.copyfile(folder / "last.safetensors", files[-1])
     judged = depth_sr.Config(
         pairs=config.reported,
@@ -99,13 +97,11 @@ def main(config: Config) -> None:
         steps=config.steps,
         tile=config.size,
         peers=False,
-        out=config.out / "depth_sr",
+        out=results.out / "depth_sr",
     )
-    depth_sr.main(judged)
-    for row in of_kind(read_rows(judged.out / FILE), "score"):
+    for row in of_kind(depth_sr.main(judged), "score"):
         pair = f"{row['pairs']} {row['pair']}"  # names are those of one source
         results.add(kind="score", pair=pair, **{key: row[key] for key in ("tile", "factor", "method", "mse")})
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
@@ -152,4 +148,4 @@ def figure(runs: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

@@ -1,4 +1,4 @@
-"""What tuning gains over the paper's schedules at the same measured time, and at half of it, on held-out frames.
+"""Gain of tuning over the paper's schedules at the same measured time, and at half of it, on held-out frames.
 
     python -m experiments.tuning_gain [--kitchen PATH] [--out results/tuning_gain]
 
@@ -24,10 +24,10 @@ import jax.numpy as jnp
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from experiments.blocks import Block, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Plot, Table
+from experiments.command import Start, experiment, run
 from experiments.plotting import new_figure
-from experiments.records import Results, Row, of_kind
+from experiments.records import Row, of_kind
 from experiments.tuning_scenes import (
     ComparisonConfig,
     Scene,
@@ -35,23 +35,24 @@ from experiments.tuning_scenes import (
     comparison,
     conditions,
     mean,
+    mean_scores,
     open_scenes,
     retime,
     scenes_of,
+    score_headings,
     scored,
     texts,
 )
-from hyjax.errors import InputError
-from hyjax.schedule import Schedule
-from hyjax.tuning.cases import Case, mix, refined_filter
-from hyjax.tuning.clocked import CascadeClock, check_reachable
+from hyjax.core.schedule import Schedule
+from hyjax.tuning.cases import Case, raw_filter, refined_filter
 from hyjax.tuning.descent import Objective, polish
-from hyjax.tuning.relaxation import Plan, prepare
+from hyjax.tuning.latency_estimator import CascadeEstimator, check_reachable
+from hyjax.tuning.relaxation import RelaxedSchedule, prepare
 from hyjax.tuning.result import Budget
 from hyjax.tuning.run import BASELINES, tune_bench
+from hyjax.tuning.settings import TuneScene, TuneSettings
+from hyjax.util.errors import InputError
 
-NAME = "tuning_gain"
-TITLE = "What tuning gains"
 COMPARISONS = (
     ("hyjax", "paper-50"),
     ("tuned, time of paper-50", "hyjax"),
@@ -73,12 +74,12 @@ class Config(ComparisonConfig):
     """A capture to tune on besides the built-in room."""
     polishing: int = 40
     """Iterations of κ, λ and α of the paper's steps."""
-    out: Path = Path("results/tuning_gain")
 
 
-def main(config: Config) -> None:
+@experiment("What tuning gains")
+def main(config: Config, start: Start) -> None:
     scenes = open_scenes(config.kitchen, config.size, config.frames, config.holdout)
-    results = Results(config.out, NAME, config)
+    results = start()
     runs, judged = [], []
     for scene in scenes:
         tuning, _ = scene.bench.cases(scene.frames, "tuning")
@@ -87,7 +88,7 @@ def main(config: Config) -> None:
         results.add(**scene.record())
         runs.append((tuning[0], list(schedules.values())))
         judged += [(scene.name, name) for name in schedules]
-        add_scores(results, scene.name, "raw filter", held, lambda case: mix(case.shading, case.colors))
+        add_scores(results, scene.name, "raw filter", held, lambda case: raw_filter(case.shaded))
         add_scores(results, scene.name, "best constant", held, best_constant)
         for name, schedule in schedules.items():
             known = {"scene": scene.name, "name": name, "budget_ms": budgets.get(name)}
@@ -96,7 +97,6 @@ def main(config: Config) -> None:
     times = [time for own in retime(runs, config.repeats) for time in own]
     for (scene_name, name), time in zip(judged, times, strict=True):
         results.add(kind="time", scene=scene_name, name=name, **dataclasses.asdict(time))
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def best_constant(case: Case) -> Any:
@@ -108,14 +108,14 @@ def best_constant(case: Case) -> Any:
 
 def candidates(scene: Scene, tuning: list[Case], config: Config) -> tuple[dict[str, Schedule], dict[str, float]]:
     """All schedules by name, and the budgets of the tuned ones in milliseconds; those out of reach are left out."""
-    clock = CascadeClock(tuning[0])
-    ladder = clock.table.ladder
+    clock = CascadeEstimator(tuning[0])
+    ladder = clock.table.factors
     schedules = {name: Schedule.preset(name) for name in BASELINES}
     papers = [name for name in BASELINES if name.startswith("paper")]
     objective = Objective([prepare(case, ladder) for case in tuning], ladder)
     for name in papers:
-        plan = Plan.of(clock.table.steps_of(schedules[name]))
-        polished = polish(objective, plan, config.polishing).plan.schedule(ladder)
+        plan = RelaxedSchedule.of(clock.table.steps_of(schedules[name]))
+        polished = polish(objective, plan, config.polishing).point.schedule(ladder)
         schedules[f"{name} polished"] = dataclasses.replace(polished, name=f"{name} polished")
     # Timed now: what the latency table remembers of them may be from another hour.
     (times,) = retime([(tuning[0], [schedules[name] for name in papers])], config.repeats)
@@ -130,11 +130,10 @@ def candidates(scene: Scene, tuning: list[Case], config: Config) -> tuple[dict[s
     if budgets:
         found = tune_bench(
             scene.bench,
-            [Budget(f"{time:.3g} ms", time) for time in budgets.values()],
+            TuneSettings(TuneScene(seed=config.seed), extra=False),
+            budgets=[Budget(f"{time:.3g} ms", time) for time in budgets.values()],
             frames=scene.frames,
-            seed=config.seed,
             effort=config.effort,
-            extra=False,
         )
         schedules |= {name: best.schedule for name, best in zip(budgets, found.best, strict=True)}
     return schedules, budgets
@@ -150,14 +149,13 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         for name, each in scored(rows, scene).items():
             schedule, time = schedules.get((scene, name)), times.get((scene, name))
             cells = [f"{time['median']:.2f}", f"{time['p95']:.2f}"] if time else ["–", "–"]
-            digits = {"loss": 5, "psnr": 2, "ssim": 4}
-            cells += [f"{mean(each, key):.{n}f}" for key, n in digits.items()]
+            cells += mean_scores(each)
             lines.append([scene, label(name, schedule), schedule["steps"] if schedule else "–", *cells])
-    header = ["scene", "held-out frames", "steps", "median ms", "p95 ms", "loss", "PSNR dB", "SSIM"]
+    header = ["scene", "held-out frames", "steps", "median ms", "p95 ms", *score_headings()]
     return [
         Table(f"Means over held-out frames; {conditions(rows)}", header, lines, names=3),
         comparison(rows, lambda *_: COMPARISONS, lambda *key: times.get(key)),
-        Plot(NAME, "Loss on held-out frames: the mean, and each frame as a small dot.", figure(rows)),
+        Plot(main.name, "Loss on held-out frames: the mean, and each frame as a small dot.", figure(rows)),
     ]
 
 
@@ -199,4 +197,4 @@ KINDS = {"tuned": "C0", "hyjax": "C3", "paper": "C1", "naive": "C2"}
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

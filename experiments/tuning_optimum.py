@@ -1,4 +1,4 @@
-"""How far our search ends from the true optimum, where the true optimum can be had by trying everything.
+"""Distance of our search from the true optimum, where that can be had by trying everything.
 
     python -m experiments.tuning_optimum [--size 512] [--frames 2] [--out results/tuning_optimum]
 
@@ -29,32 +29,31 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from experiments.blocks import Block, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Plot, Table
+from experiments.command import RunConfig, Start, experiment, run
 from experiments.plotting import new_figure
 from experiments.records import Results, Row, machine, of_kind
+from hyjax.core.schedule import DEFAULT_LAM, GUIDED_FIDELITY, GUIDED_KAPPA
 from hyjax.data.frames import spread
-from hyjax.errors import InputError
-from hyjax.schedule import DEFAULT_LAM, GUIDED_ATTACHMENT, GUIDED_KAPPA
 from hyjax.tuning.bench import open_bench
 from hyjax.tuning.budget import MOST_STEPS, Steps, fits, project
-from hyjax.tuning.clocked import workload_of
 from hyjax.tuning.cost_model import CostModel
 from hyjax.tuning.descent import Objective
-from hyjax.tuning.latency import Stopwatch
+from hyjax.tuning.latency_estimator import workload_of
 from hyjax.tuning.latency_table import load_table
-from hyjax.tuning.relaxation import Plan, prepare
+from hyjax.tuning.relaxation import RelaxedSchedule, prepare
 from hyjax.tuning.request import TUNING_FRAMES, split_frames
 from hyjax.tuning.search import Effort, Search
-from hyjax.tuning.workload import LADDER
+from hyjax.tuning.settings import TuneScene, TuneSettings
+from hyjax.tuning.workload import FACTORS
+from hyjax.util.clock import Stopwatch
+from hyjax.util.errors import InputError
 
-NAME = "tuning_optimum"
-TITLE = "The search against the true optimum"
 EFFORT = Effort(polished=0, polishing=0)
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     size: int = 512
     """Side of the pictures, in pixels."""
     frames: int = 2
@@ -66,11 +65,10 @@ class Config:
     """How many, evenly spread in ratio from the cheapest schedule of the grid to its best, the last budget."""
     kappa: float = GUIDED_KAPPA
     lam: float = DEFAULT_LAM
-    attachment: float = GUIDED_ATTACHMENT
+    fidelity: float = GUIDED_FIDELITY
     recalibrate: bool = False
     """Make the latency table anew."""
     seed: int = 0
-    out: Path = Path("results/tuning_optimum")
     resume: bool = False
 
 
@@ -80,11 +78,11 @@ class Counted(Objective):
 
     frames: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
 
-    def __call__(self, plan: Plan) -> float:
+    def __call__(self, plan: RelaxedSchedule) -> float:
         self.frames["loss"] += len(self.prepared)
         return super().__call__(plan)
 
-    def gradient(self, plan: Plan, frames: Iterable[int] | None = None) -> tuple[float, Plan]:
+    def gradient(self, plan: RelaxedSchedule, frames: Iterable[int] | None = None) -> tuple[float, RelaxedSchedule]:
         chosen = range(len(self.prepared)) if frames is None else list(frames)
         self.frames["gradient"] += len(chosen)
         return super().gradient(plan, chosen)
@@ -92,26 +90,26 @@ class Counted(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class StepsOnly(Counted):
-    """Of a plan's steps alone: κ, λ and α are these whatever the plan says, so its slopes in them are zero."""
+    """Objective of a plan's steps alone: κ, λ and α are fixed, so its slopes in them are zero."""
 
     kappa: float = GUIDED_KAPPA
     lam: float = DEFAULT_LAM
-    attachment: float = GUIDED_ATTACHMENT
+    fidelity: float = GUIDED_FIDELITY
 
-    def fixed(self, plan: Plan) -> Plan:
-        return Plan.of(np.asarray(plan.steps), self.kappa, self.lam, self.attachment)
+    def fixed(self, plan: RelaxedSchedule) -> RelaxedSchedule:
+        return RelaxedSchedule.of(np.asarray(plan.steps), self.kappa, self.lam, self.fidelity)
 
-    def __call__(self, plan: Plan) -> float:
+    def __call__(self, plan: RelaxedSchedule) -> float:
         return super().__call__(self.fixed(plan))
 
-    def gradient(self, plan: Plan, frames: Iterable[int] | None = None) -> tuple[float, Plan]:
+    def gradient(self, plan: RelaxedSchedule, frames: Iterable[int] | None = None) -> tuple[float, RelaxedSchedule]:
         loss, slope = super().gradient(self.fixed(plan), frames)
         zero = jax.tree.map(np.zeros_like, slope)
         return loss, dataclasses.replace(zero, steps=slope.steps)
 
 
 def prepare_room(
-    results: Results, size: int, frames: int, ladder: Sequence[int] = LADDER, recalibrate: bool = False
+    results: Results, size: int, frames: int, ladder: Sequence[int] = FACTORS, recalibrate: bool = False
 ) -> tuple[list[Any], tuple[int, ...], CostModel]:
     """The built-in room's tuning frames, prepared; the ladder; what schedules on it cost (95th percentile).
 
@@ -124,46 +122,47 @@ def prepare_room(
         raise InputError(f"frames: give 1 to {TUNING_FRAMES} of the tuning frames, got {frames}")
     if size < 16:
         raise InputError(f"size: must be at least 16 pixels, got {size}")
-    bench = open_bench(size=(size, size))
-    tuning, _ = split_frames(len(bench.capture), None, None)
+    bench = open_bench(TuneSettings(TuneScene(size=str(size))))
+    tuning, _ = split_frames(len(bench.scene), None, None)
     chosen = spread(tuning, frames)
     cases, _ = bench.cases(chosen, "tuning")
     earlier = of_kind(results.rows, "bench")
     if not earlier:
         table, _ = load_table(workload_of(cases[0]), ladder, recalibrate=recalibrate)
-        names = [bench.capture[i].name for i in chosen]
+        names = [bench.name(i) for i in chosen]
         cost = dataclasses.asdict(table.p95)
-        earlier = [results.add(kind="bench", frames=names, ladder=table.ladder, cost_ms=cost)]
+        earlier = [results.add(kind="bench", frames=names, ladder=table.factors, cost_ms=cost)]
     used = tuple(earlier[0]["ladder"])
     return [prepare(case, used) for case in cases], used, CostModel(**earlier[0]["cost_ms"])
 
 
 def warm_up(objective: Objective, cost: CostModel) -> None:
     """Compile everything that is compiled once in a process: loss, gradient and projection."""
-    plan = Plan.of([1] * len(objective.ladder))
+    plan = RelaxedSchedule.of([1] * len(objective.factors))
     objective(plan)
     objective.gradient(plan)
     project(
-        np.full(len(objective.ladder), MOST_STEPS / 2), cost, 0.7 * cost([MOST_STEPS / 2] * len(objective.ladder))
+        np.full(len(objective.factors), MOST_STEPS / 2), cost, 0.7 * cost([MOST_STEPS / 2] * len(objective.factors))
     )
 
 
-def main(config: Config) -> None:
+@experiment("The search against the true optimum")
+def main(config: Config, start: Start) -> None:
     counts = sorted(set(config.counts))
     if counts[:2] != [0, 1] or counts[-1] > MOST_STEPS:
         raise InputError(f"counts: need 0, 1 and others up to {MOST_STEPS}, got {counts}")
     if config.budgets < 1:
         raise InputError(f"budgets: must be at least 1, got {config.budgets}")
-    results = Results(config.out, NAME, config, resume=config.resume)
+    results = start()
     prepared, ladder, cost = prepare_room(results, config.size, config.frames, config.ladder, config.recalibrate)
-    fixed = {name: getattr(config, name) for name in ("kappa", "lam", "attachment")}
+    fixed = {name: getattr(config, name) for name in ("kappa", "lam", "fidelity")}
     objective = StepsOnly(prepared, ladder, **fixed)
     warm_up(objective, cost)
 
     grid = [steps for steps in itertools.product(counts, repeat=len(ladder)) if any(steps)]
     if not of_kind(results.rows, "brute force"):
         watch = Stopwatch()
-        found = [objective(Plan.of(steps)) for steps in tqdm(grid, "brute force", unit="schedule")]
+        found = [objective(RelaxedSchedule.of(steps)) for steps in tqdm(grid, "brute force", unit="schedule")]
         costs = [cost(steps) for steps in grid]
         results.add(kind="brute force", seconds=watch.seconds, losses=found, costs_ms=costs)
     (brute,) = of_kind(results.rows, "brute force")
@@ -174,7 +173,6 @@ def main(config: Config) -> None:
     done = [row["budget_ms"] for row in of_kind(results.rows, "budget")]
     for budget in tqdm([budget for budget in budgets if budget not in done], "search"):
         results.add(kind="budget", **compare(budget, losses, counts, cost, objective, config.seed))
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def compare(
@@ -184,7 +182,7 @@ def compare(
     optimum = min((steps for steps in losses if fits(steps, cost, budget)), key=losses.__getitem__)
     objective.frames.clear()
     watch = Stopwatch()
-    ours = Search(objective, cost, seed=seed).run(budget, EFFORT)[0].plan
+    ours = Search(objective, cost, seed=seed).run(budget, EFFORT)[0].point
     seconds, frames = watch.seconds, dict(objective.frames)
     steps = tuple(int(n) for n in np.asarray(ours.steps))
     down = tuple(max(k for k in counts if k <= n) for n in steps)
@@ -241,7 +239,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     )
     size = bench["settings"]["size"]
     shown = f"Steps at {size} pixels over the ladder {' '.join(map(str, bench['ladder']))}, all of them and ours."
-    return [Table(caption, header, lines), Plot(NAME, shown, figure(brute, budgets))]
+    return [Table(caption, header, lines), Plot(main.name, shown, figure(brute, budgets))]
 
 
 def figure(brute: Row, budgets: Sequence[Row]) -> Figure:
@@ -276,4 +274,4 @@ def figure(brute: Row, budgets: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

@@ -1,4 +1,4 @@
-"""Whether a tuned schedule keeps its budget when it is timed again, and how well the latency table foretold it.
+"""Tuned schedules timed again: whether they keep their budget, and how well the latency table foretold it.
 
     python -m experiments.tuning_promise [--kitchen PATH] [--out results/tuning_promise]
 
@@ -20,25 +20,23 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.blocks import Block, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Plot, Table
+from experiments.command import RunConfig, Start, experiment, run
 from experiments.plotting import new_figure
-from experiments.records import Results, Row, of_kind
+from experiments.records import Row, of_kind
 from experiments.tuning_scenes import Scene, conditions, open_scenes, retime
-from hyjax.errors import InputError
-from hyjax.schedule import Schedule
+from hyjax.core.schedule import Schedule
 from hyjax.tuning.report_text import budget_text, steps_text
 from hyjax.tuning.request import parse_budgets
 from hyjax.tuning.result import Budget
 from hyjax.tuning.run import tune_bench
 from hyjax.tuning.search import Effort
-
-NAME = "tuning_promise"
-TITLE = "Whether a tuned schedule keeps its budget"
+from hyjax.tuning.settings import TuneScene, TuneSettings
+from hyjax.util.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     kitchen: Path | None = None
     """A capture to tune on besides the built-in room."""
     fps: tuple[float, ...] = (15.0, 30.0, 60.0, 120.0)
@@ -52,14 +50,14 @@ class Config:
     """Make the latency table anew instead of taking a believable one from the cache."""
     effort: Effort = dataclasses.field(default_factory=Effort)
     seed: int = 0
-    out: Path = Path("results/tuning_promise")
     resume: bool = False
 
 
-def main(config: Config) -> None:
+@experiment("Whether a tuned schedule keeps its budget")
+def main(config: Config, start: Start) -> None:
     budgets = parse_budgets(config.fps, config.budget_ms)
     scenes = open_scenes(config.kitchen, config.size, config.frames, 1)
-    results = Results(config.out, NAME, config, resume=config.resume)
+    results = start()
     for scene in scenes:
         if scene.name not in [row["scene"] for row in of_kind(results.rows, "scene")]:
             results.add(**scene.record())
@@ -78,7 +76,6 @@ def main(config: Config) -> None:
     for own, times in zip(chosen, retime(list(zip(cases, winners, strict=True)), config.repeats), strict=True):
         for row, time in zip(own, times, strict=True):
             results.add(kind="time", scene=row["scene"], budget=row["budget"], **dataclasses.asdict(time))
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def tuned(scene: Scene, budget: Budget, config: Config, recalibrate: bool) -> dict[str, Any]:
@@ -87,12 +84,10 @@ def tuned(scene: Scene, budget: Budget, config: Config, recalibrate: bool) -> di
     try:
         result = tune_bench(
             scene.bench,
-            [budget],
+            TuneSettings(TuneScene(seed=config.seed), extra=False, recalibrate=recalibrate),
+            budgets=[budget],
             frames=scene.frames,
-            seed=config.seed,
             effort=config.effort,
-            extra=False,
-            recalibrate=recalibrate,
         )
     except InputError as error:
         if "out of reach" not in str(error):
@@ -151,7 +146,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         )
     if reached:
         made.append(
-            Plot(NAME, "Predicted against timed again; no p95 should be right of its budget.", figure(reached))
+            Plot(main.name, "Predicted against timed again; no p95 should be right of its budget.", figure(reached))
         )
     return made
 
@@ -200,4 +195,4 @@ def figure(reached: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

@@ -38,27 +38,25 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from experiments.blocks import Block, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Plot, Table
+from experiments.command import RunConfig, Start, experiment, run
 from experiments.plotting import new_figure
-from experiments.records import Results, Row, machine, of_kind
+from experiments.records import Row, machine, of_kind
 from experiments.tuning_optimum import Counted, prepare_room, warm_up
-from hyjax.errors import InputError
 from hyjax.tuning.budget import MOST_STEPS, fits, single_steps
 from hyjax.tuning.cost_model import CostModel
-from hyjax.tuning.latency import Stopwatch
-from hyjax.tuning.relaxation import ATTACHMENT_RANGE, KAPPA_RANGE, LAM_RANGE, Plan
+from hyjax.tuning.relaxation import FIDELITY_RANGE, KAPPA_RANGE, LAM_RANGE, RelaxedSchedule
 from hyjax.tuning.search import Search
+from hyjax.util.clock import Stopwatch
+from hyjax.util.errors import InputError
 
-NAME = "tuning_race"
-TITLE = "The search against Optuna and chance"
 DRAWS = 20_000
 OVER_BUDGET = 1.0
 """Stands for the loss of what does not fit; with constraints no sampler compares it with any other."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     budget_ms: float = 4.0
     seconds: float = 60.0
     """For each method and seed."""
@@ -71,7 +69,6 @@ class Config:
     """How many of the default tuning frames, at most four."""
     recalibrate: bool = False
     """Make the latency table anew."""
-    out: Path = Path("results/tuning_race")
     resume: bool = False
 
 
@@ -109,11 +106,11 @@ class Run:
             self.best = loss
             self.curve.append((self.clock.seconds, loss))
 
-    def evaluate(self, steps: list[int], kappa: list[float], lam: list[float], attachment: list[float]) -> float:
+    def evaluate(self, steps: list[int], kappa: list[float], lam: list[float], fidelity: list[float]) -> float:
         quarters = 4.0 * np.array(lam)
-        free = np.log(kappa), np.log(quarters) - np.log1p(-quarters), np.log(attachment)
+        free = np.log(kappa), np.log(quarters) - np.log1p(-quarters), np.log(fidelity)
         parts = np.array(steps), *free
-        loss = self.objective(Plan(*(jnp.asarray(part, jnp.float32) for part in parts)))
+        loss = self.objective(RelaxedSchedule(*(jnp.asarray(part, jnp.float32) for part in parts)))
         self.note(loss)
         return loss
 
@@ -148,18 +145,18 @@ def optuna_search(run: Run, sampler: str) -> None:
     import optuna
 
     def loss(trial: optuna.Trial) -> float:
-        ladder = run.objective.ladder
+        ladder = run.objective.factors
         steps = [trial.suggest_int(f"steps {factor}", 0, MOST_STEPS) for factor in ladder]
         kappa = [trial.suggest_float(f"kappa {factor}", *KAPPA_RANGE, log=True) for factor in ladder]
         lam = [trial.suggest_float(f"lam {factor}", *LAM_RANGE) for factor in ladder]
-        attachment = [trial.suggest_float(f"alpha {factor}", *ATTACHMENT_RANGE, log=True) for factor in ladder]
+        fidelity = [trial.suggest_float(f"alpha {factor}", *FIDELITY_RANGE, log=True) for factor in ladder]
         over = run.cost(steps) - run.budget if any(steps) else run.budget
         trial.set_user_attr("over", over)
         if over > 0:
             run.over_budget += 1
             run.expired()
             return OVER_BUDGET
-        return run.evaluate(steps, kappa, lam, attachment)
+        return run.evaluate(steps, kappa, lam, fidelity)
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     with warnings.catch_warnings():
@@ -173,7 +170,7 @@ def optuna_search(run: Run, sampler: str) -> None:
 
 
 def random_search(run: Run) -> None:
-    rng, size = np.random.default_rng(run.seed), len(run.objective.ladder)
+    rng, size = np.random.default_rng(run.seed), len(run.objective.factors)
     while not run.expired():
         draws = rng.integers(0, MOST_STEPS + 1, (DRAWS, size))
         # What levels and steps cost alone tells most of those that do not fit, all at once.
@@ -184,10 +181,10 @@ def random_search(run: Run) -> None:
         for steps in fitting:
             if run.expired():
                 break
-            kappa, attachment = (
-                np.exp(rng.uniform(*np.log(bounds), size)).tolist() for bounds in (KAPPA_RANGE, ATTACHMENT_RANGE)
+            kappa, fidelity = (
+                np.exp(rng.uniform(*np.log(bounds), size)).tolist() for bounds in (KAPPA_RANGE, FIDELITY_RANGE)
             )
-            run.evaluate(steps, kappa, rng.uniform(*LAM_RANGE, size).tolist(), attachment)
+            run.evaluate(steps, kappa, rng.uniform(*LAM_RANGE, size).tolist(), fidelity)
 
 
 OURS = "ours"
@@ -199,12 +196,13 @@ METHODS: dict[str, Callable[[Run], None]] = {
 }
 
 
-def main(config: Config) -> None:
+@experiment("The search against Optuna and chance")
+def main(config: Config, start: Start) -> None:
     if importlib.util.find_spec("optuna") is None:
         raise InputError('optuna is not installed; pip install -e ".[experiments]"')
     if not (config.seeds >= 1 and config.seconds > 0):
         raise InputError(f"need at least 1 seed and > 0 seconds, got {config.seeds} and {config.seconds:g}")
-    results = Results(config.out, NAME, config, resume=config.resume)
+    results = start()
     prepared, ladder, cost = prepare_room(results, config.size, config.frames, recalibrate=config.recalibrate)
     objective, singles = Counted(prepared, ladder), single_steps(len(ladder))
     if not any(fits(steps, cost, config.budget_ms) for steps in singles):
@@ -225,7 +223,6 @@ def main(config: Config) -> None:
             run = Run(objective, cost, config.budget_ms, seed, config.seconds, bar)
             METHODS[method](run)
             results.add(kind="run", **run.result(method))
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def reached(curve: list[tuple[float, float]], loss: float) -> float:
@@ -264,7 +261,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     )
     return [
         Table(caption, header, lines),
-        Plot(NAME, "Best loss so far: median and range of the seeds.", figure(runs)),
+        Plot(main.name, "Best loss so far: median and range of the seeds.", figure(runs)),
     ]
 
 
@@ -305,4 +302,4 @@ def figure(runs: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

@@ -1,4 +1,4 @@
-"""What the tuning experiments share: the built-in room and a capture as benches, their frames, times and scores."""
+"""Shared by the tuning experiments: the built-in room and a capture as benches, their frames, times and scores."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -8,18 +8,21 @@ from typing import Any
 import numpy as np
 
 from experiments.blocks import Table
+from experiments.command import RunConfig
 from experiments.judging import summarise
 from experiments.records import Results, Row, machine, of_kind
+from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
-from hyjax.errors import InputError
-from hyjax.schedule import Schedule
+from hyjax.metrics import plain_metrics
 from hyjax.tuning.bench import Workbench, open_bench
 from hyjax.tuning.calibration import compile_all, time_calls
 from hyjax.tuning.cases import Case, scores
-from hyjax.tuning.report_text import attachment_text, kappa_text, lam_text, steps_text
+from hyjax.tuning.report_text import fidelity_text, kappa_text, lam_text, steps_text
 from hyjax.tuning.request import split_frames
 from hyjax.tuning.result import Milliseconds
 from hyjax.tuning.search import Effort
+from hyjax.tuning.settings import TuneScene, TuneSettings
+from hyjax.util.errors import InputError
 
 MOST_SECONDS = 120.0
 """For timing everything once more at the end."""
@@ -28,7 +31,7 @@ Pairs = Sequence[tuple[str, str]]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ComparisonConfig:
+class ComparisonConfig(RunConfig):
     """Options of an experiment that tunes, and compares schedules on frames held out."""
 
     size: tuple[int, int] = (512, 512)
@@ -91,12 +94,12 @@ def open_scenes(kitchen: Path | None, size: tuple[int, int], tuning: int = 6, he
             raise InputError(f"{name}: must be at least 1, got {value}")
     scenes = []
     for capture in (None,) if kitchen is None else (None, kitchen):
-        bench = open_bench(capture, size=size)
-        count = len(bench.capture)
+        bench = open_bench(TuneSettings(TuneScene(capture=capture, size=f"{size[1]}x{size[0]}")))
+        count = len(bench.scene)
         first = count - max(1, count // 4)
         parts = (range(max(first, 1)), tuning), (range(first, count), held_out)
         frames, holdout = (",".join(map(str, spread(*part))) for part in parts)
-        scenes.append(Scene(bench.capture.name, bench, *split_frames(count, frames, holdout)))
+        scenes.append(Scene(bench.scene.capture.name, bench, *split_frames(count, frames, holdout)))
     return scenes
 
 
@@ -109,7 +112,7 @@ def retime(runs: Sequence[tuple[Case, Sequence[Schedule]]], repeats: int) -> lis
     """
     calls: dict[str, Any] = {}
     for i, (case, schedules) in enumerate(runs):
-        compiled = compile_all(schedules, (case.shading, case.known, case.guide), progress=True)
+        compiled = compile_all(schedules, case.cascade_arguments, progress=True)
         calls |= {f"{i} {k}": call for k, call in enumerate(compiled)}
     times = time_calls(calls, repeats, most_seconds=MOST_SECONDS, progress=True)
     return [[times[f"{i} {k}"] for k in range(len(schedules))] for i, (_, schedules) in enumerate(runs)]
@@ -120,13 +123,13 @@ def add_scores(
 ) -> None:
     """A row for each held-out frame under its filter."""
     for frame, case in held.items():
-        found = dataclasses.asdict(scores([case], [relight_filter(case)]))
+        found = scores([case], [relight_filter(case)]).row()
         results.add(kind="score", scene=scene, name=name, frame=frame, **found)
 
 
 def texts(schedule: Schedule) -> dict[str, str]:
     """A schedule's name, steps, κ, λ and α, for a row."""
-    parts = {"steps": steps_text, "kappa": kappa_text, "lam": lam_text, "attachment": attachment_text}
+    parts = {"steps": steps_text, "kappa": kappa_text, "lam": lam_text, "fidelity": fidelity_text}
     return {"schedule": schedule.name} | {key: text(schedule) for key, text in parts.items()}
 
 
@@ -147,6 +150,17 @@ def scored(rows: Sequence[Row], scene: str) -> dict[str, list[Row]]:
 def mean(each: Sequence[Row], key: str) -> float:
     """Mean of a score over frames."""
     return float(np.mean([row[key] for row in each]))
+
+
+def score_headings() -> list[str]:
+    """Headings of `mean_scores`."""
+    return ["loss", *(metric.label for metric in plain_metrics().values())]
+
+
+def mean_scores(each: Sequence[Row]) -> list[str]:
+    """Mean loss and metrics over frames, as texts; a dash for a metric that older rows lack."""
+    digits = {"loss": 5} | {name: metric.digits for name, metric in plain_metrics().items()}
+    return [f"{mean(each, name):.{n}f}" if name in each[0] else "–" for name, n in digits.items()]
 
 
 def comparison(
@@ -191,7 +205,7 @@ def _difference(own: Sequence[Row], other: Sequence[Row]) -> list[str]:
 
 
 def conditions(rows: Sequence[Row]) -> str:
-    """What the figures hold for, as the last words of a caption."""
+    """Conditions of the figures, as the last words of a caption."""
     scenes = of_kind(rows, "scene")
     meshes = "; ".join(f"{row['scene']}: {row['meshes']}" for row in scenes)
     height, width = scenes[0]["settings"]["size"]

@@ -1,4 +1,4 @@
-"""What it costs to use a schedule in another room than it was tuned in.
+"""Cost of using a schedule in another room than it was tuned in.
 
     python -m experiments.tuning_transfer --kitchen PATH [--budget-ms 4] [--out results/tuning_transfer]
 
@@ -17,30 +17,31 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from experiments.blocks import Block, Plot, Table, write_blocks
-from experiments.command import run
+from experiments.blocks import Block, Plot, Table
+from experiments.command import Start, experiment, run
 from experiments.plotting import new_figure
-from experiments.records import Results, Row, of_kind
+from experiments.records import Row, of_kind
 from experiments.tuning_scenes import (
     ComparisonConfig,
     add_scores,
     comparison,
     conditions,
     mean,
+    mean_scores,
     open_scenes,
     retime,
     scenes_of,
+    score_headings,
     scored,
     texts,
 )
-from hyjax.errors import InputError
-from hyjax.schedule import Schedule
-from hyjax.tuning.cases import mix, refined_filter
+from hyjax.core.schedule import Schedule
+from hyjax.tuning.cases import raw_filter, refined_filter
 from hyjax.tuning.request import parse_budgets
 from hyjax.tuning.run import tune_bench
+from hyjax.tuning.settings import TuneScene, TuneSettings
+from hyjax.util.errors import InputError
 
-NAME = "tuning_transfer"
-TITLE = "A schedule in another room than it was tuned in"
 RAW = "raw filter"
 
 
@@ -49,17 +50,17 @@ class Config(ComparisonConfig):
     kitchen: Path
     """The capture to tune on besides the built-in room."""
     budget_ms: float = 4.0
-    out: Path = Path("results/tuning_transfer")
 
 
-def main(config: Config) -> None:
+@experiment("A schedule in another room than it was tuned in")
+def main(config: Config, start: Start) -> None:
     budgets = parse_budgets((), (config.budget_ms,))
     scenes = open_scenes(config.kitchen, config.size, config.frames, config.holdout)
-    results = Results(config.out, NAME, config)
-    schedules = {}
+    results = start()
+    schedules, settings = {}, TuneSettings(TuneScene(seed=config.seed), extra=False)
     for scene in scenes:
         found = tune_bench(
-            scene.bench, budgets, frames=scene.frames, seed=config.seed, effort=config.effort, extra=False
+            scene.bench, settings, budgets=budgets, frames=scene.frames, effort=config.effort
         ).schedule
         if not found.name.startswith("tuned"):
             raise InputError(f"{scene.name}: nothing tuned came out within {config.budget_ms:g} ms; give more")
@@ -70,13 +71,12 @@ def main(config: Config) -> None:
         results.add(kind="schedule", name=name, **texts(schedule))
     for scene in scenes:
         held = scene.held_out()
-        add_scores(results, scene.name, RAW, held, lambda case: mix(case.shading, case.colors))
+        add_scores(results, scene.name, RAW, held, lambda case: raw_filter(case.shaded))
         for name, schedule in schedules.items():
             add_scores(results, scene.name, name, held, functools.partial(refined_filter, schedule=schedule))
     (times,) = retime([(next(iter(held.values())), list(schedules.values()))], config.repeats)
     for name, time in zip(schedules, times, strict=True):
         results.add(kind="time", name=name, **dataclasses.asdict(time))
-    write_blocks(config.out, NAME, blocks(results.finish(), config.out))
 
 
 def tuned_on(scene: str) -> str:
@@ -92,14 +92,13 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     for row in of_kind(rows, "schedule"):
         time = times.get(row["name"])
         cells = [f"{time['median']:.2f}", f"{time['p95']:.2f}"] if time else ["–", "–"]
-        values = [row.get(key, "–") for key in ("steps", "kappa", "lam", "attachment")]
+        values = [row.get(key, "–") for key in ("steps", "kappa", "lam", "fidelity")]
         schedules.append([row["name"], *values, *cells])
     lines = []
     for scene in scenes_of(rows):
         for name, each in scored(rows, scene).items():
             text = f"{name} (its own)" if name == tuned_on(scene) else name
-            digits = {"loss": 5, "psnr": 2, "ssim": 4}
-            lines.append([scene, text, *(f"{mean(each, key):.{n}f}" for key, n in digits.items())])
+            lines.append([scene, text, *mean_scores(each)])
 
     def pairs(scene: str, names: list[str]) -> list[tuple[str, str]]:
         own = tuned_on(scene)
@@ -110,12 +109,12 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         Table(f"The schedules; {conditions(rows)}", header, schedules, names=5),
         Table(
             "Means over held-out frames.",
-            ["held-out frames of", "schedule", "loss", "PSNR dB", "SSIM"],
+            ["held-out frames of", "schedule", *score_headings()],
             lines,
             names=2,
         ),
         comparison(rows, pairs, lambda _, name: times.get(name)),
-        Plot(NAME, "Loss on held-out frames: the mean, and each frame as a small dot.", figure(rows)),
+        Plot(main.name, "Loss on held-out frames: the mean, and each frame as a small dot.", figure(rows)),
     ]
 
 
@@ -139,4 +138,4 @@ def figure(rows: Sequence[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    run(main, Config)
+    run(main)

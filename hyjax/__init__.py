@@ -2,38 +2,63 @@
 
 The functions here take and return arrays and work under jit, grad and vmap (checks of values, such as κ > 0, happen
 only where the values are known). Cameras, meshes and ray casting are in
-`hyjax.scene`, captures in `hyjax.data`.
+`hyjax.geometry`, captures in `hyjax.data`, scenes in `hyjax.scene`.
 """
 
 import importlib
 
-from hyjax.cascade import cascade, level_edges
-from hyjax.color import blackbody, luminance, to_display, to_linear
-from hyjax.compositing import composite
-from hyjax.cycles import step_cycle
-from hyjax.diffusion import conductance, diffuse, diffuse_step
-from hyjax.errors import InputError
-from hyjax.gbuffer import GBuffer
-from hyjax.lights import AmbientLight, Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
+from hyjax.core.cascade import cascade, level_edges
+from hyjax.core.cycles import step_cycle
+from hyjax.core.diffusion import conductance, diffuse, diffuse_step
+from hyjax.core.pyramid import downsample, min_pool, upsample
+from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
+from hyjax.core.schedule import Level, Schedule
+from hyjax.core.solver import solve
+from hyjax.core.superresolution import super_resolve
+from hyjax.core.upsampling import guided_upsample
+from hyjax.light.color import blackbody, luminance, to_display, to_linear
+from hyjax.light.compositing import composite
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.kinds import (
+    AmbientLight,
+    Aperture,
+    DirectionalLight,
+    Light,
+    PointLight,
+    RectLight,
+    SkyLight,
+    SpotLight,
+)
+from hyjax.light.setup import LightSetup
+from hyjax.light.shaded import Shaded
+from hyjax.light.shading import colored, shade, shade_each
+from hyjax.light.shadow_map import ShadowMap, visibilities, visibility
+from hyjax.light.view import View
 from hyjax.pipeline import Relit, relight, relight_stages
-from hyjax.pyramid import downsample, min_pool, upsample
-from hyjax.refine import cascade_known, fill_visibility, shadow_pass
-from hyjax.schedule import Level, Schedule
-from hyjax.shading import colored, shade, shade_each
-from hyjax.shadow import ShadowMap, visibilities, visibility
-from hyjax.solver import solve
-from hyjax.superresolution import super_resolve
-from hyjax.upsampling import guided_upsample
+from hyjax.util.errors import InputError
 
 __version__ = "0.1.0"
 
+LAZY = {
+    "RelightSettings": "hyjax.relighting.settings",
+    "Scene": "hyjax.scene.scene",
+    "SceneSettings": "hyjax.scene.settings",
+    "relight_capture": "hyjax.relighting.run",
+    "TuneSettings": "hyjax.tuning.settings",
+    "tune": "hyjax.tuning.tune",
+    "write_png": "hyjax.util.images",
+}
+"""Names that need files, geometry or the tuner, and where they are."""
+
 
 def __getattr__(name: str) -> object:
-    """`hyjax.tune`, which needs the whole upper half of the package, and modules: loaded when first asked for."""
-    if name == "tune":
-        return importlib.import_module("hyjax.tuning.tune").tune
-    if name in ("losses", "metrics", "video"):
+    """Names of `LAZY` and modules, loaded when they are first asked for."""
+    if name in LAZY:
+        return getattr(importlib.import_module(LAZY[name]), name)
+    if name in ("metrics", "video"):
         return importlib.import_module(f"hyjax.{name}")
+    if name == "losses":
+        return importlib.import_module("hyjax.metrics.losses")
     raise AttributeError(f"module 'hyjax' has no attribute {name!r}")
 
 
@@ -45,13 +70,20 @@ __all__ = [
     "InputError",
     "Level",
     "Light",
+    "LightSetup",
     "PointLight",
     "RectLight",
+    "RelightSettings",
     "Relit",
+    "Scene",
+    "SceneSettings",
     "Schedule",
+    "Shaded",
     "ShadowMap",
     "SkyLight",
     "SpotLight",
+    "TuneSettings",
+    "View",
     "blackbody",
     "cascade",
     "cascade_known",
@@ -67,6 +99,7 @@ __all__ = [
     "luminance",
     "min_pool",
     "relight",
+    "relight_capture",
     "relight_stages",
     "shade",
     "shade_each",
@@ -80,4 +113,5 @@ __all__ = [
     "upsample",
     "visibilities",
     "visibility",
+    "write_png",
 ]

@@ -1,9 +1,9 @@
-"""One frame, whole: G-buffer + lights + frame + guide + schedule → relit picture.
+"""One frame, whole: a view, the light on it, a guide and a schedule → the relit picture.
 
-Order, as in the paper: shade the mesh without shadows, repair the shading by the cascade, refine the visibility in
-a pass of its own, multiply the two, multiply with the frame. Diffusion is linear and every light has one colour, so
-in our own mode each light is a single channel of both passes: shading and shadow of one light never mix with those
-of another, and a sun that is mostly shadowed leaves no trace in what the sky lights.
+Order, as in the paper: the shading without shadows is repaired by the cascade, the visibility is refined in a pass
+of its own, the two are multiplied, and then multiplied with the frame. Diffusion is linear and every light has one
+colour, so in mode `linear` each light is a single channel of both passes: shading and shadow of one light never mix
+with those of another, and a sun that is mostly shadowed leaves no trace in what the sky lights.
 
 Missing surface and missing light are never confused: a hole has no shading and no visibility of its own, and takes
 both on from its surroundings; so does the visibility of a light on surfaces turned away from it, which may in truth
@@ -11,40 +11,35 @@ well be lit or shadowed as their neighbours are.
 """
 
 import dataclasses
-import functools
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Float
 
-from hyjax.cascade import cascade
-from hyjax.color import to_display, to_linear
-from hyjax.compositing import composite
-from hyjax.errors import InputError
-from hyjax.gbuffer import GBuffer
-from hyjax.lights import AmbientLight, Light
-from hyjax.refine import cascade_known, fill_visibility, shadow_pass
-from hyjax.schedule import Schedule
-from hyjax.shading import colored, shade_each
-from hyjax.shadow import ShadowMap, visibilities
-from hyjax.values import concrete
+from hyjax.core.cascade import cascade
+from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
+from hyjax.core.schedule import Schedule
+from hyjax.light.color import to_display, to_linear
+from hyjax.light.compositing import composite
+from hyjax.light.shaded import Shaded
+from hyjax.light.shading import mix_channels
+from hyjax.light.view import View
+from hyjax.util.errors import InputError
+from hyjax.util.tracing import concrete
 
-Mode = Literal["hyjax", "paper"]
-Settle = Callable[
+Mode = Literal["linear", "paper"]
+TemporalFilter = Callable[
     [Float[Array, "h w l"], Float[Array, "h w l"]], tuple[Float[Array, "h w l"], Float[Array, "h w l"]]
 ]
-
-# Illuminance under which the frame is taken to have been photographed: an ordinary room in daylight or lamplight.
-REFERENCE_LUX = 300.0
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Relit:
-    """What `relight` made of a frame. Filters are linear in mode `hyjax`, display-encoded in mode `paper`.
+    """Stages of a relit frame. Filters are linear in mode `linear`, display-encoded in mode `paper`.
 
     Attributes:
         shading: raw relight filter R without shadows; zero where the mesh has no surface.
@@ -64,219 +59,170 @@ class Relit:
 
 
 def relight(
-    frame: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
-    lights: Sequence[Light],
+    view: View,
+    shaded: Shaded,
     guide: Float[Array, "h w f"],
     schedule: Schedule,
     *,
-    shadow_maps: Sequence[ShadowMap | None] | None = None,
-    shading: Float[Array, "h w l"] | None = None,
-    visibility: Float[Array, "h w l"] | None = None,
-    confidence: Float[Array, "h w 1"] | None = None,
     shadow_schedule: Schedule | None = None,
-    reference_lux: Float[ArrayLike, ""] = REFERENCE_LUX,
-    settle: Settle | None = None,
-    mode: Mode = "hyjax",
+    temporal_filter: TemporalFilter | None = None,
+    mode: Mode = "linear",
 ) -> Relit:
-    """Relight one camera frame.
+    """Relit picture of one view.
 
     Args:
-        frame: camera picture, linear.
-        gbuffer: what the frame's camera sees of the mesh.
-        lights: virtual lights, in the mesh's world coordinates.
-        guide: features that say where light may flow; the display-encoded frame itself is the "RGB guide".
+        view: the camera's picture with the surface that it shows.
+        shaded: light on that surface, see `View.shade`.
+        guide: features that say where light may flow; `view.display` is the "RGB guide".
         schedule: cascade for the shading.
-        shadow_maps: one for each light (None: casts no shadow); None for no shadows at all.
-        shading: lux that each light throws on the visible surface, rendered elsewhere; default `shade_each`.
-        visibility: what shadows leave of each light, in [0, 1], rendered elsewhere, instead of the shadow maps.
-        confidence: how far the shading of each pixel can be trusted, in [0, 1]; default: 1 where the mesh has a
-            surface, 0 in holes, which always have none. Mode `"paper"` trusts everything.
         shadow_schedule: cascade for the visibility; default the preset `hyjax-shadow`, in mode `"paper"` `shadow`.
-        reference_lux: illuminance under which the frame is taken to have been photographed. Light of this strength
-            leaves the frame as it is.
-        settle: called with the refined shading and visibility of each light; returns what to take instead. See
-            `hyjax.video`; not in mode `"paper"`.
-        mode: `"hyjax"` multiplies linear light and treats pixels without surface as unknown; `"paper"` clips and
-            display-encodes the filter, leaves holes black, and multiplies display values.
+        temporal_filter: function of the refined illuminance and visibility of each light that returns what to take
+            instead. See `hyjax.video`; not in mode `"paper"`.
+        mode: `"linear"` multiplies linear light and treats pixels without surface as unknown; `"paper"` clips and
+            display-encodes the filter, leaves holes black, trusts all else, and multiplies display values.
 
     Returns:
         All stages; `image` and `unrefined` are linear in both modes.
 
     Raises:
-        InputError: sizes differ, no lights, another number of shadow maps or channels than lights, both shadow maps
-            and visibility, unknown mode, or a schedule that cannot be run.
+        InputError: sizes differ, unknown mode, or a schedule that cannot be run.
 
     Warns:
         UserWarning: nothing of the frame is known. The relit frame is then what the ambient lights make of it; the
             frame itself if there are none (in mode `"paper"`: black).
+
+    Example:
+        scene = hyjax.Scene.open(hyjax.SceneSettings(size="320x240"))
+        view = scene.view(0)
+        relit = hyjax.relight(view, scene.shade(view, "golden-hour"), view.display, hyjax.Schedule.preset("hyjax"))
     """
     *_, (_, relit) = relight_stages(
-        frame,
-        gbuffer,
-        lights,
+        view,
+        shaded,
         guide,
         schedule,
-        shadow_maps=shadow_maps,
-        shading=shading,
-        visibility=visibility,
-        confidence=confidence,
         shadow_schedule=shadow_schedule,
-        reference_lux=reference_lux,
-        settle=settle,
+        temporal_filter=temporal_filter,
         mode=mode,
     )
     return relit
 
 
 def relight_stages(
-    frame: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
-    lights: Sequence[Light],
+    view: View,
+    shaded: Shaded,
     guide: Float[Array, "h w f"],
     schedule: Schedule,
     *,
-    shadow_maps: Sequence[ShadowMap | None] | None = None,
-    shading: Float[Array, "h w l"] | None = None,
-    visibility: Float[Array, "h w l"] | None = None,
-    confidence: Float[Array, "h w 1"] | None = None,
     shadow_schedule: Schedule | None = None,
-    reference_lux: Float[ArrayLike, ""] = REFERENCE_LUX,
-    settle: Settle | None = None,
-    mode: Mode = "hyjax",
+    temporal_filter: TemporalFilter | None = None,
+    mode: Mode = "linear",
 ) -> Iterator[tuple[str, Any]]:
-    """`relight` stage by stage: yields each stage's name with what it made, and last ("composite", `Relit`).
+    """`relight` stage by stage: each stage's name with its result, the last one ("composite", `Relit`).
 
-    For whoever wants to time, look at or stop between the stages. Arguments and errors are those of `relight`.
+    To time, look at or stop between the stages. Arguments and errors are those of `relight`.
     """
     if mode not in get_args(Mode):
         raise InputError(f"mode: {mode!r} is unknown; use one of {', '.join(get_args(Mode))}")
-    if settle is not None and mode == "paper":
-        raise InputError("relight: settle works on channels of lights, which mode 'paper' does not have")
-    if not lights:
-        raise InputError("relight: no lights; give at least one")
-    size = frame.shape[:2]
-    if gbuffer.hit.shape != size or guide.shape[:2] != size:
+    if temporal_filter is not None and mode == "paper":
+        raise InputError("relight: temporal_filter works on channels of lights, which mode 'paper' does not have")
+    size, hit, lit = view.frame.shape[:2], view.gbuffer.hit.shape, shaded.illuminance.shape
+    if not size == hit == lit[:2] == guide.shape[:2]:
         raise InputError(
-            f"relight: frame {size}, G-buffer {gbuffer.hit.shape} and guide {guide.shape[:2]} must be of one size"
+            f"relight: frame {size}, G-buffer {hit}, shading {lit[:2]} and guide {guide.shape[:2]} must be of one "
+            "size"
         )
-    for name, given in (("shading", shading), ("visibility", visibility)):
-        if given is not None and given.shape != (*size, len(lights)):
-            raise InputError(
-                f"relight: {name} is {given.shape}, must be {(*size, len(lights))}: a channel for each light"
-            )
-    if shadow_maps is not None and visibility is not None:
-        raise InputError("relight: give shadow maps or the visibility itself, not both")
-    maps = (None,) * len(lights) if shadow_maps is None else tuple(shadow_maps)
-    if len(maps) != len(lights):
-        raise InputError(f"relight: {len(maps)} shadow maps for {len(lights)} lights; give one each, or None")
-    lights = tuple(lights)
-    if confidence is not None and confidence.shape != (*size, 1):
-        raise InputError(f"relight: confidence is {confidence.shape}, must be {(*size, 1)}")
+    if (
+        shaded.visibility.shape != lit
+        or shaded.colors.shape != (lit[2], 3)
+        or shaded.confidence.shape != (*size, 1)
+    ):
+        raise InputError(
+            f"relight: visibility {shaded.visibility.shape}, colours {shaded.colors.shape} and confidence "
+            f"{shaded.confidence.shape} do not fit the illuminance {lit}"
+        )
     if shadow_schedule is None:
         shadow_schedule = Schedule.preset("shadow" if mode == "paper" else "hyjax-shadow")
     for used in (schedule, shadow_schedule):
-        used.check(dtype=gbuffer.depth.dtype if shading is None else shading.dtype)
-    trust: Array = gbuffer.hit[..., None]
-    if confidence is not None and mode == "hyjax":
-        trust = jnp.where(trust, confidence, 0.0)
-    anything = concrete(jnp.any(trust > 0))
+        used.check(dtype=shaded.illuminance.dtype)
+    known = view.gbuffer.hit if mode == "paper" else shaded.confidence > 0
+    anything = concrete(jnp.any(known))
     if anything is not None and not anything:
         left = "the relit frame is black" if mode == "paper" else "only ambient light is used"
         warnings.warn(f"relight: nothing of the frame is known; {left}", stacklevel=3)
+    if mode == "paper":
+        yield from _paper_stages(view, shaded, guide, schedule, shadow_schedule)
+        return
+    illuminance = refine_illuminance(shaded, guide, schedule)
+    yield "cascade", illuminance
+    visibility = refine_visibility(shaded, guide, shadow_schedule)
+    yield "shadow pass", visibility
+    if temporal_filter is not None:
+        illuminance, visibility = temporal_filter(illuminance, visibility)
+        yield "temporal filter", (illuminance, visibility)
+    yield "composite", composite_linear(view.frame, shaded, illuminance, visibility)
 
-    def see() -> Float[Array, "h w l"]:
-        return visibilities(gbuffer, lights, maps) if visibility is None else visibility
 
-    each = shade_each(gbuffer, lights) if shading is None else shading
-    stages = _paper_stages if mode == "paper" else functools.partial(_stages, settle)
-    yield from stages(frame, trust, each, see, lights, guide, schedule, shadow_schedule, reference_lux)
+def refine_illuminance(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w l"]:
+    """Illuminance of each light after the cascade: holes filled, borders moved to the guide's."""
+    return cascade_known(shaded.illuminance, shaded.confidence, guide, schedule)
 
 
-def _stages(
-    settle: Settle | None,
-    frame: Float[Array, "h w 3"],
-    trust: Float[Array, "h w 1"] | Bool[Array, "h w 1"],
-    each: Float[Array, "h w l"],
-    see: Callable[[], Float[Array, "h w l"]],
-    lights: Sequence[Light],
-    guide: Float[Array, "h w f"],
-    schedule: Schedule,
-    shadow_schedule: Schedule,
-    reference_lux: Float[ArrayLike, ""],
-) -> Iterator[tuple[str, Any]]:
-    """Our mode: a channel for each light, holes unknown, linear light."""
-    yield "shading", each
-    seen = see()
-    yield "visibility", seen
-    refined = cascade_known(each, trust, guide, schedule)
-    yield "cascade", refined
-    refined_seen = shadow_pass(fill_visibility(seen, (each > 0) & (trust > 0), guide), guide, shadow_schedule)
-    yield "shadow pass", refined_seen
-    if settle is not None:
-        refined, refined_seen = settle(refined, refined_seen)
-        yield "settle", (refined, refined_seen)
-    channels = each, seen, refined, refined_seen
-    yield "composite", _composite_channels(frame, *channels, trust, lights, reference_lux)
+def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w l"]:
+    """Visibility of each light after the shadow pass, filled where the mesh or the light leaves it unknown."""
+    known = (shaded.illuminance > 0) & (shaded.confidence > 0)
+    return shadow_pass(fill_visibility(shaded.visibility, known, guide), guide, schedule)
 
 
 @jax.jit
-def _composite_channels(
+def composite_linear(
     frame: Float[Array, "h w 3"],
-    each: Float[Array, "h w l"],
-    seen: Float[Array, "h w l"],
-    refined: Float[Array, "h w l"],
-    refined_seen: Float[Array, "h w l"],
-    trust: Float[Array, "h w 1"] | Bool[Array, "h w 1"],
-    lights: Sequence[Light],
-    reference_lux: Float[ArrayLike, ""],
+    shaded: Shaded,
+    illuminance: Float[Array, "h w l"],
+    visibility: Float[Array, "h w l"],
 ) -> Relit:
+    """Relit picture in linear light (Eq. 1).
+
+    Args:
+        frame: camera picture, linear.
+        shaded: light before the refinement.
+        illuminance: see `refine_illuminance`.
+        visibility: see `refine_visibility`.
+    """
     raw, raw_shadowed, unshadowed, relight_filter = (
-        colored(channels, lights) / reference_lux
-        for channels in (each, each * seen, refined, refined * refined_seen)
+        mix_channels(channels, shaded.colors) / shaded.reference_lux
+        for channels in (
+            shaded.illuminance,
+            shaded.illuminance * shaded.visibility,
+            illuminance,
+            illuminance * visibility,
+        )
     )
-    anything, ambient = jnp.any(trust > 0), _ambient(lights, reference_lux)
-    unshadowed, relight_filter = (jnp.where(anything, f, ambient) for f in (unshadowed, relight_filter))
+    anything = jnp.any(shaded.confidence > 0)
+    unshadowed, relight_filter = (jnp.where(anything, f, shaded.ambient) for f in (unshadowed, relight_filter))
     visible = _ratio(relight_filter, unshadowed)
     unrefined, image = composite(raw_shadowed, frame), composite(relight_filter, frame)
     return Relit(raw, unshadowed, visible, relight_filter, unrefined, image)
 
 
-def _ambient(lights: Sequence[Light], reference_lux: Float[ArrayLike, ""]) -> Float[Array, "3"]:
-    """The filter of the lights that fall on anything alike; 1, leaving the frame as it is, if there are none."""
-    ambient = [light.illuminance * light.color for light in lights if isinstance(light, AmbientLight)]
-    return sum(ambient[1:], ambient[0]) / reference_lux if ambient else jnp.ones(3)
-
-
 def _paper_stages(
-    frame: Float[Array, "h w 3"],
-    trust: Float[Array, "h w 1"] | Bool[Array, "h w 1"],
-    each: Float[Array, "h w l"],
-    see: Callable[[], Float[Array, "h w l"]],
-    lights: Sequence[Light],
-    guide: Float[Array, "h w f"],
-    schedule: Schedule,
-    shadow_schedule: Schedule,
-    reference_lux: Float[ArrayLike, ""],
+    view: View, shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule, shadow_schedule: Schedule
 ) -> Iterator[tuple[str, Any]]:
     """The paper: the filter is a rendered picture, clipped and display-encoded, black where there is no mesh."""
-    raw = _rendered(each, lights, reference_lux)
-    yield "shading", raw
-    raw_shadowed = _rendered(each * see(), lights, reference_lux)
-    raw_visible = _ratio(raw_shadowed, raw)
-    yield "visibility", raw_visible
+    raw = _rendered(shaded.illuminance, shaded.colors, shaded.reference_lux)
+    raw_shadowed = _rendered(shaded.illuminance * shaded.visibility, shaded.colors, shaded.reference_lux)
     refined = cascade(raw, guide, schedule)
     yield "cascade", refined
-    visible = shadow_pass(raw_visible, guide, shadow_schedule)
+    visible = shadow_pass(_ratio(raw_shadowed, raw), guide, shadow_schedule)
     yield "shadow pass", visible
-    yield "composite", _composite_display(frame, raw, raw_shadowed, refined, visible)
+    yield "composite", _composite_display(view.frame, raw, raw_shadowed, refined, visible)
 
 
 @jax.jit
 def _rendered(
-    each: Float[Array, "h w l"], lights: Sequence[Light], reference_lux: Float[ArrayLike, ""]
+    illuminance: Float[Array, "h w l"], colors: Float[Array, "l 3"], reference_lux: Float[ArrayLike, ""]
 ) -> Float[Array, "h w 3"]:
-    return to_display(colored(each, lights) / reference_lux)
+    return to_display(mix_channels(illuminance, colors) / reference_lux)
 
 
 @jax.jit
@@ -294,5 +240,5 @@ def _composite_display(
 
 @jax.jit
 def _ratio(part: Float[Array, "h w 3"], whole: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
-    """What is left of `whole`, in [0, 1]; 1 where there is nothing to lose."""
+    """Share of `whole` in `part`, in [0, 1]; 1 where the whole is nothing."""
     return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 1.0)

@@ -45,7 +45,7 @@ class Page:
             content = self.page.locator("canvas").first.screenshot()
             return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"), np.float32)
 
-        until(lambda: not self.tour.easel.busy)
+        until(lambda: not self.tour.queue.busy)
         before, end = shot(), time.monotonic() + WAIT
         still = 0
         while still < 3:

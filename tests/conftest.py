@@ -1,5 +1,8 @@
 """Shared by all tests: strictness settings, data and weights from outside."""
 
+import contextlib
+import ctypes
+import gc
 import os
 import sys
 import tempfile
@@ -10,21 +13,24 @@ import hypothesis
 import jax
 import numpy as np
 import pytest
+import shape_checks
+from common import UNOPTIMISED, data_folder
 
-from hyjax.errors import InputError
-from hyjax.images import read_image
+shape_checks.install()
+
 from hyjax.metrics import LpipsWeights, load_lpips
+from hyjax.util.errors import InputError
+from hyjax.util.images import read_image
 
 # `experiments` is not installed; after what is, so that `hyjax` stays the installed one.
 sys.path.append(str(Path(__file__).parents[1]))
 
-# Most of what tests compile runs once, and optimising it takes longer than it saves. What tests start is optimised.
-UNOPTIMISED = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
 FLAGS = os.environ.get("XLA_FLAGS", "")
 os.environ["XLA_FLAGS"] = f"{UNOPTIMISED} {FLAGS}"
 jax.block_until_ready(jax.jit(lambda x: x + 1)(0.0))  # XLA reads its flags with the first program
 os.environ["XLA_FLAGS"] = FLAGS
 COMPILED = "HYJAX_TESTS_COMPILED"
+MOST_RESIDENT_MIB = 1000
 
 hypothesis.settings.register_profile("hyjax", derandomize=True, deadline=None, max_examples=15, database=None)
 hypothesis.settings.load_profile("hyjax")
@@ -46,9 +52,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
-def data_folder() -> Path:
-    """$HYJAX_DATA, or shared/data beside the checkout."""
-    return Path(os.environ.get("HYJAX_DATA") or Path(__file__).parents[2] / "shared" / "data")
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Compiled programs of earlier files are dropped where a worker has grown large."""
+    last = nextitem is None or nextitem.path != item.path
+    if last and resident_mib() > MOST_RESIDENT_MIB:
+        jax.clear_caches()
+        gc.collect()
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).malloc_trim(0)  # glibc
+
+
+def resident_mib() -> float:
+    """Memory of this process; 0 where the system does not tell."""
+    statm = Path("/proc/self/statm")
+    return int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20 if statm.is_file() else 0.0
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """Bad input on the command line: exit status 2, one clear line, nothing half-written."""
 
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -14,11 +15,12 @@ import trimesh
 import yaml
 from reference.seven_scenes_export import export_seven_scenes
 
-from hyjax.data.room import RoomCapture, load_room
-from hyjax.images import read_image
+from hyjax.cli import main
+from hyjax.data.builtin_room import RoomCapture, load_room
+from hyjax.util.images import read_image
 
 HYJAX = str(Path(sys.executable).with_name("hyjax"))
-POINT = {"kind": "point", "position": [2.2, 2.6, 1.5], "power": 2000}
+POINT = {"kind": "point", "position": [2.2, 2.6, 1.5], "luminous_flux": 2000}
 Done = subprocess.CompletedProcess[str]
 
 
@@ -46,7 +48,7 @@ def room() -> RoomCapture:
 @pytest.fixture(scope="session")
 def true_mesh(room: RoomCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("mesh") / "true.ply"
-    room.mesh.export(path)
+    room.reference().export(path)
     return path
 
 
@@ -145,7 +147,7 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "fine to coarse": (schedule({}, {"factor": 4}), ("given.json", "coarse to fine")),
     "schedule not JSON": (option("--schedule", ".json", "{"), ("given.json", "not JSON")),
     "light kind": (lights(kind="pint"), ("given.yaml", "'pint'", "'point'")),
-    "light power": (lights(power=-5), ("given.yaml", "'power'", "-5")),
+    "luminous flux": (lights(luminous_flux=-5), ("given.yaml", "'luminous_flux'", "-5")),
     "light key": (lights(postion=1), ("given.yaml", "'postion'", "'position'")),
     "lights unknown": (plain("--lights", "noon-windows"), ("'noon-windows'", "noon-window")),
     "frames past the end": (plain("--frames", "0:3"), ("past the end", "0 to 1")),
@@ -154,18 +156,45 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "seed": (plain("--seed", "-1"), ("seed",)),
     "voxel": (plain("--voxel", "0"), ("voxel",)),
 }
+IN_A_PROCESS = {"missing capture", "truncated PNG", "kappa 0"}
+"""As a user's, with all of its start and its end; the others share this process."""
 NEEDS_MESH = {"truncated PNG", "truncated JPEG", "seed", "voxel", "frames past the end", "size gigantic"} | {
     name for name in SPOILT if name.startswith(("light", "schedule", "kappa", "lambda", "factor", "fine"))
 }
 
 
+@pytest.fixture
+def relight_here(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Done]:
+    """`hyjax relight` in this process, which has everything imported, with its own log handlers."""
+    monkeypatch.setattr("hyjax.cli._keep_compiled", lambda: None)
+    monkeypatch.setattr("hyjax.cli.defer_interrupts", lambda: None)
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+
+    def call(*arguments: object) -> Done:
+        command = ["hyjax", "relight", "--quiet", *map(str, arguments)]
+        monkeypatch.setattr(sys, "argv", command)
+        status = 0
+        try:
+            main()
+        except SystemExit as ended:
+            status = int(ended.code or 0)
+        written = capsys.readouterr()
+        return Done(command, status, written.out, written.err)
+
+    return call
+
+
 @pytest.mark.parametrize("name", SPOILT)
-def test_bad_input_is_one_line(name: str, capture: Path, true_mesh: Path, tmp_path: Path) -> None:
+def test_bad_input_is_one_line(
+    name: str, capture: Path, true_mesh: Path, tmp_path: Path, relight_here: Callable[..., Done]
+) -> None:
     apply, parts = SPOILT[name]
     options = apply(capture) + (["--mesh", true_mesh] if name in NEEDS_MESH else [])
-    refuses(tmp_path / "out", relight("--out", tmp_path / "out", *options), *parts)
+    run = relight if name in IN_A_PROCESS else relight_here
+    refuses(tmp_path / "out", run("--out", tmp_path / "out", *options), *parts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("out", ["file", "file/below"])
 def test_an_output_folder_that_cannot_be_made(out: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")

@@ -1,6 +1,6 @@
 """The notebooks run from top to bottom, hold no logic of their own, and are kept with small outputs.
 
-    HYJAX_WRITE_NOTEBOOKS=1 pytest tests/test_notebooks.py
+    HYJAX_WRITE_NOTEBOOKS=1 pytest -m "" tests/test_notebooks.py
 
 writes what it executed back to `notebooks/`.
 """

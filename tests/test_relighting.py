@@ -7,25 +7,30 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 import pytest
 import trimesh
-from conftest import UNOPTIMISED
+from common import UNOPTIMISED
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyjax.data.capture import Frame
+from hyjax.core.schedule import Schedule
+from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit, select_frames, spread
-from hyjax.data.light_file import LightSetup, parse_lights, read_lights
-from hyjax.errors import InputError
-from hyjax.files import make_writable
-from hyjax.images import read_image
-from hyjax.relighting import Outputs, relight_capture
-from hyjax.scene.camera import Camera, Intrinsics, look_at
-from hyjax.scene.raycast import RayCaster
-from hyjax.schedule import Schedule
+from hyjax.data.light_file import parse_lights, read_lights
+from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.geometry.raycast import RayCaster
+from hyjax.light.setup import LightSetup
+from hyjax.relighting.run import relight_capture
+from hyjax.relighting.settings import RelightSettings
+from hyjax.scene.scene import Scene
+from hyjax.scene.settings import SceneSettings
+from hyjax.util.errors import InputError
+from hyjax.util.files import make_writable
+from hyjax.util.images import read_image
 
 UP = np.array([0.0, 0.0, 1.0])
 SCHEDULE = Schedule.uniform([(2, 2)])
@@ -175,7 +180,7 @@ def test_a_narrow_window_beside_the_principal_point_is_possible() -> None:
     assert frame.image.shape == (160, 10, 3)
 
 
-class Corner:
+class Corner(Capture):
     """Three frames of a room's corner; the middle one looks away from the mesh."""
 
     name = "corner"
@@ -224,21 +229,24 @@ def setup() -> LightSetup:
 
 def make_setup() -> LightSetup:
     lights = [
-        {"kind": "point", "position": [0.5, 0.5, 0.5], "power": 3000},
+        {"kind": "point", "position": [0.5, 0.5, 0.5], "luminous_flux": 3000},
         {"kind": "ambient", "illuminance": 50, "color": [0.5, 0.7, 1.0]},
     ]
     return parse_lights({"reference_lux": 250, "lights": lights}, UP)
 
 
+def relight(wall: RayCaster, setup: LightSetup, out: Path, **options: Any) -> dict:
+    capture, size = options.pop("capture", None) or Corner(), options.pop("size", None)
+    scene = Scene(capture, wall.mesh, size=size, source="für immer")
+    settings = RelightSettings(out=out, quiet=True, **options)
+    return relight_capture(settings, scene=scene, lights=setup, schedule=SCHEDULE)
+
+
 @pytest.fixture(scope="module")
 def run(wall: RayCaster, setup: LightSetup, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     out = tmp_path_factory.mktemp("run") / "made" / "here"
-    kinds = Outputs(filters=True, visibility=True)
-    settings = {"note": "für immer"}
     jax.clear_caches()  # the first frame is to compile, whatever ran before
-    return relight_capture(
-        Corner(), wall, setup, SCHEDULE, out, outputs=kinds, settings=settings, progress=False
-    ), out
+    return relight(wall, setup, out, save_filters=True, save_visibility=True), out
 
 
 @pytest.mark.slow
@@ -247,8 +255,11 @@ def test_run_is_summarised(run: tuple[dict, Path], setup: LightSetup) -> None:
     assert json.loads((out / "run.json").read_text(encoding="utf-8")) == summary
     assert summary["frames"] == ["f0", "f2"]
     assert summary["frames_without_surface"] == ["f1"]
-    assert summary["size"] == [32, 48] and summary["mode"] == "hyjax" and summary["mesh_faces"] == 2
-    assert summary["reference_lux"] == 250 and summary["settings"] == {"note": "für immer"}
+    assert summary["size"] == [32, 48] and summary["mode"] == "linear" and summary["mesh_faces"] == 2
+    assert summary["reference_lux"] == 250
+    recorded = summary["settings"]
+    assert recorded["mesh"] == "für immer" and recorded["save_filters"] is True and recorded["out"] == str(out)
+    assert {field.name for field in dataclasses.fields(SceneSettings)} <= recorded.keys()
     assert Schedule.from_json(json.dumps(summary["schedule"])).to_json() == SCHEDULE.to_json()
     assert summary["peak_memory_mib"] > 50
     stages = summary["milliseconds"]
@@ -282,19 +293,19 @@ def test_several_devices_make_the_same_pictures(run: tuple[dict, Path], tmp_path
     _, out = run
     code = f"""
 import sys
-sys.path.insert(0, {str(Path(__file__).parent)!r})
-import hyjax.relighting as relighting
+sys.path[:0] = {[str(Path(__file__).parents[0])]!r}
+import hyjax.relighting.run as relighting
 import jax
 import test_relighting as t
 assert jax.device_count() == 2
 used = set()
 real = relighting.relight_stages
-def noted(frame, *arguments, **options):
-    used.add(frame.device)
-    return real(frame, *arguments, **options)
+def noted(view, *arguments, **options):
+    used.add(view.frame.device)
+    return real(view, *arguments, **options)
 relighting.relight_stages = noted
 out = t.Path({str(tmp_path)!r})
-summary = t.relight_capture(t.Twice(), t.make_wall(), t.make_setup(), t.SCHEDULE, out, progress=False)
+summary = t.relight(t.make_wall(), t.make_setup(), out, capture=t.Twice())
 assert len(used) == 2 and summary["frames"] == ["f0", "f2", "g0", "g2"], (used, summary["frames"])
 """
     environment = os.environ | {"XLA_FLAGS": f"{UNOPTIMISED} --xla_force_host_platform_device_count=2"}
@@ -309,8 +320,7 @@ assert len(used) == 2 and summary["frames"] == ["f0", "f2", "g0", "g2"], (used, 
 
 
 def test_frames_size_and_mode_are_obeyed(wall: RayCaster, setup: LightSetup, tmp_path: Path) -> None:
-    options = {"frames": [2], "size": (20, 20), "mode": "paper", "shadows": False, "progress": False}
-    summary = relight_capture(Corner(), wall, setup, SCHEDULE, tmp_path, **options)
+    summary = relight(wall, setup, tmp_path, frames="2", size=(20, 20), paper_mode=True, shadows=False)
     assert summary["frames"] == ["f2"] and summary["size"] == [20, 20] and summary["mode"] == "paper"
     names = {entry.name for entry in tmp_path.iterdir()}
     assert names == {"f2.relit.png", "f2.relit.exr", "contact_sheet.png", "run.json", "lights.json"}
@@ -319,7 +329,7 @@ def test_frames_size_and_mode_are_obeyed(wall: RayCaster, setup: LightSetup, tmp
 
 def test_all_frames_without_surface_is_an_error(wall: RayCaster, setup: LightSetup, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="corner: no ray of any chosen frame met the mesh") as caught:
-        relight_capture(Corner(), wall, setup, SCHEDULE, tmp_path, frames=[1], progress=False)
+        relight(wall, setup, tmp_path, frames="1")
     assert "\n" not in str(caught.value)
     assert not list(tmp_path.iterdir())
 
@@ -339,5 +349,5 @@ def test_a_folder_in_the_way_of_a_file_is_one_line(wall: RayCaster, setup: Light
         out = tmp_path / name.replace(".", "-")
         (out / name).mkdir(parents=True)
         with pytest.raises(InputError, match=name):
-            relight_capture(Corner(), wall, setup, SCHEDULE, out, frames=[0], shadows=False, progress=False)
+            relight(wall, setup, out, frames="0", shadows=False)
         assert not [entry.name for entry in out.iterdir() if entry.name.startswith(".")]

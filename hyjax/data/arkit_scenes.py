@@ -5,13 +5,13 @@
         lowres_wide.traj                          see `hyjax.data.trajectory`
         vga_wide/<video_id>_<timestamp>.png       640×480 at 30 a second; also lowres_wide/ (256×192 at 60) and,
                                                   of some scans, wide/ (1920×1440 at 10)
-        vga_wide_intrinsics/….pincam              see `hyjax.data.pincam`
+        vga_wide_intrinsics/….pincam              see `hyjax.data.arkit_intrinsics`
         lowres_depth/….png                        16-bit millimetres, seen through lowres_wide's lens
         confidence/….png                          8-bit, 0 low to 2 high
         <video_id>_frames/                        3dod: the folders and the trajectory are in here
 
-The world is z-up, in metres; cameras look along +z with x right and y down. Devices were held any way round:
-pictures are turned upright (`hyjax.data.turning`), as the poses say.
+The world is z-up, in metres; cameras look along +z with x right and y down. Devices were held in any
+orientation: pictures are turned upright (`hyjax.data.orientation`), as the poses say.
 
 Source: Baruch et al., "ARKitScenes: a diverse real-world dataset for 3D indoor scene understanding using mobile
 RGB-D data", NeurIPS Datasets and Benchmarks 2021, and the data pages of its repository.
@@ -27,14 +27,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.data.capture import Frame
+from hyjax.data.arkit_intrinsics import NAME_TOLERANCE, read_intrinsics
+from hyjax.data.capture import Capture, CaptureFormat, Frame
 from hyjax.data.capture_files import TimedFile, TimedFiles, fingerprint, read_colour, timed_files
-from hyjax.data.pincam import NAME_TOLERANCE, read_pincam
+from hyjax.data.orientation import turn_frame, turns_upright
 from hyjax.data.trajectory import Trajectory, read_trajectory
-from hyjax.data.turning import turn_frame, turns_upright
-from hyjax.errors import InputError
-from hyjax.images import read_depth, read_image
-from hyjax.scene.camera import Camera, Intrinsics
+from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.util.errors import InputError
+from hyjax.util.images import read_depth, read_image
 
 TRAJECTORY = "lowres_wide.traj"
 PICTURES = ("vga_wide", "wide", "lowres_wide")
@@ -47,7 +47,7 @@ LASER = "laser_scanner_point_clouds"
 _log = logging.getLogger(__name__)
 
 
-def holds_arkit_scenes(path: Path) -> bool:
+def is_arkit_scenes(path: Path) -> bool:
     """Whether `path` is a scan's folder, or one of the folders above them (which `open_arkit_scenes` refuses)."""
     return _is_scan(path) or bool(_scans_below(path))
 
@@ -73,26 +73,26 @@ def open_arkit_scenes(path: Path) -> "ArkitScenes":
 
 
 @dataclasses.dataclass(frozen=True)
-class _Depth:
+class _DepthFiles:
     """The files of one depth map."""
 
     map: Path
-    pincam: Path
+    intrinsics: Path
     confidence: Path | None
 
 
 @dataclasses.dataclass(frozen=True)
-class _Shot:
+class _FrameFiles:
     """The files of one frame."""
 
     time: float
     picture: Path
-    pincam: Path
-    depth: _Depth | None
+    intrinsics: Path
+    depth: _DepthFiles | None
 
 
-class ArkitScenes:
-    """A capture (`hyjax.data.capture.Capture`) in order of time, upright.
+class ArkitScenes(Capture):
+    """A scan in order of time, upright.
 
     Attributes:
         name: the video's number.
@@ -111,12 +111,14 @@ class ArkitScenes:
         pictures = _picture_folder(assets)
         depths = _Depths(assets) if (assets / "lowres_depth").is_dir() else None
         self._scan = scan
-        self._folders = {scan, assets, pictures, _intrinsics(pictures)} | (depths.folders if depths else set())
-        self._shots = _shots(assets, pictures, depths, trajectory)
-        self._poses = [trajectory.pose_at(shot.time) for shot in self._shots]
+        self._folders = {scan, assets, pictures, _intrinsics_folder(pictures)} | (
+            depths.folders if depths else set()
+        )
+        self._frames = _frames(assets, pictures, depths, trajectory)
+        self._poses = [trajectory.pose_at(shot.time) for shot in self._frames]
         self.quarter_turns = turns_upright(self._poses)
         self.up = np.array([0.0, 0.0, 1.0])
-        self.name = self._shots[0].picture.name.partition("_")[0]
+        self.name = self._frames[0].picture.name.partition("_")[0]
         mesh = scan / f"{self.name}_3dod_mesh.ply"
         self.mesh_file = mesh if mesh.is_file() else None
         self.laser_folder = _laser_folder(scan, self.name)
@@ -127,7 +129,7 @@ class ArkitScenes:
         return fingerprint(self._scan, self._folders)
 
     def __len__(self) -> int:
-        return len(self._shots)
+        return len(self._frames)
 
     def __getitem__(self, index: int) -> Frame:
         """Frame at a position in order of time. IndexError beyond the end ends a `for` loop.
@@ -137,13 +139,13 @@ class ArkitScenes:
         Raises:
             InputError: a picture is damaged or of another size than its intrinsics, or these are malformed.
         """
-        shot = self._shots[index]
-        image, intrinsics = read_colour(shot.picture), read_pincam(shot.pincam)
-        _check_size(shot.picture, image, intrinsics.shape, shot.pincam)
+        shot = self._frames[index]
+        image, intrinsics = read_colour(shot.picture), read_intrinsics(shot.intrinsics)
+        _check_size(shot.picture, image, intrinsics.shape, shot.intrinsics)
         depth = lens = None
         if shot.depth is not None:
             depth, lens = _read_depth(shot.depth)
-        time = shot.time - self._shots[0].time
+        time = shot.time - self._frames[0].time
         frame = Frame(shot.picture.stem, image, Camera(intrinsics, self._poses[index]), time, depth, lens)
         return turn_frame(frame, self.quarter_turns)
 
@@ -165,7 +167,7 @@ def _scans_below(path: Path) -> list[Path]:
 
 
 def _assets_folder(path: Path) -> Path:
-    """Where the trajectory and the folders of pictures are: 3dod has them one level further down."""
+    """Folder of the trajectory and of the folders of pictures: 3dod has them one level further down."""
     return next((folder for folder in sorted(path.glob("[0-9]*_frames")) if folder.is_dir()), path)
 
 
@@ -175,7 +177,7 @@ def _missing(assets: Path, asset: str) -> InputError:
     )
 
 
-def _intrinsics(pictures: Path) -> Path:
+def _intrinsics_folder(pictures: Path) -> Path:
     return pictures.with_name(f"{pictures.name}_intrinsics")
 
 
@@ -184,12 +186,12 @@ def _picture_folder(assets: Path) -> Path:
     present = [assets / name for name in PICTURES if (assets / name).is_dir()]
     if not present:
         raise InputError(f"{_missing(assets, PICTURES[0])}, or one of {', '.join(PICTURES[1:])}")
-    usable = [folder for folder in present if _intrinsics(folder).is_dir()]
+    usable = [folder for folder in present if _intrinsics_folder(folder).is_dir()]
     if not usable:
-        raise _missing(assets, _intrinsics(present[0]).name)
+        raise _missing(assets, _intrinsics_folder(present[0]).name)
     if usable[0] != present[0]:
         _log.warning(
-            "%s; taking the pictures of %s", _missing(assets, _intrinsics(present[0]).name), usable[0].name
+            "%s; taking the pictures of %s", _missing(assets, _intrinsics_folder(present[0]).name), usable[0].name
         )
     return usable[0]
 
@@ -198,45 +200,45 @@ class _Depths:
     """The depth maps of a scan, which have a lens and times of their own."""
 
     def __init__(self, assets: Path) -> None:
-        maps, pincams, confidences = (
+        maps, intrinsics_files, confidences = (
             assets / name for name in ("lowres_depth", "lowres_wide_intrinsics", "confidence")
         )
-        if not pincams.is_dir():
-            raise _missing(assets, pincams.name)
-        self.folders = {maps, pincams} | ({confidences} if confidences.is_dir() else set())
-        self._pincams = timed_files(pincams, ".pincam")
+        if not intrinsics_files.is_dir():
+            raise _missing(assets, intrinsics_files.name)
+        self.folders = {maps, intrinsics_files} | ({confidences} if confidences.is_dir() else set())
+        self._intrinsics = timed_files(intrinsics_files, ".pincam")
         self._confidences = timed_files(confidences, ".png")
-        self._maps = TimedFiles(file for file in timed_files(maps, ".png") if self._pincam(file))
+        self._maps = TimedFiles(file for file in timed_files(maps, ".png") if self._intrinsics_of(file))
 
-    def _pincam(self, depth: TimedFile) -> TimedFile | None:
-        return self._pincams.nearest(depth.time, NAME_TOLERANCE)
+    def _intrinsics_of(self, depth: TimedFile) -> TimedFile | None:
+        return self._intrinsics.nearest(depth.time, NAME_TOLERANCE)
 
-    def nearest(self, time: float) -> _Depth | None:
+    def nearest(self, time: float) -> _DepthFiles | None:
         """The depth map with intrinsics that goes with a picture; None if there is none near it."""
         depth = self._maps.nearest(time, DEPTH_TOLERANCE)
-        pincam = depth and self._pincam(depth)
-        if depth is None or pincam is None:
+        intrinsics_file = depth and self._intrinsics_of(depth)
+        if depth is None or intrinsics_file is None:
             return None
         confidence = self._confidences.nearest(depth.time, NAME_TOLERANCE)
-        return _Depth(depth.path, pincam.path, confidence and confidence.path)
+        return _DepthFiles(depth.path, intrinsics_file.path, confidence and confidence.path)
 
 
-def _shots(assets: Path, pictures: Path, depths: _Depths | None, trajectory: Trajectory) -> list[_Shot]:
+def _frames(assets: Path, pictures: Path, depths: _Depths | None, trajectory: Trajectory) -> list[_FrameFiles]:
     """The frames that have all they need; a warning counts the others."""
-    files, pincams = timed_files(pictures, ".png"), timed_files(_intrinsics(pictures), ".pincam")
-    shots: list[_Shot] = []
+    files, intrinsics_files = timed_files(pictures, ".png"), timed_files(_intrinsics_folder(pictures), ".pincam")
+    shots: list[_FrameFiles] = []
     left_out: Counter[str] = Counter()
     for time, picture in files:
-        pincam = pincams.nearest(time, NAME_TOLERANCE)
+        intrinsics_file = intrinsics_files.nearest(time, NAME_TOLERANCE)
         depth = None if depths is None else depths.nearest(time)
         if not trajectory.covers(time):
             left_out[f"at times that {TRAJECTORY} does not cover"] += 1
-        elif pincam is None:
+        elif intrinsics_file is None:
             left_out["without .pincam"] += 1
         elif depths is not None and depth is None:
             left_out["without depth or its .pincam"] += 1
         else:
-            shots.append(_Shot(time, picture, pincam.path, depth))
+            shots.append(_FrameFiles(time, picture, intrinsics_file.path, depth))
     reasons = ", ".join(f"{count} {reason}" for reason, count in left_out.items())
     if not shots:
         raise InputError(
@@ -247,10 +249,10 @@ def _shots(assets: Path, pictures: Path, depths: _Depths | None, trajectory: Tra
     return shots
 
 
-def _read_depth(files: _Depth) -> tuple[Float[np.ndarray, "h w"], Intrinsics]:
+def _read_depth(files: _DepthFiles) -> tuple[Float[np.ndarray, "h w"], Intrinsics]:
     """Depth in metres, 0 where there is no reading or its confidence is low, and its intrinsics."""
-    depth, intrinsics = read_depth(files.map), read_pincam(files.pincam)
-    _check_size(files.map, depth, intrinsics.shape, files.pincam)
+    depth, intrinsics = read_depth(files.map), read_intrinsics(files.intrinsics)
+    _check_size(files.map, depth, intrinsics.shape, files.intrinsics)
     if files.confidence is not None:
         confidence = read_image(files.confidence)[..., 0]
         _check_size(files.confidence, confidence, depth.shape, files.map)
@@ -285,3 +287,6 @@ def _visit(table: Path, video: str) -> str | None:
         rows = [row for row in csv.DictReader(file) if row.get("video_id") == video]
     visit = (rows[0].get("visit_id") or "") if rows else ""
     return visit.removesuffix(".0") or None  # pandas writes a column with gaps as floats
+
+
+FORMAT = CaptureFormat("ARKitScenes", is_arkit_scenes, open_arkit_scenes, "lowres_wide.traj, vga_wide/")

@@ -1,18 +1,28 @@
-"""What every capture format is read into."""
+"""Captures: sequences of posed pictures of one place, and the formats in which they lie on disk."""
 
+import abc
 import dataclasses
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.errors import InputError
-from hyjax.scene.camera import Camera, Intrinsics
+from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.util.errors import InputError
+from hyjax.util.files import digest
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from hyjax.geometry.scan import PosedDepths, ScanConfig
 
 
 @dataclasses.dataclass(frozen=True)
 class Frame:
-    """One posed picture.
+    """A posed picture, with depth if the device measured it.
 
     Attributes:
         name: short and unique within the capture; output files are named after it.
@@ -46,19 +56,100 @@ class Frame:
         return Camera(self.depth_intrinsics, self.camera.pose)
 
 
-@runtime_checkable
-class Capture(Protocol):
-    """A sequence of frames of one place. Frames are read when asked for, so that long captures fit in memory."""
+class Capture(abc.ABC):
+    """A sequence of frames of one place, with what else is known of the place.
+
+    Frames are read when asked for, so that long captures fit in memory. A format sets `name` and `up` and has
+    `fingerprint`, `__len__` and `__getitem__`; the rest has defaults.
+
+    Attributes:
+        name: short; messages and output files use it.
+        up: unit vector against gravity in world coordinates.
+        anchors: known places for lights by name, in world coordinates and metres: `window_0`, … with `center`,
+            `normal` (into the room), `width` and `height`; `lamp_0`, … with `position`.
+        mesh_file: of the mesh that the device made; None without one.
+        laser_folder: of the place's laser scans (see `hyjax.data.laser_scans`); None without any.
+    """
 
     name: str
     up: Float[np.ndarray, "3"]
-    """Unit vector against gravity in world coordinates."""
+    anchors: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
+    mesh_file: Path | None = None
+    laser_folder: Path | None = None
+
+    @property
+    @abc.abstractmethod
+    def fingerprint(self) -> str:
+        """A key that changes whenever the content does; meshes made from a capture are cached under it."""
+
+    @abc.abstractmethod
+    def __len__(self) -> int: ...
+
+    @abc.abstractmethod
+    def __getitem__(self, index: int) -> Frame:
+        """The frame at a position; IndexError beyond the end."""
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[index] for index in range(len(self)))
+
+    def mesh(self) -> "trimesh.Trimesh | None":
+        """The mesh that the device made, in world coordinates; None without one.
+
+        Raises:
+            InputError: its file cannot be used.
+        """
+        if self.mesh_file is None:
+            return None
+        from hyjax.geometry.mesh import load_mesh
+
+        # Reconstructions made on a device have a triangle without area here and there.
+        return load_mesh(self.mesh_file, repair=True)
+
+    @property
+    def has_mesh(self) -> bool:
+        """Whether the device made a mesh, which is not read for it."""
+        return self.mesh_file is not None or type(self).mesh is not Capture.mesh
+
+    def reference(self) -> "trimesh.Trimesh | None":
+        """The true surface in world coordinates; None where it is not known, as of any real place."""
+        return None
+
+    def scan_input(self) -> "tuple[PosedDepths, ScanConfig | None]":
+        """Depth maps and scanner for `hyjax.geometry.scan.simulate_scan`: the capture's own, the default one."""
+        return self, None
+
+
+@dataclasses.dataclass(frozen=True)
+class CaptureFormat:
+    """A way to store a capture in a folder.
+
+    Attributes:
+        name: in help texts and messages.
+        recognise: whether a folder has this format, by names of files alone.
+        open: opens such a folder; raises `InputError` if it cannot be used.
+        signs: names of files by which a person recognises the format.
+    """
+
+    name: str
+    recognise: Callable[[Path], bool]
+    open: Callable[[Path], Capture]
+    signs: str
+
+
+class ChosenFrames(Capture):
+    """Some frames of a capture as a capture of their own: what is made from it depends on no other frame."""
+
+    def __init__(self, capture: Capture, indices: Sequence[int]) -> None:
+        self.name, self.up = capture.name, capture.up
+        self._capture, self.indices = capture, list(indices)
 
     @property
     def fingerprint(self) -> str:
-        """Changes whenever the capture's content does; what is made from a capture is cached under it."""
-        ...
+        """See `Capture`."""
+        return digest([self._capture.fingerprint, *map(str, self.indices)])
 
-    def __len__(self) -> int: ...
+    def __len__(self) -> int:
+        return len(self.indices)
 
-    def __getitem__(self, index: int) -> Frame: ...
+    def __getitem__(self, index: int) -> Frame:
+        return self._capture[self.indices[index]]

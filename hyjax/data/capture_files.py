@@ -1,4 +1,4 @@
-"""What the readers of captures on disk share: numbers in text, pictures, files named by time, fingerprints."""
+"""Helpers of the readers of captures: numbers in text, pictures, files named by time, fingerprints."""
 
 import hashlib
 import os
@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.errors import InputError
-from hyjax.images import read_image
+from hyjax.util.errors import InputError
+from hyjax.util.images import read_image
 
 TIMED = re.compile(r"\d+_(\d+\.\d+)")
 

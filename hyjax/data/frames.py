@@ -7,11 +7,11 @@ from typing import TypeVar
 import jax.numpy as jnp
 import numpy as np
 
-from hyjax.color import to_display, to_linear
 from hyjax.data.capture import Frame
-from hyjax.errors import InputError
-from hyjax.images import resize
-from hyjax.scene.camera import Camera, Intrinsics
+from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.light.color import to_display, to_linear
+from hyjax.util.errors import InputError
+from hyjax.util.images import resize
 
 T = TypeVar("T")
 

@@ -14,10 +14,11 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.depth_pairs import digest
-from hyjax.data.seven_scenes import KINECT
-from hyjax.scene.camera import Camera, Intrinsics
+from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.util.files import digest
 
+KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
+"""Of the depth camera, as the page of 7-Scenes gives them."""
 COLOUR = Intrinsics(640, 480, 526.2, 526.2, 320.2, 237.5)
 BASELINE = 0.0256  # metres from the depth camera to the colour camera, along +x
 ROLL = 0.0094  # radians about the axis, of points on their way from the depth camera's axes to the colour camera's
@@ -31,8 +32,8 @@ def registered(capture: Capture) -> Capture:
     return RegisteredKinect(capture) if capture[0].camera.intrinsics == KINECT else capture
 
 
-class RegisteredKinect:
-    """A capture (`hyjax.data.capture.Capture`) whose frames have the colour camera's pose and intrinsics."""
+class RegisteredKinect(Capture):
+    """A capture whose frames have the colour camera's pose and intrinsics."""
 
     def __init__(self, capture: Capture) -> None:
         self.name, self.up = capture.name, capture.up
@@ -67,10 +68,10 @@ def warped(depth: Float[np.ndarray, "h w"], camera: Camera, target: Camera) -> F
 
     Every reading goes to one pixel, so `target` must not have finer pixels than `camera`.
     """
-    pixel, seen = target.project(camera.unproject(depth)[depth > 0])
+    pixel, distance = target.project(camera.unproject(depth)[depth > 0])
     height, width = target.intrinsics.shape
-    inside = np.all((pixel >= 0) & (pixel < (width, height)), axis=-1) & (seen > 0)
+    inside = np.all((pixel >= 0) & (pixel < (width, height)), axis=-1) & (distance > 0)
     column, row = np.floor(pixel[inside]).astype(int).T
     nearest = np.full((height, width), np.inf)
-    np.minimum.at(nearest, (row, column), seen[inside])
+    np.minimum.at(nearest, (row, column), distance[inside])
     return np.where(np.isfinite(nearest), nearest, 0).astype(np.float32)

@@ -9,26 +9,22 @@ RGB-D data", NeurIPS Datasets and Benchmarks 2021.
 """
 
 import hashlib
-import logging
-import zipfile
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
 
-from hyjax.cache import cache_folder
 from hyjax.data.capture_files import fingerprint, read_numbers
-from hyjax.errors import InputError
-from hyjax.files import whole
-from hyjax.scene.camera import check_pose
-from hyjax.scene.ply import read_points
-from hyjax.scene.point_cloud import PointCloud, make_point_cloud
-from hyjax.scene.voxels import VoxelMean
+from hyjax.geometry.camera import check_pose
+from hyjax.geometry.ply import read_points
+from hyjax.geometry.point_cloud import PointCloud, make_point_cloud
+from hyjax.geometry.voxels import VoxelMean
+from hyjax.util.cache import Arrays, cache_folder, cached_arrays
+from hyjax.util.errors import InputError
 
 VERSION = 1
 """Of how clouds are made. Add one whenever one comes out differently."""
-_log = logging.getLogger(__name__)
 
 
 def load_laser_scans(folder: Path, voxel: float = 0.005, progress: bool = True) -> PointCloud:
@@ -55,10 +51,13 @@ def load_laser_scans(folder: Path, voxel: float = 0.005, progress: bool = True) 
     thinner = VoxelMean(voxel)
     key = hashlib.sha256(f"{VERSION} {voxel!r} {fingerprint(folder, [folder])}".encode()).hexdigest()[:16]
     file = cache_folder() / f"laser-{key}.npz"
-    kept = _load(file)
-    if kept is not None:
-        return kept
-    for scan, pose in tqdm(list(zip(scans, poses)), "laser scans", unit="scan", disable=not progress):
+    return cached_arrays(
+        file, lambda arrays: PointCloud(**arrays), lambda: _make(folder, list(zip(scans, poses)), thinner, progress)
+    )
+
+
+def _make(folder: Path, scans: list[tuple[Path, np.ndarray]], thinner: VoxelMean, progress: bool) -> Arrays:
+    for scan, pose in tqdm(scans, "laser scans", unit="scan", disable=not progress):
         for piece in read_points(scan):
             try:
                 thinner.add(piece @ pose[:3, :3].T + pose[:3, 3])
@@ -68,8 +67,7 @@ def load_laser_scans(folder: Path, voxel: float = 0.005, progress: bool = True) 
         cloud = make_point_cloud(thinner.points(), progress=progress)
     except InputError as error:
         raise InputError(f"{folder}: {error}") from error
-    _keep(file, cloud)
-    return cloud
+    return {"points": cloud.points, "normals": cloud.normals, "radius": cloud.radius}
 
 
 def _read_pose(path: Path) -> Float[np.ndarray, "4 4"]:
@@ -80,21 +78,3 @@ def _read_pose(path: Path) -> Float[np.ndarray, "4 4"]:
     pose[:3, :3], pose[:3, 3] = numbers[:3], numbers[3]
     check_pose(pose, where=str(path))
     return pose
-
-
-def _load(file: Path) -> PointCloud | None:
-    """A cloud that was kept; None if there is none, or a damaged one."""
-    try:
-        with file.open("rb") as stream, np.load(stream) as arrays:
-            return PointCloud(**arrays)
-    except (OSError, EOFError, ValueError, TypeError, zipfile.BadZipFile):
-        return None
-
-
-def _keep(file: Path, cloud: PointCloud) -> None:
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with whole(file) as temporary:
-            np.savez(temporary, points=cloud.points, normals=cloud.normals, radius=cloud.radius)
-    except (OSError, InputError) as error:
-        _log.warning("the point cloud is not kept for the next time: %s", error)

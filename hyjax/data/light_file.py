@@ -4,71 +4,71 @@
     lights:
       - kind: point             # or spot, directional, rect, sky, ambient
         position: [1.2, 0.4, 2.0]
-        power: 800
+        luminous_flux: 800
         temperature: 2700
 
-| kind        | needs                                   | may have                                        |
-|-------------|-----------------------------------------|-------------------------------------------------|
-| point       | position, power                         | radius, clearance                               |
-| spot        | position, target or direction, power    | inner_degrees, outer_degrees, radius, clearance |
-| directional | direction, illuminance                  | angular_degrees, aperture                       |
-| rect        | center, normal, width, height, power    | up                                              |
-| sky         | illuminance                             | up                                              |
-| ambient     | illuminance                             |                                                 |
+| kind        | needs                                           | may have                                        |
+|-------------|-------------------------------------------------|-------------------------------------------------|
+| point       | position, luminous_flux                         | radius, clearance                               |
+| spot        | position, target or direction, luminous_flux    | inner_degrees, outer_degrees, radius, clearance |
+| directional | direction, illuminance                          | angular_degrees, aperture                       |
+| rect        | center, normal, width, height, luminous_flux    | up                                              |
+| sky         | illuminance                                     | up                                              |
+| ambient     | illuminance                                     |                                                 |
 
 Every kind may have `color` (linear RGB, default white) or `temperature` (kelvin), and a `name`. Positions and
-lengths are in metres in the capture's world axes, power in lumens, illuminance in lux; angles of a spot are half
-angles, the `angular_degrees` of a sun its radius. `up` defaults to the capture's. `aperture` is the window that a
-sun shines through: a mapping with center, normal, width, height and maybe up; it shows in the shadows.
+lengths are in metres in the capture's world axes, luminous flux in lumens, illuminance in lux; angles of a spot are
+half angles, the `angular_degrees` of a sun its radius. `up` defaults to the capture's. `aperture` is the window
+that a sun shines through: a mapping with center, normal, width, height and maybe up; it shows in the shadows.
 Nothing nearer to a lamp than its `clearance` casts a shadow: what a scan makes of a lampshade is rarely hollow.
+
+Each kind declares its keys (`Light.KEYS`); the checks here are made from them, and so hold for kinds that are
+registered from outside the package.
 """
 
-import dataclasses
+import functools
 import json
-from collections.abc import Sequence
+import logging
+import re
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 import yaml
 from jaxtyping import Float
 
-from hyjax.color import blackbody
-from hyjax.errors import InputError, did_you_mean
-from hyjax.files import write_text
-from hyjax.lights import (
-    AmbientLight,
-    Aperture,
-    DirectionalLight,
-    Light,
-    PointLight,
-    RectLight,
-    SkyLight,
-    SpotLight,
+from hyjax.light.kinds import LIGHT_KINDS, Light, kind_name
+from hyjax.light.kinds.file_keys import LARGEST, REQUIRED, FileKey, plain
+from hyjax.light.setup import REFERENCE_LUX, LightSetup
+from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.files import write_text
+
+_log = logging.getLogger(__name__)
+
+COMMON = (
+    FileKey("kind", "any"),
+    FileKey("name", "any", default=None),
+    FileKey("color", "color", default=None),
+    FileKey("temperature", least=1667.0, most=25000.0, default=None),
 )
-from hyjax.pipeline import REFERENCE_LUX
-
-LARGEST = float(np.finfo(np.float32).max)
-RECTANGLE = {"center", "normal", "up", "width", "height"}
-COMMON = {"kind", "name", "color", "temperature"}
-KEYS: dict[str, set[str]] = {
-    "point": {"position", "power", "radius", "clearance"},
-    "spot": {"position", "target", "direction", "power", "inner_degrees", "outer_degrees", "radius", "clearance"},
-    "directional": {"direction", "illuminance", "angular_degrees", "aperture"},
-    "rect": {*RECTANGLE, "power"},
-    "sky": {"illuminance", "up"},
-    "ambient": {"illuminance"},
+FILE = (
+    FileKey("lights", "list"),
+    FileKey("reference_lux", positive=True, default=REFERENCE_LUX),
+    FileKey("name", "any", default=None),
+)
+_Finite = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
+_NonNegative = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST)]
+FORMS: dict[str, tuple[Any, str]] = {
+    "vector": (tuple[_Finite, _Finite, _Finite], "three finite numbers"),
+    "direction": (tuple[_Finite, _Finite, _Finite], "three finite numbers"),
+    "color": (tuple[_NonNegative, _NonNegative, _NonNegative], "three finite numbers, none negative"),
+    "list": (Annotated[list, msgspec.Meta(min_length=1)], "a list of at least one light"),
+    "any": (Any, "anything"),
 }
-SUN_DEGREES = 0.27  # angular radius of the sun's disc, and of the moon's
-
-
-@dataclasses.dataclass(frozen=True)
-class LightSetup:
-    """Lights and the illuminance that the frames are taken to have been photographed under."""
-
-    lights: tuple[Light, ...]
-    reference_lux: float = REFERENCE_LUX
+"""Type that a value of each form has, and what an error says of it."""
 
 
 def is_light_file(text: str) -> bool:
@@ -76,7 +76,7 @@ def is_light_file(text: str) -> bool:
     return Path(text).suffix.lower() in (".yaml", ".yml", ".json")
 
 
-def read_lights(path: Path, up: Float[np.ndarray, "3"]) -> LightSetup:
+def read_lights(path: Path, up: Float[np.ndarray, "3"], *, warn: bool = True) -> LightSetup:
     """Read a lights file; see the module's docstring for its form.
 
     Raises:
@@ -91,212 +91,121 @@ def read_lights(path: Path, up: Float[np.ndarray, "3"]) -> LightSetup:
         mark = getattr(error, "problem_mark", None)
         line = f" (line {mark.line + 1}: {getattr(error, 'problem', '')})" if mark else ""
         raise InputError(f"{path}: neither YAML nor JSON{line}") from None
-    return parse_lights(content, up, str(path))
+    return parse_lights(content, up, str(path), warn=warn)
 
 
-def parse_lights(content: Any, up: Float[np.ndarray, "3"], where: str = "lights") -> LightSetup:
+def parse_lights(
+    content: Any, up: Float[np.ndarray, "3"], where: str = "lights", *, warn: bool = True
+) -> LightSetup:
     """Build lights from the plain data of a lights file.
 
     Raises:
         InputError: unknown kind or key (the nearest right one is named), a missing key, a value of the wrong form,
-            negative power.
+            a negative luminous flux.
     """
-    if not isinstance(content, dict):
-        raise InputError(f"{where}: must be a mapping with the key 'lights'")
-    _check_keys(where, content, {"lights", "reference_lux", "name"})
-    entries = content.get("lights")
-    if not isinstance(entries, list) or not entries:
-        raise InputError(f"{where}: 'lights' must be a list of at least one light")
-    reference = _number(where, content, "reference_lux", default=REFERENCE_LUX, positive=True)
-    return LightSetup(tuple(_light(f"{where}: light {i}", e, up) for i, e in enumerate(entries)), reference)
+    values = _checked(where, content, FILE)
+    entries = _renamed(where, values["lights"], warn)
+    lights = tuple(_light(f"{where}: light {i}", entry, up) for i, entry in enumerate(entries))
+    return LightSetup(jax.tree.map(jnp.asarray, lights), values["reference_lux"])
 
 
 def write_lights(path: Path, setup: LightSetup) -> None:
-    """Write a set-up as a JSON lights file that `read_lights` takes back."""
-    content = {"reference_lux": setup.reference_lux, "lights": [describe(light) for light in setup.lights]}
-    write_text(path, json.dumps(content, indent=2) + "\n")
+    """Write a set-up as a JSON lights file that `read_lights` takes back.
 
-
-def describe(light: Light) -> dict[str, Any]:
-    """One light as an entry of a lights file."""
-    entry: dict[str, Any]
-    if isinstance(light, PointLight):
-        entry = {"kind": "point", "position": _list(light.position), "radius": _scalar(light.radius)}
-        entry["clearance"] = _scalar(light.clearance)
-    elif isinstance(light, SpotLight):
-        entry = {"kind": "spot", "position": _list(light.position), "direction": _list(light.direction)}
-        entry |= {f"{k}_degrees": _scalar(np.rad2deg(getattr(light, f"{k}_angle"))) for k in ("inner", "outer")}
-        entry |= {"radius": _scalar(light.radius), "clearance": _scalar(light.clearance)}
-    elif isinstance(light, DirectionalLight):
-        entry = {"kind": "directional", "direction": _list(light.direction)}
-        entry["angular_degrees"] = _scalar(np.rad2deg(light.angular_radius))
-        if light.aperture is not None:
-            entry["aperture"] = _describe_rectangle(light.aperture)
-    elif isinstance(light, RectLight):
-        entry = {"kind": "rect"} | _describe_rectangle(light)
-    elif isinstance(light, SkyLight):
-        entry = {"kind": "sky", "up": _list(light.up)}
-    else:
-        entry = {"kind": "ambient"}
-    strength = "power" if hasattr(light, "power") else "illuminance"
-    return entry | {strength: _scalar(getattr(light, strength)), "color": _list(light.color)}
-
-
-def _describe_rectangle(rectangle: RectLight | Aperture) -> dict[str, Any]:
-    right, up = np.asarray(rectangle.right, np.float64), np.asarray(rectangle.up, np.float64)
-    normal = np.cross(right, up)
-    return {
-        "center": _list(rectangle.center),
-        "normal": _list(normal / np.linalg.norm(normal)),
-        "up": _list(up / np.linalg.norm(up)),
-        "width": _scalar(2 * np.linalg.norm(right)),
-        "height": _scalar(2 * np.linalg.norm(up)),
-    }
+    Raises:
+        InputError: a light of a kind that is not registered.
+    """
+    lights = [{"kind": kind_name(light)} | light.to_entry() for light in setup.lights]
+    write_text(path, json.dumps({"reference_lux": plain(setup.reference_lux), "lights": lights}, indent=2) + "\n")
 
 
 def _light(where: str, entry: Any, world_up: Float[np.ndarray, "3"]) -> Light:
     if not isinstance(entry, dict):
         raise InputError(f"{where}: must be a mapping, got {entry!r}")
     kind = entry.get("kind")
-    if not isinstance(kind, str) or kind not in KEYS:
-        hint = did_you_mean(str(kind), KEYS)
-        raise InputError(f"{where}: unknown kind {kind!r}{hint}; there are {', '.join(KEYS)}")
+    if not isinstance(kind, str) or kind not in LIGHT_KINDS:
+        hint = did_you_mean(str(kind), LIGHT_KINDS)
+        raise InputError(f"{where}: unknown kind {kind!r}{hint}; there are {', '.join(LIGHT_KINDS)}")
     where = f"{where} ({kind})"
-    _check_keys(where, entry, COMMON | KEYS[kind])
-    color = _color(where, entry)
-    strength = _number(where, entry, "power" if "power" in KEYS[kind] else "illuminance")
-    amount = jnp.float32(strength)
-    if kind == "point":
-        radius, clearance = (_length(where, entry, key) for key in ("radius", "clearance"))
-        return PointLight(_vector(where, entry, "position"), amount, color, radius, clearance)
-    if kind == "spot":
-        return _spot(where, entry, amount, color)
-    if kind == "directional":
-        degrees = _number(where, entry, "angular_degrees", default=SUN_DEGREES)
-        if degrees > 45:
-            raise InputError(f"{where}: 'angular_degrees' must be at most 45, got {degrees:g}; use a sky for more")
-        radius = jnp.float32(np.deg2rad(degrees))
-        direction = _direction(where, entry, "direction")
-        aperture = _aperture(where, entry["aperture"], world_up) if "aperture" in entry else None
-        if aperture is not None and abs(_cosine(direction, aperture)) < 0.01:
-            raise InputError(f"{where}: 'direction' runs along the aperture's plane; no light can come through")
-        return DirectionalLight(direction, amount, color, radius, aperture)
-    if kind == "rect":
-        return RectLight(*_rectangle(where, entry, world_up), amount, color)
-    if kind == "sky":
-        return SkyLight(_direction(where, {"up": _list(world_up)} | entry, "up"), amount, color)
-    return AmbientLight(amount, color)
+    values = _checked(where, entry, LIGHT_KINDS[kind].KEYS + COMMON)
+    try:
+        return LIGHT_KINDS[kind].from_entry(values, world_up)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
 
 
-def _spot(where: str, entry: dict[str, Any], power: Any, color: Any) -> SpotLight:
-    if ("target" in entry) == ("direction" in entry):
-        raise InputError(f"{where}: give either 'target' (a point) or 'direction'")
-    position = _vector(where, entry, "position")
-    if "target" in entry:
-        entry = entry | {"direction": (_vector(where, entry, "target") - position).tolist()}
-    outer = _number(where, entry, "outer_degrees", default=40.0, positive=True)
-    inner = _number(where, entry, "inner_degrees", default=0.7 * outer)
-    if not inner < outer <= 90:
-        raise InputError(f"{where}: need inner_degrees < outer_degrees <= 90, got {inner:g} and {outer:g}")
-    inner_angle, outer_angle = (jnp.float32(np.deg2rad(a)) for a in (inner, outer))
-    direction = _direction(where, entry, "direction")
-    radius, clearance = (_length(where, entry, key) for key in ("radius", "clearance"))
-    return SpotLight(position, direction, power, color, inner_angle, outer_angle, radius, clearance)
+def _renamed(where: str, entries: list[Any], warn: bool) -> list[Any]:
+    """Entries with today's keys in the place of those of version 0.1; says so once a file."""
+    found: dict[str, str] = {}
+    renamed = []
+    for number, entry in enumerate(entries):
+        kind = LIGHT_KINDS.get(str(entry.get("kind"))) if isinstance(entry, dict) else None
+        names = {key.old_name: key.name for key in kind.KEYS if key.old_name} if kind else {}
+        old = {name: names[name] for name in names if name in entry and names[name] not in entry}
+        both = [name for name in names if name in entry and names[name] in entry]
+        if both:
+            place = f"{where}: light {number} ({entry['kind']})"
+            raise InputError(f"{place}: {both[0]!r} is the old name of {names[both[0]]!r}; give one of them")
+        renamed.append({old.get(key, key): value for key, value in entry.items()} if old else entry)
+        found |= old
+    for old_name, name in found.items() if warn else ():
+        _log.warning("%s: key %r is now called %r; the old name will go", where, old_name, name)
+    return renamed
 
 
-def _aperture(where: str, entry: Any, world_up: Float[np.ndarray, "3"]) -> Aperture:
-    where = f"{where}: aperture"
-    if not isinstance(entry, dict):
-        raise InputError(f"{where}: must be a mapping with {', '.join(sorted(RECTANGLE))}")
-    _check_keys(where, entry, RECTANGLE)
-    return Aperture(*_rectangle(where, entry, world_up))
+def _checked(where: str, content: Any, keys: tuple[FileKey, ...]) -> dict[str, Any]:
+    """Values of all keys, defaults filled in; vectors are tuples."""
+    try:
+        values = msgspec.structs.asdict(msgspec.convert(content, _struct(keys)))
+    except msgspec.ValidationError as error:
+        path = re.search(r" - at `\$(?:\.(\w+))?", str(error))
+        raise InputError(_explain(where, content, keys, path[1] if path else None)) from None
+    return {k: msgspec.structs.asdict(v) if isinstance(v, msgspec.Struct) else v for k, v in values.items()}
 
 
-def _cosine(direction: Any, rectangle: Aperture) -> float:
-    normal = np.cross(rectangle.right, rectangle.up)
-    return float(np.dot(direction, normal) / np.linalg.norm(normal))
+@functools.cache
+def _struct(keys: tuple[FileKey, ...]) -> type[msgspec.Struct]:
+    """Type of a mapping with these keys and no other."""
+    required = [(key.name, _type(key)) for key in keys if key.default is REQUIRED]
+    optional = [(key.name, _type(key), key.default) for key in keys if key.default is not REQUIRED]
+    return msgspec.defstruct("Entry", [*required, *optional], forbid_unknown_fields=True)
 
 
-def _rectangle(where: str, entry: dict[str, Any], world_up: Float[np.ndarray, "3"]) -> tuple[Any, Any, Any]:
-    """Centre and half-axes, right × up along the normal, which is the side that a rectangle emits to."""
-    normal = np.asarray(_direction(where, entry, "normal"), np.float64)
-    up = np.asarray(_direction(where, {"up": _list(world_up)} | entry, "up"), np.float64)
-    up = up - np.dot(up, normal) * normal
-    if np.linalg.norm(up) < 1e-3:
-        if "up" in entry:
-            raise InputError(f"{where}: 'up' must not be parallel to 'normal'")
-        up = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])  # a ceiling panel: any way round will do
-    up /= np.linalg.norm(up)
-    width, height = (_number(where, entry, key, positive=True) for key in ("width", "height"))
-    half_right = jnp.asarray(np.cross(up, normal) * (0.5 * width), jnp.float32)
-    return _vector(where, entry, "center"), half_right, jnp.asarray(up * (0.5 * height), jnp.float32)
+def _type(key: FileKey) -> Any:
+    if isinstance(key.form, tuple):
+        return _struct(key.form)
+    if key.form == "number":
+        least = msgspec.Meta(gt=0.0) if key.positive else msgspec.Meta(ge=key.least)
+        return Annotated[float, least, msgspec.Meta(le=key.most)]
+    return FORMS[key.form][0]
 
 
-def _check_keys(where: str, entry: dict[str, Any], known: set[str]) -> None:
-    for key in entry:
-        if key not in known:
-            hint = did_you_mean(str(key), known)
-            raise InputError(f"{where}: unknown key {key!r}{hint}; there are {', '.join(sorted(known))}")
+def _explain(where: str, content: Any, keys: tuple[FileKey, ...], at: str | None) -> str:
+    """One line on what is wrong with a mapping; `at` is the key whose value is wrong, if that is it."""
+    known = {key.name: key for key in keys}
+    if not isinstance(content, dict):
+        return f"{where}: must be a mapping with {', '.join(sorted(known))}"
+    for name in content:
+        if name not in known:
+            hint = did_you_mean(str(name), known)
+            return f"{where}: unknown key {name!r}{hint}; there are {', '.join(sorted(known))}"
+    for key in keys:
+        if key.default is REQUIRED and key.name not in content:
+            return f"{where}: key {key.name!r} is missing"
+    assert at is not None
+    key = known[at]
+    if isinstance(key.form, tuple):
+        try:
+            _checked(f"{where}: {at}", content[at], key.form)
+        except InputError as error:
+            return str(error)
+    return f"{where}: {at!r} must be {_form(key)}, got {content[at]!r}"
 
 
-def _number(
-    where: str, entry: dict[str, Any], key: str, default: float | None = None, positive: bool = False
-) -> float:
-    if key not in entry and default is not None:
-        return default
-    if key not in entry:
-        raise InputError(f"{where}: key {key!r} is missing")
-    value = entry[key]
-    if not _is_number(value):
-        raise InputError(f"{where}: {key!r} must be a finite number, got {value!r}")
-    if value < 0 or (positive and value == 0):
-        raise InputError(f"{where}: {key!r} must be {'> 0' if positive else '>= 0'}, got {value:g}")
-    return float(value)
-
-
-def _is_number(value: Any) -> bool:
-    """Whether `value` is a number that float32 can hold."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
-
-
-def _length(where: str, entry: dict[str, Any], key: str) -> Any:
-    return jnp.float32(_number(where, entry, key, default=0.0))
-
-
-def _vector(where: str, entry: dict[str, Any], key: str) -> Any:
-    if key not in entry:
-        raise InputError(f"{where}: key {key!r} is missing")
-    value = entry[key]
-    if not isinstance(value, Sequence) or len(value) != 3 or not all(_is_number(v) for v in value):
-        raise InputError(f"{where}: {key!r} must be three finite numbers, got {value!r}")
-    return jnp.asarray(value, jnp.float32)
-
-
-def _direction(where: str, entry: dict[str, Any], key: str) -> Any:
-    vector = _vector(where, entry, key)
-    length = float(jnp.linalg.norm(vector))
-    if length == 0:
-        raise InputError(f"{where}: {key!r} must not be the zero vector")
-    return vector / length
-
-
-def _color(where: str, entry: dict[str, Any]) -> Any:
-    if "temperature" in entry and "color" in entry:
-        raise InputError(f"{where}: give either 'color' or 'temperature'")
-    if "temperature" in entry:
-        kelvin = _number(where, entry, "temperature")
-        if not 1667 <= kelvin <= 25000:
-            raise InputError(f"{where}: 'temperature' must lie in 1667..25000 kelvin, got {kelvin:g}")
-        return blackbody(kelvin)
-    color = _vector(where, {"color": [1.0, 1.0, 1.0]} | entry, "color")
-    if bool((color < 0).any()):
-        raise InputError(f"{where}: 'color' must not be negative, got {entry['color']!r}")
-    return color
-
-
-def _scalar(value: Any) -> float:
-    return float(f"{float(value):.7g}")
-
-
-def _list(vector: Any) -> list[float]:
-    return [_scalar(v) for v in np.asarray(vector)]
+def _form(key: FileKey) -> str:
+    if key.form != "number":
+        return FORMS[str(key.form)][1]
+    if key.least > 0:
+        return f"a number in {key.least:g}..{key.most:g}"
+    most = f" and <= {key.most:g}" if key.most < LARGEST else ""
+    return f"a finite number {'> 0' if key.positive else '>= 0'}{most}"

@@ -17,20 +17,19 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.data.capture import Frame
+from hyjax.data.capture import Capture, CaptureFormat, Frame
 from hyjax.data.capture_files import fingerprint, read_colour, read_numbers
-from hyjax.errors import InputError
-from hyjax.images import read_depth
-from hyjax.scene.camera import Camera, Intrinsics, check_pose
+from hyjax.data.kinect import KINECT, registered
+from hyjax.geometry.camera import Camera, Intrinsics, check_pose
+from hyjax.util.errors import InputError
+from hyjax.util.images import read_depth
 
 FRAME = re.compile(r"frame-(\d+)\.color\.(?:jpe?g|png)")
 FRAMES_PER_SECOND = 30.0
-# The original release has no intrinsics file; its page gives these for the Kinect's 640×480.
 _log = logging.getLogger(__name__)
-KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 
 
-def holds_seven_scenes(path: Path) -> bool:
+def is_seven_scenes(path: Path) -> bool:
     """Whether `path` is a folder with at least one `frame-*.color.*` picture."""
     return path.is_dir() and any(FRAME.fullmatch(entry.name) for entry in path.iterdir())
 
@@ -48,8 +47,8 @@ def open_seven_scenes(path: Path) -> "SevenScenes":
     return SevenScenes(path)
 
 
-class SevenScenes:
-    """A capture (`hyjax.data.capture.Capture`) in number order; gaps in the numbering are fine."""
+class SevenScenes(Capture):
+    """A folder's frames in number order; gaps in the numbering are fine."""
 
     def __init__(self, path: Path) -> None:
         self.name = path.resolve().name
@@ -159,3 +158,11 @@ def _read_up(path: Path, poses: list[Float[np.ndarray, "4 4"]]) -> Float[np.ndar
         if not np.linalg.norm(up) > 0.1:
             raise InputError(f"{path}: missing, and the cameras' up directions cancel out; write the file")
     return up / np.linalg.norm(up)
+
+
+FORMAT = CaptureFormat(
+    "7-Scenes",
+    is_seven_scenes,
+    lambda path: registered(open_seven_scenes(path)),
+    "frame-NNNNNN.color.jpg|png",
+)

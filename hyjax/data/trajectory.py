@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 
-from hyjax.errors import InputError
+from hyjax.util.errors import InputError
 
 COLUMNS = "timestamp rx ry rz tx ty tz"
 LARGEST_GAP = 0.5

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hyjax.guide.inference import Guide, load_guide
-    from hyjax.guide.network import ENCODERS, Encoder, GuideNetwork, normalise
+    from hyjax.guide.network import ENCODERS, Encoder, GuideNetwork, normalise, register_encoder
     from hyjax.guide.weights import load_network, load_weights, save_guide
 
 __all__ = [
@@ -17,11 +17,12 @@ __all__ = [
     "load_network",
     "load_weights",
     "normalise",
+    "register_encoder",
     "save_guide",
 ]
 
 PLACES = {
-    "network": ("ENCODERS", "Encoder", "GuideNetwork", "normalise"),
+    "network": ("ENCODERS", "Encoder", "GuideNetwork", "normalise", "register_encoder"),
     "weights": ("load_network", "load_weights", "save_guide"),
     "inference": ("Guide", "load_guide"),
 }

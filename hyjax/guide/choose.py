@@ -6,14 +6,14 @@ from typing import Protocol
 
 from jaxtyping import Array, Float
 
-from hyjax.errors import InputError, did_you_mean
+from hyjax.util.errors import InputError, did_you_mean
 
 SHIPPED = ("small",)
 """Networks whose weights come with the package."""
 
 
 class FrameGuide(Protocol):
-    """What makes the guide of a frame.
+    """A function from frames to guides.
 
     Attributes:
         name: what tables call it.

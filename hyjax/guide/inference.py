@@ -13,11 +13,11 @@ import numpy as np
 from flax import nnx
 from jaxtyping import Array, Float
 
-from hyjax.errors import InputError
+from hyjax.core.schedule import DEFAULT_KAPPA
 from hyjax.guide.layers import ConvNorm
 from hyjax.guide.network import GuideNetwork, normalise
 from hyjax.guide.weights import kappa_of, load_network, save_guide
-from hyjax.schedule import DEFAULT_KAPPA
+from hyjax.util.errors import InputError
 
 
 def fold(network: GuideNetwork, *, kappa: float = DEFAULT_KAPPA) -> GuideNetwork:
@@ -43,7 +43,7 @@ class Guide:
     Attributes:
         name: what tables call it.
         fingerprint: changes with the weights.
-        metadata: what the file with the weights tells.
+        metadata: of the file with the weights.
         network: with batch norms folded away.
     """
 
@@ -76,7 +76,7 @@ class Guide:
         return _features(self._graph, self._state, display)
 
     def trunk(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w t"]:
-        """What enters the network's last layer; see `features`."""
+        """Input of the network's last layer; see `features`."""
         check_display(display)
         return _trunk(self._graph, self._state, display)
 
@@ -92,8 +92,8 @@ class Guide:
         network.segmentation_head[0].kernel.set_value(own.astype(jnp.float32))
         digest = hashlib.sha256(self.fingerprint.encode() + np.asarray(kernel).tobytes()).hexdigest()[:16]
         name = f"{self.name}, tuned"
-        told = self.metadata | {"last layer": "tuned by hyjax tune --joint"}
-        return Guide(network, kappa=self._kappa, name=name, fingerprint=digest, metadata=told)
+        metadata = self.metadata | {"last layer": "tuned by hyjax tune --joint"}
+        return Guide(network, kappa=self._kappa, name=name, fingerprint=digest, metadata=metadata)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the weights to a file that `load_guide` opens; see `save_guide`."""

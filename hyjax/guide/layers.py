@@ -1,4 +1,4 @@
-"""Layers that all networks of this package are made of."""
+"""Layers of the networks in this package."""
 
 import math
 from collections.abc import Callable
@@ -36,7 +36,7 @@ KAIMING_UNIFORM = _initial(2, lambda shape: shape[0] * shape[1] * shape[2], unif
 XAVIER_UNIFORM = _initial(2, lambda shape: shape[0] * shape[1] * (shape[2] + shape[3]), uniform=True)
 
 EPSILON = 1e-5
-"""What batch norms add to a variance, as in torch."""
+"""Added to variances by batch norms, as in torch."""
 
 
 class Conv(nnx.Module):
@@ -69,7 +69,7 @@ class Conv(nnx.Module):
         return self.add_bias((convolve_depthwise if self.depthwise else convolve)(x, self.kernel[...], self.stride))
 
     def add_bias(self, y: Picture) -> Picture:
-        """What follows the products."""
+        """The bias added to the products, if there is one."""
         return y if self.bias is None else y + self.bias[...]
 
 
@@ -105,7 +105,7 @@ class ConvNorm(nnx.Module):
         return self.activate(self.conv(x))
 
     def activate(self, y: Picture) -> Picture:
-        """What follows the convolution."""
+        """Batch norm and rectifier applied to the convolution's result."""
         y = y if self.norm is None else self.norm(y)
         return jax.nn.relu(y) if self.relu else y
 

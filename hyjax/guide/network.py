@@ -1,4 +1,4 @@
-"""The network that makes a guide from a picture: an encoder, the U-Net's decoder, and a last convolution."""
+"""The network that turns a picture into a guide: an encoder, the U-Net's decoder, and a last convolution."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -7,11 +7,11 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Float
 
-from hyjax.errors import InputError, did_you_mean
 from hyjax.guide.convolution import Picture
 from hyjax.guide.layers import XAVIER_UNIFORM, Conv
 from hyjax.guide.mobilenetv4 import mobilenetv4_conv_medium, mobilenetv4_conv_small
 from hyjax.guide.unet import DECODER_CHANNELS, UnetDecoder
+from hyjax.util.errors import InputError, did_you_mean
 
 # Of ImageNet's display-encoded pictures; encoders are trained on pictures normalised by them.
 MEAN = (0.485, 0.456, 0.406)
@@ -19,7 +19,7 @@ DEVIATION = (0.229, 0.224, 0.225)
 
 
 class Encoder(Protocol):
-    """What the decoder needs of an encoder, an `nnx.Module`.
+    """An encoder as the decoder needs it, an `nnx.Module`.
 
     Attributes:
         channels: of its feature maps, fine to coarse; at most five.
@@ -36,7 +36,22 @@ ENCODERS: dict[str, Callable[..., Encoder]] = {
     "mobilenetv4_conv_small": mobilenetv4_conv_small,
     "mobilenetv4_conv_medium": mobilenetv4_conv_medium,
 }
-"""Encoders by name, each made by `ENCODERS[name](rngs=rngs)`. Any `Encoder` can be added."""
+"""Encoders by name, each made by `ENCODERS[name](rngs=rngs)`: a file and a line here, or `register_encoder`."""
+
+
+def register_encoder(name: str, make: Callable[..., Encoder]) -> None:
+    """Add an encoder to `ENCODERS`.
+
+    Args:
+        name: in settings and in files with weights.
+        make: called as `make(rngs=rngs)`.
+
+    Raises:
+        InputError: there is one of this name.
+    """
+    if name in ENCODERS:
+        raise InputError(f"encoder: {name!r} is registered already; choose another name")
+    ENCODERS[name] = make
 
 
 class GuideNetwork(nnx.Module):
@@ -76,7 +91,7 @@ class GuideNetwork(nnx.Module):
         return self.segmentation_head[0](self.trunk(image))
 
     def trunk(self, image: Float[Array, "b h w 3"]) -> Float[Array, "b h w t"]:
-        """What enters the last convolution."""
+        """Input of the last convolution."""
         return self.decoder(self.encoder(image), image.shape[1], image.shape[2])
 
 

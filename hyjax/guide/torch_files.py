@@ -18,7 +18,7 @@ import ml_dtypes
 import numpy as np
 from jaxtyping import Shaped
 
-from hyjax.errors import InputError
+from hyjax.util.errors import InputError
 
 STORAGES = {
     "DoubleStorage": np.float64,

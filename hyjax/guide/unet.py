@@ -56,14 +56,14 @@ class UnetDecoder(nnx.Module):
         outputs = DECODER_CHANNELS[-len(encoder_channels) :]
         inputs = (encoder_channels[-1], *outputs[:-1])
         skipped = (*reversed(encoder_channels[:-1]), 0)
-        self.blocks = nnx.List([DecoderBlock(*each, rngs=rngs) for each in zip(inputs, skipped, outputs)])
+        self.blocks = nnx.List([DecoderBlock(*sizes, rngs=rngs) for sizes in zip(inputs, skipped, outputs)])
         self.channels = outputs[-1]
 
     def __call__(self, maps: Sequence[Picture], height: int, width: int) -> Picture:
         return self.levels(maps, height, width)[-1]
 
     def levels(self, maps: Sequence[Picture], height: int, width: int) -> list[Picture]:
-        """What comes out of each block, coarse to fine."""
+        """Output of each block, coarse to fine."""
         *skips, x = maps
         sizes = [(height, width), *((skip.shape[1], skip.shape[2]) for skip in skips)]
         levels = []

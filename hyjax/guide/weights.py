@@ -3,7 +3,7 @@
 Tensors have the names and shapes of segmentation_models_pytorch's Unet over timm's encoders, as in
 `encoder.model.blocks.0.0.conv.weight`, `decoder.blocks.0.conv1.0.weight` and `segmentation_head.0.bias`, so that
 weights go from there to here and back. Our own files are safetensors with text beside the tensors: `encoder`,
-`features`, `kappa` (the κ that goes with the features as they are), `norm`, and what a training wants to tell.
+`features`, `kappa` (the κ that goes with the features as they are), `norm`, and notes of the training.
 """
 
 import os
@@ -18,21 +18,21 @@ import safetensors.numpy
 from flax import nnx
 from jaxtyping import Shaped
 
-from hyjax.errors import InputError
-from hyjax.files import whole
 from hyjax.guide.layers import ConvNorm
 from hyjax.guide.network import ENCODERS, GuideNetwork
 from hyjax.guide.torch_files import read_state_dict
+from hyjax.util.errors import InputError
+from hyjax.util.files import atomic_write
 
 Arrays = dict[str, Shaped[np.ndarray, "..."]]
 Dtype = Literal["float16", "float32"]
 
 LEAVES = {"kernel": "weight", "scale": "weight", "bias": "bias", "mean": "running_mean", "var": "running_var"}
-"""What torch calls the arrays of a layer."""
+"""Torch's names of the arrays of a layer."""
 COUNTER = "num_batches_tracked"
-"""What torch's batch norms count and nothing uses."""
+"""Counters of torch's batch norms, which nothing uses."""
 CLASSIFIER = ("conv_head.", "norm_head.", "classifier.")
-"""What whole timm models have after the encoder."""
+"""Prefixes of the layers after the encoder in timm's models."""
 HUB = "hf://"
 
 
@@ -50,7 +50,7 @@ def save_guide(
         path: where to.
         network: the network.
         kappa: κ that goes with its features as they are.
-        metadata: more to tell, such as the training's command and seed.
+        metadata: further notes, such as the training's command and seed.
         dtype: precision of the tensors in the file; by default half, or single for those that half cannot hold.
 
     Raises:
@@ -60,7 +60,7 @@ def save_guide(
     for name, variable in named_variables(network).items():
         array = to_torch_layout(np.asarray(variable[...], np.float32), name)
         if not np.isfinite(array).all():
-            raise InputError(f"{path}: {name} is not finite; it is not worth saving")
+            raise InputError(f"{path}: {name} is not finite; it cannot be saved")
         largest = float(np.abs(array).max())
         fits = largest <= float(jnp.finfo(dtype or "float16").max)
         if dtype is not None and not fits:
@@ -73,7 +73,7 @@ def save_guide(
         "kappa": repr(float(kappa)),
         "norm": "l2",
     }
-    with whole(Path(path)) as temporary:
+    with atomic_write(Path(path)) as temporary:
         temporary.write_bytes(safetensors.numpy.save(tensors, metadata=texts))
 
 

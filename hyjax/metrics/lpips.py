@@ -14,17 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from hyjax.errors import InputError
 from hyjax.metrics.networks import NETWORKS
 from hyjax.metrics.pictures import as_pictures
 from hyjax.metrics.weights import LpipsWeights
+from hyjax.util.errors import InputError
 
 # Mean and deviation of each channel that version 0.1 takes off, of values in [−1, 1].
 SHIFT = np.array([[[-0.030, -0.088, -0.188]]])
 SCALE = np.array([[[0.458, 0.448, 0.450]]])
 EPSILON = 1e-10  # beside the length of a feature
 
-Features = list[Float[Array, "lh lw c"]]
+Features = list[Float[Array, "_ _ _"]]
 
 
 def lpips(
@@ -33,6 +33,10 @@ def lpips(
     """Perceptual distance of two pictures; 0 if they are equal (Zhang et al. 2018, Eq. 1).
 
     To compare many pictures with one, take its `lpips_features` once and their `lpips_distance`.
+
+    >>> grey = jnp.full((32, 32, 3), 0.5)
+    >>> float(lpips(grey, grey, load_lpips()))
+    0.0
 
     Args:
         image: display values in [0, 1].
@@ -56,6 +60,10 @@ def lpips_map(
 
     Its mean is near `lpips`, but not equal to it.
 
+    >>> grey = jnp.full((32, 32, 3), 0.5)
+    >>> lpips_map(grey, 0.5 * grey, load_lpips()).shape
+    (32, 32)
+
     Args:
         image: display values in [0, 1].
         reference: display values in [0, 1].
@@ -71,7 +79,10 @@ def lpips_map(
 
 
 def lpips_features(image: Float[ArrayLike, "h w 3"], weights: LpipsWeights) -> Features:
-    """What LPIPS looks at: features of some layers, of unit length at every place.
+    """Features that LPIPS compares: some layers of the network, of unit length at every place.
+
+    >>> [layer.shape for layer in lpips_features(jnp.zeros((32, 32, 3)), load_lpips())][-1]
+    (1, 1, 256)
 
     Args:
         image: display values in [0, 1].
@@ -91,6 +102,11 @@ def lpips_features(image: Float[ArrayLike, "h w 3"], weights: LpipsWeights) -> F
 def lpips_distance(features: Features, reference: Features, weights: LpipsWeights) -> Float[Array, ""]:
     """`lpips` of pictures of which `lpips_features` are known.
 
+    >>> weights = load_lpips()
+    >>> black, white = (lpips_features(jnp.full((32, 32, 3), x), weights) for x in (0.0, 1.0))
+    >>> bool(lpips_distance(black, white, weights) > 0)
+    True
+
     Args:
         features: of one picture.
         reference: of the other.
@@ -107,6 +123,11 @@ def lpips_distance_map(
     features: Features, reference: Features, weights: LpipsWeights, *, shape: tuple[int, int]
 ) -> Float[Array, "h w"]:
     """`lpips_map` of pictures of which `lpips_features` are known.
+
+    >>> weights = load_lpips()
+    >>> features = lpips_features(jnp.zeros((32, 32, 3)), weights)
+    >>> float(lpips_distance_map(features, features, weights, shape=(32, 32)).max())
+    0.0
 
     Args:
         features: of one picture.
@@ -129,7 +150,7 @@ def _features_of_both(
     return _features(image, weights), _features(reference, weights)
 
 
-def _layer_maps(features: Features, reference: Features, weights: LpipsWeights) -> list[Float[Array, "lh lw"]]:
+def _layer_maps(features: Features, reference: Features, weights: LpipsWeights) -> list[Float[Array, "_ _"]]:
     shapes, others = ([layer.shape for layer in f] for f in (features, reference))
     if shapes != others:
         raise InputError(f"features of pictures of different size cannot be compared: {shapes[0]} and {others[0]}")

@@ -1,11 +1,11 @@
-"""What every metric asks of the two pictures it is given."""
+"""Checks of the pictures that metrics are given."""
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from hyjax.errors import InputError
-from hyjax.values import concrete
+from hyjax.util.errors import InputError
+from hyjax.util.tracing import concrete
 
 ROUND_OFF = 1e-4  # how far outside [0, 1] a value may lie
 
@@ -14,6 +14,10 @@ def as_pictures(
     *, channels: int | None = None, smallest: int = 1, **pictures: Float[ArrayLike, "h w c"]
 ) -> list[Float[Array, "h w c"]]:
     """The pictures as arrays, all of one size and in [0, 1].
+
+    >>> (picture,) = as_pictures(image=np.zeros((4, 5, 3), np.float32))
+    >>> picture.shape
+    (4, 5, 3)
 
     Args:
         channels: how many they must have; None for any number.
@@ -36,8 +40,8 @@ def as_pictures(
         if not jnp.issubdtype(kind, jnp.floating):
             raise InputError(f"{name}: must hold floats in [0, 1], got {kind} (8-bit values: divide by 255)")
     if len(set(shapes.values())) > 1:
-        told = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-        raise InputError(f"pictures must be of the same shape, got {told}")
+        listed = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise InputError(f"pictures must be of the same shape, got {listed}")
     for name, picture in pictures.items():
         _check_values(name, picture)
     return [jnp.asarray(picture) for picture in pictures.values()]
@@ -55,7 +59,12 @@ def _check_values(name: str, picture: Float[ArrayLike, "h w c"]) -> None:
 
 
 def check_valid(valid: Bool[ArrayLike, "h w"] | None, shape: tuple[int, ...], *, border: int = 0) -> None:
-    """Raise `InputError` unless `valid` is None or a mask of this shape with something in it inside the border."""
+    """Raise `InputError` unless `valid` is None or a mask of this shape with something in it inside the border.
+
+    >>> check_valid(np.zeros((4, 5), bool), (4, 5))
+    Traceback (most recent call last):
+    hyjax.util.errors.InputError: valid: no pixel is valid, so there is nothing to compare
+    """
     if valid is None:
         return
     if jnp.shape(valid) != shape or jnp.result_type(valid) != jnp.bool_:

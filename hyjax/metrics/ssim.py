@@ -28,6 +28,10 @@ def ssim_map(image: Float[ArrayLike, "h w c"], reference: Float[ArrayLike, "h w 
 
     Within `RADIUS` of the border it stands for the mirrored picture, and `ssim` leaves it out.
 
+    >>> grey = jnp.full((12, 12, 3), 0.5)
+    >>> ssim_map(grey, grey).shape
+    (12, 12)
+
     Args:
         image: display values in [0, 1].
         reference: display values in [0, 1].
@@ -51,6 +55,10 @@ def ssim(
 
     Only pixels whose whole window lies in the picture count, as in scikit-image: the `RADIUS` rows and columns at
     each border do not, valid or not. The windows of valid pixels do look at neighbours that are not.
+
+    >>> stripes = jnp.tile(jnp.array([[[0.2], [0.8]]]), (16, 8, 1))
+    >>> round(float(ssim(stripes, stripes)), 4), float(ssim(1.0 - stripes, stripes)) < 0
+    (1.0, True)
 
     Args:
         image: display values in [0, 1].

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hyjax.errors import InputError, did_you_mean
 from hyjax.metrics.networks import NETWORKS, Net
+from hyjax.util.errors import InputError, did_you_mean
 
 VARIABLE = "HYJAX_LPIPS"
 PACKAGE_FILES = {"alex": "alexnet.ckpt", "vgg": "vgg16.ckpt"}
@@ -28,7 +28,7 @@ PICKLED = {"_reconstruct": np.empty(0).__reduce__()[0], "ndarray": np.ndarray, "
 )
 @dataclasses.dataclass(frozen=True, eq=False)
 class LpipsWeights:
-    """What LPIPS has learned.
+    """Weights of the network of LPIPS and of its channels.
 
     Attributes:
         kernels: of each convolution.
@@ -45,6 +45,10 @@ class LpipsWeights:
 
 def load_lpips(path: str | Path | None = None, *, net: Net = "alex") -> LpipsWeights:
     """Read the weights of LPIPS v0.1.
+
+    >>> load_lpips("nowhere.npz")
+    Traceback (most recent call last):
+    hyjax.util.errors.InputError: nowhere.npz: no such file; it should hold weights of LPIPS
 
     Args:
         path: an .npz file with arrays named as in `AlexNet_0.Conv_0.kernel` (height, width, inputs, outputs),

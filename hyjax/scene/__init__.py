@@ -1,1 +1,1 @@
-"""Geometry on the host (NumPy): cameras, meshes, ray casting, point clouds, fusion of depth, the built-in room."""
+"""A capture with its surface and lights, ready to be relit."""

@@ -1,8 +1,9 @@
 """Blender's Cycles as an offline renderer of shading and shadows, in the place of our own.
 
 The paper's offline results were rendered in Blender, with virtual lights put right onto meshes and point clouds.
-Here Cycles traces one light at a time over a white diffuse surface, without any bounce: what `hyjax.shading` and
-`hyjax.shadow` answer from the G-buffer, but with every ray traced, so that no shadow map limits it.
+Here Cycles traces one light at a time over a white diffuse surface, without any bounce: what
+`hyjax.light.shading` and `hyjax.light.shadow_map` answer from the G-buffer, but with every ray
+traced, so that no shadow map limits it.
 
 Blender runs in a process of its own, for as long as a `BlenderRenderer` is open: its wheels are each for one
 version of Python (that for 3.11 also for an older NumPy than ours), bring libraries of their own and print as they
@@ -22,15 +23,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Int
 
-from hyjax.errors import InputError
-from hyjax.gbuffer import GBuffer
-from hyjax.images import read_image
-from hyjax.lights import AmbientLight, Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
-from hyjax.scene.camera import Camera
+from hyjax.geometry.camera import Camera
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.kinds import Light
+from hyjax.light.kinds.emitter import Emitter
+from hyjax.light.setup import LightSetup
+from hyjax.light.shaded import Shaded
+from hyjax.light.view import View
+from hyjax.util.errors import InputError
+from hyjax.util.images import read_image
+from hyjax.util.vectors import perpendicular, unit
 
 WORKER = Path(__file__).with_name("blender_worker.py")
 SURFEL_CORNERS = 6
@@ -53,7 +61,7 @@ class Surfels(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Rendering:
-    """What Cycles made of one view.
+    """Light on one view as Cycles renders it.
 
     Attributes:
         shading: lux that each light throws on the visible surface, shadows aside; zero where there is none.
@@ -67,8 +75,14 @@ class Rendering:
     depth: Float[np.ndarray, "h w"]
     hit: Bool[np.ndarray, "h w"]
 
-    def seen_by_both(self, gbuffer: GBuffer) -> GBuffer:
-        """The G-buffer with misses wherever Cycles has one: at a silhouette the two may disagree by a pixel."""
+    def shade(self, view: View, setup: LightSetup) -> tuple[View, Shaded]:
+        """The view and the light on it, with misses wherever Cycles has one: at borders the two may disagree."""
+        view = dataclasses.replace(view, gbuffer=self.hit_by_both(view.gbuffer))
+        illuminance, visibility = jnp.asarray(self.shading), jnp.asarray(self.visibility)
+        return view, Shaded.of(setup, illuminance, visibility, view.gbuffer.hit)
+
+    def hit_by_both(self, gbuffer: GBuffer) -> GBuffer:
+        """The G-buffer with misses wherever Cycles has one."""
         return dataclasses.replace(gbuffer, hit=gbuffer.hit & self.hit)
 
 
@@ -108,10 +122,13 @@ class BlenderRenderer:
         # Cycles computes in float32, so everything is moved to the middle of the scene.
         self._center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         self._lights, self._shadows, self._samples = lights, shadows, samples
-        self._traced = [k for k, light in enumerate(lights) if not isinstance(light, AmbientLight)]
+        self._emitters = [None if light.UNIFORM else light.emitter() for light in lights]
+        for light, emitter in zip(lights, self._emitters, strict=True):
+            if emitter is None and not light.UNIFORM:
+                raise InputError(f"blender: cannot render a {type(light).__name__}; its kind has no emitter")
         with contextlib.ExitStack() as stack:
             self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hyjax-blender-")))
-            described = [_describe(lights[k], self._center) for k in self._traced]
+            described = [_describe(emitter, self._center) for emitter in self._emitters]
             arrays = {"vertices": vertices - self._center, "faces": faces, "normals": normals}
             np.savez(self._folder / "geometry.npz", **arrays)
             job = json.dumps({"lights": described, "bias": bias})
@@ -132,31 +149,35 @@ class BlenderRenderer:
         self._stack.close()
 
     def render(self, camera: Camera) -> Rendering:
-        """What `camera` sees.
+        """Render the view of a camera.
 
         Raises:
             InputError: Blender gave up.
         """
-        pictures = [picture for place in range(len(self._traced)) for picture in self._pictures(place)]
+        pictures = [
+            picture
+            for place, emitter in enumerate(self._emitters)
+            if emitter is not None
+            for picture in self._pictures(place, emitter)
+        ]
         if not pictures:
             pictures = [self._picture(None, "dark", shadows=False, soft=False)]
         pose = np.array(camera.pose)
         pose[:3, 3] -= self._center
         lens = dataclasses.asdict(camera.intrinsics) | {"pose": pose.tolist()}
         assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # whatever ended it is told below
+        with contextlib.suppress(BrokenPipeError):  # `_wait` reports why it ended
             self._process.stdin.write(json.dumps({"camera": lens, "pictures": pictures}) + "\n")
             self._process.stdin.flush()
         self._wait()
         return self._collect(pictures, camera.intrinsics.shape)
 
-    def _pictures(self, place: int) -> list[dict[str, Any]]:
-        """What has to be rendered for a light: without shadows, and with."""
-        light = self._lights[self._traced[place]]
-        soft = isinstance(light, RectLight | SkyLight)
+    def _pictures(self, place: int, emitter: Emitter) -> list[dict[str, Any]]:
+        """Pictures to render for a light: without shadows, and with."""
+        soft = emitter.kind in ("rect", "sky")
         pictures = [self._picture(place, "open", shadows=False, soft=soft)]
         if self._shadows:
-            extent = _extent(light) > 0
+            extent = emitter.extent > 0
             if extent:  # compared with rays to the same points of the lamp, unshadowed surface keeps exactly 1
                 pictures.append(self._picture(place, "open-soft", shadows=False, soft=True))
             pictures.append(self._picture(place, "shadowed", shadows=True, soft=soft or extent))
@@ -175,19 +196,18 @@ class BlenderRenderer:
         shading = np.zeros((*shape, len(self._lights)), np.float32)
         visibility = np.ones_like(shading)
         for k, light in enumerate(self._lights):
-            if isinstance(light, AmbientLight):
-                shading[..., k] = np.where(hit, float(light.illuminance), 0.0)
+            if light.UNIFORM:
+                shading[..., k] = np.where(hit, light.illuminance_at(jnp.zeros(3), jnp.array([0.0, 0.0, 1.0])), 0.0)
                 continue
-            place = self._traced.index(k)
-            shading[..., k] = np.where(hit, math.pi * layers[f"{place}-open"][..., 0], 0.0)
+            shading[..., k] = np.where(hit, math.pi * layers[f"{k}-open"][..., 0], 0.0)
             if self._shadows:
-                whole = layers.get(f"{place}-open-soft", layers[f"{place}-open"])[..., 0]
-                lit = layers[f"{place}-shadowed"][..., 0] / np.where(whole > 0, whole, 1.0)
+                whole = layers.get(f"{k}-open-soft", layers[f"{k}-open"])[..., 0]
+                lit = layers[f"{k}-shadowed"][..., 0] / np.where(whole > 0, whole, 1.0)
                 visibility[..., k] = np.where(hit & (whole > 0), np.clip(lit, 0.0, 1.0), 1.0)
         return Rendering(shading, visibility, np.where(hit, depth, 0.0), hit)
 
     def _wait(self) -> None:
-        """Wait for Blender's answer, past whatever else it prints."""
+        """Wait for Blender's answer, and skip its other output."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             if line.startswith(ANSWER):
@@ -221,8 +241,7 @@ def hexagons(
 ) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "n 6"], Float[np.ndarray, "v 3"]]:
     """A hexagon across each point's normal, of the area of a disc of its radius: vertices, polygons and normals."""
     points, normals = np.asarray(cloud.points, np.float64), np.asarray(cloud.normals, np.float64)
-    aside = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
-    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    aside = unit(perpendicular(normals))
     angle = np.arange(SURFEL_CORNERS) * (2 * np.pi / SURFEL_CORNERS)
     reach = np.sqrt(2 * np.pi / (SURFEL_CORNERS * np.sin(2 * np.pi / SURFEL_CORNERS)))
     spokes = np.cos(angle)[:, None] * aside[:, None] + np.sin(angle)[:, None] * np.cross(normals, aside)[:, None]
@@ -254,53 +273,18 @@ def _process(python: str, folder: Path, log: Any) -> Any:
                 stream.close()
 
 
-def _describe(light: Light, center: Float[np.ndarray, "3"]) -> dict[str, Any]:
-    """A light in plain numbers; places relative to `center`."""
-    if isinstance(light, SkyLight):
-        return {"kind": "sky", "strength": float(light.illuminance), "direction": _unit(light.up)}
-    if isinstance(light, DirectionalLight):
-        entry = {"kind": "directional", "strength": float(light.illuminance), "direction": _unit(light.direction)}
-        if light.aperture is not None:
-            entry["aperture"] = _rectangle(light.aperture, center)
-        return entry | {"extent": _extent(light)}
-    if isinstance(light, RectLight):
-        rectangle = _rectangle(light, center)
-        return {"kind": "rect", "strength": float(light.power), "position": rectangle.pop("center")} | rectangle
-    assert isinstance(light, PointLight | SpotLight)
-    entry = {
-        "kind": "point",
-        "strength": float(light.power),
-        "position": _list(np.asarray(light.position, float) - center),
-        "extent": _extent(light),
-        "clearance": float(light.clearance),
-    }
-    if isinstance(light, SpotLight):
-        inner, outer = float(light.inner_angle), float(light.outer_angle)
-        # Blender's spot is a masked point of the same power; ours sends all of its power down the cone.
-        share = 0.5 * (1.0 - 0.5 * (math.cos(inner) + math.cos(outer)))
-        entry |= {"kind": "spot", "strength": float(light.power) / share, "direction": _unit(light.direction)}
-        entry |= {"inner_angle": inner, "outer_angle": outer}
-    return entry
-
-
-def _extent(light: Light) -> float:
-    """Radius of a bulb in metres, or of the sun's disc in radians; 0 for other lights."""
-    if isinstance(light, PointLight | SpotLight):
-        return float(light.radius)
-    return float(light.angular_radius) if isinstance(light, DirectionalLight) else 0.0
-
-
-def _rectangle(rectangle: RectLight | Aperture, center: Float[np.ndarray, "3"]) -> dict[str, Any]:
-    return {
-        "center": _list(np.asarray(rectangle.center, float) - center),
-        "right": _list(rectangle.right),
-        "up": _list(rectangle.up),
-    }
-
-
-def _list(vector: Any) -> list[float]:
-    return np.asarray(vector, float).tolist()
-
-
-def _unit(vector: Any) -> list[float]:
-    return _list(np.asarray(vector, float) / np.linalg.norm(vector))
+def _describe(emitter: Emitter | None, center: Float[np.ndarray, "3"]) -> dict[str, Any] | None:
+    """A light in plain numbers of Blender's; places relative to `center`. None for one that is not traced."""
+    if emitter is None:
+        return None
+    entry = {key: value for key, value in vars(emitter).items() if value is not None}
+    if emitter.position is not None:
+        entry["position"] = emitter.position - center
+    if emitter.kind == "spot":
+        # Blender's spot is a masked point of the same flux; ours sends all of its flux down the cone.
+        share = 0.5 * (1.0 - 0.5 * (math.cos(emitter.inner_angle) + math.cos(emitter.outer_angle)))
+        entry["strength"] = emitter.strength / share
+    if emitter.aperture is not None:
+        aperture = {key: np.asarray(value, np.float64) for key, value in vars(emitter.aperture).items()}
+        entry["aperture"] = aperture | {"center": aperture["center"] - center}
+    return jax.tree.map(lambda value: value.tolist() if isinstance(value, np.ndarray) else value, entry)

@@ -31,21 +31,21 @@ def main() -> None:
     folder = Path(sys.argv[1])
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
     with np.load(folder / "geometry.npz") as geometry:
-        stage = Stage(**geometry, bias=job["bias"])
-    lamps = [stage.add_lamp(light) for light in job["lights"]]
+        scene = BlenderScene(**geometry, bias=job["bias"])
+    lamps = [light and scene.add_lamp(light) for light in job["lights"]]
     print("@hyjax ready", flush=True)
     for line in sys.stdin:
         request = json.loads(line)
-        stage.aim(**request["camera"])
+        scene.aim(**request["camera"])
         for picture in request["pictures"]:
             index = picture["light"]
             light, lamp = (None, None) if index is None else (job["lights"][index], lamps[index])
-            stage.switch_on(light, lamp, picture["shadows"], picture["soft"])
-            stage.shoot(picture["file"], picture["samples"])
+            scene.switch_on(light, lamp, picture["shadows"], picture["soft"])
+            scene.shoot(picture["file"], picture["samples"])
         print("@hyjax done", flush=True)
 
 
-class Stage:
+class BlenderScene:
     """A Blender scene: one surface, one camera, lamps of which one at a time is on."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, bias: float) -> None:

@@ -1,6 +1,6 @@
 """The room tour: a scanned room relit live in the browser.
 
-`sky` knows where the sun stands, `plan` what a person has set up, `lighting` the lights that it makes, `house` the
-surface that it leaves; `studio` paints a view of it, `easel` keeps the painting up with the changes, `page` is what
-the browser shows.
+`plan` is what viewers set up; `sky` gives its daylight, `lighting` its lights, `editable_scene` its surface with
+moved furniture. `renderer` renders frames of it, and `render_queue` does so for each viewer's latest request.
+`session` is the state that all viewers share, `viewer` one browser, and `page` serves them all.
 """

@@ -1,20 +1,24 @@
-"""The controls that all viewers share: hour and weather, lamps and windows, furniture, what to save."""
+"""Controls that all viewers share: hour and weather, lamps and windows, furniture, exports."""
 
 import datetime
 import functools
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, get_args
+from collections.abc import Callable, Mapping
+from typing import Any, get_args
 
+import numpy as np
 import viser
+from jaxtyping import Float
 
-from hyjax.tour.place import facing
-from hyjax.tour.plan import KINDS, Plan
+from hyjax.tour.checks import clamp_number
+from hyjax.tour.events import change_handler, task_handler
+from hyjax.tour.exports import save_setup, save_video, save_view
+from hyjax.tour.placement import north_for_bearing
+from hyjax.tour.plan import KINDS, TourPlan
+from hyjax.tour.session import Session
 from hyjax.tour.sky import Weather
-from hyjax.tour.viewer import Viewer, asked_by, guarded, within
-
-if TYPE_CHECKING:
-    from hyjax.tour.page import Tour
+from hyjax.tour.tools import add_mesh
+from hyjax.tour.viewer import Viewer
 
 POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 ICONS: dict[str, Any] = {
@@ -24,148 +28,151 @@ ICONS: dict[str, Any] = {
     "strip": viser.Icon.LINE,
 }
 LARGEST_LUMEN, KELVIN = 5000.0, (1800, 8000)
+DAY_LENGTH = len("2026-06-21")
 
 
 class Controls:
-    """See the module's docstring."""
+    """Shared control panel.
 
-    def __init__(self, tour: "Tour") -> None:
-        self.tour = tour
-        self._chosen: Any = None
-        self._plain: dict[str, Any] = {}
-        self._daylight()
-        self._lamps()
-        self._furniture()
-        self._save()
-        self.follow()
+    Args:
+        session: the plan that it changes.
+        gui: of the server.
+        viewers: by the number of their browser.
+    """
 
-    # ---- the controls ----
+    def __init__(self, session: Session, gui: viser.GuiApi, viewers: Mapping[int, Viewer]) -> None:
+        self.session, self._gui, self._viewers = session, gui, viewers
+        self._selected: Any = None
+        self._fields: dict[str, Any] = {}
+        self._add_daylight()
+        self._add_lamps()
+        self._add_furniture()
+        self._add_exports()
+        self.show_plan()
 
-    def _daylight(self) -> None:
-        gui, plan = self.tour.server.gui, self.tour.plan
+    # ---- panels ----
+
+    def _add_daylight(self) -> None:
+        gui, plan = self._gui, self.session.plan
         with gui.add_folder("Daylight", order=-1):
-            self._plain["hour"] = gui.add_slider(
+            self._fields["hour"] = gui.add_slider(
                 "Hour", 0.0, 24.0, 0.1, plan.hour, marks=((6, "6"), (12, "12"), (18, "18"))
             )
-            self._plain["weather"] = gui.add_dropdown("Weather", get_args(Weather), initial_value=plan.weather)
-            self._plain["exposure"] = gui.add_slider("Exposure", -4.0, 4.0, 0.1, plan.exposure, hint="Stops")
-            self._told = gui.add_markdown("")
+            self._fields["weather"] = gui.add_dropdown("Weather", get_args(Weather), initial_value=plan.weather)
+            self._fields["exposure"] = gui.add_slider("Exposure", -4.0, 4.0, 0.1, plan.exposure, hint="Stops")
+            self._daylight = gui.add_markdown("")
             with gui.add_folder("Where and when", expand_by_default=False):
-                self._plain["day"] = gui.add_text("Date", plan.day, hint="As 2026-06-21")
-                self._plain["latitude"] = gui.add_slider("Latitude", -90.0, 90.0, 0.5, plan.latitude)
-                self._plain["north"] = gui.add_slider(
+                self._fields["day"] = gui.add_text("Date", plan.day, hint="As 2026-06-21")
+                self._fields["latitude"] = gui.add_slider("Latitude", -90.0, 90.0, 0.5, plan.latitude)
+                self._fields["north"] = gui.add_slider(
                     "North", 0.0, 360.0, 1.0, plan.north % 360, hint="Turns the house"
                 )
             gui.add_button("Add a window", icon=viser.Icon.WINDOW, hint="Then draw it on a wall").on_click(
-                self._tool("window")
+                self._tool_button("window")
             )
-        for name, control in self._plain.items():
-            control.on_update(guarded(self.tour, functools.partial(self._set, name)))
+        for name, control in self._fields.items():
+            control.on_update(change_handler(self._viewers, functools.partial(self._set_field, name)))
 
-    def _set(self, name: str, event: Any) -> None:
-        if name == "day" and len(str(event.target.value)) < len("2026-06-21"):
+    def _set_field(self, name: str, event: Any) -> None:
+        if name == "day" and len(str(event.target.value)) < DAY_LENGTH:
             return  # still being typed
-        self.tour.change(**{name: event.target.value})
+        self.session.change(**{name: event.target.value})
 
-    def _lamps(self) -> None:
-        gui = self.tour.server.gui
-        with gui.add_folder("Lamps", order=0):
-            gui.add_markdown("Choose one, then click where it goes.")
+    def _add_lamps(self) -> None:
+        with self._gui.add_folder("Lamps", order=0):
+            self._gui.add_markdown("Choose one, then click where it goes.")
             for kind in KINDS:
-                gui.add_button(kind.capitalize(), icon=ICONS[kind]).on_click(self._tool(kind))
+                self._gui.add_button(kind.capitalize(), icon=ICONS[kind]).on_click(self._tool_button(kind))
 
-    def _furniture(self) -> None:
-        gui, tour = self.tour.server.gui, self.tour
+    def _add_furniture(self) -> None:
+        gui = self._gui
         with gui.add_folder("Furniture", expand_by_default=False, order=1):
             gui.add_markdown("Light and shadow follow what moves; the photo itself keeps it where it was.")
             pick = gui.add_button("Pick up", icon=viser.Icon.HAND_GRAB, hint="Then click on it")
-            pick.on_click(self._tool("furniture"))
+            pick.on_click(self._tool_button("furniture"))
             bring = gui.add_upload_button("Bring a mesh", icon=viser.Icon.UPLOAD, hint="PLY, OBJ or GLB, in metres")
 
         def uploaded(viewer: Viewer, event: Any) -> None:
-            tour.bring(viewer, event.target.value.name, event.target.value.content)
+            add_mesh(self.session, viewer.frame, event.target.value.name, event.target.value.content)
 
-        bring.on_upload(asked_by(tour, uploaded))
+        bring.on_upload(task_handler(self._viewers, uploaded))
 
-    def _save(self) -> None:
-        gui, tour = self.tour.server.gui, self.tour
+    def _add_exports(self) -> None:
+        gui = self._gui
+
+        def add_button(label: str, icon: Any, task: Callable[[Viewer], None], color: Any = None) -> None:
+            button = gui.add_button(label, icon=icon, color=color)
+            button.on_click(task_handler(self._viewers, lambda viewer, _: task(viewer)))
+
         with gui.add_folder("Take home", expand_by_default=False, order=3):
-            for label, save, icon in (
-                ("This picture", tour.save_view, viser.Icon.PHOTO),
-                ("The lights", tour.save_setup, viser.Icon.BULB),
-                ("A video", tour.save_video, viser.Icon.MOVIE),
-            ):
-                gui.add_button(label, icon=icon).on_click(asked_by(tour, functools.partial(_saved, save)))
-            gui.add_button("Begin anew", icon=viser.Icon.TRASH, color="gray").on_click(asked_by(tour, self._anew))
+            add_button("This picture", viser.Icon.PHOTO, save_view)
+            add_button("The lights", viser.Icon.BULB, save_setup)
+            add_button("A video", viser.Icon.MOVIE, save_video)
+            add_button("Begin anew", viser.Icon.TRASH, lambda _: self.session.reset(), "gray")
 
-    def _anew(self, *_: Any) -> None:
-        first = self.tour.studio.first_plan()
-        self.tour.handles.select(None)
-        self.tour.change(redraw=True, **{name: getattr(first, name) for name in first.__dataclass_fields__})
-
-    def _tool(self, tool: str) -> Any:
-        async def take(event: Any) -> None:
-            viewer = self.tour.viewers.get(event.client_id)
+    def _tool_button(self, tool: str) -> Any:
+        async def clicked(event: Any) -> None:
+            viewer = self._viewers.get(event.client_id)
             if viewer is not None:
-                viewer.take(None if viewer.tool == tool else tool)
+                viewer.select_tool(None if viewer.tool == tool else tool)
 
-        return take
+        return clicked
 
     # ---- what they show ----
 
-    def follow(self) -> None:
-        """Show the plan as it is now."""
-        plan = self.tour.plan
-        for name, control in self._plain.items():
+    def show_plan(self) -> None:
+        """Show the plan's present values."""
+        plan = self.session.plan
+        for name, control in self._fields.items():
             value = getattr(plan, name)
             if name != "day" or len(control.value) >= len(value):  # not while it is being typed
                 control.value = value % 360 if name == "north" else value
-        self._told.content = told(plan, self.tour)
+        self._daylight.content = describe_daylight(plan, self.session.renderer.up)
 
-    def choose(self, chosen: tuple[str, int] | None) -> None:
-        """Show the controls of one lamp, window or piece of furniture."""
-        if self._chosen is not None:
-            self._chosen.remove()
-            self._chosen = None
-        if chosen is None:
+    def show_selected(self) -> None:
+        """Show the controls of the selected lamp, window or piece of furniture."""
+        if self._selected is not None:
+            self._selected.remove()
+            self._selected = None
+        if self.session.selected is None:
             return
-        kind, index = chosen
-        thing = getattr(self.tour.plan, kind)[index]
-        gui, tour = self.tour.server.gui, self.tour
+        kind, index = self.session.selected
+        thing = getattr(self.session.plan, kind)[index]
+        gui, session, viewers = self._gui, self.session, self._viewers
         name = {"windows": "Window", "pieces": "Furniture"}.get(kind) or thing.kind.capitalize()
-        self._chosen = gui.add_folder(f"{name} {index + 1}", order=-1.5)
+        self._selected = gui.add_folder(f"{name} {index + 1}", order=-1.5)
 
         def bind(control: Any, field: str, convert: Any = float) -> None:
             def set_field(event: Any) -> None:
-                tour.replace(kind, index, **{field: convert(event.target.value)})
+                session.replace(kind, index, **{field: convert(event.target.value)})
 
-            control.on_update(guarded(tour, set_field))
+            control.on_update(change_handler(viewers, set_field))
 
-        with self._chosen:
+        def add_size(label: str, field: str, largest: float) -> None:
+            value = clamp_number(getattr(thing, field), 0.2, largest)
+            bind(gui.add_slider(label, 0.2, largest, 0.05, value), field)
+
+        with self._selected:
             if kind == "lamps":
                 most, step = (100.0, 1.0) if thing.kind == "candle" else (LARGEST_LUMEN, 10.0)
-                most = max(most, thing.lumen)
-                bind(gui.add_slider("Lumen", 0.0, most, step, thing.lumen), "lumen")
-                bind(gui.add_slider("Kelvin", *KELVIN, 50, round(within(thing.kelvin, *KELVIN))), "kelvin")
+                bind(gui.add_slider("Lumen", 0.0, max(most, thing.lumen), step, thing.lumen), "lumen")
+                kelvin = round(clamp_number(thing.kelvin, *KELVIN))
+                bind(gui.add_slider("Kelvin", *KELVIN, 50, kelvin), "kelvin")
                 bind(gui.add_checkbox("On", thing.on), "on", bool)
             elif kind == "windows":
-                bind(gui.add_slider("Width", 0.2, 5.0, 0.05, within(thing.width, 0.2, 5.0)), "width")
-                bind(gui.add_slider("Height", 0.2, 4.0, 0.05, within(thing.height, 0.2, 4.0)), "height")
+                add_size("Width", "width", 5.0)
+                add_size("Height", "height", 4.0)
             else:
                 bind(gui.add_checkbox("Taken away", thing.removed), "removed", bool)
             done = gui.add_button("Done", icon=viser.Icon.CHECK)
-            word = "Put back" if kind == "pieces" else "Remove"
-            gone = gui.add_button(word, icon=viser.Icon.TRASH, color="gray")
-        done.on_click(guarded(tour, lambda _: tour.handles.select(None)))
-        gone.on_click(guarded(tour, lambda _: tour.remove(kind, index)))
+            label = "Put back" if kind == "pieces" else "Remove"
+            remove = gui.add_button(label, icon=viser.Icon.TRASH, color="gray")
+        done.on_click(change_handler(viewers, lambda _: session.select(None)))
+        remove.on_click(change_handler(viewers, lambda _: session.remove(kind, index)))
 
 
-def _saved(save: Callable[[Viewer], None], viewer: Viewer, _: Any) -> None:
-    save(viewer)
-
-
-def told(plan: Plan, tour: "Tour") -> str:
-    """The daylight in words."""
+def describe_daylight(plan: TourPlan, up: Float[np.ndarray, "3"]) -> str:
+    """Date, hour, sun or moon, and where the windows look, as one line."""
     sky = plan.sky()
     h = plan.hour
     clock = f"{int(h):02d}:{int(h * 60 % 60):02d}"
@@ -179,9 +186,9 @@ def told(plan: Plan, tour: "Tour") -> str:
     else:
         light = "dark outside"
     day = datetime.date.fromisoformat(plan.day)
-    where = "".join(
+    windows = "".join(
         f"; window {number + 1} looks {POINTS[round(bearing / 45) % 8]}"
         for number, window in enumerate(plan.windows)
-        for bearing in [(plan.north - facing(window, 0.0, tour.studio.up)) % 360]
+        for bearing in [(plan.north - north_for_bearing(window, 0.0, up)) % 360]
     )
-    return f"{day:%-d %B}, {clock}: {light}{where}"
+    return f"{day:%-d %B}, {clock}: {light}{windows}"

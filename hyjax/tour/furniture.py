@@ -1,4 +1,4 @@
-"""What stands in a scanned room, found from a point on it; and casting rays at a room whose pieces have moved.
+"""Furniture in a scanned room, found from a point on it; and ray casting at a room whose pieces have moved.
 
 A scan is one surface: floor, walls and furniture hang together. Without its shell (floor, ceiling, outer walls) it
 falls apart into pieces.
@@ -14,10 +14,10 @@ import trimesh
 from jaxtyping import Array, Bool, Float, Int
 from scipy import sparse
 
-from hyjax.gbuffer import GBuffer
-from hyjax.scene.camera import Camera
-from hyjax.scene.raycast import Hits, RayCaster
-from hyjax.tour.place import compass
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.raycast import Hits, RayCaster
+from hyjax.light.gbuffer import GBuffer
+from hyjax.tour.placement import compass
 
 SHELL = 0.07
 """Metres: what is nearer to floor, ceiling or outer wall belongs to it; up to twice that, as planes are binned."""
@@ -88,7 +88,7 @@ def _axes(
 class Part:
     """A rigid part of the room: its surface as it was scanned, and where it is now (4×4).
 
-    Quacks like a `RayCaster` for the shadow maps: `mesh` is the whole room's, as it says what a map must cover.
+    Shadow maps take it as a `RayCaster`: `mesh` is the whole room's, as it says what a map must cover.
     """
 
     caster: RayCaster
@@ -112,11 +112,11 @@ class Part:
         return self.caster.cast((origins - shift) @ turn, directions @ turn, grid)
 
     def gbuffer(self, camera: Camera) -> GBuffer:
-        """What a camera sees of this part alone."""
+        """Surface points of this part alone that a camera sees."""
         if not self.moved:
             return self.caster.gbuffer(camera)
-        seen = self.caster.gbuffer(Camera(camera.intrinsics, np.linalg.inv(self.pose) @ camera.pose))
-        return _posed(seen, jnp.asarray(self.pose, jnp.float32))
+        scanned = self.caster.gbuffer(Camera(camera.intrinsics, np.linalg.inv(self.pose) @ camera.pose))
+        return _transform_gbuffer(scanned, jnp.asarray(self.pose, jnp.float32))
 
 
 def cast_parts(
@@ -134,23 +134,26 @@ def cast_parts(
     return distances, normals, numbers
 
 
-def nearest(parts: list[GBuffer]) -> GBuffer:
-    """What is in front, pixel by pixel."""
+def merge_gbuffers(parts: list[GBuffer]) -> GBuffer:
+    """G-buffer of several parts: pixel by pixel the part in front."""
     whole = parts[0]
     for part in parts[1:]:
-        whole = _nearer(whole, part)
+        whole = _nearer_of_two(whole, part)
     return whole
 
 
 @jax.jit
-def _posed(seen: GBuffer, pose: Float[Array, "4 4"]) -> GBuffer:
-    position = seen.position @ pose[:3, :3].T + pose[:3, 3]
+def _transform_gbuffer(gbuffer: GBuffer, pose: Float[Array, "4 4"]) -> GBuffer:
+    position = gbuffer.position @ pose[:3, :3].T + pose[:3, 3]
     return GBuffer(
-        jnp.where(seen.hit[..., None], position, 0.0), seen.normal @ pose[:3, :3].T, seen.depth, seen.hit
+        jnp.where(gbuffer.hit[..., None], position, 0.0),
+        gbuffer.normal @ pose[:3, :3].T,
+        gbuffer.depth,
+        gbuffer.hit,
     )
 
 
 @jax.jit
-def _nearer(a: GBuffer, b: GBuffer) -> GBuffer:
+def _nearer_of_two(a: GBuffer, b: GBuffer) -> GBuffer:
     first = a.hit & (~b.hit | (a.depth <= b.depth))
     return jax.tree.map(lambda x, y: jnp.where(first[..., None] if x.ndim == 3 else first, x, y), a, b)

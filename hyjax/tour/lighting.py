@@ -1,16 +1,27 @@
-"""The lights that a plan makes, as the content of a lights file: what `hyjax relight --lights` takes."""
+"""Lights that a plan makes: sky and sun through its windows, its lamps, and what the room throws back."""
 
+import functools
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Hashable, Mapping, Sequence
 
+import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
-from hyjax.data.light_file import LightSetup, parse_lights
-from hyjax.pipeline import REFERENCE_LUX
-from hyjax.tour.place import compass, unit, upright
-from hyjax.tour.plan import KINDS, Lamp, Plan
+from hyjax.light.color import blackbody
+from hyjax.light.kinds import (
+    AmbientLight,
+    Aperture,
+    DirectionalLight,
+    Light,
+    PointLight,
+    RectLight,
+    SpotLight,
+)
+from hyjax.light.setup import REFERENCE_LUX, LightSetup
+from hyjax.tour.placement import as_point, compass, upright
+from hyjax.tour.plan import KINDS, Lamp, Point, TourPlan
+from hyjax.util.vectors import unit
 
 GLASS = 0.7
 """Share of the light that a window lets in."""
@@ -24,12 +35,29 @@ NEUTRAL_KELVIN = 6500.0
 ADAPTATION = 0.8
 """How far a camera makes up for the dark: 1 shows night as bright as day, 0 leaves it black."""
 STRIP = (1.0, 0.03)  # metres
+SPOT_DEGREES = 20.0, 40.0
+"""Half angles of a spot's cone: fully lit inside the first, dark outside the second."""
+SUN_RADIUS = np.asarray(np.deg2rad(0.27), np.float32)
+LEAST_AMBIENT = 1e-3
+"""Lux: a picture is never entirely dark."""
+
+
+def setup_of(
+    plan: TourPlan, up: Float[np.ndarray, "3"], surface_area: float, flicker: Mapping[int, float] | None = None
+) -> LightSetup:
+    """Lights of a plan and the illuminance that the camera exposes for; see `lights_of`.
+
+    The camera does not follow a flicker: exposure is that of steady lamps.
+    """
+    steady = lights_of(plan, up, surface_area)
+    lights = lights_of(plan, up, surface_area, flicker) if flicker else steady
+    return LightSetup(lights, reference_lux(steady, plan.exposure))
 
 
 def lights_of(
-    plan: Plan, up: Float[np.ndarray, "3"], surface: float, flicker: Mapping[int, float] | None = None
-) -> list[dict[str, Any]]:
-    """The plan's lights as entries of a lights file: for each window its sky and its sun, the lamps, one ambient.
+    plan: TourPlan, up: Float[np.ndarray, "3"], surface_area: float, flicker: Mapping[int, float] | None = None
+) -> tuple[Light, ...]:
+    """Lights of a plan: for each window its sky and its sun, the lamps, one ambient light.
 
     What the room throws back is one ambient light, E = ρ Φ / (S (1 − ρ)) with all the light Φ that comes in, the
     room's surface S and its mean reflectance ρ: the sphere that photometry integrates in.
@@ -37,109 +65,92 @@ def lights_of(
     Args:
         plan: what is set up.
         up: against gravity, world axes.
-        surface: of the room's walls, floor and ceiling together, square metres.
-        flicker: of some lamps by number: what their light is multiplied with just now.
+        surface_area: of the room's walls, floor and ceiling together, square metres.
+        flicker: factors on the light of some lamps, by their number.
     """
-    sky, world = plan.sky(), compass(plan.north, up)
-    toward = sky.toward @ world
-    entries: list[dict[str, Any]] = []
+    sky = plan.sky()
+    toward = sky.toward @ compass(plan.north, up)
+    lights: list[Light] = []
     flux: list[tuple[float, float]] = []  # lumens and their kelvin
-    for number, window in enumerate(plan.windows):
-        inward = unit(window.normal)
-        opening = {
-            "center": (np.asarray(window.center) + 0.01 * inward).tolist(),
-            "normal": inward.tolist(),
-            "up": upright(inward, up).tolist(),
-            "width": float(window.width),
-            "height": float(window.height),
-        }
+    for window in plan.windows:
+        inward, area = unit(np.asarray(window.normal)), window.width * window.height
+        center = as_point(np.asarray(window.center) + 0.01 * inward)
+        opening = _rectangle(center, as_point(inward), window.width, window.height, as_point(up))
         # A tilted surface sees a part of the sky and a part of the ground.
         tilt = float(-inward @ up)
         outside = 0.5 * (1.0 + tilt) * sky.sky + 0.5 * (1.0 - tilt) * GROUND * sky.ground
-        area = window.width * window.height
-        power = GLASS * outside * area
-        entries.append(
-            {"kind": "rect", "name": f"window {number}", "power": power, "temperature": _balanced(sky.sky_kelvin)}
-            | opening
-        )
-        flux.append((power, sky.sky_kelvin))
+        lumen = GLASS * outside * area
+        lights.append(RectLight.filling(opening, _float32(lumen), _color(sky.sky_kelvin)))
+        flux.append((lumen, sky.sky_kelvin))
         cosine = float(-inward @ toward)
         if sky.direct > 0 and cosine > 0.02:
-            entries.append(
-                {
-                    "kind": "directional",
-                    "name": f"sun in window {number}",
-                    "direction": (-toward).tolist(),
-                    "illuminance": GLASS * sky.direct,
-                    "temperature": _balanced(sky.direct_kelvin),
-                    "aperture": opening,
-                }
-            )
-            flux.append((GLASS * sky.direct * cosine * area, sky.direct_kelvin))
+            lux, direction = GLASS * sky.direct, _float32(unit(-toward))
+            color = _color(sky.direct_kelvin)
+            lights.append(DirectionalLight(direction, _float32(lux), color, SUN_RADIUS, opening))
+            flux.append((lux * cosine * area, sky.direct_kelvin))
     for number, lamp in enumerate(plan.lamps):
         if lamp.on and lamp.lumen > 0:
             lumen = lamp.lumen * (flicker or {}).get(number, 1.0)
-            entries.append({"name": f"{lamp.kind} {number}"} | _lamp_entry(lamp, lumen, up))
+            lights.append(_lamp_light(lamp, lumen, up))
             flux.append((lumen, lamp.kelvin))
     total = sum(lumen for lumen, _ in flux)
     kelvin = sum(lumen * k for lumen, k in flux) / total if total > 0 else 4000.0
-    bounced = WALLS * total / (surface * (1.0 - WALLS))
-    # Never quite dark: a picture of nothing helps nobody.
-    entries.append({"kind": "ambient", "illuminance": max(bounced, 1e-3), "temperature": _balanced(kelvin)})
-    return entries
+    bounced = WALLS * total / (surface_area * (1.0 - WALLS))
+    lights.append(AmbientLight(_float32(max(bounced, LEAST_AMBIENT)), _color(kelvin)))
+    return tuple(lights)
 
 
-def reference_lux(entries: Sequence[Mapping[str, Any]], exposure: float) -> float:
-    """The illuminance that the camera exposes for, as the lights file's `reference_lux`.
+def reference_lux(lights: Sequence[Light], exposure: float) -> float:
+    """The illuminance that the camera exposes for.
 
     Light that has bounced is what a room looks like on average, so exposure follows it: by day short, at night
     long, but not all the way, or night would look like day.
     """
-    ambient = sum(float(entry["illuminance"]) for entry in entries if entry["kind"] == "ambient")
+    ambient = sum(float(getattr(light, light.STRENGTH)) for light in lights if light.UNIFORM)
     return float((2.0 * ambient) ** ADAPTATION * REFERENCE_LUX ** (1.0 - ADAPTATION) * 2.0**-exposure)
 
 
-def lights_file(
-    plan: Plan, up: Float[np.ndarray, "3"], surface: float, flicker: Mapping[int, float] | None = None
-) -> dict[str, Any]:
-    """The plan as the content of a lights file, which `hyjax relight --lights` takes; see `lights_of`.
-
-    The camera does not follow a flicker: exposure is that of steady lamps.
-    """
-    steady = lights_of(plan, up, surface)
-    entries = lights_of(plan, up, surface, flicker) if flicker else steady
-    return {"reference_lux": reference_lux(steady, plan.exposure), "lights": entries}
-
-
-def setup_of(
-    plan: Plan, up: Float[np.ndarray, "3"], surface: float, flicker: Mapping[int, float] | None = None
-) -> tuple[list[dict[str, Any]], LightSetup]:
-    """Entries of `lights_file`, and the lights that they make."""
-    content = lights_file(plan, up, surface, flicker)
-    return content["lights"], parse_lights(content, up, "tour")
+def geometry_key(light: Light) -> Hashable:
+    """Key of a light's kind and geometry: equal for lights that differ in strength and colour alone."""
+    geometry = [value for name, value in vars(light).items() if name not in ("color", light.STRENGTH)]
+    return type(light), *(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(geometry))
 
 
 def flicker(seconds: float, number: int) -> float:
-    """What a candle's light is multiplied with: a few waves of no common period; 1 on average."""
+    """Factor on a candle's light: a few waves of no common period; 1 on average."""
     t = seconds + 13.7 * number
     return 1.0 + 0.08 * math.sin(9.1 * t) + 0.06 * math.sin(14.3 * t + 1.0) + 0.05 * math.sin(3.7 * t + 2.0)
 
 
-def _lamp_entry(lamp: Lamp, lumen: float, up: Float[np.ndarray, "3"]) -> dict[str, Any]:
-    light = {"power": lumen, "temperature": _balanced(lamp.kelvin)}
-    position, direction = list(lamp.position), unit(lamp.direction)
-    radius = KINDS[lamp.kind].radius
+def _lamp_light(lamp: Lamp, lumen: float, up: Float[np.ndarray, "3"]) -> Light:
+    flux, color = _float32(lumen), _color(lamp.kelvin)
+    position, direction = _float32(lamp.position), unit(np.asarray(lamp.direction))
+    radius, none = _float32(KINDS[lamp.kind].radius), _float32(0.0)
     if lamp.kind in ("bulb", "candle"):
-        return {"kind": "point", "position": position, "radius": radius} | light
+        return PointLight(position, flux, color, radius, none)
     if lamp.kind == "spot":
-        angles = {"inner_degrees": 20.0, "outer_degrees": 40.0}
-        return (
-            {"kind": "spot", "position": position, "direction": direction.tolist(), "radius": radius}
-            | angles
-            | light
-        )
-    size = {"width": STRIP[0], "height": STRIP[1], "up": upright(direction, up).tolist()}
-    return {"kind": "rect", "center": position, "normal": direction.tolist()} | size | light
+        inner, outer = (_float32(np.deg2rad(degrees)) for degrees in SPOT_DEGREES)
+        return SpotLight(position, _float32(direction), flux, color, inner, outer, radius, none)
+    return RectLight.filling(_rectangle(lamp.position, as_point(direction), *STRIP, as_point(up)), flux, color)
+
+
+@functools.lru_cache(maxsize=256)
+def _rectangle(center: Point, normal: Point, width: float, height: float, up: Point) -> Aperture:
+    axis = np.asarray(normal)
+    return Aperture.facing(np.asarray(center), axis, upright(axis, np.asarray(up)), width, height)
+
+
+def _color(kelvin: float) -> Float[np.ndarray, "3"]:
+    return _blackbody(round(_balanced(kelvin), 0))
+
+
+@functools.lru_cache(maxsize=4096)
+def _blackbody(kelvin: float) -> Float[np.ndarray, "3"]:
+    return _float32(blackbody(kelvin))
+
+
+def _float32(value: ArrayLike | Point) -> Float[np.ndarray, "*s"]:
+    return np.asarray(value, np.float32)
 
 
 def _balanced(kelvin: float) -> float:

@@ -1,4 +1,4 @@
-"""What a person has set up on a tour: hour and weather, windows, lamps, furniture. Plain data, kept as JSON.
+"""Plan of a tour: hour and weather, windows, lamps, furniture. Plain data, kept as JSON.
 
 Everything that comes from a browser or a file passes `check` before it is used.
 """
@@ -6,27 +6,30 @@ Everything that comes from a browser or a file passes `check` before it is used.
 import dataclasses
 import datetime
 import json
-import math
-from collections.abc import Sequence
-from typing import Any, Literal, TypeVar, get_args
+import re
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 from jaxtyping import Float
+from msgspec import inspect
 
-from hyjax.errors import InputError
 from hyjax.tour.sky import Sky, Weather, sky_at
-
-LampKind = Literal["bulb", "spot", "candle", "strip"]
-T = TypeVar("T")
-Point = tuple[float, float, float]
+from hyjax.util.errors import InputError, did_you_mean
 
 MOST_WINDOWS, MOST_LAMPS, MOST_PIECES = 8, 16, 8
 YEARS = 1900, 2100
 
+IDENTITY = tuple(np.eye(4).reshape(-1).tolist())
+LampKind = Literal["bulb", "spot", "candle", "strip"]
+Metres = Annotated[float, msgspec.Meta(gt=-1e4, lt=1e4)]
+Point = tuple[Metres, Metres, Metres]
+Side = Annotated[float, msgspec.Meta(ge=0.05, le=20)]
+
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """A lamp that people know.
+    """An everyday lamp.
 
     Attributes:
         lumen, kelvin: when it is new.
@@ -48,30 +51,27 @@ KINDS: dict[str, Kind] = {
 }
 
 
-@dataclasses.dataclass(frozen=True)
-class Lamp:
-    """A lamp: where it is, which way it points (a bulb and a candle: any), how bright and of which colour."""
+class Lamp(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A lamp: kind, position, direction (of a bulb or a candle: any), brightness and colour."""
 
     kind: LampKind
     position: Point
     direction: Point = (0.0, 0.0, -1.0)
-    lumen: float = 800.0
-    kelvin: float = 2700.0
+    lumen: Annotated[float, msgspec.Meta(ge=0, le=100_000)] = 800.0
+    kelvin: Annotated[float, msgspec.Meta(ge=1700, le=20_000)] = 2700.0
     on: bool = True
 
 
-@dataclasses.dataclass(frozen=True)
-class Window:
+class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A rectangle in a wall, in metres; `normal` points into the room."""
 
     center: Point
     normal: Point
-    width: float = 1.2
-    height: float = 1.4
+    width: Side = 1.2
+    height: Side = 1.4
 
 
-@dataclasses.dataclass(frozen=True)
-class Piece:
+class Piece(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Furniture that was picked, moved or taken away; or a mesh that was brought in.
 
     Attributes:
@@ -82,18 +82,23 @@ class Piece:
     """
 
     seed: Point
-    pose: tuple[float, ...] = tuple(np.eye(4).reshape(-1).tolist())
+    pose: Annotated[tuple[float, ...], msgspec.Meta(min_length=16, max_length=16)] = tuple(
+        np.eye(4).reshape(-1).tolist()
+    )
     removed: bool = False
-    file: str = ""
+    file: Annotated[str, msgspec.Meta(pattern=r"^[^/\\]*$")] = ""
 
     @property
     def matrix(self) -> Float[np.ndarray, "4 4"]:
         return np.asarray(self.pose, float).reshape(4, 4)
 
 
-@dataclasses.dataclass(frozen=True)
-class Plan:
-    """All of it.
+LISTS: dict[str, type[msgspec.Struct]] = {"windows": Window, "lamps": Lamp, "pieces": Piece}
+"""Fields of a plan that are lists of things."""
+
+
+class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Everything that a viewer can set up.
 
     Attributes:
         hour: local mean solar time, 0 to 24.
@@ -105,57 +110,46 @@ class Plan:
         windows, lamps, pieces: what there is.
     """
 
-    hour: float = 12.0
+    hour: Annotated[float, msgspec.Meta(ge=0, le=24)] = 12.0
     day: str = "2026-06-21"
-    latitude: float = 48.0
-    north: float = 0.0
+    latitude: Annotated[float, msgspec.Meta(ge=-90, le=90)] = 48.0
+    north: Annotated[float, msgspec.Meta(ge=-720, le=720)] = 0.0
     weather: Weather = "clear"
-    exposure: float = 0.0
-    windows: tuple[Window, ...] = ()
-    lamps: tuple[Lamp, ...] = ()
-    pieces: tuple[Piece, ...] = ()
+    exposure: Annotated[float, msgspec.Meta(ge=-4, le=4)] = 0.0
+    windows: Annotated[tuple[Window, ...], msgspec.Meta(max_length=MOST_WINDOWS)] = ()
+    lamps: Annotated[tuple[Lamp, ...], msgspec.Meta(max_length=MOST_LAMPS)] = ()
+    pieces: Annotated[tuple[Piece, ...], msgspec.Meta(max_length=MOST_PIECES)] = ()
 
-    def check(self) -> "Plan":
-        """Return self if it makes sense.
+    def check(self) -> "TourPlan":
+        """Return self if it is valid.
 
         Raises:
-            InputError: a value that is not finite or out of range, or too many of anything.
+            InputError: a value of the wrong type, not finite or out of range, or too many of anything.
         """
-        _within("hour", self.hour, 0, 24)
-        _within("latitude", self.latitude, -90, 90)
-        _within("north", self.north, -720, 720)
-        _within("exposure", self.exposure, -4, 4)
-        _one_of("weather", self.weather, Weather)
-        self.date()
-        for name, things, most in (
-            ("windows", self.windows, MOST_WINDOWS),
-            ("lamps", self.lamps, MOST_LAMPS),
-            ("pieces of furniture", self.pieces, MOST_PIECES),
-        ):
-            if len(things) > most:
-                raise InputError(f"{len(things)} {name}: at most {most} on a tour")
-        for window in self.windows:
-            _point("window: center", window.center)
-            _axis("window: normal", window.normal)
-            _within("window: width", window.width, 0.05, 20)
-            _within("window: height", window.height, 0.05, 20)
-        for lamp in self.lamps:
-            _one_of("lamp: kind", lamp.kind, LampKind)
-            _point("lamp: position", lamp.position)
-            _axis("lamp: direction", lamp.direction)
-            _within("lamp: lumen", lamp.lumen, 0, 100_000)
-            _within("lamp: kelvin", lamp.kelvin, 1700, 20_000)
-        for piece in self.pieces:
-            _point("piece: seed", piece.seed)
-            _pose("piece: pose", piece.pose)
-            if piece.file != "" and (not isinstance(piece.file, str) or "/" in piece.file or "\\" in piece.file):
-                raise InputError(f"piece: file {piece.file!r} must be the name of a file in the tour's folder")
+        _converted(msgspec.to_builtins(self, enc_hook=_plain))._check_geometry()
         return self
+
+    def _check_geometry(self) -> None:
+        """Raise `InputError` for what the types cannot say: dates, directions, poses."""
+        self.date()
+        axes = {f"windows[{number}].normal": window.normal for number, window in enumerate(self.windows)}
+        axes |= {f"lamps[{number}].direction": lamp.direction for number, lamp in enumerate(self.lamps)}
+        for where, axis in axes.items():
+            if sum(v * v for v in axis) < 1e-12:
+                raise InputError(f"{where}: must not be the zero vector")
+        for number, piece in enumerate(self.pieces):
+            if not _is_rigid(piece.pose):
+                raise InputError(f"pieces[{number}].pose: must move and turn only")
 
     @property
     def files(self) -> set[str]:
         """Names of the mesh files that were brought in."""
         return {piece.file for piece in self.pieces if piece.file}
+
+    @property
+    def flickers(self) -> bool:
+        """Whether the picture changes by itself."""
+        return any(lamp.kind == "candle" and lamp.on for lamp in self.lamps)
 
     def date(self) -> datetime.date:
         """`day` as a date.
@@ -165,22 +159,22 @@ class Plan:
         """
         try:
             day = datetime.date.fromisoformat(self.day)
-        except (TypeError, ValueError):
+        except ValueError:
             raise InputError(f"day: {self.day!r} must be a date such as 2026-06-21") from None
         if not YEARS[0] <= day.year <= YEARS[1]:
             raise InputError(f"day: {self.day} must lie in the years {YEARS[0]} to {YEARS[1]}")
         return day
 
     def sky(self) -> Sky:
-        """What shines outside."""
+        """Daylight or moonlight outside."""
         return sky_at(self.date(), self.hour, self.latitude, self.weather)
 
     def to_json(self) -> str:
         """As JSON text, which `from_json` takes back."""
-        return json.dumps(dataclasses.asdict(self), indent=2)
+        return msgspec.json.format(msgspec.json.encode(self, enc_hook=_plain), indent=2).decode()
 
     @classmethod
-    def from_json(cls, text: str) -> "Plan":
+    def from_json(cls, text: str) -> "TourPlan":
         """Read what `to_json` wrote.
 
         Raises:
@@ -190,66 +184,72 @@ class Plan:
             content = json.loads(text)
         except json.JSONDecodeError as error:
             raise InputError(f"plan: not JSON (line {error.lineno}: {error.msg})") from None
-        plan = _build(cls, content, "plan")
-        for name in ("windows", "lamps", "pieces"):
-            if not isinstance(getattr(plan, name), tuple):
-                raise InputError(f"plan: {name!r} must be a list")
-        parts: dict[str, Any] = {
-            name: tuple(_build(kind, entry, name) for entry in getattr(plan, name))
-            for name, kind in (("windows", Window), ("lamps", Lamp), ("pieces", Piece))
-        }
-        return dataclasses.replace(plan, **parts).check()
+        plan = _converted(content)
+        plan._check_geometry()
+        return plan
 
 
 # ---- checks ----
 
 
-def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+def _converted(content: Any) -> TourPlan:
+    """A plan from JSON's types."""
+    try:
+        return msgspec.convert(content, TourPlan)
+    except msgspec.ValidationError as error:
+        raise InputError(_explain(str(error), content)) from None
 
 
-def _within(name: str, value: Any, low: float, high: float) -> None:
-    if not _number(value) or not low <= value <= high:
-        raise InputError(f"{name}: must be a number in {low:g}..{high:g}, got {value!r}")
+def _explain(error: str, content: Any) -> str:
+    """One line on what msgspec refuses: where it is, what is there, and what would be right."""
+    message, _, path = error.partition(" - at `$")
+    kind: type[msgspec.Struct] = TourPlan
+    value, where = content, ""
+    for name, number in re.findall(r"\.(\w+)(?:\[(\d+)\])?", path):
+        where, value, parent = f"{where}.{name}".lstrip("."), value[name], kind
+        if name in LISTS and number:
+            where, value, kind = f"{where}[{number}]", value[int(number)], LISTS[name]
+        else:
+            return f"{where}: {_rule(parent, name, value)}"
+    where, names = where or "plan", kind.__struct_fields__
+    if wrong := re.match(r"Object contains unknown field `(.*)`", message):
+        return f"{where}: unknown key {wrong[1]!r}{did_you_mean(wrong[1], names)}; there are {', '.join(names)}"
+    if wrong := re.match(r"Object missing required field `(.*)`", message):
+        return f"{where}: key {wrong[1]!r} is missing"
+    return f"{where}: must be a JSON object, got {value!r}"
 
 
-def _one_of(name: str, value: Any, known: Any) -> None:
-    if value not in get_args(known):
-        raise InputError(f"{name}: {value!r} is unknown; use one of {', '.join(get_args(known))}")
+def _rule(kind: type[msgspec.Struct], name: str, value: Any) -> str:
+    """What a field's value must be, and what it is."""
+    (field,) = (f for f in inspect.type_info(kind).fields if f.name == name)  # type: ignore[attr-defined]
+    form = field.type
+    if isinstance(form, inspect.VarTupleType) and name in LISTS and isinstance(value, list | tuple):
+        return f"{len(value)} {name}, at most {form.max_length} on a tour"
+    if isinstance(form, inspect.LiteralType):
+        hint = did_you_mean(str(value), map(str, form.values))
+        return f"{value!r} is unknown{hint}; use one of {', '.join(map(str, form.values))}"
+    text = "the name of a file in the tour's folder" if name == "file" else "a date such as 2026-06-21"
+    rules: dict[type, str] = {
+        inspect.StrType: text,
+        inspect.TupleType: "three numbers in metres",
+        inspect.VarTupleType: "a list" if name in LISTS else "the 16 numbers of a 4x4 matrix",
+        inspect.BoolType: "true or false",
+        inspect.StrType: "the name of a file in the tour's folder"
+        if name == "file"
+        else "a date such as 2026-06-21",
+    }
+    rule = f"a number in {form.ge:g}..{form.le:g}" if isinstance(form, inspect.FloatType) else rules[type(form)]
+    return f"must be {rule}, got {value!r}"
 
 
-def _point(name: str, value: Any) -> None:
-    if not isinstance(value, Sequence) or len(value) != 3 or not all(_number(v) and abs(v) < 1e4 for v in value):
-        raise InputError(f"{name}: must be three numbers in metres, got {value!r}")
-
-
-def _axis(name: str, value: Any) -> None:
-    _point(name, value)
-    if sum(v * v for v in value) < 1e-12:
-        raise InputError(f"{name}: must not be the zero vector")
-
-
-def _pose(name: str, value: Any) -> None:
-    if not isinstance(value, Sequence) or len(value) != 16 or not all(_number(v) for v in value):
-        raise InputError(f"{name}: must be the 16 numbers of a 4x4 matrix")
-    matrix = np.asarray(value, float).reshape(4, 4)
+def _is_rigid(pose: tuple[float, ...]) -> bool:
+    """Whether a 4×4 matrix turns and moves, by less than a kilometre, and does nothing else."""
+    matrix = np.asarray(pose, float).reshape(4, 4)
     turn = matrix[:3, :3]
-    if (
-        np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3
-        or np.linalg.det(turn) < 0
-        or np.abs(matrix[:3, 3]).max() > 1e3
-    ):
-        raise InputError(f"{name}: must move and turn only")
+    near = np.abs(turn @ turn.T - np.eye(3)).max() <= 1e-3 and np.abs(matrix[:3, 3]).max() <= 1e3
+    return bool(np.isfinite(matrix).all() and near and np.linalg.det(turn) > 0)
 
 
-def _build(kind: type[T], content: Any, where: str) -> T:
-    if not isinstance(content, dict):
-        raise InputError(f"{where}: must be a JSON object, got {type(content).__name__}")
-    names = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    for key in content:
-        if key not in names:
-            raise InputError(f"{where}: unknown key {key!r}; there are {', '.join(names)}")
-    for key, field in names.items():
-        if field.default is dataclasses.MISSING and key not in content:
-            raise InputError(f"{where}: key {key!r} is missing")
-    return kind(**{key: tuple(v) if isinstance(v, list) else v for key, v in content.items()})
+def _plain(value: Any) -> Any:
+    """A NumPy number as Python's; what is no number stays as its text, which no field takes."""
+    return value.item() if isinstance(value, np.generic) else repr(value)

@@ -14,7 +14,7 @@ import numpy as np
 from astral import Observer, moon, sun
 from jaxtyping import Float
 
-from hyjax.errors import InputError
+from hyjax.util.errors import InputError
 
 Weather = Literal["clear", "cloudy", "full moon"]
 
@@ -22,7 +22,7 @@ SOLAR_LUX = 127_500.0
 """Of the sun outside the atmosphere, at its mean distance."""
 FULL_MOON_LUX = 0.32
 LOWEST_MOON = 15.0
-"""Degrees: whoever asks for a moonlit night is to see the moon, whatever the hour."""
+"""Degrees: at full moon the moon is never lower, whatever the hour."""
 NIGHT_SKY_LUX = 0.002
 
 # A clear sky on level ground while the sun is below the horizon: degrees, lux (Seidelmann, *Explanatory Supplement
@@ -37,7 +37,7 @@ CLOUDY_KELVIN, MOON_KELVIN, NIGHT_KELVIN = 6500.0, 7500.0, 12000.0
 
 @dataclasses.dataclass(frozen=True)
 class Sky:
-    """What shines from outside.
+    """Light from outside.
 
     Attributes:
         toward: unit vector to the sun or the moon; (east, north, up).

@@ -11,8 +11,8 @@ from typing import Any
 import jax
 import orbax.checkpoint as ocp
 
-from hyjax.errors import InputError
 from hyjax.training.state import TrainState
+from hyjax.util.errors import InputError
 
 KEPT = 2
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hyjax.files import whole
+from hyjax.util.files import atomic_write
 
 SMOOTHING = 50
 
@@ -38,5 +38,5 @@ def draw_curve(path: Path, lines: Sequence[dict[str, Any]]) -> None:
         )
     axes.legend()
     axes.set(xlabel="iteration", ylabel="loss", yscale="log")
-    with whole(path) as temporary:
+    with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=120)

@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from hyjax.diffusion import edge_stopping, guide_distance
-from hyjax.pyramid import max_pool, upsample
-from hyjax.schedule import Schedule
-from hyjax.stencil import Edges
-from hyjax.superresolution import coarsen, diffuse_adjusted, diffuse_adjusted_forward, super_resolve
+from hyjax.core.diffusion import edge_stopping, guide_distance
+from hyjax.core.pyramid import max_pool, upsample
+from hyjax.core.schedule import Schedule
+from hyjax.core.stencil import Edges
+from hyjax.core.superresolution import coarsen, diffuse_adjusted, diffuse_adjusted_forward, super_resolve
 from hyjax.training.settings import TrainSettings
 from hyjax.training.targets import Sample, borders, lit, mean_over, random_shading, tinted_depth
 

@@ -25,19 +25,19 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from hyjax.data.depth_pairs import DepthPairs
-from hyjax.data.open_pairs import open_pairs
-from hyjax.data.pair_loader import PairLoader
-from hyjax.environment import environment
-from hyjax.errors import InputError
-from hyjax.files import make_writable
 from hyjax.guide import save_guide
+from hyjax.pairs.depth_pairs import DepthPairs
+from hyjax.pairs.loader import PairLoader
+from hyjax.pairs.registry import open_pairs
 from hyjax.training.checkpoints import Checkpoints
 from hyjax.training.curve import draw_curve
-from hyjax.training.log import Log
+from hyjax.training.log import TrainingLog
 from hyjax.training.settings import TrainSettings
 from hyjax.training.state import Progress, TrainState, Updater
 from hyjax.training.validation import Validation, sample_of
+from hyjax.util.environment import environment
+from hyjax.util.errors import InputError
+from hyjax.util.files import make_writable
 
 _log = logging.getLogger(__name__)
 
@@ -74,7 +74,7 @@ def train(
     """
     settings = settings.check()
     make_writable(out)
-    log = Log(out, settings, resume)
+    log = TrainingLog(out, settings, resume)
     with contextlib.closing(Checkpoints(out / "checkpoints")) as checkpoints:
         return _train(settings, out, log, checkpoints, resume, command, progress)
 
@@ -82,7 +82,7 @@ def train(
 def _train(
     settings: TrainSettings,
     out: Path,
-    log: Log,
+    log: TrainingLog,
     checkpoints: Checkpoints,
     resume: bool,
     command: str,
@@ -125,18 +125,18 @@ def _train(
             disable=not (progress and leads),
         ) as bar:
             for done in range(start + 1, settings.iterations + 1):
-                state, told = updater.update(state, batch)
+                state, outcome = updater.update(state, batch)
                 position = loader.state()
                 batch = updater.spread(sample_of(next(loader)))  # while the device is busy
                 ends = done == settings.iterations
-                if not bool(told.sound):
+                if not bool(outcome.sound):
                     checkpoints.save(state, position)
                     if leads:
                         _export(updater, state, out / "last.safetensors", settings, command)
-                    raise _unsound(told, done, out)
-                log.add(iteration=done, **_numbers(told))
+                    raise _unsound(outcome, done, out)
+                log.add(iteration=done, **_numbers(outcome))
                 bar.update()
-                bar.set_postfix_str(f"loss {float(told.loss):.3f}")
+                bar.set_postfix_str(f"loss {float(outcome.loss):.3f}")
                 if ends or done % settings.validate_every == 0:
                     log.add(iteration=done, validation=validation(state))
                     validation.draw(state, out / "validation" / f"{done:06d}.png" if leads else None)
@@ -156,15 +156,21 @@ def _train(
     return log.validations()[-1]["validation"]
 
 
-def _numbers(told: Progress) -> dict[str, float]:
-    parts = {name: float(value) for name, value in told.parts._asdict().items()}
-    return {"loss": float(told.loss), **parts, "gradient": float(told.gradient), "kappa": float(told.kappa)}
+def _numbers(update: Progress) -> dict[str, float]:
+    parts = {name: float(value) for name, value in update.parts._asdict().items()}
+    return {
+        "loss": float(update.loss),
+        **parts,
+        "gradient": float(update.gradient),
+        "kappa": float(update.kappa),
+    }
 
 
-def _unsound(told: Progress, iteration: int, out: Path) -> InputError:
+def _unsound(update: Progress, iteration: int, out: Path) -> InputError:
     """What to say of an update that is not finite; the state before it has been kept."""
     return InputError(
-        f"{out}: the loss became {float(told.loss)} at iteration {iteration}, its gradient {float(told.gradient)}; "
+        f"{out}: the loss became {float(update.loss)} at iteration {iteration}, its gradient "
+        f"{float(update.gradient)}; "
         f"the weights before that are in {out / 'last.safetensors'}: go on with --start, a lower --learning-rate "
         "or --clip, and another --out"
     )

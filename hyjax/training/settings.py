@@ -1,20 +1,21 @@
-"""What a training run depends on. The command line takes its options and their help from here.
+"""Settings of a training run. The command line takes its options and their help from here.
 
 The defaults train on two CPU cores; `PAPER` is the paper's recipe."""
 
 import dataclasses
 import math
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
-from hyjax.errors import InputError
-from hyjax.schedule import DEFAULT_LAM, PRESETS
+from hyjax.core.schedule import DEFAULT_LAM, PRESETS
+from hyjax.util.errors import InputError
+from hyjax.util.settings import Settings
 
 Through = Literal["cascade", "steps"]
 
 
 @dataclasses.dataclass(frozen=True)
-class TrainSettings:
-    """What is learned, from what, and how.
+class TrainSettings(Settings):
+    """Settings of a training run.
 
     Attributes:
         encoder: `mobilenetv4_conv_small`, `mobilenetv4_conv_medium`, or one that is registered as they are.
@@ -76,8 +77,6 @@ class TrainSettings:
 
     def check(self) -> "TrainSettings":
         """Return these settings, or raise `InputError` naming the first that cannot be."""
-        if self.through not in get_args(Through):
-            raise InputError(f"through: {self.through!r} is unknown; use one of {', '.join(get_args(Through))}")
         if self.schedule not in PRESETS:
             raise InputError(f"schedule: no preset {self.schedule!r}; there are {', '.join(PRESETS)}")
         if not self.pairs:

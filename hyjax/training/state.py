@@ -13,12 +13,12 @@ from flax import nnx
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from hyjax.errors import InputError
 from hyjax.guide import GuideNetwork, load_weights, normalise
 from hyjax.guide.weights import kappa_of
 from hyjax.training.objective import Losses, batch_losses, total
 from hyjax.training.settings import TrainSettings
 from hyjax.training.targets import Sample
+from hyjax.util.errors import InputError
 
 Tree = Any
 
@@ -30,7 +30,7 @@ Tree = Any
 )
 @dataclasses.dataclass(frozen=True, eq=False)
 class TrainState:
-    """All that an update changes.
+    """State of a training run between two updates.
 
     Attributes:
         weights: `network`, its parameters as nested dictionaries, and `log_kappa`, of the learned κ.
@@ -46,7 +46,7 @@ class TrainState:
 
 
 class Progress(NamedTuple):
-    """What an update tells.
+    """Outcome of an update: its losses, gradient and κ.
 
     Attributes:
         loss: the weighted sum before the update.

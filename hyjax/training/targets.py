@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from hyjax.lights import PointLight
-from hyjax.stencil import Edges, gradient
+from hyjax.core.stencil import Edges, gradient
+from hyjax.light.kinds import PointLight
 
 TINT = (0.5, 1.5)
 LAMPS = 3
@@ -83,7 +83,7 @@ def random_shading(sample: Sample, key: Key[Array, ""]) -> Float[Array, "h w 3"]
         )
         color = jax.random.uniform(color_key, (3,), minval=0.1, maxval=1.0)
         lamp = PointLight(place, jnp.asarray(1.0), color)
-        lux = jnp.where(known, lamp.lux(position, sample.normal), 0.0)
+        lux = jnp.where(known, lamp.illuminance_at(position, sample.normal), 0.0)
         lux = lux / jnp.maximum(mean_over(lux, known), 1e-6)
         total = total + jnp.minimum(lux, BRIGHTEST)[..., None] * (color / LAMPS)
     return total

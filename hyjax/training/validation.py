@@ -1,4 +1,4 @@
-"""How good a guide is while it is trained: losses and pictures of crops that stay the same."""
+"""Validation of a guide while it is trained: losses and pictures of crops that stay the same."""
 
 import functools
 from collections.abc import Sequence
@@ -10,17 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hyjax.contact_sheet import write_contact_sheet
-from hyjax.data.depth_pairs import DepthPairs
-from hyjax.data.pair_loader import Batch, PairLoader
-from hyjax.diffusion import conductance
-from hyjax.files import make_writable
-from hyjax.schedule import DEFAULT_KAPPA
-from hyjax.stencil import least_around
-from hyjax.superresolution import coarsen
+from hyjax.core.diffusion import conductance
+from hyjax.core.schedule import DEFAULT_KAPPA
+from hyjax.core.stencil import least_around
+from hyjax.core.superresolution import coarsen
+from hyjax.pairs.depth_pairs import DepthPairs
+from hyjax.pairs.loader import Batch, PairLoader
 from hyjax.training.objective import batch_losses, resolve, total
 from hyjax.training.state import TrainState, Updater
 from hyjax.training.targets import Sample, lit, random_shading, relative_depth
+from hyjax.util.contact_sheet import write_contact_sheet
+from hyjax.util.files import make_writable
 
 BATCHES = 8
 SHOWN = 8

@@ -1,72 +1,52 @@
-"""A capture under lights, on a rough mesh and on an accurate one: where tuning cases come from."""
+"""Workbench: a scene under lights with its accurate surface, where tuning cases come from."""
 
+import dataclasses
 from collections.abc import Sequence
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-import trimesh
 from tqdm import tqdm
 
-from hyjax.color import to_linear
-from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import fit
-from hyjax.data.light_file import LightSetup, is_light_file, read_lights
-from hyjax.data.light_setups import check_setup_name, named_setup, survey_capture
-from hyjax.data.open import open_capture
-from hyjax.data.room import RoomCapture, load_room
-from hyjax.data.surfaces import check_mesh_name, rough_mesh, surface_of
-from hyjax.errors import InputError
+from hyjax.core.schedule import Schedule
+from hyjax.data.capture import Capture
+from hyjax.data.registry import open_capture
 from hyjax.guide.choose import RGB, FrameGuide
-from hyjax.refine import cascade_known
-from hyjax.scene.raycast import RayCaster
-from hyjax.schedule import Schedule
-from hyjax.shading import colored, shade_each
-from hyjax.tuning.cases import Case, mix
+from hyjax.light.setup import LightSetup
+from hyjax.scene.scene import Scene, view_of
+from hyjax.scene.surfaces import rough_mesh
+from hyjax.tuning.cases import Case, raw_filter, refined_filter
+from hyjax.tuning.settings import CONVERGED, TuneSettings
+from hyjax.util.errors import InputError
 
-CONVERGED = "converged"
-"""The target where there is no better mesh: what the paper's cascade approximates."""
 CONVERGED_SCHEDULE = "naive-1000"
 TARGET_VOXEL = 0.02
 
 
 class Workbench:
-    """A capture under lights, on a rough mesh and on an accurate one.
+    """A scene under lights, with the accurate surface that its pictures should look like.
 
     Args:
-        capture: frames with poses.
-        rough: the mesh that has to be made do with.
-        accurate: the mesh that the target is shaded from; None to aim at the converged diffusion of the rough one.
-        setup: lights.
-        size: (height, width) to work at; None as captured.
-        description: the two meshes in a few words, for the record.
+        scene: a capture on its rough mesh.
+        accurate: the same capture on the mesh that the target is shaded from; None to aim at the converged
+            diffusion on the rough one.
+        lights: a set-up.
         guide: what makes the guide of a frame.
     """
 
-    def __init__(
-        self,
-        capture: Capture,
-        rough: trimesh.Trimesh,
-        accurate: trimesh.Trimesh | None,
-        setup: LightSetup,
-        size: tuple[int, int] | None = (512, 512),
-        description: str = "",
-        guide: FrameGuide = RGB,
-    ) -> None:
-        self.description, self.guide = description, guide
-        self.capture, self.setup, self.size = capture, setup, size
-        self.rough = RayCaster(rough)
-        self.accurate = None if accurate is None else RayCaster(accurate)
+    def __init__(self, scene: Scene, accurate: Scene | None, lights: LightSetup, guide: FrameGuide = RGB) -> None:
+        self.scene, self.accurate, self.lights, self.guide = scene, accurate, lights, guide
         self._names: dict[int, str] = {}
 
-    def frame(self, index: int) -> Frame:
-        frame = fit(self.capture[index], self.size)
-        self._names[index] = frame.name
-        return frame
+    @property
+    def description(self) -> str:
+        """The two meshes in a few words, for the record."""
+        return f"{self.scene.source} against {_source(self.accurate)}"
 
     def name(self, index: int) -> str:
-        """Of frame `index`, which is only read if it was not yet."""
-        return self._names.get(index) or self.frame(index).name
+        """Name of frame `index`, which is read once at most for it."""
+        if index not in self._names:
+            self._names[index] = self.scene.capture[index].name
+        return self._names[index]
 
     def case(self, index: int) -> Case | None:
         """Frame `index` as a case; None if no ray meets the rough mesh or none meets the accurate one.
@@ -74,22 +54,19 @@ class Workbench:
         Raises:
             InputError: the frame cannot be read.
         """
-        frame = self.frame(index)
-        seen = self.rough.gbuffer(frame.camera)
+        frame = self.scene.frame(index)
+        self._names[index] = frame.name
+        view = view_of(frame, self.scene.gbuffer(frame.camera))
         truth = None if self.accurate is None else self.accurate.gbuffer(frame.camera)
-        if not bool(seen.hit.any()) or (truth is not None and not bool(truth.hit.any())):
+        if not bool(view.gbuffer.hit.any()) or (truth is not None and not bool(truth.hit.any())):
             return None
-        display = jnp.asarray(frame.image)
-        guide = self.guide.features(display)
-        lights = tuple(self.setup.lights)
-        shading, known = shade_each(seen, lights), seen.hit[..., None]
-        colors = colored(jnp.eye(len(lights))[None], lights)[0] / self.setup.reference_lux
+        shaded = view.shade(self.lights)
+        case = Case(shaded, self.guide.features(view.display), view.frame, view.frame, view.gbuffer.hit)
         if truth is None:
-            target = cascade_known(shading, known, guide, Schedule.preset(CONVERGED_SCHEDULE))
-            valid = jnp.ones_like(seen.hit)
-        else:
-            target, valid = shade_each(truth, lights), truth.hit
-        return Case(shading, known, guide, to_linear(display), colors, mix(target, colors), valid)
+            target = refined_filter(case, Schedule.preset(CONVERGED_SCHEDULE))
+            return dataclasses.replace(case, target=target, valid=jnp.ones_like(case.valid))
+        target = raw_filter(dataclasses.replace(view, gbuffer=truth).shade(self.lights))
+        return dataclasses.replace(case, target=target, valid=truth.hit)
 
     def cases(self, indices: Sequence[int], what: str, progress: bool = True) -> tuple[list[Case], list[str]]:
         """The frames that make cases, and the names of those that see no surface.
@@ -104,80 +81,51 @@ class Workbench:
                 blind.append(self.name(index))
             else:
                 cases.append(case)
-        shapes = {case.known.shape[:2] for case in cases}
+        shapes, name = {case.valid.shape for case in cases}, self.scene.capture.name
         if len(shapes) > 1:
-            raise InputError(f"{self.capture.name}: frames of different sizes, {sorted(shapes)}; give a --size")
+            raise InputError(f"{name}: frames of different sizes, {sorted(shapes)}; give a --size")
         if not cases and indices:
             raise InputError(
-                f"{self.capture.name}: no ray of any of {len(indices)} {what} frames met the mesh; are the mesh "
-                "and the poses in the same coordinates (metres, camera-to-world)?"
+                f"{name}: no ray of any of {len(indices)} {what} frames met the mesh; are the mesh and the poses "
+                "in the same coordinates (metres, camera-to-world)?"
             )
         return cases, blind
 
 
-def check_names(mesh: str | None, target: str | None, lights: str) -> None:
-    """Raise `InputError` unless these can be opened: whatever can be known before the capture is read."""
-    if not is_light_file(lights):
-        check_setup_name(lights)
-    check_mesh_name(mesh)
-    if target != CONVERGED:
-        check_mesh_name(target)
-
-
 def open_bench(
-    capture: Capture | Path | str | None = None,
-    mesh: str | None = None,
-    target: str | None = None,
-    lights: str = "two-colors",
+    settings: TuneSettings,
     *,
-    size: tuple[int, int] | None = (512, 512),
+    capture: Capture | None = None,
     guide: FrameGuide = RGB,
-    voxel: float = 0.03,
-    seed: int = 0,
-    repair: bool = False,
-    progress: bool = True,
 ) -> Workbench:
-    """Open everything that a schedule is judged on.
+    """Workbench of a capture on disk, or of the built-in room.
 
     Args:
-        capture: frames with poses, or the folder that holds them; None for the built-in room.
-        mesh: what is relit with: a file, `"captured"`, `"scan"`, `"fused"` or `"true"`, see `surface_of`. By
-            default the mesh that came with the capture, or else a simulated scan.
-        target: what the filter should have been shaded from: likewise, or `"converged"`, the diffusion of `mesh`
-            run for 1000 steps. By default the built-in room's true mesh, a capture's fusion at 2 cm where it has
-            depth, else `"converged"`.
-        lights: a named set-up or a lights file.
-        size: (height, width) to work at; None as captured.
+        settings: capture, meshes, lights and size.
+        capture: frames that were opened before, in the place of those that the settings name.
         guide: what makes the guide of a frame.
-        voxel: of a fused `mesh`, in metres.
-        seed: of the simulated scan.
-        repair: drop unusable triangles of a mesh file instead of refusing it.
-        progress: show bars on stderr.
 
     Raises:
         InputError: any of these cannot be used.
     """
-    check_names(mesh, target, lights)
+    scene_settings, progress = settings.scene, not settings.quiet
     if capture is None:
-        capture = load_room(progress=progress)
-    elif not isinstance(capture, Capture):
-        capture = open_capture(Path(capture))
+        capture = open_capture(scene_settings.capture, progress)
+    target = settings.target
     if target is None:
-        with_depth = "true" if isinstance(capture, RoomCapture) else "fused"
+        with_depth = "fused" if capture.reference() is None else "true"
         target = CONVERGED if capture[0].depth is None else with_depth
-    source, rough = surface_of(
-        capture, mesh or rough_mesh(capture), voxel=voxel, seed=seed, repair=repair, progress=progress
-    )
-    if target == CONVERGED:
-        description, accurate = "1000 steps on the same mesh", None
-    else:
-        description, accurate = surface_of(
-            capture, target, voxel=TARGET_VOXEL, seed=seed, repair=repair, progress=progress
-        )
-    if accurate is not None and np.array_equal(rough.vertices, accurate.vertices):
-        raise InputError(f"target: {description} is the rough mesh itself, which needs no repair; choose another")
-    if is_light_file(lights):
-        setup = read_lights(Path(lights), capture.up)
-    else:
-        setup = named_setup(lights, survey_capture(RayCaster(rough if accurate is None else accurate), capture))
-    return Workbench(capture, rough, accurate, setup, size, f"{source} against {description}", guide)
+    rough = dataclasses.replace(scene_settings, mesh=scene_settings.mesh or rough_mesh(capture))
+    scene, accurate = Scene.open(rough, capture=capture, progress=progress), None
+    if target != CONVERGED:
+        better = dataclasses.replace(scene_settings, mesh=target, voxel=TARGET_VOXEL)
+        accurate = Scene.open(better, capture=capture, progress=progress)
+        if np.array_equal(scene.mesh.vertices, accurate.mesh.vertices):
+            raise InputError(
+                f"target: {accurate.source} is the rough mesh itself, which needs no repair; choose another"
+            )
+    return Workbench(scene, accurate, (accurate or scene).lights(settings.lights), guide)
+
+
+def _source(accurate: Scene | None) -> str:
+    return "1000 steps on the same mesh" if accurate is None else accurate.source

@@ -1,6 +1,6 @@
 """Whole and real step counts inside a budget: projection, neighbours, filling up.
 
-Symbols of this file: n are the steps over the ladder, coarse to fine; a *cost* is the latency table's model of a
+Symbols of this file: n are the steps at each factor, coarse to fine; a *cost* is the latency table's model of a
 schedule, in milliseconds.
 """
 
@@ -19,7 +19,7 @@ Steps = tuple[int, ...]
 
 
 def project(steps: Float[np.ndarray, "l"], cost: CostModel, budget: float) -> Float[np.ndarray, "l"]:
-    """Step counts brought within the budget: every level gives up the same part of the time its steps take.
+    """Step counts projected within the budget: every level gives up the same part of the time its steps take.
 
     That is the nearest point in relative entropy of the times spent, the projection of mirror descent. The
     Euclidean one would take as much from a cheap coarse level as from a dear fine one, and so wipe it out. A level
@@ -50,7 +50,7 @@ def fits(steps: Sequence[int], cost: CostModel, budget: float) -> bool:
 
 
 def single_steps(size: int) -> list[Steps]:
-    """One step at each level of the ladder alone: the cheapest schedules."""
+    """One step at each level alone: the cheapest schedules."""
     return [tuple(int(i == k) for i in range(size)) for k in range(size)]
 
 

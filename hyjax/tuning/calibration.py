@@ -1,4 +1,4 @@
-"""Which schedules are timed to know what all others cost, and their timing: some thirty of them, in turns."""
+"""Calibration: some thirty schedules, timed in turns, from which the costs of all others follow."""
 
 import concurrent.futures
 import dataclasses
@@ -10,17 +10,17 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from hyjax.cascade import level_edges
-from hyjax.environment import cores
-from hyjax.errors import InputError
-from hyjax.pyramid import downsample
-from hyjax.refine import cascade_known
-from hyjax.schedule import PRESETS, Schedule, guided_schedule
-from hyjax.tuning import latency
+from hyjax.core.cascade import level_edges
+from hyjax.core.pyramid import downsample
+from hyjax.core.refine import cascade_known
+from hyjax.core.schedule import PRESETS, Schedule, guided_schedule
+from hyjax.core.upsampling import guided_upsample
 from hyjax.tuning.cost_model import CostModel, fit, leave_one_out
-from hyjax.tuning.result import Milliseconds
+from hyjax.tuning.result import CalibrationTime, Milliseconds
 from hyjax.tuning.workload import Arguments
-from hyjax.upsampling import guided_upsample
+from hyjax.util import clock as latency
+from hyjax.util.environment import cores
+from hyjax.util.errors import InputError
 
 REPEATS = 60
 # Large pictures get fewer rounds instead of minutes.
@@ -41,34 +41,34 @@ class Calibration:
     p95: CostModel
     error: dict[str, float]
     probe: Milliseconds
-    schedules: list[dict[str, Any]]
+    schedules: list[CalibrationTime]
     stages: dict[str, Milliseconds]
 
 
 # ---- the choice ----
 
 
-def schedule_of(ladder: Sequence[int], steps: Sequence[int]) -> Schedule:
-    """The schedule with these steps over the ladder, of the form that is searched."""
-    return guided_schedule([(factor, count) for factor, count in zip(ladder, steps) if count])
+def schedule_of(factors: Sequence[int], steps: Sequence[int]) -> Schedule:
+    """The schedule with these steps over the factors, of the form that is searched."""
+    return guided_schedule([(factor, count) for factor, count in zip(factors, steps) if count])
 
 
-def probe_steps(ladder: Sequence[int]) -> tuple[int, ...]:
-    """The paper's 50 steps as far as the ladder has their levels; two a level if it has none of them."""
+def probe_steps(factors: Sequence[int]) -> tuple[int, ...]:
+    """The paper's 50 steps at those of their levels that are among the factors; two a level if none is."""
     paper = dict(PRESETS["paper-50"].steps)
-    steps = tuple(paper.get(factor, 0) for factor in ladder)
-    return steps if any(steps) else (FEW_STEPS,) * len(ladder)
+    steps = tuple(paper.get(factor, 0) for factor in factors)
+    return steps if any(steps) else (FEW_STEPS,) * len(factors)
 
 
-def calibration_steps(ladder: Sequence[int]) -> list[tuple[int, ...]]:
-    """The schedules that `calibrate` times, as steps over the ladder.
+def calibration_steps(factors: Sequence[int]) -> list[tuple[int, ...]]:
+    """The schedules that `calibrate` times, as steps over the factors.
 
-    Each level alone with few and with many steps, every entry and every finest level of longer ladders, two
+    Each level alone with few and with many steps, every entry and every finest level of longer long, two
     schedules of the paper, every other level, and some mixtures, so that all coefficients can be told apart and an
     outlier cannot carry one of them alone.
     """
-    count = len(ladder)
-    many = [MANY_STEPS.get(factor, MANY_COARSE_STEPS) for factor in ladder]
+    count = len(factors)
+    many = [MANY_STEPS.get(factor, MANY_COARSE_STEPS) for factor in factors]
     rng = np.random.default_rng(0)
 
     def mixed(present: Iterable[int]) -> tuple[int, ...]:
@@ -77,9 +77,9 @@ def calibration_steps(ladder: Sequence[int]) -> list[tuple[int, ...]]:
             int(rng.integers(FEW_STEPS, max(most // 2, 3))) if i in chosen else 0 for i, most in enumerate(many)
         )
 
-    rows = [probe_steps(ladder)]
+    rows = [probe_steps(factors)]
     paper = dict(PRESETS["paper-80"].steps)
-    rows += [tuple(paper.get(factor, 0) for factor in ladder)]
+    rows += [tuple(paper.get(factor, 0) for factor in factors)]
     for i in range(count):
         rows += [tuple(steps if j == i else 0 for j in range(count)) for steps in (FEW_STEPS, many[i])]
     rows += [mixed(range(i, count)) for i in range(count - 1)]  # every entry
@@ -97,12 +97,12 @@ def compile_all(schedules: Sequence[Schedule], arguments: Arguments, *, progress
 
     Two at a time; all are ready before anything is timed.
     """
-    y, known, guide = arguments
+    y, confidence, guide = arguments
 
     def compiled(schedule: Schedule) -> Callable[[], Any]:
         schedule = jax.device_put(schedule)
         return functools.partial(
-            cascade_known.lower(y, known, guide, schedule).compile(), y, known, guide, schedule
+            cascade_known.lower(y, confidence, guide, schedule).compile(), y, confidence, guide, schedule
         )
 
     with concurrent.futures.ThreadPoolExecutor(min(2, cores())) as pool:
@@ -142,21 +142,21 @@ def time_calls(
 
 
 def calibrate(
-    arguments: Arguments, ladder: Sequence[int], *, repeats: int = REPEATS, progress: bool = True
+    arguments: Arguments, factors: Sequence[int], *, repeats: int = REPEATS, progress: bool = True
 ) -> Calibration:
     """Time some thirty schedules and fit the model to them.
 
     Args:
-        arguments: filter, known and guide to time on.
-        ladder: factors, coarse to fine.
+        arguments: filter, confidence and guide to time on.
+        factors: factors, coarse to fine.
         repeats: times each schedule runs, fewer if that would take more than half a minute.
         progress: show bars on stderr.
 
     Raises:
         InputError: no repeats.
     """
-    steps = calibration_steps(ladder)
-    calls = compile_all([schedule_of(ladder, row) for row in steps], arguments, progress=progress)
+    steps = calibration_steps(factors)
+    calls = compile_all([schedule_of(factors, row) for row in steps], arguments, progress=progress)
     named = {str(index): call for index, call in enumerate(calls)}
     times = list(time_calls(named, repeats, progress=progress).values())
     medians, p95s = [t.median for t in times], [t.p95 for t in times]
@@ -166,9 +166,9 @@ def calibrate(
         median=median,
         p95=fit(steps, p95s, above=median),
         error={"median_relative": float(np.median(errors)), "worst_relative": float(errors.max())},
-        probe=time_probe(calls[steps.index(probe_steps(ladder))]),
+        probe=time_probe(calls[steps.index(probe_steps(factors))]),
         schedules=[{"steps": list(row), "median_ms": t.median, "p95_ms": t.p95} for row, t in zip(steps, times)],
-        stages=time_calls(own_stages(ladder, arguments), repeats),
+        stages=time_calls(own_stages(factors, arguments), repeats),
     )
 
 
@@ -177,10 +177,10 @@ def time_probe(probe: Callable[[], Any], repeats: int = PROBE_REPEATS) -> Millis
     return time_calls({"probe": probe}, repeats, most_seconds=None)["probe"]
 
 
-def own_stages(ladder: Sequence[int], arguments: Arguments) -> dict[str, Callable[[], Any]]:
+def own_stages(factors: Sequence[int], arguments: Arguments) -> dict[str, Callable[[], Any]]:
     """Parts of the probe's cascade alone: the conductances of its levels; down to its entry level and up again."""
     y, _, guide = arguments
-    schedule = jax.device_put(schedule_of(ladder, probe_steps(ladder)))
+    schedule = jax.device_put(schedule_of(factors, probe_steps(factors)))
     entry, kappa = schedule.levels[0].factor, schedule.levels[0].kappa
     edges = jax.jit(level_edges)
     resample = jax.jit(lambda y, guide, kappa: guided_upsample(downsample(y, entry), entry, guide, kappa))

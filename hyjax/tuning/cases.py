@@ -1,17 +1,20 @@
-"""What a schedule is judged on: frames of a capture, lit on a rough mesh, with the filter they should have had."""
+"""Cases: frames of a capture, lit on a rough mesh, with the filter that they should have had."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from hyjax.color import to_display
-from hyjax.losses import filter_loss
-from hyjax.refine import cascade_known
-from hyjax.schedule import Schedule
+from hyjax.core.schedule import Schedule
+from hyjax.light.color import to_display
+from hyjax.light.shaded import Shaded
+from hyjax.light.shading import mix_channels
+from hyjax.metrics import Metric, plain_metrics
+from hyjax.metrics.losses import filter_loss
+from hyjax.pipeline import refine_illuminance
 from hyjax.tuning.result import Scores
 
 
@@ -21,49 +24,51 @@ class Case:
     """One frame, ready to be refined and judged.
 
     Attributes:
-        shading: what the cascade repairs: lux of each light on the rough mesh, without shadows.
-        known: where the rough mesh has a surface.
+        shaded: light on the rough mesh, without shadows: what the cascade repairs.
         guide: features of the frame.
         frame: camera picture, linear.
-        colors: from lights to the filter: each light's colour, divided by the reference illuminance.
         target: the filter as it should be, linear.
         valid: where `target` means anything.
     """
 
-    shading: Float[Array, "h w l"]
-    known: Bool[Array, "h w 1"]
+    shaded: Shaded
     guide: Float[Array, "h w f"]
     frame: Float[Array, "h w 3"]
-    colors: Float[Array, "l 3"]
     target: Float[Array, "h w 3"]
     valid: Bool[Array, "h w"]
 
+    @property
+    def cascade_arguments(self) -> tuple[Float[Array, "h w l"], Float[Array, "h w 1"], Float[Array, "h w f"]]:
+        """Filter, confidence and guide for `cascade_known`."""
+        return self.shaded.illuminance, self.shaded.confidence, self.guide
 
-def mix(channels: Float[Array, "h w l"], colors: Float[Array, "l 3"]) -> Float[Array, "h w 3"]:
-    """A channel for each light → the filter."""
-    return sum(channels[..., k, None] * colors[k] for k in range(colors.shape[0]))  # type: ignore[return-value]
+
+def filter_colors(shaded: Shaded) -> Float[Array, "l 3"]:
+    """Relight filter of one lux of each light."""
+    return shaded.colors / shaded.reference_lux
+
+
+def raw_filter(shaded: Shaded) -> Float[Array, "h w 3"]:
+    """Relight filter before the refinement, without shadows."""
+    return mix_channels(shaded.illuminance, filter_colors(shaded))
 
 
 @jax.jit
 def refined_filter(case: Case, schedule: Schedule) -> Float[Array, "h w 3"]:
-    """The filter that a schedule makes of the case: exactly what `relight` runs."""
-    return mix(cascade_known(case.shading, case.known, case.guide, schedule), case.colors)
+    """Relight filter of a case after a schedule, by the function that `relight` runs."""
+    return mix_channels(refine_illuminance(case.shaded, case.guide, schedule), filter_colors(case.shaded))
 
 
-@jax.jit
-def _judge(case: Case, relight_filter: Float[Array, "h w 3"]) -> tuple[Array, Array, Array]:
-    loss = filter_loss(relight_filter, case.target, case.frame, case.valid)
-    return loss, to_display(relight_filter * case.frame), to_display(case.target * case.frame)
+@functools.partial(jax.jit, static_argnames="metrics")
+def _scores(case: Case, relight_filter: Float[Array, "h w 3"], metrics: tuple[Metric, ...]) -> list[Array]:
+    relit, target = to_display(relight_filter * case.frame), to_display(case.target * case.frame)
+    values = [metric.function(relit, target, valid=case.valid) for metric in metrics]
+    return [filter_loss(relight_filter, case.target, case.frame, case.valid), *values]
 
 
 def scores(cases: Sequence[Case], filters: Sequence[Float[Array, "h w 3"]]) -> Scores:
-    """Loss, PSNR and SSIM of the relit frames, where the target is known; the mean over all cases."""
-    rows = []
-    for case, relight_filter in zip(cases, filters, strict=True):
-        loss, relit, target = (np.asarray(x) for x in _judge(case, relight_filter))
-        valid = np.asarray(case.valid)
-        with np.errstate(divide="ignore"):  # equal pictures: infinite PSNR
-            psnr = peak_signal_noise_ratio(target[valid], relit[valid], data_range=1.0)
-        _, ssim = structural_similarity(target, relit, channel_axis=-1, data_range=1.0, full=True)
-        rows.append((float(loss), float(psnr), float(ssim[valid].mean())))
-    return Scores(*(float(x) for x in np.mean(rows, axis=0)))
+    """Loss and metrics of the relit frames, where the target is known; the mean over all cases."""
+    metrics = plain_metrics()
+    rows = [_scores(case, f, tuple(metrics.values())) for case, f in zip(cases, filters, strict=True)]
+    loss, *values = np.mean(np.asarray(rows, float), axis=0).tolist()
+    return Scores(loss, dict(zip(metrics, values)))

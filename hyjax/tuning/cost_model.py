@@ -1,4 +1,4 @@
-"""What a schedule costs, as a sum of the costs of its levels and steps, fitted to times of whole schedules.
+"""Cost model: a schedule's cost as a sum of the costs of its levels and steps, fitted to times of whole schedules.
 
 The compiled cascade is one program, so its parts cannot be timed one by one. The model is additive,
 
@@ -7,19 +7,19 @@ The compiled cascade is one program, so its parts cannot be timed one by one. Th
 summed over the levels l that have steps, with f the finest of these: its result is upsampled to full size. What any
 schedule pays goes to `fixed`. The coefficients are not negative, and errors count relative to the time.
 
-Symbols of this file: *steps* are n_l over a ladder of factors, coarse to fine, 0 where a level is left out.
+Symbols of this file: *steps* are n_l at each of the factors, coarse to fine, 0 where a level is left out.
 """
 
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from hyjax.errors import InputError
+from hyjax.tuning.result import Time
+from hyjax.util.errors import InputError
 
 # No measured time is taken to be shorter, in milliseconds: what the clock's record is rounded to.
 SHORTEST = 1e-3
@@ -27,7 +27,7 @@ SHORTEST = 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class CostModel:
-    """Additive cost of a schedule, in milliseconds; one entry for each level of the ladder, coarse to fine.
+    """Additive cost of a schedule, in milliseconds; one entry for each factor, coarse to fine.
 
     Attributes:
         fixed: what any schedule costs.
@@ -36,26 +36,26 @@ class CostModel:
         finest: for ending there: upsampling to full size, beyond the part that is in `fixed`.
     """
 
-    fixed: float
-    level: tuple[float, ...]
-    step: tuple[float, ...]
-    finest: tuple[float, ...]
+    fixed: Time
+    level: tuple[Time, ...]
+    step: tuple[Time, ...]
+    finest: tuple[Time, ...]
 
     def __call__(self, steps: Sequence[int | float]) -> float:
-        """Milliseconds for a schedule with these steps over the ladder; a level with 0 steps is left out.
+        """Milliseconds for a schedule with these steps over the factors; a level with 0 steps is left out.
 
         Raises:
-            InputError: not one entry for each level of the ladder, a negative one, or none above 0.
+            InputError: not one entry for each factor, a negative one, or none above 0.
         """
         row = row_of(checked_steps(steps, len(self.level)))
         return float(row @ np.concatenate([[self.fixed], self.level, self.step, self.finest]))
 
 
 def checked_steps(steps: Sequence[int | float], count: int) -> Sequence[int | float]:
-    """The steps, if they are those of a schedule over a ladder of `count` levels.
+    """The steps, if they are those of a schedule over `count` factors.
 
     Raises:
-        InputError: not one entry for each level of the ladder, a negative one, or none above 0.
+        InputError: not one entry for each factor, a negative one, or none above 0.
     """
     if len(steps) != count:
         raise InputError(f"steps: need one number for each of {count} levels, got {len(steps)}")
@@ -82,7 +82,7 @@ def fit(steps: Sequence[Sequence[int]], times: Sequence[float], *, above: CostMo
     Huber's weights on the relative residuals, least squares under coefficients ≥ 0 (Lawson and Hanson).
 
     Args:
-        steps: over the ladder, one entry for each schedule.
+        steps: over the factors, one entry for each schedule.
         times: milliseconds, > 0.
         above: a model whose coefficients bound the new ones from below.
     """
@@ -121,29 +121,3 @@ def leave_one_out(steps: Sequence[Sequence[int]], times: Sequence[float]) -> Flo
         model = fit([*steps[:i], *steps[i + 1 :]], [*times[:i], *times[i + 1 :]])
         errors.append(abs(model(row) / times[i] - 1.0))
     return np.array(errors)
-
-
-# ---- from JSON ----
-
-
-def read_model(entry: dict[str, Any], count: int) -> CostModel:
-    """The model of a ladder of `count` levels from JSON's types, as `dataclasses.asdict` gives them.
-
-    Raises:
-        LookupError, TypeError, ValueError: something missing or not what it should be.
-    """
-    parts = [tuple(map(number, entry[name])) for name in ("level", "step", "finest")]
-    if any(len(part) != count for part in parts):
-        raise ValueError("a cost for each level of the ladder is needed")
-    return CostModel(number(entry["fixed"]), *parts)
-
-
-def number(value: Any) -> float:
-    """A value that is a time or an error: a number, finite and not negative.
-
-    Raises:
-        ValueError: it is something else.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
-        raise ValueError(f"{value!r} is no time or error")
-    return float(value)

@@ -1,6 +1,6 @@
 """The continuous part of the search: starting points, relaxed projected descent, polishing of κ, λ and α.
 
-Symbols of this file: n are the steps over the ladder, as in `hyjax.tuning.relaxation`; a *cost* is the latency
+Symbols of this file: n are the steps at each factor, as in `hyjax.tuning.relaxation`; a *cost* is the latency
 table's model of the 95th percentile, in milliseconds; u_l = n_l · step_l / budget is the share of the budget that
 the steps of level l take. Shares are what the relaxation steps in: in them one learning rate suits all levels.
 """
@@ -17,15 +17,15 @@ from jaxopt.projection import projection_box
 from jaxtyping import Array, Float
 from scipy.optimize import minimize
 
-from hyjax.schedule import GUIDED_KAPPA
+from hyjax.core.schedule import GUIDED_KAPPA
 from hyjax.tuning.budget import Steps, fits, project, single_steps
 from hyjax.tuning.cost_model import CostModel
 from hyjax.tuning.relaxation import (
-    ATTACHMENT_RANGE,
+    FIDELITY_RANGE,
     KAPPA_RANGE,
     LAM_RANGE,
-    Plan,
     Prepared,
+    RelaxedSchedule,
     evaluate,
     evaluate_with_gradient,
     logit,
@@ -37,42 +37,44 @@ class Objective:
     """Mean loss over the tuning frames; what every search method here and in the experiments minimises."""
 
     prepared: Sequence[Prepared]
-    ladder: tuple[int, ...]
+    factors: tuple[int, ...]
 
-    def __call__(self, plan: Plan) -> float:
-        return float(np.mean([evaluate(plan, frame, self.ladder) for frame in self.prepared]))
+    def __call__(self, point: RelaxedSchedule) -> float:
+        return float(np.mean([evaluate(point, frame, self.factors) for frame in self.prepared]))
 
-    def gradient(self, plan: Plan, frames: Iterable[int] | None = None) -> tuple[float, Plan]:
+    def gradient(
+        self, point: RelaxedSchedule, frames: Iterable[int] | None = None
+    ) -> tuple[float, RelaxedSchedule]:
         """Mean loss over some of the frames (all by default) and its gradient."""
         chosen = range(len(self.prepared)) if frames is None else list(frames)
-        parts = [evaluate_with_gradient(plan, self.prepared[i], self.ladder) for i in chosen]
+        parts = [evaluate_with_gradient(point, self.prepared[i], self.factors) for i in chosen]
         return jax.tree.map(lambda *x: np.mean(x, axis=0), *parts)
 
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """A plan of whole steps with its loss on the tuning frames."""
+    """A point of whole steps with its loss on the tuning frames."""
 
-    plan: Plan
+    point: RelaxedSchedule
     loss: float
 
     @property
     def steps(self) -> Steps:
-        return whole(self.plan)
+        return whole(self.point)
 
 
-def whole(plan: Plan) -> Steps:
-    """The plan's steps, rounded."""
-    return tuple(int(n) for n in np.round(np.asarray(plan.steps)))
+def whole(point: RelaxedSchedule) -> Steps:
+    """The point's steps, rounded."""
+    return tuple(int(n) for n in np.round(np.asarray(point.steps)))
 
 
-def with_steps(plan: Plan, steps: Sequence[float] | np.ndarray) -> Plan:
-    """The plan with other steps. A level that was not there takes κ, λ and α of the nearest that was."""
-    there = np.flatnonzero(np.asarray(plan.steps) > 0)
+def with_steps(point: RelaxedSchedule, steps: Sequence[float] | np.ndarray) -> RelaxedSchedule:
+    """The point with other steps. A level that was not there takes κ, λ and α of the nearest that was."""
+    there = np.flatnonzero(np.asarray(point.steps) > 0)
     if there.size == 0:
         there = np.arange(len(steps))
     nearest = np.array([there[np.argmin(np.abs(there - i))] for i in range(len(steps))])
-    return Plan(jnp.asarray(steps, jnp.float32), *(part[nearest] for part in _continuous(plan)))
+    return RelaxedSchedule(jnp.asarray(steps, jnp.float32), *(part[nearest] for part in _continuous(point)))
 
 
 # ---- relax ----
@@ -83,14 +85,14 @@ SPENT = (1.0, 0.5, 0.25, 0.1)
 START_KAPPA = (0.005, 0.2)
 
 
-def starts(count: int, cost: CostModel, budget: float, seed: int) -> list[Plan]:
+def starts(count: int, cost: CostModel, budget: float, seed: int) -> list[RelaxedSchedule]:
     """Whole schedules within the budget to start from: time shared between runs of levels, or at random."""
     size = len(cost.step)
     rng = np.random.default_rng(seed)
     runs = [range(first, last) for first in range(size) for last in range(first + 1, size + 1)]
     runs = [runs[i] for i in rng.permutation(len(runs))]
     per_step = np.maximum(cost.step, 1e-6 * budget)
-    plans = [Plan.of(steps) for steps in single_steps(size) if fits(steps, cost, budget)]
+    points = [RelaxedSchedule.of(steps) for steps in single_steps(size) if fits(steps, cost, budget)]
     for i in range(count):
         if i % 2 == 0:
             shares = np.isin(np.arange(size), runs[i % len(runs)]).astype(float)
@@ -100,8 +102,8 @@ def starts(count: int, cost: CostModel, budget: float, seed: int) -> list[Plan]:
         time = shares / max(shares.sum(), 1e-9) * SPENT[i % len(SPENT)] * budget
         steps = tuple(int(n) for n in project(time / per_step, cost, budget))
         if fits(steps, cost, budget):
-            plans.append(Plan.of(steps, kappa))
-    return plans
+            points.append(RelaxedSchedule.of(steps, kappa))
+    return points
 
 
 RATE = 0.08
@@ -110,73 +112,79 @@ _adam = optax.scale_by_adam(b2=0.99)
 
 @jax.jit
 def _advance(
-    plan: Plan, slope: Plan, state: optax.OptState, unit: Float[Array, "l"], rate: Float[Array, ""]
-) -> tuple[Plan, optax.OptState]:
+    point: RelaxedSchedule,
+    slope: RelaxedSchedule,
+    state: optax.OptState,
+    unit: Float[Array, "l"],
+    rate: Float[Array, ""],
+) -> tuple[RelaxedSchedule, optax.OptState]:
     """One step of Adam in shares of the budget, log κ, logit λ and log α."""
     updates, state = _adam.update(dataclasses.replace(slope, steps=slope.steps * unit), state)
     updates = dataclasses.replace(updates, steps=updates.steps * unit)
-    return bounded(jax.tree.map(lambda x, u: x - rate * u, plan, updates)), state
+    return bounded(jax.tree.map(lambda x, u: x - rate * u, point, updates)), state
 
 
 def relax(
     objective: Objective,
-    start: Plan,
+    start: RelaxedSchedule,
     cost: CostModel,
     budget: float,
     iterations: int,
     seed: int,
     expired: Callable[[], bool] = lambda: False,
-) -> Plan:
+) -> RelaxedSchedule:
     """Projected stochastic descent (Adam) on real-valued steps, log κ, logit λ and log α, one frame each."""
     unit = jnp.asarray(budget / np.maximum(cost.step, 1e-6 * budget), jnp.float32)  # steps in the whole budget
-    plan, state = start, _adam.init(start)
+    point, state = start, _adam.init(start)
     rng = np.random.default_rng(seed)
     order = itertools.chain.from_iterable(rng.permutation(len(objective.prepared)) for _ in itertools.count())
     for i, frame in enumerate(itertools.islice(order, iterations)):
         if expired():
             break
         rate = 0.5 * RATE * (1.0 + np.cos(np.pi * i / iterations))
-        plan, state = _advance(plan, objective.gradient(plan, [int(frame)])[1], state, unit, jnp.float32(rate))
-        plan = dataclasses.replace(plan, steps=jnp.asarray(project(np.asarray(plan.steps), cost, budget)))
-    return plan
+        point, state = _advance(point, objective.gradient(point, [int(frame)])[1], state, unit, jnp.float32(rate))
+        point = dataclasses.replace(point, steps=jnp.asarray(project(np.asarray(point.steps), cost, budget)))
+    return point
 
 
-def bounded(plan: Plan) -> Plan:
-    """κ, λ and α brought back into their ranges."""
-    values = (plan.log_kappa, plan.logit_lam, plan.log_attachment)
-    return Plan(plan.steps, *(projection_box(value, box) for value, box in zip(values, bounds())))
+def bounded(point: RelaxedSchedule) -> RelaxedSchedule:
+    """κ, λ and α projected back into their ranges."""
+    values = (point.log_kappa, point.logit_lam, point.log_fidelity)
+    return RelaxedSchedule(point.steps, *(projection_box(value, box) for value, box in zip(values, bounds())))
 
 
 def bounds() -> list[tuple[float, float]]:
     """Ranges of log κ, logit 4 λ and log α."""
     lam = tuple(logit(4.0 * x) for x in LAM_RANGE)
-    kappa, attachment = (tuple(float(x) for x in np.log(values)) for values in (KAPPA_RANGE, ATTACHMENT_RANGE))
-    return [kappa, lam, attachment]  # type: ignore[list-item]
+    kappa, fidelity = (tuple(float(x) for x in np.log(values)) for values in (KAPPA_RANGE, FIDELITY_RANGE))
+    return [kappa, lam, fidelity]  # type: ignore[list-item]
 
 
 # ---- round ----
 
 
-def promising(candidates: Sequence[Steps], plan: Plan, slope: Plan, count: int) -> list[Steps]:
-    """The candidates with the lowest loss to first order around the relaxed plan."""
-    real, gradient = np.asarray(plan.steps, float), np.asarray(slope.steps, float)
+def promising(
+    candidates: Sequence[Steps], point: RelaxedSchedule, slope: RelaxedSchedule, count: int
+) -> list[Steps]:
+    """The candidates with the lowest loss to first order around the relaxed point."""
+    real, gradient = np.asarray(point.steps, float), np.asarray(slope.steps, float)
     return sorted(candidates, key=lambda steps: (float((np.array(steps) - real) @ gradient), steps))[:count]
 
 
 # ---- polish ----
 
 
-def polish(objective: Objective, plan: Plan, iterations: int) -> Found:
+def polish(objective: Objective, point: RelaxedSchedule, iterations: int) -> Found:
     """κ, λ and α of the levels that are there, by bounded quasi-Newton steps on all frames, the step counts fixed.
 
     Source: Byrd, Lu, Nocedal and Zhu, *A limited memory algorithm for bound constrained optimization*, 1995.
     """
-    there = np.flatnonzero(np.asarray(plan.steps) > 0)
-    best = Found(plan, objective(plan))
+    there = np.flatnonzero(np.asarray(point.steps) > 0)
+    best = Found(point, objective(point))
 
-    def placed(x: np.ndarray) -> Plan:
-        values = zip(_continuous(plan), np.split(x.astype(np.float32), 3))
-        return Plan(plan.steps, *(old.at[there].set(new) for old, new in values))
+    def placed(x: np.ndarray) -> RelaxedSchedule:
+        values = zip(_continuous(point), np.split(x.astype(np.float32), 3))
+        return RelaxedSchedule(point.steps, *(old.at[there].set(new) for old, new in values))
 
     def loss(x: np.ndarray) -> tuple[float, np.ndarray]:
         nonlocal best
@@ -188,15 +196,15 @@ def polish(objective: Objective, plan: Plan, iterations: int) -> Found:
         return SCALE * float(value), SCALE * gradient.astype(float)
 
     box = [bound for bound in bounds() for _ in there]
-    first = np.concatenate([np.asarray(part)[there] for part in _continuous(plan)]).astype(float)
+    first = np.concatenate([np.asarray(part)[there] for part in _continuous(point)]).astype(float)
     # float32 losses are smooth to about seven digits: SciPy's own stopping rule would chase the noise.
     options = {"maxiter": iterations, "maxfun": iterations + 4, "ftol": 1e-5}
     minimize(loss, np.clip(first, *np.array(box).T), jac=True, method="L-BFGS-B", bounds=box, options=options)
     return best
 
 
-def _continuous(plan: Plan) -> tuple[Array, ...]:
-    return plan.log_kappa, plan.logit_lam, plan.log_attachment
+def _continuous(point: RelaxedSchedule) -> tuple[Array, ...]:
+    return point.log_kappa, point.logit_lam, point.log_fidelity
 
 
 SCALE = 100.0

@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.color import to_display
-from hyjax.contact_sheet import contact_sheet
 from hyjax.data.frames import spread
-from hyjax.images import write_png
+from hyjax.light.color import to_display
 from hyjax.tuning.bench import Workbench
-from hyjax.tuning.cases import Case, mix, refined_filter
+from hyjax.tuning.cases import Case, raw_filter, refined_filter
 from hyjax.tuning.report import Example, contact_sheet_rows, write_report
 from hyjax.tuning.result import Candidate, Tuned
+from hyjax.util.contact_sheet import contact_sheet
+from hyjax.util.images import write_png
 
 MOST_EXAMPLES = 4
 
@@ -42,7 +42,7 @@ def examples(tuned: Tuned, bench: Workbench, indices: Sequence[int]) -> list[Exa
 
 def _pictures(case: Case, paper: Candidate, ours: Candidate) -> dict[str, Float[np.ndarray, "h w 3"]]:
     filters = {
-        "raw": mix(case.shading, case.colors),
+        "raw": raw_filter(case.shaded),
         paper.name: refined_filter(case, paper.schedule),
         "tuned": refined_filter(case, ours.schedule),
         "target": jnp.where(case.valid[..., None], case.target, 0.0),

@@ -21,20 +21,20 @@ import optax
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from hyjax.color import to_display
-from hyjax.errors import InputError
-from hyjax.files import write_text
+from hyjax.core.schedule import DEFAULT_LAM, GUIDED_FIDELITY, GUIDED_KAPPA, Schedule
 from hyjax.guide.choose import FrameGuide
 from hyjax.guide.convolution import convolve
 from hyjax.guide.inference import Guide
-from hyjax.schedule import DEFAULT_LAM, GUIDED_ATTACHMENT, GUIDED_KAPPA, Schedule
+from hyjax.light.color import to_display
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.cases import Case, refined_filter, scores
-from hyjax.tuning.clocked import Clocked
 from hyjax.tuning.descent import bounded
-from hyjax.tuning.relaxation import ATTACHMENT_RANGE, LAM_RANGE, Plan, logit, prepare, relaxed_loss
+from hyjax.tuning.latency_estimator import LatencyEstimator
+from hyjax.tuning.monitor import RunMonitor
+from hyjax.tuning.relaxation import FIDELITY_RANGE, LAM_RANGE, RelaxedSchedule, logit, prepare, relaxed_loss
 from hyjax.tuning.result import Scores
-from hyjax.tuning.watch import Watch
+from hyjax.util.errors import InputError
+from hyjax.util.files import write_text
 
 ITERATIONS = 300
 RATE = 0.003
@@ -50,56 +50,56 @@ class Joint:
     """What is tuned.
 
     Attributes:
-        plan: whole steps, which stay, with κ, λ and α.
+        point: whole steps, which stay, with κ, λ and α.
         kernel: of the guide's last convolution, in multiples of the root mean square of the one it started from.
     """
 
-    plan: Plan
+    point: RelaxedSchedule
     kernel: Kernel
 
 
-@functools.partial(jax.jit, static_argnames="ladder")
+@functools.partial(jax.jit, static_argnames="factors")
 def joint_loss(
-    joint: Joint, case: Case, trunk: Float[Array, "h w t"], scale: Float[Array, ""], ladder: tuple[int, ...]
+    joint: Joint, case: Case, trunk: Float[Array, "h w t"], scale: Float[Array, ""], factors: tuple[int, ...]
 ) -> Float[Array, ""]:
     """The search's loss on one frame whose guide is made with this kernel."""
     guide = convolve(trunk[None], scale * joint.kernel)[0]
-    return relaxed_loss(joint.plan, prepare(dataclasses.replace(case, guide=guide), ladder), ladder)
+    return relaxed_loss(joint.point, prepare(dataclasses.replace(case, guide=guide), factors), factors)
 
 
 def tune_jointly(
     cases: Sequence[Case],
     trunks: Sequence[Float[Array, "h w t"]],
     kernel: Kernel,
-    plan: Plan,
-    ladder: tuple[int, ...],
+    point: RelaxedSchedule,
+    factors: tuple[int, ...],
     *,
     iterations: int = ITERATIONS,
     seed: int = 0,
     report: Callable[[int, float], None] = lambda iteration, loss: None,
     expired: Callable[[], bool] = lambda: False,
-) -> tuple[Plan, Kernel, float, float]:
+) -> tuple[RelaxedSchedule, Kernel, float, float]:
     """Descend (Adam, one frame an iteration) on κ, λ, α and the kernel together.
 
     Args:
         cases: the tuning frames; their own guides are not looked at.
         trunks: of each.
         kernel: to start from.
-        plan: to start from, of whole steps.
-        ladder: factors of its levels.
+        point: to start from, of whole steps.
+        factors: of its levels.
         iterations: updates.
         seed: of the order of frames.
-        report: told each iteration and its loss.
+        report: called with each iteration and its loss.
         expired: asked before each iteration whether to stop.
 
     Returns:
-        (plan, kernel, loss before, loss after): the best on all tuning frames; the start if none is better.
+        (point, kernel, loss before, loss after): the best on all tuning frames; the start if none is better.
     """
     scale = jnp.sqrt(jnp.mean(kernel**2))
-    start = Joint(plan, kernel / scale)
+    start = Joint(point, kernel / scale)
 
-    def held(joint: Joint, case: Case, trunk: Array) -> Array:
-        return joint_loss(joint, case, trunk, scale, ladder) + HOLD * jnp.mean((joint.kernel - start.kernel) ** 2)
+    def regularised_loss(joint: Joint, case: Case, trunk: Array) -> Array:
+        return joint_loss(joint, case, trunk, scale, factors) + HOLD * jnp.mean((joint.kernel - start.kernel) ** 2)
 
     rate = optax.cosine_decay_schedule(RATE, max(iterations, 1))
     optimizer = optax.adam(rate)
@@ -108,14 +108,16 @@ def tune_jointly(
     def advance(
         joint: Joint, state: optax.OptState, case: Case, trunk: Array
     ) -> tuple[Joint, optax.OptState, Array]:
-        loss, slope = jax.value_and_grad(held)(joint, case, trunk)
-        slope = dataclasses.replace(slope, plan=dataclasses.replace(slope.plan, steps=jnp.zeros_like(plan.steps)))
+        loss, slope = jax.value_and_grad(regularised_loss)(joint, case, trunk)
+        slope = dataclasses.replace(
+            slope, point=dataclasses.replace(slope.point, steps=jnp.zeros_like(point.steps))
+        )
         updates, state = optimizer.update(slope, state)
         joint = optax.apply_updates(joint, updates)
-        return dataclasses.replace(joint, plan=bounded(joint.plan)), state, loss
+        return dataclasses.replace(joint, point=bounded(joint.point)), state, loss
 
     def mean_loss(joint: Joint) -> float:
-        return float(np.mean([joint_loss(joint, c, t, scale, ladder) for c, t in zip(cases, trunks, strict=True)]))
+        return float(np.mean([joint_loss(joint, c, t, scale, factors) for c, t in zip(cases, trunks, strict=True)]))
 
     before = mean_loss(start)
     best, lowest = start, before
@@ -131,7 +133,7 @@ def tune_jointly(
             now = mean_loss(joint)
             if now < lowest:
                 best, lowest = joint, now
-    return best.plan, scale * best.kernel, before, lowest
+    return best.point, scale * best.kernel, before, lowest
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,7 +157,7 @@ def tune_guide_and_schedule(
     bench: Workbench,
     guide: Guide,
     schedule: Schedule,
-    ladder: tuple[int, ...],
+    factors: tuple[int, ...],
     frames: Sequence[int],
     holdout: Sequence[int] = (),
     *,
@@ -169,13 +171,13 @@ def tune_guide_and_schedule(
     Args:
         bench: the capture, whose guide is `guide`.
         guide: whose last layer is tuned.
-        schedule: to start from; all its factors are in the ladder.
-        ladder: factors.
+        schedule: to start from; its levels are among the factors.
+        factors: downsampling factors, coarse to fine.
         frames: indices to tune on; those that see no surface are left out.
         holdout: indices that are only reported on.
         iterations: updates.
         seed: of the order of frames.
-        report: told each iteration and its loss.
+        report: called with each iteration and its loss.
         expired: asked before each iteration whether to stop.
 
     Raises:
@@ -183,18 +185,18 @@ def tune_guide_and_schedule(
     """
     cases, _ = bench.cases(frames, "tuning", progress=False)
     trunks = [guide.trunk(to_display(case.frame)) for case in cases]
-    plan, kernel, _, _ = tune_jointly(
+    point, kernel, _, _ = tune_jointly(
         cases,
         trunks,
         guide.kernel,
-        plan_of(schedule, ladder),
-        ladder,
+        relaxed_of(schedule, factors),
+        factors,
         iterations=iterations,
         seed=seed,
         report=report,
         expired=expired,
     )
-    tuned, tuned_schedule = guide.with_kernel(kernel), plan.schedule(ladder, f"{schedule.name}-joint")
+    tuned, tuned_schedule = guide.with_kernel(kernel), point.schedule(factors, f"{schedule.name}-joint")
     compared = []
     for several in (cases, bench.cases(holdout, "held-out", progress=False)[0] if holdout else []):
         again = [dataclasses.replace(case, guide=tuned.features(to_display(case.frame))) for case in several]
@@ -207,11 +209,11 @@ def tune_guide_and_schedule(
 def tune_and_save(
     bench: Workbench,
     schedule: Schedule,
-    clock: Clocked,
+    estimator: LatencyEstimator,
     frames: Sequence[int],
     holdout: Sequence[int],
     out: Path,
-    watch: Watch,
+    monitor: RunMonitor,
     *,
     seed: int = 0,
 ) -> dict[str, Any]:
@@ -220,7 +222,7 @@ def tune_and_save(
     Raises:
         InputError: see `check_joint`; or a file cannot be written.
     """
-    with tqdm(total=ITERATIONS, desc="guide and schedule", disable=not watch.progress) as bar:
+    with tqdm(total=ITERATIONS, desc="guide and schedule", disable=not monitor.progress) as bar:
 
         def report(_: int, loss: float) -> None:
             bar.update()
@@ -230,19 +232,19 @@ def tune_and_save(
             bench,
             check_joint(bench.guide, out),
             schedule,
-            clock.table.ladder,
+            estimator.table.factors,
             frames,
             holdout,
             seed=seed,
             report=report,
-            expired=watch.expired,
+            expired=monitor.expired,
         )
-    time = clock.measure([found.schedule], progress=False, again=True)[0]
+    time = estimator.measure([found.schedule], progress=False, again=True)[0]
     found.guide.save(out / "guide.safetensors")
     write_text(out / "joint.json", found.schedule.to_json() + "\n")
     compared = {"tuning": found.tuning} | ({} if found.held_out is None else {"held out": found.held_out})
-    told = {name: [dataclasses.asdict(scores) for scores in pair] for name, pair in compared.items()}
-    return {"schedule": schedule.name, "measured": dataclasses.asdict(time)} | told
+    compared_rows = {name: [scores.row() for scores in pair] for name, pair in compared.items()}
+    return {"schedule": schedule.name, "measured": dataclasses.asdict(time)} | compared_rows
 
 
 def check_joint(guide: FrameGuide, out: Path | None) -> Guide:
@@ -254,17 +256,17 @@ def check_joint(guide: FrameGuide, out: Path | None) -> Guide:
     return guide
 
 
-def plan_of(schedule: Schedule, ladder: Sequence[int]) -> Plan:
-    """A schedule as a plan over a ladder; a level's λ is the mean of its steps', its α small if it has none."""
+def relaxed_of(schedule: Schedule, factors: Sequence[int]) -> RelaxedSchedule:
+    """A schedule as a relaxed one; a level's λ is the mean of its steps', its α small if it has none."""
     levels = {level.factor: level for level in schedule.levels if level.steps}
-    steps, kappa, lam, attachment = [], [], [], []
-    for factor in ladder:
+    steps, kappa, lam, fidelity = [], [], [], []
+    for factor in factors:
         level = levels.get(factor)
         steps.append(0 if level is None else level.steps)
         kappa.append(GUIDED_KAPPA if level is None else float(np.asarray(level.kappa)))
-        held = GUIDED_ATTACHMENT if level is None else level.attachment
-        attachment.append(ATTACHMENT_RANGE[0] if held is None else float(np.asarray(held)))
+        weight = GUIDED_FIDELITY if level is None else level.fidelity
+        fidelity.append(FIDELITY_RANGE[0] if weight is None else float(np.asarray(weight)))
         mean = DEFAULT_LAM if level is None else float(np.mean(np.asarray(level.step_sizes)))
         lam.append(min(mean, LAM_RANGE[1]))  # of a step cycle it may be beyond
-    plan = Plan.of(steps, kappa, attachment=[max(x, ATTACHMENT_RANGE[0]) for x in attachment])
-    return dataclasses.replace(plan, logit_lam=jnp.asarray([logit(4.0 * x) for x in lam], jnp.float32))
+    point = RelaxedSchedule.of(steps, kappa, fidelity=[max(x, FIDELITY_RANGE[0]) for x in fidelity])
+    return dataclasses.replace(point, logit_lam=jnp.asarray([logit(4.0 * x) for x in lam], jnp.float32))

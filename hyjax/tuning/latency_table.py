@@ -1,4 +1,4 @@
-"""What diffusion schedules cost on this device: a cost model, the times of schedules and stages, kept in a cache.
+"""Latency table of this device: a cost model, the times of schedules and stages, kept in a cache.
 
 The model is `cost_model`'s, fitted to schedules timed whole by `calibration`.
 """
@@ -12,15 +12,18 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hyjax.cache import cache_folder
-from hyjax.environment import cores, environment
-from hyjax.errors import InputError
-from hyjax.files import write_text
-from hyjax.schedule import Schedule
-from hyjax.tuning import calibration, latency
-from hyjax.tuning.cost_model import CostModel, checked_steps, number, read_model
-from hyjax.tuning.result import Milliseconds
-from hyjax.tuning.workload import LADDER, Arguments, Workload, check_ladder, ladder_for, schedule_key
+import msgspec
+
+from hyjax.core.schedule import Schedule
+from hyjax.tuning import calibration
+from hyjax.tuning.cost_model import CostModel, checked_steps
+from hyjax.tuning.result import CalibrationTime, Milliseconds, Time
+from hyjax.tuning.workload import FACTORS, Arguments, Workload, check_factors, factors_for, schedule_key
+from hyjax.util import clock as latency
+from hyjax.util.cache import cache_folder
+from hyjax.util.environment import cores, environment
+from hyjax.util.errors import InputError
+from hyjax.util.files import write_text
 
 log = logging.getLogger(__name__)
 
@@ -36,7 +39,7 @@ class LatencyTable:
 
     Attributes:
         workload: the shapes.
-        ladder: factors that a schedule may use, coarse to fine.
+        factors: factors that a schedule may use, coarse to fine.
         device: platform and kind, cores, compiler flags.
         versions: of what decides how fast the compiled code is.
         created: when it was calibrated, ISO 8601.
@@ -51,20 +54,20 @@ class LatencyTable:
     """
 
     workload: Workload
-    ladder: tuple[int, ...]
+    factors: tuple[int, ...]
     device: dict[str, Any]
     versions: dict[str, str]
     created: str
     median: CostModel
     p95: CostModel
-    error: dict[str, float]
+    error: dict[str, Time]
     probe: Milliseconds
-    calibration: list[dict[str, Any]]
+    calibration: list[CalibrationTime]
     stages: dict[str, Milliseconds] = dataclasses.field(default_factory=dict)
     timed: dict[str, Milliseconds] = dataclasses.field(default_factory=dict)
 
     def predict(self, steps: Sequence[int | float]) -> Milliseconds:
-        """What a schedule with these steps over the ladder costs; a level with 0 steps is left out.
+        """What a schedule with these steps over the factors costs; a level with 0 steps is left out.
 
         Raises:
             InputError: as `CostModel` does.
@@ -72,26 +75,35 @@ class LatencyTable:
         return Milliseconds(self.median(steps), self.p95(steps))
 
     def steps_of(self, schedule: Schedule) -> tuple[int, ...]:
-        """A schedule's steps over the ladder; levels without steps vanish.
+        """A schedule's steps over the factors; levels without steps vanish.
 
         Raises:
-            InputError: a factor with steps that is not in the ladder.
+            InputError: a level with steps that the table does not have.
         """
         counts = {level.factor: level.steps for level in schedule.levels if level.steps}
-        for factor in counts.keys() - set(self.ladder):
+        for factor in counts.keys() - set(self.factors):
             raise InputError(
-                f"schedule {schedule.name}: factor {factor} is not in the latency table's ladder "
-                f"{', '.join(map(str, self.ladder))}"
+                f"schedule {schedule.name}: factor {factor} is not among the latency table's "
+                f"{', '.join(map(str, self.factors))}"
             )
-        return tuple(counts.get(factor, 0) for factor in self.ladder)
+        return tuple(counts.get(factor, 0) for factor in self.factors)
 
     def key(self) -> dict[str, Any]:
         """What must agree for the table to be used again, as JSON's types."""
-        return _key(self.workload, self.ladder, self.device, self.versions)
+        return _key(self.workload, self.factors, self.device, self.versions)
+
+    def __post_init__(self) -> None:
+        check_factors(self.factors)
+        for model in (self.median, self.p95):
+            if any(len(costs) != len(self.factors) for costs in (model.level, model.step, model.finest)):
+                raise InputError("a cost for each factor is needed")
+        for timed in self.calibration:
+            checked_steps(timed["steps"], len(self.factors))
 
     def to_json(self) -> str:
         """The table as JSON text, for `from_json`."""
         content = {"format": FORMAT} | dataclasses.asdict(self)
+        content["ladder"] = content.pop("factors")
         return json.dumps(content, indent=1)
 
     @classmethod
@@ -102,73 +114,46 @@ class LatencyTable:
             InputError: not JSON, of another format version, or something missing or not what it should be.
         """
         try:
-            content = json.loads(text)
-        except ValueError as error:  # also undecodable text
-            raise InputError(f"latency table: not JSON ({str(error).splitlines()[0]})") from None
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            found = content.get("format") if isinstance(content, dict) else None
-            raise InputError(f"latency table: format {found!r}, need {FORMAT}")
-        try:
-            return _read_table(content)
-        except InputError as error:
-            raise InputError(f"latency table: {error}") from None
-        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-            raise InputError(f"latency table: {type(error).__name__}: {error}".replace("\n", " ")) from None
-
-
-def _read_table(content: dict[str, Any]) -> LatencyTable:
-    ladder = tuple(content["ladder"])
-    check_ladder(ladder)
-
-    def milliseconds(entry: dict[str, Any]) -> Milliseconds:
-        return Milliseconds(number(entry["median"]), number(entry["p95"]))
-
-    return LatencyTable(
-        workload=Workload(**content["workload"]),
-        ladder=ladder,
-        device=dict(content["device"]),
-        versions={name: str(version) for name, version in content["versions"].items()},
-        created=str(content["created"]),
-        median=read_model(content["median"], len(ladder)),
-        p95=read_model(content["p95"], len(ladder)),
-        error={name: number(content["error"][name]) for name in ("median_relative", "worst_relative")},
-        probe=milliseconds(content["probe"]),
-        calibration=[
-            {
-                "steps": list(checked_steps(entry["steps"], len(ladder))),
-                "median_ms": number(entry["median_ms"]),
-                "p95_ms": number(entry["p95_ms"]),
-            }
-            for entry in content["calibration"]
-        ],
-        stages={name: milliseconds(entry) for name, entry in content["stages"].items()},
-        timed={name: milliseconds(entry) for name, entry in content["timed"].items()},
-    )
+            content = msgspec.json.decode(text)
+            found = content.pop("format", None) if isinstance(content, dict) else None
+            if found != FORMAT:
+                raise InputError(f"format {found!r}, need {FORMAT}")
+            content["factors"] = content.pop("ladder", None)
+            table = msgspec.convert(content, cls)
+            if unknown := content["workload"].keys() - vars(table.workload).keys():
+                raise InputError(f"workload: unknown key {min(unknown)!r}")
+        except ValueError as error:  # msgspec's, of the parts, and of undecodable text
+            raise InputError(f"latency table: {str(error).splitlines()[0]}") from None
+        return table
 
 
 # ---- timing ----
 
 
 def new_table(
-    workload: Workload, ladder: Sequence[int] = LADDER, *, repeats: int = calibration.REPEATS, progress: bool = True
+    workload: Workload,
+    factors: Sequence[int] = FACTORS,
+    *,
+    repeats: int = calibration.REPEATS,
+    progress: bool = True,
 ) -> LatencyTable:
     """Calibrate: time some thirty schedules of these shapes and fit the model to them.
 
     Args:
         workload: the shapes.
-        ladder: factors, coarse to fine; those too coarse for the shapes are dropped.
+        factors: factors, coarse to fine; those too coarse for the shapes are dropped.
         repeats: times each schedule runs, fewer if that would take more than half a minute.
         progress: show bars on stderr.
 
     Raises:
-        InputError: a ladder that no schedule can have, or no repeats.
+        InputError: factors that no schedule can have, or no repeats.
     """
-    ladder = ladder_for(workload.height, workload.width, ladder)
-    found = calibration.calibrate(workload.arguments(), ladder, repeats=repeats, progress=progress)
+    factors = factors_for(workload.height, workload.width, factors)
+    found = calibration.calibrate(workload.arguments(), factors, repeats=repeats, progress=progress)
     device, versions = _device_and_versions()
     return LatencyTable(
         workload=workload,
-        ladder=ladder,
+        factors=factors,
         device=device,
         versions=versions,
         created=latency.timestamp(),
@@ -210,7 +195,7 @@ def time_schedules(
     Args:
         table: for its workload and its memory; `save_table` keeps what it learns.
         schedules: any; those that differ in λ, κ and α alone take the same time and are timed once.
-        arguments: filter, known and guide to time on; the workload's if not given.
+        arguments: filter, confidence and guide to time on; the workload's if not given.
         repeats: times each schedule runs, fewer (at least ten) if that would take more than a minute.
         again: also time those that the table remembers.
         progress: show bars on stderr.
@@ -239,12 +224,12 @@ def _device_and_versions() -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def _key(
-    workload: Workload, ladder: Sequence[int], device: Mapping[str, Any], versions: Mapping[str, str]
+    workload: Workload, factors: Sequence[int], device: Mapping[str, Any], versions: Mapping[str, str]
 ) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "workload": dataclasses.asdict(workload),
-        "ladder": list(ladder),
+        "ladder": list(factors),
         "device": dict(device),
         "versions": dict(versions),
     }
@@ -267,7 +252,7 @@ def save_table(table: LatencyTable) -> None:
 
 def load_table(
     workload: Workload,
-    ladder: Sequence[int] = LADDER,
+    factors: Sequence[int] = FACTORS,
     *,
     recalibrate: bool = False,
     progress: bool = True,
@@ -276,7 +261,7 @@ def load_table(
 
     Args:
         workload: the shapes.
-        ladder: factors, coarse to fine; those too coarse for the shapes are dropped.
+        factors: factors, coarse to fine; those too coarse for the shapes are dropped.
         recalibrate: calibrate anew whatever the cache says.
         progress: show bars on stderr.
 
@@ -284,23 +269,23 @@ def load_table(
         The table, and in a few words where it is from.
 
     Raises:
-        InputError: a ladder that no schedule can have.
+        InputError: factors that no schedule can have.
     """
-    ladder = ladder_for(workload.height, workload.width, ladder)
+    factors = factors_for(workload.height, workload.width, factors)
     reason = "asked for"
     if not recalibrate:
-        found = _from_cache(workload, ladder)
+        found = _from_cache(workload, factors)
         if isinstance(found, LatencyTable):
             return found, f"from the cache (calibrated {found.created})"
         reason = found
-    table = new_table(workload, ladder, progress=progress)
+    table = new_table(workload, factors, progress=progress)
     save_table(table)
     return table, f"calibrated anew: {reason}"
 
 
-def _from_cache(workload: Workload, ladder: tuple[int, ...]) -> LatencyTable | str:
+def _from_cache(workload: Workload, factors: tuple[int, ...]) -> LatencyTable | str:
     """The stored table, or why there is none to use."""
-    key = _key(workload, ladder, *_device_and_versions())
+    key = _key(workload, factors, *_device_and_versions())
     path = _path(key)
     try:
         text = path.read_text(encoding="utf-8")
@@ -315,7 +300,7 @@ def _from_cache(workload: Workload, ladder: tuple[int, ...]) -> LatencyTable | s
     if table.key() != key:
         changed = [name for name, value in table.key().items() if value != key[name]]
         return f"{path.name} in the cache is of another {', '.join(changed)}"
-    schedule = calibration.schedule_of(ladder, calibration.probe_steps(ladder))
+    schedule = calibration.schedule_of(factors, calibration.probe_steps(factors))
     (probe,) = calibration.compile_all([schedule], workload.arguments(), progress=False)
     for repeats in (1, 3):  # a burst of other work on the machine is no reason yet
         now = calibration.time_probe(probe, repeats * calibration.PROBE_REPEATS).median

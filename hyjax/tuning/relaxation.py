@@ -3,7 +3,7 @@
 What is searched has the form of our presets: conductances and interpolation from guides at the levels' resolution,
 and a data term.
 
-Symbols of this file: the *ladder* is all factors that may be used, coarse to fine; n_l, κ_l, λ_l, α_l belong to
+Symbols of this file: the *factors* are all that may be used, coarse to fine; n_l, κ_l, λ_l, α_l belong to
 level l; p_l = min(1, n_l) says how far the level is there at all.
 
 - Step i of a level has size λ·clip(n − i, 0, 1): the last of n steps is scaled, so that the result is continuous
@@ -25,40 +25,41 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from hyjax.diffusion import diffuse, edge_stopping, guide_distance
-from hyjax.lights import TINY
-from hyjax.losses import as_seen, seen_loss
-from hyjax.pyramid import downsample
-from hyjax.refine import HOLE_FLOOR
-from hyjax.schedule import DEFAULT_LAM, GUIDED_ATTACHMENT, GUIDED_KAPPA, Level, Schedule
-from hyjax.stencil import Edges
+from hyjax.core.diffusion import diffuse, edge_stopping, guide_distance
+from hyjax.core.pyramid import downsample
+from hyjax.core.refine import HOLE_FLOOR
+from hyjax.core.schedule import DEFAULT_LAM, GUIDED_FIDELITY, GUIDED_KAPPA, Level, Schedule
+from hyjax.core.stencil import Edges
+from hyjax.core.upsampling import guided_upsample
+from hyjax.light.shading import mix_channels
+from hyjax.metrics.losses import display_loss, display_unclipped
 from hyjax.tuning.budget import MOST_STEPS
-from hyjax.tuning.cases import Case, mix
-from hyjax.upsampling import guided_upsample
+from hyjax.tuning.cases import Case, filter_colors
+from hyjax.util.geometry import TINY
 
 BLOCK = 8
 KAPPA_RANGE = (1e-3, 1.0)
 """For guides in [0, 1], of which an edge of full contrast differs by √3."""
 LAM_RANGE = (0.01, 0.2499)
-ATTACHMENT_RANGE = (1e-4, 10.0)
+FIDELITY_RANGE = (1e-4, 10.0)
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
-class Plan:
+class RelaxedSchedule:
     """A point of the search space; all are real numbers without bounds, so that optimisers may step freely.
 
     Attributes:
         steps: n_l ≥ 0 (kept by projection, see `hyjax.tuning.budget.project`).
         log_kappa: κ = exp(·).
         logit_lam: λ = sigmoid(·)/4, inside (0, 1/4).
-        log_attachment: α = exp(·).
+        log_fidelity: α = exp(·).
     """
 
     steps: Float[Array, "l"]
     log_kappa: Float[Array, "l"]
     logit_lam: Float[Array, "l"]
-    log_attachment: Float[Array, "l"]
+    log_fidelity: Float[Array, "l"]
 
     @classmethod
     def of(
@@ -66,16 +67,16 @@ class Plan:
         steps: Sequence[float] | np.ndarray,
         kappa: float | Sequence[float] = GUIDED_KAPPA,
         lam: float = DEFAULT_LAM,
-        attachment: float | Sequence[float] = GUIDED_ATTACHMENT,
-    ) -> "Plan":
-        """A plan with these n_l, κ, λ and α."""
+        fidelity: float | Sequence[float] = GUIDED_FIDELITY,
+    ) -> "RelaxedSchedule":
+        """A point with these n_l, κ, λ and α."""
         n = np.asarray(steps, np.float32)
-        log_kappa, log_attachment = (
+        log_kappa, log_fidelity = (
             jnp.asarray(np.log(np.broadcast_to(np.asarray(value, np.float32), n.shape)))
-            for value in (kappa, attachment)
+            for value in (kappa, fidelity)
         )
         lams = jnp.full(n.shape, logit(4.0 * lam), jnp.float32)
-        return cls(jnp.asarray(n), log_kappa, lams, log_attachment)
+        return cls(jnp.asarray(n), log_kappa, lams, log_fidelity)
 
     @property
     def kappa(self) -> Float[Array, "l"]:
@@ -86,21 +87,21 @@ class Plan:
         return 0.25 * jax.nn.sigmoid(self.logit_lam)
 
     @property
-    def attachment(self) -> Float[Array, "l"]:
-        return jnp.exp(self.log_attachment)
+    def fidelity(self) -> Float[Array, "l"]:
+        return jnp.exp(self.log_fidelity)
 
-    def schedule(self, ladder: Sequence[int], name: str = "tuned") -> Schedule:
-        """The cascade that this plan stands for; step counts are rounded, levels without steps left out.
+    def schedule(self, factors: Sequence[int], name: str = "tuned") -> Schedule:
+        """The cascade that this point stands for; step counts are rounded, levels without steps left out.
 
         Raises:
             InputError: no level has a step.
         """
         levels = []
-        columns = ladder, np.round(self.steps), self.kappa, self.lam, self.attachment
-        for factor, n, kappa, lam, attachment in zip(*columns, strict=True):
+        columns = factors, np.round(self.steps), self.kappa, self.lam, self.fidelity
+        for factor, n, kappa, lam, fidelity in zip(*columns, strict=True):
             if n > 0:
                 step_sizes = np.full(int(n), np.float32(lam))
-                levels.append(Level(int(factor), step_sizes, np.float32(kappa), np.float32(attachment)))
+                levels.append(Level(int(factor), step_sizes, np.float32(kappa), np.float32(fidelity)))
         return Schedule(tuple(levels), pooling="guide", name=name, upsampling="guide").check()
 
 
@@ -115,9 +116,9 @@ class Prepared:
     """Of a case, all that no candidate changes: cell means of (w y, w) and of the guide, the target.
 
     Attributes:
-        entries: for each factor of the ladder, and last for the full picture.
+        entries: for each factor, and last for the full picture.
         guides: likewise.
-        distances: of these, for each factor of the ladder.
+        distances: of these, for each factor.
         mean: of all that is known.
     """
 
@@ -127,45 +128,46 @@ class Prepared:
     mean: Float[Array, "l"]
     colors: Float[Array, "l 3"]
     frame: Float[Array, "h w 3"]
-    target_seen: Float[Array, "h w 3"]
+    target_display: Float[Array, "h w 3"]
     valid: Bool[Array, "h w"]
 
 
-@functools.partial(jax.jit, static_argnames="ladder")
-def prepare(case: Case, ladder: tuple[int, ...]) -> Prepared:
+@functools.partial(jax.jit, static_argnames="factors")
+def prepare(case: Case, factors: tuple[int, ...]) -> Prepared:
     """Everything about a case that the search needs again and again."""
-    weight = case.known.astype(case.shading.dtype)
-    weighted = jnp.concatenate([case.shading * weight, weight], axis=-1)
+    illuminance = case.shaded.illuminance
+    weight = case.shaded.confidence.astype(illuminance.dtype)
+    weighted = jnp.concatenate([illuminance * weight, weight], axis=-1)
     total = jnp.sum(weighted, axis=(0, 1))
-    guides = tuple(downsample(case.guide, factor) for factor in ladder)
+    guides = tuple(downsample(case.guide, factor) for factor in factors)
     return Prepared(
-        entries=(*(downsample(weighted, factor) for factor in ladder), weighted),
+        entries=(*(downsample(weighted, factor) for factor in factors), weighted),
         guides=(*guides, case.guide),
         distances=tuple(guide_distance(guide) for guide in guides),
         mean=total[:-1] / jnp.maximum(total[-1], TINY),
-        colors=case.colors,
+        colors=filter_colors(case.shaded),
         frame=case.frame,
-        target_seen=as_seen(case.target, case.frame),
+        target_display=display_unclipped(case.target, case.frame),
         valid=case.valid,
     )
 
 
-def relaxed_cascade(prepared: Prepared, plan: Plan, ladder: tuple[int, ...]) -> Float[Array, "h w c"]:
-    """The cascade of `plan` on (w y, w), full size."""
-    present = jnp.clip(plan.steps, 0.0, 1.0)
-    kappa, lam, attachment = plan.kappa, plan.lam, plan.attachment
+def relaxed_cascade(prepared: Prepared, point: RelaxedSchedule, factors: tuple[int, ...]) -> Float[Array, "h w c"]:
+    """The cascade of `point` on (w y, w), full size."""
+    present = jnp.clip(point.steps, 0.0, 1.0)
+    kappa, lam, fidelity = point.kappa, point.lam, point.fidelity
     states: list[Array] = []
-    for level in range(len(ladder)):
+    for level in range(len(factors)):
 
         def refine(states: list[Array], level: int = level) -> Array:
-            state = _arriving(states, prepared, present, kappa, ladder)
+            state = _arriving(states, prepared, present, kappa, factors)
             edges = edge_stopping(prepared.distances[level], kappa[level])
-            held = attachment[level], prepared.entries[level]
-            return _real_steps(state, edges, lam[level], plan.steps[level], *held)
+            data_term = fidelity[level], prepared.entries[level]
+            return _real_steps(state, edges, lam[level], point.steps[level], *data_term)
 
         absent = jnp.zeros_like(prepared.entries[level])
-        states.append(jax.lax.cond(plan.steps[level] > 0, refine, lambda _, absent=absent: absent, states))
-    return _arriving(states, prepared, present, kappa, ladder)
+        states.append(jax.lax.cond(point.steps[level] > 0, refine, lambda _, absent=absent: absent, states))
+    return _arriving(states, prepared, present, kappa, factors)
 
 
 def _arriving(
@@ -173,18 +175,18 @@ def _arriving(
     prepared: Prepared,
     present: Float[Array, "l"],
     kappa: Float[Array, "l"],
-    ladder: tuple[int, ...],
+    factors: tuple[int, ...],
 ) -> Float[Array, "ch cw c"]:
     """What the level after these starts from, or the full picture; sources of no weight cost nothing."""
     level = len(states)
-    factor = (*ladder, 1)[level]
+    factor = (*factors, 1)[level]
     entry, guide, free = prepared.entries[level], prepared.guides[level], jnp.ones(())
     total = jnp.zeros_like(entry)
     for coarser in reversed(range(level)):
 
         def source(state: Array, coarser: int = coarser) -> Array:
             cells = prepared.guides[coarser]
-            return guided_upsample(state, ladder[coarser] // factor, guide, kappa[coarser], coarse=cells)
+            return guided_upsample(state, factors[coarser] // factor, guide, kappa[coarser], coarse=cells)
 
         total = _add(total, free * present[coarser], source, states[coarser])
         free = free * (1.0 - present[coarser])
@@ -201,7 +203,7 @@ def _add(total: Array, weight: Array, source: Callable[[Array], Array], state: A
     return more(total, state, weight)
 
 
-def _real_steps(state: Array, edges: Edges, lam: Array, steps: Array, attachment: Array, source: Array) -> Array:
+def _real_steps(state: Array, edges: Edges, lam: Array, steps: Array, fidelity: Array, source: Array) -> Array:
     """`steps` steps of which the last is scaled, in blocks; blocks beyond the last step are skipped."""
 
     @jax.checkpoint
@@ -209,26 +211,26 @@ def _real_steps(state: Array, edges: Edges, lam: Array, steps: Array, attachment
         sizes = lam * jnp.clip(steps - first - jnp.arange(BLOCK), 0.0, 1.0)
 
         def run(state: Array) -> Array:
-            return diffuse(state, edges, sizes, attachment=attachment, source=source)
+            return diffuse(state, edges, sizes, fidelity=fidelity, source=source)
 
         return jax.lax.cond(first < steps, run, lambda s: s, state), None
 
     return jax.lax.scan(block, state, jnp.arange(0.0, MOST_STEPS, BLOCK))[0]
 
 
-def relaxed_filter(prepared: Prepared, plan: Plan, ladder: tuple[int, ...]) -> Float[Array, "h w 3"]:
-    """The filter of `plan`: `cascade_known` with real-valued steps."""
-    diffused = relaxed_cascade(prepared, plan, ladder)
+def relaxed_filter(prepared: Prepared, point: RelaxedSchedule, factors: tuple[int, ...]) -> Float[Array, "h w 3"]:
+    """The filter of `point`: `cascade_known` with real-valued steps."""
+    diffused = relaxed_cascade(prepared, point, factors)
     reached = diffused[..., -1:]
     floor = HOLE_FLOOR * (1.0 - reached)
-    return mix((diffused[..., :-1] + floor * prepared.mean) / (reached + floor), prepared.colors)
+    return mix_channels((diffused[..., :-1] + floor * prepared.mean) / (reached + floor), prepared.colors)
 
 
-def relaxed_loss(plan: Plan, prepared: Prepared, ladder: tuple[int, ...]) -> Float[Array, ""]:
+def relaxed_loss(point: RelaxedSchedule, prepared: Prepared, factors: tuple[int, ...]) -> Float[Array, ""]:
     """What the search minimises, on one frame."""
-    seen = as_seen(relaxed_filter(prepared, plan, ladder), prepared.frame)
-    return seen_loss(seen, prepared.target_seen, prepared.valid)
+    display = display_unclipped(relaxed_filter(prepared, point, factors), prepared.frame)
+    return display_loss(display, prepared.target_display, prepared.valid)
 
 
-evaluate = functools.partial(jax.jit, static_argnames="ladder")(relaxed_loss)
-evaluate_with_gradient = functools.partial(jax.jit, static_argnames="ladder")(jax.value_and_grad(relaxed_loss))
+evaluate = functools.partial(jax.jit, static_argnames="factors")(relaxed_loss)
+evaluate_with_gradient = functools.partial(jax.jit, static_argnames="factors")(jax.value_and_grad(relaxed_loss))

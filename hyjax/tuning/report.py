@@ -6,20 +6,21 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from hyjax.files import make_writable, remove, whole, write_text
+from hyjax.metrics import plain_metrics
 from hyjax.tuning.report_html import page
 from hyjax.tuning.report_pictures import Example, contact_sheet_rows
 from hyjax.tuning.report_plots import draw_pareto
 from hyjax.tuning.report_text import (
-    attachment_text,
     best_for,
     candidates,
+    fidelity_text,
     kappa_text,
     lam_text,
     steps_text,
     summary,
 )
 from hyjax.tuning.result import Milliseconds, Scores, Tuned
+from hyjax.util.files import atomic_write, make_writable, remove, write_text
 
 __all__ = [
     "CSV_COLUMNS",
@@ -35,10 +36,10 @@ __all__ = [
 ]
 
 CSV_COLUMNS = (
-    *("name", "kind", "best_for", "schedule", "pooling", "upsampling", "norm", "kappa", "lam", "attachment"),
+    *("name", "kind", "best_for", "schedule", "pooling", "upsampling", "norm", "kappa", "lam", "fidelity"),
     *("predicted_median_ms", "predicted_p95_ms", "measured_median_ms", "measured_p95_ms"),
-    *("tuning_loss", "tuning_psnr_db", "tuning_ssim", "held_out_loss", "held_out_psnr_db", "held_out_ssim"),
 )
+"""Columns of the CSV file; after them `score_columns`."""
 
 
 def write_schedules(out: Path, tuned: Tuned) -> list[Path]:
@@ -89,23 +90,23 @@ def _file_name(text: str) -> str:
 def write_pareto_csv(path: Path, tuned: Tuned) -> None:
     """Write a row for each candidate: the front, the best for each budget, the baselines, each once.
 
-    Columns are `CSV_COLUMNS`: `schedule` is factor:steps of each level, coarse to fine; `kappa`, `lam` and
-    `attachment` have one entry for each level, and a level's λ are joined by `/` where its steps differ. What is
-    not known is empty.
+    Columns are `CSV_COLUMNS` and `score_columns`: `schedule` is factor:steps of each level, coarse to fine;
+    `kappa`, `lam` and `fidelity` have one entry for each level, and a level's λ are joined by `/` where its steps
+    differ. What is not known is empty.
 
     Raises:
         InputError: the file cannot be written.
     """
     buffer = io.StringIO()
     table = csv.writer(buffer, lineterminator="\n")
-    table.writerow(CSV_COLUMNS)
+    table.writerow([*CSV_COLUMNS, *score_columns()])
     for kind, candidate in candidates(tuned):
         schedule = candidate.schedule
         table.writerow(
             [
                 *(candidate.name, kind, ", ".join(best_for(tuned, candidate)) if kind == "tuned" else ""),
                 *(steps_text(schedule), schedule.pooling, schedule.upsampling, schedule.norm),
-                *(kappa_text(schedule), lam_text(schedule), attachment_text(schedule)),
+                *(kappa_text(schedule), lam_text(schedule), fidelity_text(schedule)),
                 *(*_times(candidate.predicted), *_times(candidate.measured)),
                 *(*_scores(candidate.tuning), *_scores(candidate.held_out)),
             ]
@@ -117,8 +118,15 @@ def _times(time: Milliseconds | None) -> list[str]:
     return ["", ""] if time is None else [f"{time.median:.6g}", f"{time.p95:.6g}"]
 
 
+def score_columns() -> list[str]:
+    """Loss and metrics on the tuning and on the held-out frames, such as `held_out_psnr_db`."""
+    names = ["loss", *(metric.column for metric in plain_metrics().values())]
+    return [f"{frames}_{name}" for frames in ("tuning", "held_out") for name in names]
+
+
 def _scores(scores: Scores | None) -> list[str]:
-    return ["", "", ""] if scores is None else [f"{x:.6g}" for x in (scores.loss, scores.psnr, scores.ssim)]
+    row = {} if scores is None else scores.row()
+    return [f"{row[name]:.6g}" if name in row else "" for name in ("loss", *plain_metrics())]
 
 
 def write_pareto_plot(path: Path, tuned: Tuned) -> None:
@@ -128,7 +136,7 @@ def write_pareto_plot(path: Path, tuned: Tuned) -> None:
         InputError: the file cannot be written.
     """
     figure = draw_pareto(tuned)
-    with whole(path) as temporary:
+    with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=200)
 
 

@@ -6,11 +6,10 @@ import re
 from typing import Any
 
 import matplotlib
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-from hyjax.tuning.report_markup import Html
 
 # Okabe and Ito's palette, apart for the colour-blind; shapes tell the kinds apart too.
 COLORS = {"tuned": "#0072b2", "paper": "#d55e00", "naive": "#009e73", "preset": "#cc79a7"}
@@ -59,7 +58,7 @@ def plain_ticks(axis: Any, ratio: float) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def svg(figure: Figure, name: str, title: str) -> Html:
+def svg(figure: Figure, name: str, title: str) -> Markup:
     """A figure as an `<svg>` element to stand in a page, whose style sheet sets its colours.
 
     Args:
@@ -81,4 +80,4 @@ def svg(figure: Figure, name: str, title: str) -> Html:
     roles = {**COLORS, "ink": INK, "quiet": QUIET, "grid": GRID, "ground": GROUND}
     for role, color in roles.items():
         text = text.replace(color, f"var(--{role})")
-    return Html(text)
+    return Markup(text)

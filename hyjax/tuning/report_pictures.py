@@ -11,8 +11,8 @@ import numpy as np
 import OpenImageIO as oiio
 from jaxtyping import Float
 
-from hyjax.errors import InputError
-from hyjax.images import resize, write_png
+from hyjax.util.errors import InputError
+from hyjax.util.images import resize, write_png
 
 MOST_BYTES = 5_500_000  # of pictures in one report; as text they take a third more
 # What is tried until it fits: lossless first, then ever smaller.

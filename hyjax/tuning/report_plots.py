@@ -66,7 +66,7 @@ def draw_pareto(tuned: Tuned) -> Figure:
 
     def psnr(candidate: Candidate) -> float | None:
         scores = candidate.held_out if held_out else candidate.tuning
-        return None if scores is None else scores.psnr
+        return None if scores is None else scores.metrics["psnr"]
 
     panels = [
         (upper, _points(tuned, loss), "loss, tuning frames\n(lower is better)"),

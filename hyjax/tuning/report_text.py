@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from hyjax.schedule import Schedule
+from hyjax.core.schedule import Schedule
 from hyjax.tuning.result import Budget, Candidate, Milliseconds, Tuned
 
 MISSING = "–"
@@ -14,11 +14,11 @@ MISSING = "–"
 def candidates(tuned: Tuned) -> list[tuple[str, Candidate]]:
     """("tuned" or "baseline", candidate) for everything known, each once, by time within its kind.
 
-    A schedule that is both on the front and best for a budget is told as the latter.
+    A schedule that is both on the front and best for a budget is listed as the latter.
     """
     own = {candidate.schedule.to_json(): candidate for candidate in tuned.best}
-    told = {_content(candidate.schedule) for candidate in tuned.best}
-    own |= {_content(c.schedule): c for c in tuned.front if _content(c.schedule) not in told}
+    best = {_content(candidate.schedule) for candidate in tuned.best}
+    own |= {_content(c.schedule): c for c in tuned.front if _content(c.schedule) not in best}
     baselines = {candidate.schedule.to_json(): candidate for candidate in tuned.baselines}
     ordered = [("tuned", candidate) for candidate in sorted(own.values(), key=_order)]
     return ordered + [("baseline", candidate) for candidate in sorted(baselines.values(), key=_order)]
@@ -64,10 +64,10 @@ def kappa_text(schedule: Schedule) -> str:
     return " ".join(f"{float(np.asarray(level.kappa)):.6g}" for level in schedule.levels)
 
 
-def attachment_text(schedule: Schedule) -> str:
+def fidelity_text(schedule: Schedule) -> str:
     """α of each level, or `-` for one without."""
-    held = (level.attachment for level in schedule.levels)
-    return " ".join("-" if alpha is None else f"{float(np.asarray(alpha)):.6g}" for alpha in held)
+    values = (level.fidelity for level in schedule.levels)
+    return " ".join("-" if alpha is None else f"{float(np.asarray(alpha)):.6g}" for alpha in values)
 
 
 def lam_text(schedule: Schedule) -> str:

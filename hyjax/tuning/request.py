@@ -1,11 +1,11 @@
-"""What a tuning run is asked for: budgets, and frames to tune on and to hold out."""
+"""Budgets of a tuning run, its frames to tune on and to hold out."""
 
 import math
 from collections.abc import Sequence
 
 from hyjax.data.frames import select_frames, spread
-from hyjax.errors import InputError
 from hyjax.tuning.result import Budget
+from hyjax.util.errors import InputError
 
 TUNING_FRAMES = 4
 HELD_OUT_FRAMES = 4

@@ -1,17 +1,31 @@
-"""What a tuning run found."""
+"""Results of a tuning run: times, scores, candidates."""
 
 import dataclasses
-from typing import Any
+from collections.abc import Mapping
+from typing import Annotated, Any, TypedDict
 
-from hyjax.schedule import Schedule
+import msgspec
+
+from hyjax.core.schedule import Schedule
+
+Time = Annotated[float, msgspec.Meta(ge=0)]
+"""Milliseconds, or a relative error: finite and not negative where it is read from a file."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Milliseconds:
     """How long something takes: the median and the 95th percentile of single calls."""
 
-    median: float
-    p95: float
+    median: Time
+    p95: Time
+
+
+class CalibrationTime(TypedDict):
+    """Steps of a schedule over the factors, with its measured times."""
+
+    steps: list[int]
+    median_ms: Time
+    p95_ms: Time
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,14 +33,16 @@ class Scores:
     """Quality of the relit frames against the target's, mean over frames.
 
     Attributes:
-        loss: what was minimised, see `hyjax.losses`.
-        psnr: dB, display values, where the target is known.
-        ssim: structural similarity, likewise.
+        loss: what was minimised, see `hyjax.metrics.losses`.
+        metrics: each of `hyjax.metrics.plain_metrics` by name, of display values where the target is known.
     """
 
     loss: float
-    psnr: float
-    ssim: float
+    metrics: Mapping[str, float]
+
+    def row(self) -> dict[str, float]:
+        """Loss and metrics by name."""
+        return {"loss": self.loss, **self.metrics}
 
 
 @dataclasses.dataclass(frozen=True)

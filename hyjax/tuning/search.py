@@ -14,7 +14,7 @@ from jaxtyping import Array
 from hyjax.tuning.budget import Steps, fits, moves, neighbours, project, single_steps
 from hyjax.tuning.cost_model import CostModel
 from hyjax.tuning.descent import Found, Objective, polish, promising, relax, starts, whole, with_steps
-from hyjax.tuning.relaxation import Plan
+from hyjax.tuning.relaxation import RelaxedSchedule
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,13 +49,13 @@ AGAIN = Effort(sampled=0, relaxed=1, iterations=10, rounded=12, polished=1, poli
 class _CutShort(Exception):
     """The time was up before the relaxation was through."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, point: RelaxedSchedule) -> None:
         super().__init__()
-        self.plan = plan
+        self.point = point
 
 
 class Search:
-    """Looks for schedules within budgets, on one objective and one cost model. Deterministic, given the seed.
+    """Search for schedules within budgets, on one objective and one cost model; deterministic, given the seed.
 
     Args:
         objective: what is minimised.
@@ -82,26 +82,26 @@ class Search:
         self.found: dict[bytes, Found] = {}
         self._losses: dict[bytes, float] = {}
 
-    def run(self, budget: float, effort: Effort | None = None, warm: Sequence[Plan] = ()) -> list[Found]:
+    def run(self, budget: float, effort: Effort | None = None, warm: Sequence[RelaxedSchedule] = ()) -> list[Found]:
         """All that was evaluated so far and lies within the budget, best first; empty if nothing can.
 
         Args:
             budget: milliseconds, against the cost model.
             effort: how long to look.
-            warm: plans to start from besides the usual ones, brought within the budget.
+            warm: points to start from besides the usual ones, projected within the budget.
         """
         effort, size = effort or Effort(), len(self.cost.step)
         if not any(fits(steps, self.cost, budget) for steps in single_steps(size)):
             return []
-        for plan in self._relaxed(budget, effort, warm):
-            real = np.asarray(plan.steps)
+        for point in self._relaxed(budget, effort, warm):
+            real = np.asarray(point.steps)
             near = neighbours(real, self.cost, budget, maximal=self.cost(real.tolist()) > 0.95 * budget)
             if len(near) > effort.rounded:
-                near = promising(near, plan, self.objective.gradient(plan)[1], effort.rounded)
+                near = promising(near, point, self.objective.gradient(point)[1], effort.rounded)
             for steps in near[: 1 if self.expired() else None]:
-                self._evaluate(with_steps(plan, steps), "round")
+                self._evaluate(with_steps(point, steps), "round")
         for found in self.ranked(budget)[: effort.polished]:
-            self._polish(found.plan, effort)
+            self._polish(found.point, effort)
         for _ in range(effort.descents):
             if not self._descend(budget, effort):
                 break
@@ -113,11 +113,11 @@ class Search:
         for steps in moves(best.steps, self.cost, budget):
             if self.expired():
                 break
-            self._evaluate(with_steps(best.plan, steps), "descend")
+            self._evaluate(with_steps(best.point, steps), "descend")
         better = self.ranked(budget)[0]
         if better.steps == best.steps:
             return False
-        self._polish(better.plan, effort)
+        self._polish(better.point, effort)
         return True
 
     def ranked(self, budget: float) -> list[Found]:
@@ -128,86 +128,86 @@ class Search:
                 best[found.steps] = found
         return list(best.values())
 
-    def _relaxed(self, budget: float, effort: Effort, warm: Sequence[Plan]) -> list[Plan]:
+    def _relaxed(self, budget: float, effort: Effort, warm: Sequence[RelaxedSchedule]) -> list[RelaxedSchedule]:
         """The better half of the relaxed starting points."""
         cold = starts(effort.sampled, self.cost, budget, self.seed)
-        brought = [with_steps(plan, project(np.asarray(plan.steps), self.cost, budget)) for plan in warm]
-        candidates = [plan for plan in (*brought, *cold) if np.any(np.asarray(plan.steps) > 0)]
-        wholes = [with_steps(plan, whole(plan)) for plan in brought]
-        wholes = [plan for plan in wholes if fits(whole(plan), self.cost, budget)] + cold
-        for plan in wholes[: 1 if self.expired() else None]:
-            self._evaluate(plan, "start")
+        projected = [with_steps(point, project(np.asarray(point.steps), self.cost, budget)) for point in warm]
+        candidates = [point for point in (*projected, *cold) if np.any(np.asarray(point.steps) > 0)]
+        rounded = [with_steps(point, whole(point)) for point in projected]
+        rounded = [point for point in rounded if fits(whole(point), self.cost, budget)] + cold
+        for point in rounded[: 1 if self.expired() else None]:
+            self._evaluate(point, "start")
         relaxed = []
         if self.expired():
             return candidates[:1]
-        for plan in self._spread(candidates, budget, effort.relaxed):
+        for point in self._spread(candidates, budget, effort.relaxed):
             if self.expired():
-                relaxed.append(plan)
+                relaxed.append(point)
                 break
-            key = f"relax {effort.iterations} {budget!r} {self.cost} {_bytes(plan).hex()}"
+            key = f"relax {effort.iterations} {budget!r} {self.cost} {_bytes(point).hex()}"
             try:
-                relaxed.append(_plan(self.remember(key, functools.partial(self._relax, plan, budget, effort))))
+                relaxed.append(_point(self.remember(key, functools.partial(self._relax, point, budget, effort))))
             except _CutShort as cut:  # not remembered: a resumed run has more time
-                relaxed.append(cut.plan)
+                relaxed.append(cut.point)
             self.report("relax", self._loss(relaxed[-1]))
-        relaxed = [plan for plan in relaxed if np.any(np.asarray(plan.steps) > 0)]  # not those that gave up all
+        relaxed = [point for point in relaxed if np.any(np.asarray(point.steps) > 0)]  # not those that gave up all
         return self._best(relaxed, (len(relaxed) + 1) // 2)
 
-    def _spread(self, plans: Sequence[Plan], budget: float, count: int) -> list[Plan]:
+    def _spread(self, points: Sequence[RelaxedSchedule], budget: float, count: int) -> list[RelaxedSchedule]:
         """The best of those that spend much of the budget and of those that spend little, by turns, much first.
 
         Before κ is tuned a few steps may look better than many, which have more to gain from it.
         """
-        much = [self.cost(np.asarray(plan.steps).tolist()) > 0.4 * budget for plan in plans]
-        groups = [self._best([p for p, m in zip(plans, much) if m is wanted], count) for wanted in (True, False)]
+        much = [self.cost(np.asarray(point.steps).tolist()) > 0.4 * budget for point in points]
+        groups = [self._best([p for p, m in zip(points, much) if m is wanted], count) for wanted in (True, False)]
         turns = itertools.chain.from_iterable(itertools.zip_longest(*groups))
-        return [plan for plan in turns if plan is not None][:count]
+        return [point for point in turns if point is not None][:count]
 
-    def _best(self, plans: Sequence[Plan], count: int) -> list[Plan]:
-        losses = [self._loss(plan) for plan in plans]
-        return [plans[i] for i in np.argsort(losses, kind="stable")[:count]]
+    def _best(self, points: Sequence[RelaxedSchedule], count: int) -> list[RelaxedSchedule]:
+        losses = [self._loss(point) for point in points]
+        return [points[i] for i in np.argsort(losses, kind="stable")[:count]]
 
-    def _relax(self, start: Plan, budget: float, effort: Effort) -> list[list[float]]:
+    def _relax(self, start: RelaxedSchedule, budget: float, effort: Effort) -> list[list[float]]:
         cost, iterations = self.cost, effort.iterations
-        plan = relax(self.objective, start, cost, budget, iterations, self.seed, self.expired)
+        point = relax(self.objective, start, cost, budget, iterations, self.seed, self.expired)
         if self.expired():
-            raise _CutShort(plan)
-        return _lists(plan)
+            raise _CutShort(point)
+        return _lists(point)
 
-    def _loss(self, plan: Plan) -> float:
-        key = _bytes(plan)
+    def _loss(self, point: RelaxedSchedule) -> float:
+        key = _bytes(point)
         if key not in self._losses:
-            self._losses[key] = self.remember(f"loss {key.hex()}", lambda: self.objective(plan))
+            self._losses[key] = self.remember(f"loss {key.hex()}", lambda: self.objective(point))
         return self._losses[key]
 
-    def _evaluate(self, plan: Plan, phase: str) -> None:
-        key = _bytes(plan)
+    def _evaluate(self, point: RelaxedSchedule, phase: str) -> None:
+        key = _bytes(point)
         if key not in self.found:
-            self.found[key] = Found(plan, self._loss(plan))
+            self.found[key] = Found(point, self._loss(point))
             self.report(phase, self.found[key].loss)
 
-    def _polish(self, plan: Plan, effort: Effort) -> None:
+    def _polish(self, point: RelaxedSchedule, effort: Effort) -> None:
         if self.expired() or effort.polishing == 0:
             return
 
         def compute() -> Any:
-            found = polish(self.objective, plan, effort.polishing)
-            return [_lists(found.plan), found.loss]
+            found = polish(self.objective, point, effort.polishing)
+            return [_lists(found.point), found.loss]
 
-        lists, loss = self.remember(f"polish {effort.polishing} {_bytes(plan).hex()}", compute)
-        polished = _plan(lists)
+        lists, loss = self.remember(f"polish {effort.polishing} {_bytes(point).hex()}", compute)
+        polished = _point(lists)
         self.found[_bytes(polished)] = Found(polished, loss)
         self.report("polish", loss)
 
 
-def _bytes(plan: Plan) -> bytes:
-    return np.concatenate([np.asarray(x, np.float32) for x in jax.tree.leaves(plan)]).tobytes()
+def _bytes(point: RelaxedSchedule) -> bytes:
+    return np.concatenate([np.asarray(x, np.float32) for x in jax.tree.leaves(point)]).tobytes()
 
 
-def _lists(plan: Plan) -> list[list[float]]:
-    return [[float(x) for x in np.asarray(leaf)] for leaf in jax.tree.leaves(plan)]
+def _lists(point: RelaxedSchedule) -> list[list[float]]:
+    return [[float(x) for x in np.asarray(leaf)] for leaf in jax.tree.leaves(point)]
 
 
-def _plan(lists: list[list[float]]) -> Plan:
+def _point(lists: list[list[float]]) -> RelaxedSchedule:
     leaves: list[Array] = [jnp.asarray(values, jnp.float32) for values in lists]
-    return Plan(*leaves)
+    return RelaxedSchedule(*leaves)

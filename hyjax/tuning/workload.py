@@ -1,7 +1,6 @@
-"""What is timed: the shapes that a cascade runs on, and the ladder of factors that its schedules may use.
+"""Workload: the shapes that a cascade is timed on, and the downsampling factors that its schedules may use.
 
-A *ladder* is a row of factors, coarse to fine; *steps* over a ladder are a number for each of them, 0 where a level
-is left out.
+*Factors* are a row, coarse to fine; *steps* over them are a number for each, 0 where a level is left out.
 """
 
 import dataclasses
@@ -11,20 +10,20 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from hyjax.errors import InputError
-from hyjax.pyramid import level_shape
-from hyjax.schedule import Schedule
+from hyjax.core.pyramid import level_shape
+from hyjax.core.schedule import Schedule
+from hyjax.util.errors import InputError
 
-LADDER = (32, 16, 8, 4, 2, 1)
-# Cells that the shorter side of a level must have to be worth a place in a ladder. The paper's coarsest has 32 of
-# them; one more level costs compilation and is hardly ever part of a good schedule.
+FACTORS = (32, 16, 8, 4, 2, 1)
+# Cells that the shorter side of a level must have to be worth a place among the factors. The paper's coarsest
+# has 32 of them; one more level costs compilation and is hardly ever part of a good schedule.
 FEWEST_CELLS = 24
 
 DTYPES = ("float16", "bfloat16", "float32", "float64")
 
-Arguments = tuple[Float[Array, "h w lights"], Bool[Array, "h w 1"], Float[Array, "h w f"]]
+Arguments = tuple[Float[Array, "h w lights"], Float[Array, "h w 1"], Float[Array, "h w f"]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,55 +58,55 @@ class Workload:
             raise InputError("workload: dtype float64 needs JAX_ENABLE_X64=1")
 
     def arguments(self) -> Arguments:
-        """Filter, known and guide of these shapes: pseudo-random, the same every time, on the default device."""
+        """Filter, confidence and guide of these shapes on the default device, pseudo-random and always the same."""
         rng = np.random.default_rng(0)
         size = self.height, self.width
         y = rng.random((*size, self.lights), np.float32)
-        known = rng.random((*size, 1)) > 0.1
+        confidence = (rng.random((*size, 1)) > 0.1).astype(np.float32)
         guide = rng.random((*size, self.guide_channels), np.float32)
-        return jnp.asarray(y, self.dtype), jnp.asarray(known), jnp.asarray(guide, self.dtype)
+        return jnp.asarray(y, self.dtype), jnp.asarray(confidence), jnp.asarray(guide, self.dtype)
 
     def on_device(self, arguments: Arguments) -> Arguments:
-        """Filter, known and guide on the default device.
+        """Filter, confidence and guide on the default device.
 
         Raises:
             InputError: not of these shapes.
         """
         size = self.height, self.width
         shapes = (*size, self.lights), (*size, 1), (*size, self.guide_channels)
-        for name, array, shape in zip(("filter", "known", "guide"), arguments, shapes, strict=True):
+        for name, array, shape in zip(("filter", "confidence", "guide"), arguments, shapes, strict=True):
             if array.shape != shape:
                 raise InputError(f"{name}: shape {array.shape} is not the latency table's {shape}")
-        y, known, guide = (jnp.asarray(array) for array in arguments)
-        return y, known, guide
+        y, confidence, guide = (jnp.asarray(array) for array in arguments)
+        return y, confidence, guide
 
     def __str__(self) -> str:
         lights = f"{self.lights} light{'s' if self.lights > 1 else ''}"
         return f"{self.height}x{self.width}, {lights}, {self.guide_channels} guide channels, {self.dtype}"
 
 
-def ladder_for(height: int, width: int, ladder: Sequence[int] = LADDER) -> tuple[int, ...]:
-    """The factors of a ladder that are not too coarse for a picture of this size.
+def factors_for(height: int, width: int, factors: Sequence[int] = FACTORS) -> tuple[int, ...]:
+    """Those of the factors that are not too coarse for a picture of this size.
 
     Raises:
         InputError: factors do not fall, are no multiples of each other, or are all too coarse.
     """
-    check_ladder(ladder)
-    fitting = tuple(f for f in ladder if f == 1 or min(level_shape((height, width), f)) >= FEWEST_CELLS)
+    check_factors(factors)
+    fitting = tuple(f for f in factors if f == 1 or min(level_shape((height, width), f)) >= FEWEST_CELLS)
     if not fitting:
-        raise InputError(f"ladder: every factor of {tuple(ladder)} is too coarse for {height}x{width} pixels")
+        raise InputError(f"factors: each of {tuple(factors)} is too coarse for {height}x{width} pixels")
     return fitting
 
 
-def check_ladder(ladder: Sequence[int]) -> None:
-    """See that a ladder can be one.
+def check_factors(factors: Sequence[int]) -> None:
+    """Raise `InputError` unless a schedule can have these factors.
 
     Raises:
-        InputError: no factors, one that is no whole number >= 1 or no multiple of the next.
+        InputError: none, one that is no whole number >= 1 or no multiple of the next.
     """
-    whole = all(isinstance(f, int) and not isinstance(f, bool) and f >= 1 for f in ladder)
-    if not ladder or not whole or any(c <= f or c % f for c, f in itertools.pairwise(ladder)):
-        raise InputError(f"ladder: factors must fall, each a multiple of the next, got {tuple(ladder)}")
+    whole = all(isinstance(f, int) and not isinstance(f, bool) and f >= 1 for f in factors)
+    if not factors or not whole or any(c <= f or c % f for c, f in itertools.pairwise(factors)):
+        raise InputError(f"factors: they must fall, each a multiple of the next, got {tuple(factors)}")
 
 
 def schedule_key(schedule: Schedule) -> str:
@@ -119,6 +118,6 @@ def schedule_key(schedule: Schedule) -> str:
         text += f" norm={schedule.norm}"
     if schedule.upsampling != "bilinear":
         text += f" upsampling={schedule.upsampling}"
-    if any(level.attachment is not None for level in schedule.levels):
+    if any(level.fidelity is not None for level in schedule.levels):
         text += " attached"
     return text

@@ -11,10 +11,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.turning import turn_frame
-from hyjax.images import write_png
-from hyjax.scene.camera import Camera, Intrinsics
-from hyjax.scene.mesh import save_mesh
+from hyjax.data.orientation import turn_frame
+from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.geometry.mesh import save_mesh
+from hyjax.util.images import write_png
 
 START = 6845.21
 """What the device's clock says at the capture's start, seconds."""

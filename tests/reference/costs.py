@@ -3,7 +3,7 @@
 import numpy as np
 
 from hyjax.tuning.cost_model import CostModel
-from hyjax.tuning.workload import LADDER
+from hyjax.tuning.workload import FACTORS
 
 # Roughly what 512x512 with two lights costs on two cores.
 TRUTH = CostModel(
@@ -15,7 +15,7 @@ TRUTH = CostModel(
 
 
 def random_steps(count: int = 40) -> list[list[int]]:
-    """Steps over the ladder, some levels left out, the same every time."""
+    """Steps over the factors, some levels left out, the same every time."""
     rng = np.random.default_rng(3)
-    rows = (rng.integers(0, 2, len(LADDER)) * rng.integers(1, 40, len(LADDER)) for _ in range(2 * count))
+    rows = (rng.integers(0, 2, len(FACTORS)) * rng.integers(1, 40, len(FACTORS)) for _ in range(2 * count))
     return [row.tolist() for row in rows if row.any()][:count]

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from hyjax.scene.raycast import RayCaster
+from hyjax.geometry.raycast import RayCaster
 
 Kind = Literal["ascii", "binary_little_endian", "binary_big_endian"]
 POINT = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]

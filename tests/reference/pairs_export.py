@@ -6,7 +6,7 @@ import numpy as np
 import OpenImageIO as oiio
 from jaxtyping import Float
 
-from hyjax.images import write_png
+from hyjax.util.images import write_png
 from reference.arkit_export import file_in, write_depth
 
 Image = Float[np.ndarray, "h w 3"]

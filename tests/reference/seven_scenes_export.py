@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import Frame
-from hyjax.images import write_png
+from hyjax.util.images import write_png
 
 
 def export_seven_scenes(frames: Iterable[Frame], up: Float[np.ndarray, "3"], folder: Path) -> Path:

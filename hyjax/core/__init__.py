@@ -1,0 +1,1 @@
+"""The paper's equations on arrays: differences, diffusion, pyramid, cascade, schedules."""

@@ -1,0 +1,1 @@
+"""Geometry on the host (NumPy): cameras, meshes, ray casting, point clouds, fusion of depth."""

@@ -1,0 +1,104 @@
+"""Measured depth maps, and which of their readings are reliable."""
+
+from collections.abc import Iterable, Iterator
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from hyjax.geometry.camera import Camera
+from hyjax.util.errors import InputError
+
+NEAR = 0.1  # metres; nothing nearer is measured by any depth camera
+# Neighbouring pixels further apart than a surface seen at this slope (tan 80°) straddle two surfaces.
+STEEPEST = 5.7
+SLACK = (0.03, 0.02)  # metres, and per metre of depth: how far a surface may be off from a reading of it
+
+
+class DepthFrame(Protocol):
+    """A frame as fusion needs it, such as `hyjax.data.capture.Frame`."""
+
+    @property
+    def depth(self) -> Float[np.ndarray, "h w"] | None: ...
+
+    @property
+    def depth_camera(self) -> Camera: ...
+
+
+PosedDepth = DepthFrame | tuple[Float[np.ndarray, "h w"], Camera]
+
+
+def posed_depths(frames: Iterable[PosedDepth]) -> Iterator[tuple[Float[np.ndarray, "h w"], Camera]]:
+    """(depth, its camera) of frames, one at a time.
+
+    Raises:
+        InputError: a frame without depth, or depth of another size than its camera.
+    """
+    for number, frame in enumerate(frames):
+        depth, camera = frame if isinstance(frame, tuple) else (frame.depth, frame.depth_camera)
+        if depth is None:
+            raise InputError(f"frame {number} has no depth map; fusion needs a capture with depth")
+        if depth.shape != camera.intrinsics.shape:
+            raise InputError(
+                f"depth map {number} is {depth.shape[1]}x{depth.shape[0]} but its camera is "
+                f"{camera.intrinsics.width}x{camera.intrinsics.height}; give the depth camera's intrinsics"
+            )
+        yield depth, camera
+
+
+def clean_depth(depth: Float[np.ndarray, "h w"], camera: Camera, max_depth: float) -> Float[np.ndarray, "h w"]:
+    """Depth with 0 for everything that is not one surface's reading: invalid, out of range, or beside a jump."""
+    usable = np.isfinite(depth) & (depth > NEAR) & (depth < max_depth)
+    depth = np.where(usable, depth, 0.0).astype(np.float32)
+    farthest = ndimage.maximum_filter(depth, 3)
+    nearest = ndimage.minimum_filter(np.where(usable, depth, np.float32(np.inf)), 3)
+    # Two pixels apart across the 3×3 window; one part in twenty is left to the noise of the sensor.
+    jump = max(0.05, 2.0 * STEEPEST / camera.intrinsics.fx)
+    return np.where(farthest - nearest > jump * depth, np.float32(0.0), depth)
+
+
+def confirmed(frame: DepthFrame, position: Float[np.ndarray, "h w 3"], *, unread: bool) -> Bool[np.ndarray, "h w"]:
+    """Mask of the surface points whose depth a frame's depth map confirms within `SLACK`.
+
+    Args:
+        frame: with its depth.
+        position: world points, one a pixel of any camera.
+        unread: what to answer where the depth map has no reading.
+    """
+    if frame.depth is None:
+        return np.full(position.shape[:2], unread)
+    pixel, expected = frame.depth_camera.project(position.astype(np.float64))
+    height, width = frame.depth.shape
+    with np.errstate(invalid="ignore"):
+        column, row = np.floor(pixel[..., 0]), np.floor(pixel[..., 1])
+        inside = (column >= 0) & (row >= 0) & (column < width) & (row < height) & (expected > 0)
+    row, column = (np.where(inside, x, 0).astype(int) for x in (row, column))
+    measured = np.where(inside, frame.depth[row, column], 0.0)
+    return np.where(measured > 0, np.abs(measured - expected) < SLACK[0] + SLACK[1] * expected, unread)
+
+
+def view_cosine(depth: Float[np.ndarray, "h w"], camera: Camera, reach: int = 2) -> Float[np.ndarray, "h w"]:
+    """Cosine between the surface's normal and the ray, from differences `reach` pixels apart; 1 beside holes.
+
+    With slopes z_u, z_v a surface z(u, v) has the normal (-fx z_u, -fy z_v, z + (u-cx) z_u + (v-cy) z_v), whose
+    product with the pixel's ray is z.
+    """
+    k = camera.intrinsics
+    z_u = _slope(depth, 1, reach)
+    z_v = _slope(depth, 0, reach)
+    u = (np.arange(k.width, dtype=np.float32) + np.float32(0.5 - k.cx))[None, :]
+    v = (np.arange(k.height, dtype=np.float32) + np.float32(0.5 - k.cy))[:, None]
+    third = depth + u * z_u + v * z_v
+    normal = np.sqrt(np.float32(k.fx**2) * z_u**2 + np.float32(k.fy**2) * z_v**2 + third**2)
+    ray = np.sqrt((u / np.float32(k.fx)) ** 2 + (v / np.float32(k.fy)) ** 2 + 1.0)
+    return np.where(depth > 0, depth / np.maximum(normal * ray, np.float32(1e-12)), np.float32(1.0))
+
+
+def _slope(depth: Float[np.ndarray, "h w"], axis: int, reach: int) -> Float[np.ndarray, "h w"]:
+    """Central difference along an axis in metres a pixel; 0 where a neighbour has no reading."""
+    moved = np.moveaxis(depth, axis, 0)
+    slope = np.zeros_like(moved)
+    ahead, behind = moved[2 * reach :], moved[: -2 * reach]
+    slope[reach:-reach] = np.where((ahead > 0) & (behind > 0), (ahead - behind) / (2 * reach), 0.0)
+    return np.moveaxis(slope, 0, axis)

@@ -1,0 +1,229 @@
+"""Fusion of posed depth maps into a surface, through a truncated signed distance on sparse blocks of voxels.
+
+Each depth map votes, in every voxel it sees, for the distance to the surface along its own axis; the votes are
+averaged and the surface is where the average changes sign. Memory goes to blocks of 8³ voxels that some camera saw.
+
+Symbols: a voxel's signed distance is positive in free space (towards the camera), negative behind the surface, and
+cut off at ±truncation. Weights are in units of one view head-on from one metre.
+
+Sources: Curless & Levoy, "A volumetric method for building complex models from range images", SIGGRAPH 1996 (the
+running weighted mean, carving of free space); Nießner et al., "Real-time 3D reconstruction at scale using voxel
+hashing", SIGGRAPH Asia 2013 (sparse blocks); weights after Newcombe et al., "KinectFusion", ISMAR 2011.
+"""
+
+import os
+from collections.abc import Iterable, Sized
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+from scipy import ndimage
+from tqdm import tqdm
+
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.depth_map import NEAR, PosedDepth, clean_depth, posed_depths, view_cosine
+from hyjax.geometry.surface import extract_surface
+from hyjax.geometry.voxels import voxel_coordinates, voxel_keys
+from hyjax.util.errors import InputError
+
+BLOCK = 8
+CHUNK = 64  # blocks updated at once: arrays of 128 KiB, which stay in the cache
+NO_READING = -1e6  # in place of a depth: every voxel is then far behind the surface, hence not updated
+MAX_BLOCKS = 1 << 20  # 4 GiB of voxels
+MAX_CANDIDATES = 8_000_000  # blocks in the box around one view
+
+
+def fuse(
+    frames: Iterable[PosedDepth],
+    voxel: float,
+    truncation: float | None = None,
+    max_depth: float = 4.0,
+    min_weight: float = 0.1,
+    progress: bool = True,
+) -> trimesh.Trimesh:
+    """Surface seen by posed depth maps, as a mesh in world coordinates.
+
+    The result does not depend on the frames' order beyond rounding. Frames are taken one at a time.
+
+    Args:
+        frames: frames with depth, or pairs (depth in metres, its camera). Readings that are not finite, not
+            positive or beyond `max_depth` are no readings.
+        voxel: edge of a voxel in metres.
+        truncation: half width of the band around the surface in metres; 4 voxels unless given.
+        max_depth: metres.
+        min_weight: least weight of a voxel; 1 is one view head-on from 1 m, 1/9 one from 3 m.
+        progress: show a bar on stderr.
+
+    Raises:
+        InputError: unusable parameters, a depth map of another size than its camera, no readings at all, or a
+            space too large for so small a voxel.
+    """
+    truncation = 4.0 * voxel if truncation is None else truncation
+    if not (0 < voxel < truncation < max_depth and np.isfinite(max_depth)):
+        raise InputError(
+            f"fuse: need 0 < voxel < truncation < max depth, got {voxel}, {truncation} and {max_depth} m"
+        )
+    volume = Volume(voxel, truncation)
+    total = len(frames) if isinstance(frames, Sized) else None
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for depth, camera in tqdm(posed_depths(frames), "fusing", total, disable=not progress, unit="frame"):
+            volume.integrate(depth, camera, max_depth, pool)
+    if volume.count == 0:
+        raise InputError(f"fuse: not one depth reading between {NEAR} and {max_depth} m; nothing to fuse")
+    coordinates, distance, weight = volume.blocks()
+    return extract_surface(coordinates, distance, weight > min_weight, voxel)
+
+
+class Volume:
+    """Sparse blocks of voxels with a weighted sum of distances and a sum of weights each.
+
+    Voxel (i, j, k) of block (x, y, z) sits at world position voxel·(8x+i, 8y+j, 8z+k).
+    """
+
+    def __init__(self, voxel: float, truncation: float) -> None:
+        self.voxel, self.truncation = voxel, truncation
+        self.count = 0
+        self._keys = np.zeros(0, dtype=np.int64)  # sorted
+        self._slots = np.zeros(0, dtype=np.int64)  # where in the pool the block of each key is
+        self._sums = np.zeros((0, BLOCK**3), dtype=np.float32)
+        self._weights = np.zeros((0, BLOCK**3), dtype=np.float32)
+        self._local = np.indices((BLOCK,) * 3).reshape(3, -1).T * voxel
+
+    def blocks(self) -> tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, "n 512"], Float[np.ndarray, "n 512"]]:
+        """Block coordinates, mean signed distance (as a share of the truncation, in [-1, 1]), weight."""
+        sums, weights = self._sums[self._slots], self._weights[self._slots]
+        sums /= np.maximum(weights, np.float32(1e-12)) * np.float32(self.truncation)
+        return voxel_coordinates(self._keys), sums, weights
+
+    def integrate(
+        self, depth: Float[np.ndarray, "h w"], camera: Camera, max_depth: float, pool: ThreadPoolExecutor
+    ) -> None:
+        """Add one depth map's votes."""
+        depth = clean_depth(depth, camera, max_depth)
+        if not depth.any():
+            return
+        # 1/z² as the sensor's noise, levelled off near the camera so that one close view does not outvote all.
+        weight = view_cosine(depth, camera) / np.maximum(depth, 0.5) ** 2
+        reading = np.where(depth > 0, depth, np.float32(NO_READING))
+        # A rim of "no reading" takes the voxels that project outside the picture.
+        padded = np.pad(reading, 1, constant_values=NO_READING), np.pad(weight, 1)
+        coordinates = _blocks_in_view(depth, camera, self.voxel * BLOCK, self.truncation)
+        slots = self._slots_of(voxel_keys(coordinates))
+        chunks = [slice(start, start + CHUNK) for start in range(0, len(slots), CHUNK)]
+        # Chunks are disjoint, so the result does not depend on how the threads take turns.
+        list(pool.map(lambda part: self._update(coordinates[part], slots[part], *padded, camera), chunks))
+
+    def _update(
+        self,
+        coordinates: Int[np.ndarray, "n 3"],
+        slots: Int[np.ndarray, "n"],
+        reading: Float[np.ndarray, "hp wp"],
+        weight: Float[np.ndarray, "hp wp"],
+        camera: Camera,
+    ) -> None:
+        project = camera.intrinsics.matrix @ camera.pose[:3, :3].T
+        corner = (coordinates * (self.voxel * BLOCK) - camera.origin) @ project.T
+        step = self._local @ project.T
+        # Homogeneous pixel coordinates; their third component is the voxel's depth.
+        x, y, z = (corner[:, i, None].astype(np.float32) + step[None, :, i].astype(np.float32) for i in range(3))
+        height, width = reading.shape
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x /= z
+            y /= z
+        x[z < NEAR] = y[z < NEAR] = -1.0
+        # Pixel j covers [j, j+1], which is column j+1 with the rim; beyond the picture lands on the rim.
+        column = np.clip(x + 1.0, 0.0, width - 1).astype(np.int32)
+        row = np.clip(y + 1.0, 0.0, height - 1).astype(np.int32)
+        row *= width
+        row += column
+        distance = reading.take(row)
+        distance -= z
+        # Behind the surface confidence fades from one voxel on, so that it does not eat a thin wall's far side.
+        fade = (distance + np.float32(self.truncation)) * np.float32(1.0 / (self.truncation - self.voxel))
+        vote = weight.take(row)
+        vote *= np.clip(fade, 0.0, 1.0, out=fade)
+        np.clip(distance, -self.truncation, self.truncation, out=distance)
+        distance *= vote
+        self._sums[slots] += distance
+        self._weights[slots] += vote
+
+    def _slots_of(self, keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """Pool rows of blocks; blocks not yet there are added."""
+        new = np.setdiff1d(keys, self._keys, assume_unique=True)
+        if len(new):
+            self._reserve(self.count + len(new))
+            place = np.searchsorted(self._keys, new)
+            self._keys = np.insert(self._keys, place, new)
+            self._slots = np.insert(self._slots, place, np.arange(self.count, self.count + len(new)))
+            self.count += len(new)
+        return self._slots[np.searchsorted(self._keys, keys)]
+
+    def _reserve(self, count: int) -> None:
+        if count > MAX_BLOCKS:
+            raise InputError(
+                f"fuse: {count} blocks of {BLOCK}³ voxels of {self.voxel} m are in view, more than the "
+                f"{MAX_BLOCKS} that fit in memory; take a coarser voxel or a smaller max depth"
+            )
+        missing = count - len(self._sums)
+        if missing > 0:
+            grow = ((0, max(missing, len(self._sums) // 2)), (0, 0))
+            self._sums, self._weights = np.pad(self._sums, grow), np.pad(self._weights, grow)
+
+
+def _blocks_in_view(
+    depth: Float[np.ndarray, "h w"], camera: Camera, size: float, truncation: float
+) -> Int[np.ndarray, "n 3"]:
+    """Coordinates of all blocks (edge `size`) between the camera and just behind the surface it sees."""
+    k = camera.intrinsics
+    far = depth.max() + truncation
+    rim = np.array([[(u - k.cx) / k.fx, (v - k.cy) / k.fy, 1.0] for u in (0, k.width) for v in (0, k.height)])
+    reach = np.concatenate([[camera.origin], camera.origin + far * rim @ camera.pose[:3, :3].T])
+    low, high = np.floor(reach.min(axis=0) / size).astype(int), np.floor(reach.max(axis=0) / size).astype(int)
+    if np.prod(high - low + 1.0) > MAX_CANDIDATES:
+        raise InputError(
+            f"fuse: one view spans {np.prod(high - low + 1.0):.0e} blocks of 8³ voxels of {size / BLOCK:g} m; "
+            "take a coarser voxel or a smaller max depth"
+        )
+    blocks = np.stack(np.meshgrid(*map(np.arange, low, high + 1), indexing="ij"), axis=-1).reshape(-1, 3)
+    local = ((blocks + 0.5) * size - camera.origin) @ camera.pose[:3, :3]
+    radius = size * np.sqrt(3.0) / 2.0
+    keep = (local[:, 2] > -radius) & (local[:, 2] < far + radius)
+    blocks, local = blocks[keep], local[keep]
+    # Side planes of the view pyramid: u ≥ 0 is x·fx + z·cx ≥ 0, and so on.
+    planes = np.array([[k.fx, 0, k.cx], [-k.fx, 0, k.width - k.cx], [0, k.fy, k.cy], [0, -k.fy, k.height - k.cy]])
+    planes = planes / np.linalg.norm(planes, axis=1, keepdims=True)
+    keep = (local @ planes.T > -radius).all(axis=1)
+    blocks, local = blocks[keep], local[keep]
+    return blocks[local[:, 2] - radius - truncation < _farthest_around(depth, camera, local, radius)]
+
+
+def _farthest_around(
+    depth: Float[np.ndarray, "h w"], camera: Camera, centres: Float[np.ndarray, "n 3"], radius: float
+) -> Float[np.ndarray, "n"]:
+    """An upper bound of the depth over the pixels that each ball (camera axes) covers.
+
+    Maxima over tiles of 16, 32, ... pixels; a ball looks at the level whose tiles are as wide as itself.
+    """
+    k = camera.intrinsics
+    z = np.maximum(centres[:, 2] - radius, NEAR)
+    column = k.cx + k.fx * centres[:, 0] / np.maximum(centres[:, 2], NEAR)
+    row = k.cy + k.fy * centres[:, 1] / np.maximum(centres[:, 2], NEAR)
+    level = np.ceil(np.log2(np.maximum(max(k.fx, k.fy) * radius / z / 16.0, 1.0))).astype(int)
+    bound = np.full(len(centres), depth.max())
+    tile = 16
+    for number in range(level.max(initial=0) + 1):
+        if tile >= min(depth.shape):
+            break  # larger balls keep the maximum of the whole map
+        tiles = ndimage.maximum_filter(_pool_max(depth, tile), 3)
+        here = level == number
+        i = np.clip(row[here] // tile, 0, tiles.shape[0] - 1).astype(int)
+        j = np.clip(column[here] // tile, 0, tiles.shape[1] - 1).astype(int)
+        bound[here] = tiles[i, j]
+        tile *= 2
+    return bound
+
+
+def _pool_max(values: Float[np.ndarray, "h w"], tile: int) -> Float[np.ndarray, "ht wt"]:
+    rows, columns = (np.arange(0, n, tile) for n in values.shape)
+    return np.maximum.reduceat(np.maximum.reduceat(values, rows, axis=0), columns, axis=1)

@@ -1,0 +1,1 @@
+"""Lights, shading, shadow maps and colour, as pure functions on arrays."""

@@ -1,0 +1,67 @@
+"""Colour: the sRGB curve between light and display, luminance, colour temperature.
+
+An image called `linear` holds amounts of light, one called `display` holds what a file or a screen stores
+(IEC 61966-2-1 sRGB, primaries of Rec. 709). Light adds and multiplies only in `linear`.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+# Luminance of linear Rec. 709 red, green and blue.
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+
+
+@jax.jit
+def to_linear(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """Display-encoded values in [0, 1] → linear light in [0, 1]."""
+    # Both branches are evaluated and differentiated: the power sees only values from its own side.
+    power = ((jnp.maximum(display, 0.04045) + 0.055) / 1.055) ** 2.4
+    return jnp.where(display <= 0.04045, display / 12.92, power)
+
+
+@jax.jit
+def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """Linear light → display-encoded values in [0, 1]; anything brighter than 1 is clipped to white."""
+    power = 1.055 * jnp.clip(linear, 0.0031308, 1.0) ** (1.0 / 2.4) - 0.055
+    # `where` and not `maximum`, whose gradient at a tie is half: black pixels keep the slope of the light they get.
+    return jnp.where(linear < 0.0, 0.0, jnp.where(linear <= 0.0031308, linear * 12.92, power))
+
+
+def luminance(linear: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
+    """Luminance of linear RGB (Rec. 709 weights)."""
+    return sum(weight * linear[..., k] for k, weight in enumerate(LUMINANCE))  # type: ignore[return-value]
+
+
+def blackbody(kelvin: Float[ArrayLike, ""]) -> Float[Array, "3"]:
+    """Linear RGB of luminance 1 with the hue of a black body; for 1667 to 25000 K.
+
+    Chromaticity by the cubic approximation of Kim et al. (US patent 7024034), as tabulated in *Planckian locus*;
+    colours outside the gamut (below about 1900 K) are clipped to it.
+    """
+    t = jnp.asarray(kelvin, jnp.float32)
+    u = 1e3 / t
+    x = jnp.where(
+        t <= 4000.0,
+        -0.2661239 * u**3 - 0.2343589 * u**2 + 0.8776956 * u + 0.179910,
+        -3.0258469 * u**3 + 2.1070379 * u**2 + 0.2226347 * u + 0.240390,
+    )
+    y = jnp.where(
+        t <= 2222.0,
+        -1.1063814 * x**3 - 1.34811020 * x**2 + 2.18555832 * x - 0.20219683,
+        jnp.where(
+            t <= 4000.0,
+            -0.9549476 * x**3 - 1.37418593 * x**2 + 2.09137015 * x - 0.16748867,
+            3.0817580 * x**3 - 5.87338670 * x**2 + 3.75112997 * x - 0.37001483,
+        ),
+    )
+    xyz = jnp.stack([x / y, jnp.ones_like(x), (1.0 - x - y) / y])
+    to_rgb = jnp.array(
+        [
+            [3.2404542, -1.5371385, -0.4985314],
+            [-0.9692660, 1.8760108, 0.0415560],
+            [0.0556434, -0.2040259, 1.0572252],
+        ]
+    )
+    rgb = jnp.maximum(to_rgb @ xyz, 0.0)
+    return rgb / luminance(rgb)

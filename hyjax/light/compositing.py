@@ -1,0 +1,29 @@
+"""Filter times frame (Eq. 1)."""
+
+import jax
+from jaxtyping import Array, Float
+
+from hyjax.util.errors import InputError
+
+
+def composite(relight_filter: Float[Array, "h w c"], frame: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
+    """The relit picture S = R ⊙ C (Eq. 1).
+
+    Multiplies whatever it is given: two linear images give the physically right product, two display-encoded ones
+    the paper's.
+
+    Args:
+        relight_filter: R, one channel or three.
+        frame: C, the camera's picture.
+
+    Raises:
+        InputError: the sizes differ.
+    """
+    if relight_filter.shape[:2] != frame.shape[:2] or relight_filter.shape[-1] not in (1, frame.shape[-1]):
+        raise InputError(f"composite: filter {relight_filter.shape} does not fit the frame {frame.shape}")
+    return _multiply(relight_filter, frame)
+
+
+@jax.jit
+def _multiply(relight_filter: Float[Array, "h w c"], frame: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
+    return relight_filter * frame

@@ -1,0 +1,24 @@
+"""G-buffer: the surface points that a camera sees, where geometry (host, NumPy) meets light (device, JAX)."""
+
+import dataclasses
+
+import jax
+from jaxtyping import Array, Bool, Float
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class GBuffer:
+    """Surface points seen by a camera, one a pixel.
+
+    Attributes:
+        position: world position in metres; zero where no surface was hit.
+        normal: unit surface normal in world axes, on the side that the camera sees; zero where no surface was hit.
+        depth: distance along the camera's axis in metres; zero where no surface was hit.
+        hit: whether the pixel's ray met the mesh.
+    """
+
+    position: Float[Array, "h w 3"]
+    normal: Float[Array, "h w 3"]
+    depth: Float[Array, "h w"]
+    hit: Bool[Array, "h w"]

@@ -1,0 +1,37 @@
+"""Light set-up: virtual lights, and the light that the frames were taken under."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from hyjax.light.kinds import Light
+
+REFERENCE_LUX = 300.0
+"""Illuminance under which a frame is taken to have been photographed: an ordinary room in daylight or lamplight."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LightSetup:
+    """Virtual lights, with the illuminance that the frames are taken to have been photographed under.
+
+    Attributes:
+        lights: in the mesh's world coordinates.
+        reference_lux: illuminance that leaves a frame as it is.
+    """
+
+    lights: tuple[Light, ...]
+    reference_lux: float = REFERENCE_LUX
+
+    @classmethod
+    def of(cls, lights: "LightSetup | Sequence[Light]") -> "LightSetup":
+        """A set-up as it is, or a set-up of these lights under the usual reference."""
+        return lights if isinstance(lights, LightSetup) else cls(tuple(lights))
+
+
+def same_lights(a: Sequence[Light], b: Sequence[Light]) -> bool:
+    """Whether two sequences have lights of the same kinds and values."""
+    own, other = tuple(a), tuple(b)
+    same: bool = jax.tree.structure(own) == jax.tree.structure(other)  # type: ignore[operator]
+    return same and all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(own), jax.tree.leaves(other)))

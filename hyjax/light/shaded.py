@@ -1,0 +1,96 @@
+"""Shaded: the light on the visible surface, as the repair takes it."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from hyjax.light.kinds import Light
+from hyjax.light.setup import LightSetup
+from hyjax.util.errors import InputError
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Shaded:
+    """Light on the surface that a camera sees, a channel for each light.
+
+    Shadow maps, Blender, a point cloud or moved furniture: whatever shades a frame delivers this.
+
+    Attributes:
+        illuminance: lux that each light throws on the surface without shadows, before its colour; zero in holes.
+        visibility: share of each light that shadows leave, in [0, 1].
+        colors: linear RGB of each light.
+        confidence: how far the shading of a pixel can be trusted, in [0, 1]; 0 in holes.
+        reference_lux: illuminance under which the frame is taken to have been photographed.
+        ambient: relight filter where nothing of the frame is known.
+    """
+
+    illuminance: Float[Array, "h w l"]
+    visibility: Float[Array, "h w l"]
+    colors: Float[Array, "l 3"]
+    confidence: Float[Array, "h w 1"]
+    reference_lux: Float[ArrayLike, ""]
+    ambient: Float[Array, "3"]
+
+    @classmethod
+    def of(
+        cls,
+        setup: LightSetup | Sequence[Light],
+        illuminance: Float[Array, "h w l"],
+        visibility: Float[Array, "h w l"],
+        hit: Bool[Array, "h w"],
+        *,
+        confidence: Float[Array, "h w 1"] | None = None,
+    ) -> "Shaded":
+        """Light of a set-up, however it was computed.
+
+        Args:
+            setup: the lights.
+            illuminance: lux of each, without shadows.
+            visibility: what shadows leave of it.
+            hit: where the mesh has a surface.
+            confidence: how far the shading can be trusted; 1 by default. In holes it is 0, whatever it says.
+
+        Raises:
+            InputError: no lights, or shapes that do not fit.
+        """
+        setup = LightSetup.of(setup)
+        check_lights(setup.lights)
+        expected = (*hit.shape, len(setup.lights))
+        for name, channels in (("illuminance", illuminance), ("visibility", visibility)):
+            if channels.shape != expected:
+                raise InputError(
+                    f"shaded: {name} is {channels.shape}, must be {expected}: a channel for each light"
+                )
+        if confidence is not None and confidence.shape != (*hit.shape, 1):
+            raise InputError(f"shaded: confidence is {confidence.shape}, must be {(*hit.shape, 1)}")
+        known, colors, ambient = _complete(hit, confidence, setup.lights, setup.reference_lux)
+        return cls(illuminance, visibility, colors, known, setup.reference_lux, ambient)
+
+
+@jax.jit
+def _complete(
+    hit: Bool[Array, "h w"],
+    confidence: Float[Array, "h w 1"] | None,
+    lights: Sequence[Light],
+    reference_lux: Float[ArrayLike, ""],
+) -> tuple[Float[Array, "h w 1"], Float[Array, "l 3"], Float[Array, "3"]]:
+    """Confidence, colours and ambient filter."""
+    known = jnp.where(hit[..., None], 1.0 if confidence is None else confidence, 0.0)
+    return known, jnp.stack([light.color for light in lights]), ambient_filter(lights, reference_lux)
+
+
+def check_lights(lights: Sequence[Light]) -> None:
+    """Raise `InputError` if there are no lights."""
+    if not lights:
+        raise InputError("lights: none given; give at least one")
+
+
+def ambient_filter(lights: Sequence[Light], reference_lux: Float[ArrayLike, ""]) -> Float[Array, "3"]:
+    """Relight filter of the lights that fall on any surface alike; 1, which leaves the frame, if there are none."""
+    anywhere, up = jnp.zeros(3), jnp.array([0.0, 0.0, 1.0])
+    ambient = [light.illuminance_at(anywhere, up) * light.color for light in lights if light.UNIFORM]
+    return sum(ambient[1:], ambient[0]) / reference_lux if ambient else jnp.ones(3)

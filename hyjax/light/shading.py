@@ -1,0 +1,60 @@
+"""Lambert shading of what the camera sees: the raw relight filter R of Eq. 1, without shadows."""
+
+import functools
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.kinds import Light
+from hyjax.util.errors import InputError
+
+
+def shade(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w 3"]:
+    """Illuminance on every visible surface point from all lights together, nothing in the way.
+
+    A diffuse surface of any albedo reflects light in proportion to its illuminance, so the ratio of this to the
+    illuminance under which the frame was taken is the filter that relights the frame.
+
+    Args:
+        gbuffer: what the camera sees of the mesh.
+        lights: any mixture of kinds, at least one.
+
+    Returns:
+        Lux for red, green and blue; zero where the camera's ray missed the mesh.
+
+    Raises:
+        InputError: no lights.
+    """
+    if not lights:
+        raise InputError("shade: no lights; give at least one")
+    return colored(shade_each(gbuffer, lights), lights)
+
+
+@jax.jit
+def shade_each(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w l"]:
+    """Illuminance from each light by itself, before its colour; see `shade`.
+
+    Returns:
+        Lux, a channel for each light; zero where the camera's ray missed the mesh.
+    """
+    each = [jnp.where(gbuffer.hit, light.illuminance_at(gbuffer.position, gbuffer.normal), 0.0) for light in lights]
+    return jnp.stack(each, axis=-1)
+
+
+@jax.jit
+def colored(each: Float[Array, "h w l"], lights: Sequence[Light]) -> Float[Array, "h w 3"]:
+    """Sum of one channel for each light, times the lights' colours."""
+    return mix_channels(each, [light.color for light in lights])
+
+
+def mix_channels(
+    channels: Float[Array, "h w l"], colors: Float[Array, "l 3"] | Sequence[Float[Array, "3"]]
+) -> Float[Array, "h w 3"]:
+    """Sum of one channel for each light, times their colours.
+
+    Added one by one: XLA's CPU backend takes longer to reduce an axis.
+    """
+    return functools.reduce(jnp.add, [channels[..., k, None] * colors[k] for k in range(channels.shape[-1])])

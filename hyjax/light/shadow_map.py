@@ -1,0 +1,187 @@
+"""Shadow maps: which surface points a light reaches.
+
+A shadow map holds distances from a light to the nearest surface, over a square of directions (or of parallel rays).
+A surface point is lit if it is no farther than the map says. A light with an extent has a map for each of several
+of its points, and the answers are averaged: that makes the penumbra.
+
+The maps are filled by ray casting on the host (`hyjax.geometry.shadow_caster`), once for a static scene.
+Looking them up is JAX. Both sides use `map_rays` and `map_coordinates` below, each the other's inverse.
+
+Map coordinates (u, v) run over [-1, 1]²; maps carry one texel of gutter on each side, so that bilinear filtering
+needs no special case at the border.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.kinds import Light
+from hyjax.light.kinds.shadow_views import Projection
+from hyjax.util.geometry import inner
+
+Vector = tuple[Array, Array, Array]  # by components: see `hyjax.util.geometry` for why
+
+# Receivers are moved off their surface by this many texels times the sine of the angle of incidence (normal offset,
+# Holbert 2011), which covers the footprint of the 2×2 filter, and compared with a slack of this many texels.
+NORMAL_OFFSET = 2.0
+DEPTH_BIAS = 1.0
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass, data_fields=["depth", "origin", "axes", "texel"], meta_fields=["projection"]
+)
+@dataclasses.dataclass(frozen=True, eq=False)
+class ShadowMap:
+    """Distances from a light to the nearest surface, from `v` points of it.
+
+    Attributes:
+        depth: metres along the map's rays, infinite where nothing is hit, −infinite where no light starts; s texels
+            a side, gutter included.
+        origin: where each view looks from (orthographic: the centre of its plane), world metres.
+        axes: rows are the view's axes in world coordinates. The last row is the unit viewing direction; for
+            perspective and orthographic views the first two are scaled so that the map spans [-1, 1].
+        texel: width of a texel; metres for orthographic maps, else metres at one metre's distance.
+        projection: how directions map to the square (static).
+    """
+
+    depth: Float[Array, "v s s"]
+    origin: Float[Array, "v 3"]
+    axes: Float[Array, "v 3 3"]
+    texel: Float[Array, ""]
+    projection: Projection
+
+
+def map_coordinates(local: Vector, projection: Projection) -> tuple[Array, Array, Array]:
+    """A point in a view's axes, by components → its map coordinates u, v and its distance along the map's rays."""
+    x, y, z = local
+    if projection == "orthographic":
+        return x, y, z
+    if projection == "perspective":
+        depth = jnp.maximum(z, 1e-6)
+        return x / depth, y / depth, depth
+    distance = jnp.sqrt(x * x + y * y + z * z + 1e-12)
+    scale = 1.0 / (jnp.abs(x) + jnp.abs(y) + jnp.abs(z) + 1e-12)
+    x, y = x * scale, y * scale
+    if projection == "hemisphere":
+        return x + y, x - y, distance
+    folded_x, folded_y = _fold(x, y)
+    return jnp.where(z < 0, folded_x, x), jnp.where(z < 0, folded_y, y), distance
+
+
+def map_rays(u: Array, v: Array, projection: Projection) -> tuple[Vector, Vector]:
+    """Map coordinates → origin and direction of the ray in a view's axes; inverse of `map_coordinates`.
+
+    The ray parameter is the map's distance. Coordinates outside [-1, 1]² (the gutter) continue the map.
+    Octahedral maps: Engelhardt and Dachsbacher, *Octahedron environment maps*, 2008.
+    """
+    zero, one = jnp.zeros_like(u), jnp.ones_like(u)
+    if projection == "orthographic":
+        return (u, v, zero), (zero, zero, one)
+    if projection == "perspective":
+        return (zero, zero, zero), (u, v, one)
+    if projection == "hemisphere":
+        x, y = 0.5 * (u + v), 0.5 * (u - v)
+        z = 1.0 - jnp.abs(x) - jnp.abs(y)
+    else:
+        # Beyond an edge of the square the octahedron continues on the same edge, mirrored about its middle.
+        x, y = jnp.where(jnp.abs(u) > 1, 2 * jnp.sign(u) - u, u), jnp.where(jnp.abs(u) > 1, -v, v)
+        x, y = jnp.where(jnp.abs(y) > 1, -x, x), jnp.where(jnp.abs(y) > 1, 2 * jnp.sign(y) - y, y)
+        z = 1.0 - jnp.abs(x) - jnp.abs(y)
+        folded_x, folded_y = _fold(x, y)
+        x, y = jnp.where(z < 0, folded_x, x), jnp.where(z < 0, folded_y, y)
+    length = jnp.sqrt(x * x + y * y + z * z)
+    return (zero, zero, zero), (x / length, y / length, z / length)
+
+
+def _fold(x: Array, y: Array) -> tuple[Array, Array]:
+    """Lower half of the octahedron to the corners of the square, and back."""
+    return (1.0 - jnp.abs(y)) * jnp.where(x < 0, -1.0, 1.0), (1.0 - jnp.abs(x)) * jnp.where(y < 0, -1.0, 1.0)
+
+
+@jax.jit
+def visibility(gbuffer: GBuffer, light: Light, shadow_map: ShadowMap | None) -> Float[Array, "h w"]:
+    """Share of a light that reaches each visible surface point, in [0, 1].
+
+    The views of an extended light are weighted by what each contributes, `Light.view_weight`.
+
+    Args:
+        gbuffer: what the camera sees.
+        light: the light that the map was made for.
+        shadow_map: None for a light that casts no shadow.
+
+    Returns:
+        1 lit, 0 in full shadow; 1 where nothing is known: where the camera's ray missed the mesh, and on surfaces
+        turned away from the light.
+    """
+    if shadow_map is None:
+        return jnp.ones_like(gbuffer.depth)
+
+    # Component by component: interleaved they keep the CPU's vector units from being used.
+    position, normal = jnp.moveaxis(gbuffer.position, -1, 0), jnp.moveaxis(gbuffer.normal, -1, 0)
+
+    def add_view(total: tuple[Array, Array], view: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], None]:
+        lit, weight = _view_visibility(position, normal, light, shadow_map, *view)
+        return (total[0] + lit * weight, total[1] + weight), None
+
+    zero = jnp.zeros_like(gbuffer.depth)
+    views = (shadow_map.depth, shadow_map.origin, shadow_map.axes)
+    (lit, weight), _ = jax.lax.scan(add_view, (zero, zero), views)
+    lit = light.mask_visibility(lit, gbuffer.position)
+    return jnp.where(gbuffer.hit & (weight > 0), lit / jnp.where(weight > 0, weight, 1.0), 1.0)
+
+
+def _view_visibility(
+    position: Float[Array, "3 h w"],
+    normal: Float[Array, "3 h w"],
+    light: Light,
+    shadow_map: ShadowMap,
+    depth: Float[Array, "s s"],
+    origin: Float[Array, "3"],
+    axes: Float[Array, "3 3"],
+) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+    """Lit fraction and weight of one view."""
+    offset = [origin[k] - position[k] for k in range(3)]
+    if shadow_map.projection == "orthographic":
+        to_light = [-axes[2, k] for k in range(3)]
+        squared, texel = jnp.ones(()), shadow_map.texel
+    else:
+        squared = inner(offset, offset) + 1e-12
+        to_light = [component * jax.lax.rsqrt(squared) for component in offset]
+        texel = shadow_map.texel * jnp.sqrt(squared)
+    cosine = jnp.clip(inner(normal, to_light), 0.0, 1.0)
+    weight = light.view_weight(cosine, squared, to_light)
+
+    sine = jnp.sqrt(jnp.maximum(1.0 - cosine**2, 1e-12))
+    moved = [normal[k] * (NORMAL_OFFSET * texel * sine) - offset[k] for k in range(3)]
+    local = (inner(moved, axes[0]), inner(moved, axes[1]), inner(moved, axes[2]))
+    u, v, distance = map_coordinates(local, shadow_map.projection)
+    return _filtered_comparison(depth, u, v, distance - DEPTH_BIAS * texel), weight
+
+
+def _filtered_comparison(
+    depth: Float[Array, "s s"], u: Float[Array, "h w"], v: Float[Array, "h w"], distance: Float[Array, "h w"]
+) -> Float[Array, "h w"]:
+    """Fraction of the 2×2 nearest texels, bilinearly weighted, that are no nearer than `distance` (PCF)."""
+    size = depth.shape[0]
+    # Texel k's centre lies at u = (2(k − 1) + 1)/(size − 2) − 1, the first texel being gutter.
+    x, y = (jnp.clip((c + 1.0) * (0.5 * (size - 2)) + 0.5, 0.0, size - 1.001) for c in (u, v))
+    column, row = x.astype(jnp.int32), y.astype(jnp.int32)
+    corner = row * size + column
+    flat = depth.reshape(-1)
+    lit = [(distance <= flat[corner + shift]).astype(distance.dtype) for shift in (0, 1, size, size + 1)]
+    upper = lit[0] + (x - column) * (lit[1] - lit[0])
+    lower = lit[2] + (x - column) * (lit[3] - lit[2])
+    return upper + (y - row) * (lower - upper)
+
+
+def visibilities(
+    gbuffer: GBuffer, lights: Sequence[Light], shadow_maps: Sequence[ShadowMap | None]
+) -> Float[Array, "h w l"]:
+    """`visibility` of each light, a channel for each."""
+    each = [visibility(gbuffer, light, shadow_map) for light, shadow_map in zip(lights, shadow_maps, strict=True)]
+    return jnp.stack(each, axis=-1)

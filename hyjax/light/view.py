@@ -1,0 +1,102 @@
+"""View: a camera's picture and the surface in it, and its shading by lights."""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import jax
+from jaxtyping import Array, ArrayLike, Float
+
+from hyjax.light.color import to_linear
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.kinds import Light
+from hyjax.light.setup import LightSetup
+from hyjax.light.shaded import Shaded, check_lights
+from hyjax.light.shading import shade_each
+from hyjax.light.shadow_map import ShadowMap, visibilities
+from hyjax.util.errors import InputError
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class View:
+    """A camera's picture with the surface that it shows.
+
+    Attributes:
+        frame: camera picture, linear.
+        display: the same picture display-encoded, in [0, 1]: the "RGB guide".
+        gbuffer: surface points seen by the camera.
+        pose: camera-to-world; None if nothing follows from frame to frame.
+        intrinsics: calibration matrix in pixels; None likewise.
+    """
+
+    frame: Float[Array, "h w 3"]
+    display: Float[Array, "h w 3"]
+    gbuffer: GBuffer
+    pose: Float[ArrayLike, "4 4"] | None = None
+    intrinsics: Float[ArrayLike, "3 3"] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        display: Float[Array, "h w 3"],
+        gbuffer: GBuffer,
+        *,
+        pose: Float[ArrayLike, "4 4"] | None = None,
+        intrinsics: Float[ArrayLike, "3 3"] | None = None,
+    ) -> "View":
+        """A view from a display-encoded picture.
+
+        Args:
+            display: camera picture, display-encoded.
+            gbuffer: surface points seen by the camera, of the picture's size.
+            pose: camera-to-world.
+            intrinsics: calibration matrix in pixels.
+
+        Raises:
+            InputError: picture and G-buffer differ in size.
+        """
+        if gbuffer.hit.shape != display.shape[:2]:
+            raise InputError(f"view: picture {display.shape[:2]} and G-buffer {gbuffer.hit.shape} differ in size")
+        return cls(to_linear(display), display, gbuffer, pose, intrinsics)
+
+    def shade(
+        self,
+        lights: LightSetup | Sequence[Light],
+        *,
+        shadow_maps: Sequence[ShadowMap | None] | None = None,
+        confidence: Float[Array, "h w 1"] | None = None,
+    ) -> Shaded:
+        """Light of a set-up on the visible surface.
+
+        Args:
+            lights: a set-up, or lights under the usual reference.
+            shadow_maps: one for each light (None: casts no shadow); None for no shadows at all.
+            confidence: how far the shading of each pixel can be trusted; 1 by default, 0 in holes.
+
+        Raises:
+            InputError: no lights, another number of shadow maps than lights, or a confidence of another size.
+        """
+        *_, (_, shaded) = self.shade_stages(lights, shadow_maps=shadow_maps, confidence=confidence)
+        return shaded
+
+    def shade_stages(
+        self,
+        lights: LightSetup | Sequence[Light],
+        *,
+        shadow_maps: Sequence[ShadowMap | None] | None = None,
+        confidence: Float[Array, "h w 1"] | None = None,
+    ) -> Iterator[tuple[str, Any]]:
+        """`shade` stage by stage: each stage's name with its result, the last one `Shaded`."""
+        setup = LightSetup.of(lights)
+        check_lights(setup.lights)
+        maps = (None,) * len(setup.lights) if shadow_maps is None else tuple(shadow_maps)
+        if len(maps) != len(setup.lights):
+            raise InputError(
+                f"shade: {len(maps)} shadow maps for {len(setup.lights)} lights; give one each, or None"
+            )
+        illuminance = shade_each(self.gbuffer, setup.lights)
+        yield "shading", illuminance
+        visibility = visibilities(self.gbuffer, setup.lights, maps)
+        yield "visibility", visibility
+        yield "shaded", Shaded.of(setup, illuminance, visibility, self.gbuffer.hit, confidence=confidence)

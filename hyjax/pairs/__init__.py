@@ -1,0 +1,1 @@
+"""Pictures with depth, which guides are trained and judged on: one file a format."""

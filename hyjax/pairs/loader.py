@@ -1,0 +1,161 @@
+"""The endless stream of training crops: the same for the same seed, wherever it is taken up again."""
+
+import threading
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import grain
+import numpy as np
+from jaxtyping import Bool, Float
+
+from hyjax.pairs.augmentation import Crop, Packed, random_crop
+from hyjax.pairs.depth_pairs import DepthPairs
+from hyjax.util.errors import InputError
+from hyjax.util.files import digest
+
+ENDLESS = 1 << 20
+"""Sources of so many pairs make them when asked: they are read in their order, in which neighbours share a
+room, and not kept."""
+LONGEST = 1 << 40
+"""Crops in a stream: in practice it never ends."""
+MEMORY = 4 << 30
+"""Bytes of decoded pairs that are kept."""
+
+
+class Batch(NamedTuple):
+    """Crops of one size. Only what treats both units alike may mix them: `disparity` says which is which.
+
+    Attributes:
+        image: display-encoded colours in [0, 1], float32.
+        depth: in metres or disparity, 0 where invalid, float32.
+        valid: where the depth may be relied on.
+        normal: unit vectors in camera axes towards the camera, 0 where unknown, float32.
+        disparity: whether the crop's depth is a disparity.
+    """
+
+    image: Float[np.ndarray, "b s s 3"]
+    depth: Float[np.ndarray, "b s s"]
+    valid: Bool[np.ndarray, "b s s"]
+    normal: Float[np.ndarray, "b s s 3"]
+    disparity: Bool[np.ndarray, "b"]
+
+
+class PairLoader:
+    """An endless iterator over `Batch`es.
+
+    Crop number i of the stream follows from the seed and i alone, hence from neither threads nor hosts.
+    Every source is gone through in a shuffled order, again and again, and sources take turns by weight.
+
+    Args:
+        sources: where pairs come from.
+        size: side of the crops in pixels.
+        batch: crops a batch of this host.
+        seed: of order, crops and colours.
+        weights: how often each source is drawn from, in any unit; equally often if not given.
+        shard: (index, count) of this host: it gets every count-th batch.
+        augment: whether crops are rescaled, mirrored and recoloured, or only cut out.
+        threads: that make batches ahead of time; 0 makes them when asked.
+
+    Raises:
+        InputError: a number out of range.
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[DepthPairs],
+        *,
+        size: int,
+        batch: int,
+        seed: int = 0,
+        weights: Sequence[float] | None = None,
+        shard: tuple[int, int] = (0, 1),
+        augment: bool = True,
+        threads: int = 2,
+    ) -> None:
+        weights = [1.0] * len(sources) if weights is None else list(weights)
+        _check(sources, size, batch, seed, weights, shard, threads)
+        memory = _PairMemory(sources)
+        streams = []
+        for number, source in enumerate(sources):
+            stream = grain.MapDataset.range(len(source))
+            if len(source) < ENDLESS:
+                stream = stream.shuffle(seed=(seed + number) % 2**32).repeat()
+            streams.append(stream.map(lambda index, number=number: memory(number, index)))
+
+        def cut(pair: Packed, rng: np.random.Generator) -> Crop:
+            return random_crop(pair, size, rng, augment)
+
+        crops = grain.MapDataset.mix(streams, weights)[:LONGEST].random_map(cut, seed=seed)
+        # Batches are dealt to the hosts whole: dealt crop by crop, a host could get all of one source.
+        dealt = crops.batch(batch)[shard[0] :: shard[1]]
+        ahead = grain.ReadOptions(num_threads=threads, prefetch_buffer_size=2 * threads)
+        self._batches = iter(dealt.to_iter_dataset(ahead))
+        settings = f"{size} {batch} {seed} {weights} {shard[1]} {augment}"
+        self._stream = digest([settings, *(source.fingerprint for source in sources)])
+
+    def __iter__(self) -> "PairLoader":
+        return self
+
+    def __next__(self) -> Batch:
+        return Batch(*next(self._batches))
+
+    def state(self) -> dict[str, Any]:
+        """The position in the stream, in JSON's types; the same on all hosts that go on in step."""
+        return {"stream": self._stream, "position": self._batches.get_state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a position.
+
+        Raises:
+            InputError: it is of another stream.
+        """
+        if state.get("stream") != self._stream:
+            raise InputError("pairs: cannot resume, they or the settings of their crops are not those of before")
+        self._batches.set_state(state["position"])
+
+
+class _PairMemory:
+    """Cache of pairs by source and index that stops growing at `MEMORY` bytes: every epoch asks for all of them."""
+
+    def __init__(self, sources: Sequence[DepthPairs]) -> None:
+        self._sources, self._pairs, self._free = sources, dict[tuple[int, int], Packed](), MEMORY
+        self._lock = threading.Lock()
+
+    def __call__(self, number: int, index: int) -> Packed:
+        source = self._sources[number]
+        index %= len(source)
+        found = self._pairs.get((number, index))
+        if found is not None:
+            return found
+        pair = source[index]
+        image = np.round(np.clip(pair.image, 0, 1) * 255).astype(np.uint8)
+        normal = None if pair.normal is None else np.round(pair.normal * 127).astype(np.int8)
+        packed = Packed(image, np.where(pair.valid, pair.depth, np.float32(0)), normal, pair.unit == "disparity")
+        with self._lock:
+            if len(source) < ENDLESS and packed.nbytes <= self._free and (number, index) not in self._pairs:
+                self._pairs[number, index] = packed
+                self._free -= packed.nbytes
+        return packed
+
+
+def _check(
+    sources: Sequence[DepthPairs],
+    size: int,
+    batch: int,
+    seed: int,
+    weights: Sequence[float],
+    shard: tuple[int, int],
+    threads: int,
+) -> None:
+    if not sources:
+        raise InputError("pairs: no source given; name at least one")
+    if len(weights) != len(sources) or not all(np.isfinite(w) and w > 0 for w in weights):
+        raise InputError(f"weights: need one above 0 for each of {len(sources)} sources, got {list(weights)}")
+    if threads < 0:
+        raise InputError(f"threads: must be at least 0, got {threads}")
+    if size < 1 or batch < 1:
+        raise InputError(f"size and batch: must be at least 1, got {size} and {batch}")
+    if not 0 <= seed < 2**32:
+        raise InputError(f"seed: must lie in [0, 2^32), got {seed}")
+    if not 0 <= shard[0] < shard[1]:
+        raise InputError(f"shard: index {shard[0]} must lie in [0, {shard[1]})")

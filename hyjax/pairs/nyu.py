@@ -1,0 +1,89 @@
+"""NYU Depth v2, the labelled part: `nyu_depth_v2_labeled.mat`, a MATLAB 7.3 file, which is HDF5.
+
+Its arrays are MATLAB's with the axes in reverse order:
+
+    images      n × 3 × width × height, 8 bits
+    depths      n × width × height, metres, holes filled in
+    rawDepths   n × width × height, metres, 0 where there was no reading
+
+Filled-in depth was painted in under the picture's colours, so pixels without a reading do not count.
+
+Source: Silberman et al., "Indoor segmentation and support inference from RGBD images", ECCV 2012;
+cs.nyu.edu/~fergus/datasets/nyu_depth_v2.html.
+"""
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hyjax.pairs.depth_pairs import DepthPair, PairsKind, Unit, masked_pair
+from hyjax.util.errors import InputError
+from hyjax.util.files import digest
+
+ARRAYS = {"images": 4, "depths": 3, "rawDepths": 3}
+"""Names and how many axes they have."""
+
+
+class NyuPairs:
+    """The pairs (`DepthPairs`) of a labelled file.
+
+    Raises:
+        InputError: h5py is not installed, or the file is not such a one.
+    """
+
+    unit: Unit = "metres"
+
+    def __init__(self, path: Path) -> None:
+        self.name, self._path = path.stem, path
+        with self._open() as file:
+            for name, axes in ARRAYS.items():
+                if name not in file or getattr(file[name], "ndim", 0) != axes:
+                    raise InputError(
+                        f"{path}: has no array {name!r} of {axes} axes; give nyu_depth_v2_labeled.mat as published"
+                    )
+            shapes = {name: file[name].shape for name in ARRAYS}
+        images, depths, raw = shapes.values()
+        if images[1] != 3 or depths != raw or depths != (images[0], *images[2:]) or 0 in images:
+            raise InputError(f"{path}: arrays do not belong together: {shapes}")
+        self._count = int(images[0])
+
+    @property
+    def fingerprint(self) -> str:
+        """See `DepthPairs`."""
+        return digest([self._path.name, str(self._path.stat().st_size)])
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: int) -> DepthPair:
+        """The pair at a position.
+
+        Raises:
+            InputError: the file is damaged, or there is no depth at all.
+        """
+        index = range(self._count)[index]
+        try:
+            with self._open() as file:
+                image, depth, raw = (np.asarray(file[name][index]).T for name in ARRAYS)
+        except OSError as error:
+            raise InputError(f"{self._path}: damaged at picture {index} ({error})") from None
+        image = image.astype(np.float32) / 255
+        where = f"{self._path} {index}"
+        return masked_pair(f"{index:04d}", image, depth, self.unit, where=where, valid=raw > 0)
+
+    def _open(self) -> Any:
+        try:
+            h5py = importlib.import_module("h5py")
+        except ModuleNotFoundError:
+            raise InputError(f"{self._path}: needs h5py; install it with: pip install 'hyjax[nyu]'") from None
+        if not self._path.is_file():
+            raise InputError(f"{self._path}: no such file; give nyu_depth_v2_labeled.mat")
+        try:
+            return h5py.File(self._path, "r")
+        except OSError:
+            raise InputError(f"{self._path}: not a readable HDF5 file (MATLAB 7.3); download it again") from None
+
+
+KIND = PairsKind("nyu", lambda path, options: NyuPairs(path))

@@ -1,0 +1,1 @@
+"""Relighting of a capture from end to end: what `hyjax relight` does."""

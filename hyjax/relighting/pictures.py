@@ -1,0 +1,61 @@
+"""Pictures of a relit frame: the files that are written, and its row of the contact sheet."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from hyjax.data.capture import Frame
+from hyjax.light.color import to_display, to_linear
+from hyjax.pipeline import Mode, Relit
+from hyjax.relighting.settings import RelightSettings
+from hyjax.util.clock import StageClock
+from hyjax.util.images import write_exr, write_png
+
+HEADINGS = ("frame", "raw filter", "refined filter", "visibility", "raw filter x frame", "relit")
+
+
+def written_pictures(relit: Relit, settings: RelightSettings) -> dict[str, Float[Array, "h w 3"]]:
+    """Pictures to write of a frame, by kind; nothing else is kept until then."""
+    pictures = {"relit": relit.image}
+    if settings.save_filters:
+        pictures |= {"filter": relit.shading, "refined": relit.refined}
+    if settings.save_visibility:
+        pictures |= {"visibility": relit.visibility}
+    return pictures
+
+
+def write_frame(
+    clock: StageClock, out: Path, name: str, pictures: dict[str, Float[Array, "h w 3"]], mode: Mode
+) -> None:
+    """A PNG to look at and an EXR with linear values of each picture.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    with clock("write"):
+        for kind, picture in pictures.items():
+            shown = _shown(picture, encoded=kind == "visibility" or (mode == "paper" and kind != "relit"))
+            write_png(out / f"{name}.{kind}.png", shown)
+            encoded_filter = mode == "paper" and kind in ("filter", "refined")
+            write_exr(out / f"{name}.{kind}.exr", np.asarray(to_linear(picture) if encoded_filter else picture))
+
+
+def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, "h w 3"]]:
+    """Pictures of a frame under `HEADINGS`."""
+    paper = mode == "paper"
+    # Filters brighter than white are dimmed, both alike, until their structure shows.
+    dim = 1.0 if paper else max(1.0, float(np.percentile(np.asarray(relit.refined), 98)))
+    return [
+        frame.image,
+        _shown(relit.shading / dim, encoded=paper),
+        _shown(relit.refined / dim, encoded=paper),
+        _shown(relit.visibility, encoded=True),
+        _shown(relit.unrefined),
+        _shown(relit.image),
+    ]
+
+
+def _shown(picture: Any, encoded: bool = False) -> Float[np.ndarray, "h w 3"]:
+    return np.asarray(picture if encoded else to_display(picture))

@@ -1,0 +1,261 @@
+"""Relighting run: the frames of a capture, relit and written with a contact sheet, the lights and `run.json`."""
+
+import contextlib
+import dataclasses
+import functools
+import json
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+from hyjax.core.schedule import Schedule
+from hyjax.data.capture import Frame
+from hyjax.data.frames import select_frames
+from hyjax.data.light_file import write_lights
+from hyjax.data.registry import open_capture
+from hyjax.guide.choose import FrameGuide, open_guide
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.kinds import Light, kind_name
+from hyjax.light.setup import LightSetup
+from hyjax.light.shaded import Shaded
+from hyjax.light.view import View
+from hyjax.pipeline import Relit, relight_stages
+from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
+from hyjax.relighting.settings import RelightSettings
+from hyjax.scene.blender import BlenderRenderer, blender_python
+from hyjax.scene.scene import Scene, view_of
+from hyjax.util.clock import StageClock, Stopwatch
+from hyjax.util.contact_sheet import write_contact_sheet
+from hyjax.util.environment import environment, peak_memory_mib
+from hyjax.util.errors import InputError
+from hyjax.util.files import make_writable, remove, write_text
+from hyjax.util.prefetch import DEPTH, background_writer, prefetch
+from hyjax.video import Video
+
+SHEET_ROWS = 12
+WARM_UP = DEPTH + 2
+"""Frames that do not count for frames per second: the first compiles, and others are read meanwhile."""
+
+
+def relight_capture(
+    settings: RelightSettings,
+    *,
+    scene: Scene | None = None,
+    lights: LightSetup | Sequence[Light] | str | Path | None = None,
+    schedule: Schedule | None = None,
+    guide: FrameGuide | None = None,
+) -> dict[str, Any]:
+    """Relight frames of a capture and write pictures, a contact sheet, the lights and `run.json`.
+
+    While the device relights a frame, the next ones are read and their rays cast, and the last ones encoded and
+    written: the stages' milliseconds in `run.json` overlap, and `frames_per_second` (after the first `WARM_UP`) is
+    what comes out. These threads do not see JAX's context managers that stand around the call. Where there are
+    several devices, frames go to them in turns, unless each needs the one before it (`video`).
+
+    Every file appears whole or not at all, so that an interrupted run leaves nothing half-written.
+
+    Args:
+        settings: what to relight and how. What is given below takes the place of what they name.
+        scene: opened before.
+        lights: a set-up, or its name or file.
+        schedule: cascade for the shading.
+        guide: what makes the guide of a frame.
+
+    Returns:
+        The content of `run.json`.
+
+    Raises:
+        InputError: any of these cannot be used, the folder cannot be written, no frame sees the mesh, or there is
+            no Blender to render with.
+    """
+    # All that can be checked is checked before the first slow step.
+    settings.check()
+    record = settings.record() | ({} if schedule is None else {"schedule": schedule.name, "kappa": None})
+    schedule, guide = schedule or settings.open_schedule(), guide or open_guide(settings.guide)
+    if settings.renderer == "blender":
+        blender_python()
+    clock, progress, out = StageClock(), not settings.quiet, settings.out
+    if scene is None:
+        if settings.scene.capture is None:
+            make_writable(out)  # rendering the room takes a while
+        with clock("capture"):
+            capture = open_capture(settings.scene.capture, progress)
+        make_writable(out)
+        chosen = select_frames(settings.frames, len(capture))
+        scene = Scene.open(settings.scene, capture=capture, clock=clock, progress=progress)
+    else:
+        make_writable(out)
+        chosen = select_frames(settings.frames, len(scene))
+        record |= dict.fromkeys(("voxel", "seed", "repair_mesh", "size"))  # another scene's
+        record["capture"] = scene.capture.name
+    setup = scene.lights(settings.lights if lights is None else lights)
+    for light in setup.lights:
+        kind_name(light)  # it can be written in the end
+    record |= {"mesh": scene.source, "guide": guide.name}
+    if lights is not None:
+        record["lights"] = str(lights) if isinstance(lights, str | Path) else "lights.json"
+    for stale in ("run.json", "lights.json", "contact_sheet.png"):
+        remove(out / stale)  # of an earlier run, whose pictures are about to be replaced
+    with ExitStack() as stack:
+        shader = _Shader(scene, setup, settings, clock, stack)
+        frames = _relight_frames(scene, chosen, shader, settings, schedule, guide, clock)
+        summary = _write_frames(frames, len(chosen), settings, clock)
+    if not summary.written:
+        raise InputError(
+            f"{scene.capture.name}: no ray of any chosen frame met the mesh; are the mesh and the poses in the "
+            "same coordinates (metres, camera-to-world)?"
+        )
+    write_contact_sheet(out / "contact_sheet.png", summary.rows, HEADINGS)
+    write_lights(out / "lights.json", setup)
+    run = {
+        "frames": summary.written,
+        "frames_without_surface": summary.skipped,
+        "mesh_faces": len(scene.mesh.faces),
+        "size": summary.size,
+        "mode": settings.mode,
+        "video": settings.video,
+        "guide": guide.name,
+        "renderer": settings.renderer,
+        "schedule": json.loads(schedule.to_json()),
+        "reference_lux": setup.reference_lux,
+        "settings": record,
+        "milliseconds": clock.summary(),
+        "frames_per_second": summary.frames_per_second,
+        "peak_memory_mib": round(peak_memory_mib(), 1),
+    } | environment()
+    write_text(out / "run.json", json.dumps(run, indent=2) + "\n")
+    return run
+
+
+class _Shader:
+    """Light on each frame: by shadow maps, on every device that takes frames, or by Blender.
+
+    Attributes:
+        devices: that frames go to in turns.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        setup: LightSetup,
+        settings: RelightSettings,
+        clock: StageClock,
+        stack: ExitStack,
+    ) -> None:
+        self.setup, self._clock, self._blender = setup, clock, None
+        maps = None
+        if settings.renderer == "blender":
+            with clock("blender start"):
+                blender = BlenderRenderer(scene.mesh, setup.lights, shadows=settings.shadows)
+                self._blender = stack.enter_context(blender)
+        elif settings.shadows:
+            with clock("shadow maps"):
+                maps = scene.shadow_maps(setup)
+        # Blender, and what frames leave to the next, there is once.
+        once = settings.video or settings.renderer == "blender"
+        self.devices = jax.local_devices()[: 1 if once else None]
+        self._lights = [(setup, maps)]
+        if len(self.devices) > 1:
+            copies = [jax.device_put((setup.lights, maps), device) for device in self.devices]
+            self._lights = [(LightSetup(lights, setup.reference_lux), maps) for lights, maps in copies]
+
+    def __call__(self, number: int, frame: Frame, gbuffer: GBuffer) -> tuple[View, Shaded]:
+        """View of a frame, the `number`-th of the run, and the light on it."""
+        view = view_of(frame, gbuffer)
+        if self._blender is not None:
+            with self._clock("blender"):
+                rendering = self._blender.render(frame.camera)
+            return rendering.shade(view, self.setup)
+        setup, maps = self._lights[number % len(self._lights)]
+        if len(self.devices) > 1:
+            view = jax.device_put(view, self.devices[number % len(self.devices)])
+        return view, self._clock.follow(view.shade_stages(setup, shadow_maps=maps))
+
+
+def _relight_frames(
+    scene: Scene,
+    chosen: Sequence[int],
+    shader: _Shader,
+    settings: RelightSettings,
+    schedule: Schedule,
+    guide: FrameGuide,
+    clock: StageClock,
+) -> Generator[tuple[Frame, Relit | None]]:
+    """Frames with their relit pictures, in order; None for one that sees no surface."""
+    memory = Video()
+
+    def cast(index: int) -> tuple[Frame, GBuffer]:
+        with clock("read"):
+            frame = scene.frame(index)
+        with clock("g-buffer"):
+            return frame, jax.block_until_ready(scene.gbuffer(frame.camera))
+
+    def relight_frame(numbered: tuple[int, tuple[Frame, GBuffer]]) -> tuple[Frame, Relit | None]:
+        number, (frame, gbuffer) = numbered
+        if not bool(gbuffer.hit.any()):
+            return frame, None
+        view, shaded = shader(number, frame, gbuffer)
+        with clock("guide"):
+            features = jax.block_until_ready(guide.features(view.display))
+        temporal_filter = memory.filter(view, shader.setup, features, schedule) if settings.video else None
+        stages = relight_stages(
+            view, shaded, features, schedule, temporal_filter=temporal_filter, mode=settings.mode
+        )
+        return frame, clock.follow(stages)
+
+    with ExitStack() as running:
+        cast_ahead = enumerate(running.enter_context(contextlib.closing(prefetch(cast, chosen))))
+        count = len(shader.devices)
+        if count == 1:
+            yield from map(relight_frame, cast_ahead)
+            return
+        relit = prefetch(relight_frame, cast_ahead, count, threads=count)
+        yield from running.enter_context(contextlib.closing(relit))
+
+
+@dataclasses.dataclass
+class _Summary:
+    """Frames of a run.
+
+    Attributes:
+        written: names of those that were relit.
+        skipped: names of those that see no surface.
+        rows: of the contact sheet.
+        size: (height, width) of the last one.
+        frames_per_second: after the warm-up; None for a shorter run.
+    """
+
+    written: list[str] = dataclasses.field(default_factory=list)
+    skipped: list[str] = dataclasses.field(default_factory=list)
+    rows: list[tuple[str, list[np.ndarray]]] = dataclasses.field(default_factory=list)
+    size: list[int] = dataclasses.field(default_factory=list)
+    frames_per_second: float | None = None
+
+
+def _write_frames(
+    frames: Generator[tuple[Frame, Relit | None]], count: int, settings: RelightSettings, clock: StageClock
+) -> _Summary:
+    """Write the pictures of all frames while the next ones are relit."""
+    summary, begun = _Summary(), Stopwatch()
+    sheet_every = max(1, -(-count // SHEET_ROWS))
+    with background_writer() as later, contextlib.closing(frames):
+        for frame, relit in tqdm(frames, "relighting", count, unit="frame", disable=settings.quiet):
+            summary.size = list(frame.image.shape[:2])
+            if relit is None:
+                summary.skipped.append(frame.name)
+                continue
+            pictures = written_pictures(relit, settings)
+            later(functools.partial(write_frame, clock, settings.out, frame.name, pictures, settings.mode))
+            summary.written.append(frame.name)
+            if len(summary.written) == WARM_UP:
+                begun = Stopwatch()
+            if (len(summary.written) - 1) % sheet_every == 0:
+                summary.rows.append((frame.name, sheet_row(frame, relit, settings.mode)))
+    timed = len(summary.written) - WARM_UP
+    summary.frames_per_second = round(timed / begun.seconds, 2) if timed > 0 else None
+    return summary

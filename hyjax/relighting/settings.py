@@ -1,0 +1,107 @@
+"""Settings of a relighting run. The command line takes its options, their defaults and their help from here."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any, Literal
+
+from hyjax.core.schedule import PAPER_KAPPA, Schedule
+from hyjax.pipeline import Mode
+from hyjax.scene.settings import SceneSettings, check_lights_name
+from hyjax.util.errors import InputError
+from hyjax.util.settings import Settings
+
+Renderer = Literal["shadow_map", "blender"]
+
+
+@dataclasses.dataclass(frozen=True)
+class RelightSettings(Settings):
+    """Relight the frames of a capture; without arguments, the built-in room."""
+
+    scene: SceneSettings = dataclasses.field(default_factory=SceneSettings)
+    frames: str = "all"
+    """Which frames, by position in the capture: all, 7, 0:300:30, or a list such as 0,5,9:12."""
+    lights: str = "noon-window"
+    """noon-window, golden-hour, evening-lamps, night-moon, center-point, two-colors, or a YAML or JSON file."""
+    schedule: str | None = None
+    """hyjax, paper-50, paper-80, naive-50, naive-1000, or a JSON file. Default: hyjax; in paper mode paper-80."""
+    kappa: float | None = None
+    """Edge sensitivity of a named schedule. Default: 0.05 for hyjax and in paper mode, 0.02 for the others."""
+    guide: str = "rgb"
+    """What guides the diffusion: rgb is the frame itself, small the network that comes with hyjax; or a safetensors
+    file that train or tune wrote."""
+    paper_mode: bool = False
+    """Exactly the paper: multiply display values, leave holes in the mesh black."""
+    video: bool = False
+    """The frames follow each other: carry refined light from each to the next, so that it does not flicker."""
+    shadows: bool = True
+    """Whether lights cast shadows."""
+    renderer: Renderer = "shadow_map"
+    """What shades the mesh: shadow_map, or blender: Cycles, which traces every shadow and takes its time."""
+    save_filters: bool = False
+    """Also write each frame's raw and refined filter."""
+    save_visibility: bool = False
+    """Also write each frame's refined visibility."""
+    out: Path = Path("out")
+    """Folder for the results."""
+    quiet: bool = False
+    """No progress bars."""
+
+    def check(self) -> "RelightSettings":
+        """These settings, if a run can start with them as far as that can be known in advance.
+
+        Raises:
+            InputError: a value out of range, a schedule or set-up that does not exist, or options that exclude each
+                other.
+        """
+        if self.video and self.paper_mode:
+            raise InputError("video: the paper's mode has no memory of earlier frames; leave one of the two out")
+        self.open_schedule()
+        check_lights_name(self.lights)
+        self.scene.check()
+        return self
+
+    @property
+    def mode(self) -> Mode:
+        """Mode of the pipeline."""
+        return "paper" if self.paper_mode else "linear"
+
+    def open_schedule(self) -> Schedule:
+        """Schedule by name or from a file.
+
+        Raises:
+            InputError: no such schedule, a file that cannot be used, or a κ beside a file's own.
+        """
+        text = self.schedule or ("paper-80" if self.paper_mode else "hyjax")
+        if Path(text).suffix.lower() != ".json":
+            kappa = PAPER_KAPPA if self.kappa is None and self.paper_mode else self.kappa
+            return Schedule.preset(text, kappa=kappa)
+        if self.kappa is not None:
+            raise InputError(f"kappa: {text} brings its own; give --kappa with a named schedule only")
+        return read_schedule(Path(text))
+
+    def record(self) -> dict[str, Any]:
+        """Options as a run's record has them."""
+        options = dataclasses.asdict(self)
+        scene = options.pop("scene")
+        return (
+            scene
+            | options
+            | {
+                "capture": str(self.scene.capture or "built-in room"),
+                "out": str(self.out),
+            }
+        )
+
+
+def read_schedule(path: Path) -> Schedule:
+    """Schedule from a JSON file, such as `hyjax tune` writes.
+
+    Raises:
+        InputError: it cannot be read, or holds no schedule.
+    """
+    try:
+        return Schedule.from_json(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot read the schedule ({getattr(error, 'strerror', error)})") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None

@@ -1,0 +1,72 @@
+"""Settings of a scene, and their checks. Readers and ray casting are loaded when something is checked or opened."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from hyjax.util.errors import InputError
+from hyjax.util.settings import Settings
+
+LARGEST = 16384
+"""Pixels a side."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneSettings(Settings):
+    """A capture, its surface, and the size to work at."""
+
+    capture: Path | None = None
+    """Folder of a capture, in one of the formats that `hyjax info` lists. Default: the built-in room."""
+    mesh: str | None = None
+    """PLY, OBJ or GLB file in the capture's world coordinates; or 'captured' (came with the capture), 'scan'
+    (simulated headset scan), 'fused' (from depth maps), 'true' (built-in room only). Default: scan for the built-in
+    room; captured for a capture that has one, else fused."""
+    size: str | None = None
+    """Work at this size: 512 (square) or 640x480 (width x height), of the largest centred part of that shape.
+    Default: as captured."""
+    voxel: float = 0.03
+    """Voxel of a fused mesh in metres."""
+    seed: int = 0
+    """Of a simulated scan."""
+    repair_mesh: bool = False
+    """Drop unusable triangles of a mesh file instead of refusing it."""
+
+    def check(self) -> "SceneSettings":
+        """These settings, if a scene can be opened with them as far as that can be known in advance.
+
+        Raises:
+            InputError: a size, voxel or seed out of range, or no such mesh.
+        """
+        from hyjax.scene.surfaces import check_fusion, check_mesh_name
+
+        parse_size(self.size)
+        check_mesh_name(self.mesh)
+        check_fusion(self.voxel, self.seed)
+        return self
+
+
+def check_lights_name(lights: str) -> None:
+    """Raise `InputError` unless this is a named set-up or a lights file that can be read."""
+    from hyjax.data.light_file import is_light_file, read_lights
+    from hyjax.scene.light_setups import check_setup_name
+
+    if is_light_file(lights):
+        read_lights(Path(lights), np.array([0.0, 0.0, 1.0]), warn=False)  # whichever way is up
+    else:
+        check_setup_name(lights)
+
+
+def parse_size(text: str | None) -> tuple[int, int] | None:
+    """(height, width) from 512 (square) or 640x480 (width x height); None stays None.
+
+    Raises:
+        InputError: not of this form, or a side outside 8 to 16384.
+    """
+    if text is None:
+        return None
+    fields = str(text).lower().split("x")
+    numbers = all(f.isascii() and f.isdecimal() and len(f) < 6 and 8 <= int(f) <= LARGEST for f in fields)
+    if not 1 <= len(fields) <= 2 or not numbers:
+        raise InputError(f"size: {text!r} must be a number (512) or width x height (640x480), each 8 to {LARGEST}")
+    return int(fields[-1]), int(fields[0])

@@ -1,0 +1,115 @@
+"""Builder of a random room's triangles, each with a look of its own."""
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+
+from hyjax.synthetic.random_room.looks import Looks
+from hyjax.synthetic.room import materials as m
+from hyjax.synthetic.surface import DEGENERATE_AREA, WHITE, Builder, Colour, Quads
+from hyjax.util.vectors import SHORTEST, unit
+
+ROLES = {
+    m.PAINT: "wall", m.FLOOR: "floor", m.WOOD: "wood", m.FABRIC: "cloth", m.STRIPES: "cloth", m.RUG: "rug",
+    m.BOOK: "print", m.CERAMIC: "glazed", m.LACQUER: "lacquer", m.LEAF: "leaf", m.SOIL: "soil", m.PICTURE: "photo",
+    m.WEAVE: "cloth", m.PAGES: "paper",
+}  # fmt: skip
+"""Roles of looks that replace the built-in room's materials."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Furnished:
+    """A room's triangles.
+
+    Attributes:
+        mesh: metres, z up; vertices are split at hard edges.
+        look: row of the table of looks, for each face.
+        uv: texture coordinates of each face's corners in metres.
+        looks: the table.
+    """
+
+    mesh: trimesh.Trimesh
+    look: Int[np.ndarray, "f"]
+    uv: Float[np.ndarray, "f 3 2"]
+    looks: Looks
+
+
+class RoomBuilder(Builder):
+    """A `Builder` whose materials are looks, which may scale parts, and which keeps no light maps.
+
+    Attributes:
+        looks: where looks are drawn from.
+        targets: (point, size) of objects worth a picture, in world metres; the layout adds them.
+    """
+
+    def __init__(self, rng: np.random.Generator, looks: Looks) -> None:
+        super().__init__(0)
+        self.rng = rng
+        self.looks = looks
+        self.targets: list[tuple[np.ndarray, float]] = []
+        self._dressing: dict[tuple[int, Colour], int] | None = None
+
+    def scaled(self, x: float, y: float, z: float) -> contextlib.AbstractContextManager[None]:
+        """Within, local coordinates are stretched."""
+        return self.transformed(np.diag([x, y, z, 1.0]))
+
+    def tilted(self, degrees: float, axis: int = 0) -> contextlib.AbstractContextManager[None]:
+        """Within, coordinates are turned about the local x axis (or another)."""
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        turn = np.eye(4)
+        turn[[a, a, b, b], [a, b, a, b]] = c, -s, s, c
+        return self.transformed(turn)
+
+    @contextlib.contextmanager
+    def dressed(self) -> Iterator[None]:
+        """Within, parts name the built-in room's materials; each material and tint gets a look of its own."""
+        outer, self._dressing = self._dressing, {}
+        try:
+            yield
+        finally:
+            self._dressing = outer
+
+    def draw(self, role: str, tile: float | None = None) -> int:
+        """A look for a role, see `Looks.draw`."""
+        return self.looks.draw(self.rng, role, tile)
+
+    def _add_triangles(self, points: Float[np.ndarray, "n 3"], quads: Quads, material: int, tint: Colour) -> None:
+        look = material
+        if self._dressing is not None:
+            key = (material, tint if tint != WHITE else WHITE)
+            if key not in self._dressing:
+                self._dressing[key] = self.draw(ROLES[material], 1.0 if material == m.PICTURE else None)
+            look = self._dressing[key]
+        lists = self._lists
+        for corners in ([0, 1, 2], [0, 2, 3]):
+            lists["faces"].append(quads.points[:, corners] + self._count)
+            lists["uv"].append(quads.uv[:, corners])
+            lists["material"].append(np.full(len(quads.points), look))
+
+    def furnished(self) -> Furnished:
+        """Everything added so far."""
+        points = np.concatenate(self._lists["points"])
+        faces = np.concatenate(self._lists["faces"])
+        corner = points[faces]
+        across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        twice = np.linalg.norm(across, axis=1)
+        real = twice > 2 * DEGENERATE_AREA
+        faces, across, twice = faces[real], across[real], twice[real]
+        # Smooth charts share their vertices, hard edges do not: a sum over faces weighted by area is all it takes.
+        weights = np.repeat(across, 3, axis=0)
+        normals = np.stack([np.bincount(faces.ravel(), weights[:, k], len(points)) for k in range(3)], axis=1)
+        normals = unit(normals, SHORTEST)
+        mesh = trimesh.Trimesh(
+            points, faces, face_normals=across / twice[:, None], vertex_normals=normals, process=False
+        )
+        return Furnished(
+            mesh,
+            np.concatenate(self._lists["material"])[real],
+            np.concatenate(self._lists["uv"])[real].astype(np.float32),
+            self.looks,
+        )

@@ -1,0 +1,235 @@
+"""Baking diffuse light: sky through the window, then bounces between texels.
+
+Every texel casts its rays once. Where they end is remembered, so that a further bounce is a table lookup and five
+bounces cost hardly more than one. Neighbouring texels take different, interleaved rays; a small filter then merges
+them, which gives each texel the smoothness of sixteen times its own rays.
+"""
+
+import dataclasses
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import correlate1d
+
+from hyjax.geometry.raycast import RayCaster
+from hyjax.synthetic.room.daylight import sky_radiance
+from hyjax.synthetic.room.lightmap import Texels, at_hits
+from hyjax.synthetic.room.shell import THICK, WINDOW
+from hyjax.synthetic.surface import Surface, rows
+
+BOUNCES = 6
+CHUNK = 1 << 17
+"""Rays in flight a thread."""
+OFFSET = 2e-3
+"""Metres between a texel and where its rays start: curved charts bulge that far over their triangles."""
+WORKERS = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class Light:
+    """Baked light.
+
+    Attributes:
+        texels: where it is known.
+        irradiance: irradiance / π of each texel, so that radiance is this times albedo.
+    """
+
+    texels: Texels
+    irradiance: Float[np.ndarray, "t 3"]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Gathered:
+    """Result of the texels' rays: direct light, texels they hit, mean distance, whether it is in the open."""
+
+    direct: Float[np.ndarray, "n 3"]
+    hit_texels: Int[np.ndarray, "n k"]
+    distance: Float[np.ndarray, "n"]
+    valid: Bool[np.ndarray, "n"]
+
+
+def bake(
+    surface: Surface, caster: RayCaster, albedo: Float[np.ndarray, "c 3"], scale: float, side: int, seed: int
+) -> Light:
+    """Light all charts.
+
+    Args:
+        surface: the room.
+        caster: its rays.
+        albedo: mean albedo of each chart.
+        scale: coarsens the texels.
+        side: each texel casts side² rays for bounces and as many towards the window.
+        seed: of the jitter.
+    """
+    texels = Texels(surface, scale)
+    step = max(1, CHUNK // side**2)
+    chunks = [slice(a, min(a + step, len(texels))) for a in range(0, len(texels), step)]
+
+    def work(k: int) -> _Gathered:
+        return _gather(surface, caster, texels, chunks[k], side, seed)
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        parts = list(pool.map(work, range(len(chunks))))
+        direct, distance, valid = (
+            np.concatenate([getattr(p, name) for p in parts]) for name in ("direct", "distance", "valid")
+        )
+        reflectance = np.where(valid[:, None], albedo[texels.chart], 0.0).astype(np.float32)
+        total = direct
+        for _ in range(BOUNCES):
+            # One dark row more: rays that leave, or meet a back side, point at it.
+            radiance = np.concatenate([reflectance * total, np.zeros((1, 3), np.float32)])
+            indirect = np.concatenate(list(pool.map(lambda p: _mean_of(radiance, p.hit_texels), parts)))  # noqa: B023
+            total = direct + indirect
+    smooth = _smooth(texels, direct, indirect, distance, valid)
+    return Light(texels, smooth)
+
+
+def _mean_of(values: Float[np.ndarray, "t 3"], index: Int[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
+    total = np.zeros((len(index), 3), np.float32)
+    for k in range(index.shape[1]):
+        total += rows(values, index[:, k])
+    return total / index.shape[1]
+
+
+def _strata(side: int, cell: int, rng: np.random.Generator) -> Float[np.ndarray, "g k 2"]:
+    """`cell`² groups of side² points in the unit square: each group is even, and so are all groups together."""
+    base = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(1, -1, 2)
+    shift = np.stack(np.meshgrid(np.arange(cell), np.arange(cell)), axis=-1).reshape(-1, 1, 2)
+    jitter = rng.random((cell * cell, side * side, 2))
+    return ((base + (shift + jitter) / cell) / side).astype(np.float32)
+
+
+def _group(texels: Texels, chunk: slice, cell: int) -> Int[np.ndarray, "n"]:
+    """Group of rays of each texel: neighbours take different ones."""
+    order = np.random.default_rng(0).permutation(cell * cell)
+    return order[texels.i[chunk] % cell + cell * (texels.j[chunk] % cell)]
+
+
+def _patterns(side: int, seed: int) -> tuple[Float[np.ndarray, "16 k 3"], Float[np.ndarray, "4 k 3"]]:
+    """Directions about +z for sixteen neighbouring texels, and points in the window's opening for four."""
+    rng = np.random.default_rng((seed, 2))
+    lobe = _cosine_lobe(_strata(side, 4, rng))
+    y0, y1, z0, z1 = WINDOW
+    square = _strata(side, 2, rng)
+    y, z = y0 + square[..., 0] * (y1 - y0), z0 + square[..., 1] * (z1 - z0)
+    return lobe.astype(np.float32), np.stack([np.full_like(y, -THICK), y, z], axis=-1).astype(np.float32)
+
+
+def _gather(surface: Surface, caster: RayCaster, texels: Texels, chunk: slice, side: int, seed: int) -> _Gathered:
+    normal = texels.normal[chunk]
+    origin = texels.position[chunk] + OFFSET * normal
+    n, rays = len(origin), side * side
+    lobe, opening = _patterns(side, seed)
+    direction = np.matmul(lobe[_group(texels, chunk, 4)], _frames(normal))
+    flat = direction.reshape(-1, 3)
+    origins = np.repeat(origin, rays, axis=0)
+    hits = caster.cast(origins, flat)
+    front = np.einsum("nk,nk->n", rows(surface.mesh.face_normals, hits.face), flat) < 0
+    hit_texels = np.full(n * rays, len(texels), np.int32)
+    lit = hits.hit & front
+    chosen = dataclasses.replace(hits, distance=hits.distance[lit], face=hits.face[lit],
+                                 barycentric=hits.barycentric[lit])  # fmt: skip
+    hit_texels[lit] = texels.nearest(rows(surface.chart, chosen.face), at_hits(surface.st, chosen))
+    miss = ~hits.hit & (flat[:, 0] < 0)
+    escaped = np.zeros((n * rays, 3), np.float32)
+    if miss.any():
+        escaped[miss] = sky_radiance(flat[miss]) * (1 - _window_share(origins[miss], flat[miss], normal.repeat(
+            rays, axis=0)[miss]))[:, None]  # fmt: skip
+    near = np.minimum(np.where(hits.hit, hits.distance, 10.0), 10.0).reshape(n, rays)
+    inside = (hits.hit & ~front).reshape(n, rays).mean(axis=1)
+    direct = escaped.reshape(n, rays, 3).mean(axis=1)
+    direct += _from_window(caster, origin, normal, opening[_group(texels, chunk, 2)])
+    return _Gathered(direct, hit_texels.reshape(n, rays), 1 / (1 / (near + 1e-3)).mean(axis=1), inside < 0.4)
+
+
+def _cosine_lobe(square: Float[np.ndarray, "g k 2"]) -> Float[np.ndarray, "g k 3"]:
+    """Cosine-weighted directions about +z from points of the unit square (Shirley's concentric map)."""
+    a, b = 2 * square[..., 0] - 1, 2 * square[..., 1] - 1
+    wide = np.abs(a) > np.abs(b)
+    r = np.where(wide, a, b)
+    ratio = np.where(wide, b, a) / np.where(np.abs(r) < 1e-9, 1.0, r)
+    angle = np.where(wide, ratio * (np.pi / 4), np.pi / 2 - ratio * (np.pi / 4))
+    return np.stack([r * np.cos(angle), r * np.sin(angle), np.sqrt(np.maximum(1 - r * r, 1e-6))], axis=-1)
+
+
+def _frames(normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+    """Rows x, y and z of a right-handed frame with z along the normal."""
+    helper = np.where(np.abs(normal[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    x = np.cross(helper, normal)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return np.stack([x, np.cross(normal, x), normal], axis=1).astype(np.float32)
+
+
+def _window_share(origin: np.ndarray, direction: np.ndarray, normal: np.ndarray) -> Float[np.ndarray, "n"]:
+    """Weight of window sampling against cosine sampling for rays that leave (balance heuristic)."""
+    y0, y1, z0, z1 = WINDOW
+    facing = np.maximum(-direction[:, 0], 1e-6)
+    distance = (origin[:, 0] + THICK) / facing
+    by_window = distance**2 / (facing * (y1 - y0) * (z1 - z0))
+    by_cosine = np.maximum(np.einsum("nk,nk->n", direction, normal), 0) / np.pi
+    return by_window / (by_window + by_cosine)
+
+
+def _from_window(
+    caster: RayCaster, origin: np.ndarray, normal: np.ndarray, target: Float[np.ndarray, "n k 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Irradiance / π from points in the window's opening."""
+    y0, y1, z0, z1 = WINDOW
+    area = (y1 - y0) * (z1 - z0)
+    to = target - origin[:, None]
+    distance = np.sqrt(np.einsum("nkd,nkd->nk", to, to))
+    to /= np.maximum(distance, 1e-6)[..., None]
+    cosine = np.einsum("nkd,nd->nk", to, normal)
+    facing = -to[..., 0]
+    ask = (cosine > 0) & (facing > 1e-4)
+    index = np.nonzero(ask)
+    direction = to[ask]
+    free = ~caster.occluded(origin[index[0]], direction)
+    index = (index[0][free], index[1][free])
+    direction = direction[free]
+    d, f, c = distance[index], facing[index], cosine[index]
+    by_window, by_cosine = d**2 / (f * area), c / np.pi
+    weight = (c / np.pi) / (by_window + by_cosine)
+    light = np.zeros((*ask.shape, 3), np.float32)
+    light[index] = sky_radiance(direction) * weight[:, None]
+    return light.mean(axis=1)
+
+
+def _smooth(
+    texels: Texels, direct: np.ndarray, indirect: np.ndarray, distance: np.ndarray, valid: np.ndarray
+) -> Float[np.ndarray, "t 3"]:
+    """Merge the interleaved rays of neighbours, wider where nothing is near; fill texels inside solids.
+
+    Charts of one shape are filtered together: there are thousands of them, most with a handful of texels.
+    """
+    total = np.empty_like(direct)
+    shapes, member = np.unique(np.stack([texels.rows, texels.columns], axis=1), axis=0, return_inverse=True)
+    for k, shape in enumerate(shapes):
+        charts = np.flatnonzero(member.reshape(-1) == k)
+        part = texels.start[charts][:, None] + np.arange(shape[0] * shape[1])
+        block = (len(charts), *shape)
+        weight = valid[part].reshape(*block, 1).astype(np.float32)
+        d, i = (a[part].reshape(*block, 3) for a in (direct, indirect))
+        far = distance[part].reshape(block) / texels.pitch[charts][:, None, None]
+        i = _merge(i, weight, (0.5, 1, 1, 1, 0.5))
+        wide = _merge(i, weight, (0.5, 0, 1, 0, 1, 0, 1, 0, 0.5))
+        i = i + (wide - i) * np.clip(far / 8 - 0.5, 0, 1)[..., None]
+        light = _merge(d, weight, (0.5, 1, 0.5)) + i
+        for _ in range(8):
+            if weight.all():
+                break
+            filled = _merge(light, weight, (1, 1, 1))
+            light = np.where(weight > 0, light, filled)
+            weight = np.maximum(weight, (filled.sum(axis=-1, keepdims=True) > 0).astype(np.float32))
+        total[part.ravel()] = light.reshape(-1, 3)
+    return total
+
+
+def _merge(values: np.ndarray, weight: np.ndarray, taps: tuple[float, ...]) -> Float[np.ndarray, "b r c 3"]:
+    """Weighted mean over neighbours along rows and columns."""
+    both = np.concatenate([values * weight, weight], axis=-1)
+    for axis in (1, 2):
+        if both.shape[axis] > 1:
+            both = correlate1d(both, np.array(taps), axis=axis, mode="reflect")
+    return (both[..., :3] / np.maximum(both[..., 3:], 1e-6)).astype(np.float32)

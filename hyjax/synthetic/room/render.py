@@ -1,0 +1,226 @@
+"""Photographs of the lit room: albedo × baked light, mirror reflections, and a camera's imperfections."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import gaussian_filter
+from skimage.transform import resize
+
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.raycast import Hits, RayCaster
+from hyjax.synthetic.room.daylight import sky_radiance, view
+from hyjax.synthetic.room.light import Light
+from hyjax.synthetic.room.lightmap import at_hits
+from hyjax.synthetic.room.materials import BLUR, GLOSS, LEAF, Textures
+from hyjax.synthetic.surface import Surface, rows
+from hyjax.synthetic.tone_curve import encode, tone
+
+BALANCE = np.array([0.975, 1.0, 1.035], np.float32)
+"""White balance: most of the warmth that the walls and the floor lend to the light is taken out."""
+CONTRAST = 0.3
+SHARPNESS = 0.7
+"""Texture filter width in pixels; the lens blurs them a little more."""
+DEPTH_JUMP = 0.025
+"""Of the depth itself: more than a floor seen at a grazing angle changes from one pixel to the next."""
+EDGE_SAMPLES = 7
+"""Rays through a pixel that more than one surface shares."""
+BLURS = (0.0, 2.0, 6.0)
+"""Smears of the mirror image that rough reflections are mixed from, in pixels at a width of 640."""
+
+
+@dataclasses.dataclass(frozen=True)
+class BakedRoom:
+    """A room with its light maps, ready for photographs; `corners` are (u, v, s, t) of the faces' corners."""
+
+    surface: Surface
+    corners: Float[np.ndarray, "f 3 4"]
+    caster: RayCaster
+    textures: Textures
+    light: Light
+    exposure: float
+    seed: int
+
+
+def photograph(
+    baked: BakedRoom, camera: Camera, number: int
+) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
+    """One frame: display-encoded picture in 8-bit steps, and exact depth in metres (0 where nothing is)."""
+    h, w = camera.intrinsics.shape
+    rng = np.random.default_rng((baked.seed, 1, number))
+    rays = camera.rays().reshape(-1, 3)
+    hits = baked.caster.cast(camera.origin, rays)
+    depth = np.where(hits.hit, hits.distance, 0.0).astype(np.float32).reshape(h, w)
+    pixel = 1.0 / camera.intrinsics.fx
+    picture = _diffuse(baked, camera.origin, rays, hits, pixel).reshape(h, w, 3)
+    shared = _shared_pixels(baked.surface, hits, depth)
+    picture[shared] = _supersample(baked, camera, shared, picture[shared], rng)
+    mirror = _mirror(baked, camera, rays, hits, pixel)
+    # One mirror ray a pixel is too few on an edge, which borrows from its neighbours instead.
+    mirror[shared] = gaussian_filter(mirror, (1.0, 1.0, 0), truncate=2)[shared]
+    picture += mirror
+    return _develop(picture * baked.exposure, rng), depth
+
+
+def _diffuse(
+    baked: BakedRoom,
+    origin: Float[np.ndarray, "*n 3"],
+    rays: Float[np.ndarray, "n 3"],
+    hits: Hits,
+    pixel: float | Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "n 3"]:
+    """Radiance along rays: albedo × light, or the view outside. `pixel` is the footprint a unit of distance."""
+    surface = baked.surface
+    radiance = np.empty((len(rays), 3), np.float32)
+    miss = ~hits.hit
+    radiance[miss] = _outside(baked, rays[miss])
+    nearest = select(hits, hits.hit)
+    direction = rays[hits.hit]
+    normal = rows(surface.mesh.face_normals, nearest.face)
+    cosine = np.abs(np.einsum("nk,nk->n", normal, direction)) / np.linalg.norm(direction, axis=1)
+    width = np.broadcast_to(pixel, hits.face.shape)[hits.hit] * nearest.distance / np.sqrt(np.maximum(cosine, 0.02))
+    uv_st = at_hits(baked.corners, nearest)
+    albedo = baked.textures(rows(surface.material, nearest.face), uv_st[:, :2], SHARPNESS * width)
+    irradiance = baked.light.texels.lookup(baked.light.irradiance, rows(surface.chart, nearest.face), uv_st[:, 2:])
+    radiance[hits.hit] = albedo * rows(surface.tint, nearest.face) * irradiance
+    return radiance
+
+
+def _outside(baked: BakedRoom, rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    direction = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
+    place = np.stack([np.arctan2(direction[:, 1], -direction[:, 0]), direction[:, 2]], axis=-1)
+    n = len(direction)
+    row, width = np.full(n, LEAF), np.full(n, 0.004, np.float32)
+    foliage = baked.textures(row, 0.9 * place, width) * 0.5 + baked.textures(row, 3.7 * place, width) * 0.5
+    return view(direction, foliage) / baked.exposure
+
+
+def select(hits: Hits, chosen: Bool[np.ndarray, "n"]) -> Hits:
+    """Some of the hits."""
+    return Hits(hits.distance[chosen], hits.face[chosen], hits.barycentric[chosen])
+
+
+def _shared_pixels(surface: Surface, hits: Hits, depth: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Pixels on borders between charts and on jumps of depth, where one ray a pixel would leave stairs."""
+    chart = np.where(hits.hit, rows(surface.chart, hits.face), -1).reshape(depth.shape)
+    edge = np.zeros(depth.shape, dtype=bool)
+    across, down = chart[:, 1:] != chart[:, :-1], chart[1:] != chart[:-1]
+    across |= np.abs(np.diff(depth, axis=1)) > DEPTH_JUMP * depth[:, 1:]
+    down |= np.abs(np.diff(depth, axis=0)) > DEPTH_JUMP * depth[1:]
+    edge[:, 1:] |= across
+    edge[:, :-1] |= across
+    edge[1:] |= down
+    edge[:-1] |= down
+    return edge
+
+
+def _supersample(
+    baked: BakedRoom, camera: Camera, shared: Bool[np.ndarray, "h w"], centre: np.ndarray, rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
+    """Mean radiance of the chosen pixels over a rotated grid of rays."""
+    rows, columns = np.nonzero(shared)
+    k = camera.intrinsics
+    turn = camera.pose[:3, :3]
+    total = np.zeros_like(centre)
+    place = np.arange(EDGE_SAMPLES)
+    offsets = np.stack([(place + 0.5) / EDGE_SAMPLES, ((place * 3) % EDGE_SAMPLES + 0.5) / EDGE_SAMPLES], -1)
+    for dx, dy in offsets:
+        x = (columns + dx - k.cx) / k.fx
+        y = (rows + dy - k.cy) / k.fy
+        rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ turn.T
+        hits = baked.caster.cast(camera.origin, rays)
+        # Bright sky is clipped before it is averaged, as it is on a sensor: else it eats the window's bars.
+        total += np.minimum(_diffuse(baked, camera.origin, rays, hits, 1.0 / k.fx), 2.0 / baked.exposure)
+    return total / EDGE_SAMPLES
+
+
+def _mirror(
+    baked: BakedRoom, camera: Camera, rays: Float[np.ndarray, "n 3"], hits: Hits, pixel: float
+) -> Float[np.ndarray, "h w 3"]:
+    """Reflections on varnish, glaze and glass: mirror rays, smeared on the picture by distance and roughness."""
+    h, w = camera.intrinsics.shape
+    surface = baked.surface
+    material = rows(surface.material, hits.face)
+    glossy = hits.hit & (rows(GLOSS, material) > 0)
+    nearest, direction = select(hits, glossy), rays[glossy]
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = direction / length
+    point = camera.origin + direction * (nearest.distance[:, None] * length)
+    normal = baked.caster.interpolated_normals(nearest)
+    cosine = np.einsum("nk,nk->n", normal, direction)
+    normal = np.where(cosine[:, None] > 0, -normal, normal)
+    cosine = np.clip(np.abs(cosine), 0, 1)
+    # Nothing here is smooth enough to become a full mirror at grazing angles.
+    fresnel = np.minimum(0.04 + 0.96 * (1 - cosine) ** 5, 0.5) * GLOSS[material[glossy]]
+    mirrored = direction + 2 * cosine[:, None] * normal
+    start = point + 2e-3 * normal
+    bounced = baked.caster.cast(start, mirrored)
+    away = np.where(bounced.hit, np.minimum(bounced.distance, 6.0), 6.0)
+    spread = pixel * (1 + nearest.distance / np.maximum(away, 0.05))
+    light = _diffuse(baked, start, mirrored, bounced, spread * 2)
+    light[~bounced.hit] = sky_radiance(mirrored[~bounced.hit].astype(np.float32))
+    light = np.minimum(light, 2.5 / baked.exposure)
+    # A rough mirror smears far things and leaves those that touch it sharp.
+    smear = BLUR[material[glossy]] * np.clip(away / (away + 0.6 * nearest.distance), 0, 1)
+    return _smear(glossy.reshape(h, w), light, fresnel, smear, w / 640)
+
+
+def _smear(
+    where: Bool[np.ndarray, "h w"],
+    light: Float[np.ndarray, "n 3"],
+    fresnel: Float[np.ndarray, "n"],
+    smear: Float[np.ndarray, "n"],
+    scale: float,
+) -> Float[np.ndarray, "h w 3"]:
+    image = np.zeros((*where.shape, 3), np.float32)
+    image[where] = light
+    weight = where.astype(np.float32)
+    layers = [light]
+    for sigma in BLURS[1:]:
+        s = sigma * scale
+        below = gaussian_filter(weight, s, truncate=2.5)[..., None]
+        layers.append((gaussian_filter(image, (s, s, 0), truncate=2.5) / np.maximum(below, 1e-6))[where])
+    result = layers[0]
+    for low, high, layer in zip(BLURS, BLURS[1:], layers[1:]):
+        share = np.clip((smear - low) / (high - low), 0, 1)[:, None]
+        result = result + (layer - result) * share
+    out = np.zeros_like(image)
+    out[where] = result * fresnel[:, None]
+    return out
+
+
+def _develop(linear: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Float[np.ndarray, "h w 3"]:
+    """Lens, sensor and tone curve: exposed linear light → display-encoded picture in 8-bit steps."""
+    h, w, _ = linear.shape
+    scale = w / 640
+    sharp = gaussian_filter(linear, (0.42 * scale, 0.42 * scale, 0), truncate=3)
+    image = 0.955 * sharp + _glare(linear, scale)
+    y, x = np.mgrid[0:h, 0:w]
+    radius2 = ((x + 0.5) / w - 0.5) ** 2 + (((y + 0.5) / h - 0.5) * h / w) ** 2
+    image *= (1 - 0.45 * radius2)[..., None]
+    # Shot noise grows with the root of the light; read noise is the floor under it.
+    deviation = np.sqrt(2.5e-5 * np.maximum(image, 0) + 4e-7)
+    grain = rng.standard_normal(image.shape, dtype=np.float32)
+    image = np.maximum(image + deviation * grain, 0)
+    display = encode(tone(image * BALANCE))
+    # A slight S, as every camera's picture style has.
+    display += CONTRAST * (display * display * (3 - 2 * display) - display)
+    return (np.round(display * 255) / 255).astype(np.float32)
+
+
+def _glare(linear: Float[np.ndarray, "h w 3"], scale: float) -> Float[np.ndarray, "h w 3"]:
+    """Light scattered in the lens: 2.5 % nearby, 2 % far. Smooth, so it is made at half the size and less."""
+    h, w, _ = linear.shape
+    half = np.minimum(linear[: h // 2 * 2, : w // 2 * 2], 3.0)
+    half = (half[::2, ::2] + half[1::2, ::2] + half[::2, 1::2] + half[1::2, 1::2]) / 4
+    near = gaussian_filter(half, (2.5 * scale, 2.5 * scale, 0), truncate=2.5)
+    far = gaussian_filter(near[::4, ::4], (3.2 * scale, 3.2 * scale, 0), truncate=3)
+    glare = 0.025 * near + 0.02 * resize(far, near.shape, order=1)
+    row, column = (np.minimum(np.arange(n) // 2, n // 2 - 1) for n in (h, w))
+    return glare[row[:, None], column].astype(np.float32)
+
+
+def white_level(light: Light) -> float:
+    """Exposure that brings the room's typical lit surface to middle grey; the same for every frame."""
+    typical = np.median(light.irradiance.mean(axis=1)[light.irradiance.mean(axis=1) > 1e-4])
+    return float(0.36 / typical)

@@ -1,0 +1,33 @@
+"""Checks of numbers and rays that a browser sends."""
+
+import math
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.util.errors import InputError
+
+
+def clamp_number(value: Any, low: float, high: float) -> float:
+    """A number brought into [low, high]; the value nearest to 0 in that range if it is no finite number."""
+    number = float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
+    return min(max(number, low), high)
+
+
+def check_rays(origin: Any, directions: Any) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "*n 3"]]:
+    """Start of rays, and their directions as unit vectors.
+
+    Raises:
+        InputError: they are not finite numbers, or a direction is zero.
+    """
+    try:
+        start, rays = np.asarray(origin, float), np.asarray(directions, float)
+    except (TypeError, ValueError):
+        raise InputError("a ray must be numbers") from None
+    if start.shape != (3,) or rays.shape[-1:] != (3,):
+        raise InputError("a ray must have a start and a direction, three numbers each")
+    lengths = np.linalg.norm(rays, axis=-1, keepdims=True)
+    if not (np.isfinite(start).all() and np.isfinite(lengths).all() and (lengths > 0).all()):
+        raise InputError("a ray must be finite numbers, and its direction not zero")
+    return start, rays / lengths

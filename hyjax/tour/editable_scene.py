@@ -1,0 +1,181 @@
+"""Editable scene: the scanned surface with pieces moved, removed and added as a plan says, and rays cast at it."""
+
+import dataclasses
+import functools
+from collections.abc import Hashable, Sequence
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import ArrayLike, Float
+
+from hyjax.geometry.mesh import load_mesh, submesh
+from hyjax.geometry.raycast import RayCaster
+from hyjax.tour.furniture import Part, cast_parts, piece_at
+from hyjax.tour.plan import Piece, TourPlan
+from hyjax.util.errors import InputError
+from hyjax.util.lru_cache import LruCache
+from hyjax.util.vectors import fibonacci_sphere, perpendicular, unit
+
+MOST_PARTS = 64
+BESIDE = (0.0, 0.01, 0.025, 0.05)  # tangents of angles from a ray, tried one after the other
+
+
+@dataclasses.dataclass(frozen=True)
+class SurfaceHit:
+    """Surface point that a ray meets.
+
+    Attributes:
+        point: metres, world axes.
+        normal: unit, on the side that the ray came from.
+        piece: number of the plan's piece; None for the rest of the room.
+        origin: where that point was when the room was scanned.
+    """
+
+    point: Float[np.ndarray, "3"]
+    normal: Float[np.ndarray, "3"]
+    piece: int | None
+    origin: Float[np.ndarray, "3"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SceneParts:
+    """The parts of the room as a plan has them; `keys` name part and pose, `pieces` are the plan's numbers."""
+
+    parts: tuple[Part, ...]
+    keys: tuple[Hashable, ...]
+    pieces: tuple[int | None, ...]
+
+
+class EditableScene:
+    """A surface, and the pieces it falls into.
+
+    Args:
+        mesh: the surface, in the capture's world coordinates.
+        up: against gravity.
+        folder: where uploaded mesh files lie.
+    """
+
+    def __init__(self, caster: RayCaster, up: Float[np.ndarray, "3"], folder: Path) -> None:
+        self.caster, self.mesh, self.up, self._folder = caster, caster.mesh, up, folder
+        self._parts = LruCache(MOST_PARTS)
+
+    def apply(self, plan: TourPlan) -> SceneParts:
+        """The parts that a plan makes of it."""
+        scanned = tuple(sorted({piece.seed for piece in plan.pieces if not piece.file}))
+        masks = [mask for seed in scanned if (mask := self._faces(Piece(seed))) is not None]
+        if masks:
+            rest = self._parts(
+                ("rest", scanned), lambda: RayCaster(submesh(self.mesh, ~np.logical_or.reduce(masks)))
+            )
+        else:
+            rest, scanned = self.caster, ()
+        parts = [Part(rest, np.eye(4), self.mesh)]
+        keys: list[Hashable] = [("rest", scanned)]
+        pieces: list[int | None] = [None]
+        for number, piece in enumerate(plan.pieces):
+            if piece.removed or (mesh := self.piece_mesh(piece)) is None:
+                continue
+            name = ("piece", piece.seed, piece.file)
+            caster = self._parts(("caster", name), functools.partial(RayCaster, mesh))
+            parts.append(Part(caster, piece.matrix, self.mesh))
+            keys.append((name, piece.pose))
+            pieces.append(number)
+        return SceneParts(tuple(parts), tuple(keys), tuple(pieces))
+
+    def apply_to_mesh(self, plan: TourPlan) -> trimesh.Trimesh:
+        """The whole surface as the plan arranges it."""
+        moved = []
+        for part in self.apply(plan).parts:
+            copy = part.caster.mesh.copy(include_cache=True)  # scanned normals, which shade it
+            copy.apply_transform(part.pose)
+            moved.append(copy)
+        whole: trimesh.Trimesh = trimesh.util.concatenate(moved)  # type: ignore[assignment]
+        return whole
+
+    def pick(self, plan: TourPlan, origin: ArrayLike, direction: ArrayLike) -> SurfaceHit | None:
+        """The first surface on a ray, or beside one that goes through a hole of the scan; None if there is none."""
+        origin, ray = np.asarray(origin, float), unit(direction)
+        across = unit(perpendicular(ray))
+        for tangent in BESIDE:
+            turns = np.linspace(0.0, 2.0 * np.pi, 8 if tangent else 1, endpoint=False)
+            for turn in turns:
+                aside = np.cos(turn) * across + np.sin(turn) * np.cross(ray, across)
+                if (hit := self._cast_ray(plan, origin, ray + tangent * aside)) is not None:
+                    return hit
+        return None
+
+    def visible_surface(
+        self, plan: TourPlan, origin: Float[np.ndarray, "3"], directions: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
+        """Points and normals, as in `SurfaceHit`, of the surface that rays from one point meet; m ≤ n."""
+        origins = np.broadcast_to(origin, directions.shape)
+        distances, normals, _ = cast_parts(self.apply(plan).parts, origins, directions)
+        hit = np.isfinite(distances)
+        points = origins[hit] + distances[hit, None] * directions[hit]
+        return points, face_toward(normals[hit], directions[hit])
+
+    def _cast_ray(
+        self, plan: TourPlan, start: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
+    ) -> SurfaceHit | None:
+        scene = self.apply(plan)
+        distances, normals, numbers = cast_parts(scene.parts, start[None], direction[None])
+        if not np.isfinite(distances[0]):
+            return None
+        pose, point = scene.parts[numbers[0]].pose, start + distances[0] * direction
+        scanned = (point - pose[:3, 3]) @ pose[:3, :3]
+        return SurfaceHit(point, face_toward(normals[0], direction), scene.pieces[numbers[0]], scanned)
+
+    def encloses(self, plan: TourPlan, point: Sequence[float]) -> bool:
+        """Whether a point is inside something, or outside the room: most surfaces around show it their backs."""
+        directions = fibonacci_sphere(64)
+        origins = np.broadcast_to(np.asarray(point, float), directions.shape)
+        distances, normals, _ = cast_parts(self.apply(plan).parts, origins, directions)
+        back = np.einsum("nk,nk->n", normals, directions) > 0
+        return bool(back.sum() > 0.5 * np.isfinite(distances).sum())
+
+    def piece_mesh(self, piece: Piece) -> trimesh.Trimesh | None:
+        """The surface of a piece where it was scanned; None if there is nothing at its seed but the room itself.
+
+        Raises:
+            InputError: its file cannot be read.
+        """
+        if piece.file:
+            return self._parts(("file", piece.file), lambda: self._load_upload(piece.file))
+        faces = self._faces(piece)
+        if faces is None:
+            return None
+        return self._parts(("mesh", piece.seed), lambda: submesh(self.mesh, faces))
+
+    def overlapping_piece(self, plan: TourPlan, piece: Piece) -> int | None:
+        """The number of the plan's piece that some of a new piece's surface belongs to."""
+        faces = self._faces(piece)
+        for number, other in enumerate(plan.pieces):
+            mask = None if other.file else self._faces(other)
+            if faces is not None and mask is not None and bool((faces & mask).any()):
+                return number
+        return None
+
+    def check_piece(self, piece: Piece) -> None:
+        """Raise `InputError` if there is no furniture at a piece's seed."""
+        if self.piece_mesh(piece) is None:
+            raise InputError(
+                "there is no furniture here, only the room itself; click on something that stands in it"
+            )
+
+    def _faces(self, piece: Piece) -> np.ndarray | None:
+        return self._parts(("faces", piece.seed), lambda: piece_at(self.mesh, np.asarray(piece.seed), self.up))
+
+    def _load_upload(self, file: str) -> trimesh.Trimesh:
+        mesh = load_mesh(self._folder / file, repair=True)
+        if Path(file).suffix == ".glb":  # whose y axis is up, always
+            mesh.apply_transform(trimesh.geometry.align_vectors([0.0, 1.0, 0.0], self.up))
+        return mesh
+
+
+def face_toward(
+    normals: Float[np.ndarray, "*n 3"], directions: Float[np.ndarray, "*n 3"]
+) -> Float[np.ndarray, "*n 3"]:
+    """Normals on the side that rays come from."""
+    along = np.einsum("...k,...k->...", normals, directions)
+    return np.where(along[..., None] > 0, -normals, normals)

@@ -1,0 +1,129 @@
+"""Layers: illuminance and visibility of each light by itself, cached together with its shadow maps.
+
+Brightness and colour of a light change no layer; a light that moves changes its own alone. A piece of furniture
+that moves is cast anew by itself, and its shadow maps join those of the room by their minimum.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Hashable
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import trimesh
+
+from hyjax.data.capture import Frame
+from hyjax.geometry.raycast import Hits
+from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.kinds import Light
+from hyjax.light.shading import shade_each
+from hyjax.light.shadow_map import ShadowMap, visibility
+from hyjax.tour.editable_scene import SceneParts
+from hyjax.tour.furniture import Part
+from hyjax.tour.lighting import geometry_key
+from hyjax.tour.picture import Layer
+from hyjax.util.lru_cache import LruCache
+
+DRAFT = 0.25
+"""Resolution of shadow maps while something is being dragged, relative to that of `hyjax relight`."""
+MAPS_MIB, LAYERS_MIB = 512, 192
+Quality = Literal["draft", "fine"]
+
+
+class RenderCancelled(Exception):
+    """Raised when a picture is not needed any more."""
+
+
+class LayerCache:
+    """Layers and shadow maps that were made lately."""
+
+    def __init__(self) -> None:
+        self._maps, self._layers = LruCache(MAPS_MIB, mebibytes), LruCache(LAYERS_MIB, mebibytes)
+
+    def layer(
+        self,
+        light: Light,
+        frame: int,
+        gbuffer: GBuffer,
+        parts: SceneParts,
+        quality: Quality,
+        cancelled: Callable[[], bool],
+    ) -> Layer:
+        """`shade` a frame, from the cache if it is there."""
+        key = quality, geometry_key(light), frame, parts.keys
+        return self._layers(key, lambda: self.shade(light, gbuffer, parts, quality, cancelled))
+
+    def is_fine(self, light: Light, frame: int, parts: SceneParts) -> bool:
+        """Whether a light in a frame needs no shadow map to be cast for quality `fine`."""
+        return ("fine", geometry_key(light), frame, parts.keys) in self._layers or self.has_maps(light, parts)
+
+    def has_maps(self, light: Light, parts: SceneParts) -> bool:
+        """Whether a light's fine shadow maps are there."""
+        if light.UNIFORM:
+            return True
+        geometry = geometry_key(light)
+        return all((geometry, key, "fine") in self._maps for key in parts.keys)
+
+    def shade(
+        self,
+        light: Light,
+        gbuffer: GBuffer,
+        parts: SceneParts,
+        quality: Quality,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> Layer:
+        """Illuminance of a light of strength 1, and what shadows leave of it.
+
+        Args:
+            light: of any strength and colour.
+            gbuffer: surface points to shade.
+            parts: of the scene; they cast the shadows.
+            quality: of the shadow maps.
+            cancelled: asked before each view of a shadow map that must be cast.
+
+        Raises:
+            RenderCancelled: `cancelled` returned true.
+        """
+        geometry, unit = geometry_key(light), light.normalized()
+        scale = DRAFT if quality == "draft" else 1.0
+
+        def cast(part: Part, key: Hashable) -> ShadowMap | None:
+            caster: Any = CancellableCaster(part, cancelled)
+            return self._maps((geometry, key, quality), lambda: cast_shadow_maps(caster, [unit], scale)[0])
+
+        maps = [cast(part, key) for part, key in zip(parts.parts, parts.keys, strict=True)]
+        return shade_each(gbuffer, [unit])[..., 0], visibility(gbuffer, unit, _merge_maps(maps))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CancellableCaster:
+    """Ray caster of a part of the scene that stops when its picture is not needed any more."""
+
+    part: Part
+    cancelled: Callable[[], bool]
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        return self.part.mesh
+
+    def cast(self, *rays: Any) -> Hits:
+        if self.cancelled():
+            raise RenderCancelled
+        return self.part.cast(*rays)
+
+
+def mebibytes(result: object) -> float:
+    """Memory of arrays, or of the picture of a frame; an array that occurs twice counts once."""
+    arrays = {id(leaf): leaf for leaf in jax.tree.leaves(result.image if isinstance(result, Frame) else result)}
+    return sum(getattr(array, "nbytes", 0) for array in arrays.values()) / 2**20
+
+
+def _merge_maps(maps: list[ShadowMap | None]) -> ShadowMap | None:
+    """The shadow map of several parts: the depth of the part nearest to the light."""
+    first, *others = maps
+    if first is None:
+        return None
+    depth = functools.reduce(jnp.minimum, [m.depth for m in others if m is not None], first.depth)
+    return dataclasses.replace(first, depth=depth)

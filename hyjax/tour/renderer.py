@@ -1,0 +1,176 @@
+"""Renderer of a tour: pictures of a plan, with everything cached that a change leaves as it was.
+
+The slow steps follow each other: surface → shadow maps → light on each pixel (`layers`) → diffusion. Brightness and
+colour of a light change only the last.
+"""
+
+from collections.abc import Callable, Generator, Hashable
+from pathlib import Path
+from typing import Any, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+from msgspec.structs import replace
+
+from hyjax.data.capture import Frame
+from hyjax.geometry.camera import Camera
+from hyjax.guide.choose import RGB, FrameGuide
+from hyjax.light.color import to_display, to_linear
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.shading import colored
+from hyjax.light.view import View
+from hyjax.pipeline import relight_stages
+from hyjax.scene.light_setups import survey_capture
+from hyjax.scene.scene import Scene
+from hyjax.tour.editable_scene import EditableScene, SceneParts
+from hyjax.tour.furniture import Part, merge_gbuffers
+from hyjax.tour.layers import LayerCache, Quality, mebibytes
+from hyjax.tour.lighting import flicker, setup_of
+from hyjax.tour.picture import DeviceFrame, RenderedFrame, display_picture, stack_layers, to_bytes
+from hyjax.tour.placement import as_point, north_for_bearing, place_lamp
+from hyjax.tour.plan import LampKind, TourPlan, Window
+from hyjax.tour.viewpoint import Viewpoint
+from hyjax.util.clock import StageClock
+from hyjax.util.lru_cache import LruCache
+
+FRAMES_MIB = 128
+ALBEDO = 0.6  # of the mesh in the free view, whose true colours are unknown
+AFTERNOON, BEARING = 16.0, 240.0
+
+
+class Renderer:
+    """Renders frames of a capture as a plan lights and furnishes them.
+
+    Attributes:
+        capture: frames with poses.
+        up: against gravity, world axes.
+        scene: the surface, which plans edit.
+        surface_area: of floor, walls and ceiling of a box around it, square metres.
+
+    Args:
+        scene: capture and surface.
+        guide: what makes the guide of a frame.
+        folder: where uploaded mesh files lie.
+    """
+
+    def __init__(self, scene: Scene, *, guide: FrameGuide = RGB, folder: Path = Path()) -> None:
+        self.capture, self.guide, self._source = scene.capture, guide, scene
+        self.up = np.asarray(scene.capture.up, float)
+        self.scene = EditableScene(scene.caster, self.up, folder)
+        a, b, c = scene.mesh.extents
+        self.surface_area = 2.0 * float(a * b + b * c + c * a)
+        self._frames, self._layers = LruCache(FRAMES_MIB, mebibytes), LayerCache()
+        self._cameras: dict[int, Camera] = {}
+
+    def first_plan(self) -> TourPlan:
+        """A sunny afternoon, with the capture's own windows or one beside what the cameras look at."""
+        windows = tuple(
+            Window(as_point(a["center"]), as_point(a["normal"]), float(a["width"]), float(a["height"]))
+            for name, a in sorted(self.capture.anchors.items())
+            if name.startswith("window")
+        )
+        if not windows:
+            found = survey_capture(self.scene.caster, self.capture)
+            windows = (Window(as_point(found.window), as_point(found.inward), found.width, found.height),)
+        north = north_for_bearing(windows[0], BEARING, self.up)
+        return TourPlan(hour=AFTERNOON, windows=windows, north=north).check()
+
+    def frame(self, index: int) -> Frame:
+        """A frame at the size that is worked at."""
+        return self._frames(("frame", index), lambda: self._source.frame(index))
+
+    def camera(self, index: int) -> Camera:
+        """Camera of a frame at the size that is worked at."""
+        return self.frame(index).camera
+
+    def captured_camera(self, index: int) -> Camera:
+        """Camera of a frame as it was captured; its picture is read for it only once."""
+        if index not in self._cameras:
+            self._cameras[index] = self.capture[index].camera
+        return self._cameras[index]
+
+    def render(
+        self,
+        plan: TourPlan,
+        viewpoint: Viewpoint,
+        *,
+        draft: bool = False,
+        seconds: float = 0.0,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> RenderedFrame:
+        """Render a plan from a viewpoint.
+
+        Args:
+            plan: what is set up.
+            viewpoint: frame, stage and schedule.
+            draft: whether coarse shadow maps will do for lights that have just moved.
+            seconds: time that has passed, for what flickers.
+            cancelled: asked before each view of a shadow map that must be cast; true ends the rendering.
+
+        Raises:
+            InputError: a frame or mesh file cannot be read.
+            RenderCancelled: it was cancelled. What has been cast so far is kept.
+        """
+        clock, index = StageClock(), viewpoint.frame
+        flames = {k: flicker(seconds, k) for k, lamp in enumerate(plan.lamps) if lamp.kind == "candle"}
+        setup = setup_of(plan, self.up, self.surface_area, flames if seconds else None)
+        frame = self.frame(index)
+        with clock("guide"):
+            pixels = self._frames(("device", index), lambda: jax.block_until_ready(self._device_frame(frame)))
+        with clock("surface"):
+            parts = self.scene.apply(plan)
+            gbuffer = jax.block_until_ready(self._gbuffer(index, frame, parts))
+        with clock("light"):
+            coarse = [draft and not self._layers.is_fine(light, index, parts) for light in setup.lights]
+            layers = [
+                self._layers.layer(light, index, gbuffer, parts, "draft" if rough else "fine", cancelled)
+                for light, rough in zip(setup.lights, coarse, strict=True)
+            ]
+            jax.block_until_ready(layers)
+        view = View(pixels.linear, pixels.display, gbuffer)
+        shaded = stack_layers(setup, layers, gbuffer.hit)
+        relit = clock.follow(relight_stages(view, shaded, pixels.guide, viewpoint.schedule))
+        with clock("show"):
+            picture = to_bytes(display_picture(viewpoint, relit, view, pixels.guide))
+            photo = self._frames(("photo", index), lambda: to_bytes(frame.image))
+        times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
+        return RenderedFrame(picture, photo, np.asarray(relit.image), frame, times, any(coarse))
+
+    def warm_up(self, plan: TourPlan, viewpoint: Viewpoint) -> Generator[None]:
+        """Compile what viewers are likely to ask for, a little each step: lamps, the moon, the mesh."""
+        origin = self.camera(viewpoint.frame).origin
+        lamps = tuple(place_lamp(kind, origin, self.up) for kind in get_args(LampKind))
+        changes: list[dict[str, Any]] = [{"lamps": (lamp,)} for lamp in lamps]
+        for change in [{}, *changes, {"weather": "full moon"}, {"lamps": lamps}]:
+            for draft in (True, False):
+                self.render(replace(plan, **change), viewpoint, draft=draft)
+                yield
+        self.lit_mesh(plan)
+
+    def lit_mesh(self, plan: TourPlan) -> trimesh.Trimesh:
+        """The surface as the plan arranges it, its vertices coloured by the light that falls on them."""
+        mesh, parts = self.scene.apply_to_mesh(plan), self.scene.apply(plan)
+        setup = setup_of(plan, self.up, self.surface_area)
+        vertices, normals = (jnp.asarray(x, jnp.float32)[None] for x in (mesh.vertices, mesh.vertex_normals))
+        ones = jnp.ones(vertices.shape[:2])
+        gbuffer = GBuffer(vertices, normals, ones, ones > 0)
+        channels = []
+        for light in setup.lights:
+            quality: Quality = "fine" if self._layers.has_maps(light, parts) else "draft"
+            illuminance, visible = self._layers.shade(light, gbuffer, parts, quality)
+            channels.append(getattr(light, light.STRENGTH) * illuminance * visible)
+        shades = colored(jnp.stack(channels, axis=-1), setup.lights) / setup.reference_lux
+        mesh.visual.vertex_colors = to_bytes(to_display(ALBEDO * shades))[0]  # type: ignore[union-attr]
+        return mesh
+
+    def _device_frame(self, frame: Frame) -> DeviceFrame:
+        display = jnp.asarray(frame.image)
+        return DeviceFrame(to_linear(display), display, self.guide.features(display))
+
+    def _gbuffer(self, index: int, frame: Frame, parts: SceneParts) -> GBuffer:
+        def cast(part: Part, key: Hashable) -> GBuffer:
+            return self._frames(("g-buffer", index, key), lambda: part.gbuffer(frame.camera))
+
+        return merge_gbuffers([cast(part, key) for part, key in zip(parts.parts, parts.keys, strict=True)])

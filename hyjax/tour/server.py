@@ -1,0 +1,60 @@
+"""Web server of a tour: where it listens, and which pages may talk to it."""
+
+import contextlib
+import io
+import socket
+from collections.abc import Mapping
+from typing import Any
+from urllib.parse import urlsplit
+
+import viser
+
+from hyjax.tour.settings import LOCAL
+from hyjax.util.errors import InputError
+
+
+def open_server(host: str, port: int) -> viser.ViserServer:
+    """A server that neither draws on the terminal, nor opens a tunnel, nor talks to pages of other sites.
+
+    Raises:
+        InputError: the port cannot be listened at.
+    """
+    check_port(host, port)
+    with contextlib.redirect_stdout(io.StringIO()):  # viser draws a box
+        server = viser.ViserServer(host, port, label="hyjax room tour", verbose=False)
+    server.request_share_url = _no_tunnel  # type: ignore[method-assign]
+
+    async def same_site(connection: Any) -> None:
+        """Hang up on pages of other sites: a browser lets them talk to servers of its own machine."""
+        wire = server._websock_server._live_connections[connection.client_id]
+        headers: Mapping[str, str] = wire.request.headers if wire.request is not None else {}
+        origin, asked = headers.get("Origin"), headers.get("Host", "")
+        foreign = origin is not None and urlsplit(origin).netloc != asked
+        renamed = host in (LOCAL, "localhost") and urlsplit(f"//{asked}").hostname not in (LOCAL, "localhost")
+        if foreign or renamed:
+            await wire.close(1008, "not a page of this tour")
+
+    server._websock_server.on_client_connect(same_site)
+    server._websock_server.disconnect_all_clients()  # who connected before comes back, and is checked
+    return server
+
+
+def address(host: str, server: viser.ViserServer) -> str:
+    """Address of the page."""
+    return f"http://{'localhost' if host in (LOCAL, '0.0.0.0') else host}:{server.get_port()}"
+
+
+def check_port(host: str, port: int) -> None:
+    """Raise `InputError` unless the port can be listened at."""
+    try:
+        with socket.socket() as test:
+            test.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            test.bind((host, port))
+    except OSError as error:
+        raise InputError(
+            f"port {port} on {host}: {error.strerror or error}; choose another --port or --host"
+        ) from None
+
+
+def _no_tunnel(verbose: bool = True) -> None:
+    """In the place of viser's tunnel through a public server: a tour stays on its own machine."""

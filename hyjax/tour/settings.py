@@ -1,0 +1,61 @@
+"""Settings of a tour. The command line takes its options, their defaults and their help from here."""
+
+import dataclasses
+from pathlib import Path
+
+from hyjax.core.schedule import PRESETS, Schedule
+from hyjax.relighting.settings import read_schedule
+from hyjax.scene.settings import SceneSettings
+from hyjax.util.errors import InputError
+from hyjax.util.settings import Settings
+
+LOCAL = "127.0.0.1"
+
+
+@dataclasses.dataclass(frozen=True)
+class TourSettings(Settings):
+    """Relight a capture live in the browser: hour and weather, windows, lamps, furniture. Pictures are at most 640
+    pixels wide unless --size says otherwise."""
+
+    scene: SceneSettings = dataclasses.field(default_factory=SceneSettings)
+    guide: str = "rgb"
+    """What guides the diffusion: rgb, small or a safetensors file; see relight."""
+    schedule: Path | None = None
+    """A JSON file, such as tune writes, to choose from beside the named ones."""
+    port: int = 8080
+    """Where the page is served."""
+    host: str = LOCAL
+    """Address to listen at. Anybody who reaches another address than the default can see and change the tour."""
+    out: Path = Path("tour")
+    """Folder for what one saves, and for the set-up, with which the tour goes on next time."""
+    quiet: bool = False
+    """No progress bars."""
+
+    def check(self) -> "TourSettings":
+        """These settings, if a tour can start with them as far as that can be known in advance.
+
+        Raises:
+            InputError: a port out of range, or a schedule or scene that cannot be opened.
+        """
+        if not 0 <= self.port <= 65535:
+            raise InputError(f"port: must lie in 0..65535, got {self.port}")
+        self.scene.check()
+        self.open_schedules()
+        return self
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this machine can reach the page."""
+        return self.host in (LOCAL, "localhost")
+
+    def open_schedules(self) -> dict[str, Schedule]:
+        """Schedules to choose from, by name; the default first.
+
+        Raises:
+            InputError: the file cannot be read, or holds no schedule.
+        """
+        presets = {name: Schedule.preset(name) for name in PRESETS if not name.endswith("shadow")}
+        if self.schedule is None:
+            return presets
+        tuned = read_schedule(self.schedule)
+        return {f"{tuned.name} ({self.schedule.name})": tuned} | presets

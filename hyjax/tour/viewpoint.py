@@ -1,0 +1,38 @@
+"""Viewpoint of a viewer: frame of the capture, stage to show, and schedule that refines the light."""
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.core.schedule import Level, Schedule
+
+Shown = Literal["relit", "photo", "raw filter", "refined filter", "visibility", "conductances", "holes"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Viewpoint:
+    """Frame number, stage to show, and schedule of the diffusion."""
+
+    frame: int
+    shown: Shown
+    schedule: Schedule
+
+
+def scale_schedule(schedule: Schedule, steps: float, kappa: float) -> Schedule:
+    """Schedule with `steps` times as many steps and `kappa` times the edge sensitivity."""
+
+    def scale_level(level: Level) -> Level:
+        step_sizes = scale_step_count(np.asarray(level.step_sizes), steps)
+        return Level(level.factor, step_sizes, np.float32(np.asarray(level.kappa) * kappa), level.fidelity)
+
+    levels = tuple(scale_level(level) for level in schedule.levels)
+    return Schedule(levels, schedule.pooling, schedule.norm, schedule.name, schedule.upsampling)
+
+
+def scale_step_count(step_sizes: Float[np.ndarray, "n"], times: float) -> Float[np.ndarray, "m"]:
+    """Step sizes for `times` as many steps; cycles of varying step sizes are repeated whole, as they must be."""
+    if len(set(step_sizes.tolist())) > 1:
+        return np.tile(step_sizes, max(round(times), int(times > 0)))
+    return np.resize(step_sizes, round(len(step_sizes) * times)) if len(step_sizes) else step_sizes

@@ -1,0 +1,100 @@
+"""Settings of a tuning run. The command line takes its options, their defaults and their help from here."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any, Literal
+
+from hyjax.scene.settings import SceneSettings, check_lights_name
+from hyjax.tuning.result import Budget
+from hyjax.util.errors import InputError
+from hyjax.util.settings import Settings
+
+BudgetStage = Literal["cascade", "frame"]
+CONVERGED = "converged"
+"""The target where there is no better mesh: what the paper's cascade approximates."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TuneScene(SceneSettings):
+    """A capture, its rough surface, and the size to work at."""
+
+    mesh: str | None = None
+    """The rough mesh: a file, 'captured' (came with the capture), 'scan' (simulated headset scan), or 'fused' (from
+    depth maps). Default: captured where there is one, else scan."""
+    size: str | None = "512"
+    """Work at this size: 512 (square) or 640x480 (width x height)."""
+    seed: int = 0
+    """Of the search and of a simulated scan. The same seed on the same latency table makes the same search,
+    unless a time limit cuts it short; the clock has the last word on what fits."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TuneSettings(Settings):
+    """Find the schedule that makes the best picture within a time budget on this device."""
+
+    scene: TuneScene = dataclasses.field(default_factory=TuneScene)
+    fps: tuple[float, ...] = ()
+    """Frame rates to reach, such as 60, or several: 30 60 120."""
+    budget_ms: tuple[float, ...] = ()
+    """Budgets in milliseconds, besides or instead of frame rates."""
+    stage: BudgetStage = "cascade"
+    """Whether the budget is for the diffusion alone or for the whole frame."""
+    target: str | None = None
+    """The accurate mesh that the picture should look like: a file, 'true', 'fused' (at 2 cm), or 'converged' (1000
+    steps of diffusion on the rough mesh). Default: true for the built-in room, else fused where there is depth."""
+    lights: str = "two-colors"
+    """A named set-up, or a YAML or JSON file; see relight."""
+    frames: str | None = None
+    """Which frames to tune on, see relight. Default: four of the first three quarters."""
+    holdout: str | None = None
+    """Which frames are only reported on. Default: four of the last quarter."""
+    guide: str = "rgb"
+    """What guides the diffusion: rgb, small or a safetensors file; see relight."""
+    joint: bool = False
+    """Also tune a learned guide's last layer, together with the best schedule's kappa, lambda and fidelity."""
+    time_limit: float | None = None
+    """Seconds after which the search only finishes what it has."""
+    extra: bool = True
+    """Also tune for a few more budgets, to draw the curve of quality against time."""
+    recalibrate: bool = False
+    """Measure the device anew instead of using the latency table from the cache."""
+    out: Path | None = None
+    """Folder for schedule.json, pareto.csv, pareto.png, contact_sheet.png and report.html."""
+    resume: bool = False
+    """Go on with the interrupted run in the out folder."""
+    quiet: bool = False
+    """No progress bars."""
+
+    def check(self) -> "TuneSettings":
+        """These settings, if a run can start with them as far as that can be known in advance.
+
+        Raises:
+            InputError: no budget, a value out of range, or a mesh, target or set-up that does not exist.
+        """
+        from hyjax.scene.surfaces import check_mesh_name
+
+        self.budgets()
+        if self.time_limit is not None and not self.time_limit > 0:
+            raise InputError(f"time limit: must be > 0 seconds, got {self.time_limit:g}")
+        check_lights_name(self.lights)
+        self.scene.check()
+        if self.target != CONVERGED:
+            check_mesh_name(self.target)
+        return self
+
+    def budgets(self) -> list[Budget]:
+        """Time budgets, frame rates first, without repetitions.
+
+        Raises:
+            InputError: none, or one that is not finite and > 0.
+        """
+        from hyjax.tuning.request import parse_budgets
+
+        return parse_budgets(self.fps, self.budget_ms)
+
+    def record(self) -> dict[str, Any]:
+        """Options as a run's record has them."""
+        options = dataclasses.asdict(self)
+        scene = options.pop("scene")
+        out = None if self.out is None else str(self.out)
+        return scene | options | {"capture": str(self.scene.capture or "built-in room"), "out": out}

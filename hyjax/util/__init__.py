@@ -1,0 +1,1 @@
+"""Files, cache, clock, threads and other parts that every layer uses."""

@@ -1,0 +1,53 @@
+"""The folder of files that can be computed again, and arrays in it."""
+
+import logging
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import platformdirs
+
+from hyjax.util.errors import InputError
+from hyjax.util.files import atomic_write
+
+T = TypeVar("T")
+Arrays = Mapping[str, np.ndarray]
+_log = logging.getLogger(__name__)
+
+
+def cache_folder() -> Path:
+    """The folder for rebuildable files: `$HYJAX_CACHE` if set, else the user's cache folder. Not created here."""
+    override = os.environ.get("HYJAX_CACHE")
+    return Path(override) if override else platformdirs.user_cache_path("hyjax")
+
+
+def cached_arrays(
+    file: Path, parse: Callable[[Arrays], T], make: Callable[[], Arrays], *, compressed: bool = False
+) -> T:
+    """Result of arrays that are read from a file if it is there and whole, else made and stored.
+
+    Warnings tell of a damaged file and of a folder that cannot be written.
+
+    Args:
+        file: npz file in a cache folder.
+        parse: turns the arrays into the result; any error counts as damage of the file.
+        make: makes the arrays.
+        compressed: whether to store them compressed.
+    """
+    if file.is_file():
+        try:
+            # Opened here, since np.load leaves a damaged file open.
+            with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+                return parse({name: stored[name] for name in stored.files})
+        except Exception as error:  # Damage shows itself in a dozen ways; all mean the same.
+            _log.warning("%s: damaged (%s), it is made again", file, error)
+    arrays = make()
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(file) as part:
+            (np.savez_compressed if compressed else np.savez)(part, **arrays)  # type: ignore[arg-type]
+    except (OSError, InputError) as error:
+        _log.warning("%s: cannot keep this for the next time (%s)", file, error)
+    return parse(arrays)

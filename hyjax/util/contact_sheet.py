@@ -1,0 +1,59 @@
+"""Contact sheets: rows of labelled pictures."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+from jaxtyping import Float
+
+from hyjax.util.images import resize, write_png
+
+BACKGROUND, INK = 0.09, 0.92
+GAP, LABEL, FONT = 4, 20, 13
+
+
+def contact_sheet(
+    rows: Sequence[tuple[str, Sequence[Float[np.ndarray, "h w 3"]]]], headings: Sequence[str], width: int = 320
+) -> Float[np.ndarray, "h w 3"]:
+    """Compose a sheet.
+
+    Args:
+        rows: (label, display-encoded pictures), as many pictures as headings.
+        headings: one for each column.
+        width: of each picture on the sheet, in pixels.
+
+    Returns:
+        The sheet, display-encoded.
+    """
+    first = rows[0][1][0]
+    height = round(width * first.shape[0] / first.shape[1])
+    sheet = np.full(
+        (LABEL + len(rows) * (height + LABEL), len(headings) * (width + GAP) + GAP, 3), BACKGROUND, np.float32
+    )
+    texts = [(GAP + i * (width + GAP), LABEL - 6, heading) for i, heading in enumerate(headings)]
+    for r, (label, pictures) in enumerate(rows):
+        top = LABEL + r * (height + LABEL)
+        for i, picture in enumerate(pictures):
+            left = GAP + i * (width + GAP)
+            sheet[top : top + height, left : left + width] = np.clip(resize(picture, height, width), 0, 1)
+        texts.append((GAP, top + height + LABEL - 6, label))
+    return _write_texts(sheet, texts)
+
+
+def write_contact_sheet(
+    path: Path, rows: Sequence[tuple[str, Sequence[Float[np.ndarray, "h w 3"]]]], headings: Sequence[str]
+) -> None:
+    """As `contact_sheet`, into a PNG."""
+    write_png(path, contact_sheet(rows, headings))
+
+
+def _write_texts(
+    sheet: Float[np.ndarray, "h w 3"], texts: list[tuple[int, int, str]]
+) -> Float[np.ndarray, "h w 3"]:
+    buffer = oiio.ImageBuf(np.ascontiguousarray(sheet))
+    for x, y, text in texts:
+        # An OpenImageIO built without fonts leaves the sheet unlabelled, which is no reason to lose the sheet.
+        if not oiio.ImageBufAlgo.render_text(buffer, x, y, text, FONT, "", (INK, INK, INK)):
+            break
+    return np.asarray(buffer.get_pixels(oiio.FLOAT))

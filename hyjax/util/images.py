@@ -1,0 +1,112 @@
+"""Pictures in and out through OpenImageIO. Every write goes to a temporary name first and is then renamed."""
+
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+from jaxtyping import Float
+
+from hyjax.util.errors import InputError
+from hyjax.util.files import atomic_write
+
+
+def read_image(path: Path) -> Float[np.ndarray, "h w c"]:
+    """Read a picture as float32 with its channels as stored; integer formats are scaled to [0, 1].
+
+    Raises:
+        InputError: the file is missing, truncated or not a picture.
+    """
+    return _read(path, "float").astype(np.float32, copy=False)
+
+
+def read_depth(path: Path, unit: float = 0.001) -> Float[np.ndarray, "h w"]:
+    """Read a 16-bit depth map; returns metres, 0 where there is no reading (stored as 0 or 65535).
+
+    Args:
+        path: a one-channel 16-bit picture.
+        unit: metres per stored step.
+
+    Raises:
+        InputError: the file is missing, truncated or not a one-channel 16-bit picture.
+    """
+    raw = _read(path, "uint16", only="uint16")
+    if raw.shape[2] != 1:
+        raise InputError(f"{path}: a depth map has one channel, this picture has {raw.shape[2]}")
+    depth = raw[..., 0].astype(np.float32) * unit
+    return np.where(raw[..., 0] == 65535, 0.0, depth).astype(np.float32)
+
+
+def _read(path: Path, kind: str, only: str | None = None) -> np.ndarray:
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    # libpng complains on stderr by itself, beside our one line. A PNG that was cut off has lost its last chunk.
+    if path.suffix.lower() == ".png" and not _ends_with(path, b"IEND"):
+        raise InputError(f"{path}: damaged or truncated picture (its end is missing)")
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise InputError(f"{path}: not a readable picture ({_first_line(oiio.geterror())})")
+    stored = str(source.spec().format)
+    if only is not None and stored != only:
+        source.close()
+        raise InputError(f"{path}: stored as {stored}, must be {only}")
+    try:
+        pixels = source.read_image(kind)
+        error = source.geterror()
+    finally:
+        source.close()
+    # A truncated JPEG is padded with grey and only reported as an error, so the error decides, not the pixels.
+    if pixels is None or error:
+        raise InputError(f"{path}: damaged or truncated picture ({_first_line(error)})")
+    return pixels
+
+
+def _ends_with(path: Path, mark: bytes, within: int = 64) -> bool:
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - within))
+        return mark in file.read()
+
+
+def write_png(path: Path, display: Float[np.ndarray, "h w c"]) -> None:
+    """Write display-encoded values in [0, 1] as an 8-bit PNG."""
+    pixels = np.round(np.clip(np.asarray(display, dtype=np.float32), 0.0, 1.0) * 255.0).astype(np.uint8)
+    _write(path, pixels, "uint8", {"oiio:ColorSpace": "srgb_rec709_scene"})
+
+
+def write_exr(path: Path, linear: Float[np.ndarray, "h w c"]) -> None:
+    """Write linear values as a half-float EXR (ZIP compressed). Values beyond half range are clipped to it."""
+    pixels = np.clip(np.asarray(linear, dtype=np.float32), -65504.0, 65504.0).astype(np.float16)
+    _write(path, pixels, "half", {"oiio:ColorSpace": "lin_rec709_scene", "compression": "zip"})
+
+
+def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str]) -> None:
+    path = Path(path)
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    height, width, channels = pixels.shape
+    spec = oiio.ImageSpec(width, height, channels, kind)
+    for name, value in attributes.items():
+        spec.attribute(name, value)
+    with atomic_write(path) as temporary:
+        target = oiio.ImageOutput.create(str(temporary))
+        if target is None or not target.open(str(temporary), spec):
+            raise InputError(f"{path}: cannot write ({_first_line(oiio.geterror())})")
+        written = target.write_image(np.ascontiguousarray(pixels))
+        closed = target.close()  # where a full disk shows
+        error = target.geterror()
+        if not (written and closed):
+            raise InputError(f"{path}: cannot write ({_first_line(error)})")
+
+
+def _first_line(text: str) -> str:
+    lines = [line.strip() for line in text.strip().splitlines() if line.strip()]
+    return lines[0] if lines else "no further detail"
+
+
+def resize(pixels: Float[np.ndarray, "h w c"], height: int, width: int) -> Float[np.ndarray, "height width c"]:
+    """Resample with edges aligned to edges, as `Intrinsics.resize` assumes (OpenImageIO's default filter)."""
+    if pixels.shape[:2] == (height, width):
+        return pixels
+    source = oiio.ImageBuf(np.ascontiguousarray(pixels, dtype=np.float32))
+    target = oiio.ImageBufAlgo.resize(source, roi=oiio.ROI(0, width, 0, height, 0, 1, 0, pixels.shape[2]))
+    return np.asarray(target.get_pixels(oiio.FLOAT)).reshape(height, width, -1)

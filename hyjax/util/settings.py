@@ -1,0 +1,43 @@
+"""Settings objects whose types are checked where they are made: in Python as by the command line."""
+
+import typing
+from pathlib import Path
+from typing import Any, Literal
+
+import typeguard
+
+from hyjax.util.errors import InputError, did_you_mean
+
+
+class Settings:
+    """Base of settings dataclasses. Text is taken for a path and a list for a tuple where one is meant.
+
+    Raises:
+        InputError: a field of another type than it is annotated with.
+    """
+
+    def __post_init__(self) -> None:
+        for name, hint in typing.get_type_hints(type(self)).items():
+            value = _converted(getattr(self, name), hint)
+            if typing.get_origin(hint) is Literal and value not in typing.get_args(hint):
+                known = [str(word) for word in typing.get_args(hint)]
+                guess = did_you_mean(str(value), known)
+                raise InputError(f"{name}: {value!r} is unknown{guess}; use one of {', '.join(known)}")
+            try:
+                typeguard.check_type(value, hint)
+            except typeguard.TypeCheckError:
+                wanted = str(getattr(hint, "__name__", hint) if isinstance(hint, type) else hint)
+                wanted = wanted.replace("pathlib._local.", "").replace("pathlib.", "").replace("typing.", "")
+                raise InputError(f"{name.replace('_', ' ')}: must be {wanted}, got {value!r:.80}") from None
+            object.__setattr__(self, name, value)
+
+
+def _converted(value: Any, hint: Any) -> Any:
+    kinds = {hint, *typing.get_args(hint)}
+    if isinstance(value, str) and Path in kinds:
+        return Path(value)
+    if isinstance(value, Path) and str in kinds:
+        return str(value)
+    if isinstance(value, list) and typing.get_origin(hint) is tuple:
+        return tuple(value)
+    return value

@@ -1,0 +1,15 @@
+"""What `conftest.py` and single tests share."""
+
+import os
+from pathlib import Path
+
+# Most of what tests compile runs once: optimising it takes longer than it saves, and so do fusion emitters.
+UNOPTIMISED = (
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
+    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+)
+
+
+def data_folder() -> Path:
+    """$HYJAX_DATA, or shared/data beside the checkout."""
+    return Path(os.environ.get("HYJAX_DATA") or Path(__file__).parents[2] / "shared" / "data")

@@ -1,0 +1,140 @@
+"""The fast forms of repeated steps against the plain one, and derivatives of the two together."""
+
+import hypothesis
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import strategies
+from jax import export
+
+from hyjax import conductance, diffuse
+from hyjax.core.backends import select_backend, with_fast_values
+from hyjax.core.diffusion import _steps
+from hyjax.core.inplace import steps_in_place
+from hyjax.core.tiles import steps_in_tiles
+
+pytestmark = pytest.mark.usefixtures("strict_ranks")
+
+
+def example(seed: int, h: int, w: int, c: int, n: int) -> tuple:
+    random = np.random.default_rng(seed)
+    y, source = (jnp.asarray(random.random((h, w, c), np.float32)) for _ in range(2))
+    edges = conductance(jnp.asarray(random.random((h, w, 3), np.float32)), 0.3)
+    return y, edges, jnp.asarray(random.uniform(0.02, 0.24, n), jnp.float32), source
+
+
+@hypothesis.settings(max_examples=15)
+@hypothesis.given(
+    seed=strategies.integers(0, 99),
+    h=strategies.sampled_from([1, 2, 7, 40]),
+    w=strategies.sampled_from([1, 3, 33]),
+    c=strategies.sampled_from([1, 2, 5]),
+    n=strategies.sampled_from([0, 1, 2, 3, 8]),
+    fidelity=strategies.sampled_from([None, 0.0, 0.4]),
+    with_source=strategies.booleans(),
+)
+def test_it_is_the_plain_form(
+    seed: int, h: int, w: int, c: int, n: int, fidelity: float | None, with_source: bool
+) -> None:
+    y, edges, sizes, source = example(seed, h, w, c, n)
+    rest = None if fidelity is None else jnp.float32(fidelity), source if with_source else None
+    expected, found = _steps(y, edges, sizes, *rest), steps_in_place(y, edges, sizes, *rest)
+    assert found.dtype == expected.dtype
+    np.testing.assert_allclose(found, expected, atol=2e-6)
+    np.testing.assert_array_equal(found if n == 0 else y, y)
+
+
+def test_whatever_stands_on_the_rim_counts_nothing() -> None:
+    y, edges, sizes, _ = example(0, 6, 5, 1, 4)
+    flat = jnp.full_like(y, 1e6)
+    np.testing.assert_array_equal(steps_in_place(flat, edges, sizes, None, None), flat)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
+def test_half_precision_stays(dtype: jnp.dtype) -> None:
+    y, edges, sizes, _ = example(1, 9, 8, 2, 5)
+    found = steps_in_place(y.astype(dtype), edges, sizes.astype(dtype), None, None)
+    assert found.dtype == dtype
+    np.testing.assert_allclose(found.astype(jnp.float32), _steps(y, edges, sizes, None, None), atol=0.02)
+
+
+@pytest.mark.parametrize("argument", range(5))
+def test_derivatives_are_those_of_the_plain_form(argument: int) -> None:
+    """To the last bit: the fast form has no part in them."""
+    y, edges, sizes, source = example(2, 6, 7, 2, 5)
+    arguments = y, edges, sizes, jnp.float32(0.2), source
+    fast = with_fast_values(_steps, steps_in_place)
+    slopes = [
+        jax.grad(lambda *a, form=form: jnp.sum(form(*a) ** 2), argument)(*arguments) for form in (_steps, fast)
+    ]
+    jax.tree.map(np.testing.assert_array_equal, *slopes)
+    assert any(np.any(np.asarray(leaf)) for leaf in jax.tree.leaves(slopes[1]))
+
+
+def test_second_derivatives_batches_and_forward_mode() -> None:
+    y, edges, sizes, _ = example(3, 4, 5, 1, 3)
+    fast = with_fast_values(_steps, steps_in_place)
+
+    def energy(form, sizes):
+        return jnp.sum(form(y, edges, sizes, None, None) ** 2)
+
+    np.testing.assert_allclose(
+        jax.hessian(lambda s: energy(fast, s))(sizes), jax.hessian(lambda s: energy(_steps, s))(sizes), rtol=1e-5
+    )
+    batch = jnp.stack([y, 2 * y])
+    found = jax.vmap(lambda y: fast(y, edges, sizes, None, None))(batch)
+    np.testing.assert_allclose(found[1], 2 * found[0], rtol=1e-5)
+    _, slope = jax.jvp(lambda y: fast(y, edges, sizes, None, None), (y,), (y,))
+    np.testing.assert_allclose(slope, found[0], rtol=1e-5)  # linear in y
+
+
+def test_values_come_from_the_fast_form() -> None:
+    """Else the tests above compare the plain form with itself."""
+    function = with_fast_values(lambda x: x**2, lambda x: x**2 + 1.0)
+    assert float(function(3.0)) == 10.0
+    assert float(jax.grad(function)(3.0)) == 6.0
+
+
+@pytest.mark.parametrize(
+    ("count", "size", "marker"), [(1, 500, True), (1, 600, False), (2, 500, True), (64, 80, False)]
+)
+def test_what_is_worth_sharing_is_shared(
+    monkeypatch: pytest.MonkeyPatch, count: int, size: int, marker: bool
+) -> None:
+    y, edges, sizes, _ = example(4, size, size, 1, 4)
+    monkeypatch.setattr("hyjax.core.backends.cores", lambda: count)
+    text = jax.jit(select_backend(_steps)).lower(y, edges, sizes, None, None).as_text()
+    assert ("dynamic_update_slice" in text) == marker
+
+
+def test_diffuse_takes_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    y, edges, sizes, _ = example(4, 8, 8, 1, 4)
+    monkeypatch.setattr("hyjax.core.backends.cores", lambda: 1)
+    jax.clear_caches()  # the form is chosen while tracing
+    assert "dynamic_update_slice" in jax.jit(diffuse).lower(y, edges, sizes).as_text()
+    np.testing.assert_allclose(diffuse(y, edges, sizes), _steps(y, edges, sizes, None, None), atol=2e-6)
+
+
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize(
+    ("shape", "count"), [((1, 1, 1), 1), ((33, 17, 2), 0), ((33, 17, 2), 11), ((140, 150, 1), 11), ((200, 5, 1), 8)]
+)
+def test_tiles_are_the_plain_form(shape: tuple[int, int, int], count: int, held: bool) -> None:
+    """In the interpreter: pictures of one tile, of several, and of a size that tiles do not divide."""
+    y, edges, sizes, source = example(5, *shape, count)
+    rest = (jnp.float32(0.3), source) if held else (None, None)
+    found = steps_in_tiles(y, edges, sizes, *rest, interpret=True)
+    np.testing.assert_allclose(found, _steps(y, edges, sizes, *rest), atol=2e-6)
+
+
+@pytest.mark.parametrize("size", [64, 300])
+def test_tiles_become_a_gpu_kernel(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As far as that can be seen without a GPU: `diffuse`, asked to, is lowered to Triton's code for CUDA."""
+    y, edges, sizes, _ = example(6, size, size, 2, 11)
+    checks = [export.DisabledSafetyCheck.custom_call("__gpu$xla.gpu.triton")]
+    for wanted in ("1", "0"):
+        monkeypatch.setenv("HYJAX_GPU_KERNEL", wanted)
+        form = jax.jit(select_backend(_steps))
+        exported = export.export(form, platforms=["cuda"], disabled_checks=checks)(y, edges, sizes, None, None)
+        assert ("xla.gpu.triton" in exported.mlir_module()) == (wanted == "1")

@@ -1,0 +1,287 @@
+"""Every experiment that no other file runs, from its options to rows, tables and figures, as small as it goes."""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from reference.arkit_export import write_depth
+from reference.seven_scenes_export import export_seven_scenes
+from test_depth_sr import write_pairs
+
+from experiments import (
+    before_after,
+    bench_peers,
+    beyond,
+    conductances,
+    flicker,
+    guide_worth,
+    kappa_sweep,
+    kinect_registration,
+    reference_quality,
+    stage_times,
+    tour_latency,
+    tuning_gain,
+    tuning_optimum,
+    tuning_promise,
+    tuning_race,
+    tuning_transfer,
+)
+from experiments.command import Experiment
+from experiments.paper_bench import METHODS
+from experiments.records import FILE, Row, of_kind, read_rows
+from hyjax.data.builtin_room import RoomCapture
+from hyjax.data.capture import Frame
+from hyjax.data.seven_scenes import KINECT
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.raycast import RayCaster
+from hyjax.tuning import workload
+from hyjax.tuning.search import Effort
+from hyjax.util.errors import InputError
+
+SIZE = 64
+LITTLE = Effort(sampled=2, relaxed=1, iterations=1, rounded=2, polished=1, polishing=1, descents=1)
+AMPLE = 1000.0  # milliseconds, in which every schedule fits
+
+
+def rows_of(experiment: Experiment, config: Any, *files: str) -> list[Row]:
+    """The rows of a finished run, whose page and figures are there."""
+    rows = experiment(config)
+    assert rows[-1]["kind"] == "finished" and len(rows) > 1
+    for file in (f"{experiment.name}.md", *files):
+        assert (config.out / file).stat().st_size > 100, file
+    return rows
+
+
+@pytest.mark.slow
+def test_beyond(scan: Path, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(beyond, "KAPPAS", (0.02,))
+    monkeypatch.setattr(beyond, "PAPER_KAPPAS", (0.1,))
+    monkeypatch.setattr(beyond, "STEPS_MORE", (1,))
+    names = ("holes unknown", "hyjax")
+    monkeypatch.setattr(beyond, "IDEAS", {name: beyond.IDEAS[name] for name in names})
+    config = beyond.Config(capture=scan, size=SIZE, tuning=1, frames=1, repeats=1, weights=weights, out=tmp_path)
+    rows = rows_of(beyond.main, config, "best_and_worst.png", "front.png")
+    (frame,) = of_kind(rows, "frame")
+    for scores in frame["scores"].values():
+        assert set(names) < set(scores) and all(5 < scores[name]["all"]["psnr"] < 80 for name in names)
+    assert {row["method"] for row in of_kind(rows, "time")} >= {beyond.PAPER, *names}
+
+
+@pytest.mark.slow
+def test_flicker(scan: Path, tmp_path: Path) -> None:
+    config = flicker.Config(capture=scan, frames="0,1", size=SIZE, out=tmp_path)
+    scores = of_kind(rows_of(flicker.main, config, "differences.png", "flicker.png"), "score")
+    second = [row for row in scores if "flicker" in row]
+    assert len(scores) == 2 * len(second) > 2 and all(row["flicker"] > 0 for row in second)
+    psnr = {row["method"]: row["psnr"] for row in second}
+    assert psnr.pop(flicker.ACCURATE) is None  # infinite: it is the target
+    assert all(5 < value < 60 for value in psnr.values())
+
+
+@pytest.mark.slow
+def test_kappa_sweep(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kappa_sweep, "KAPPAS", (0.01, 0.1))
+    config = kappa_sweep.Config(capture=scan, frames=1, size=SIZE, out=tmp_path)
+    rows = rows_of(kappa_sweep.main, config, "kappa_sweep.png")
+    for name in kappa_sweep.VARIANTS:
+        own = [row for row in of_kind(rows, "score") if row["method"] == name]
+        tuning = {row["kappa"]: row["psnr"] for row in own if row["split"] == "tuning"}
+        assert set(tuning) == {0.01, 0.1}
+        assert [row["kappa"] for row in own if row["split"] == "held-out"] == [max(tuning, key=tuning.__getitem__)]
+
+
+@pytest.mark.slow
+def test_guide_worth(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guide_worth, "KAPPAS", (0.01, 0.1))
+    config = guide_worth.Config(capture=scan, frames=1, size=SIZE, out=tmp_path)
+    scores = of_kind(rows_of(guide_worth.main, config, "guide_worth.png"), "score")
+    held = [row for row in scores if row["split"] == "held-out"]
+    guides = {guide_worth.NONE, "rgb", "small", guide_worth.SURFACE}
+    assert len(held) == len(guides) * len(METHODS) and {row["guide"] for row in held} == guides
+    assert len({row["psnr"] for row in held if row["method"] == METHODS["linear"]}) == len(guides)
+
+
+def test_conductances(tmp_path: Path) -> None:
+    pairs = f"folder:{write_pairs(tmp_path / 'pairs', 2, 0)}"
+    config = conductances.Config(pairs=pairs, guide="rgb", out=tmp_path / "out")
+    rows = rows_of(conductances.main, config, "conductances.png")
+    (guide,) = of_kind(rows, "guide")
+    assert guide["guide"] == "rgb" and guide["kappa"] > 0
+    found = of_kind(rows, "pair")
+    medians = [row["jump"] for row in found]
+    assert len(found) == 2 and min(medians) - 1e-6 <= conductances.AT_JUMPS <= max(medians) + 1e-6
+    assert all(row["plain"] > 0.9 and row["area"] > 0.9 for row in found)  # planes of one colour
+
+
+@pytest.mark.slow
+def test_reference_quality(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reference_quality, "PASSES", ((0, 0), (0, 2)))
+    monkeypatch.setattr(reference_quality, "VOXEL", 0.05)
+    config = reference_quality.Config(frames=1, views=16, size=SIZE, weights=weights, out=tmp_path)
+    scores = of_kind(rows_of(reference_quality.main, config), "score")
+    assert [(row["relaxing"], row["smoothing"]) for row in scores] == [(0, 0), (0, 2)]
+    assert all(0 < row["share"] < 1 and row["scores"]["relied on"]["psnr"] > 5 for row in scores)
+    assert scores[0]["scores"] != scores[1]["scores"]
+
+
+@pytest.mark.slow
+def test_kinect_registration(room: RoomCapture, tmp_path: Path) -> None:
+    """Depth of one camera and pictures of the other: borders meet the most contrast where that stands."""
+    caster, frames = RayCaster(room.reference()), []
+    for k in range(2):
+        camera = Camera(KINECT, room[k].camera.pose)
+        depth = np.asarray(caster.gbuffer(camera).depth)
+        frame = Frame(f"frame-{k:06d}", np.zeros((480, 640, 3), np.float32), camera, time=float(k), depth=depth)
+        seen = caster.gbuffer(kinect_registration.camera_of(frame, kinect_registration.KNOWN))
+        image = np.where(np.asarray(seen.hit)[..., None], 0.5 + 0.5 * np.asarray(seen.normal), 0.0)
+        frames.append(dataclasses.replace(frame, image=image.astype(np.float32)))
+    folder = export_seven_scenes(frames, room.up, tmp_path / "kinect")
+    for k, frame in enumerate(frames):
+        assert frame.depth is not None
+        write_depth(folder / f"frame-{k:06d}.depth.png", 1000 * frame.depth)
+    config = kinect_registration.Config(capture=folder, fit="0", judge="1", out=tmp_path / "out")
+    found = of_kind(rows_of(kinect_registration.main, config, "borders.png"), "placement")
+    contrast = {row["name"]: row["contrast"] for row in found}
+    assert contrast["hyjax.data.kinect"][1] > 1.2 * contrast["as recorded"][1]
+    assert contrast["fitted to the first"][0] > 0.8 * contrast["hyjax.data.kinect"][0]
+
+
+@pytest.mark.slow
+def test_stage_times(scan: Path, tmp_path: Path) -> None:
+    rows = rows_of(stage_times.main, stage_times.Config(capture=scan, repeats=1, out=tmp_path), "stage_times.png")
+    stages = {row["stage"]: row["median_ms"] for row in of_kind(rows, "stage")}
+    assert {"shading", "cascade paper-80", "shadow pass", "composite"} < set(stages)
+    assert all(time > 0 for time in stages.values()) and len(of_kind(rows, "part")) == 8
+
+
+def check_schedules(rows: list[Row], scenes: set[str], tuned: str) -> None:
+    """Every scene has scores of the raw filter and of tuned schedules, which are no worse, and times."""
+    scores = of_kind(rows, "score")
+    assert {row["scene"] for row in scores} == scenes
+    for scene in scenes:
+        loss = {row["name"]: row["loss"] for row in scores if row["scene"] == scene}
+        own = [value for name, value in loss.items() if name.startswith(tuned)]
+        assert own and max(own) < loss["raw filter"]
+    assert all(row["psnr"] > 5 and 0 < row["ssim"] <= 1 for row in scores)
+    assert all(0 < row["median"] <= row["p95"] for row in of_kind(rows, "time"))
+
+
+@pytest.mark.slow
+def test_tuning_gain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workload, "FEWEST_CELLS", 4)  # so that the paper's schedules fit small pictures
+    monkeypatch.setattr(tuning_gain, "BASELINES", ("hyjax", "paper-80"))
+    common: dict[str, Any] = {"size": (SIZE, SIZE), "frames": 1, "holdout": 1, "repeats": 10, "effort": LITTLE}
+    config = tuning_gain.Config(**common, polishing=1, out=tmp_path)
+    check_schedules(rows_of(tuning_gain.main, config, "tuning_gain.png"), {"room"}, "paper-80 polished")
+
+
+@pytest.mark.slow
+def test_tuning_transfer(scan: Path, tmp_path: Path) -> None:
+    common: dict[str, Any] = {"size": (SIZE, SIZE), "frames": 1, "holdout": 1, "repeats": 10, "effort": LITTLE}
+    config = tuning_transfer.Config(**common, kitchen=scan, budget_ms=AMPLE, out=tmp_path)
+    rows = rows_of(tuning_transfer.main, config, "tuning_transfer.png")
+    check_schedules(rows, {"room", scan.name}, "tuned on")
+
+
+@pytest.mark.slow
+def test_tuning_promise(tmp_path: Path) -> None:
+    config = tuning_promise.Config(
+        fps=(), budget_ms=(1e-6, AMPLE), size=(SIZE, SIZE), frames=1, repeats=10, effort=LITTLE, out=tmp_path
+    )
+    rows = rows_of(tuning_promise.main, config, "tuning_promise.png")
+    impossible, ample = of_kind(rows, "choice")
+    assert "out_of_reach" in impossible and "schedule" in ample
+    (time,) = of_kind(rows, "time")
+    assert 0 < time["median"] <= time["p95"] < AMPLE
+
+
+@pytest.mark.slow
+def test_tuning_optimum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workload, "FEWEST_CELLS", 4)
+    config = tuning_optimum.Config(
+        size=SIZE, frames=1, ladder=(4, 2), counts=(0, 1, 2), budgets=1, out=tmp_path, kappa=0.1
+    )
+    rows = rows_of(tuning_optimum.main, config, "tuning_optimum.png")
+    (brute,), (budget,) = of_kind(rows, "brute force"), of_kind(rows, "budget")
+    assert len(brute["losses"]) == len(brute["costs_ms"]) == 3**2 - 1
+    assert all(0 < loss < 10 for loss in brute["losses"])
+    within = [loss for loss, cost in zip(brute["losses"], brute["costs_ms"]) if cost <= budget["budget_ms"]]
+    assert budget["brute_force"]["loss"] == pytest.approx(min(within))
+
+
+@pytest.mark.slow
+def test_tuning_race(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    config = tuning_race.Config(budget_ms=AMPLE, seconds=1.0, seeds=1, size=SIZE, frames=1, out=tmp_path)
+    runs = of_kind(rows_of(tuning_race.main, config, "tuning_race.png"), "run")
+    assert [row["method"] for row in runs] == list(tuning_race.METHODS)
+    for row in runs:
+        losses = [loss for _, loss in row["curve"]]
+        assert losses == sorted(losses, reverse=True) and math.isfinite(losses[-1])
+
+
+@pytest.mark.slow
+def test_bench_peers(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("cv2.ximgproc")
+    found = bench_peers.peers.optional
+    # torch takes minutes to compile, and is compared with in tests of its own.
+    monkeypatch.setattr(bench_peers.peers, "optional", lambda name: None if name == "torch" else found(name))
+    monkeypatch.setattr(bench_peers.peers, "STRENGTHS", bench_peers.peers.STRENGTHS[:1])
+    config = bench_peers.Config(
+        capture=scan,
+        sizes=(64,),
+        channels=(1,),
+        batches=(1,),
+        frames=1,
+        repeats=1,
+        triangles=200,
+        guard=True,
+        out=tmp_path,
+    )
+    with pytest.raises(SystemExit):  # what was not measured holds no limit
+        bench_peers.main(config)
+    rows = read_rows(tmp_path / FILE)
+    assert (tmp_path / "roofline.png").is_file()
+    kinds = {row["kind"] for row in rows}
+    assert {"conditions", "step", "cascade", "batch", "size", "quality", "quality time", "guide", "frame"} <= kinds
+    differences = [row["difference"] for row in of_kind(rows, "agreement")]
+    assert differences and max(differences) < 1e-3
+
+
+@pytest.mark.slow
+def test_tour_latency(tmp_path: Path) -> None:
+    try:
+        rows = tour_latency.main(tour_latency.Config(changes=2, warm_up=1, size=256, out=tmp_path))
+    except InputError as error:
+        if "needs" in str(error):
+            pytest.skip(str(error))
+        raise
+    (waits,) = of_kind(rows, "waits")
+    assert len(waits["milliseconds"]) == 2 and min(waits["milliseconds"]) > 0
+    assert (tmp_path / "page.png").stat().st_size > 1000 and (tmp_path / "waits.png").is_file()
+
+
+def test_before_after(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The commands of two checkouts; what they write stands in for hyjax here."""
+    shift = {"before": 0.0, "same": 0.0, "near": 0.5e-6, "far": 1e-3}
+
+    def call(config: before_after.Config, name: str, arguments: list[str]) -> None:
+        (config.out / name).mkdir(exist_ok=True)
+        value = 0.5 + shift[config.out.name] * (name == "train")
+        (config.out / name / "journal.jsonl").write_text(f'{{}}\n{{"value": {{"loss": {value!r}}}}}\n')
+
+    monkeypatch.setattr(before_after, "call", call)
+
+    def run(name: str, against: Path | None) -> None:
+        before_after.main(before_after.Config(capture=None, out=tmp_path / name, against=against))
+
+    run("before", None)
+    assert len(list((tmp_path / "before").iterdir())) == len(before_after.SETUPS) * len(before_after.MODES) + 2
+    run("same", tmp_path / "before")
+    assert "runs agree; largest difference 0" in capsys.readouterr().out
+    run("near", tmp_path / "before")
+    with pytest.raises(InputError, match=r"train: journal\.jsonl differs by 0\.001, more than 1e-06"):
+        run("far", tmp_path / "before")

@@ -1,0 +1,98 @@
+"""The registry of metrics: one added from outside the package is judged, scored and reported like the others."""
+
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array, Bool, Float
+
+from experiments.judging import better_text, judge, text_of
+from hyjax import InputError
+from hyjax.light.shaded import Shaded
+from hyjax.metrics import METRICS, LpipsWeights, Metric, plain_metrics, register_metric
+from hyjax.tuning import report
+from hyjax.tuning.cases import Case, scores
+
+SIZE = 32
+EVERYWHERE = np.ones((SIZE, SIZE), bool)
+
+
+def mean_error(
+    image: Float[Array, "h w c"], reference: Float[Array, "h w c"], *, valid: Bool[Array, "h w"] | None = None
+) -> Float[Array, ""]:
+    return jnp.mean(mean_error_map(image, reference), where=valid)
+
+
+def mean_error_map(image: Float[Array, "h w c"], reference: Float[Array, "h w c"]) -> Float[Array, "h w"]:
+    return jnp.mean(jnp.abs(image - reference), axis=-1)
+
+
+MAE = Metric(mean_error, mean_error_map, digits=3, better="lower", label="MAE")
+
+
+@pytest.fixture
+def mae() -> Iterator[Metric]:
+    register_metric("mae", MAE)
+    yield MAE
+    del METRICS["mae"]
+
+
+def picture(seed: int) -> jax.Array:
+    return jax.random.uniform(jax.random.key(seed), (SIZE, SIZE, 3))
+
+
+def test_a_metric_from_outside_judges_by_region(mae: Metric) -> None:
+    target = picture(0)
+    left = EVERYWHERE.copy()
+    left[:, SIZE // 2 :] = False
+    off = jnp.where(jnp.asarray(left)[..., None], target, jnp.abs(target - 0.25))
+    found = judge({"off": off}, target, {"left": left, "right": ~left, "all": EVERYWHERE}, None)["off"]
+    error = np.abs(np.asarray(off - target))
+    assert found["left"]["mae"] == 0.0
+    assert found["right"]["mae"] == pytest.approx(error[~left].mean(), rel=1e-5)
+    assert found["all"]["mae"] == pytest.approx(error.mean(), rel=1e-5)
+    assert set(found["all"]) == {"psnr", "ssim", "mae"}  # without weights no learned metric
+    assert "MAE: lower is better" in better_text() and text_of(None, "mae") == "–"
+
+
+def test_a_metric_from_outside_is_one_of_the_tuners_scores(mae: Metric) -> None:
+    rng = np.random.default_rng(0)
+    frame, target = (jnp.asarray(rng.uniform(0.1, 0.9, (SIZE, SIZE, 3)), jnp.float32) for _ in range(2))
+    valid = jnp.asarray(rng.uniform(size=(SIZE, SIZE)) < 0.5)
+    shaded = Shaded(target, jnp.ones_like(target), jnp.eye(3), 1.0 * valid[..., None], jnp.ones(()), jnp.zeros(3))
+    case = Case(shaded, frame, frame, target, valid)
+    found = scores([case, case], [target, jnp.where(valid[..., None], target, 0.0)])
+    assert found.loss == 0.0 and found.metrics["mae"] == 0.0 and found.metrics["psnr"] == np.inf
+    worse = scores([case], [0.5 * target])
+    assert list(worse.row()) == ["loss", "psnr", "ssim", "mae"]
+    assert worse.metrics["mae"] > 0.05 and worse.metrics["ssim"] < 1.0
+    assert {"tuning_mae", "held_out_mae", "tuning_psnr_db"} <= set(report.score_columns())
+
+
+def test_scores_are_those_of_the_metrics_themselves() -> None:
+    target, image = picture(0), picture(1)
+    found = judge({"x": image}, target, {"all": EVERYWHERE}, None)["x"]["all"]
+    assert found["psnr"] == pytest.approx(float(METRICS["psnr"].function(image, target)), rel=1e-5)
+    assert set(plain_metrics()) == {"psnr", "ssim"}
+
+
+def test_lpips_by_the_registry_is_lpips(lpips_weights: LpipsWeights) -> None:
+    metric, (a, b) = METRICS["lpips"], (jnp.tile(picture(seed), (2, 2, 1)) for seed in (0, 1))
+    assert metric.prepare is not None
+    mean = float(jnp.mean(metric.map(a, metric.prepare(b, lpips_weights))))
+    assert mean == pytest.approx(float(metric.function(a, b, lpips_weights)), rel=0.1)
+    found = judge({"a": a}, b, {"all": np.ones(a.shape[:2], bool)}, lpips_weights)
+    assert found["a"]["all"]["lpips"] == pytest.approx(mean, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["psnr", "loss", "no name", ""])
+def test_names_that_are_taken_or_none(name: str) -> None:
+    with pytest.raises(InputError, match="name: "):
+        register_metric(name, MAE)
+
+
+def test_better_is_higher_or_lower() -> None:
+    with pytest.raises(InputError, match="better: must be higher or lower, got 'more'"):
+        Metric(mean_error, mean_error_map, digits=3, better="more", label="MAE")  # type: ignore[arg-type]

@@ -1,0 +1,165 @@
+"""Named set-ups: in any room, lights hang in free space and give finite light."""
+
+import jax
+import numpy as np
+import pytest
+import trimesh
+
+from hyjax.data.builtin_room import RoomCapture, load_room
+from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.geometry.raycast import RayCaster
+from hyjax.light.kinds import DirectionalLight, PointLight
+from hyjax.light.setup import LightSetup
+from hyjax.scene.light_setups import SETUPS, LightAnchors, named_setup, survey
+from hyjax.util.errors import InputError
+
+UP = np.array([0.0, 0.0, 1.0])
+BOX = np.array([[-2.0, -3.0, 0.0], [2.0, 3.0, 2.5]])
+
+
+@pytest.fixture(scope="module")
+def room() -> RoomCapture:
+    return load_room(n_frames=6, width=160, height=120, quality=0.25, progress=False)
+
+
+@pytest.fixture(scope="module")
+def room_caster(room: RoomCapture) -> RayCaster:
+    return RayCaster(room.reference())
+
+
+@pytest.fixture(scope="module")
+def box() -> RayCaster:
+    mesh = trimesh.creation.box(bounds=BOX)
+    mesh.invert()
+    return RayCaster(mesh)
+
+
+def box_camera(eye: tuple[float, ...], target: tuple[float, ...]) -> Camera:
+    return Camera(Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0), look_at(np.array(eye), np.array(target), UP))
+
+
+BOX_CAMERAS = [box_camera((0.5, -2, 1.5), (-0.5, 2, 1)), box_camera((0.2, -2, 1.5), (0.8, 2, 1))]
+
+
+def finite(setup: LightSetup) -> bool:
+    return all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(setup.lights))
+
+
+def places(setup: LightSetup) -> list[tuple[np.ndarray, float]]:
+    """Where light starts: lamps with their radius, and the centres of windows."""
+    found = []
+    for light in setup.lights:
+        rectangle = getattr(light, "aperture", light)
+        if isinstance(light, PointLight):
+            found.append((np.asarray(light.position), float(light.radius)))
+        elif hasattr(rectangle, "center"):
+            found.append((np.asarray(rectangle.center), 0.0))
+    return found
+
+
+@pytest.fixture(scope="module")
+def stages(
+    room: RoomCapture, room_caster: RayCaster, box: RayCaster
+) -> dict[str, tuple[LightAnchors, RayCaster, np.ndarray]]:
+    cameras = [frame.camera for frame in room]
+    bounds = np.array([room.anchors["bounds"][side] for side in ("low", "high")], float)
+    return {
+        "anchors": (survey(room_caster, cameras, room.up, room.anchors), room_caster, bounds),
+        "no anchors": (survey(room_caster, cameras, room.up), room_caster, bounds),
+        "box": (survey(box, BOX_CAMERAS, UP), box, BOX),
+        "one camera": (survey(box, BOX_CAMERAS[:1], UP), box, BOX),
+    }
+
+
+@pytest.mark.parametrize("where", ["anchors", "no anchors", "box", "one camera"])
+@pytest.mark.parametrize("name", SETUPS)
+def test_lights_hang_in_free_space(name: str, where: str, stages: dict[str, tuple]) -> None:
+    stage, caster, bounds = stages[where]
+    setup = named_setup(name, stage)
+    assert finite(setup)
+    assert setup.reference_lux > 0
+    for light in setup.lights:
+        strength = getattr(light, light.STRENGTH)
+        assert float(strength) > 0 and (np.asarray(light.color) >= 0).all() and np.asarray(light.color).max() > 0
+    directions = np.asarray(trimesh.creation.icosphere(2).vertices)
+    for place, radius in places(setup):
+        # A window may stand in the depth of its wall.
+        assert (place > bounds[0] - 0.1).all() and (place < bounds[1] + 0.1).all(), f"{place} is out of the room"
+        # Light starts on the bulb's ball; a window has its wall beside it, a lamp its stem and shade.
+        free = caster.cast(place + radius * directions, directions).distance
+        assert np.quantile(free, 0.05) > 0.005 and np.median(free) > 0.1
+
+
+@pytest.mark.parametrize("name", SETUPS)
+def test_every_set_up_lights_what_is_looked_at(name: str, room: RoomCapture, room_caster: RayCaster) -> None:
+    stage = survey(room_caster, [frame.camera for frame in room], room.up, room.anchors)
+    setup = named_setup(name, stage)
+    gbuffer = room_caster.gbuffer(room[2].camera)
+    lux = np.zeros((*gbuffer.hit.shape, 3))
+    for light in setup.lights:
+        lux += np.asarray(light.illuminance_at(gbuffer.position, gbuffer.normal)[..., None] * light.color)
+    seen = lux[np.asarray(gbuffer.hit)]
+    assert np.isfinite(seen).all() and (seen >= 0).all()
+    assert 0.05 < np.median(seen) / setup.reference_lux < 20  # neither black nor burnt out
+
+
+def test_anchors_are_used_where_there_are_any(room: RoomCapture, room_caster: RayCaster) -> None:
+    cameras = [frame.camera for frame in room]
+    stage = survey(room_caster, cameras, room.up, room.anchors)
+    np.testing.assert_allclose(stage.window, room.anchors["window_0"]["center"])
+    assert stage.width == room.anchors["window_0"]["width"]
+    np.testing.assert_allclose(stage.lamps, [room.anchors[f"lamp_{i}"]["position"] for i in (0, 1)])
+    lamps = [
+        np.asarray(x.position) for x in named_setup("evening-lamps", stage).lights if isinstance(x, PointLight)
+    ]
+    np.testing.assert_allclose(lamps, stage.lamps, atol=1e-5)
+    only_lamps = survey(room_caster, cameras, room.up, {"lamp_0": {"position": [1, 2, 1]}})
+    np.testing.assert_allclose(only_lamps.lamps, [[1, 2, 1]])
+    assert np.isfinite(only_lamps.window).all()
+
+
+def test_made_up_window_faces_what_is_looked_at(box: RayCaster) -> None:
+    stage = survey(box, BOX_CAMERAS, UP)
+    assert abs(stage.inward @ UP) < 1e-6 and np.linalg.norm(stage.inward) == pytest.approx(1)
+    assert (stage.focus - stage.window) @ stage.inward > 0.3
+    assert stage.lamps is stage.points and len(stage.points) == 2
+
+
+def test_the_sun_falls_downwards_through_its_window(room: RoomCapture, room_caster: RayCaster) -> None:
+    stage = survey(room_caster, [frame.camera for frame in room], room.up, room.anchors)
+    heights = {}
+    for name in ("noon-window", "golden-hour", "night-moon"):
+        (sun,) = [light for light in named_setup(name, stage).lights if isinstance(light, DirectionalLight)]
+        direction = np.asarray(sun.direction, float)
+        assert direction @ stage.inward > 0.3 and direction @ stage.up < 0
+        heights[name] = -np.rad2deg(np.arcsin(direction @ stage.up))
+    assert heights == pytest.approx({"noon-window": 35, "golden-hour": 13, "night-moon": 38}, abs=0.1)
+
+
+def test_a_downward_view_still_finds_places(box: RayCaster) -> None:
+    pose = np.eye(4)
+    pose[:3, :3] = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1.0]])  # straight down
+    pose[:3, 3] = [0.3, 0.2, 2.0]
+    stage = survey(box, [Camera(BOX_CAMERAS[0].intrinsics, pose)], UP)
+    for name in SETUPS:
+        assert finite(named_setup(name, stage))
+
+
+def test_an_open_surface_gives_finite_places() -> None:
+    """A scan with no walls: nothing ever stops the rays that look for free space."""
+    floor = trimesh.Trimesh(
+        [[-5, -5, 0], [5, -5, 0], [5, 5, 0], [-5, 5, 0.0]], [[0, 1, 2], [0, 2, 3]], process=False
+    )
+    stage = survey(RayCaster(floor), [box_camera((0, -2, 1.5), (0, 1, 0))], UP)
+    for name in SETUPS:
+        setup = named_setup(name, stage)
+        assert finite(setup)
+        assert all(place[2] > 0 for place, _ in places(setup))
+
+
+def test_unknown_names_and_unseen_meshes_are_refused(box: RayCaster) -> None:
+    with pytest.raises(InputError, match="noon-window"):
+        named_setup("noon", survey(box, BOX_CAMERAS, UP))
+    far = RayCaster(trimesh.creation.box(bounds=[[100, 100, 100], [101, 101, 101]]))
+    with pytest.raises(InputError, match="no camera sees the mesh"):
+        survey(far, BOX_CAMERAS, UP)

@@ -1,0 +1,160 @@
+"""Scenes: frames, views, lights and shadow maps of a capture with its surface."""
+
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+from hyjax import (
+    AmbientLight,
+    InputError,
+    LightSetup,
+    PointLight,
+    RelightSettings,
+    Scene,
+    SceneSettings,
+    View,
+    relight_capture,
+)
+from hyjax.core.schedule import Schedule
+from hyjax.data.capture import Capture, Frame
+from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.light.kinds import Light, pytree
+from hyjax.scene import scene as scene_module
+
+UP = np.array([0.0, 0.0, 1.0])
+LENS = Intrinsics(16, 12, 10.0, 10.0, 8.0, 6.0)
+
+
+class Box(Capture):
+    """Two pictures in a box of 4 m."""
+
+    name = "box"
+    fingerprint = "box"
+
+    def __init__(self, up: Any = UP, count: int = 2) -> None:
+        self.up, self._count = up, count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: int) -> Frame:
+        image = np.full((*LENS.shape, 3), 0.5, np.float32)
+        camera = Camera(LENS, look_at(np.array([1.0, 0.2 * index, 0.1]), np.zeros(3), UP))
+        return Frame(f"f{index}", image, camera, float(index))
+
+
+def box() -> trimesh.Trimesh:
+    mesh = trimesh.creation.box((4, 4, 3))
+    mesh.invert()
+    return mesh
+
+
+@pytest.fixture
+def casts(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Lights that shadow maps are cast for."""
+    found: list[Any] = []
+
+    def counted(caster: Any, lights: Any) -> Any:
+        found.append(lights)
+        return (None,) * len(lights)
+
+    monkeypatch.setattr(scene_module, "cast_shadow_maps", counted)
+    return found
+
+
+def test_a_view_has_the_picture_and_the_camera_of_its_frame() -> None:
+    scene = Scene(Box(), box(), size=(6, 8))
+    view, frame = scene.view(1), scene.frame(1)
+    assert isinstance(view, View) and view.frame.shape == (6, 8, 3) and bool(view.gbuffer.hit.all())
+    np.testing.assert_array_equal(view.display, frame.image)
+    np.testing.assert_allclose(view.pose, frame.camera.pose, rtol=1e-6)
+    np.testing.assert_allclose(view.intrinsics, frame.camera.intrinsics.matrix, rtol=1e-6)
+
+
+def test_shadow_maps_are_cast_once_for_lights_that_stay(casts: list[Any]) -> None:
+    scene = Scene(Box(), box())
+    for index in range(2):
+        scene.shade(scene.view(index), "two-colors")  # by name: a new set-up each time, of the same lights
+    assert len(casts) == 1
+    scene.shade(scene.view(0), [PointLight(jnp.zeros(3), jnp.asarray(9.0), jnp.ones(3))])
+    assert len(casts) == 2
+    scene.shade(scene.view(0), "two-colors", shadows=False)
+    assert len(casts) == 2
+
+
+def test_lights_by_name_file_set_up_or_one_by_one(tmp_path: Path) -> None:
+    scene = Scene(Box(), box())
+    file = tmp_path / "lights.yaml"
+    file.write_text("lights: [{kind: ambient, illuminance: 80}]\nreference_lux: 50\n")
+    assert scene.lights(file).reference_lux == scene.lights(str(file)).reference_lux == 50
+    lights = (AmbientLight(jnp.asarray(80.0), jnp.ones(3)),)
+    assert scene.lights(lights).lights == lights
+    setup = LightSetup(lights, 50.0)
+    assert scene.lights(setup) is setup
+    with pytest.raises(InputError, match=r"^lights: no set-up 'evening'"):
+        scene.lights("evening")
+
+
+def test_a_capture_that_cannot_be_used_is_refused() -> None:
+    with pytest.raises(InputError, match=r"^box: the capture has no frames$"):
+        Scene(Box(count=0), box())
+    for up in (np.zeros(3), np.array([0.0, 1.0]), np.array([0.0, 0.0, 2.0])):
+        with pytest.raises(InputError, match=r"^box: 'up' must be a unit vector of three numbers"):
+            Scene(Box(up), box())
+    with pytest.raises(InputError, match=r"^frame 2: the capture has frames 0 to 1$"):
+        Scene(Box(), box()).view(2)
+
+
+def test_frames_are_checked_before_the_mesh_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hyjax.relighting.run.open_capture", lambda *_: Box())
+
+    def made(*_: Any, **__: Any) -> None:
+        raise AssertionError("the mesh was made")
+
+    monkeypatch.setattr(scene_module, "surface_of", made)
+    settings = RelightSettings(SceneSettings(tmp_path), frames="7", out=tmp_path / "out", quiet=True)
+    with pytest.raises(InputError, match="past the end; the capture has frames 0 to 1"):
+        relight_capture(settings)
+
+
+@pytree
+class Unregistered(Light):
+    """A kind of light that nothing knows."""
+
+    KEYS = ()
+    STRENGTH = "illuminance"
+    illuminance: Any
+    color: Any
+
+    def illuminance_at(self, p: Any, n: Any) -> Any:
+        return jnp.broadcast_to(self.illuminance, p.shape[:-1])
+
+
+def test_an_unregistered_light_is_refused_before_the_first_frame(tmp_path: Path) -> None:
+    lights = [Unregistered(jnp.asarray(50.0), jnp.ones(3))]
+    settings = RelightSettings(out=tmp_path, quiet=True)
+    with pytest.raises(InputError, match="Unregistered is no registered kind of light"):
+        relight_capture(settings, scene=Scene(Box(), box()), lights=lights, schedule=Schedule.uniform([(2, 1)]))
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_record_says_what_was_given(tmp_path: Path) -> None:
+    settings = RelightSettings(out=tmp_path, quiet=True, shadows=False, frames="0")
+    lights = [AmbientLight(jnp.asarray(50.0), jnp.ones(3))]
+    scene = Scene(Box(), box(), source="a box")
+    record = relight_capture(settings, scene=scene, lights=lights, schedule=Schedule.uniform([(2, 1)]))["settings"]
+    assert record["capture"] == "box" and record["mesh"] == "a box" and record["lights"] == "lights.json"
+    assert record["seed"] is None and record["guide"] == "rgb" and record["schedule"] == "custom"
+
+
+def test_the_record_says_which_lights_were_named(tmp_path: Path) -> None:
+    file = tmp_path / "lamps.yaml"
+    file.write_text("lights: [{kind: ambient, illuminance: 80}]\n")
+    for lights in (file, str(file)):
+        settings = RelightSettings(out=tmp_path / "out", quiet=True, shadows=False, frames="0")
+        run = relight_capture(settings, scene=Scene(Box(), box()), lights=lights)
+        assert run["settings"]["lights"] == str(file)

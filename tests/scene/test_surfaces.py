@@ -1,0 +1,223 @@
+"""Meshes that the package makes itself: kept, keyed by what they are made of, made again when damaged."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from hyjax.data.builtin_room import RoomCapture, load_room
+from hyjax.data.capture import Capture, Frame
+from hyjax.data.registry import open_capture
+from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.geometry.mesh import save_mesh
+from hyjax.scene import surfaces
+from hyjax.scene.surfaces import MAX_FUSED_FRAMES, surface_of
+from hyjax.util.errors import InputError
+from hyjax.util.images import write_png
+
+UP = np.array([0.0, 0.0, 1.0])
+Made = list[str]
+
+
+class Wall(Capture):
+    """A capture of a flat wall at 2 m, with or without depth."""
+
+    name, up, fingerprint = "wall", UP, ""
+
+    def __init__(self, count: int = 3, depth: bool = True, fingerprint: str = "a") -> None:
+        pose = look_at(np.zeros(3), np.array([2.0, 0, 0]), UP)
+        intrinsics = Intrinsics(40, 30, 40.0, 40.0, 20.0, 15.0)
+        image = np.full((30, 40, 3), 0.5, np.float32)
+        plane = np.full((30, 40), 2.0, np.float32) if depth else None
+        self.frames = [Frame(f"{i}", image, Camera(intrinsics, pose), float(i), plane) for i in range(count)]
+        self.fingerprint = fingerprint
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        return self.frames[index]
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self.frames)
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> Made:
+    """What was really made, in order; making is a stub so that it is quick."""
+    calls: Made = []
+
+    def stub(kind: str, *arguments: object) -> trimesh.Trimesh:
+        calls.append(kind)
+        if kind == "fuse":
+            calls[-1] = f"fuse {len(list(arguments[0]))} at {arguments[1]}"  # type: ignore[call-overload]
+        return trimesh.creation.icosphere(1, radius=1.0 + 0.1 * len(calls))
+
+    monkeypatch.setattr(surfaces, "fuse", lambda *a, **_: stub("fuse", *a))
+    monkeypatch.setattr(surfaces, "simulate_scan", lambda *a, **_: stub(f"scan {a[2]}", *a))
+    return calls
+
+
+@pytest.fixture(scope="module")
+def room() -> RoomCapture:
+    return load_room(n_frames=2, width=160, height=120, quality=0.25, progress=False)
+
+
+def same(a: trimesh.Trimesh, b: trimesh.Trimesh) -> bool:
+    return a.vertices.shape == b.vertices.shape and bool(np.array_equal(a.vertices, b.vertices))
+
+
+def get(capture: object, mesh: str | None = None, **options: object) -> trimesh.Trimesh:
+    return surface_of(capture, mesh, progress=False, **options)[1]  # type: ignore[arg-type]
+
+
+def test_made_once_and_read_after_that(cache: Path, made: Made) -> None:
+    first, second = get(Wall()), get(Wall())
+    assert made == ["fuse 3 at 0.03"] and same(first, second)
+    (file,) = [entry for entry in cache.iterdir() if entry.is_file()]
+    assert file.suffix == ".ply" and not file.name.startswith(".")
+
+
+def test_the_key_holds_all_that_the_surface_depends_on(cache: Path, made: Made) -> None:
+    for number, call in enumerate(
+        [
+            lambda: get(Wall()),
+            lambda: get(Wall(), voxel=0.05),
+            lambda: get(Wall(), "scan"),
+            lambda: get(Wall(), "scan", seed=1),
+            lambda: get(Wall(fingerprint="b")),
+        ],
+        start=1,
+    ):
+        call(), call()
+        assert len(made) == number
+    assert len(list(cache.iterdir())) == len(made)
+
+
+def test_the_fingerprint_follows_the_files_of_a_capture(tmp_path: Path) -> None:
+    stem = tmp_path / "frame-000000"
+    write_png(tmp_path / "frame-000000.color.png", np.full((480, 640, 3), 0.5))
+    np.savetxt(tmp_path / "frame-000000.pose.txt", np.eye(4))
+
+    def fingerprint() -> str:
+        prints = {open_capture(tmp_path).fingerprint for _ in range(2)}
+        assert len(prints) == 1
+        return prints.pop()
+
+    seen = [fingerprint()]
+    pose = stem.with_suffix(".pose.txt")
+    times = (pose.stat().st_atime_ns, pose.stat().st_mtime_ns)
+    np.savetxt(pose, np.eye(4) + np.eye(4, k=3), fmt="%.20f")
+    os.utime(pose, ns=times)
+    seen.append(fingerprint())  # another size, the same time
+    os.utime(pose, ns=(times[0], times[1] + 1))
+    seen.append(fingerprint())  # the same size, another time
+    (tmp_path / "gravity-direction.txt").write_text("0 0 -1")
+    seen.append(fingerprint())
+    assert len(set(seen)) == 4
+
+
+def test_the_rooms_fused_surface_follows_its_frames(cache: Path, made: Made, room: RoomCapture) -> None:
+    """Fewer frames fuse to another surface, though the true mesh behind them is the same."""
+    frames = list(room)
+    half = RoomCapture(
+        np.stack([np.uint8(frames[0].image * 255)]),
+        np.stack([frames[0].depth]),
+        [frames[0].camera],
+        room.reference(),
+        room.anchors,
+    )
+    get(room, "fused"), get(half, "fused")
+    assert len(made) == 2
+
+
+@pytest.mark.parametrize("damage", ["empty", "truncated", "garbage"])
+def test_a_damaged_cache_is_made_again(cache: Path, made: Made, damage: str) -> None:
+    get(Wall())
+    (file,) = cache.glob("*.ply")
+    content = file.read_bytes()
+    file.write_bytes({"empty": b"", "truncated": content[: len(content) // 2], "garbage": b"ply?" * 99}[damage])
+    again = get(Wall())
+    assert len(made) == 2 and len(again.faces) == 80
+    assert same(again, get(Wall())) and len(made) == 2
+
+
+def test_an_unwritable_cache_does_not_stop_the_run(
+    tmp_path: Path, made: Made, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with the room: what cannot be kept is made again next time."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "file" / "cache"))
+    assert len(get(Wall()).faces) == 80
+
+
+def test_an_interrupted_write_leaves_nothing(cache: Path, made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            get(Wall())
+    assert not list(cache.iterdir())
+    get(Wall())
+    assert len(made) == 2
+
+
+def test_long_captures_are_fused_from_a_spread(cache: Path, made: Made) -> None:
+    get(Wall(count=2 * MAX_FUSED_FRAMES + 1))
+    (call,) = made
+    assert 0.5 * MAX_FUSED_FRAMES <= int(call.split()[1]) <= MAX_FUSED_FRAMES
+
+
+def test_the_default_fits_the_capture(cache: Path, made: Made, room: RoomCapture) -> None:
+    assert surface_of(room, progress=False)[0] == "simulated scan, seed 0"
+    assert surface_of(Wall(), progress=False)[0] == "fused at 0.03 m"
+    assert made == ["scan 0", "fuse 3 at 0.03"]
+
+
+def test_the_true_mesh_is_the_rooms_alone(cache: Path, room: RoomCapture) -> None:
+    what, mesh = surface_of(room, "true", progress=False)
+    assert what == "true mesh" and mesh is room.reference()
+    with pytest.raises(InputError, match="this capture has no true mesh"):
+        get(Wall(), "true")
+    assert not cache.exists()
+
+
+@pytest.mark.parametrize("mesh", [None, "fused", "scan"])
+def test_a_capture_without_depth_is_refused(cache: Path, mesh: str | None) -> None:
+    with pytest.raises(InputError, match=r"wall: the capture has no depth .*--mesh FILE"):
+        get(Wall(depth=False), mesh)
+    assert not cache.exists()
+
+
+def test_a_file_is_taken_as_it_is(cache: Path, tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(1)
+    save_mesh(tmp_path / "ball.ply", ball)
+    what, mesh = surface_of(Wall(depth=False), str(tmp_path / "ball.ply"), progress=False)
+    assert what == str(tmp_path / "ball.ply") and len(mesh.faces) == len(ball.faces)
+    with pytest.raises(InputError, match=r"none\.ply: no such file"):
+        get(Wall(), str(tmp_path / "none.ply"))
+    assert not cache.exists()
+
+
+def test_a_word_that_is_no_file_is_told_the_words() -> None:
+    with pytest.raises(InputError, match=r"(?=.*scan)(?=.*fused)(?=.*true)"):
+        get(Wall(), "fuse")
+
+
+def test_fusing_a_wall_gives_the_wall(cache: Path) -> None:
+    """Not stubbed: the mesh lies where the depth says, and what is read back is what was made."""
+    mesh = get(Wall(), voxel=0.05)
+    assert np.abs(mesh.vertices[:, 0] - 2.0).max() < 0.03
+    assert np.ptp(mesh.vertices[:, 1]) > 1.5
+    assert same(mesh, get(Wall(), voxel=0.05))

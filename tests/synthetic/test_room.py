@@ -1,0 +1,239 @@
+"""The built-in room: a sound mesh, photographs that agree with it, and a cache that cannot lie."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hyjax.data.builtin_room import RoomCapture, load_room
+from hyjax.data.capture import Capture
+from hyjax.geometry.raycast import RayCaster
+from hyjax.synthetic.room import Room, camera_path, make_room, render_room
+from hyjax.util.cache import cache_folder
+from hyjax.util.errors import InputError
+
+TINY = {"n_frames": 3, "width": 64, "height": 48, "quality": 0.15, "progress": False}
+
+
+@pytest.fixture(scope="module")
+def room() -> Room:
+    return make_room(0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="module")
+def capture(folder: Path) -> RoomCapture:
+    return load_room(0, cache_dir=folder, **TINY)
+
+
+def same_frames(a: RoomCapture, b: RoomCapture) -> bool:
+    return all(
+        np.array_equal(p.image, q.image) and np.array_equal(p.depth, q.depth)
+        for p, q in zip([a[k] for k in range(len(a))], [b[k] for k in range(len(b))])
+    )
+
+
+def test_mesh_has_no_degenerate_faces(room: Room) -> None:
+    mesh = room.mesh
+    f = mesh.faces
+    assert 20_000 <= len(f) <= 150_000
+    assert not np.any((f[:, 0] == f[:, 1]) | (f[:, 1] == f[:, 2]) | (f[:, 2] == f[:, 0]))
+    assert mesh.area_faces.min() > 1e-10
+    assert np.isfinite(mesh.vertices).all()
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertex_normals, axis=1), 1.0, atol=1e-6)
+
+
+def test_flat_faces_have_their_own_normals(room: Room) -> None:
+    """Vertices are split at hard edges: on walls and floor, vertex normals equal the face's."""
+    mesh, surface = room.mesh, room.surface
+    large = mesh.area_faces > 0.02
+    agreement = np.einsum("fkd,fd->fk", mesh.vertex_normals[mesh.faces[large]], mesh.face_normals[large])
+    assert large.sum() > 500
+    assert agreement.min() > 0.9999
+    assert len(surface.chart) == len(mesh.faces)
+
+
+def test_surface_is_seen_from_outside_its_solids(room: Room) -> None:
+    """From every camera, nearly every first hit is on a face's front; a flipped panel would show at once."""
+    caster = RayCaster(room.mesh)
+    for camera in camera_path(room, 12, 80, 60):
+        rays = camera.rays().reshape(-1, 3)
+        hits = caster.cast(camera.origin, rays)
+        front = np.einsum("nk,nk->n", room.mesh.face_normals[hits.face], rays) < 0
+        assert front[hits.hit].mean() > 0.998
+
+
+def test_cameras_look_at_furniture(room: Room) -> None:
+    """No view from inside a thing or at a bare wall: depth is varied, near things are not too near."""
+    caster = RayCaster(room.mesh)
+    for camera in camera_path(room, 24, 80, 60):
+        assert 1.2 < camera.origin[2] < 1.7
+        seen = caster.gbuffer(camera)
+        depth = np.asarray(seen.depth)[np.asarray(seen.hit)]
+        assert np.asarray(seen.hit).mean() > 0.75
+        assert np.percentile(depth, 1) > 0.4
+        assert depth.std() > 0.3
+
+
+def test_path_is_smooth(room: Room) -> None:
+    origins = np.array([c.origin for c in camera_path(room, 24)])
+    assert np.linalg.norm(np.diff(origins, axis=0), axis=1).max() < 0.6
+
+
+def test_capture_protocol(capture: RoomCapture) -> None:
+    assert isinstance(capture, Capture)
+    assert capture.name == "room"
+    assert len(capture) == 3
+    np.testing.assert_array_equal(capture.up, [0, 0, 1])
+    times = [capture[k].time for k in range(3)]
+    assert times == sorted(set(times))
+    assert len({capture[k].name for k in range(3)}) == 3
+    with pytest.raises(IndexError):
+        capture[3]
+
+
+def test_depth_is_that_of_the_mesh(capture: RoomCapture) -> None:
+    caster = RayCaster(capture.reference())
+    for k in range(len(capture)):
+        frame = capture[k]
+        seen = caster.gbuffer(frame.depth_camera)
+        assert frame.depth is not None
+        np.testing.assert_allclose(frame.depth, seen.depth, atol=1e-5)
+
+
+def test_pictures_are_photographic(capture: RoomCapture) -> None:
+    """Neither black nor blown out, with contrast and with colour; already in 8-bit steps."""
+    for k in range(len(capture)):
+        image = capture[k].image
+        assert image.dtype == np.float32
+        assert image.min() >= 0
+        assert image.max() <= 1
+        assert 0.30 < image.mean() < 0.70
+        assert image.std() > 0.12
+        assert np.mean(image > 0.995) < 0.35
+        assert np.ptp(image, axis=-1).mean() > 0.03
+        np.testing.assert_allclose(image * 255, np.round(image * 255), atol=1e-4)
+
+
+def test_light_comes_from_the_window(room: Room) -> None:
+    """The floor under the window is brighter than the far corner, in linear light."""
+    from hyjax.synthetic.room import _bake
+
+    baked = _bake(room, 0.15)
+    texels = baked.light.texels
+    up = (texels.normal[:, 2] > 0.99) & (np.abs(texels.position[:, 2]) < 1e-3)
+    x, y = texels.position[up, 0], texels.position[up, 1]
+    light = baked.light.irradiance[up].mean(axis=1)
+    near = light[(x > 0.6) & (x < 1.2) & (y > 2.6) & (y < 3.4)].mean()
+    far = light[(x > 3.6) & (y < 0.8)].mean()
+    assert near > 2 * far > 0
+
+
+@pytest.mark.slow
+def test_same_seed_same_pictures(room: Room) -> None:
+    cameras = camera_path(room, 2, 48, 36)
+    first = render_room(room, cameras, quality=0.1)
+    again = render_room(make_room(0), cameras, quality=0.1)
+    for (a, b), (c, d) in zip(first, again):
+        np.testing.assert_array_equal(a, c)
+        np.testing.assert_array_equal(b, d)
+
+
+def test_another_seed_is_another_room(room: Room) -> None:
+    other = make_room(1)
+    assert other.mesh.vertices.shape != room.mesh.vertices.shape or not np.allclose(
+        other.mesh.vertices, room.mesh.vertices
+    )
+
+
+def test_cache_round_trip(capture: RoomCapture, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second load reads the file: rendering is made impossible."""
+    import hyjax.data.builtin_room as module
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("rendered again")
+
+    monkeypatch.setattr(module, "make_room", refuse)
+    again = load_room(0, cache_dir=folder, **TINY)
+    assert same_frames(capture, again)
+    np.testing.assert_array_equal(capture.reference().vertices, again.reference().vertices)
+    np.testing.assert_array_equal(capture[1].camera.pose, again[1].camera.pose)
+    assert capture.anchors == again.anchors
+
+
+@pytest.mark.parametrize("damage", ["truncate", "flip", "empty"])
+def test_damaged_cache_is_rebuilt(
+    capture: RoomCapture,
+    folder: Path,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+    damage: str,
+) -> None:
+    """One line says so, the room is rendered once more (here: looked up, to save time), and the file is whole."""
+    import hyjax.data.builtin_room as module
+
+    source = next(folder.glob("*.npz"))
+    content = bytearray(source.read_bytes())
+    if damage == "flip":
+        content[len(content) // 3] ^= 0xFF
+    else:
+        content = content[: len(content) // 2 if damage == "truncate" else 0]
+    (tmp_path / source.name).write_bytes(content)
+    rendered = []
+    with np.load(source) as stored:
+        arrays = dict(stored)
+    monkeypatch.setattr(module, "_render", lambda *_: rendered.append(1) or arrays)
+    with caplog.at_level(logging.WARNING):
+        for _ in range(2):
+            assert same_frames(capture, load_room(0, cache_dir=tmp_path, **TINY))
+    assert len(rendered) == 1
+    assert len(caplog.records) == 1
+    assert [p.name for p in tmp_path.iterdir()] == [source.name]
+
+
+def test_cache_folder_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HYJAX_CACHE", str(tmp_path))
+    assert cache_folder() == tmp_path
+
+
+def test_anchors_are_plain_data(capture: RoomCapture) -> None:
+    window = capture.anchors["window_0"]
+    np.testing.assert_allclose(2 * np.linalg.norm(window["right"]), window["width"])
+    np.testing.assert_allclose(2 * np.linalg.norm(window["up"]), window["height"])
+    np.testing.assert_allclose(np.linalg.norm(window["normal"]), 1.0)
+    # The window is a hole: a ray from inside through its lower left pane leaves the room.
+    to = np.array(window["center"]) + 0.5 * np.array(window["right"]) - 0.3 * np.array(window["up"])
+    inside = np.array([2.0, 3.0, 1.5])
+    assert not RayCaster(capture.reference()).cast(inside[None], (to - inside)[None]).hit[0]
+
+
+@pytest.mark.parametrize("bad", [{"n_frames": 0}, {"width": 4}, {"quality": 9.0}, {"seed": -1}])
+def test_bad_input_is_named(bad: dict[str, float], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^room: "):
+        load_room(cache_dir=tmp_path, **{**TINY, **bad})
+
+
+def test_unwritable_cache_is_no_obstacle(
+    capture: RoomCapture,
+    folder: Path,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A cache folder that is a file: the room comes back all the same, with one line of warning."""
+    import hyjax.data.builtin_room as module
+
+    (tmp_path / "file").write_text("in the way")
+    with np.load(next(folder.glob("*.npz"))) as stored:
+        arrays = dict(stored)
+    monkeypatch.setattr(module, "_render", lambda *_: arrays)
+    with caplog.at_level(logging.WARNING):
+        again = load_room(0, cache_dir=tmp_path / "file", **TINY)
+    assert same_frames(capture, again)
+    assert len(caplog.records) == 1

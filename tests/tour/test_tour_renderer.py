@@ -1,0 +1,217 @@
+"""Renderer: the same pictures as `hyjax relight`, nothing computed twice, furniture that moves."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+pytest.importorskip("astral", reason="needs the extra 'tour'")
+
+from box_room import BoxCapture, box_room, moved
+
+from hyjax.core.schedule import Schedule
+from hyjax.data.builtin_room import UP, RoomCapture, load_room
+from hyjax.data.frames import fit
+from hyjax.data.light_file import read_lights, write_lights
+from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.kinds import DirectionalLight, PointLight
+from hyjax.light.view import View
+from hyjax.pipeline import relight
+from hyjax.scene.scene import Scene
+from hyjax.tour import layers as layers_module
+from hyjax.tour.layers import RenderCancelled, mebibytes
+from hyjax.tour.lighting import setup_of
+from hyjax.tour.placement import place_lamp
+from hyjax.tour.plan import Piece, TourPlan, Window
+from hyjax.tour.renderer import Renderer
+from hyjax.tour.viewpoint import Viewpoint
+
+HYJAX = Schedule.preset("hyjax")
+VIEW = Viewpoint(0, "relit", HYJAX)
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer(Scene(BoxCapture(), box_room()))
+
+
+@pytest.fixture
+def plan() -> TourPlan:
+    lamp = place_lamp("bulb", np.array([0.5, 0.4, 1.2]), UP)
+    window = Window((1.98, 0.0, 1.3), (-1.0, 0.0, 0.0))
+    return TourPlan(hour=9.0, windows=(window,), lamps=(lamp,)).check()
+
+
+def seed_of(renderer: Renderer, plan: TourPlan) -> Piece:
+    """The cube, as a click from above picks it."""
+    hit = renderer.scene.pick(plan, (0.5, 0.4, 2.0), (0.0, 0.0, -1.0))
+    assert hit is not None and hit.piece is None
+    np.testing.assert_allclose(hit.point, (0.5, 0.4, 0.7), atol=1e-5)
+    np.testing.assert_allclose(hit.normal, UP, atol=1e-6)
+    return Piece(tuple(hit.origin.tolist()))
+
+
+def test_a_picture_is_what_relight_makes_of_its_lights(renderer: Renderer, plan: TourPlan, tmp_path: Path) -> None:
+    rendered = renderer.render(plan, VIEW)
+    file = tmp_path / "lights.json"
+    write_lights(file, setup_of(plan, UP, renderer.surface_area))
+    setup, frame = read_lights(file, UP), renderer.frame(0)
+    caster = RayCaster(renderer.scene.mesh)
+    display = jnp.asarray(frame.image)
+    view = View.of(display, caster.gbuffer(frame.camera))
+    whole = relight(view, view.shade(setup, shadow_maps=cast_shadow_maps(caster, setup.lights)), display, HYJAX)
+    assert not rendered.draft
+    np.testing.assert_allclose(rendered.linear, whole.image, rtol=2e-4, atol=2e-5)
+
+
+def test_the_hour_changes_the_picture_and_a_lamp_lights_it(renderer: Renderer, plan: TourPlan) -> None:
+    night = replace(plan, hour=1.0, lamps=())
+    lit = replace(night, lamps=plan.lamps)
+    day, dark, lamp = (renderer.render(p, VIEW).linear for p in (plan, night, lit))
+    assert np.abs(day - dark).max() > 0.05 and np.abs(lamp - dark).max() > 0.05
+
+
+@pytest.fixture
+def cast(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """What shadow maps are cast of: a part of the room, and lights."""
+    found: list[Any] = []
+
+    def counted(caster: Any, lights: Any, scale: float = 1.0) -> Any:
+        found.append((caster, lights))
+        return cast_shadow_maps(caster, lights, scale)
+
+    monkeypatch.setattr(layers_module, "cast_shadow_maps", counted)
+    return found
+
+
+def test_nothing_is_cast_twice(renderer: Renderer, plan: TourPlan, cast: list[Any]) -> None:
+    renderer.render(plan, VIEW)
+    cast.clear()
+    dimmer = replace(plan.lamps[0], lumen=100.0, kelvin=5000.0)
+    renderer.render(replace(plan, lamps=(dimmer,), weather="clear", exposure=1.0), VIEW)
+    assert cast == [], "brightness, colour and exposure cast no shadow"
+    elsewhere = replace(dimmer, position=(0.0, 0.0, 1.0))
+    renderer.render(replace(plan, lamps=(elsewhere,)), VIEW)
+    assert len(cast) == 1, "only of the lamp that moved"
+
+
+def test_a_picture_can_be_cancelled_and_its_shadow_maps_are_kept(
+    renderer: Renderer, plan: TourPlan, cast: list[Any]
+) -> None:
+    lamps = tuple(replace(plan.lamps[0], position=(0.1 * k, 0.2, 1.3)) for k in range(3))
+    crowded = replace(plan, windows=(), lamps=lamps)
+    with pytest.raises(RenderCancelled):
+        renderer.render(crowded, VIEW, cancelled=lambda: len(cast) == 2)
+    renderer.render(crowded, VIEW)
+    assert len([light for _, lights in cast for light in lights if isinstance(light, PointLight)]) == 4, "one anew"
+
+
+@pytest.mark.slow
+def test_after_the_warm_up_nothing_is_compiled(plan: TourPlan) -> None:
+    class Small(BoxCapture):
+        def __getitem__(self, index: int) -> Any:
+            return fit(super().__getitem__(index), (24, 32))
+
+    compiled: list[str] = []
+
+    def heard(event: str, _: float, **__: Any) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            compiled.append(event)
+
+    renderer = Renderer(Scene(Small(), box_room()))
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    try:
+        dark = replace(plan, windows=(), lamps=())
+        steps = list(renderer.warm_up(dark, VIEW))
+        assert len(steps) > 5 and compiled
+        compiled.clear()
+        for lamps in ((), plan.lamps, 2 * plan.lamps):
+            for draft in (True, False):
+                renderer.render(replace(dark, lamps=lamps), VIEW, draft=draft)
+        assert not compiled
+    finally:
+        jax.monitoring.unregister_event_duration_listener(heard)
+
+
+def test_a_draft_is_coarse_where_something_moved_and_says_so(renderer: Renderer, plan: TourPlan) -> None:
+    fine = renderer.render(plan, VIEW)
+    assert not renderer.render(plan, VIEW, draft=True).draft, "what is there already is taken"
+    lamp = replace(plan.lamps[0], position=(0.3, 0.3, 1.4))
+    draft = renderer.render(replace(plan, lamps=(lamp,)), VIEW, draft=True)
+    fine = renderer.render(replace(plan, lamps=(lamp,)), VIEW)
+    assert draft.draft and not fine.draft
+    assert np.abs(draft.linear - fine.linear).mean() < 0.02
+
+
+@pytest.mark.parametrize("shown", ["photo", "raw filter", "refined filter", "visibility", "conductances", "holes"])
+def test_every_stage_can_be_shown(renderer: Renderer, plan: TourPlan, shown: Any) -> None:
+    picture = renderer.render(plan, Viewpoint(1, shown, HYJAX)).picture
+    assert picture.shape == (48, 64, 3) and picture.dtype == np.uint8
+    assert len(np.unique(picture)) > (0 if shown in ("holes", "visibility") else 5)
+
+
+def test_shadows_follow_a_piece_that_moves(renderer: Renderer, plan: TourPlan) -> None:
+    """As if the moved mesh had been scanned so."""
+    lamp = place_lamp("spot", np.array([1.0, 0.0, 2.4]), -UP)
+    at_night = replace(plan, hour=1.0, windows=(), lamps=(lamp,))
+    piece = seed_of(renderer, at_night)
+    there = replace(at_night, pieces=(replace(piece, pose=moved((0.0, -1.0, 0.0), 20.0)),))
+    found = renderer.render(there, VIEW).linear
+    expected = Renderer(Scene(BoxCapture(), renderer.scene.apply_to_mesh(there))).render(at_night, VIEW).linear
+    still = renderer.render(at_night, VIEW).linear
+    assert np.abs(found - still).mean() > 5 * np.abs(found - expected).mean()
+
+
+@pytest.mark.slow
+def test_only_what_moved_is_cast_again(renderer: Renderer, plan: TourPlan, cast: list[Any]) -> None:
+    piece = seed_of(renderer, plan)
+    renderer.render(replace(plan, pieces=(piece,)), VIEW)
+    cast.clear()
+    pushed = replace(piece, pose=moved((0.1, 0.0, 0.0)))
+    renderer.render(replace(plan, pieces=(pushed,)), VIEW)
+    assert cast and {len(caster.part.caster.mesh.faces) for caster, _ in cast} == {
+        len(renderer.scene.piece_mesh(piece).faces)
+    }  # type: ignore[union-attr]
+
+
+def test_a_removed_piece_is_gone_and_put_back_all_is_as_before(renderer: Renderer, plan: TourPlan) -> None:
+    piece = seed_of(renderer, plan)
+    gone = replace(plan, pieces=(replace(piece, removed=True),))
+    hit = renderer.scene.pick(gone, (0.5, 0.4, 2.0), (0.0, 0.0, -1.0))
+    assert hit is None or hit.point[2] < 0.1
+    put_back = replace(plan, pieces=(piece,))
+    before, back = (renderer.render(p, VIEW).linear for p in (plan, put_back))
+    assert np.abs(before - back).max() < 0.05 * before.max()
+
+
+def test_a_ray_at_a_moved_piece_tells_where_it_was_scanned(renderer: Renderer, plan: TourPlan) -> None:
+    piece = replace(seed_of(renderer, plan), pose=moved((0.0, -1.0, 0.0)))
+    hit = renderer.scene.pick(replace(plan, pieces=(piece,)), (0.5, -0.6, 2.0), (0.0, 0.0, -1.0))
+    assert hit is not None and hit.piece == 0
+    np.testing.assert_allclose(hit.origin, (0.5, 0.4, 0.7), atol=1e-5)
+
+
+def test_cached_results_are_weighed_in_mebibytes() -> None:
+    arrays = [np.zeros((512, 512), np.float32), jnp.zeros((256, 1024), jnp.float32)]
+    assert mebibytes(arrays) == 2.0
+    frame = BoxCapture()[0]
+    assert mebibytes(frame) == frame.image.nbytes / 2**20
+
+
+@pytest.fixture(scope="module")
+def room() -> RoomCapture:
+    return load_room(n_frames=6, width=160, height=120, quality=0.25, progress=False)
+
+
+def test_the_first_plan_has_the_rooms_windows(room: RoomCapture) -> None:
+    renderer = Renderer(Scene(room, room.reference()))
+    plan = renderer.first_plan()
+    assert len(plan.windows) == sum(name.startswith("window") for name in room.anchors)
+    assert plan.sky().direct > 1000
+    lights = setup_of(plan, room.up, renderer.surface_area).lights
+    assert any(isinstance(light, DirectionalLight) for light in lights)
