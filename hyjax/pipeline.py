@@ -12,7 +12,7 @@ well be lit or shadowed as their neighbours are.
 
 import dataclasses
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, get_args
 
 import jax
@@ -32,8 +32,11 @@ from hyjax.util.tracing import concrete
 
 Mode = Literal["linear", "paper"]
 TemporalFilter = Callable[
-    [Float[Array, "h w l"], Float[Array, "h w l"]], tuple[Float[Array, "h w l"], Float[Array, "h w l"]]
+    [Float[Array, "h w c"], Float[Array, "h w l"]], tuple[Float[Array, "h w c"], Float[Array, "h w l"]]
 ]
+
+LEAST_PHOTO_LIGHT = 0.05
+"""Share of the photo's mean light below which its noise would be amplified more than twentyfold."""
 
 
 @jax.tree_util.register_dataclass
@@ -163,9 +166,16 @@ def relight_stages(
     yield "composite", composite_linear(view.frame, shaded, illuminance, visibility)
 
 
-def refine_illuminance(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w l"]:
-    """Illuminance of each light after the cascade: holes filled, borders moved to the guide's."""
-    return cascade_known(shaded.illuminance, shaded.confidence, guide, schedule)
+def refine_illuminance(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w c"]:
+    """Illuminance of each light after the cascade: holes filled, borders moved to the guide's.
+
+    After the lights come the channels of `Shaded.surface_fields`, refined alike: what is divided by each other must
+    be wrong at the same places.
+    """
+    channels = shaded.illuminance
+    if shaded.surface_fields:
+        channels = jnp.concatenate([channels, *shaded.surface_fields], axis=-1)
+    return cascade_known(channels, shaded.confidence, guide, schedule)
 
 
 def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w l"]:
@@ -178,7 +188,7 @@ def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Sc
 def composite_linear(
     frame: Float[Array, "h w 3"],
     shaded: Shaded,
-    illuminance: Float[Array, "h w l"],
+    illuminance: Float[Array, "h w c"],
     visibility: Float[Array, "h w l"],
 ) -> Relit:
     """Relit picture in linear light (Eq. 1).
@@ -189,13 +199,15 @@ def composite_linear(
         illuminance: see `refine_illuminance`.
         visibility: see `refine_visibility`.
     """
+    count = shaded.illuminance.shape[-1]
+    direct, fields = illuminance[..., :count], illuminance[..., count:]
     raw, raw_shadowed, unshadowed, relight_filter = (
-        mix_channels(channels, shaded.colors) / shaded.reference_lux
-        for channels in (
-            shaded.illuminance,
-            shaded.illuminance * shaded.visibility,
-            illuminance,
-            illuminance * visibility,
+        _filter(channels, shaded, fields)
+        for channels, fields in (
+            (shaded.illuminance, shaded.surface_fields),
+            (shaded.illuminance * shaded.visibility, shaded.surface_fields),
+            (direct, jnp.split(fields, max(1, fields.shape[-1] // 3), axis=-1)),
+            (direct * visibility, jnp.split(fields, max(1, fields.shape[-1] // 3), axis=-1)),
         )
     )
     anything = jnp.any(shaded.confidence > 0)
@@ -203,6 +215,18 @@ def composite_linear(
     visible = _ratio(relight_filter, unshadowed)
     unrefined, image = composite(raw_shadowed, frame), composite(relight_filter, frame)
     return Relit(raw, unshadowed, visible, relight_filter, unrefined, image)
+
+
+def _filter(
+    channels: Float[Array, "h w l"], shaded: Shaded, fields: Sequence[Float[Array, "h w 3"]]
+) -> Float[Array, "h w 3"]:
+    """Relight filter: light of all channels and what they throw back, over the light of the photo."""
+    rest = list(fields)
+    light = mix_channels(channels, shaded.colors)
+    if shaded.bounced is not None:
+        light = light + rest.pop(0)
+    light = light / shaded.reference_lux
+    return light if shaded.photo_light is None else light / jnp.maximum(rest.pop(0), LEAST_PHOTO_LIGHT)
 
 
 def _paper_stages(

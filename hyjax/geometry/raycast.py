@@ -132,7 +132,10 @@ class RayCaster:
         hits = self.cast(camera.origin, rays.reshape(-1, 3), shape)
         normals = self._corners[hits.face].reshape(*shape, 4, 3)  # NumPy gathers rows many times faster than XLA
         grid = (part.reshape(*shape, -1) for part in (hits.distance, hits.barycentric, hits.hit))
-        return _gbuffer(jnp.asarray(camera.origin, jnp.float32), rays, *grid, normals)
+        seen = _gbuffer(jnp.asarray(camera.origin, jnp.float32), rays, *grid, normals)
+        face = jnp.asarray(hits.face.reshape(shape), jnp.int32)
+        barycentric = jnp.asarray(hits.barycentric.reshape(*shape, 3), jnp.float32)
+        return dataclasses.replace(seen, face=face, barycentric=barycentric)
 
 
 @jax.jit

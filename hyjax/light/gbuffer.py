@@ -3,7 +3,7 @@
 import dataclasses
 
 import jax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 
 @jax.tree_util.register_dataclass
@@ -16,9 +16,13 @@ class GBuffer:
         normal: unit surface normal in world axes, on the side that the camera sees; zero where no surface was hit.
         depth: distance along the camera's axis in metres; zero where no surface was hit.
         hit: whether the pixel's ray met the mesh.
+        face: triangle that was hit, -1 where none was; None if the surface is no mesh.
+        barycentric: weights of its three vertices; None likewise.
     """
 
     position: Float[Array, "h w 3"]
     normal: Float[Array, "h w 3"]
     depth: Float[Array, "h w"]
     hit: Bool[Array, "h w"]
+    face: Int[Array, "h w"] | None = None
+    barycentric: Float[Array, "h w 3"] | None = None

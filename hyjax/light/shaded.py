@@ -26,6 +26,8 @@ class Shaded:
         confidence: how far the shading of a pixel can be trusted, in [0, 1]; 0 in holes.
         reference_lux: illuminance under which the frame is taken to have been photographed.
         ambient: relight filter where nothing of the frame is known.
+        bounced: lux that the lights throw on the surface by way of others, with their colours; None for none.
+        photo_light: light that the frame was taken under, relative to its mean; None if it is taken to be even.
     """
 
     illuminance: Float[Array, "h w l"]
@@ -34,6 +36,13 @@ class Shaded:
     confidence: Float[Array, "h w 1"]
     reference_lux: Float[ArrayLike, ""]
     ambient: Float[Array, "3"]
+    bounced: Float[Array, "h w 3"] | None = None
+    photo_light: Float[Array, "h w 3"] | None = None
+
+    @property
+    def surface_fields(self) -> tuple[Float[Array, "h w 3"], ...]:
+        """What is refined beside the illuminance of each light."""
+        return tuple(field for field in (self.bounced, self.photo_light) if field is not None)
 
     @classmethod
     def of(

@@ -1,0 +1,151 @@
+"""Light of unit sources on the points of a scan: windows by direction, lamps, and the walls that were not scanned."""
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.transport_rays import CELLS, OFFSET
+from hyjax.light.kinds import Aperture
+from hyjax.util.vectors import unit
+
+BINS = (6, 4)
+"""Directions of a window's light, in azimuth and elevation: one Lambertian window does poorly, for skies and gardens
+are not uniform."""
+LOWEST, HIGHEST = -45.0, 45.0
+"""Degrees of elevation between which the bins lie."""
+POINTS = 8
+"""Points along each side of a window."""
+FRAME = 0.08
+"""Metres before a window where bars, sills and curtains do not count as in the way."""
+LAMP_CLEARANCE = 0.15
+"""Metres round a lamp, of its own shade."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Basis:
+    """Light of unknown sources of strength one.
+
+    Attributes:
+        light: illuminance of each point by each unknown.
+        names: of the sources.
+        source: which source each unknown belongs to.
+        neighbours: pairs of unknowns that are likely alike.
+    """
+
+    light: Float[np.ndarray, "p k"]
+    names: tuple[str, ...]
+    source: Int[np.ndarray, "k"]
+    neighbours: Int[np.ndarray, "e 2"]
+
+
+def make_basis(
+    caster: RayCaster,
+    hits: Int[np.ndarray, "r p"],
+    position: Float[np.ndarray, "p 3"],
+    normal: Float[np.ndarray, "p 3"],
+    windows: Sequence[tuple[str, Aperture]] = (),
+    lamps: Sequence[tuple[str, Float[np.ndarray, "3"]]] = (),
+) -> Basis:
+    """Light of all sources that a photo may have been taken under.
+
+    Args:
+        caster: the scan.
+        hits: see `Transport`.
+        position, normal: of the points.
+        windows: named openings.
+        lamps: named places of lamps that are lit.
+    """
+    starts = position + OFFSET * normal
+    columns, names, source, neighbours = [], [], [], []
+
+    def add(name: str, light: np.ndarray, pairs: np.ndarray) -> None:
+        first = sum(c.shape[1] for c in columns)
+        columns.append(light)
+        neighbours.append(first + pairs.reshape(-1, 2))
+        source.append(np.full(light.shape[1], len(names)))
+        names.append(name)
+
+    nothing = np.zeros((0, 2), int)
+    for name, window in windows:
+        add(name, window_light(caster, starts, normal, window), _grid_pairs(BINS[1], BINS[0]))
+    for name, place in lamps:
+        add(name, lamp_light(caster, starts, normal, place)[:, None], nothing)
+    walls = _wall_light(hits, len(caster.mesh.faces))
+    for name, first, count in (("walls", 0, 4), ("floor", 4, 1), ("ceiling", 5, 1)):
+        part = slice(first * CELLS**2, (first + count) * CELLS**2)
+        square = _grid_pairs(CELLS, CELLS)
+        pairs = np.concatenate([square + k * CELLS**2 for k in range(count)])
+        add(name, walls[:, part], pairs)
+    light = np.concatenate(columns, axis=1).astype(np.float32)
+    return Basis(light, tuple(names), np.concatenate(source), np.concatenate(neighbours))
+
+
+def window_light(
+    caster: RayCaster, starts: Float[np.ndarray, "p 3"], normal: Float[np.ndarray, "p 3"], window: Aperture
+) -> Float[np.ndarray, "p k"]:
+    """Illuminance by a window whose radiance times π is one in one bin of directions: rows of elevation.
+
+    E = Σ cos θ cos θ′ ΔA / (π r²) over points of the opening that are seen, shared out bilinearly between bins.
+    """
+    centre, right, up = (np.asarray(v, np.float64) for v in (window.center, window.right, window.up))
+    inward = np.cross(right, up)
+    area, inward = 4 * np.linalg.norm(inward) / POINTS**2, unit(inward)
+    ticks = (np.arange(POINTS) + 0.5) / POINTS * 2 - 1
+    columns, lines = BINS
+    light = np.zeros(len(starts) * columns * lines)
+    for s, t in itertools.product(ticks, ticks):
+        to = centre + s * right + t * up - starts
+        squared = np.einsum("nk,nk->n", to, to)
+        distance = np.sqrt(squared)
+        direction = to / np.maximum(distance, 1e-6)[:, None]
+        here, there = np.einsum("nk,nk->n", direction, normal), -direction @ inward
+        some = np.flatnonzero((here > 0) & (there > 1e-3))
+        some = some[~caster.occluded(starts[some], to[some], 1 - FRAME / np.maximum(distance[some], 2 * FRAME))]
+        strength = here[some] * there[some] * area / (np.pi * np.maximum(squared[some], 0.01))
+        azimuth = np.degrees(np.arctan2(direction[some] @ unit(right), there[some])) / 90
+        elevation = np.degrees(np.arcsin(np.clip(direction[some] @ unit(up), -1, 1)))
+        x = np.clip((azimuth + 1) / 2 * columns - 0.5, 0, columns - 1)
+        y = np.clip((elevation - LOWEST) / (HIGHEST - LOWEST) * lines - 0.5, 0, lines - 1)
+        x0, y0 = np.minimum(x.astype(int), columns - 2), np.minimum(y.astype(int), lines - 2)
+        for i, j in itertools.product((0, 1), repeat=2):
+            share = np.abs(1 - i - (x - x0)) * np.abs(1 - j - (y - y0)) * strength
+            at = some * (columns * lines) + (y0 + j) * columns + x0 + i
+            light += np.bincount(at, share, len(light))
+    return light.reshape(len(starts), -1)
+
+
+def lamp_light(
+    caster: RayCaster, starts: Float[np.ndarray, "p 3"], normal: Float[np.ndarray, "p 3"], place: np.ndarray
+) -> Float[np.ndarray, "p"]:
+    """Illuminance by a small lamp that shines one lux at a metre all round."""
+    to = np.asarray(place, np.float64) - starts
+    squared = np.maximum(np.einsum("nk,nk->n", to, to), LAMP_CLEARANCE**2)
+    distance = np.sqrt(squared)
+    cosine = np.einsum("nk,nk->n", to, normal) / distance
+    some = np.flatnonzero(cosine > 0)
+    reach = 1 - LAMP_CLEARANCE / np.maximum(distance[some], 2 * LAMP_CLEARANCE)
+    some = some[~caster.occluded(starts[some], to[some], reach)]
+    light = np.zeros(len(starts))
+    light[some] = cosine[some] / squared[some]
+    return light
+
+
+def _wall_light(hits: Int[np.ndarray, "r p"], first: int) -> Float[np.ndarray, "p m"]:
+    """Illuminance by each patch of the box: the share of rays that end there."""
+    rays, points = hits.shape
+    count = 6 * CELLS**2
+    patch = hits.astype(np.int64) - first
+    at = np.where((patch >= 0) & (patch < count), patch + count * np.arange(points), points * count)
+    return np.bincount(at.ravel(), minlength=points * count + 1)[:-1].reshape(points, count) / rays
+
+
+def _grid_pairs(rows: int, columns: int) -> Int[np.ndarray, "e 2"]:
+    """Pairs of neighbours in a grid."""
+    number = np.arange(rows * columns).reshape(rows, columns)
+    across = np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()], axis=1)
+    down = np.stack([number[:-1].ravel(), number[1:].ravel()], axis=1)
+    return np.concatenate([across, down])

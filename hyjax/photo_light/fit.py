@@ -1,0 +1,84 @@
+"""Fit of the photo's own light: strengths of unknown sources, from the scan's own radiance.
+
+Light that comes from what was scanned is T c, whatever the albedo; unknown is what comes from elsewhere:
+
+    E = T c + B θ,   θ ≥ 0.
+
+Two places on one plane likely have one albedo, so log c should differ as log E does (Retinex; Land & McCann 1971):
+
+    minimise Σ |Δ log c − Δ log E| + max(0, log c / (0.9 E))² + smoothness of θ.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import jaxopt
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+HIGHEST_ALBEDO = 0.9
+SMOOTH_L1 = 0.02
+"""Below this difference of logarithms the loss is a parabola."""
+SMOOTHNESS = 1e-3
+SIZE = 1e-4
+"""Weight that draws the unknowns to the mean radiance."""
+LOWEST, HIGHEST = -7.0, 8.0
+"""Logarithms that the unknowns stay within, relative to the mean radiance."""
+ITERATIONS = 200
+START = 1.5
+FLOOR = 1e-3
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class FitProblem:
+    """What the fit is given. Radiances are relative to their geometric mean.
+
+    Attributes:
+        gathered: T c, light from what was scanned.
+        basis: B, light of unit sources.
+        radiance: c times π, at least `FLOOR`.
+        seen: vertices that any frame shows.
+        pairs: of vertices on one plane.
+        neighbours: unknowns that are likely alike.
+    """
+
+    gathered: Float[Array, "v 3"]
+    basis: Float[Array, "v k"]
+    radiance: Float[Array, "v 3"]
+    seen: Bool[Array, "v"]
+    pairs: Int[Array, "n 2"]
+    neighbours: Int[Array, "e 2"]
+
+
+def illuminance(problem: FitProblem, theta: Float[Array, "k 3"]) -> Float[Array, "v 3"]:
+    """E = T c + B θ."""
+    return problem.gathered + problem.basis @ theta
+
+
+def loss(log_theta: Float[Array, "k 3"], problem: FitProblem) -> Float[Array, ""]:
+    """What the fit minimises; see the module's docstring."""
+    log_light = jnp.log(illuminance(problem, jnp.exp(log_theta)) + FLOOR)
+    log_radiance = jnp.log(problem.radiance)
+    residual = _difference(log_radiance - log_light, problem.pairs)
+    excess = jnp.maximum(log_radiance - np.log(HIGHEST_ALBEDO) - log_light, 0.0)
+    rough = _difference(log_theta, problem.neighbours)
+    return (
+        jnp.mean(jnp.sqrt(residual**2 + SMOOTH_L1**2))
+        + jnp.mean(jnp.where(problem.seen[:, None], excess, 0.0) ** 2)
+        + SMOOTHNESS * jnp.mean(rough**2)
+        + SIZE * jnp.mean(log_theta**2)
+    )
+
+
+def _difference(values: Float[Array, "n c"], pairs: Int[Array, "m 2"]) -> Float[Array, "m c"]:
+    return values[pairs[:, 0]] - values[pairs[:, 1]]
+
+
+def fit_sources(problem: FitProblem) -> Float[np.ndarray, "k 3"]:
+    """Strengths θ of the unknown sources, by L-BFGS-B within bounds (Byrd et al. 1995)."""
+    start = jnp.full((problem.basis.shape[1], 3), START, jnp.float32)
+    solver = jaxopt.ScipyBoundedMinimize(fun=loss, method="L-BFGS-B", maxiter=ITERATIONS, tol=1e-7)
+    bounds = jnp.full_like(start, LOWEST), jnp.full_like(start, HIGHEST)
+    return np.exp(np.asarray(solver.run(start, bounds, problem).params, np.float64))
