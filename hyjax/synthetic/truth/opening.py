@@ -63,25 +63,31 @@ class Opening:
 
     def crossing(
         self, origin: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "n 3"]
-    ) -> tuple[Bool[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Whether rays leave through the opening, and the distance to its outer rectangle in ray lengths."""
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether rays leave through the opening."""
         facing = np.maximum(-(direction @ self.normal), 1e-6)
         distance = ((origin - self.outer) @ self.normal) / facing
         at = origin + distance[:, None] * direction - self.outer
         inside = (distance > 0) & (facing > 1e-5)
         for axis in (self.right, self.up):
             inside &= np.abs(at @ axis) <= 1.001 * (axis @ axis)
-        return inside, distance
+        return inside
 
 
 def leaving(
     openings: list[Opening], origin: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "n 3"]
 ) -> Int[np.ndarray, "n"]:
-    """Number of the opening that each ray leaves through; -1 for a ray that found a crack."""
-    through = np.full(len(direction), -1)
+    """Number of the opening that each ray leaves through; -1 for none.
+
+    A ray that slips through a crack goes with the window that it faces most, as the built-in room has it.
+    """
+    if not openings:
+        return np.full(len(direction), -1)
+    facing = direction @ -np.stack([opening.normal for opening in openings], axis=1)
+    through = np.where(facing.max(axis=1) > 0, facing.argmax(axis=1), -1)
     origin = np.broadcast_to(origin, direction.shape)
     for number, opening in enumerate(openings):
-        through[opening.crossing(origin, direction)[0]] = number
+        through[opening.crossing(origin, direction)] = number
     return through
 
 

@@ -77,7 +77,7 @@ class LitPicture(Lit):
     def outside(self, origin: np.ndarray, rays: np.ndarray) -> Float[np.ndarray, "n 3"]:
         direction = unit(rays)
         radiance = np.zeros((len(rays), 3), np.float32)
-        through = self._through(origin, direction)
+        through = leaving(self.openings, origin, direction)
         for k, opening in enumerate(self.openings):
             mine = through == k
             if mine.any():
@@ -87,20 +87,11 @@ class LitPicture(Lit):
     def mirrored_outside(self, origin: np.ndarray, rays: np.ndarray) -> Float[np.ndarray, "n 3"]:
         direction = unit(rays).astype(np.float32)
         radiance = np.zeros((len(rays), 3), np.float32)
-        through = self._through(origin, direction)
+        through = leaving(self.openings, origin, direction)
         for k in range(len(self.openings)):
             mine = through == k
             radiance[mine] = self.sky(k, direction[mine])
         return radiance
-
-    def _through(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Window that each ray leaves through; one that slips by goes with the window it faces most."""
-        through = leaving(self.openings, origin, direction)
-        lost = through < 0
-        if self.openings and lost.any():
-            facing = direction[lost] @ -np.stack([opening.normal for opening in self.openings], axis=1)
-            through[lost] = np.where(facing.max(axis=1) > 0, facing.argmax(axis=1), -1)
-        return through
 
 
 def mean_garden(textures: Paints, leaf: int) -> Float[np.ndarray, "3"]:
