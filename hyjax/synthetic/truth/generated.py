@@ -86,7 +86,7 @@ def lit_random_room(room: RoomName, quality: float = 1.0) -> TruthRoom:
     anchors["bounds"] = {"low": [0.0, 0.0, 0.0], "high": [float(x) for x in size]}
     paints = LookPaints(build.looks, rng)
     caster = RayCaster(surface.mesh)
-    photos, scan = (functools.partial(walk, caster, size, (*key, k), f) for k, f in ((0, FIELD), (1, 72.0)))
+    photos, scan = (functools.partial(walk, caster, size, (*key, k), f) for k, f in ((0, FIELD), (1, 62.7)))
     return TruthRoom(
         f"random-{room.seed}-{room.number}-{room.by}",
         surface,

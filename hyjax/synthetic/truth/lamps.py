@@ -92,7 +92,7 @@ def _panel(
         box(build, (-x - 0.01, -y - 0.01, high - 0.03), (x + 0.01, y + 0.01, high + 0.002), m.CERAMIC)
     centre = np.array([place[0], place[1], high - 0.032], np.float32)
     return RectLight(
-        centre, np.array([0, x, 0], np.float32)[[1, 0, 2]], np.array([0, -y, 0], np.float32), np.float32(flux), color
+        centre, np.array([x, 0, 0], np.float32), np.array([0, -y, 0], np.float32), np.float32(flux), color
     )
 
 
