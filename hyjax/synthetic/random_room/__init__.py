@@ -38,7 +38,12 @@ class LitRoom:
 
 def make_random_room(seed: int, number: int) -> LitRoom:
     """Furnish and light room `number` of a seed. The first room of a seed in a process draws its patterns, too."""
-    return _make((seed, number), _banks(seed, lambda: _draw_bank(seed)))
+    return _make((seed, number), bank_of(seed))
+
+
+def bank_of(seed: int) -> Bank:
+    """The bank of patterns for the rooms of a seed; drawn once in a process."""
+    return _banks(seed, lambda: _draw_bank(seed))
 
 
 def photograph(lit: LitRoom, view: int, size: int) -> Shot:

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import trimesh
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from hyjax.synthetic.random_room.looks import Looks
 from hyjax.synthetic.room import materials as m
-from hyjax.synthetic.surface import DEGENERATE_AREA, WHITE, Builder, Colour, Quads
+from hyjax.synthetic.surface import DEGENERATE_AREA, WHITE, Builder, Colour, Quads, Surface
 from hyjax.util.vectors import SHORTEST, unit
 
 ROLES = {
@@ -39,7 +39,7 @@ class Furnished:
 
 
 class RoomBuilder(Builder):
-    """A `Builder` whose materials are looks, which may scale parts, and which keeps no light maps.
+    """A `Builder` whose materials are looks, and which may scale parts.
 
     Attributes:
         looks: where looks are drawn from.
@@ -90,9 +90,37 @@ class RoomBuilder(Builder):
             lists["faces"].append(quads.points[:, corners] + self._count)
             lists["uv"].append(quads.uv[:, corners])
             lists["material"].append(np.full(len(quads.points), look))
+            lists["chart"].append(quads.chart)
+        lists["st"].append(quads.st)
 
     def furnished(self) -> Furnished:
         """Everything added so far."""
+        mesh, real = self._mesh()
+        return Furnished(
+            mesh,
+            np.concatenate(self._lists["material"])[real],
+            np.concatenate(self._lists["uv"])[real].astype(np.float32),
+            self.looks,
+        )
+
+    def finish(self) -> Surface:
+        """Everything added so far with its charts for light maps; a look stands for a material."""
+        mesh, real = self._mesh()
+        lists = self._lists
+        halves = [quads[:, corners] for quads in lists["st"] for corners in ([0, 1, 2], [0, 2, 3])]
+        return Surface(
+            mesh=mesh,
+            chart=np.concatenate(lists["chart"])[real],
+            material=np.concatenate(lists["material"])[real],
+            tint=np.ones((len(mesh.faces), 3), np.float32),
+            st=np.concatenate(halves)[real].astype(np.float32),
+            uv=np.concatenate(lists["uv"])[real].astype(np.float32),
+            nodes=lists["nodes"],
+            texel=np.array(lists["texel"]),
+        )
+
+    def _mesh(self) -> tuple[trimesh.Trimesh, Bool[np.ndarray, "f"]]:
+        """The mesh, and which of the triangles that were added it has."""
         points = np.concatenate(self._lists["points"])
         faces = np.concatenate(self._lists["faces"])
         corner = points[faces]
@@ -107,9 +135,4 @@ class RoomBuilder(Builder):
         mesh = trimesh.Trimesh(
             points, faces, face_normals=across / twice[:, None], vertex_normals=normals, process=False
         )
-        return Furnished(
-            mesh,
-            np.concatenate(self._lists["material"])[real],
-            np.concatenate(self._lists["uv"])[real].astype(np.float32),
-            self.looks,
-        )
+        return mesh, real

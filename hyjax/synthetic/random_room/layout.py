@@ -37,6 +37,12 @@ class RandomRoom:
 
 def furnish(rng: np.random.Generator, patterns: Bank) -> RandomRoom:
     """A room in looks of a bank."""
+    build, size, windows = plan(rng, patterns)
+    return RandomRoom(build.furnished(), size, windows, build.targets)
+
+
+def plan(rng: np.random.Generator, patterns: Bank) -> tuple[RoomBuilder, Float[np.ndarray, "3"], list[Window]]:
+    """A room to which more may be added: its builder, size and windows, see `RandomRoom`."""
     build = RoomBuilder(rng, Looks(patterns))
     size = np.array([rng.uniform(2.4, 6.5), rng.uniform(2.4, 6.5), rng.uniform(2.3, 3.2)])
     room = _Room(build, size)
@@ -45,7 +51,7 @@ def furnish(rng: np.random.Generator, patterns: Bank) -> RandomRoom:
     room.stand_free(int(rng.integers(2, 8)))
     room.hang(int(rng.integers(3, 18)))
     room.lie_about(int(rng.integers(0, 10)))
-    return RandomRoom(build.furnished(), size, room.windows, build.targets)
+    return build, size, room.windows
 
 
 class _Room:

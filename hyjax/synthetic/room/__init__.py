@@ -107,4 +107,4 @@ def _bake(room: Room, quality: float) -> BakedRoom:
     side = max(2, round(7 * np.sqrt(quality)))
     light = bake(surface, caster, albedo, 1 / quality, side, room.seed)
     corners = np.concatenate([surface.uv, surface.st], axis=-1)
-    return BakedRoom(surface, corners, caster, textures, light, white_level(light), room.seed)
+    return BakedRoom(surface, corners, caster, textures, white_level(light.irradiance), room.seed, light)

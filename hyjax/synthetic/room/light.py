@@ -79,20 +79,20 @@ def bake(
         for _ in range(BOUNCES):
             # One dark row more: rays that leave, or meet a back side, point at it.
             radiance = np.concatenate([reflectance * total, np.zeros((1, 3), np.float32)])
-            indirect = np.concatenate(list(pool.map(lambda p: _mean_of(radiance, p.hit_texels), parts)))  # noqa: B023
+            indirect = np.concatenate(list(pool.map(lambda p: mean_of(radiance, p.hit_texels), parts)))  # noqa: B023
             total = direct + indirect
-    smooth = _smooth(texels, direct, indirect, distance, valid)
-    return Light(texels, smooth)
+    return Light(texels, smooth(texels, direct, indirect, distance, valid))
 
 
-def _mean_of(values: Float[np.ndarray, "t 3"], index: Int[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
+def mean_of(values: Float[np.ndarray, "t 3"], index: Int[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
+    """Mean over k rows of the values."""
     total = np.zeros((len(index), 3), np.float32)
     for k in range(index.shape[1]):
         total += rows(values, index[:, k])
     return total / index.shape[1]
 
 
-def _strata(side: int, cell: int, rng: np.random.Generator) -> Float[np.ndarray, "g k 2"]:
+def strata(side: int, cell: int, rng: np.random.Generator) -> Float[np.ndarray, "g k 2"]:
     """`cell`² groups of side² points in the unit square: each group is even, and so are all groups together."""
     base = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(1, -1, 2)
     shift = np.stack(np.meshgrid(np.arange(cell), np.arange(cell)), axis=-1).reshape(-1, 1, 2)
@@ -100,7 +100,7 @@ def _strata(side: int, cell: int, rng: np.random.Generator) -> Float[np.ndarray,
     return ((base + (shift + jitter) / cell) / side).astype(np.float32)
 
 
-def _group(texels: Texels, chunk: slice, cell: int) -> Int[np.ndarray, "n"]:
+def group(texels: Texels, chunk: slice, cell: int) -> Int[np.ndarray, "n"]:
     """Group of rays of each texel: neighbours take different ones."""
     order = np.random.default_rng(0).permutation(cell * cell)
     return order[texels.i[chunk] % cell + cell * (texels.j[chunk] % cell)]
@@ -109,9 +109,9 @@ def _group(texels: Texels, chunk: slice, cell: int) -> Int[np.ndarray, "n"]:
 def _patterns(side: int, seed: int) -> tuple[Float[np.ndarray, "16 k 3"], Float[np.ndarray, "4 k 3"]]:
     """Directions about +z for sixteen neighbouring texels, and points in the window's opening for four."""
     rng = np.random.default_rng((seed, 2))
-    lobe = _cosine_lobe(_strata(side, 4, rng))
+    lobe = cosine_lobe(strata(side, 4, rng))
     y0, y1, z0, z1 = WINDOW
-    square = _strata(side, 2, rng)
+    square = strata(side, 2, rng)
     y, z = y0 + square[..., 0] * (y1 - y0), z0 + square[..., 1] * (z1 - z0)
     return lobe.astype(np.float32), np.stack([np.full_like(y, -THICK), y, z], axis=-1).astype(np.float32)
 
@@ -121,7 +121,7 @@ def _gather(surface: Surface, caster: RayCaster, texels: Texels, chunk: slice, s
     origin = texels.position[chunk] + OFFSET * normal
     n, rays = len(origin), side * side
     lobe, opening = _patterns(side, seed)
-    direction = np.matmul(lobe[_group(texels, chunk, 4)], _frames(normal))
+    direction = np.matmul(lobe[group(texels, chunk, 4)], frames(normal))
     flat = direction.reshape(-1, 3)
     origins = np.repeat(origin, rays, axis=0)
     hits = caster.cast(origins, flat)
@@ -139,11 +139,11 @@ def _gather(surface: Surface, caster: RayCaster, texels: Texels, chunk: slice, s
     near = np.minimum(np.where(hits.hit, hits.distance, 10.0), 10.0).reshape(n, rays)
     inside = (hits.hit & ~front).reshape(n, rays).mean(axis=1)
     direct = escaped.reshape(n, rays, 3).mean(axis=1)
-    direct += _from_window(caster, origin, normal, opening[_group(texels, chunk, 2)])
+    direct += _from_window(caster, origin, normal, opening[group(texels, chunk, 2)])
     return _Gathered(direct, hit_texels.reshape(n, rays), 1 / (1 / (near + 1e-3)).mean(axis=1), inside < 0.4)
 
 
-def _cosine_lobe(square: Float[np.ndarray, "g k 2"]) -> Float[np.ndarray, "g k 3"]:
+def cosine_lobe(square: Float[np.ndarray, "g k 2"]) -> Float[np.ndarray, "g k 3"]:
     """Cosine-weighted directions about +z from points of the unit square (Shirley's concentric map)."""
     a, b = 2 * square[..., 0] - 1, 2 * square[..., 1] - 1
     wide = np.abs(a) > np.abs(b)
@@ -153,7 +153,7 @@ def _cosine_lobe(square: Float[np.ndarray, "g k 2"]) -> Float[np.ndarray, "g k 3
     return np.stack([r * np.cos(angle), r * np.sin(angle), np.sqrt(np.maximum(1 - r * r, 1e-6))], axis=-1)
 
 
-def _frames(normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+def frames(normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
     """Rows x, y and z of a right-handed frame with z along the normal."""
     helper = np.where(np.abs(normal[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     x = np.cross(helper, normal)
@@ -196,7 +196,7 @@ def _from_window(
     return light.mean(axis=1)
 
 
-def _smooth(
+def smooth(
     texels: Texels, direct: np.ndarray, indirect: np.ndarray, distance: np.ndarray, valid: np.ndarray
 ) -> Float[np.ndarray, "t 3"]:
     """Merge the interleaved rays of neighbours, wider where nothing is near; fill texels inside solids.

@@ -84,6 +84,7 @@ class Textures:
         self._last = np.array([len(s) - 1 for s in starts], dtype=np.int32)
         self._start = np.array([s + [s[-1]] * (16 - len(s)) for s in starts], dtype=np.int32)
         self.mean = np.array([self._pixels[s[-1]] for s in starts])
+        self.gloss, self.blur = GLOSS, BLUR
 
     def __call__(
         self,

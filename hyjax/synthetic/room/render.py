@@ -1,9 +1,10 @@
 """Photographs of the lit room: albedo × baked light, mirror reflections, and a camera's imperfections."""
 
 import dataclasses
+from typing import Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 from skimage.transform import resize
 
@@ -12,7 +13,7 @@ from hyjax.geometry.raycast import Hits, RayCaster
 from hyjax.synthetic.room.daylight import sky_radiance, view
 from hyjax.synthetic.room.light import Light
 from hyjax.synthetic.room.lightmap import at_hits
-from hyjax.synthetic.room.materials import BLUR, GLOSS, LEAF, Textures
+from hyjax.synthetic.room.materials import LEAF, Textures
 from hyjax.synthetic.surface import Surface, rows
 from hyjax.synthetic.tone_curve import encode, tone
 
@@ -27,23 +28,85 @@ EDGE_SAMPLES = 7
 """Rays through a pixel that more than one surface shares."""
 BLURS = (0.0, 2.0, 6.0)
 """Smears of the mirror image that rough reflections are mixed from, in pixels at a width of 640."""
+LIGHT_SAMPLES, EDGE_LIGHT_SAMPLES = 16, 2
+"""Points of a hard light that a pixel's ray is lit from, and those of one of the rays through a shared pixel."""
+
+
+class Paints(Protocol):
+    """Albedo of materials, and how they mirror: strength and blur of each, see `Material`."""
+
+    gloss: Float[np.ndarray, "m"]
+    blur: Float[np.ndarray, "m"]
+
+    def __call__(
+        self, material: Int[np.ndarray, "n"], uv: Float[np.ndarray, "n 2"], footprint: Float[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "n 3"]: ...
 
 
 @dataclasses.dataclass(frozen=True)
-class BakedRoom:
-    """A room with its light maps, ready for photographs; `corners` are (u, v, s, t) of the faces' corners."""
+class Lit:
+    """Base of a room under some light, ready for photographs.
+
+    Attributes:
+        surface: the room.
+        corners: (u, v, s, t) of the faces' corners.
+        caster: the room's rays.
+        textures: of its materials.
+        exposure: that brings its light to display values, one for all channels or one for each.
+        seed: of the camera's noise.
+    """
 
     surface: Surface
     corners: Float[np.ndarray, "f 3 4"]
     caster: RayCaster
-    textures: Textures
-    light: Light
-    exposure: float
+    textures: Paints
+    exposure: float | Float[np.ndarray, "3"]
     seed: int
+
+    def irradiance(
+        self, origin: Float[np.ndarray, "*n 3"], rays: Float[np.ndarray, "n 3"], nearest: Hits,
+        st: Float[np.ndarray, "n 2"], samples: int,
+    ) -> Float[np.ndarray, "n 3"]:  # fmt: skip
+        """Irradiance / π where rays ended; `samples` points of each hard light, 0 for what a light map tells."""
+        raise NotImplementedError
+
+    def emitted(
+        self, origin: Float[np.ndarray, "*n 3"], rays: Float[np.ndarray, "n 3"], nearest: Hits
+    ) -> Float[np.ndarray, "n 3"] | None:
+        """Radiance of lit lamps where rays ended; None if there are none."""
+        return None
+
+    def outside(self, origin: Float[np.ndarray, "*n 3"], rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Radiance of what rays see that leave the room."""
+        raise NotImplementedError
+
+    def mirrored_outside(
+        self, origin: Float[np.ndarray, "n 3"], rays: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """The same in a mirror image, without detail."""
+        raise NotImplementedError
+
+
+@dataclasses.dataclass(frozen=True)
+class BakedRoom(Lit):
+    """The built-in room by day."""
+
+    light: Light
+
+    def irradiance(
+        self, origin: np.ndarray, rays: np.ndarray, nearest: Hits, st: np.ndarray, samples: int
+    ) -> Float[np.ndarray, "n 3"]:
+        return self.light.texels.lookup(self.light.irradiance, rows(self.surface.chart, nearest.face), st)
+
+    def outside(self, origin: np.ndarray, rays: np.ndarray) -> Float[np.ndarray, "n 3"]:
+        return garden(self.textures, rays, LEAF) / self.exposure
+
+    def mirrored_outside(self, origin: np.ndarray, rays: np.ndarray) -> Float[np.ndarray, "n 3"]:
+        return sky_radiance(rays.astype(np.float32))
 
 
 def photograph(
-    baked: BakedRoom, camera: Camera, number: int
+    baked: Lit, camera: Camera, number: int
 ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
     """One frame: display-encoded picture in 8-bit steps, and exact depth in metres (0 where nothing is)."""
     h, w = camera.intrinsics.shape
@@ -52,7 +115,7 @@ def photograph(
     hits = baked.caster.cast(camera.origin, rays)
     depth = np.where(hits.hit, hits.distance, 0.0).astype(np.float32).reshape(h, w)
     pixel = 1.0 / camera.intrinsics.fx
-    picture = _diffuse(baked, camera.origin, rays, hits, pixel).reshape(h, w, 3)
+    picture = _diffuse(baked, camera.origin, rays, hits, pixel, LIGHT_SAMPLES).reshape(h, w, 3)
     shared = _shared_pixels(baked.surface, hits, depth)
     picture[shared] = _supersample(baked, camera, shared, picture[shared], rng)
     mirror = _mirror(baked, camera, rays, hits, pixel)
@@ -63,17 +126,18 @@ def photograph(
 
 
 def _diffuse(
-    baked: BakedRoom,
+    baked: Lit,
     origin: Float[np.ndarray, "*n 3"],
     rays: Float[np.ndarray, "n 3"],
     hits: Hits,
     pixel: float | Float[np.ndarray, "n"],
+    samples: int,
 ) -> Float[np.ndarray, "n 3"]:
     """Radiance along rays: albedo × light, or the view outside. `pixel` is the footprint a unit of distance."""
     surface = baked.surface
     radiance = np.empty((len(rays), 3), np.float32)
     miss = ~hits.hit
-    radiance[miss] = _outside(baked, rays[miss])
+    radiance[miss] = baked.outside(_some(origin, miss), rays[miss])
     nearest = select(hits, hits.hit)
     direction = rays[hits.hit]
     normal = rows(surface.mesh.face_normals, nearest.face)
@@ -81,18 +145,27 @@ def _diffuse(
     width = np.broadcast_to(pixel, hits.face.shape)[hits.hit] * nearest.distance / np.sqrt(np.maximum(cosine, 0.02))
     uv_st = at_hits(baked.corners, nearest)
     albedo = baked.textures(rows(surface.material, nearest.face), uv_st[:, :2], SHARPNESS * width)
-    irradiance = baked.light.texels.lookup(baked.light.irradiance, rows(surface.chart, nearest.face), uv_st[:, 2:])
+    start = _some(origin, hits.hit)
+    irradiance = baked.irradiance(start, direction, nearest, uv_st[:, 2:], samples)
     radiance[hits.hit] = albedo * rows(surface.tint, nearest.face) * irradiance
+    if (emitted := baked.emitted(start, direction, nearest)) is not None:
+        radiance[hits.hit] += emitted
     return radiance
 
 
-def _outside(baked: BakedRoom, rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+def _some(origin: Float[np.ndarray, "*n 3"], chosen: Bool[np.ndarray, "n"]) -> Float[np.ndarray, "*k 3"]:
+    """Origins of some of the rays; one origin for all stays one."""
+    return origin if origin.ndim == 1 else origin[chosen]
+
+
+def garden(textures: Paints, rays: Float[np.ndarray, "n 3"], leaf: int) -> Float[np.ndarray, "n 3"]:
+    """The view outside by directions from a window that faces -x, in multiples of white; `leaf` is its foliage."""
     direction = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
     place = np.stack([np.arctan2(direction[:, 1], -direction[:, 0]), direction[:, 2]], axis=-1)
     n = len(direction)
-    row, width = np.full(n, LEAF), np.full(n, 0.004, np.float32)
-    foliage = baked.textures(row, 0.9 * place, width) * 0.5 + baked.textures(row, 3.7 * place, width) * 0.5
-    return view(direction, foliage) / baked.exposure
+    row, width = np.full(n, leaf), np.full(n, 0.004, np.float32)
+    foliage = textures(row, 0.9 * place, width) * 0.5 + textures(row, 3.7 * place, width) * 0.5
+    return view(direction, foliage)
 
 
 def select(hits: Hits, chosen: Bool[np.ndarray, "n"]) -> Hits:
@@ -115,7 +188,7 @@ def _shared_pixels(surface: Surface, hits: Hits, depth: Float[np.ndarray, "h w"]
 
 
 def _supersample(
-    baked: BakedRoom, camera: Camera, shared: Bool[np.ndarray, "h w"], centre: np.ndarray, rng: np.random.Generator
+    baked: Lit, camera: Camera, shared: Bool[np.ndarray, "h w"], centre: np.ndarray, rng: np.random.Generator
 ) -> Float[np.ndarray, "n 3"]:
     """Mean radiance of the chosen pixels over a rotated grid of rays."""
     rows, columns = np.nonzero(shared)
@@ -130,18 +203,19 @@ def _supersample(
         rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ turn.T
         hits = baked.caster.cast(camera.origin, rays)
         # Bright sky is clipped before it is averaged, as it is on a sensor: else it eats the window's bars.
-        total += np.minimum(_diffuse(baked, camera.origin, rays, hits, 1.0 / k.fx), 2.0 / baked.exposure)
+        light = _diffuse(baked, camera.origin, rays, hits, 1.0 / k.fx, EDGE_LIGHT_SAMPLES)
+        total += np.minimum(light, 2.0 / baked.exposure)
     return total / EDGE_SAMPLES
 
 
 def _mirror(
-    baked: BakedRoom, camera: Camera, rays: Float[np.ndarray, "n 3"], hits: Hits, pixel: float
+    baked: Lit, camera: Camera, rays: Float[np.ndarray, "n 3"], hits: Hits, pixel: float
 ) -> Float[np.ndarray, "h w 3"]:
     """Reflections on varnish, glaze and glass: mirror rays, smeared on the picture by distance and roughness."""
     h, w = camera.intrinsics.shape
     surface = baked.surface
     material = rows(surface.material, hits.face)
-    glossy = hits.hit & (rows(GLOSS, material) > 0)
+    glossy = hits.hit & (rows(baked.textures.gloss, material) > 0)
     nearest, direction = select(hits, glossy), rays[glossy]
     length = np.linalg.norm(direction, axis=1, keepdims=True)
     direction = direction / length
@@ -151,17 +225,18 @@ def _mirror(
     normal = np.where(cosine[:, None] > 0, -normal, normal)
     cosine = np.clip(np.abs(cosine), 0, 1)
     # Nothing here is smooth enough to become a full mirror at grazing angles.
-    fresnel = np.minimum(0.04 + 0.96 * (1 - cosine) ** 5, 0.5) * GLOSS[material[glossy]]
+    fresnel = np.minimum(0.04 + 0.96 * (1 - cosine) ** 5, 0.5) * baked.textures.gloss[material[glossy]]
     mirrored = direction + 2 * cosine[:, None] * normal
     start = point + 2e-3 * normal
     bounced = baked.caster.cast(start, mirrored)
     away = np.where(bounced.hit, np.minimum(bounced.distance, 6.0), 6.0)
     spread = pixel * (1 + nearest.distance / np.maximum(away, 0.05))
-    light = _diffuse(baked, start, mirrored, bounced, spread * 2)
-    light[~bounced.hit] = sky_radiance(mirrored[~bounced.hit].astype(np.float32))
+    light = _diffuse(baked, start, mirrored, bounced, spread * 2, 0)
+    gone = ~bounced.hit
+    light[gone] = baked.mirrored_outside(start[gone], mirrored[gone])
     light = np.minimum(light, 2.5 / baked.exposure)
     # A rough mirror smears far things and leaves those that touch it sharp.
-    smear = BLUR[material[glossy]] * np.clip(away / (away + 0.6 * nearest.distance), 0, 1)
+    smear = baked.textures.blur[material[glossy]] * np.clip(away / (away + 0.6 * nearest.distance), 0, 1)
     return _smear(glossy.reshape(h, w), light, fresnel, smear, w / 640)
 
 
@@ -220,7 +295,7 @@ def _glare(linear: Float[np.ndarray, "h w 3"], scale: float) -> Float[np.ndarray
     return glare[row[:, None], column].astype(np.float32)
 
 
-def white_level(light: Light) -> float:
+def white_level(irradiance: Float[np.ndarray, "t 3"]) -> float:
     """Exposure that brings the room's typical lit surface to middle grey; the same for every frame."""
-    typical = np.median(light.irradiance.mean(axis=1)[light.irradiance.mean(axis=1) > 1e-4])
+    typical = np.median(irradiance.mean(axis=1)[irradiance.mean(axis=1) > 1e-4])
     return float(0.36 / typical)

@@ -1,0 +1,122 @@
+"""Rooms whose true pictures under any light are known, as captures kept in the cache folder."""
+
+import functools
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from hyjax.data.builtin_room import SCAN, RoomCapture
+from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.geometry.scan import RenderedDepths, ScanConfig
+from hyjax.light.setup import LightSetup
+from hyjax.synthetic.truth import RoomLight, TruthRoom, lit_room
+from hyjax.synthetic.truth.room import VERSION
+from hyjax.util.cache import Arrays, cache_folder, cached_arrays
+
+Picture = Float[np.ndarray, "h w 3"]
+
+
+class TruthCapture(RoomCapture):
+    """Photos of a room under its own light, and what else is true of it.
+
+    Args:
+        name: of the room, see `hyjax.synthetic.truth.lit_room`.
+        arrays: of its photos.
+        folder: for what is baked.
+        quality: of the light.
+
+    Attributes:
+        exposure: e of the photos, each channel.
+        mean_light: K, over all frames: see `TruthRoom`.
+    """
+
+    def __init__(self, name: str, arrays: Arrays, folder: Path, quality: float) -> None:
+        height, width = arrays["images"].shape[1:3]
+        intrinsics = Intrinsics(width, height, *(float(x) for x in arrays["intrinsics"]))
+        mesh = trimesh.Trimesh(arrays["vertices"], arrays["faces"], process=False)
+        cameras = [Camera(intrinsics, pose) for pose in arrays["poses"]]
+        super().__init__(arrays["images"], arrays["depth"], cameras, mesh, json.loads(str(arrays["anchors"])))
+        self.name = name
+        self.exposure, self.mean_light = arrays["exposure"], arrays["mean_light"]
+        self._scan_poses, self._folder, self._quality = arrays["scan_poses"], folder, quality
+
+    def scan_input(self) -> tuple[RenderedDepths, ScanConfig]:
+        """Depth along a walk of its own: a headset covers more of a room than the pictures do, more than once."""
+        focal = 525.0 * 256 / 640
+        cameras = [Camera(Intrinsics(256, 192, focal, focal, 128.0, 96.0), pose) for pose in self._scan_poses]
+        return RenderedDepths(self._surface, cameras), SCAN
+
+    @functools.cached_property
+    def room(self) -> TruthRoom:
+        """The room itself, made when first asked for."""
+        return lit_room(self.name, self._quality)
+
+    def photo_light(self) -> RoomLight:
+        """The light that the photos were taken under."""
+        return self.room.bake(self.room.sources, self._folder)
+
+    def light(self, setup: LightSetup) -> RoomLight:
+        """The light of a set-up with all its bounces, baked once."""
+        return self.room.bake(setup.lights, self._folder)
+
+    def truth(self, setup: LightSetup, frames: Sequence[int], light: RoomLight | None = None) -> list[Picture]:
+        """What the camera would see under a set-up, for some of the frames; `light` if it differs from the set-up's.
+
+        Exposed so that light of the set-up's `reference_lux` stands for the photos' mean light: see `TruthRoom`.
+        """
+        room, light = self.room, self.light(setup) if light is None else light
+        exposure = np.asarray(np.pi / setup.reference_lux * self.mean_light * self.exposure, np.float32)
+        return [room.photograph(light, self._cameras[n], n, exposure)[0] for n in frames]
+
+
+def load_truth_room(
+    name: str = "builtin-0",
+    n_frames: int = 24,
+    width: int = 640,
+    height: int = 480,
+    cache_dir: Path | None = None,
+    quality: float = 1.0,
+) -> TruthCapture:
+    """A room by name, photographed on first use and read from the cache after that.
+
+    Args:
+        name: see `hyjax.synthetic.truth.lit_room`.
+        n_frames: photos along the walk.
+        width, height: of the photos in pixels.
+        cache_dir: where to keep it; None for `hyjax.util.cache.cache_folder()`.
+        quality: of light and textures.
+
+    Raises:
+        InputError: no such room, or a quality out of range.
+    """
+    folder = cache_folder() if cache_dir is None else Path(cache_dir)
+    file = folder / f"truth-room-v{VERSION}-{name}-{n_frames}x{width}x{height}-q{quality:g}.npz"
+
+    def make() -> dict[str, np.ndarray]:
+        return _photograph(lit_room(name, quality), folder, n_frames, width, height)
+
+    return cached_arrays(file, lambda arrays: TruthCapture(name, arrays, folder, quality), make)
+
+
+def _photograph(room: TruthRoom, folder: Path, n_frames: int, width: int, height: int) -> dict[str, np.ndarray]:
+    light = room.bake(room.sources, folder)
+    room.photo_light = light
+    cameras = room.walks.photos(n_frames, width, height)
+    frames = [room.photograph(light, camera, number) for number, camera in enumerate(cameras)]
+    k = cameras[0].intrinsics
+    return {
+        "images": np.stack([np.round(image * 255).astype(np.uint8) for image, _ in frames]),
+        "depth": np.stack([depth for _, depth in frames]),
+        "poses": np.stack([camera.pose for camera in cameras]),
+        "scan_poses": np.stack([camera.pose for camera in room.walks.scan(SCAN.frames, 256, 192)]),
+        "intrinsics": np.array([k.fx, k.fy, k.cx, k.cy]),
+        "vertices": np.asarray(room.mesh.vertices),
+        "faces": np.asarray(room.mesh.faces),
+        "anchors": np.array(json.dumps(room.anchors)),
+        "exposure": room.white,
+        "mean_light": room.mean_light(light, cameras),
+    }

@@ -1,0 +1,48 @@
+"""Rooms that can be lit by anything: photos under their own light, and true pictures of them under new lights.
+
+    room = lit_room("builtin-0")                       # or "random-5-2-both"
+    mean = room.mean_light(room.photo_light, cameras)  # K
+    photo, depth = room.photograph(room.photo_light, cameras[0], 0)
+    light = room.bake(setup.lights)
+    truth, _ = room.photograph(light, cameras[0], 0, room.exposure(mean, setup.reference_lux))
+    direct, bounce = room.irradiance(room.photo_light, mesh.vertices, mesh.vertex_normals)
+
+The light of every source is baked into light maps with six bounces, and what comes straight from bulbs and the sun
+is traced to every pixel. The camera is the built-in room's.
+"""
+
+import re
+
+from hyjax.synthetic.truth.builtin import lit_builtin_room
+from hyjax.synthetic.truth.generated import RoomName, lit_random_room
+from hyjax.synthetic.truth.room import RoomLight, TruthRoom
+from hyjax.synthetic.truth.source import Daylight, Source
+from hyjax.util.errors import InputError
+
+__all__ = [
+    "CHOOSE", "REPORT", "Daylight", "RoomLight", "RoomName", "Source", "TruthRoom", "lit_builtin_room",
+    "lit_random_room", "lit_room",
+]  # fmt: skip
+
+CHOOSE: tuple[str, ...] = ("builtin-0", "random-5-2-both")
+REPORT: tuple[str, ...] = ("builtin-3", "random-11-3-both")
+"""Rooms for choosing among methods, and rooms to report on: plans, windows and lamps differ."""
+
+
+def lit_room(name: str, quality: float = 1.0) -> TruthRoom:
+    """A room by name: `builtin-SEED`, or `random-SEED-NUMBER-BY` with BY what lights its photos.
+
+    Args:
+        name: see there; BY is `day`, `lamps` or `both`.
+        quality: of light and textures; 1 for pictures to look at.
+
+    Raises:
+        InputError: no such name, or a quality outside [0.1, 2].
+    """
+    if not 0.1 <= quality <= 2:
+        raise InputError(f"room: quality is {quality}, must lie in [0.1, 2]")
+    if match := re.fullmatch(r"builtin-(\d+)", name):
+        return lit_builtin_room(int(match[1]), quality)
+    if match := re.fullmatch(r"random-(\d+)-(\d+)-(day|lamps|both)", name):
+        return lit_random_room(RoomName(int(match[1]), int(match[2]), match[3]), quality)
+    raise InputError(f"room: no room {name!r}; name one like builtin-0 or random-5-2-both")

@@ -1,0 +1,37 @@
+"""The built-in room as one that can be lit by anything."""
+
+import numpy as np
+
+from hyjax.synthetic.room import make_room
+from hyjax.synthetic.room.materials import LEAF, Textures
+from hyjax.synthetic.room.path import camera_path
+from hyjax.synthetic.room.render import white_level
+from hyjax.synthetic.room.shell import THICK, WINDOW
+from hyjax.synthetic.truth.opening import Opening
+from hyjax.synthetic.truth.room import RoomLight, TruthRoom, Walks
+from hyjax.synthetic.truth.source import Daylight
+
+
+def lit_builtin_room(seed: int = 0, quality: float = 1.0) -> TruthRoom:
+    """The built-in room of a seed; its photos are `render_room`'s."""
+    room = make_room(seed)
+    y0, y1, z0, z1 = WINDOW
+    centre = np.array([0.0, (y0 + y1) / 2, (z0 + z1) / 2])
+    right, up = np.array([0.0, (y1 - y0) / 2, 0.0]), np.array([0.0, 0.0, (z1 - z0) / 2])
+    return TruthRoom(
+        f"builtin-{seed}",
+        room.surface,
+        Textures(seed, quality),
+        [Opening(centre, right, up, np.array([1.0, 0.0, 0.0]), THICK)],
+        (Daylight(0),),
+        room.anchors,
+        Walks(camera_path, camera_path),
+        quality,
+        seed,
+        LEAF,
+        _level,
+    )
+
+
+def _level(room: TruthRoom, light: RoomLight) -> np.ndarray:
+    return np.full(3, white_level(light.maps.soft + light.maps.hard + light.maps.bounce))

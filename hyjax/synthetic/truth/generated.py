@@ -1,0 +1,108 @@
+"""Random rooms that can be lit by anything; their photos have daylight, lamps or both."""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from hyjax.geometry.raycast import RayCaster
+from hyjax.synthetic.random_room import bank_of
+from hyjax.synthetic.random_room.fittings import THICK
+from hyjax.synthetic.random_room.layout import plan
+from hyjax.synthetic.random_room.looks import Looks
+from hyjax.synthetic.truth.lamps import add_lamps
+from hyjax.synthetic.truth.opening import Opening
+from hyjax.synthetic.truth.room import RoomLight, TruthRoom, Walks
+from hyjax.synthetic.truth.source import Daylight, Source
+from hyjax.synthetic.truth.walk import FIELD, walk
+
+MIDDLE = 0.56
+"""Display-linear value of white under the photo's mean light, as in the built-in room."""
+BALANCED = 0.75
+"""Share of the light's colour that the camera's white balance takes out."""
+SKY = (700.0, 2600.0)
+"""Luminance of the sky in windows, candela a square metre."""
+GLOSS_LIMIT = 0.9
+
+
+class RoomName(NamedTuple):
+    """A random room: its seed, its number, and what lights its photos (`day`, `lamps` or `both`)."""
+
+    seed: int
+    number: int
+    by: str
+
+
+class LookPaints:
+    """Looks as the built-in room's renderer takes materials, with one more for the leaves outside.
+
+    Attributes:
+        gloss, blur: of the mirror image of each look.
+        mean: mean albedo of each.
+        leaf: the look of leaves.
+    """
+
+    def __init__(self, looks: Looks, rng: np.random.Generator) -> None:
+        self.leaf = looks.draw(rng, "leaf", 0.5)
+        every = np.arange(self.leaf + 1)
+        gloss, shine = looks.gloss(every)
+        self.gloss = np.minimum(gloss, GLOSS_LIMIT).astype(np.float32)
+        self.blur = np.clip(8.5 - 2.8 * np.log10(np.maximum(shine, 1)), 1, 7).astype(np.float32)
+        self.mean = looks.mean(every)
+        self._looks = looks
+
+    def __call__(
+        self, material: Int[np.ndarray, "n"], uv: Float[np.ndarray, "n 2"], footprint: Float[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Linear albedo at `uv` (metres), filtered to `footprint` (metres a pixel)."""
+        if not len(material):
+            return np.zeros((0, 3), np.float32)
+        return self._looks.albedo(material, uv.astype(np.float32), footprint.astype(np.float32)).astype(np.float32)
+
+
+def lit_random_room(room: RoomName, quality: float = 1.0) -> TruthRoom:
+    """Random room `number` of a seed. The first room of a seed in a process draws its patterns, too."""
+    key = (room.seed, room.number)
+    build, size, windows = plan(np.random.default_rng(key), bank_of(room.seed))
+    rng = np.random.default_rng((*key, 8))
+    lights, anchors = [], {}
+    if room.by != "day":
+        caster = RayCaster(build.finish().mesh)
+        lights, anchors = add_lamps(build, caster, size, int(rng.integers(1, 4)), rng)
+    surface = build.finish()
+    openings = [
+        Opening(np.asarray(w.centre, float), np.asarray(w.right, float), np.asarray(w.up, float),
+                np.asarray(w.normal, float), THICK)
+        for w in windows
+    ]  # fmt: skip
+    sources: list[Source] = list(lights)
+    if room.by != "lamps":
+        for k in range(len(openings)):
+            warm = rng.uniform(-0.08, 0.12)
+            level = rng.uniform(*SKY) * (0.5 if room.by == "both" else 1.0)
+            sources.append(Daylight(k, (level * (1 - warm), level, level * (1 + warm))))
+    anchors |= {f"window_{k}": opening.anchor() for k, opening in enumerate(openings)}
+    anchors["bounds"] = {"low": [0.0, 0.0, 0.0], "high": [float(x) for x in size]}
+    paints = LookPaints(build.looks, rng)
+    caster = RayCaster(surface.mesh)
+    photos, scan = (functools.partial(walk, caster, size, (*key, k), f) for k, f in ((0, FIELD), (1, 62.7)))
+    return TruthRoom(
+        f"random-{room.seed}-{room.number}-{room.by}",
+        surface,
+        paints,
+        openings,
+        tuple(sources),
+        anchors,
+        Walks(photos, scan),
+        quality,
+        room.seed * 1000 + room.number,
+        paints.leaf,
+        _level,
+    )
+
+
+def _level(room: TruthRoom, light: RoomLight) -> Float[np.ndarray, "3"]:
+    """The mean light in middle brightness, most of its colour balanced."""
+    mean = room.mean_light(light, room.walks.photos(12, 160, 120))
+    return MIDDLE / (mean.mean() ** (1 - BALANCED) * mean**BALANCED)

@@ -1,0 +1,144 @@
+"""A room under any light, as the built-in room's camera sees it."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.geometry.raycast import Hits, RayCaster
+from hyjax.light.kinds import Light
+from hyjax.light.kinds.emitter import Emitter
+from hyjax.synthetic.room.lightmap import Texels, at_hits
+from hyjax.synthetic.room.render import Lit, Paints, garden
+from hyjax.synthetic.surface import Surface, rows
+from hyjax.synthetic.truth.opening import Opening, Radiance, leaving
+from hyjax.synthetic.truth.source import OFFSET, direct
+from hyjax.synthetic.truth.transport import Maps
+from hyjax.util.vectors import unit
+
+PANEL_DEPTH = 0.03
+"""A panel light shines from surfaces up to this far behind its rectangle, metres."""
+BULB = 0.04
+"""Least radius of what is taken for a bulb around a point light that has a size, metres."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LitPicture(Lit):
+    """A room under baked light, with hard light traced to every pixel.
+
+    Attributes:
+        texels, maps: the light maps.
+        hard, soft: lights whose shadows are traced, and rectangles.
+        openings: windows.
+        panes: of each window, what the view's texture is multiplied by.
+        sky: radiance through the windows in mirror images.
+        leaf: material of the leaves outside.
+        turn: where the samples' shifts are drawn from.
+    """
+
+    texels: Texels
+    maps: Maps
+    hard: list[Light]
+    soft: list[Light]
+    openings: list[Opening]
+    panes: Float[np.ndarray, "w 3"]
+    sky: Radiance
+    leaf: int
+    turn: np.random.Generator
+
+    def irradiance(
+        self, origin: np.ndarray, rays: np.ndarray, nearest: Hits, st: np.ndarray, samples: int
+    ) -> Float[np.ndarray, "n 3"]:
+        chart = rows(self.surface.chart, nearest.face)
+        smooth = self.maps.soft + self.maps.bounce
+        if not samples or not self.hard:
+            return self.texels.lookup(smooth + self.maps.hard, chart, st)
+        light = self.texels.lookup(smooth, chart, st)
+        position, normal, start = smooth_places(self.surface, self.caster, nearest)
+        for source in self.hard:
+            shift = self.turn.random((len(position), 2))
+            light += direct(source, self.caster, position, normal, samples, shift, start)
+        return light
+
+    def emitted(self, origin: np.ndarray, rays: np.ndarray, nearest: Hits) -> Float[np.ndarray, "n 3"] | None:
+        lamps = [(light, emitter) for light in (*self.hard, *self.soft) if (emitter := light.emitter()) is not None]
+        lamps = [(a, b) for a, b in lamps if b.kind in ("rect", "point") and (b.kind == "rect" or b.extent > 0)]
+        if not lamps:
+            return None
+        position = origin + rays * nearest.distance[:, None]
+        normal = rows(self.surface.mesh.face_normals, nearest.face)
+        total = np.zeros((len(rays), 3), np.float32)
+        for light, emitter in lamps:
+            shining = _on_panel if emitter.kind == "rect" else _on_bulb
+            where, radiance = shining(emitter, position, normal)
+            total[where] += np.asarray(light.color, np.float32) * np.float32(radiance)
+        return total
+
+    def outside(self, origin: np.ndarray, rays: np.ndarray) -> Float[np.ndarray, "n 3"]:
+        direction = unit(rays)
+        radiance = np.zeros((len(rays), 3), np.float32)
+        through = leaving(self.openings, origin, direction)
+        for k, opening in enumerate(self.openings):
+            mine = through == k
+            if mine.any():
+                radiance[mine] = garden(self.textures, opening.to_sky(direction[mine]), self.leaf) * self.panes[k]
+        return radiance
+
+    def mirrored_outside(self, origin: np.ndarray, rays: np.ndarray) -> Float[np.ndarray, "n 3"]:
+        direction = unit(rays).astype(np.float32)
+        radiance = np.zeros((len(rays), 3), np.float32)
+        through = leaving(self.openings, origin, direction)
+        for k in range(len(self.openings)):
+            mine = through == k
+            radiance[mine] = self.sky(k, direction[mine])
+        return radiance
+
+
+def mean_garden(textures: Paints, leaf: int) -> Float[np.ndarray, "3"]:
+    """Mean of the view's texture over what a room sees of it."""
+    azimuth, height = np.meshgrid(np.linspace(-1.0, 1.0, 64), np.linspace(-0.45, 0.45, 48))
+    rays = np.stack([-np.cos(azimuth), np.sin(azimuth), height], axis=-1).reshape(-1, 3)
+    return garden(textures, rays, leaf).mean(axis=0)
+
+
+def smooth_places(
+    surface: Surface, caster: RayCaster, hits: Hits
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Positions and smooth normals at hits, and where shadow rays start from there.
+
+    Those start on the round surface that the triangles stand for, so that these throw no shadow on themselves
+    (Hanika, "Hacking the shadow terminator", Ray Tracing Gems II, 2021).
+    """
+    corners = np.asarray(surface.mesh.vertices)[np.asarray(surface.mesh.faces)[hits.face]]
+    around = np.asarray(surface.mesh.vertex_normals)[np.asarray(surface.mesh.faces)[hits.face]]
+    position = np.einsum("nk,nkd->nd", hits.barycentric, corners)
+    normal = caster.interpolated_normals(hits)
+    below = np.minimum(np.einsum("nkd,nkd->nk", position[:, None] - corners, around), 0)
+    lift = np.einsum("nk,nk,nkd->nd", hits.barycentric, below, around)
+    return position, normal, position - lift + OFFSET * normal
+
+
+def texel_light(texels: Texels, values: Float[np.ndarray, "t 3"], surface: Surface, hits: Hits) -> np.ndarray:
+    """A light map at hits, all of which must have hit."""
+    return texels.lookup(values, rows(surface.chart, hits.face), at_hits(surface.st, hits))
+
+
+def _on_panel(emitter: Emitter, position: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, float]:
+    """Places on the panel behind a rectangle light, and its radiance."""
+    right, up = np.asarray(emitter.right), np.asarray(emitter.up)
+    across = np.cross(right, up)
+    axis = unit(across)
+    at = position - emitter.position
+    where = (np.abs(at @ axis + PANEL_DEPTH / 2) < PANEL_DEPTH / 2 + 2e-3) & (normal @ axis > 0.95)
+    for side in (right, up):
+        where &= np.abs(at @ side) <= side @ side
+    return where, emitter.strength / (4 * float(np.linalg.norm(across)) * np.pi)
+
+
+def _on_bulb(emitter: Emitter, position: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, float]:
+    """Places on the bulb around a point light, and its radiance."""
+    radius = max(emitter.extent, BULB)
+    out = position - emitter.position
+    distance = np.linalg.norm(out, axis=1)
+    where = (distance < 1.1 * radius) & (np.einsum("nk,nk->n", out, normal) > 0.7 * distance)
+    return where, emitter.strength / (4 * np.pi * np.pi * radius**2)

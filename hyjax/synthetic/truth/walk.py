@@ -1,0 +1,72 @@
+"""Walks through random rooms: positions around the room at the height of eyes, looking across it."""
+
+import numpy as np
+
+from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.geometry.raycast import RayCaster
+
+NEAREST = 0.35
+"""Metres that nothing in a picture may come nearer than."""
+TRIES = 30
+PROBE = 20
+"""Rays along a side of the picture that test a view."""
+HEIGHTS = (1.3, 1.6)
+FIELD = 66.0
+"""Degrees across a photo."""
+
+
+def walk(
+    caster: RayCaster, size: np.ndarray, seed: tuple[int, ...], field: float, n_frames: int, width: int, height: int
+) -> list[Camera]:
+    """`n_frames` poses once round a room of inner `size`, `field` degrees wide; they see across it.
+
+    Args:
+        caster: the room's rays.
+        size: width, depth and height in metres, one corner at the origin.
+        seed: of positions and aims.
+        field: degrees across a picture.
+        n_frames, width, height: of the pictures.
+    """
+    focal = width / 2 / np.tan(np.radians(field) / 2)
+    intrinsics = Intrinsics(width, height, focal, focal, width / 2, height / 2)
+    rng = np.random.default_rng((*seed, 4))
+    cameras = []
+    for k in range(n_frames):
+        best, best_score = None, -np.inf
+        for _ in range(TRIES):
+            camera = Camera(intrinsics, _pose(size, 2 * np.pi * (k + rng.uniform(-0.4, 0.4)) / n_frames, rng))
+            score = _score(caster, camera)
+            if score > best_score:
+                best, best_score = camera, score
+        assert best is not None
+        cameras.append(best)
+    return cameras
+
+
+def _pose(size: np.ndarray, angle: float, rng: np.random.Generator) -> np.ndarray:
+    """Somewhere between the room's middle and its walls in the direction `angle`, looking to the other side."""
+    way = np.array([np.cos(angle), np.sin(angle)])
+    reach = (size[:2] / 2 - 0.25) / np.maximum(np.abs(way), 1e-6)
+    out = way * min(reach) * rng.uniform(0.3, 1.0)
+    eye = np.append(size[:2] / 2 + out, rng.uniform(*HEIGHTS))
+    aside = np.array([-way[1], way[0]]) * rng.uniform(-0.5, 0.5) * size[:2]
+    target = np.append(size[:2] / 2 - 0.7 * out + aside, rng.uniform(0.5, 1.1))
+    if np.linalg.norm((target - eye)[:2]) < 0.5:
+        target[:2] = eye[:2] - 0.6 * way
+    return look_at(eye, target, np.array([*rng.normal(0, 0.012, 2), 1.0]))
+
+
+def _score(caster: RayCaster, camera: Camera) -> float:
+    """High for a view that is far, varied and from no solid's inside."""
+    rays = Camera(camera.intrinsics.resize(PROBE, PROBE), camera.pose).rays().reshape(-1, 3)
+    hits = caster.cast(camera.origin, rays)
+    seen = hits.hit
+    if seen.mean() < 0.75:
+        return -10.0
+    depth = hits.distance[seen]
+    normal = np.asarray(caster.mesh.face_normals)[hits.face[seen]]
+    if depth.min() < NEAREST or (np.einsum("nk,nk->n", normal, rays[seen]) > 0).mean() > 0.01:
+        return -5.0 + min(depth.min(), NEAREST)
+    grid = np.where(seen, hits.distance, 6.0).reshape(PROBE, PROBE)
+    jumps = (np.abs(np.diff(np.log(grid), axis=1)) > 0.12).mean()
+    return float(np.median(depth) + 0.5 * depth.min() + 2.0 * min(jumps, 0.25))
