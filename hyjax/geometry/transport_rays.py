@@ -103,7 +103,10 @@ def trace(
     mesh = caster.mesh
     centres, inward = box.patches()
     position = np.concatenate([mesh.vertices, centres])
-    normal = np.concatenate([mesh.vertex_normals, inward])
+    # A vertex that no triangle uses, or whose triangles cancel out, has no normal: any does.
+    own = np.asarray(mesh.vertex_normals)
+    usable = np.isfinite(own).all(axis=1) & (np.linalg.norm(own, axis=1) > 0.5)
+    normal = np.concatenate([np.where(usable[:, None], own, [0.0, 0.0, 1.0]), inward])
     lobe = cosine_directions(rays)
     rng = np.random.default_rng(seed)
     turns = rng.uniform(0, 2 * np.pi, len(position))

@@ -6,7 +6,9 @@ Light that comes from what was scanned is T c, whatever the albedo; unknown is w
 
 Two places on one plane likely have one albedo, so log c should differ as log E does (Retinex; Land & McCann 1971):
 
-    minimise Σ |Δ log c − Δ log E| + max(0, log c / (0.9 E))² + smoothness of θ.
+    minimise Σ |Δ log c − Δ log E| + max(0, log c / (0.9 E))² + (log q₉₅(c / E) − log 0.85)² + smoothness of θ,
+
+where q₉₅ is a quantile of the albedo: nearly every room has something white, which tells how bright the light is.
 """
 
 import dataclasses
@@ -18,6 +20,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 HIGHEST_ALBEDO = 0.9
+WHITE, WHITE_QUANTILE, WHITENESS = 0.85, 0.95, 0.1
+"""Albedo of the whitest surfaces, the quantile that they are, and the weight of this expectation."""
 SMOOTH_L1 = 0.02
 """Below this difference of logarithms the loss is a parabola."""
 SMOOTHNESS = 1e-3
@@ -63,10 +67,13 @@ def loss(log_theta: Float[Array, "k 3"], problem: FitProblem) -> Float[Array, ""
     log_radiance = jnp.log(problem.radiance)
     residual = _difference(log_radiance - log_light, problem.pairs)
     excess = jnp.maximum(log_radiance - np.log(HIGHEST_ALBEDO) - log_light, 0.0)
+    albedo = jnp.where(problem.seen[:, None], log_radiance - log_light, jnp.nan)
+    white = jnp.nanquantile(albedo, WHITE_QUANTILE, axis=0)
     rough = _difference(log_theta, problem.neighbours)
     return (
         jnp.mean(jnp.sqrt(residual**2 + SMOOTH_L1**2))
         + jnp.mean(jnp.where(problem.seen[:, None], excess, 0.0) ** 2)
+        + WHITENESS * jnp.mean((white - np.log(WHITE)) ** 2)
         + SMOOTHNESS * jnp.mean(rough**2)
         + SIZE * jnp.mean(log_theta**2)
     )
