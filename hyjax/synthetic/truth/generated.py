@@ -66,10 +66,10 @@ def lit_random_room(room: RoomName, quality: float = 1.0) -> TruthRoom:
     key = (room.seed, room.number)
     build, size, windows = plan(np.random.default_rng(key), bank_of(room.seed))
     rng = np.random.default_rng((*key, 8))
-    lights, anchors = [], {}
+    lights, anchors, bulbs = [], {}, []
     if room.by != "day":
         caster = RayCaster(build.finish().mesh)
-        lights, anchors = add_lamps(build, caster, size, int(rng.integers(1, 4)), rng)
+        lights, anchors, bulbs = add_lamps(build, caster, size, int(rng.integers(1, 4)), rng)
     surface = build.finish()
     openings = [
         Opening(np.asarray(w.centre, float), np.asarray(w.right, float), np.asarray(w.up, float),
@@ -92,6 +92,7 @@ def lit_random_room(room: RoomName, quality: float = 1.0) -> TruthRoom:
         surface,
         paints,
         openings,
+        bulbs,
         tuple(sources),
         anchors,
         Walks(photos, scan),

@@ -22,13 +22,13 @@ from hyjax.synthetic.room import render
 from hyjax.synthetic.room.render import Paints
 from hyjax.synthetic.surface import Surface, rows
 from hyjax.synthetic.truth.opening import Opening
-from hyjax.synthetic.truth.picture import LitPicture, mean_garden, smooth_places, texel_light
+from hyjax.synthetic.truth.picture import Bulb, LitPicture, mean_garden, smooth_places, texel_light
 from hyjax.synthetic.truth.source import Daylight, Source, direct, hard_lights, soft_lights
 from hyjax.synthetic.truth.transport import Maps, Transport
 from hyjax.util.cache import cached_arrays
 from hyjax.util.vectors import unit
 
-VERSION = 1
+VERSION = 2
 """Of the light in rooms that can be lit. Add one whenever it comes out differently."""
 FILLS = 0.06
 """Metres from a window's plane within which a rectangle light fills the window."""
@@ -65,6 +65,7 @@ class TruthRoom:
         surface: triangles, materials and charts.
         textures: of the materials; `mean` is the mean albedo of each.
         openings: its windows.
+        bulbs: its lamps that are balls.
         sources: that lit its photos.
         anchors: its windows and lamps, as a capture has them.
         walks: camera paths.
@@ -80,6 +81,7 @@ class TruthRoom:
         surface: Surface,
         textures: Paints,
         openings: list[Opening],
+        bulbs: list[Bulb],
         sources: tuple[Source, ...],
         anchors: dict[str, dict[str, object]],
         walks: Walks,
@@ -88,7 +90,7 @@ class TruthRoom:
         leaf: int,
         level: "Callable[[TruthRoom, RoomLight], Float[np.ndarray, '3']]",
     ) -> None:
-        self.name, self.surface, self.textures, self.openings = name, surface, textures, openings
+        self.name, self.surface, self.textures, self.openings, self.bulbs = name, surface, textures, openings, bulbs
         self.sources, self.anchors, self.walks = sources, anchors, walks
         self.quality, self.seed = quality, seed
         self.caster = RayCaster(surface.mesh)
@@ -231,6 +233,7 @@ class TruthRoom:
             hard_lights(light.sources),
             soft_lights(light.sources),
             self.openings,
+            self.bulbs,
             self._panes(light.sources),
             functools.partial(self._radiance, light.sources, panels=True),
             self._leaf,
