@@ -13,7 +13,7 @@ from hyjax.geometry.raycast import Hits, RayCaster
 from hyjax.synthetic.room.daylight import sky_radiance, view
 from hyjax.synthetic.room.light import Light
 from hyjax.synthetic.room.lightmap import at_hits
-from hyjax.synthetic.room.materials import LEAF, Textures
+from hyjax.synthetic.room.materials import LEAF
 from hyjax.synthetic.surface import Surface, rows
 from hyjax.synthetic.tone_curve import encode, tone
 
@@ -76,7 +76,9 @@ class Lit:
         """Radiance of lit lamps where rays ended; None if there are none."""
         return None
 
-    def outside(self, origin: Float[np.ndarray, "*n 3"], rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    def outside(
+        self, origin: Float[np.ndarray, "*n 3"], rays: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
         """Radiance of what rays see that leave the room."""
         raise NotImplementedError
 

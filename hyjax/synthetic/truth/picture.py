@@ -81,13 +81,18 @@ class LitPicture(Lit):
             if bulb is None:
                 where, radiance = _on_panel(emitter, position, normal)
             else:
-                where, radiance = _on_bulb(bulb, position, normal), emitter.strength / (2 * np.pi * bulb.radius) ** 2
+                where, radiance = (
+                    _on_bulb(bulb, position, normal),
+                    emitter.strength / (2 * np.pi * bulb.radius) ** 2,
+                )
             total[where] += np.asarray(light.color, np.float32) * np.float32(radiance)
         return total
 
     def _lit_bulbs(self) -> list[tuple[Light, Bulb | None]]:
         """Point lights with the bulbs that they are in."""
-        points = [(light, e.position) for light in self.hard if (e := light.emitter()) is not None and e.kind == "point"]
+        points = [
+            (light, e.position) for light in self.hard if (e := light.emitter()) is not None and e.kind == "point"
+        ]
         return [
             (light, bulb)
             for light, position in points

@@ -140,14 +140,9 @@ class TruthRoom:
         """The photos' exposure e of each channel."""
         return np.asarray(self._level(self, self.photo_light), np.float32)
 
-    def exposure(
-        self, mean_light: Float[np.ndarray, "3"], reference_lux: float
-    ) -> Float[np.ndarray, "3"]:
-        """Exposure of the truth under lights whose set-up has a `reference_lux`, by K of the photos: see the class.
-
-        For `photograph`, which takes irradiance / π: hence a factor π.
-        """
-        return np.asarray(np.pi / reference_lux * np.asarray(mean_light) * self.white, np.float32)
+    def exposure(self, mean_light: Float[np.ndarray, "3"], reference_lux: float) -> Float[np.ndarray, "3"]:
+        """`truth_exposure` with the photos' own exposure."""
+        return truth_exposure(self.white, mean_light, reference_lux)
 
     def mean_light(self, light: RoomLight, cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
         """K: geometric mean, channel by channel, of irradiance / π over the surface that cameras see."""
@@ -281,6 +276,19 @@ class TruthRoom:
                     panes[k] += np.asarray(source.color) / own.get(k, 1.0) / self.white
             panes[k] += self._filling(sources, k) / mean_garden(self.textures, self._leaf)
         return panes
+
+
+def truth_exposure(
+    white: Float[np.ndarray, "3"], mean_light: Float[np.ndarray, "3"], reference_lux: float
+) -> Float[np.ndarray, "3"]:
+    """Exposure of the truth under new lights, for `TruthRoom.photograph`; see `TruthRoom` for what it stands for.
+
+    Args:
+        white: exposure e of the photos.
+        mean_light: K of the photos, in irradiance / π.
+        reference_lux: R of the set-up. Pictures are made of irradiance / π: hence a factor π.
+    """
+    return np.asarray(np.pi / reference_lux * np.asarray(mean_light) * white, np.float32)
 
 
 def _is_sky(source: Source) -> bool:

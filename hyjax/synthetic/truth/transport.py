@@ -83,7 +83,7 @@ class Transport:
             parts = list(pool.map(self._gather, self._chunks))
         self._hit_texels = [part[0] for part in parts]
         self._distance = np.concatenate([part[1] for part in parts])
-        self.valid: Bool[np.ndarray, "t"] = np.concatenate([part[2] for part in parts])
+        self.valid: Bool[np.ndarray, t] = np.concatenate([part[2] for part in parts])
         self._escaped = [part[3] for part in parts]
         self._albedo = np.where(self.valid[:, None], albedo[self.texels.chart], 0.0).astype(np.float32)
 
