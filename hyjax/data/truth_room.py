@@ -66,7 +66,8 @@ class TruthCapture(RoomCapture):
     def truth(self, setup: LightSetup, frames: Sequence[int], light: RoomLight | None = None) -> list[Picture]:
         """What the camera would see under a set-up, for some of the frames.
 
-        `light` is taken in the place of the set-up's own. Exposed so that light of the set-up's `reference_lux` stands for the photos' mean light: see `TruthRoom`.
+        Exposed so that light of the set-up's `reference_lux` stands for the photos' mean light: see `TruthRoom`.
+        `light` is taken in the place of the set-up's own.
         """
         room, light = self.room, self.light(setup) if light is None else light
         exposure = truth_exposure(self.exposure, self.mean_light, setup.reference_lux)

@@ -33,8 +33,9 @@ LIGHT_SAMPLES, EDGE_LIGHT_SAMPLES = 16, 2
 
 
 class Paints(Protocol):
-    """Albedo of materials, and how they mirror: strength and blur of each, see `Material`."""
+    """Albedo of materials, and of each its mean and how it mirrors: strength and blur, see `Material`."""
 
+    mean: Float[np.ndarray, "m 3"]
     gloss: Float[np.ndarray, "m"]
     blur: Float[np.ndarray, "m"]
 
