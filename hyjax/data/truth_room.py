@@ -14,7 +14,7 @@ from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.scan import RenderedDepths, ScanConfig
 from hyjax.light.setup import LightSetup
 from hyjax.synthetic.truth import RoomLight, TruthRoom, lit_room
-from hyjax.synthetic.truth.room import VERSION
+from hyjax.synthetic.truth.room import VERSION, truth_exposure
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 
 Picture = Float[np.ndarray, "h w 3"]
@@ -64,12 +64,13 @@ class TruthCapture(RoomCapture):
         return self.room.bake(setup.lights, self._folder)
 
     def truth(self, setup: LightSetup, frames: Sequence[int], light: RoomLight | None = None) -> list[Picture]:
-        """What the camera would see under a set-up, for some of the frames; `light` if it differs from the set-up's.
+        """What the camera would see under a set-up, for some of the frames.
 
         Exposed so that light of the set-up's `reference_lux` stands for the photos' mean light: see `TruthRoom`.
+        `light` is taken in the place of the set-up's own.
         """
         room, light = self.room, self.light(setup) if light is None else light
-        exposure = np.asarray(np.pi / setup.reference_lux * self.mean_light * self.exposure, np.float32)
+        exposure = truth_exposure(self.exposure, self.mean_light, setup.reference_lux)
         return [room.photograph(light, self._cameras[n], n, exposure)[0] for n in frames]
 
 

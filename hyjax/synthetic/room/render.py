@@ -13,7 +13,7 @@ from hyjax.geometry.raycast import Hits, RayCaster
 from hyjax.synthetic.room.daylight import sky_radiance, view
 from hyjax.synthetic.room.light import Light
 from hyjax.synthetic.room.lightmap import at_hits
-from hyjax.synthetic.room.materials import LEAF, Textures
+from hyjax.synthetic.room.materials import LEAF
 from hyjax.synthetic.surface import Surface, rows
 from hyjax.synthetic.tone_curve import encode, tone
 
@@ -33,8 +33,9 @@ LIGHT_SAMPLES, EDGE_LIGHT_SAMPLES = 16, 2
 
 
 class Paints(Protocol):
-    """Albedo of materials, and how they mirror: strength and blur of each, see `Material`."""
+    """Albedo of materials, and of each its mean and how it mirrors: strength and blur, see `Material`."""
 
+    mean: Float[np.ndarray, "m 3"]
     gloss: Float[np.ndarray, "m"]
     blur: Float[np.ndarray, "m"]
 
@@ -76,7 +77,9 @@ class Lit:
         """Radiance of lit lamps where rays ended; None if there are none."""
         return None
 
-    def outside(self, origin: Float[np.ndarray, "*n 3"], rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    def outside(
+        self, origin: Float[np.ndarray, "*n 3"], rays: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
         """Radiance of what rays see that leave the room."""
         raise NotImplementedError
 

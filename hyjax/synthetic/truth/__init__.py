@@ -24,8 +24,8 @@ __all__ = [
     "lit_random_room", "lit_room",
 ]  # fmt: skip
 
-CHOOSE: tuple[str, ...] = ("builtin-0", "random-5-2-both")
-REPORT: tuple[str, ...] = ("builtin-3", "random-11-3-both")
+CHOOSE: tuple[str, ...] = ("builtin-0", "random-5-6-day", "random-11-0-both", "random-23-6-lamps")
+REPORT: tuple[str, ...] = ("builtin-3", "random-5-7-day", "random-5-2-both", "random-23-1-lamps")
 """Rooms for choosing among methods, and rooms to report on: plans, windows and lamps differ."""
 
 

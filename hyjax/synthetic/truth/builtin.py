@@ -8,8 +8,12 @@ from hyjax.synthetic.room.path import camera_path
 from hyjax.synthetic.room.render import white_level
 from hyjax.synthetic.room.shell import THICK, WINDOW
 from hyjax.synthetic.truth.opening import Opening
+from hyjax.synthetic.truth.picture import Bulb
 from hyjax.synthetic.truth.room import RoomLight, TruthRoom, Walks
 from hyjax.synthetic.truth.source import Daylight
+
+BULB = 0.036
+"""Radius of the lamps' bulbs in metres."""
 
 
 def lit_builtin_room(seed: int = 0, quality: float = 1.0) -> TruthRoom:
@@ -23,6 +27,7 @@ def lit_builtin_room(seed: int = 0, quality: float = 1.0) -> TruthRoom:
         room.surface,
         Textures(seed, quality),
         [Opening(centre, right, up, np.array([1.0, 0.0, 0.0]), THICK)],
+        [Bulb(np.array(room.anchors[lamp]["position"]), BULB) for lamp in ("lamp_0", "lamp_1")],
         (Daylight(0),),
         room.anchors,
         Walks(camera_path, camera_path),

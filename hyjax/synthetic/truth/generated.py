@@ -7,12 +7,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hyjax.geometry.raycast import RayCaster
+from hyjax.light.kinds import Light
 from hyjax.synthetic.random_room import bank_of
 from hyjax.synthetic.random_room.fittings import THICK
 from hyjax.synthetic.random_room.layout import plan
 from hyjax.synthetic.random_room.looks import Looks
 from hyjax.synthetic.truth.lamps import add_lamps
 from hyjax.synthetic.truth.opening import Opening
+from hyjax.synthetic.truth.picture import Bulb
 from hyjax.synthetic.truth.room import RoomLight, TruthRoom, Walks
 from hyjax.synthetic.truth.source import Daylight, Source
 from hyjax.synthetic.truth.walk import FIELD, walk
@@ -66,10 +68,12 @@ def lit_random_room(room: RoomName, quality: float = 1.0) -> TruthRoom:
     key = (room.seed, room.number)
     build, size, windows = plan(np.random.default_rng(key), bank_of(room.seed))
     rng = np.random.default_rng((*key, 8))
-    lights, anchors = [], {}
+    lights: list[Light] = []
+    anchors: dict[str, dict[str, object]] = {}
+    bulbs: list[Bulb] = []
     if room.by != "day":
         caster = RayCaster(build.finish().mesh)
-        lights, anchors = add_lamps(build, caster, size, int(rng.integers(1, 4)), rng)
+        lights, anchors, bulbs = add_lamps(build, caster, size, int(rng.integers(1, 4)), rng)
     surface = build.finish()
     openings = [
         Opening(np.asarray(w.centre, float), np.asarray(w.right, float), np.asarray(w.up, float),
@@ -92,6 +96,7 @@ def lit_random_room(room: RoomName, quality: float = 1.0) -> TruthRoom:
         surface,
         paints,
         openings,
+        bulbs,
         tuple(sources),
         anchors,
         Walks(photos, scan),

@@ -6,8 +6,8 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import blackbody
 from hyjax.light.kinds import Light, PointLight, RectLight
 from hyjax.synthetic.random_room.builder import RoomBuilder
-from hyjax.synthetic.room import materials as m
 from hyjax.synthetic.shapes import box, revolve, tube
+from hyjax.synthetic.truth.picture import Bulb
 
 FREE = 0.3
 """Metres of free space that a lamp wants about it."""
@@ -18,8 +18,8 @@ LUMENS_PER_AREA = (90.0, 170.0)
 
 def add_lamps(
     build: RoomBuilder, caster: RayCaster, size: np.ndarray, count: int, rng: np.random.Generator
-) -> tuple[list[Light], dict[str, dict[str, object]]]:
-    """Put lamps of random kinds into a room. Returns their light, and their places as anchors.
+) -> tuple[list[Light], dict[str, dict[str, object]], list[Bulb]]:
+    """Put lamps of random kinds into a room. Returns their light, their places as anchors, and the round ones.
 
     Args:
         build: what they are added to.
@@ -30,6 +30,7 @@ def add_lamps(
     """
     lights: list[Light] = []
     anchors: dict[str, dict[str, object]] = {}
+    bulbs: list[Bulb] = []
     shares = rng.uniform(0.6, 1.4, count)
     total = rng.uniform(*LUMENS_PER_AREA) * size[0] * size[1]
     taken: list[np.ndarray] = []
@@ -43,11 +44,13 @@ def add_lamps(
                 if kind == "panel":
                     lights.append(_panel(build, place, size[2], share, color, rng))
                 else:
-                    lights.append(_globe(build, kind, place, size[2], share, color, rng))
+                    globe = _globe(build, kind, place, size[2], share, color, rng)
+                    lights.append(globe)
+                    bulbs.append(Bulb(place, float(globe.radius)))
                 position = place - (0, 0, 0.15) if kind == "panel" else place
                 anchors[f"lamp_{len(anchors)}"] = {"position": [float(x) for x in position]}
                 break
-    return lights, anchors
+    return lights, anchors, bulbs
 
 
 def _place(kind: str, size: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -88,8 +91,9 @@ def _panel(
 ) -> RectLight:
     x, y = rng.uniform(0.2, 0.6), rng.uniform(0.12, 0.35)
     x, y = (x, y) if rng.random() < 0.5 else (y, x)
-    with build.dressed(), build.placed(place[0], place[1]):
-        box(build, (-x - 0.01, -y - 0.01, high - 0.03), (x + 0.01, y + 0.01, high + 0.002), m.CERAMIC)
+    with build.placed(place[0], place[1]):
+        low, top = (-x - 0.01, -y - 0.01, high - 0.03), (x + 0.01, y + 0.01, high + 0.002)
+        box(build, low, top, build.draw("ceiling"))
     centre = np.array([place[0], place[1], high - 0.032], np.float32)
     return RectLight(
         centre, np.array([x, 0, 0], np.float32), np.array([0, -y, 0], np.float32), np.float32(flux), color
@@ -108,13 +112,14 @@ def _globe(
     radius = rng.uniform(0.06, 0.12)
     angle = np.linspace(-np.pi / 2, np.pi / 2, 17)
     ball = [(radius * np.cos(a), place[2] + radius * np.sin(a)) for a in angle]
-    with build.dressed(), build.placed(place[0], place[1]):
-        revolve(build, ball, m.CERAMIC, (0.86, 0.85, 0.83), 32)
+    with build.placed(place[0], place[1]):
+        revolve(build, ball, build.draw("ceiling"), sides=32)
+        metal = build.draw("metal")
         if kind == "hanging":
-            tube(build, [(0, 0, place[2] + radius), (0, 0, high)], 0.004, m.LACQUER, (0.1, 0.1, 0.1), 6)
+            tube(build, [(0, 0, place[2] + radius), (0, 0, high)], 0.004, metal, sides=6)
         else:
-            tube(build, [(0, 0, 0.02), (0, 0, place[2] - radius)], 0.011, m.LACQUER, (0.2, 0.2, 0.2), 10)
-            revolve(build, [(0, 0), (0.14, 0), (0.14, 0.016), (0, 0.02)], m.LACQUER, (0.2, 0.2, 0.2), 32)
+            tube(build, [(0, 0, 0.02), (0, 0, place[2] - radius)], 0.011, metal, sides=10)
+            revolve(build, [(0, 0), (0.14, 0), (0.14, 0.016), (0, 0.02)], metal, sides=32)
     return PointLight(
         place.astype(np.float32), np.float32(flux), color, np.float32(radius), np.float32(radius + 0.03)
     )

@@ -18,8 +18,14 @@ from hyjax.util.vectors import unit
 
 PANEL_DEPTH = 0.03
 """A panel light shines from surfaces up to this far behind its rectangle, metres."""
-BULB = 0.04
-"""Least radius of what is taken for a bulb around a point light that has a size, metres."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Bulb:
+    """A lamp's ball of glass, which shines when a point light is lit inside it."""
+
+    centre: Float[np.ndarray, "3"]
+    radius: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,6 +36,7 @@ class LitPicture(Lit):
         texels, maps: the light maps.
         hard, soft: lights whose shadows are traced, and rectangles.
         openings: windows.
+        bulbs: lamps that shine if they are lit.
         panes: of each window, what the view's texture is multiplied by.
         sky: radiance through the windows in mirror images.
         leaf: material of the leaves outside.
@@ -41,6 +48,7 @@ class LitPicture(Lit):
     hard: list[Light]
     soft: list[Light]
     openings: list[Opening]
+    bulbs: list[Bulb]
     panes: Float[np.ndarray, "w 3"]
     sky: Radiance
     leaf: int
@@ -61,18 +69,36 @@ class LitPicture(Lit):
         return light
 
     def emitted(self, origin: np.ndarray, rays: np.ndarray, nearest: Hits) -> Float[np.ndarray, "n 3"] | None:
-        lamps = [(light, emitter) for light in (*self.hard, *self.soft) if (emitter := light.emitter()) is not None]
-        lamps = [(a, b) for a, b in lamps if b.kind in ("rect", "point") and (b.kind == "rect" or b.extent > 0)]
+        lamps = [*self._lit_bulbs(), *((light, None) for light in self.soft)]
         if not lamps:
             return None
         position = origin + rays * nearest.distance[:, None]
         normal = rows(self.surface.mesh.face_normals, nearest.face)
         total = np.zeros((len(rays), 3), np.float32)
-        for light, emitter in lamps:
-            shining = _on_panel if emitter.kind == "rect" else _on_bulb
-            where, radiance = shining(emitter, position, normal)
+        for light, bulb in lamps:
+            emitter = light.emitter()
+            assert emitter is not None
+            if bulb is None:
+                where, radiance = _on_panel(emitter, position, normal)
+            else:
+                where, radiance = (
+                    _on_bulb(bulb, position, normal),
+                    emitter.strength / (2 * np.pi * bulb.radius) ** 2,
+                )
             total[where] += np.asarray(light.color, np.float32) * np.float32(radiance)
         return total
+
+    def _lit_bulbs(self) -> list[tuple[Light, Bulb | None]]:
+        """Point lights with the bulbs that they are in."""
+        points = [
+            (light, e.position) for light in self.hard if (e := light.emitter()) is not None and e.kind == "point"
+        ]
+        return [
+            (light, bulb)
+            for light, position in points
+            for bulb in self.bulbs
+            if np.linalg.norm(position - bulb.centre) < bulb.radius
+        ]
 
     def outside(self, origin: np.ndarray, rays: np.ndarray) -> Float[np.ndarray, "n 3"]:
         direction = unit(rays)
@@ -135,10 +161,8 @@ def _on_panel(emitter: Emitter, position: np.ndarray, normal: np.ndarray) -> tup
     return where, emitter.strength / (4 * float(np.linalg.norm(across)) * np.pi)
 
 
-def _on_bulb(emitter: Emitter, position: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, float]:
-    """Places on the bulb around a point light, and its radiance."""
-    radius = max(emitter.extent, BULB)
-    out = position - emitter.position
+def _on_bulb(bulb: Bulb, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Places on a bulb."""
+    out = position - bulb.centre
     distance = np.linalg.norm(out, axis=1)
-    where = (distance < 1.1 * radius) & (np.einsum("nk,nk->n", out, normal) > 0.7 * distance)
-    return where, emitter.strength / (4 * np.pi * np.pi * radius**2)
+    return (distance < 1.1 * bulb.radius) & (np.einsum("nk,nk->n", out, normal) > 0.7 * distance)

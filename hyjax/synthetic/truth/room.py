@@ -22,13 +22,13 @@ from hyjax.synthetic.room import render
 from hyjax.synthetic.room.render import Paints
 from hyjax.synthetic.surface import Surface, rows
 from hyjax.synthetic.truth.opening import Opening
-from hyjax.synthetic.truth.picture import LitPicture, mean_garden, smooth_places, texel_light
+from hyjax.synthetic.truth.picture import Bulb, LitPicture, mean_garden, smooth_places, texel_light
 from hyjax.synthetic.truth.source import Daylight, Source, direct, hard_lights, soft_lights
 from hyjax.synthetic.truth.transport import Maps, Transport
 from hyjax.util.cache import cached_arrays
 from hyjax.util.vectors import unit
 
-VERSION = 1
+VERSION = 2
 """Of the light in rooms that can be lit. Add one whenever it comes out differently."""
 FILLS = 0.06
 """Metres from a window's plane within which a rectangle light fills the window."""
@@ -65,6 +65,7 @@ class TruthRoom:
         surface: triangles, materials and charts.
         textures: of the materials; `mean` is the mean albedo of each.
         openings: its windows.
+        bulbs: its lamps that are balls.
         sources: that lit its photos.
         anchors: its windows and lamps, as a capture has them.
         walks: camera paths.
@@ -80,6 +81,7 @@ class TruthRoom:
         surface: Surface,
         textures: Paints,
         openings: list[Opening],
+        bulbs: list[Bulb],
         sources: tuple[Source, ...],
         anchors: dict[str, dict[str, object]],
         walks: Walks,
@@ -88,7 +90,7 @@ class TruthRoom:
         leaf: int,
         level: "Callable[[TruthRoom, RoomLight], Float[np.ndarray, '3']]",
     ) -> None:
-        self.name, self.surface, self.textures, self.openings = name, surface, textures, openings
+        self.name, self.surface, self.textures, self.openings, self.bulbs = name, surface, textures, openings, bulbs
         self.sources, self.anchors, self.walks = sources, anchors, walks
         self.quality, self.seed = quality, seed
         self.caster = RayCaster(surface.mesh)
@@ -138,14 +140,9 @@ class TruthRoom:
         """The photos' exposure e of each channel."""
         return np.asarray(self._level(self, self.photo_light), np.float32)
 
-    def exposure(
-        self, mean_light: Float[np.ndarray, "3"], reference_lux: float
-    ) -> Float[np.ndarray, "3"]:
-        """Exposure of the truth under lights whose set-up has a `reference_lux`, by K of the photos: see the class.
-
-        For `photograph`, which takes irradiance / π: hence a factor π.
-        """
-        return np.asarray(np.pi / reference_lux * np.asarray(mean_light) * self.white, np.float32)
+    def exposure(self, mean_light: Float[np.ndarray, "3"], reference_lux: float) -> Float[np.ndarray, "3"]:
+        """`truth_exposure` with the photos' own exposure."""
+        return truth_exposure(self.white, mean_light, reference_lux)
 
     def mean_light(self, light: RoomLight, cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
         """K: geometric mean, channel by channel, of irradiance / π over the surface that cameras see."""
@@ -231,6 +228,7 @@ class TruthRoom:
             hard_lights(light.sources),
             soft_lights(light.sources),
             self.openings,
+            self.bulbs,
             self._panes(light.sources),
             functools.partial(self._radiance, light.sources, panels=True),
             self._leaf,
@@ -278,6 +276,19 @@ class TruthRoom:
                     panes[k] += np.asarray(source.color) / own.get(k, 1.0) / self.white
             panes[k] += self._filling(sources, k) / mean_garden(self.textures, self._leaf)
         return panes
+
+
+def truth_exposure(
+    white: Float[np.ndarray, "3"], mean_light: Float[np.ndarray, "3"], reference_lux: float
+) -> Float[np.ndarray, "3"]:
+    """Exposure of the truth under new lights, for `TruthRoom.photograph`; see `TruthRoom` for what it stands for.
+
+    Args:
+        white: exposure e of the photos.
+        mean_light: K of the photos, in irradiance / π.
+        reference_lux: R of the set-up. Pictures are made of irradiance / π: hence a factor π.
+    """
+    return np.asarray(np.pi / reference_lux * np.asarray(mean_light) * white, np.float32)
 
 
 def _is_sky(source: Source) -> bool:

@@ -1,7 +1,7 @@
 """Sources of light in a room, and what falls from each directly on points: Monte Carlo with shadow rays.
 
-The truth of one of our lights (`hyjax.light.kinds`) is its own `illuminance_at`, times the share of its emitter that
-shadow rays reach: the ball of a bulb, the area of a rectangle, the disc of the sun.
+The truth of one of our lights (`hyjax.light.kinds`) is its own `illuminance_at`, times the share of its emitter
+that shadow rays reach: the ball of a bulb, the area of a rectangle, the disc of the sun.
 """
 
 import dataclasses
@@ -112,7 +112,7 @@ def unshadowed(
 
 @jax.jit
 def _lux(light: Light, position: np.ndarray, normal: np.ndarray) -> jax.Array:
-    return light.illuminance_at(position, normal)  # type: ignore[arg-type,return-value]
+    return light.illuminance_at(position, normal)  # type: ignore[arg-type]
 
 
 def _visible_share(

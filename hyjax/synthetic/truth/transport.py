@@ -1,6 +1,7 @@
 """Transport of light between a room's texels: rays are cast once, and serve all sources."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -83,7 +84,7 @@ class Transport:
             parts = list(pool.map(self._gather, self._chunks))
         self._hit_texels = [part[0] for part in parts]
         self._distance = np.concatenate([part[1] for part in parts])
-        self.valid: Bool[np.ndarray, "t"] = np.concatenate([part[2] for part in parts])
+        self.valid: Bool[np.ndarray, t] = np.concatenate([part[2] for part in parts])
         self._escaped = [part[3] for part in parts]
         self._albedo = np.where(self.valid[:, None], albedo[self.texels.chart], 0.0).astype(np.float32)
 
@@ -131,9 +132,7 @@ class Transport:
 
     def _gather(
         self, chunk: slice
-    ) -> tuple[
-        Int[np.ndarray, "n k"], Float[np.ndarray, "n"], Bool[np.ndarray, "n"], tuple[np.ndarray, np.ndarray, np.ndarray]
-    ]:  # fmt: skip
+    ) -> tuple[Int[np.ndarray, "n k"], Float[np.ndarray, "n"], Bool[np.ndarray, "n"], tuple[np.ndarray, ...]]:
         """Texels that rays hit, their mean distance, whether the place is in the open, and rays that left."""
         surface, texels, openings = self._surface, self.texels, self._openings
         normal = texels.normal[chunk]
@@ -173,7 +172,7 @@ class Transport:
             share = cosine_share(opening, origin[place], direction[mine], normal[place])
             found[mine] = radiance(k, direction[mine]) * share[:, None]
             if radiance(k, (np.array([0, 0, 0.5]) - opening.normal)[None].astype(np.float32)).any():
-                total += from_opening(self._caster, opening, lambda d, k=k: radiance(k, d), origin, normal, square)
+                total += from_opening(self._caster, opening, functools.partial(radiance, k), origin, normal, square)
         place = away // rays
         for channel in range(3):
             total[:, channel] += np.bincount(place, found[:, channel], len(origin)) / rays
