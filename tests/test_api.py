@@ -127,6 +127,7 @@ LAYERS: list[set[str]] = [
     {"geometry"},
     {"synthetic"},
     {"data"},
+    {"photo_light"},
     {"scene"},
     {"guide", "pairs"},
     {"training"},

@@ -9,7 +9,7 @@ from tqdm import tqdm
 
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture
-from hyjax.util.vectors import orthonormal_frame, unit
+from hyjax.util.vectors import orthonormal_frame
 
 RAYS = 256
 OFFSET = 0.01

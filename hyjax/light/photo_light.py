@@ -22,28 +22,31 @@ from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels, shade_each
 from hyjax.light.shadow_map import ShadowMap, visibilities
 from hyjax.light.transport import Transport, bounce
+from hyjax.util.errors import InputError
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class PhotoLight:
-    """Light that a scan's frames were taken under.
+    """Light that a scan's frames were taken under, and what a scan does to light.
 
     Attributes:
         illuminance: E_old / K at the vertices.
+        sources: share of each source in it, with its bounces; the sources' shares add up to it.
+        mean: K, in units of the frames' linear values: what a white surface in the mean light would show.
         albedo: of the transport's points.
         transport: between them.
     """
 
     illuminance: Float[Array, "v 3"]
+    sources: Float[Array, "s v 3"]
+    mean: Float[Array, "3"]
     albedo: Float[Array, "p 3"]
     transport: Transport
 
 
 @jax.jit
-def interpolate(
-    values: Float[Array, "v c"], faces: Int[Array, "f 3"], gbuffer: GBuffer
-) -> Float[Array, "h w c"]:
+def interpolate(values: Float[Array, "v c"], faces: Int[Array, "f 3"], gbuffer: GBuffer) -> Float[Array, "h w c"]:
     """Values of vertices at the pixels of a G-buffer; 0 in holes."""
     face = jnp.maximum(gbuffer.face, 0)
     corners = faces[face]
@@ -85,21 +88,44 @@ def _bounced(
     return bounce(transport, photo.albedo, direct)[: transport.vertices]
 
 
-@jax.jit
-def divide_photo_light(
-    shaded: Shaded, photo: PhotoLight, bounced: Float[Array, "v 3"], gbuffer: GBuffer, uniform: Bool[Array, "l"]
-) -> Shaded:
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class SurfaceLight:
+    """Light on the vertices of a scan, beside what comes straight from new lights.
+
+    Attributes:
+        photo_light: E_old / K, that the frames were taken under.
+        bounced: lux that new lights throw by way of other surfaces, and what is left of the photo's own.
+        faces: of the scan.
+    """
+
+    photo_light: Float[Array, "v 3"]
+    bounced: Float[Array, "v 3"]
+    faces: Int[Array, "f 3"]
+
+
+def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lights: Sequence[Light]) -> Shaded:
     """Shaded surface with the light that it was photographed under, and with bounces.
 
     Args:
         shaded: direct light.
-        photo: the photo's own light.
-        bounced: see `bounced_light`.
+        light: on the vertices.
         gbuffer: of the view, with triangles.
-        uniform: lights that the bounces stand in for.
+        lights: of the shading; bounces stand in for those that fall on any surface alike.
+
+    Raises:
+        InputError: the G-buffer does not tell its triangles.
     """
-    fields = interpolate(jnp.concatenate([bounced, photo.illuminance], axis=-1), photo.transport.faces, gbuffer)
-    illuminance = jnp.where(uniform, 0.0, shaded.illuminance)
+    if gbuffer.face is None or gbuffer.barycentric is None:
+        raise InputError("surface light: the G-buffer must tell the triangle of each pixel, as a mesh's does")
+    uniform = [each.UNIFORM for each in lights]
+    return _add(shaded, light, gbuffer, jnp.asarray(uniform) & (not all(uniform)))
+
+
+@jax.jit
+def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, left_out: Bool[Array, "l"]) -> Shaded:
+    fields = interpolate(jnp.concatenate([light.bounced, light.photo_light], axis=-1), light.faces, gbuffer)
+    illuminance = jnp.where(left_out, 0.0, shaded.illuminance)
     return dataclasses.replace(
         shaded, illuminance=illuminance, bounced=fields[..., :3], photo_light=fields[..., 3:]
     )

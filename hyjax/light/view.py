@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 from hyjax.light.color import to_linear
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
+from hyjax.light.photo_light import SurfaceLight, add_surface_light
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded, check_lights
 from hyjax.light.shading import shade_each
@@ -66,6 +67,7 @@ class View:
         *,
         shadow_maps: Sequence[ShadowMap | None] | None = None,
         confidence: Float[Array, "h w 1"] | None = None,
+        surface_light: SurfaceLight | None = None,
     ) -> Shaded:
         """Light of a set-up on the visible surface.
 
@@ -73,11 +75,14 @@ class View:
             lights: a set-up, or lights under the usual reference.
             shadow_maps: one for each light (None: casts no shadow); None for no shadows at all.
             confidence: how far the shading of each pixel can be trusted; 1 by default, 0 in holes.
+            surface_light: photo's own light and bounces, see `Scene.surface_light`; None for even light and none.
 
         Raises:
             InputError: no lights, another number of shadow maps than lights, or a confidence of another size.
         """
-        *_, (_, shaded) = self.shade_stages(lights, shadow_maps=shadow_maps, confidence=confidence)
+        *_, (_, shaded) = self.shade_stages(
+            lights, shadow_maps=shadow_maps, confidence=confidence, surface_light=surface_light
+        )
         return shaded
 
     def shade_stages(
@@ -86,6 +91,7 @@ class View:
         *,
         shadow_maps: Sequence[ShadowMap | None] | None = None,
         confidence: Float[Array, "h w 1"] | None = None,
+        surface_light: SurfaceLight | None = None,
     ) -> Iterator[tuple[str, Any]]:
         """`shade` stage by stage: each stage's name with its result, the last one `Shaded`."""
         setup = LightSetup.of(lights)
@@ -99,4 +105,7 @@ class View:
         yield "shading", illuminance
         visibility = visibilities(self.gbuffer, setup.lights, maps)
         yield "visibility", visibility
-        yield "shaded", Shaded.of(setup, illuminance, visibility, self.gbuffer.hit, confidence=confidence)
+        shaded = Shaded.of(setup, illuminance, visibility, self.gbuffer.hit, confidence=confidence)
+        if surface_light is not None:
+            shaded = add_surface_light(shaded, surface_light, self.gbuffer, setup.lights)
+        yield "shaded", shaded

@@ -13,8 +13,7 @@ from hyjax.light.kinds import Aperture
 from hyjax.util.vectors import unit
 
 BINS = (6, 4)
-"""Directions of a window's light, in azimuth and elevation: one Lambertian window does poorly, for skies and gardens
-are not uniform."""
+"""Directions of a window's light, in azimuth and elevation. One Lambertian window does poorly: skies are not even."""
 LOWEST, HIGHEST = -45.0, 45.0
 """Degrees of elevation between which the bins lie."""
 POINTS = 8
@@ -60,7 +59,10 @@ def make_basis(
         lamps: named places of lamps that are lit.
     """
     starts = position + OFFSET * normal
-    columns, names, source, neighbours = [], [], [], []
+    columns: list[np.ndarray] = []
+    neighbours: list[np.ndarray] = []
+    source: list[np.ndarray] = []
+    names: list[str] = []
 
     def add(name: str, light: np.ndarray, pairs: np.ndarray) -> None:
         first = sum(c.shape[1] for c in columns)

@@ -1,11 +1,12 @@
 """Estimate of the photo's own light of a scan."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera
@@ -18,11 +19,16 @@ from hyjax.photo_light.basis import Basis, make_basis
 from hyjax.photo_light.fit import FLOOR, HIGHEST_ALBEDO, FitProblem, fit_sources
 from hyjax.photo_light.pairs import coplanar_pairs, held_out
 from hyjax.photo_light.radiance import vertex_radiance
+from hyjax.util.cache import Arrays
 
 PAIRS = 20000
 EXPONENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 LEAST_GAIN = 0.04
 """Share by which planes must become flatter on pairs that were not fitted to; below it nothing is divided out."""
+LEAST_PAIRS = 200
+"""Pairs of vertices on one plane, to fit to and to test with, below which a scan tells nothing."""
+LEAST_CONTRAST = 0.05
+"""Range of log radiance below which the frames show nothing: all black, or all white."""
 LOWEST_ALBEDO = 0.02
 VIEW = (48, 64)
 VIEWS = 12
@@ -34,77 +40,134 @@ class Estimate:
 
     Attributes:
         light: to relight with.
+        names: of its sources.
         exponent: that E_old is raised to: 0 where dividing would do harm, 1 where it is believed.
-        flatness: spread of log radiance on planes after the division over that before it, on pairs held out, for
-            each of `EXPONENTS`.
-        names: of the sources.
-        strength: θ of all unknowns.
-        source: which source each unknown belongs to.
-        seconds: of each step.
+        flatness: mean difference of log radiance on planes after the division over that before it, on pairs that
+            were held out, for each of `EXPONENTS`.
     """
 
     light: PhotoLight
+    names: tuple[str, ...]
     exponent: float
     flatness: tuple[float, ...]
-    names: tuple[str, ...]
-    strength: Float[np.ndarray, "k 3"]
-    source: Int[np.ndarray, "k"]
 
 
-def estimate(
+def estimate_arrays(
     caster: RayCaster,
-    frames: Sequence[Frame],
+    frames: Iterable[Frame],
     up: Float[np.ndarray, "3"],
     windows: Sequence[tuple[str, Aperture]] = (),
     lamps: Sequence[tuple[str, Float[np.ndarray, "3"]]] = (),
     progress: bool = False,
-) -> Estimate:
-    """Photo's light by the frames and the scan alone, see `hyjax.photo_light.fit`.
+) -> Arrays:
+    """Photo's light by the frames and the scan alone, see `hyjax.photo_light.fit`; `read_estimate` reads it.
 
     Args:
         caster: the scan.
         frames: of the capture, spread over it.
         up: against gravity.
-        windows: that the photo's light came through.
-        lamps: that were lit.
+        windows: named openings that the photo's light may have come through.
+        lamps: named places of lamps that may have been lit.
         progress: show a bar on stderr.
     """
-    mesh = caster.mesh
-    count = len(mesh.vertices)
-    seen = vertex_radiance(caster, frames)
+    mesh, count = caster.mesh, len(caster.mesh.vertices)
+    cameras: list[Camera] = []
+
+    def read() -> Iterator[Frame]:
+        for frame in frames:
+            cameras.append(frame.camera)
+            yield frame
+
+    seen = vertex_radiance(caster, read())
     hits, position, normal = trace(caster, enclose(caster, up), [w for _, w in windows], progress=progress)
-    transport = Transport(
-        jnp.asarray(hits), jnp.asarray(mesh.faces, jnp.int32), *(jnp.asarray(a, jnp.float32) for a in (position, normal)),
-        vertices=count,
-    )
+    transport = _transport(caster, hits, position, normal)
     basis = make_basis(caster, hits, position, normal, windows, lamps)
-    visible = seen.weight > 0
-    scale = np.exp(np.log(np.maximum(seen.radiance[visible], FLOOR)).mean())
-    radiance = np.maximum(seen.radiance / scale, FLOOR)
-    radiance[~visible] = np.exp(np.log(radiance[visible]).mean(axis=0))
+    visible = (seen.weight > 0) & np.isfinite(seen.radiance).all(axis=1)
+    scale = _log_mean(seen.radiance[visible]).mean()
+    radiance = np.where(visible[:, None], np.maximum(seen.radiance / scale, FLOOR), 1.0)
+    radiance[~visible] = _log_mean(radiance[visible])
     sent = jnp.asarray(np.concatenate([radiance, np.zeros((len(position) - count, 3))]), jnp.float32)
     gathered = np.asarray(gather(transport.hits, send(transport, sent)))
-    pairs = coplanar_pairs(np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), visible, PAIRS)
-    test = held_out(np.asarray(mesh.vertices)[pairs[:, 0]])
-    floats = (gathered[:count], basis.light[:count], radiance)
-    problem = FitProblem(
-        *(jnp.asarray(a, jnp.float32) for a in floats),
-        jnp.asarray(visible), jnp.asarray(pairs[~test], jnp.int32), jnp.asarray(basis.neighbours, jnp.int32),
-    )
-    theta = fit_sources(problem)
-    light = gathered + basis.light @ theta
-    flatness = _flatness(np.log(radiance), np.log(light[:count] + FLOOR), pairs[test])
+    vertices = np.asarray(mesh.vertices)
+    pairs = coplanar_pairs(vertices, normal[:count], visible, PAIRS)
+    test = held_out(vertices[pairs[:, 0]])
+    enough = min(test.sum(), (~test).sum()) >= LEAST_PAIRS and np.ptp(np.log(radiance[visible])) > LEAST_CONTRAST
+    theta = np.full((basis.light.shape[1], 3), 1.0)
+    if enough:
+        theta = fit_sources(
+            FitProblem(
+                *(jnp.asarray(a, jnp.float32) for a in (gathered[:count], basis.light[:count], radiance)),
+                jnp.asarray(visible),
+                *(jnp.asarray(a, jnp.int32) for a in (pairs[~test], basis.neighbours)),
+            )
+        )
+    light = np.maximum(gathered + basis.light @ theta, FLOOR)
+    flatness = _flatness(np.log(radiance), np.log(light[:count]), pairs[test])
     best = int(np.argmin(flatness))
-    exponent = EXPONENTS[best] if flatness[best] < 1 - LEAST_GAIN else 0.0
-    albedo = np.clip(radiance / np.maximum(light[:count], FLOOR), LOWEST_ALBEDO, HIGHEST_ALBEDO)
-    mean = np.exp(np.log(albedo[visible]).mean(axis=0))
+    exponent = EXPONENTS[best] if enough and flatness[best] < 1 - LEAST_GAIN else 0.0
+    albedo = np.clip(radiance / light[:count], LOWEST_ALBEDO, HIGHEST_ALBEDO)
+    mean = _log_mean(albedo[visible])
     albedo = np.concatenate([albedo, np.broadcast_to(mean, (len(position) - count, 3))])
     divisor = light[:count] ** exponent
-    divisor = divisor / _visible_mean(caster, [f.camera for f in frames], divisor)
-    return Estimate(
-        PhotoLight(jnp.asarray(divisor, jnp.float32), jnp.asarray(albedo, jnp.float32), transport),
-        exponent, flatness, basis.names, theta, basis.source,
-    )
+    arrays = {
+        "illuminance": divisor / _visible_mean(caster, cameras, divisor),
+        "mean": scale * _visible_mean(caster, cameras, light[:count]),
+        "albedo": albedo,
+        "sources": _direct_by_source(basis, theta, light, mean, count),
+        "position": position,
+        "normal": normal,
+    }
+    return {name: value.astype(np.float32) for name, value in arrays.items()} | {
+        "hits": hits,
+        "names": np.array(basis.names),
+        "exponent": np.array(exponent),
+        "flatness": np.array(flatness),
+    }
+
+
+def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
+    """Estimate from the arrays that `estimate_arrays` made."""
+    transport = _transport(caster, arrays["hits"], arrays["position"], arrays["normal"])
+    illuminance, albedo, mean = (jnp.asarray(arrays[name]) for name in ("illuminance", "albedo", "mean"))
+    sources = _shares(transport, albedo, jnp.asarray(arrays["sources"]), illuminance)
+    names = tuple(str(name) for name in arrays["names"])
+    flatness = tuple(float(x) for x in arrays["flatness"])
+    light = PhotoLight(illuminance, sources, mean, albedo, transport)
+    return Estimate(light, names, float(arrays["exponent"]), flatness)
+
+
+def _transport(caster: RayCaster, hits: np.ndarray, position: np.ndarray, normal: np.ndarray) -> Transport:
+    floats = (jnp.asarray(a, jnp.float32) for a in (position, normal))
+    faces = jnp.asarray(caster.mesh.faces, jnp.int32)
+    return Transport(jnp.asarray(hits), faces, *floats, vertices=len(caster.mesh.vertices))
+
+
+def _direct_by_source(
+    basis: Basis, theta: np.ndarray, light: np.ndarray, wall_albedo: np.ndarray, vertices: int
+) -> Float[np.ndarray, "s p 3"]:
+    """Light straight from each source. A wall that was not scanned is one by what it sends beyond what it reflects."""
+    first = theta.shape[0] - (len(light) - vertices)
+    emitted = theta.copy()
+    emitted[first:] = np.maximum(theta[first:] - wall_albedo * light[vertices:], 0.0)
+    numbers = range(len(basis.names))
+    return np.stack([basis.light[:, basis.source == k] @ emitted[basis.source == k] for k in numbers])
+
+
+@jax.jit
+def _shares(
+    transport: Transport, albedo: Float[Array, "p 3"], direct: Float[Array, "s p 3"], total: Float[Array, "v 3"]
+) -> Float[Array, "s v 3"]:
+    """Share of each source in the light of the photo, with its bounces."""
+    count = direct.shape[0]
+    channels = jnp.moveaxis(direct, 0, 1).reshape(direct.shape[1], -1)
+    light = channels + bounce(transport, albedo, channels)
+    each = jnp.moveaxis(light[: transport.vertices].reshape(-1, count, 3), 1, 0)
+    return total * each / jnp.maximum(jnp.sum(each, axis=0), FLOOR)
+
+
+def _log_mean(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+    """Geometric mean; 1 of nothing."""
+    return np.exp(np.log(np.maximum(values, FLOOR)).mean(axis=0)) if len(values) else np.ones(3)
 
 
 def _flatness(

@@ -21,6 +21,7 @@ from hyjax.data.registry import open_capture
 from hyjax.guide.choose import FrameGuide, open_guide
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light, kind_name
+from hyjax.light.photo_light import add_surface_light
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.light.view import View
@@ -156,25 +157,32 @@ class _Shader:
         elif settings.shadows:
             with clock("shadow maps"):
                 maps = scene.shadow_maps(setup)
+        surface_light = None
+        if settings.mode == "linear" and not settings.keep_photo_light:
+            with clock("photo light"):
+                surface_light = jax.block_until_ready(scene.surface_light(setup, shadows=settings.shadows))
         # Blender, and what frames leave to the next, there is once.
         once = settings.video or settings.renderer == "blender"
         self.devices = jax.local_devices()[: 1 if once else None]
-        self._lights = [(setup, maps)]
+        self._lights = [(setup, maps, surface_light)]
         if len(self.devices) > 1:
-            copies = [jax.device_put((setup.lights, maps), device) for device in self.devices]
-            self._lights = [(LightSetup(lights, setup.reference_lux), maps) for lights, maps in copies]
+            copies = [jax.device_put((setup.lights, maps, surface_light), device) for device in self.devices]
+            self._lights = [(dataclasses.replace(setup, lights=lights), *rest) for lights, *rest in copies]
 
     def __call__(self, number: int, frame: Frame, gbuffer: GBuffer) -> tuple[View, Shaded]:
         """View of a frame, the `number`-th of the run, and the light on it."""
         view = view_of(frame, gbuffer)
+        setup, maps, light = self._lights[number % len(self._lights)]
         if self._blender is not None:
             with self._clock("blender"):
                 rendering = self._blender.render(frame.camera)
-            return rendering.shade(view, self.setup)
-        setup, maps = self._lights[number % len(self._lights)]
+            view, shaded = rendering.shade(view, self.setup)
+            if light is not None:
+                shaded = add_surface_light(shaded, light, view.gbuffer, setup.lights)
+            return view, shaded
         if len(self.devices) > 1:
             view = jax.device_put(view, self.devices[number % len(self.devices)])
-        return view, self._clock.follow(view.shade_stages(setup, shadow_maps=maps))
+        return view, self._clock.follow(view.shade_stages(setup, shadow_maps=maps, surface_light=light))
 
 
 def _relight_frames(

@@ -31,6 +31,8 @@ class RelightSettings(Settings):
     file that train or tune wrote."""
     paper_mode: bool = False
     """Exactly the paper: multiply display values, leave holes in the mesh black."""
+    keep_photo_light: bool = False
+    """Leave the light that the frames were taken under in the picture, as the paper does, and bounces out."""
     video: bool = False
     """The frames follow each other: carry refined light from each to the next, so that it does not flicker."""
     shadows: bool = True

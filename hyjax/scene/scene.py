@@ -1,5 +1,7 @@
 """Scene: a capture with its surface, from which views and the light on them come."""
 
+import functools
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,7 +11,7 @@ import numpy as np
 import trimesh
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import fit
+from hyjax.data.frames import fit, spread
 from hyjax.data.light_file import is_light_file, read_lights
 from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera
@@ -17,17 +19,26 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
+from hyjax.light.photo_light import SurfaceLight, bounced_light
 from hyjax.light.setup import LightSetup, same_lights
 from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
+from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate
+from hyjax.photo_light.sources import named_sources
 from hyjax.scene.light_setups import LightAnchors, check_setup_name, named_setup, survey_capture
 from hyjax.scene.settings import SceneSettings, parse_size
 from hyjax.scene.surfaces import surface_of
+from hyjax.util.cache import cache_folder, cached_arrays
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
+from hyjax.util.files import digest
 
 UNIT_TOLERANCE = 1e-3
+PHOTO_FRAMES = 24
+"""Frames, spread over the capture, that the photo's light is estimated from."""
+PHOTO_VERSION = 1
+"""Of that estimate. Add one whenever it comes out differently."""
 
 
 class Scene:
@@ -61,6 +72,8 @@ class Scene:
         self.caster = RayCaster(mesh)
         self._anchors: LightAnchors | None = None
         self._maps: tuple[tuple[Light, ...], tuple[ShadowMap | None, ...]] | None = None
+        self._surface_light: tuple[tuple[tuple[Light, ...], bool, float], SurfaceLight] | None = None
+        self.progress = False
 
     @classmethod
     def open(
@@ -95,7 +108,9 @@ class Scene:
                 repair=settings.repair_mesh,
                 progress=progress,
             )
-            return cls(capture, mesh, size=parse_size(settings.size), source=source)
+            scene = cls(capture, mesh, size=parse_size(settings.size), source=source)
+            scene.progress = progress
+            return scene
 
     def __len__(self) -> int:
         return len(self.capture)
@@ -152,7 +167,12 @@ class Scene:
         return self._maps[1]
 
     def shade(
-        self, view: View, lights: LightSetup | Sequence[Light] | str | Path, *, shadows: bool = True
+        self,
+        view: View,
+        lights: LightSetup | Sequence[Light] | str | Path,
+        *,
+        shadows: bool = True,
+        keep_photo_light: bool = False,
     ) -> Shaded:
         """Light on what a view sees.
 
@@ -160,12 +180,49 @@ class Scene:
             view: of this scene.
             lights: lights, a set-up, or its name or file, see `lights`.
             shadows: whether lights cast shadows.
+            keep_photo_light: whether to leave the light that the frames were taken under, and bounces out.
 
         Raises:
             InputError: no such set-up.
         """
         setup = self.lights(lights)
-        return view.shade(setup, shadow_maps=self.shadow_maps(setup) if shadows else None)
+        light = None if keep_photo_light else self.surface_light(setup, shadows=shadows)
+        return view.shade(setup, shadow_maps=self.shadow_maps(setup) if shadows else None, surface_light=light)
+
+    @functools.cached_property
+    def photo_light(self) -> Estimate:
+        """Light that the frames were taken under, estimated when first asked for and kept in the cache folder."""
+        frames = spread(range(len(self)), PHOTO_FRAMES)
+        mesh = (np.ascontiguousarray(part).tobytes() for part in (self.mesh.vertices, self.mesh.faces))
+        windows, lamps = named_sources(self.capture)
+        named = f"{windows} {lamps}"
+        key = digest([self.capture.fingerprint, str(self.size), named, hashlib.sha256(b"".join(mesh)).hexdigest()])
+        return cached_arrays(
+            cache_folder() / f"photo-light-v{PHOTO_VERSION}-{key}.npz",
+            lambda arrays: read_estimate(self.caster, arrays),
+            lambda: estimate_arrays(
+                self.caster,
+                (self.frame(i) for i in frames),
+                np.asarray(self.capture.up, np.float64),
+                windows,
+                lamps,
+                self.progress,
+            ),
+        )
+
+    def surface_light(self, lights: LightSetup | Sequence[Light], *, shadows: bool = True) -> SurfaceLight:
+        """Photo's own light and the bounces of new lights, on the vertices; those of the last lights are kept."""
+        setup = LightSetup.of(lights)
+        key = (setup.lights, shadows, setup.reference_lux)
+        if self._surface_light is None or not _same_key(self._surface_light[0], key):
+            photo = self.photo_light.light
+            bounced = bounced_light(photo, setup.lights, self.shadow_maps(setup) if shadows else None)
+            self._surface_light = key, SurfaceLight(photo.illuminance, bounced, photo.transport.faces)
+        return self._surface_light[1]
+
+
+def _same_key(a: tuple[tuple[Light, ...], bool, float], b: tuple[tuple[Light, ...], bool, float]) -> bool:
+    return a[1:] == b[1:] and same_lights(a[0], b[0])
 
 
 def view_of(frame: Frame, gbuffer: GBuffer) -> View:
