@@ -224,6 +224,7 @@ def _keep_compiled() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         # Half-written by a process that was killed, or that writes it just now: compiled anew.
         warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
+        warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
 
 
 def run_info() -> None:

@@ -126,7 +126,7 @@ def trace(
         found = caster.cast(starts, flat)
         end = found.face.astype(np.int32)
         missed = np.flatnonzero(end < 0)
-        far, patch = box.exits(starts[missed], flat[missed])
+        _, patch = box.exits(starts[missed], flat[missed])
         end[missed] = count + patch
         for window in windows:
             end[missed[through(window, starts[missed], flat[missed])]] = count + len(centres)

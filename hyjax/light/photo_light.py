@@ -4,9 +4,9 @@ A frame is albedo times the light it was taken under. Dividing by that light lea
 
     S = C · (E_direct + E_bounced) / E_old · K
 
-with K the geometric mean of E_old over what is visible, so that light of the reference illuminance leaves the frame's
-brightness, and its white balance, as they are. All fields live on the scan's vertices: numerator and denominator share
-the mesh's errors, which a sharper denominator would show.
+with K the geometric mean of E_old over what is visible: light of the reference illuminance leaves the frame's
+brightness, and its white balance, as they are. All fields live on the scan's vertices: numerator and denominator
+share the mesh's errors, which a sharper denominator would show.
 """
 
 import dataclasses
@@ -46,12 +46,16 @@ class PhotoLight:
 
 
 @jax.jit
-def interpolate(values: Float[Array, "v c"], faces: Int[Array, "f 3"], gbuffer: GBuffer) -> Float[Array, "h w c"]:
-    """Values of vertices at the pixels of a G-buffer; 0 in holes."""
-    face = jnp.maximum(gbuffer.face, 0)
-    corners = faces[face]
-    total = sum(gbuffer.barycentric[..., k, None] * values[corners[..., k]] for k in range(3))
-    return jnp.where(gbuffer.hit[..., None], total, 0.0)
+def interpolate(
+    values: Float[Array, "v c"],
+    faces: Int[Array, "f 3"],
+    face: Int[Array, "h w"],
+    barycentric: Float[Array, "h w 3"],
+) -> Float[Array, "h w c"]:
+    """Values of vertices at pixels; 0 in holes, whose `face` is -1."""
+    corners = faces[jnp.maximum(face, 0)]
+    parts = [barycentric[..., k, None] * values[corners[..., k]] for k in range(3)]
+    return jnp.where((face >= 0)[..., None], parts[0] + parts[1] + parts[2], 0.0)
 
 
 def bounced_light(
@@ -119,12 +123,19 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
     if gbuffer.face is None or gbuffer.barycentric is None:
         raise InputError("surface light: the G-buffer must tell the triangle of each pixel, as a mesh's does")
     uniform = [each.UNIFORM for each in lights]
-    return _add(shaded, light, gbuffer, jnp.asarray(uniform) & (not all(uniform)))
+    return _add(shaded, light, gbuffer.face, gbuffer.barycentric, jnp.asarray(uniform) & (not all(uniform)))
 
 
 @jax.jit
-def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, left_out: Bool[Array, "l"]) -> Shaded:
-    fields = interpolate(jnp.concatenate([light.bounced, light.photo_light], axis=-1), light.faces, gbuffer)
+def _add(
+    shaded: Shaded,
+    light: SurfaceLight,
+    face: Int[Array, "h w"],
+    barycentric: Float[Array, "h w 3"],
+    left_out: Bool[Array, "l"],
+) -> Shaded:
+    values = jnp.concatenate([light.bounced, light.photo_light], axis=-1)
+    fields = interpolate(values, light.faces, face, barycentric)
     illuminance = jnp.where(left_out, 0.0, shaded.illuminance)
     return dataclasses.replace(
         shaded, illuminance=illuminance, bounced=fields[..., :3], photo_light=fields[..., 3:]

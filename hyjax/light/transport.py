@@ -5,9 +5,9 @@ ray can end on: a triangle, a patch, or an opening, which sends nothing back. Th
 
     E = D + T ρ E,
 
-E the illuminance, D what comes straight from the sources, ρ the albedo, and T the mean over a point's rays, which are
-cosine-distributed, of what the radiators there send back (Cohen & Wallace, *Radiosity and Realistic Image Synthesis*,
-1993). All that is sent is in the unit of E: radiance times π.
+E the illuminance, D what comes straight from the sources, ρ the albedo, and T the mean over a point's rays, which
+are cosine-distributed, of what the radiators there send back (Cohen & Wallace, *Radiosity and Realistic Image
+Synthesis*, 1993). All that is sent is in the unit of E: radiance times π.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""Light of unit sources on the points of a scan: windows by direction, lamps, and the walls that were not scanned."""
+"""Light of unit sources on the points of a scan: windows by direction, lamps, and unscanned walls."""
 
 import dataclasses
 import itertools
@@ -13,7 +13,7 @@ from hyjax.light.kinds import Aperture
 from hyjax.util.vectors import unit
 
 BINS = (6, 4)
-"""Directions of a window's light, in azimuth and elevation. One Lambertian window does poorly: skies are not even."""
+"""Directions of a window's light, in azimuth and elevation. One Lambertian window does poorly."""
 LOWEST, HIGHEST = -45.0, 45.0
 """Degrees of elevation between which the bins lie."""
 POINTS = 8

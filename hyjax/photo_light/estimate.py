@@ -94,13 +94,11 @@ def estimate_arrays(
     enough = min(test.sum(), (~test).sum()) >= LEAST_PAIRS and np.ptp(np.log(radiance[visible])) > LEAST_CONTRAST
     theta = np.full((basis.light.shape[1], 3), 1.0)
     if enough:
-        theta = fit_sources(
-            FitProblem(
-                *(jnp.asarray(a, jnp.float32) for a in (gathered[:count], basis.light[:count], radiance)),
-                jnp.asarray(visible),
-                *(jnp.asarray(a, jnp.int32) for a in (pairs[~test], basis.neighbours)),
-            )
-        )
+        known = (gathered[:count], basis.light[:count], radiance)
+        gathered_here, light_here, radiance_here = (jnp.asarray(a, jnp.float32) for a in known)
+        fitted, alike = (jnp.asarray(a, jnp.int32) for a in (pairs[~test], basis.neighbours))
+        shown = jnp.asarray(visible)
+        theta = fit_sources(FitProblem(gathered_here, light_here, radiance_here, shown, fitted, alike))
     light = np.maximum(gathered + basis.light @ theta, FLOOR)
     flatness = _flatness(np.log(radiance), np.log(light[:count]), pairs[test])
     best = int(np.argmin(flatness))
@@ -137,15 +135,15 @@ def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
 
 
 def _transport(caster: RayCaster, hits: np.ndarray, position: np.ndarray, normal: np.ndarray) -> Transport:
-    floats = (jnp.asarray(a, jnp.float32) for a in (position, normal))
-    faces = jnp.asarray(caster.mesh.faces, jnp.int32)
-    return Transport(jnp.asarray(hits), faces, *floats, vertices=len(caster.mesh.vertices))
+    faces, count = jnp.asarray(caster.mesh.faces, jnp.int32), len(caster.mesh.vertices)
+    place, facing = (jnp.asarray(a, jnp.float32) for a in (position, normal))
+    return Transport(jnp.asarray(hits), faces, place, facing, count)
 
 
 def _direct_by_source(
     basis: Basis, theta: np.ndarray, light: np.ndarray, wall_albedo: np.ndarray, vertices: int
 ) -> Float[np.ndarray, "s p 3"]:
-    """Light straight from each source. A wall that was not scanned is one by what it sends beyond what it reflects."""
+    """Light straight from each source; walls that were not scanned count by what they send beyond reflections."""
     first = theta.shape[0] - (len(light) - vertices)
     emitted = theta.copy()
     emitted[first:] = np.maximum(theta[first:] - wall_albedo * light[vertices:], 0.0)
