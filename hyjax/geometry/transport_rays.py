@@ -94,7 +94,7 @@ def trace(
     rays: int = RAYS,
     seed: int = 0,
     progress: bool = False,
-) -> tuple[Int[np.ndarray, "r p"], Float[np.ndarray, "p 3"], Float[np.ndarray, "p 3"], Int[np.ndarray, "r p"]]:
+) -> tuple[Int[np.ndarray, "r p"], Float[np.ndarray, "p 3"], Float[np.ndarray, "p 3"]]:
     """Radiators at the ends of all points' rays.
 
     Returns:
