@@ -4,6 +4,7 @@ EXPERIMENTS = (
     "paper_table",
     "paper_difference",
     "beyond",
+    "truth",
     "flicker",
     "ablation_cascade",
     "ablation_shadow",

@@ -59,6 +59,7 @@ def estimate_arrays(
     windows: Sequence[tuple[str, Aperture]] = (),
     lamps: Sequence[tuple[str, Float[np.ndarray, "3"]]] = (),
     progress: bool = False,
+    closed: bool = True,
 ) -> Arrays:
     """Photo's light by the frames and the scan alone, see `hyjax.photo_light.fit`; `read_estimate` reads it.
 
@@ -69,6 +70,7 @@ def estimate_arrays(
         windows: named openings that the photo's light may have come through.
         lamps: named places of lamps that may have been lit.
         progress: show a bar on stderr.
+        closed: whether the box round the scan stands for the walls that were not scanned.
     """
     mesh, count = caster.mesh, len(caster.mesh.vertices)
     cameras: list[Camera] = []
@@ -80,6 +82,8 @@ def estimate_arrays(
 
     seen = vertex_radiance(caster, read())
     hits, position, normal = trace(caster, enclose(caster, up), [w for _, w in windows], progress=progress)
+    if not closed:
+        hits = np.where(hits < len(mesh.faces), hits, len(mesh.faces) + len(position) - count).astype(np.int32)
     transport = _transport(caster, hits, position, normal)
     basis = make_basis(caster, hits, position, normal, windows, lamps)
     visible = (seen.weight > 0) & np.isfinite(seen.radiance).all(axis=1)
