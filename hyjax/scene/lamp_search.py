@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,12 +9,12 @@ from scipy import ndimage
 
 from hyjax.geometry.raycast import RayCaster
 from hyjax.scene.photo_sources import PhotoLamp, PhotoWindow, Vector
+from hyjax.scene.sightings import Box, Sighting
 from hyjax.util.vectors import orthonormal_frame
 
-if TYPE_CHECKING:
-    from hyjax.scene.source_search import Box, Sighting
-
 FEWEST_FRAMES = 3
+FEWEST_UNSCANNED = 5
+"""Frames for a lamp that the scan does not have."""
 BASELINE = 0.2
 """Metres between two cameras whose rays are crossed."""
 MISS = 0.1
@@ -47,18 +46,20 @@ class Blob:
 
 
 def search_lamps(
-    caster: RayCaster, sightings: Sequence["Sighting"], box: "Box", windows: Sequence[PhotoWindow], up: Vector
+    caster: RayCaster, sightings: Sequence[Sighting], box: Box, windows: Sequence[PhotoWindow], up: Vector
 ) -> tuple[PhotoLamp, ...]:
     """Lamps that at least three frames agree on."""
     blobs = [blob for number, s in enumerate(sightings) for blob in blobs_of(number, s)]
     lamps: list[PhotoLamp] = []
-    for place, radius in _candidates(sightings, blobs):
+    for place, radius, votes in _candidates(sightings, blobs):
         if not _inside(box, windows, place) or _seen_lit(sightings, place) < 0.7:
             continue
         if any(np.linalg.norm(lamp.position - place) < lamp.radius + radius + MISS for lamp in lamps):
             continue
         points, faces = _surface(sightings, place, radius)
         ceiling = bool(box[1][4] - box[0][4] @ place < 0.25)
+        if not len(points) and votes < FEWEST_UNSCANNED:
+            continue
         flat = len(points) >= 12 and _thickness(points) < FLAT
         if not ceiling and (flat or _lies(caster, place, radius, up)):
             continue
@@ -66,9 +67,9 @@ def search_lamps(
     return tuple(lamps)
 
 
-def blobs_of(number: int, s: "Sighting") -> list[Blob]:
+def blobs_of(number: int, s: Sighting) -> list[Blob]:
     """Small burnt-out blobs of a frame that lie whole in it, on something darker."""
-    labels, count = ndimage.label(s.burnt)
+    labels, _ = ndimage.label(s.burnt)
     found = []
     pixel = float(np.linalg.norm(s.rays[0, 1] - s.rays[0, 0]))
     for k, place in enumerate(ndimage.find_objects(labels), 1):
@@ -89,8 +90,8 @@ def blobs_of(number: int, s: "Sighting") -> list[Blob]:
     return found
 
 
-def _candidates(sightings: Sequence["Sighting"], blobs: Sequence[Blob]) -> list[tuple[Vector, float]]:
-    """Places at which the rays to blobs of one size meet in enough frames, those of most frames first; radii."""
+def _candidates(sightings: Sequence[Sighting], blobs: Sequence[Blob]) -> list[tuple[Vector, float, int]]:
+    """Places at which the rays to blobs of one size meet in enough frames; radii; number of frames, most first."""
     if len(blobs) < FEWEST_FRAMES:
         return []
     number = np.array([blob.sighting for blob in blobs])
@@ -118,10 +119,10 @@ def _candidates(sightings: Sequence["Sighting"], blobs: Sequence[Blob]) -> list[
         agree = (along > 0) & (off < np.maximum(0.5 * radii, 0.03)[:, None]) & (ratio > 0.5) & (ratio < 2.0)
         votes += agree.any(axis=1)
     best = [k for k in np.argsort(-votes, kind="stable") if votes[k] >= FEWEST_FRAMES]
-    return [(places[k], float(radii[k])) for k in best]
+    return [(places[k], float(radii[k]), int(votes[k])) for k in best]
 
 
-def _inside(box: "Box", windows: Sequence[PhotoWindow], place: Vector) -> bool:
+def _inside(box: Box, windows: Sequence[PhotoWindow], place: Vector) -> bool:
     """Whether a place lies inside the box, clear of its walls, and at no window."""
     clear = box[1] - box[0] @ place
     if (clear[:4] < 0.05).any() or clear[4] < -0.1:
@@ -129,7 +130,9 @@ def _inside(box: "Box", windows: Sequence[PhotoWindow], place: Vector) -> bool:
     for window in windows:
         offset = place - window.center
         right, high = (np.linalg.norm(side) for side in (window.right, window.up))
-        beside = abs(offset @ window.right) < right * (right + 0.2) and abs(offset @ window.up) < high * (high + 0.2)
+        beside = abs(offset @ window.right) < right * (right + 0.2) and abs(offset @ window.up) < high * (
+            high + 0.2
+        )
         if beside and offset @ window.normal < 0.4:
             return False
     return True
@@ -139,13 +142,14 @@ def _lies(caster: RayCaster, place: Vector, radius: float, up: Vector) -> bool:
     """Whether something lies or stands low on a table: its foot is nearer than that of any lamp."""
     x, y, _ = orthonormal_frame(up)
     angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)[:, None]
-    around = place + (1.5 * radius + 0.05) * (np.cos(angle) * x + np.sin(angle) * y)
+    above = radius + 0.1  # places of what lies flat may be found a little below the surface
+    around = place + above * up + (1.5 * radius + 0.05) * (np.cos(angle) * x + np.sin(angle) * y)
     down = caster.cast(around, np.broadcast_to(-up, around.shape)).distance
-    return float(np.quantile(down, 0.3)) < radius + FOOT
+    return float(np.sort(down)[len(down) // 3]) < above + radius + FOOT
 
 
 def _surface(
-    sightings: Sequence["Sighting"], place: Vector, radius: float
+    sightings: Sequence[Sighting], place: Vector, radius: float
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "f"]]:
     """Scanned points about a lamp that are burnt out, and the triangles that they lie on."""
     points, faces = [], []
@@ -164,7 +168,7 @@ def _thickness(points: Float[np.ndarray, "n 3"]) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(centred.T @ centred / len(points))[0]))
 
 
-def _seen_lit(sightings: Sequence["Sighting"], place: Vector) -> float:
+def _seen_lit(sightings: Sequence[Sighting], place: Vector) -> float:
     """Share of the frames with a free view of a place in which it is burnt out."""
     votes = []
     for s in sightings:

@@ -19,7 +19,7 @@ import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -28,14 +28,10 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from hyjax.data.capture import Frame
-from hyjax.data.frames import spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.vectors import unit
-
-if TYPE_CHECKING:
-    from hyjax.scene.scene import Scene
 
 Vector = Float[np.ndarray, "3"]
 SATURATED = 0.97
@@ -75,8 +71,8 @@ class PhotoWindow:
             InputError: the normal is zero.
         """
         rectangle = Aperture.facing(center, normal, up, width, height)
-        sides = (np.asarray(side, float) for side in (rectangle.center, rectangle.right, rectangle.up))
-        return cls(name, *sides, unit(normal))
+        place, right, high = (np.asarray(side, float) for side in (rectangle.center, rectangle.right, rectangle.up))
+        return cls(name, place, right, high, unit(normal))
 
     @property
     def corners(self) -> Float[np.ndarray, "4 3"]:
@@ -111,34 +107,6 @@ class PhotoSources:
     origin: Literal["file", "capture", "found", "none"]
 
 
-def find_photo_sources(
-    scene: "Scene", *, file: Path | None = None, frames: Sequence[int] | None = None
-) -> PhotoSources:
-    """Windows and lamps of a scene's photographs: from a file, else from the capture's hints, else found.
-
-    Args:
-        scene: capture and surface.
-        file: YAML or JSON, see the module.
-        frames: that are looked at; 24 spread over the capture by default.
-
-    Raises:
-        InputError: the file cannot be used.
-    """
-    from hyjax.scene.source_search import search_sources
-
-    chosen = spread(range(len(scene)), 24) if frames is None else list(frames)
-    up = np.asarray(scene.capture.up, float)
-    if file is not None:
-        eyes = np.stack([scene.frame(index).camera.origin for index in spread(chosen, 8)])
-        return read_sources(file, up, scene.caster, eyes)
-    looked_at = [scene.frame(index) for index in chosen]
-    hinted = hinted_sources(scene.capture.anchors, up, scene.caster, looked_at)
-    if hinted.windows or hinted.lamps:
-        return hinted
-    windows, lamps = search_sources(scene.caster, looked_at, up)
-    return PhotoSources(windows, lamps, "found" if windows or lamps else "none")
-
-
 def hinted_sources(
     anchors: Mapping[str, Mapping[str, Any]], up: Vector, caster: RayCaster, frames: Sequence[Frame]
 ) -> PhotoSources:
@@ -147,9 +115,7 @@ def hinted_sources(
     for name, place in sorted(anchors.items()):
         if name.startswith("window_"):
             center, normal = (np.asarray(place[key], float) for key in ("center", "normal"))
-            windows.append(
-                PhotoWindow.facing(_spoken(name), center, normal, up, place["width"], place["height"])
-            )
+            windows.append(PhotoWindow.facing(_spoken(name), center, normal, up, place["width"], place["height"]))
         elif name.startswith("lamp_"):
             position = np.asarray(place["position"], float)
             if is_lit(position, caster, frames):
@@ -213,9 +179,7 @@ FORMS = {
 }
 
 
-def read_sources(
-    path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarray, "n 3"]
-) -> PhotoSources:
+def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarray, "n 3"]) -> PhotoSources:
     """Sources from a file; see the module for its form.
 
     Args:
@@ -255,7 +219,7 @@ def read_sources(
         if (place < low - REACH).any() or (place > high + REACH).any():
             raise InputError(f"{where}: position {list(lamp.position)} lies outside the scan (metres, its axes)")
         made.append(PhotoLamp(lamp.name or f"lamp-{i + 1}", place, lamp.radius, np.zeros(0, int)))
-    names = [source.name for source in (*windows, *made)]
+    names = [window.name for window in windows] + [lamp.name for lamp in made]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{path}: the name {name!r} is given twice")
@@ -278,10 +242,9 @@ def _check_place(where: str, window: PhotoWindow, caster: RayCaster, eyes: Float
     rim = np.concatenate([window.corners, 0.5 * (window.corners + np.roll(window.corners, 1, axis=0))])
     away = cKDTree(_surface_points(mesh)).query(rim)[0]
     low, high = mesh.bounds
-    inside = ((window.center > low - REACH) & (window.center < high + REACH)).all()
-    to_box = np.min(np.abs(np.stack([window.center - low, window.center - high]))[:, np.abs(window.normal) > 0.9])\
-        if (np.abs(window.normal) > 0.9).any() else np.inf
-    if np.median(away) > REACH and not (inside and to_box < REACH):
+    inside = bool(((window.center > low - REACH) & (window.center < high + REACH)).all())
+    to_box = np.abs(np.stack([window.center - low, window.center - high]))[:, np.abs(window.normal) > 0.9]
+    if np.median(away) > REACH and not (inside and to_box.size and to_box.min() < REACH):
         raise InputError(
             f"{where}: stands {np.median(away):.2g} m off the scan's walls; give its centre in metres, in the "
             "capture's axes"

@@ -7,17 +7,30 @@ which the rays of several frames meet, unless the scan is flat there: a sheet of
 
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from hyjax.data.capture import Frame
+from hyjax.data.frames import spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.scene.lamp_search import search_lamps
-from hyjax.scene.photo_sources import SATURATED, PhotoLamp, PhotoWindow, Vector
-from hyjax.util.vectors import perpendicular, reject, unit
+from hyjax.scene.photo_sources import (
+    SATURATED,
+    PhotoLamp,
+    PhotoSources,
+    PhotoWindow,
+    Vector,
+    hinted_sources,
+    read_sources,
+)
+from hyjax.scene.sightings import Box, Sighting, closing_box, exits, sight
+
+if TYPE_CHECKING:
+    from hyjax.scene.scene import Scene
 
 CELL = 0.05
 """Metres of a cell of a wall."""
@@ -25,36 +38,10 @@ BEHIND = 0.06
 """Metres behind a wall's plane from which a surface belongs to the opening, and not to the wall."""
 FEWEST_FRAMES = 2
 """Frames that see a cell of a window, in the mean."""
-PIXELS = 160
-"""Pixels of a row that are looked at."""
 MOST_SATURATED = 0.5
 """Share of all pixels: where more are burnt out, the frames say nothing about windows."""
 SMALLEST = 0.15
 """Square metres of a window."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Sighting:
-    """A frame's pixels, coarsely: their rays, what they hit, how bright they are.
-
-    Attributes:
-        frame: its camera and picture.
-        rays: of unit depth.
-        depth: of the surface; infinite without.
-        face: triangle that is seen, −1 without.
-        low: least of the three channels, display values.
-    """
-
-    frame: Frame
-    rays: Float[np.ndarray, "h w 3"]
-    depth: Float[np.ndarray, "h w"]
-    face: Int[np.ndarray, "h w"]
-    low: Float[np.ndarray, "h w"]
-
-    @property
-    def burnt(self) -> Bool[np.ndarray, "h w"]:
-        """Where the picture is burnt out."""
-        return self.low > SATURATED
 
 
 def search_sources(
@@ -64,69 +51,36 @@ def search_sources(
     sightings = [sight(caster, frame) for frame in frames]
     if not sightings or np.mean([s.burnt.mean() for s in sightings]) > MOST_SATURATED:
         return (), ()
-    box = closing_box(caster.mesh, up)
+    box = closing_box(caster.mesh, up, np.stack([s.frame.camera.origin for s in sightings]))
     windows = [window for wall in range(len(box[0])) for window in _windows_of(wall, box, sightings, up)]
     named = tuple(dataclasses.replace(w, name=f"window-{i + 1}") for i, w in enumerate(windows))
     return named, search_lamps(caster, sightings, box, named, up)
 
 
-def sight(caster: RayCaster, frame: Frame) -> Sighting:
-    """A frame, coarsely."""
-    step = max(1, frame.camera.intrinsics.width // PIXELS)
-    rays = frame.camera.rays()[step // 2 :: step, step // 2 :: step]
-    hits = caster.cast(frame.camera.origin, rays.reshape(-1, 3))
-    shape = rays.shape[:2]
-    low = frame.image[step // 2 :: step, step // 2 :: step].min(axis=-1)
-    return Sighting(frame, rays, hits.distance.reshape(shape), hits.face.reshape(shape), low)
+def find_photo_sources(
+    scene: "Scene", *, file: Path | None = None, frames: Sequence[int] | None = None
+) -> PhotoSources:
+    """Windows and lamps of a scene's photographs: from a file, else from the capture's hints, else found.
 
+    Args:
+        scene: capture and surface.
+        file: YAML or JSON, see the module.
+        frames: that are looked at; 24 spread over the capture by default.
 
-Box = tuple[Float[np.ndarray, "5 3"], Float[np.ndarray, "5"]]
-"""Outward normals of four walls and the ceiling, and their offsets."""
-
-
-def closing_box(mesh: trimesh.Trimesh, up: Vector) -> Box:
-    """Walls and ceiling as planes: the outermost ones of some area, or the scan's end where there is none."""
-    normals, areas = np.asarray(mesh.face_normals), np.asarray(mesh.area_faces)
-    x = unit(reject(perpendicular(up), up))
-    y = np.cross(up, x)
-    upright = np.abs(normals @ up) < 0.3
-    angle = np.arctan2(normals[upright] @ y, normals[upright] @ x)
-    turn = np.angle(np.sum(areas[upright] * np.exp(4j * angle)) + 1e-12) / 4
-    x = np.cos(turn) * x + np.sin(turn) * y
-    outward = np.stack([x, -x, np.cross(up, x), -np.cross(up, x), up])
-    return outward, np.array([_outermost(mesh, normals, areas, d) for d in outward])
-
-
-def _outermost(mesh: trimesh.Trimesh, normals: np.ndarray, areas: np.ndarray, outward: Vector) -> float:
-    facing = np.abs(normals @ outward) > 0.85
-    end = float(np.quantile(mesh.vertices @ outward, 0.995))
-    middle = float(np.median(mesh.vertices @ outward))
-    offsets = mesh.triangles_center[facing] @ outward
-    bins = np.arange(middle, end + 0.2, 0.02)
-    if len(bins) < 2 or not facing.any():
-        return end
-    area = np.histogram(offsets, bins, weights=areas[facing])[0]
-    near = np.convolve(area, np.ones(5), "same")  # within 5 cm
-    strong = np.flatnonzero(near > max(0.4, 0.3 * near.max()))
-    if not len(strong):
-        return end
-    last = strong[-1]
-    first = last
-    while first - 1 in strong and last - first < 10:
-        first -= 1
-    peak = first + int(np.argmax(near[first : last + 1]))
-    return float(bins[peak] + 0.01)
-
-
-def exits(box: Box, origin: Vector, rays: Float[np.ndarray, "*s 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """Ray parameter where each ray leaves the box, and through which wall; infinite and 5 downwards."""
-    outward, offsets = box
-    along = rays @ outward.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.where(along > 1e-9, (offsets - outward @ origin) / along, np.inf)
-    t = np.where(t > 0, t, np.inf)
-    first = t.min(axis=-1)
-    return first, np.where(np.isfinite(first), t.argmin(axis=-1), len(offsets))
+    Raises:
+        InputError: the file cannot be used.
+    """
+    chosen = spread(range(len(scene)), 24) if frames is None else list(frames)
+    up = np.asarray(scene.capture.up, float)
+    if file is not None:
+        eyes = np.stack([scene.frame(index).camera.origin for index in spread(chosen, 8)])
+        return read_sources(file, up, scene.caster, eyes)
+    looked_at = [scene.frame(index) for index in chosen]
+    hinted = hinted_sources(scene.capture.anchors, up, scene.caster, looked_at)
+    if hinted.windows or hinted.lamps:
+        return hinted
+    windows, lamps = search_sources(scene.caster, looked_at, up)
+    return PhotoSources(windows, lamps, "found" if windows or lamps else "none")
 
 
 def _windows_of(wall: int, box: Box, sightings: Sequence[Sighting], up: Vector) -> list[PhotoWindow]:
