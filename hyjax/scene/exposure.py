@@ -4,6 +4,7 @@ import dataclasses
 import logging
 from collections.abc import Sequence
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -14,8 +15,8 @@ from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, Rec
 from hyjax.light.setup import LightSetup
 from hyjax.util.errors import InputError
 
-BRIGHTEST = 1.5
-"""Filter that all but a twentieth of the surface stays below."""
+BRIGHTEST, BRIGHTEST_IN_SUN = 1.5, 3.0
+"""Filter that all but a twentieth of the surface stays below, without the sun and with it."""
 OFFSET = 0.02
 """Metres off the surface at which rays to lights start."""
 _log = logging.getLogger(__name__)
@@ -74,8 +75,8 @@ class SeenSurface:
         return lit
 
     def lux(self, light: Light) -> Float[np.ndarray, "n"]:
-        """Illuminance of a light on the points, with shadows; its colour's luminance is taken as green."""
-        lux = np.asarray(light.illuminance_at(self.points.astype(np.float32), self.normals.astype(np.float32)))
+        """Illuminance of a light on the points, with shadows; times the strongest channel of its colour."""
+        lux = np.asarray(light.illuminance_at(jnp.asarray(self.points), jnp.asarray(self.normals)))
         every = np.ones(len(lux), bool)
         if isinstance(light, DirectionalLight) and light.aperture is not None:
             free = self.reached_through(light.aperture, np.asarray(light.direction, float))
@@ -97,10 +98,13 @@ class SeenSurface:
 
 def exposed(setup: LightSetup, seen: SeenSurface) -> float:
     """Reference illuminance of a set-up: its own, or more where its lights would burn the pictures out."""
-    lux = np.zeros(len(seen.points))
+    shade, every = np.zeros(len(seen.points)), np.zeros(len(seen.points))
     for light in setup.lights:
-        lux += seen.lux(light)
-    return max(float(setup.reference_lux), float(np.quantile(lux, 0.95)) / BRIGHTEST)
+        lux = seen.lux(light)
+        every += lux
+        shade += 0.0 if isinstance(light, DirectionalLight) else lux
+    least = [np.quantile(lux, 0.95) / most for lux, most in ((shade, BRIGHTEST), (every, BRIGHTEST_IN_SUN))]
+    return max(float(setup.reference_lux), *map(float, least))
 
 
 def warn_of_missing(setup: LightSetup, seen: SeenSurface, name: str) -> None:

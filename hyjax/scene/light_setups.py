@@ -21,14 +21,14 @@ from hyjax.light.kinds import AmbientLight, Aperture, DirectionalLight, PointLig
 from hyjax.light.kinds.directional import SUN_DEGREES
 from hyjax.light.kinds.file_keys import direction
 from hyjax.light.setup import LightSetup
-from hyjax.scene.exposure import SeenSurface, exposed
+from hyjax.scene.exposure import SeenSurface, exposed, warn_of_missing
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.vectors import perpendicular, reject, unit
 
 Vector = Float[np.ndarray, "3"]
 ASIDE = (0.35, -0.35, 0.0, 0.7, -0.7, 1.2, -1.2)
 """Tangents of the angles between the sun's direction and the window's normal, the usual one first."""
-ENOUGH_SUN = 0.04
+ENOUGH_SUN = 0.02
 """Share of the surface that is seen: a sun that falls on this much of it is left where it is."""
 
 
@@ -164,7 +164,7 @@ def check_setup_name(name: str) -> None:
 
 
 def named_setup(name: str, anchors: LightAnchors) -> LightSetup:
-    """One of `SETUPS`, placed in a room.
+    """One of `SETUPS`, placed in a room; a light that reaches nothing that the cameras see is told in the log.
 
     Raises:
         InputError: unknown name.
@@ -173,6 +173,7 @@ def named_setup(name: str, anchors: LightAnchors) -> LightSetup:
     setup = SETUPS[name](anchors)
     if name not in BENCHMARKS:
         setup = LightSetup(setup.lights, exposed(setup, anchors.seen))
+    warn_of_missing(setup, anchors.seen, name)
     lights = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), setup.lights)
     return LightSetup(lights, setup.reference_lux)
 
