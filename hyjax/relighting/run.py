@@ -21,7 +21,6 @@ from hyjax.data.registry import open_capture
 from hyjax.guide.choose import FrameGuide, open_guide
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light, kind_name
-from hyjax.light.photo_light import add_surface_light
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.light.view import View
@@ -178,7 +177,7 @@ class _Shader:
                 rendering = self._blender.render(frame.camera)
             view, shaded = rendering.shade(view, self.setup)
             if light is not None:
-                shaded = add_surface_light(shaded, light, view.gbuffer, setup.lights)
+                shaded = view.add_surface_light(shaded, light, setup.lights)
             return view, shaded
         if len(self.devices) > 1:
             view = jax.device_put(view, self.devices[number % len(self.devices)])

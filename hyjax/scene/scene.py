@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
+from jaxtyping import Array, Float
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit, spread
@@ -17,6 +18,7 @@ from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.emission import Emitters, radiant_filter
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight, bounced_light
@@ -25,7 +27,8 @@ from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate
-from hyjax.photo_light.sources import named_sources
+from hyjax.photo_light.source_search import find_photo_sources
+from hyjax.photo_light.sources import PhotoSources
 from hyjax.scene.light_setups import LightAnchors, check_setup_name, named_setup, survey_capture
 from hyjax.scene.settings import SceneSettings, parse_size
 from hyjax.scene.surfaces import surface_of
@@ -37,6 +40,8 @@ from hyjax.util.files import digest
 UNIT_TOLERANCE = 1e-3
 PHOTO_FRAMES = 24
 """Frames, spread over the capture, that the photo's light is estimated from."""
+PHOTO_WIDTH = 800
+"""Pixels of their longer side, at most."""
 PHOTO_VERSION = 1
 """Of that estimate. Add one whenever it comes out differently."""
 
@@ -56,13 +61,22 @@ class Scene:
         mesh: surface in the capture's world coordinates.
         size: (height, width) to work at; None as captured.
         source: the mesh in a few words, for the record.
+        photo_sources: file that names the windows and lamps that lit the frames; None to find them.
+        progress: show bars on stderr.
 
     Raises:
         InputError: the capture has no frames, or no unit vector against gravity.
     """
 
     def __init__(
-        self, capture: Capture, mesh: trimesh.Trimesh, *, size: tuple[int, int] | None = None, source: str = "mesh"
+        self,
+        capture: Capture,
+        mesh: trimesh.Trimesh,
+        *,
+        size: tuple[int, int] | None = None,
+        source: str = "mesh",
+        photo_sources: Path | None = None,
+        progress: bool = False,
     ) -> None:
         if not len(capture):
             raise InputError(f"{capture.name}: the capture has no frames")
@@ -73,7 +87,7 @@ class Scene:
         self._anchors: LightAnchors | None = None
         self._maps: tuple[tuple[Light, ...], tuple[ShadowMap | None, ...]] | None = None
         self._surface_light: tuple[tuple[tuple[Light, ...], bool, float], SurfaceLight] | None = None
-        self.progress = False
+        self.progress, self._sources_file = progress, photo_sources
 
     @classmethod
     def open(
@@ -108,9 +122,14 @@ class Scene:
                 repair=settings.repair_mesh,
                 progress=progress,
             )
-            scene = cls(capture, mesh, size=parse_size(settings.size), source=source)
-            scene.progress = progress
-            return scene
+            return cls(
+                capture,
+                mesh,
+                size=parse_size(settings.size),
+                source=source,
+                photo_sources=settings.photo_sources,
+                progress=progress,
+            )
 
     def __len__(self) -> int:
         return len(self.capture)
@@ -192,23 +211,49 @@ class Scene:
     @functools.cached_property
     def photo_light(self) -> Estimate:
         """Light that the frames were taken under, estimated when first asked for and kept in the cache folder."""
-        frames = spread(range(len(self)), PHOTO_FRAMES)
         mesh = (np.ascontiguousarray(part).tobytes() for part in (self.mesh.vertices, self.mesh.faces))
-        windows, lamps = named_sources(self.capture)
-        named = f"{windows} {lamps}"
+        sources = self.photo_sources
+        named = repr([(w.name, w.corners.round(4).tolist()) for w in sources.windows])
+        named += repr([(lamp.name, lamp.position.round(4).tolist()) for lamp in sources.lamps])
         key = digest([self.capture.fingerprint, str(self.size), named, hashlib.sha256(b"".join(mesh)).hexdigest()])
         return cached_arrays(
             cache_folder() / f"photo-light-v{PHOTO_VERSION}-{key}.npz",
             lambda arrays: read_estimate(self.caster, arrays),
             lambda: estimate_arrays(
-                self.caster,
-                (self.frame(i) for i in frames),
-                np.asarray(self.capture.up, np.float64),
-                windows,
-                lamps,
-                self.progress,
+                self.caster, self._photos, np.asarray(self.capture.up, np.float64), sources, self.progress
             ),
         )
+
+    def _emitters(self, setup: LightSetup, mean: Float[Array, "3"]) -> Emitters | None:
+        """Panes and lamps with what they send under new lights; None if there are none."""
+        sources = self.photo_sources
+        if not sources.windows and not sources.lamps:
+            return None
+        panes = np.array([(w.center, w.right, w.up) for w in sources.windows]).reshape(-1, 3, 3)
+        lamps = np.array([(*lamp.position, lamp.radius) for lamp in sources.lamps]).reshape(-1, 4)
+        sent = radiant_filter(setup.lights, panes, lamps, float(setup.reference_lux))
+        own, bulbs, light = (jnp.asarray(a, jnp.float32) for a in (panes, lamps, sent))
+        return Emitters(own, bulbs, light, mean)
+
+    @functools.cached_property
+    def photo_sources(self) -> PhotoSources:
+        """Windows and lamps that lit the frames.
+
+        Raises:
+            InputError: the file of `SceneSettings.photo_sources` cannot be used.
+        """
+        return find_photo_sources(self.capture, self.caster, self._photos, file=self._sources_file)
+
+    @functools.cached_property
+    def _photos(self) -> list[Frame]:
+        """Frames spread over the capture, no larger than needed, that tell of the light they were taken under."""
+        frames = []
+        for index in spread(range(len(self)), PHOTO_FRAMES):
+            frame = self.frame(index)
+            height, width = frame.camera.intrinsics.shape
+            share = min(1.0, PHOTO_WIDTH / max(height, width))
+            frames.append(fit(frame, (round(height * share), round(width * share))) if share < 1 else frame)
+        return frames
 
     def surface_light(self, lights: LightSetup | Sequence[Light], *, shadows: bool = True) -> SurfaceLight:
         """Photo's own light and the bounces of new lights, on the vertices; those of the last lights are kept."""
@@ -217,7 +262,8 @@ class Scene:
         if self._surface_light is None or not _same_key(self._surface_light[0], key):
             photo = self.photo_light.light
             bounced = bounced_light(photo, setup.lights, self.shadow_maps(setup) if shadows else None)
-            self._surface_light = key, SurfaceLight(photo.illuminance, bounced, photo.transport.faces)
+            emitters = self._emitters(setup, photo.mean)
+            self._surface_light = key, SurfaceLight(photo.illuminance, bounced, photo.transport.faces, emitters)
         return self._surface_light[1]
 
 

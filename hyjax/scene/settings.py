@@ -29,6 +29,9 @@ class SceneSettings(Settings):
     """Voxel of a fused mesh in metres."""
     seed: int = 0
     """Of a simulated scan."""
+    photo_sources: Path | None = None
+    """YAML or JSON file of the windows and lamps that lit the frames. Default: those that the capture knows, else
+    those that are found."""
     repair_mesh: bool = False
     """Drop unusable triangles of a mesh file instead of refusing it."""
 

@@ -1,15 +1,16 @@
 """Windows and lamps that lit the photographs: given, hinted at, and found."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.geometry.raycast import RayCaster
-from hyjax.scene.photo_sources import PhotoSources, hinted_sources, is_lit
+from hyjax.photo_light.source_search import find_photo_sources, search_sources
+from hyjax.photo_light.sources import PhotoSources, hinted_sources, is_lit
 from hyjax.scene.scene import Scene
-from hyjax.scene.source_search import find_photo_sources, search_sources
 from hyjax.util.errors import InputError
 
 WINDOW = "{center: [0.0, 2.95, 1.52], normal: [1, 0, 0], width: 2.4, height: 1.4}"
@@ -25,10 +26,14 @@ def scene(room: RoomCapture) -> Scene:
     return Scene(room, room.reference())
 
 
+def find(scene: Scene, **options: Any) -> PhotoSources:
+    return find_photo_sources(scene.capture, scene.caster, [scene.frame(i) for i in range(0, 24, 4)], **options)
+
+
 def given(scene: Scene, tmp_path: Path, text: str) -> PhotoSources:
     file = tmp_path / "sources.yaml"
     file.write_text(text)
-    return find_photo_sources(scene, file=file)
+    return find(scene, file=file)
 
 
 def test_the_window_is_found_without_hints(room: RoomCapture, scene: Scene) -> None:
@@ -43,7 +48,7 @@ def test_the_window_is_found_without_hints(room: RoomCapture, scene: Scene) -> N
 
 
 def test_hints_come_before_the_search_and_dark_lamps_are_left_out(scene: Scene) -> None:
-    sources = find_photo_sources(scene, frames=range(0, 24, 4))
+    sources = find(scene)
     assert sources.origin == "capture" and [w.name for w in sources.windows] == ["window-1"]
     assert not sources.lamps  # the room was photographed by day
 
@@ -100,7 +105,7 @@ def test_bad_files_are_refused_in_one_line(text: str, said: str, scene: Scene, t
         given(scene, tmp_path, text)
     assert said in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(InputError, match="no such file"):
-        find_photo_sources(scene, file=tmp_path / "none.yaml")
+        find(scene, file=tmp_path / "none.yaml")
 
 
 def test_a_capture_without_hints_has_none(room: RoomCapture) -> None:

@@ -8,17 +8,16 @@ which the rays of several frames meet, unless the scan is flat there: a sheet of
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from hyjax.data.capture import Frame
-from hyjax.data.frames import spread
+from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.raycast import RayCaster
-from hyjax.scene.lamp_search import search_lamps
-from hyjax.scene.photo_sources import (
+from hyjax.photo_light.lamp_search import search_lamps
+from hyjax.photo_light.sightings import Box, Sighting, closing_box, exits, sight
+from hyjax.photo_light.sources import (
     SATURATED,
     PhotoLamp,
     PhotoSources,
@@ -27,10 +26,6 @@ from hyjax.scene.photo_sources import (
     hinted_sources,
     read_sources,
 )
-from hyjax.scene.sightings import Box, Sighting, closing_box, exits, sight
-
-if TYPE_CHECKING:
-    from hyjax.scene.scene import Scene
 
 CELL = 0.05
 """Metres of a cell of a wall."""
@@ -58,28 +53,26 @@ def search_sources(
 
 
 def find_photo_sources(
-    scene: "Scene", *, file: Path | None = None, frames: Sequence[int] | None = None
+    capture: Capture, caster: RayCaster, frames: Sequence[Frame], *, file: Path | None = None
 ) -> PhotoSources:
-    """Windows and lamps of a scene's photographs: from a file, else from the capture's hints, else found.
+    """Windows and lamps of photographs: from a file, else from the capture's hints, else found.
 
     Args:
-        scene: capture and surface.
+        capture: its direction up and its anchors.
+        caster: its surface.
+        frames: that are looked at, spread over the capture.
         file: YAML or JSON, see the module.
-        frames: that are looked at; 24 spread over the capture by default.
 
     Raises:
         InputError: the file cannot be used.
     """
-    chosen = spread(range(len(scene)), 24) if frames is None else list(frames)
-    up = np.asarray(scene.capture.up, float)
+    up = np.asarray(capture.up, float)
     if file is not None:
-        eyes = np.stack([scene.frame(index).camera.origin for index in spread(chosen, 8)])
-        return read_sources(file, up, scene.caster, eyes)
-    looked_at = [scene.frame(index) for index in chosen]
-    hinted = hinted_sources(scene.capture.anchors, up, scene.caster, looked_at)
+        return read_sources(file, up, caster, np.stack([frame.camera.origin for frame in frames]))
+    hinted = hinted_sources(capture.anchors, up, caster, frames)
     if hinted.windows or hinted.lamps:
         return hinted
-    windows, lamps = search_sources(scene.caster, looked_at, up)
+    windows, lamps = search_sources(caster, frames, up)
     return PhotoSources(windows, lamps, "found" if windows or lamps else "none")
 
 

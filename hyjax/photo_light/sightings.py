@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from hyjax.data.capture import Frame
 from hyjax.geometry.raycast import RayCaster
-from hyjax.scene.photo_sources import SATURATED, Vector
+from hyjax.photo_light.sources import SATURATED, Vector
 from hyjax.util.vectors import perpendicular, reject, unit
 
 PIXELS = 160

@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 
 from hyjax.geometry.raycast import RayCaster
-from hyjax.scene.photo_sources import PhotoLamp, PhotoWindow, Vector
-from hyjax.scene.sightings import Box, Sighting
+from hyjax.photo_light.sightings import Box, Sighting
+from hyjax.photo_light.sources import PhotoLamp, PhotoWindow, Vector
 from hyjax.util.vectors import orthonormal_frame
 
 FEWEST_FRAMES = 3
