@@ -1,6 +1,6 @@
 """Scene: a capture with its surface, from which views and the light on them come."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
@@ -22,7 +22,8 @@ from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.scene.light_setups import LightAnchors, check_setup_name, named_setup, survey_capture
-from hyjax.scene.settings import SceneSettings, parse_size
+from hyjax.scene.occluders import SLACK, complete, fine_detail
+from hyjax.scene.settings import Occluders, SceneSettings, parse_size
 from hyjax.scene.surfaces import surface_of
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
@@ -45,13 +46,22 @@ class Scene:
         mesh: surface in the capture's world coordinates.
         size: (height, width) to work at; None as captured.
         source: the mesh in a few words, for the record.
+        exact: whether the mesh is accurate and has no holes, so that it throws its shadows as it is.
+        detail: makes, when first needed, a finer surface that throws shadows, too; None for none.
 
     Raises:
         InputError: the capture has no frames, or no unit vector against gravity.
     """
 
     def __init__(
-        self, capture: Capture, mesh: trimesh.Trimesh, *, size: tuple[int, int] | None = None, source: str = "mesh"
+        self,
+        capture: Capture,
+        mesh: trimesh.Trimesh,
+        *,
+        size: tuple[int, int] | None = None,
+        source: str = "mesh",
+        exact: bool = False,
+        detail: Callable[[], trimesh.Trimesh | None] = lambda: None,
     ) -> None:
         if not len(capture):
             raise InputError(f"{capture.name}: the capture has no frames")
@@ -60,7 +70,8 @@ class Scene:
         self.capture, self.size, self.source = capture, size, source
         self.caster = RayCaster(mesh)
         self._anchors: LightAnchors | None = None
-        self._maps: tuple[tuple[Light, ...], tuple[ShadowMap | None, ...]] | None = None
+        self.exact, self._detail, self._completed = exact, detail, None if not exact else self.caster
+        self._maps: dict[Occluders, tuple[tuple[Light, ...], tuple[ShadowMap | None, ...]]] = {}
 
     @classmethod
     def open(
@@ -95,7 +106,12 @@ class Scene:
                 repair=settings.repair_mesh,
                 progress=progress,
             )
-            return cls(capture, mesh, size=parse_size(settings.size), source=source)
+
+            def detail() -> trimesh.Trimesh | None:
+                return fine_detail(capture, settings.mesh, settings.seed, progress)
+
+            exact = settings.mesh == "true"
+            return cls(capture, mesh, size=parse_size(settings.size), source=source, exact=exact, detail=detail)
 
     def __len__(self) -> int:
         return len(self.capture)
@@ -144,15 +160,43 @@ class Scene:
             self._anchors = survey_capture(self.caster, self.capture)
         return named_setup(name, self._anchors)
 
-    def shadow_maps(self, lights: LightSetup | Sequence[Light]) -> tuple[ShadowMap | None, ...]:
-        """Shadow maps of lights; those of the last lights are kept."""
-        own = LightSetup.of(lights).lights
-        if self._maps is None or not same_lights(self._maps[0], own):
-            self._maps = own, jax.block_until_ready(cast_shadow_maps(self.caster, own))
-        return self._maps[1]
+    @property
+    def occluders(self) -> RayCaster:
+        """The mesh that throws shadows: the surface, completed."""
+        if self._completed is None:
+            self._completed = RayCaster(complete(self.mesh, self._detail()))
+        return self._completed
+
+    @property
+    def slack(self) -> float | None:
+        """Of shadow maps of `occluders`, see `ShadowMap`."""
+        return None if self.exact else SLACK
+
+    def shadow_maps(
+        self, lights: LightSetup | Sequence[Light], occluders: Occluders = "completed"
+    ) -> tuple[ShadowMap | None, ...]:
+        """Shadow maps of lights; those of the last lights are kept.
+
+        Args:
+            lights: a set-up, or lights.
+            occluders: what throws the shadows.
+        """
+        own, last = LightSetup.of(lights).lights, self._maps.get(occluders)
+        if last is None or not same_lights(last[0], own):
+            if occluders == "completed":
+                maps = cast_shadow_maps(self.occluders, own, slack=self.slack)
+            else:
+                maps = cast_shadow_maps(self.caster, own)
+            self._maps[occluders] = last = own, jax.block_until_ready(maps)
+        return last[1]
 
     def shade(
-        self, view: View, lights: LightSetup | Sequence[Light] | str | Path, *, shadows: bool = True
+        self,
+        view: View,
+        lights: LightSetup | Sequence[Light] | str | Path,
+        *,
+        shadows: bool = True,
+        occluders: Occluders = "completed",
     ) -> Shaded:
         """Light on what a view sees.
 
@@ -160,12 +204,13 @@ class Scene:
             view: of this scene.
             lights: lights, a set-up, or its name or file, see `lights`.
             shadows: whether lights cast shadows.
+            occluders: what throws them.
 
         Raises:
             InputError: no such set-up.
         """
         setup = self.lights(lights)
-        return view.shade(setup, shadow_maps=self.shadow_maps(setup) if shadows else None)
+        return view.shade(setup, shadow_maps=self.shadow_maps(setup, occluders) if shadows else None)
 
 
 def view_of(frame: Frame, gbuffer: GBuffer) -> View:
