@@ -58,6 +58,8 @@ PRESETS: dict[str, Preset] = {
     # Ours: of the shading, and of the visibility.
     "hyjax": Preset(((16, 3), (8, 4), (4, 6)), _GUIDED),
     "hyjax-shadow": Preset(((1, 2),)),
+    # Of the shadows of a scan, whose rims are frayed by centimetres: edges as soft as they are uncertain.
+    "hyjax-scan-shadow": Preset(((4, 8), (1, 2))),
     # The paper's.
     "paper-50": Preset(((16, 5), (8, 10), (4, 15), (2, 20))),
     "paper-80": Preset(((16, 10), (8, 15), (4, 25), (2, 30))),
@@ -156,7 +158,7 @@ class Schedule:
 
     @classmethod
     def preset(cls, name: str, *, kappa: float | None = None, lam: float = DEFAULT_LAM) -> "Schedule":
-        """Our schedules, `hyjax` and `hyjax-shadow`; the paper's, `paper-50`, `paper-80` and `shadow`; and
+        """Our schedules, `hyjax`, `hyjax-shadow` and `hyjax-scan-shadow`; the paper's, `paper-50`, `paper-80` and `shadow`; and
         `naive-50` and `naive-1000`, which it compares with.
 
         >>> [(level.factor, level.steps) for level in Schedule.preset("paper-50").levels]

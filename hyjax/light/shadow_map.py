@@ -30,9 +30,8 @@ Vector = tuple[Array, Array, Array]  # by components: see `hyjax.util.geometry` 
 # Holbert 2011), which covers the footprint of the 2×2 filter, and compared with a slack of this many texels.
 NORMAL_OFFSET = 2.0
 DEPTH_BIAS = 1.0
-LEAST_COSINE = (
-    0.35  # of the angle of incidence: a surface's error counts for no more than its inverse along the ray
-)
+# Of a surface with slack: its error counts along a ray for no more than the inverse of this cosine.
+LEAST_COSINE = 0.35
 
 
 @functools.partial(

@@ -140,7 +140,7 @@ class FrameEstimator:
         view, maps, schedule = (
             self._view(),
             self.scene.shadow_maps(self.lights, "surface"),
-            Schedule.preset("hyjax-shadow"),
+            Schedule.preset("hyjax-scan-shadow"),
         )
         shaded, features = view.shade(self.lights, shadow_maps=maps), self.guide.features(self.display)
         return {
