@@ -155,7 +155,7 @@ class _Shader:
                 self._blender = stack.enter_context(blender)
         elif settings.shadows:
             with clock("shadow maps"):
-                maps = scene.shadow_maps(setup, "surface" if settings.paper_mode else settings.occluders)
+                maps = scene.shadow_maps(setup, occluders="surface" if settings.paper_mode else settings.occluders)
         # Blender, and what frames leave to the next, there is once.
         once = settings.video or settings.renderer == "blender"
         self.devices = jax.local_devices()[: 1 if once else None]

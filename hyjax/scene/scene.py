@@ -173,7 +173,7 @@ class Scene:
         return None if self.exact else SLACK
 
     def shadow_maps(
-        self, lights: LightSetup | Sequence[Light], occluders: Occluders = "completed"
+        self, lights: LightSetup | Sequence[Light], *, occluders: Occluders = "completed"
     ) -> tuple[ShadowMap | None, ...]:
         """Shadow maps of lights; those of the last lights are kept.
 
@@ -210,7 +210,7 @@ class Scene:
             InputError: no such set-up.
         """
         setup = self.lights(lights)
-        return view.shade(setup, shadow_maps=self.shadow_maps(setup, occluders) if shadows else None)
+        return view.shade(setup, shadow_maps=self.shadow_maps(setup, occluders=occluders) if shadows else None)
 
 
 def view_of(frame: Frame, gbuffer: GBuffer) -> View:

@@ -94,7 +94,7 @@ def test_what_throws_shadows_is_asked_for_once_and_an_exact_mesh_does_it_itself(
 
     lights = [PointLight(jnp.zeros(3), jnp.asarray(9.0), jnp.ones(3))]
     scene = Scene(Box(), box(), detail=detail)
-    (bare,) = scene.shadow_maps(lights, "surface")
+    (bare,) = scene.shadow_maps(lights, occluders="surface")
     assert bare is not None and bare.slack is None and not asked
     for _ in range(2):
         (completed,) = scene.shadow_maps(lights)
