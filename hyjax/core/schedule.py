@@ -64,7 +64,6 @@ PRESETS: dict[str, Preset] = {
     "paper-80": Preset(((16, 10), (8, 15), (4, 25), (2, 30))),
     # Of this one it says "reducing the number of iterations and maintaining operation at higher resolutions".
     "shadow": Preset(((1, 8),)),
-    # What it compares with.
     "naive-50": Preset(((2, 50),)),
     "naive-1000": Preset(((2, 1000),)),
 }
