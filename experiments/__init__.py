@@ -7,6 +7,7 @@ EXPERIMENTS = (
     "flicker",
     "ablation_cascade",
     "ablation_shadow",
+    "shadow_overlap",
     "structure",
     "conductances",
     "depth_sr",

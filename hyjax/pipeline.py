@@ -78,7 +78,8 @@ def relight(
         shaded: light on that surface, see `View.shade`.
         guide: features that say where light may flow; `view.display` is the "RGB guide".
         schedule: cascade for the shading.
-        shadow_schedule: cascade for the visibility; default the preset `hyjax-shadow`, in mode `"paper"` `shadow`.
+        shadow_schedule: cascade for the visibility; default the preset `hyjax-scan-shadow`, in mode `"paper"`
+            `shadow`.
         temporal_filter: function of the refined illuminance and visibility of each light that returns what to take
             instead. See `hyjax.video`; not in mode `"paper"`.
         mode: `"linear"` multiplies linear light and treats pixels without surface as unknown; `"paper"` clips and
@@ -145,7 +146,7 @@ def relight_stages(
             f"{shaded.confidence.shape} do not fit the illuminance {lit}"
         )
     if shadow_schedule is None:
-        shadow_schedule = Schedule.preset("shadow" if mode == "paper" else "hyjax-shadow")
+        shadow_schedule = Schedule.preset("shadow" if mode == "paper" else "hyjax-scan-shadow")
     for used in (schedule, shadow_schedule):
         used.check(dtype=shaded.illuminance.dtype)
     known = view.gbuffer.hit if mode == "paper" else shaded.confidence > 0

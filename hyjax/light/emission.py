@@ -75,7 +75,10 @@ def radiant_filter(
         reference_lux: of the set-up.
     """
     sent = np.zeros((len(panes) + len(lamps), 3))
-    for emitter, color in ((light.emitter(), np.asarray(light.color)) for light in lights if not light.UNIFORM):
+    for light in lights:
+        emitter, color = light.emitter(), np.asarray(light.color)
+        if emitter is None:
+            continue
         if emitter.kind == "rect":
             area = 4 * np.linalg.norm(np.cross(emitter.right, emitter.up))
             for k, (center, right, up) in enumerate(panes):

@@ -51,6 +51,14 @@ class Estimate:
     exponent: float
     flatness: tuple[float, ...]
 
+    @property
+    def reason(self) -> str:
+        """Why nothing is divided out, or by how much dividing helps."""
+        if all(f == 1 for f in self.flatness):
+            return "frames and scan tell too little of it"
+        change = 100 * (1 - min(self.flatness))
+        return f"divided by it, surfaces of one plane come out {change:.0f} % flatter, less than {100 * LEAST_GAIN:.0f}"
+
 
 def estimate_arrays(
     caster: RayCaster,

@@ -155,11 +155,13 @@ class _Shader:
                 self._blender = stack.enter_context(blender)
         elif settings.shadows:
             with clock("shadow maps"):
-                maps = scene.shadow_maps(setup)
+                maps = scene.shadow_maps(setup, occluders=settings.shadow_occluders)
         surface_light = None
         if settings.mode == "linear" and not settings.keep_photo_light:
             with clock("photo light"):
-                surface_light = jax.block_until_ready(scene.surface_light(setup, shadows=settings.shadows))
+                surface_light = jax.block_until_ready(
+                    scene.surface_light(setup, shadows=settings.shadows, occluders=settings.shadow_occluders)
+                )
         # Blender, and what frames leave to the next, there is once.
         once = settings.video or settings.renderer == "blender"
         self.devices = jax.local_devices()[: 1 if once else None]

@@ -1,49 +1,37 @@
 """Scene: a capture with its surface, from which views and the light on them come."""
 
 import functools
-import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
-from jaxtyping import Array, Float
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import fit, spread
+from hyjax.data.frames import fit
 from hyjax.data.light_file import is_light_file, read_lights
 from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
-from hyjax.light.emission import Emitters, radiant_filter
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
-from hyjax.light.photo_light import SurfaceLight, bounced_light
+from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.setup import LightSetup, same_lights
 from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
-from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate
-from hyjax.photo_light.source_search import find_photo_sources
-from hyjax.photo_light.sources import PhotoSources
 from hyjax.scene.light_setups import LightAnchors, check_setup_name, named_setup, survey_capture
-from hyjax.scene.settings import SceneSettings, parse_size
+from hyjax.scene.occluders import SLACK, complete, fine_detail
+from hyjax.scene.photo_light import ScenePhotoLight
+from hyjax.scene.settings import Occluders, SceneSettings, parse_size
 from hyjax.scene.surfaces import surface_of
-from hyjax.util.cache import cache_folder, cached_arrays
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
-from hyjax.util.files import digest
 
 UNIT_TOLERANCE = 1e-3
-PHOTO_FRAMES = 24
-"""Frames, spread over the capture, that the photo's light is estimated from."""
-PHOTO_WIDTH = 800
-"""Pixels of their longer side, at most."""
-PHOTO_VERSION = 1
-"""Of that estimate. Add one whenever it comes out differently."""
 
 
 class Scene:
@@ -61,6 +49,8 @@ class Scene:
         mesh: surface in the capture's world coordinates.
         size: (height, width) to work at; None as captured.
         source: the mesh in a few words, for the record.
+        exact: whether the mesh is accurate and has no holes, so that it throws its shadows as it is.
+        detail: makes, when first needed, a finer surface that throws shadows, too; None for none.
         photo_sources: file that names the windows and lamps that lit the frames; None to find them.
         progress: show bars on stderr.
 
@@ -75,6 +65,8 @@ class Scene:
         *,
         size: tuple[int, int] | None = None,
         source: str = "mesh",
+        exact: bool = False,
+        detail: Callable[[], trimesh.Trimesh | None] = lambda: None,
         photo_sources: Path | None = None,
         progress: bool = False,
     ) -> None:
@@ -85,9 +77,9 @@ class Scene:
         self.capture, self.size, self.source = capture, size, source
         self.caster = RayCaster(mesh)
         self._anchors: LightAnchors | None = None
-        self._maps: tuple[tuple[Light, ...], tuple[ShadowMap | None, ...]] | None = None
-        self._surface_light: tuple[tuple[tuple[Light, ...], bool, float], SurfaceLight] | None = None
-        self.progress, self._sources_file = progress, photo_sources
+        self.exact, self._detail, self._completed = exact, detail, None if not exact else self.caster
+        self._maps: dict[Occluders, tuple[tuple[Light, ...], tuple[ShadowMap | None, ...]]] = {}
+        self._sources_file, self._progress = photo_sources, progress
 
     @classmethod
     def open(
@@ -122,11 +114,17 @@ class Scene:
                 repair=settings.repair_mesh,
                 progress=progress,
             )
+
+            def detail() -> trimesh.Trimesh | None:
+                return fine_detail(capture, settings.mesh, settings.seed, progress)
+
             return cls(
                 capture,
                 mesh,
                 size=parse_size(settings.size),
                 source=source,
+                exact=settings.mesh == "true",
+                detail=detail,
                 photo_sources=settings.photo_sources,
                 progress=progress,
             )
@@ -178,12 +176,35 @@ class Scene:
             self._anchors = survey_capture(self.caster, self.capture)
         return named_setup(name, self._anchors)
 
-    def shadow_maps(self, lights: LightSetup | Sequence[Light]) -> tuple[ShadowMap | None, ...]:
-        """Shadow maps of lights; those of the last lights are kept."""
-        own = LightSetup.of(lights).lights
-        if self._maps is None or not same_lights(self._maps[0], own):
-            self._maps = own, jax.block_until_ready(cast_shadow_maps(self.caster, own))
-        return self._maps[1]
+    @property
+    def occluders(self) -> RayCaster:
+        """The mesh that throws shadows: the surface, completed."""
+        if self._completed is None:
+            self._completed = RayCaster(complete(self.mesh, self._detail()))
+        return self._completed
+
+    @property
+    def slack(self) -> float | None:
+        """Of shadow maps of `occluders`, see `ShadowMap`."""
+        return None if self.exact else SLACK
+
+    def shadow_maps(
+        self, lights: LightSetup | Sequence[Light], *, occluders: Occluders = "completed"
+    ) -> tuple[ShadowMap | None, ...]:
+        """Shadow maps of lights; those of the last lights are kept.
+
+        Args:
+            lights: a set-up, or lights.
+            occluders: what throws the shadows.
+        """
+        own, last = LightSetup.of(lights).lights, self._maps.get(occluders)
+        if last is None or not same_lights(last[0], own):
+            if occluders == "completed":
+                maps = cast_shadow_maps(self.occluders, own, slack=self.slack)
+            else:
+                maps = cast_shadow_maps(self.caster, own)
+            self._maps[occluders] = last = own, jax.block_until_ready(maps)
+        return last[1]
 
     def shade(
         self,
@@ -192,6 +213,7 @@ class Scene:
         *,
         shadows: bool = True,
         keep_photo_light: bool = False,
+        occluders: Occluders = "completed",
     ) -> Shaded:
         """Light on what a view sees.
 
@@ -200,75 +222,45 @@ class Scene:
             lights: lights, a set-up, or its name or file, see `lights`.
             shadows: whether lights cast shadows.
             keep_photo_light: whether to leave the light that the frames were taken under, and bounces out.
+            occluders: what throws them.
 
         Raises:
             InputError: no such set-up.
         """
         setup = self.lights(lights)
-        light = None if keep_photo_light else self.surface_light(setup, shadows=shadows)
-        return view.shade(setup, shadow_maps=self.shadow_maps(setup) if shadows else None, surface_light=light)
+        light = None
+        if not keep_photo_light:
+            light = self.surface_light(setup, shadows=shadows, occluders=occluders)
+        maps = self.shadow_maps(setup, occluders=occluders) if shadows else None
+        return view.shade(setup, shadow_maps=maps, surface_light=light)
 
     @functools.cached_property
-    def photo_light(self) -> Estimate:
+    def photo_light(self) -> ScenePhotoLight:
         """Light that the frames were taken under, estimated when first asked for and kept in the cache folder."""
-        mesh = (np.ascontiguousarray(part).tobytes() for part in (self.mesh.vertices, self.mesh.faces))
-        sources = self.photo_sources
-        named = repr([(w.name, w.corners.round(4).tolist()) for w in sources.windows])
-        named += repr([(lamp.name, lamp.position.round(4).tolist()) for lamp in sources.lamps])
-        key = digest([self.capture.fingerprint, str(self.size), named, hashlib.sha256(b"".join(mesh)).hexdigest()])
-        return cached_arrays(
-            cache_folder() / f"photo-light-v{PHOTO_VERSION}-{key}.npz",
-            lambda arrays: read_estimate(self.caster, arrays),
-            lambda: estimate_arrays(
-                self.caster, self._photos, np.asarray(self.capture.up, np.float64), sources, self.progress
-            ),
+        return ScenePhotoLight(
+            self.capture, self.caster, self.frame, sources_file=self._sources_file, progress=self._progress
         )
 
-    def _emitters(self, setup: LightSetup, mean: Float[Array, "3"]) -> Emitters | None:
-        """Panes and lamps with what they send under new lights; None if there are none."""
-        sources = self.photo_sources
-        if not sources.windows and not sources.lamps:
-            return None
-        panes = np.array([(w.center, w.right, w.up) for w in sources.windows]).reshape(-1, 3, 3)
-        lamps = np.array([(*lamp.position, lamp.radius) for lamp in sources.lamps]).reshape(-1, 4)
-        sent = radiant_filter(setup.lights, panes, lamps, float(setup.reference_lux))
-        own, bulbs, light = (jnp.asarray(a, jnp.float32) for a in (panes, lamps, sent))
-        return Emitters(own, bulbs, light, mean)
+    def surface_light(
+        self,
+        lights: LightSetup | Sequence[Light],
+        *,
+        shadows: bool = True,
+        occluders: Occluders = "completed",
+    ) -> SurfaceLight:
+        """Photo's own light and the bounces of new lights, on the vertices; those of the last lights are kept.
 
-    @functools.cached_property
-    def photo_sources(self) -> PhotoSources:
-        """Windows and lamps that lit the frames.
+        Args:
+            lights: new lights.
+            shadows: whether they cast shadows.
+            occluders: what throws them.
 
         Raises:
-            InputError: the file of `SceneSettings.photo_sources` cannot be used.
+            InputError: the file of the photo's sources cannot be used.
         """
-        return find_photo_sources(self.capture, self.caster, self._photos, file=self._sources_file)
-
-    @functools.cached_property
-    def _photos(self) -> list[Frame]:
-        """Frames spread over the capture, no larger than needed, that tell of the light they were taken under."""
-        frames = []
-        for index in spread(range(len(self)), PHOTO_FRAMES):
-            frame = self.frame(index)
-            height, width = frame.camera.intrinsics.shape
-            share = min(1.0, PHOTO_WIDTH / max(height, width))
-            frames.append(fit(frame, (round(height * share), round(width * share))) if share < 1 else frame)
-        return frames
-
-    def surface_light(self, lights: LightSetup | Sequence[Light], *, shadows: bool = True) -> SurfaceLight:
-        """Photo's own light and the bounces of new lights, on the vertices; those of the last lights are kept."""
         setup = LightSetup.of(lights)
-        key = (setup.lights, shadows, setup.reference_lux)
-        if self._surface_light is None or not _same_key(self._surface_light[0], key):
-            photo = self.photo_light.light
-            bounced = bounced_light(photo, setup.lights, self.shadow_maps(setup) if shadows else None)
-            emitters = self._emitters(setup, photo.mean)
-            self._surface_light = key, SurfaceLight(photo.illuminance, bounced, photo.transport.faces, emitters)
-        return self._surface_light[1]
-
-
-def _same_key(a: tuple[tuple[Light, ...], bool, float], b: tuple[tuple[Light, ...], bool, float]) -> bool:
-    return a[1:] == b[1:] and same_lights(a[0], b[0])
+        maps = self.shadow_maps(setup, occluders=occluders) if shadows else None
+        return self.photo_light.surface_light(setup, maps)
 
 
 def view_of(frame: Frame, gbuffer: GBuffer) -> View:

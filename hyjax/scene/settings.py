@@ -2,12 +2,15 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
 
+Occluders = Literal["completed", "surface"]
+"""What throws shadows: all that is known of the place, see `hyjax.scene.occluders`, or the bare surface."""
 LARGEST = 16384
 """Pixels a side."""
 
