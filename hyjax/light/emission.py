@@ -36,12 +36,14 @@ class Emitters:
         panes: centre, half-axis to the right and half-axis up of each pane.
         lamps: position and radius of each lamp.
         sent: radiance times π of panes, then lamps, as a filter: 1 stands for white in the photo's mean light.
+        kept: what is left of the light that each sent when the photo was taken.
         mean: K, see `hyjax.light.photo_light.PhotoLight`.
     """
 
     panes: Float[Array, "n 3 3"]
     lamps: Float[Array, "m 4"]
     sent: Float[Array, "k 3"]
+    kept: Float[Array, "k 3"]
     mean: Float[Array, "3"]
 
 
@@ -80,7 +82,7 @@ def radiant_filter(
         if emitter is None:
             continue
         if emitter.kind == "rect":
-            area = 4 * np.linalg.norm(np.cross(emitter.right, emitter.up))
+            area = 4 * np.linalg.norm(np.cross(np.asarray(emitter.right), np.asarray(emitter.up)))
             for k, (center, right, up) in enumerate(panes):
                 away = emitter.position - center
                 normal = np.cross(right, up)
@@ -146,7 +148,9 @@ def emission(
         else:
             pattern = jnp.ones(3)
         weight = jnp.maximum(weight, share)
-        sent = jnp.where(share[..., None] > 0, emitters.sent[k] * emitters.mean * pattern, sent)
+        sent = jnp.where(
+            share[..., None] > 0, emitters.sent[k] * emitters.mean * pattern + emitters.kept[k] * frame, sent
+        )
         reflectance = jnp.where(share[..., None] > 0, share_reflected * emitters.mean, reflectance)
     return Emission(weight[..., None], sent, reflectance)
 

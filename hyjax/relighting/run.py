@@ -123,6 +123,7 @@ def relight_capture(
         "renderer": settings.renderer,
         "schedule": json.loads(schedule.to_json()),
         "reference_lux": setup.reference_lux,
+        "photo_light": scene.photo_light.record() if settings.divides_photo_light else None,
         "settings": record,
         "milliseconds": clock.summary(),
         "frames_per_second": summary.frames_per_second,
@@ -157,7 +158,7 @@ class _Shader:
             with clock("shadow maps"):
                 maps = scene.shadow_maps(setup, occluders=settings.shadow_occluders)
         surface_light = None
-        if settings.mode == "linear" and not settings.keep_photo_light:
+        if settings.divides_photo_light:
             with clock("photo light"):
                 surface_light = jax.block_until_ready(
                     scene.surface_light(setup, shadows=settings.shadows, occluders=settings.shadow_occluders)

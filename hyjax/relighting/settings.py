@@ -71,6 +71,11 @@ class RelightSettings(Settings):
         return "surface" if self.paper_mode else self.occluders
 
     @property
+    def divides_photo_light(self) -> bool:
+        """Whether the light that the frames were taken under is divided out."""
+        return not self.paper_mode and not self.keep_photo_light
+
+    @property
     def mode(self) -> Mode:
         """Mode of the pipeline."""
         return "paper" if self.paper_mode else "linear"

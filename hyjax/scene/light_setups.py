@@ -172,7 +172,7 @@ def named_setup(name: str, anchors: LightAnchors) -> LightSetup:
     check_setup_name(name)
     setup = SETUPS[name](anchors)
     if name not in BENCHMARKS:
-        setup = LightSetup(setup.lights, exposed(setup, anchors.seen))
+        setup = dataclasses.replace(setup, reference_lux=exposed(setup, anchors.seen))
     warn_of_missing(setup, anchors.seen, name)
     lights = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), setup.lights)
     return LightSetup(lights, setup.reference_lux)

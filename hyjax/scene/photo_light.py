@@ -1,19 +1,20 @@
-"""Photo's own light of a scene: estimated once, kept in the cache folder, and joined by the bounces of new lights."""
+"""Photo's own light of a scene: estimated once, kept in the cache folder, joined by the bounces of new lights."""
 
 import functools
 import hashlib
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit, spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.emission import Emitters, radiant_filter
-from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight, bounced_light
 from hyjax.light.setup import LightSetup, same_lights
 from hyjax.light.shadow_map import ShadowMap
@@ -21,6 +22,7 @@ from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate
 from hyjax.photo_light.source_search import find_photo_sources
 from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.cache import cache_folder, cached_arrays
+from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.files import digest
 
 FRAMES = 24
@@ -100,23 +102,49 @@ class ScenePhotoLight:
         last = self._last
         if last is not None and last[1] is shadow_maps and _same_setup(last[0], setup):
             return last[2]
-        photo = self.estimate.light
+        photo, kept = self.estimate.light, jnp.asarray(self.kept(setup.existing), jnp.float32)
         bounced = bounced_light(photo, setup.lights, shadow_maps)
-        emitters = self.emitters(setup.lights, float(setup.reference_lux))
+        bounced += setup.reference_lux * jnp.einsum("sc,svc->vc", kept, photo.sources)
+        emitters = self.emitters(setup)
         light = SurfaceLight(photo.illuminance, bounced, photo.transport.faces, emitters)
         self._last = setup, shadow_maps, light
         return light
 
-    def emitters(self, lights: Sequence[Light], reference_lux: float) -> Emitters | None:
+    def record(self) -> dict[str, Any]:
+        """What a run's record says of the photo's light."""
+        return {
+            "sources": list(self.estimate.names),
+            "origin": self.sources.origin,
+            "exponent": self.estimate.exponent,
+            "flatness": round(min(self.estimate.flatness), 3),
+        }
+
+    def kept(self, existing: Mapping[str, Sequence[float]]) -> Float[np.ndarray, "s 3"]:
+        """What is left of each source of the photo.
+
+        Raises:
+            InputError: there is no source of a name.
+        """
+        names = self.estimate.names
+        for name in existing:
+            if name not in names:
+                hint = did_you_mean(name, names)
+                raise InputError(
+                    f"existing: the photos have no source {name!r}{hint}; there are {', '.join(names)}"
+                )
+        return np.array([existing.get(name, (0.0, 0.0, 0.0)) for name in names])
+
+    def emitters(self, setup: LightSetup) -> Emitters | None:
         """Panes and lamps with what they send under new lights; None if there are none."""
         windows, lamps = self.sources.windows, self.sources.lamps
         if not windows and not lamps:
             return None
         panes = np.array([(w.center, w.right, w.up) for w in windows]).reshape(-1, 3, 3)
         bulbs = np.array([(*lamp.position, lamp.radius) for lamp in lamps]).reshape(-1, 4)
-        sent = radiant_filter(lights, panes, bulbs, reference_lux)
-        own, round_, light = (jnp.asarray(a, jnp.float32) for a in (panes, bulbs, sent))
-        return Emitters(own, round_, light, self.estimate.light.mean)
+        sent = radiant_filter(setup.lights, panes, bulbs, float(setup.reference_lux))
+        kept = self.kept(setup.existing)[: len(sent)]  # windows, then lamps, as the sources are
+        own, round_, light, left = (jnp.asarray(a, jnp.float32) for a in (panes, bulbs, sent, kept))
+        return Emitters(own, round_, light, left, self.estimate.light.mean)
 
     @functools.cached_property
     def _frames(self) -> list[Frame]:
@@ -131,4 +159,5 @@ class ScenePhotoLight:
 
 
 def _same_setup(a: LightSetup, b: LightSetup) -> bool:
-    return a.reference_lux == b.reference_lux and same_lights(a.lights, b.lights)
+    same = a.reference_lux == b.reference_lux and dict(a.existing) == dict(b.existing)
+    return same and same_lights(a.lights, b.lights)
