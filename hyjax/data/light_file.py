@@ -60,7 +60,7 @@ COMMON = (
     FileKey("temperature", least=1667.0, most=25000.0, default=None),
 )
 FILE = (
-    FileKey("lights", "list", default=[]),
+    FileKey("lights", "list", default=()),
     FileKey("existing", "any", default=None),
     FileKey("reference_lux", positive=True, default=REFERENCE_LUX),
     FileKey("name", "any", default=None),
