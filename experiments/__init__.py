@@ -8,6 +8,7 @@ EXPERIMENTS = (
     "flicker",
     "ablation_cascade",
     "ablation_shadow",
+    "shadow_overlap",
     "structure",
     "conductances",
     "depth_sr",

@@ -304,7 +304,7 @@ def time_frames(config: Config, results: Results, bench: Workbench) -> None:
         f"G-buffer of {faces} triangles": functools.partial(caster.gbuffer, frame.camera)
         for faces, caster in casters.items()
     }
-    maps = scene.shadow_maps(bench.lights)
+    maps = scene.shadow_maps(bench.lights, occluders="surface")
     view = scene.view(0)
 
     def relit(shadow_maps: Any) -> Any:

@@ -7,14 +7,14 @@ with the true picture of a generated room under the new lights (`hyjax.synthetic
 response, six bounces. Four rooms were chosen on, four are reported on (`--rooms` takes any). Methods, from the
 untouched photo to those that are told what nobody knows, are in `experiments.truth_methods`. *Raw* is a picture as
 it comes, *fitted* has the three gains, in linear light, that bring it nearest to the truth: what is left of the
-error beside exposure and white balance. Differences are paired with the photo's light kept
-(`hyjax relight --keep-photo-light`); their intervals are by bootstrap over rooms and set-ups.
+error beside exposure and white balance. Differences are paired with *hyjax 0.1*, which keeps the photo's own light;
+their intervals are by bootstrap over rooms and set-ups.
 
 A check renders frames again under the photo's own light, which must give the photo back but for its noise.
 Takes about a quarter of an hour on two cores, and half a minute more for each room that is not in the cache.
 
-Expect: the default gains some 3 dB fitted and 5 dB raw on the photo's light kept, and more where the photo's light is
-told. True light on a true mesh comes to about 30 dB: the rest is the camera, mirror images and what shines.
+Expect: the default gains some 3 dB fitted and 5 dB raw on hyjax 0.1, and more where the photo's light is told. True
+light on a true mesh comes to about 30 dB: the rest is the camera, mirror images and what shines.
 """
 
 import dataclasses
@@ -29,8 +29,9 @@ from experiments.blocks import Block
 from experiments.command import RunConfig, Start, experiment, run
 from experiments.judging import judge
 from experiments.records import Results, Row, of_kind
+from experiments.truth_bench import TruthBench
 from experiments.truth_camera import Exposed, fit_gains
-from experiments.truth_methods import NEW, TODAY, TRUE_BOTH, LitBench, TruthBench
+from experiments.truth_methods import NEW, TODAY, TRUE_BOTH, LitBench
 from experiments.truth_table import FITS, blocks_of
 from hyjax.data.frames import spread
 from hyjax.metrics import LpipsWeights, load_lpips, psnr

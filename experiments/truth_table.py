@@ -31,7 +31,7 @@ def blocks_of(rows: Sequence[Row], folder: Path) -> list[Block]:
     for split, own in groups.items():
         made += [whole(own, split), by_setup(own, split)]
     made.append(rooms_table(rows))
-    made.append(Plot("gains", f"Fitted PSNR less that of *{TODAY}*, picture by picture.", figure(groups)))
+    made.append(Plot("gains", f"Fitted PSNR less that of {TODAY}, picture by picture.", figure(groups)))
     for room in dict.fromkeys(row["room"] for row in of_kind(rows, "room")):
         made.append(Picture(folder / f"{room}.png", f"Room {room}: a frame under each set-up, as it comes."))
     return made
@@ -57,7 +57,7 @@ def values(pictures: Sequence[Row], method: str, fit: str, metric: str) -> np.nd
 
 
 def whole(pictures: Sequence[Row], split: str) -> Table:
-    """A line for each method: means, medians, and differences to the default without division."""
+    """A line for each method: means, medians, and differences to hyjax 0.1."""
     header = [""]
     for fit in FITS:
         header += [f"{fit} {METRICS[metric].label}" for metric in ("psnr", "ssim", "lpips")]
@@ -76,7 +76,7 @@ def whole(pictures: Sequence[Row], split: str) -> Table:
         lines.append(cells)
     rooms = ", ".join(dict.fromkeys(row["room"] for row in pictures))
     caption = (
-        f"Rooms {split} ({rooms}): {len(pictures)} pictures. Means; Δ: mean difference to *{TODAY}* with its 95 % "
+        f"Rooms {split} ({rooms}): {len(pictures)} pictures. Means; Δ: mean difference to {TODAY} with its 95 % "
         "interval (bootstrap over rooms and set-ups); better: share of the pictures with a higher PSNR than that. "
         f"From *{ORACLES[0]}* on something is told that nobody knows; the default is in bold."
     )
@@ -84,7 +84,7 @@ def whole(pictures: Sequence[Row], split: str) -> Table:
 
 
 def difference(pictures: Sequence[Row], method: str, fit: str, metric: str) -> str:
-    """Mean paired difference to the default without division, and its interval."""
+    """Mean paired difference to hyjax 0.1, and its interval."""
     if method == TODAY:
         return "0"
     paired = values(pictures, method, fit, metric) - values(pictures, TODAY, fit, metric)
@@ -113,7 +113,7 @@ def interval(paired: np.ndarray, clusters: Sequence[str], seed: int = 0) -> tupl
 
 
 def share(pictures: Sequence[Row], method: str, fit: str) -> str:
-    """Share of the pictures that are better than the default without division."""
+    """Share of the pictures that are better than hyjax 0.1."""
     if method == TODAY:
         return ""
     own, other = (values(pictures, name, fit, "psnr") for name in (method, TODAY))
@@ -153,12 +153,12 @@ def rooms_table(rows: Sequence[Row]) -> Table:
             ]
         )
     names = next((list(row["light_errors"]) for row in of_kind(rows, "room")), [])
-    header = ["", "photo rendered again, dB", "exponent", *(f"error of {name}" for name in names)]
+    header = ["", "photo rendered again, dB", "exponent", *(f"E_old, {name}" for name in names)]
     header += ["bounces", "Δ raw dB", "Δ fitted dB"]
     caption = (
         "Rooms: the photo rendered again with other noise; exponent that E_old is raised to; error of E_old at the "
         "scan's vertices, median / 90 % of |log|; estimated over true light of bounces, mean over set-ups; what "
-        f"the default gains on *{TODAY}*."
+        f"the default gains on {TODAY}."
     )
     return Table(caption, header, lines)
 

@@ -78,7 +78,8 @@ def relight(
         shaded: light on that surface, see `View.shade`.
         guide: features that say where light may flow; `view.display` is the "RGB guide".
         schedule: cascade for the shading.
-        shadow_schedule: cascade for the visibility; default the preset `hyjax-shadow`, in mode `"paper"` `shadow`.
+        shadow_schedule: cascade for the visibility; default the preset `hyjax-scan-shadow`, in mode `"paper"`
+            `shadow`.
         temporal_filter: function of the refined illuminance and visibility of each light that returns what to take
             instead. See `hyjax.video`; not in mode `"paper"`.
         mode: `"linear"` multiplies linear light and treats pixels without surface as unknown; `"paper"` clips and
@@ -145,7 +146,7 @@ def relight_stages(
             f"{shaded.confidence.shape} do not fit the illuminance {lit}"
         )
     if shadow_schedule is None:
-        shadow_schedule = Schedule.preset("shadow" if mode == "paper" else "hyjax-shadow")
+        shadow_schedule = Schedule.preset("shadow" if mode == "paper" else "hyjax-scan-shadow")
     for used in (schedule, shadow_schedule):
         used.check(dtype=shaded.illuminance.dtype)
     known = view.gbuffer.hit if mode == "paper" else shaded.confidence > 0
@@ -200,33 +201,47 @@ def composite_linear(
         visibility: see `refine_visibility`.
     """
     count = shaded.illuminance.shape[-1]
-    direct, fields = illuminance[..., :count], illuminance[..., count:]
-    raw, raw_shadowed, unshadowed, relight_filter = (
-        _filter(channels, shaded, fields)
-        for channels, fields in (
+    direct, fields = illuminance[..., :count], _fields(illuminance[..., count:])
+    raw, raw_shadowed, unshadowed, light = (
+        _light(channels, shaded, others)
+        for channels, others in (
             (shaded.illuminance, shaded.surface_fields),
             (shaded.illuminance * shaded.visibility, shaded.surface_fields),
-            (direct, jnp.split(fields, max(1, fields.shape[-1] // 3), axis=-1)),
-            (direct * visibility, jnp.split(fields, max(1, fields.shape[-1] // 3), axis=-1)),
+            (direct, fields),
+            (direct * visibility, fields),
         )
     )
+    raw, raw_shadowed = (_divide(each, shaded, shaded.surface_fields) for each in (raw, raw_shadowed))
+    unshadowed, relight_filter = (_divide(each, shaded, fields) for each in (unshadowed, light))
     anything = jnp.any(shaded.confidence > 0)
     unshadowed, relight_filter = (jnp.where(anything, f, shaded.ambient) for f in (unshadowed, relight_filter))
     visible = _ratio(relight_filter, unshadowed)
     unrefined, image = composite(raw_shadowed, frame), composite(relight_filter, frame)
+    if shaded.emission is not None:
+        source = shaded.emission
+        shining = source.sent + source.reflectance * light
+        unrefined, image = (each + source.weight * (shining - each) for each in (unrefined, image))
     return Relit(raw, unshadowed, visible, relight_filter, unrefined, image)
 
 
-def _filter(
+def _fields(channels: Float[Array, "h w c"]) -> list[Float[Array, "h w 3"]]:
+    """Fields of three channels each."""
+    return jnp.split(channels, channels.shape[-1] // 3, axis=-1) if channels.shape[-1] else []
+
+
+def _light(
     channels: Float[Array, "h w l"], shaded: Shaded, fields: Sequence[Float[Array, "h w 3"]]
 ) -> Float[Array, "h w 3"]:
-    """Relight filter: light of all channels and what they throw back, over the light of the photo."""
-    rest = list(fields)
+    """New light, direct and bounced, over the reference illuminance."""
     light = mix_channels(channels, shaded.colors)
-    if shaded.bounced is not None:
-        light = light + rest.pop(0)
-    light = light / shaded.reference_lux
-    return light if shaded.photo_light is None else light / jnp.maximum(rest.pop(0), LEAST_PHOTO_LIGHT)
+    return (light if shaded.bounced is None else light + fields[0]) / shaded.reference_lux
+
+
+def _divide(
+    light: Float[Array, "h w 3"], shaded: Shaded, fields: Sequence[Float[Array, "h w 3"]]
+) -> Float[Array, "h w 3"]:
+    """Relight filter: new light over the light of the photo."""
+    return light if shaded.photo_light is None else light / jnp.maximum(fields[-1], LEAST_PHOTO_LIGHT)
 
 
 def _paper_stages(

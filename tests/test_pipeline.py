@@ -370,7 +370,7 @@ def test_confidence_is_by_default_where_there_is_surface(floor: GBuffer) -> None
 
 
 @pytest.mark.parametrize(
-    ("mode", "name", "other"), [("linear", "hyjax-shadow", "shadow"), ("paper", "shadow", "hyjax")]
+    ("mode", "name", "other"), [("linear", "hyjax-scan-shadow", "shadow"), ("paper", "shadow", "hyjax")]
 )
 def test_default_schedule_of_the_visibility(floor: GBuffer, mode: Any, name: str, other: str) -> None:
     def image(**options: Any) -> np.ndarray:

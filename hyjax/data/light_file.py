@@ -22,8 +22,13 @@ half angles, the `angular_degrees` of a sun its radius. `up` defaults to the cap
 that a sun shines through: a mapping with center, normal, width, height and maybe up; it shows in the shadows.
 Nothing nearer to a lamp than its `clearance` casts a shadow: what a scan makes of a lampshade is rarely hollow.
 
-Each kind declares its keys (`Light.KEYS`); the checks here are made from them, and so hold for kinds that are
-registered from outside the package.
+The lights that the photos were taken under are off, unless `existing` keeps some of them: it says how much is left
+of each, by the names that `hyjax relight` writes to `run.json`, as a number or as red, green and blue:
+
+    existing: {window-1: 0.2, ceiling: [1.0, 0.6, 0.3]}
+
+A file may leave `lights` out then. Each kind declares its keys (`Light.KEYS`); the checks here are made from them,
+and so hold for kinds that are registered from outside the package.
 """
 
 import functools
@@ -40,7 +45,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 
-from hyjax.light.kinds import LIGHT_KINDS, Light, kind_name
+from hyjax.light.kinds import LIGHT_KINDS, AmbientLight, Light, kind_name
 from hyjax.light.kinds.file_keys import LARGEST, REQUIRED, FileKey, plain
 from hyjax.light.setup import REFERENCE_LUX, LightSetup
 from hyjax.util.errors import InputError, did_you_mean
@@ -55,7 +60,8 @@ COMMON = (
     FileKey("temperature", least=1667.0, most=25000.0, default=None),
 )
 FILE = (
-    FileKey("lights", "list"),
+    FileKey("lights", "list", default=()),
+    FileKey("existing", "any", default=None),
     FileKey("reference_lux", positive=True, default=REFERENCE_LUX),
     FileKey("name", "any", default=None),
 )
@@ -65,7 +71,7 @@ FORMS: dict[str, tuple[Any, str]] = {
     "vector": (tuple[_Finite, _Finite, _Finite], "three finite numbers"),
     "direction": (tuple[_Finite, _Finite, _Finite], "three finite numbers"),
     "color": (tuple[_NonNegative, _NonNegative, _NonNegative], "three finite numbers, none negative"),
-    "list": (Annotated[list, msgspec.Meta(min_length=1)], "a list of at least one light"),
+    "list": (list, "a list of lights"),
     "any": (Any, "anything"),
 }
 """Type that a value of each form has, and what an error says of it."""
@@ -104,9 +110,14 @@ def parse_lights(
             a negative luminous flux.
     """
     values = _checked(where, content, FILE)
+    existing = _existing(where, values["existing"])
+    if not values["lights"]:
+        if not existing:
+            raise InputError(f"{where}: 'lights' must be a list of at least one light, or 'existing' keep a source")
+        return LightSetup((AmbientLight(jnp.float32(0.0), jnp.ones(3)),), values["reference_lux"], existing)
     entries = _renamed(where, values["lights"], warn)
     lights = tuple(_light(f"{where}: light {i}", entry, up) for i, entry in enumerate(entries))
-    return LightSetup(jax.tree.map(jnp.asarray, lights), values["reference_lux"])
+    return LightSetup(jax.tree.map(jnp.asarray, lights), values["reference_lux"], existing)
 
 
 def write_lights(path: Path, setup: LightSetup) -> None:
@@ -116,7 +127,28 @@ def write_lights(path: Path, setup: LightSetup) -> None:
         InputError: a light of a kind that is not registered.
     """
     lights = [{"kind": kind_name(light)} | light.to_entry() for light in setup.lights]
-    write_text(path, json.dumps({"reference_lux": plain(setup.reference_lux), "lights": lights}, indent=2) + "\n")
+    content: dict[str, Any] = {"reference_lux": plain(setup.reference_lux), "lights": lights}
+    if setup.existing:
+        content["existing"] = {name: list(factors) for name, factors in setup.existing.items()}
+    write_text(path, json.dumps(content, indent=2) + "\n")
+
+
+def _existing(where: str, content: Any) -> dict[str, tuple[float, float, float]]:
+    """What is left of each source of the photo."""
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise InputError(f"{where}: 'existing' must be a mapping of sources to numbers, got {content!r}")
+    kept = {}
+    for name, value in content.items():
+        try:
+            numbers = msgspec.convert([value] * 3 if isinstance(value, int | float) else value, FORMS["color"][0])
+        except msgspec.ValidationError:
+            raise InputError(
+                f"{where}: existing: {name!r} must be a number >= 0, or three, got {value!r}"
+            ) from None
+        kept[str(name)] = numbers
+    return kept
 
 
 def _light(where: str, entry: Any, world_up: Float[np.ndarray, "3"]) -> Light:

@@ -10,7 +10,7 @@ odometry, 3D reconstruction and SLAM", ICRA 2014 (jitter, steps).
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -121,13 +121,24 @@ def simulate_scan(
         InputError: no frames, frames without depth, nothing left to fuse.
     """
     config = config or ScanConfig()
+    views = simulate_sensors(frames, config, seed)
+    mesh = fuse(views, config.voxel, config.truncation, config.max_depth, config.min_weight, progress)
+    return coarsen(mesh, config, np.random.default_rng((seed, len(frames))))
+
+
+def simulate_sensors(
+    frames: PosedDepths, config: ScanConfig, seed: int
+) -> Iterator[tuple[Float[np.ndarray, "h w"], Camera]]:
+    """The depth maps that `simulate_scan` makes its mesh of.
+
+    Raises:
+        InputError: no frames.
+    """
     if len(frames) == 0:
         raise InputError("scan: no frames given; need at least one with depth")
     chosen = np.unique(np.linspace(0, len(frames) - 1, config.frames).round().astype(int))
     # A generator a frame, so that a frame's errors do not hang on how many came before it.
-    views = (simulate_sensor(frames[i], config, np.random.default_rng((seed, i))) for i in chosen.tolist())
-    mesh = fuse(views, config.voxel, config.truncation, config.max_depth, config.min_weight, progress)
-    return coarsen(mesh, config, np.random.default_rng((seed, len(frames))))
+    return (simulate_sensor(frames[i], config, np.random.default_rng((seed, i))) for i in chosen.tolist())
 
 
 def simulate_sensor(

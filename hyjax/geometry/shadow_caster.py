@@ -1,5 +1,6 @@
 """Filling shadow maps by ray casting, on the host. Once for a static scene; a light that moves needs a new map."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ VIEW_RESOLUTION = 512  # of each view, where there are several
 
 
 def cast_shadow_maps(
-    caster: RayCaster, lights: Sequence[Light], scale: float = 1.0
+    caster: RayCaster, lights: Sequence[Light], scale: float = 1.0, slack: float | None = None
 ) -> tuple[ShadowMap | None, ...]:
     """Shadow maps of all lights; None for a light that casts no shadow.
 
@@ -25,8 +26,12 @@ def cast_shadow_maps(
         caster: the mesh that throws the shadows.
         lights: any kinds.
         scale: of the resolution (1 means 1024² for a light without extent, 4 to 32 times 512² for one with).
+        slack: see `ShadowMap`.
     """
-    return tuple(_cast(caster, light.shadow_views(), scale) for light in lights)
+    maps = tuple(_cast(caster, light.shadow_views(), scale) for light in lights)
+    if slack is None:
+        return maps
+    return tuple(m if m is None else dataclasses.replace(m, slack=jnp.float32(slack)) for m in maps)
 
 
 def _cast(caster: RayCaster, views: ShadowViews | None, scale: float) -> ShadowMap | None:

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from hyjax.light.emission import Emitters
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.shaded import Shaded
@@ -101,11 +102,13 @@ class SurfaceLight:
         photo_light: E_old / K, that the frames were taken under.
         bounced: lux that new lights throw by way of other surfaces, and what is left of the photo's own.
         faces: of the scan.
+        emitters: panes and lamps that shine by themselves.
     """
 
     photo_light: Float[Array, "v 3"]
     bounced: Float[Array, "v 3"]
     faces: Int[Array, "f 3"]
+    emitters: Emitters | None = None
 
 
 def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lights: Sequence[Light]) -> Shaded:

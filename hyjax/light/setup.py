@@ -1,7 +1,7 @@
 """Light set-up: virtual lights, and the light that the frames were taken under."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import numpy as np
@@ -19,10 +19,13 @@ class LightSetup:
     Attributes:
         lights: in the mesh's world coordinates.
         reference_lux: illuminance that leaves a frame as it is.
+        existing: what is left of the sources that lit the photos, by name: a factor for red, green and blue. Those
+            that are not named are off.
     """
 
     lights: tuple[Light, ...]
     reference_lux: float = REFERENCE_LUX
+    existing: Mapping[str, tuple[float, float, float]] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of(cls, lights: "LightSetup | Sequence[Light]") -> "LightSetup":

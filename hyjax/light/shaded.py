@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from hyjax.light.emission import Emission
 from hyjax.light.kinds import Light
 from hyjax.light.setup import LightSetup
 from hyjax.util.errors import InputError
@@ -28,6 +29,7 @@ class Shaded:
         ambient: relight filter where nothing of the frame is known.
         bounced: lux that the lights throw on the surface by way of others, with their colours; None for none.
         photo_light: light that the frame was taken under, relative to its mean; None if it is taken to be even.
+        emission: pixels that shine by themselves; None if there are none.
     """
 
     illuminance: Float[Array, "h w l"]
@@ -38,6 +40,7 @@ class Shaded:
     ambient: Float[Array, "3"]
     bounced: Float[Array, "h w 3"] | None = None
     photo_light: Float[Array, "h w 3"] | None = None
+    emission: Emission | None = None
 
     @property
     def surface_fields(self) -> tuple[Float[Array, "h w 3"], ...]:

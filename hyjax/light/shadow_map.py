@@ -30,10 +30,14 @@ Vector = tuple[Array, Array, Array]  # by components: see `hyjax.util.geometry` 
 # Holbert 2011), which covers the footprint of the 2×2 filter, and compared with a slack of this many texels.
 NORMAL_OFFSET = 2.0
 DEPTH_BIAS = 1.0
+# Of a surface with slack: its error counts along a ray for no more than the inverse of this cosine.
+LEAST_COSINE = 0.35
 
 
 @functools.partial(
-    jax.tree_util.register_dataclass, data_fields=["depth", "origin", "axes", "texel"], meta_fields=["projection"]
+    jax.tree_util.register_dataclass,
+    data_fields=["depth", "origin", "axes", "texel", "slack"],
+    meta_fields=["projection"],
 )
 @dataclasses.dataclass(frozen=True, eq=False)
 class ShadowMap:
@@ -47,6 +51,8 @@ class ShadowMap:
             perspective and orthographic views the first two are scaled so that the map spans [-1, 1].
         texel: width of a texel; metres for orthographic maps, else metres at one metre's distance.
         projection: how directions map to the square (static).
+        slack: metres, across the surface, that it may be wrong by: what is nearer than this to a surface point
+            throws no shadow on it. None for a surface that is exact.
     """
 
     depth: Float[Array, "v s s"]
@@ -54,6 +60,7 @@ class ShadowMap:
     axes: Float[Array, "v 3 3"]
     texel: Float[Array, ""]
     projection: Projection
+    slack: Float[Array, ""] | None = None
 
 
 def map_coordinates(local: Vector, projection: Projection) -> tuple[Array, Array, Array]:
@@ -157,10 +164,13 @@ def _view_visibility(
     weight = light.view_weight(cosine, squared, to_light)
 
     sine = jnp.sqrt(jnp.maximum(1.0 - cosine**2, 1e-12))
+    bias = DEPTH_BIAS * texel
+    if shadow_map.slack is not None:
+        bias = bias + shadow_map.slack / jnp.maximum(cosine, LEAST_COSINE)
     moved = [normal[k] * (NORMAL_OFFSET * texel * sine) - offset[k] for k in range(3)]
     local = (inner(moved, axes[0]), inner(moved, axes[1]), inner(moved, axes[2]))
     u, v, distance = map_coordinates(local, shadow_map.projection)
-    return _filtered_comparison(depth, u, v, distance - DEPTH_BIAS * texel), weight
+    return _filtered_comparison(depth, u, v, distance - bias), weight
 
 
 def _filtered_comparison(

@@ -5,9 +5,11 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.light.color import to_linear
+from hyjax.light.emission import emission
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight, add_surface_light
@@ -107,5 +109,23 @@ class View:
         yield "visibility", visibility
         shaded = Shaded.of(setup, illuminance, visibility, self.gbuffer.hit, confidence=confidence)
         if surface_light is not None:
-            shaded = add_surface_light(shaded, surface_light, self.gbuffer, setup.lights)
+            shaded = self.add_surface_light(shaded, surface_light, setup.lights)
         yield "shaded", shaded
+
+    def add_surface_light(self, shaded: Shaded, light: SurfaceLight, lights: Sequence[Light]) -> Shaded:
+        """Shaded surface with the light that it was photographed under, bounces, and what shines by itself.
+
+        Args:
+            shaded: direct light.
+            light: on the vertices of the scan.
+            lights: of the shading.
+
+        Raises:
+            InputError: the G-buffer does not tell its triangles.
+        """
+        shaded = add_surface_light(shaded, light, self.gbuffer, lights)
+        if light.emitters is None or self.pose is None or self.intrinsics is None:
+            return shaded
+        camera = jnp.asarray(self.pose, jnp.float32), jnp.asarray(self.intrinsics, jnp.float32)
+        emitting = emission(light.emitters, self.frame, self.gbuffer, *camera)
+        return dataclasses.replace(shaded, emission=emitting)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,6 +9,7 @@ from jaxtyping import Float, Int
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import CELLS, OFFSET
 from hyjax.light.kinds import Aperture
+from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.vectors import unit
 
 BINS = (6, 4)
@@ -46,8 +46,7 @@ def make_basis(
     hits: Int[np.ndarray, "r p"],
     position: Float[np.ndarray, "p 3"],
     normal: Float[np.ndarray, "p 3"],
-    windows: Sequence[tuple[str, Aperture]] = (),
-    lamps: Sequence[tuple[str, Float[np.ndarray, "3"]]] = (),
+    sources: PhotoSources,
 ) -> Basis:
     """Light of all sources that a photo may have been taken under.
 
@@ -55,8 +54,7 @@ def make_basis(
         caster: the scan.
         hits: see `Transport`.
         position, normal: of the points.
-        windows: named openings.
-        lamps: named places of lamps that are lit.
+        sources: windows and lamps.
     """
     starts = position + OFFSET * normal
     columns: list[np.ndarray] = []
@@ -72,10 +70,10 @@ def make_basis(
         names.append(name)
 
     nothing = np.zeros((0, 2), int)
-    for name, window in windows:
-        add(name, window_light(caster, starts, normal, window), _grid_pairs(BINS[1], BINS[0]))
-    for name, place in lamps:
-        add(name, lamp_light(caster, starts, normal, place)[:, None], nothing)
+    for window in sources.windows:
+        add(window.name, window_light(caster, starts, normal, window.aperture), _grid_pairs(BINS[1], BINS[0]))
+    for lamp in sources.lamps:
+        add(lamp.name, lamp_light(caster, starts, normal, lamp.position)[:, None], nothing)
     walls = _wall_light(hits, len(caster.mesh.faces))
     for name, first, count in (("walls", 0, 4), ("floor", 4, 1), ("ceiling", 5, 1)):
         part = slice(first * CELLS**2, (first + count) * CELLS**2)

@@ -12,13 +12,13 @@ from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import enclose, trace
-from hyjax.light.kinds import Aperture
 from hyjax.light.photo_light import PhotoLight
 from hyjax.light.transport import Transport, bounce, gather, send
 from hyjax.photo_light.basis import Basis, make_basis
 from hyjax.photo_light.fit import FLOOR, HIGHEST_ALBEDO, FitProblem, fit_sources
 from hyjax.photo_light.pairs import coplanar_pairs, held_out
 from hyjax.photo_light.radiance import vertex_radiance
+from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.cache import Arrays
 
 PAIRS = 20000
@@ -51,13 +51,20 @@ class Estimate:
     exponent: float
     flatness: tuple[float, ...]
 
+    @property
+    def reason(self) -> str:
+        """Why nothing is divided out, or by how much dividing helps."""
+        if all(f == 1 for f in self.flatness):
+            return "frames and scan tell too little of it"
+        change = 100 * (1 - min(self.flatness))
+        return f"divided by it, planes come out {change:.0f} % flatter, less than {100 * LEAST_GAIN:.0f} %"
+
 
 def estimate_arrays(
     caster: RayCaster,
     frames: Iterable[Frame],
     up: Float[np.ndarray, "3"],
-    windows: Sequence[tuple[str, Aperture]] = (),
-    lamps: Sequence[tuple[str, Float[np.ndarray, "3"]]] = (),
+    sources: PhotoSources,
     progress: bool = False,
     closed: bool = True,
 ) -> Arrays:
@@ -67,8 +74,7 @@ def estimate_arrays(
         caster: the scan.
         frames: of the capture, spread over it.
         up: against gravity.
-        windows: named openings that the photo's light may have come through.
-        lamps: named places of lamps that may have been lit.
+        sources: windows that the photo's light may have come through, and lamps that may have been lit.
         progress: show a bar on stderr.
         closed: whether the box round the scan stands for the walls that were not scanned.
     """
@@ -81,11 +87,13 @@ def estimate_arrays(
             yield frame
 
     seen = vertex_radiance(caster, read())
-    hits, position, normal = trace(caster, enclose(caster, up), [w for _, w in windows], progress=progress)
+    hits, position, normal = trace(
+        caster, enclose(caster, up), [w.aperture for w in sources.windows], progress=progress
+    )
     if not closed:
         hits = np.where(hits < len(mesh.faces), hits, len(mesh.faces) + len(position) - count).astype(np.int32)
     transport = _transport(caster, hits, position, normal)
-    basis = make_basis(caster, hits, position, normal, windows, lamps)
+    basis = make_basis(caster, hits, position, normal, sources)
     visible = (seen.weight > 0) & np.isfinite(seen.radiance).all(axis=1)
     scale = _log_mean(seen.radiance[visible]).mean()
     radiance = np.where(visible[:, None], np.maximum(seen.radiance / scale, FLOOR), 1.0)

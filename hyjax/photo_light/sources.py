@@ -1,22 +1,292 @@
-"""Sources that a capture's photos may have been taken under."""
+"""Photo sources: the windows and lamps that lit the photographs.
 
+They come from a file that a person writes, from the capture's own hints, or are found in the pictures:
+
+    windows:
+      - name: balcony           # or none
+        center: [0.0, 2.9, 1.5]
+        normal: [1, 0, 0]       # into the room
+        width: 2.4
+        height: 1.4
+    lamps:
+      - position: [1.4, 1.6, 1.5]
+        radius: 0.1             # of what glows; default 0.05
+
+Positions and lengths are in metres, in the capture's world axes.
+"""
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
 import numpy as np
-from jaxtyping import Float
+import yaml
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
-from hyjax.data.capture import Capture
+from hyjax.data.capture import Frame
+from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture
+from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.vectors import unit
+
+Vector = Float[np.ndarray, "3"]
+SATURATED = 0.97
+"""Display value of all three channels from which a pixel is taken to be burnt out."""
+REACH = 0.4
+"""Metres that a given window may stand off the scan or its bounding box."""
+LAMP_RADIUS = 0.05
+AROUND_LAMP = 0.15
+"""Metres around a hinted lamp that are looked at, to tell whether it was lit."""
+LIT_SHARE = 0.2
 
 
-def named_sources(
-    capture: Capture,
-) -> tuple[list[tuple[str, Aperture]], list[tuple[str, Float[np.ndarray, "3"]]]]:
-    """Windows and lamps that a capture knows, by name. Whether they were lit is for the fit to find."""
+@dataclasses.dataclass(frozen=True)
+class PhotoWindow:
+    """A window, or a panel, that lit the photographs.
+
+    Attributes:
+        name: unique among the sources.
+        center: of the rectangle.
+        right, up: half axes of the rectangle, with right × up along `normal`.
+        normal: unit vector into the room.
+    """
+
+    name: str
+    center: Vector
+    right: Vector
+    up: Vector
+    normal: Vector
+
+    @classmethod
+    def facing(
+        cls, name: str, center: Vector, normal: Vector, up: Vector, width: float, height: float
+    ) -> "PhotoWindow":
+        """A window as upright as can be.
+
+        Raises:
+            InputError: the normal is zero.
+        """
+        rectangle = Aperture.facing(center, normal, up, width, height)
+        place, right, high = (np.asarray(side, float) for side in (rectangle.center, rectangle.right, rectangle.up))
+        return cls(name, place, right, high, unit(normal))
+
+    @property
+    def aperture(self) -> Aperture:
+        """The opening."""
+        return Aperture(*(np.asarray(v, np.float32) for v in (self.center, self.right, self.up)))
+
+    @property
+    def corners(self) -> Float[np.ndarray, "4 3"]:
+        """Corners, in the order of a walk round the rectangle."""
+        turns = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+        return np.stack([self.center + s * self.right + t * self.up for s, t in turns])
+
+
+@dataclasses.dataclass(frozen=True)
+class PhotoLamp:
+    """A lamp that was lit in the photographs.
+
+    Attributes:
+        name: unique among the sources.
+        position: of its middle.
+        radius: of what glows, in metres.
+        faces: triangles of the scan that glow; none where it was not scanned.
+    """
+
+    name: str
+    position: Vector
+    radius: float
+    faces: Int[np.ndarray, "f"]
+
+
+@dataclasses.dataclass(frozen=True)
+class PhotoSources:
+    """Windows and lamps that lit the photographs, and where the knowledge comes from."""
+
+    windows: tuple[PhotoWindow, ...]
+    lamps: tuple[PhotoLamp, ...]
+    origin: Literal["file", "capture", "found", "none"]
+
+
+def hinted_sources(
+    anchors: Mapping[str, Mapping[str, Any]], up: Vector, caster: RayCaster, frames: Sequence[Frame]
+) -> PhotoSources:
+    """What a capture knows: its windows, and those of its lamps that are burnt out in the pictures."""
     windows, lamps = [], []
-    for name, anchor in sorted(capture.anchors.items()):
-        kind, _, number = name.partition("_")
-        if kind == "window":
-            place = (anchor["center"], anchor["normal"], capture.up, anchor["width"], anchor["height"])
-            windows.append((f"window-{int(number) + 1}", Aperture.facing(*place)))
-        elif kind == "lamp":
-            lamps.append((f"lamp-{int(number) + 1}", np.asarray(anchor["position"], np.float64)))
-    return windows, lamps
+    for name, place in sorted(anchors.items()):
+        if name.startswith("window_"):
+            center, normal = (np.asarray(place[key], float) for key in ("center", "normal"))
+            windows.append(PhotoWindow.facing(_spoken(name), center, normal, up, place["width"], place["height"]))
+        elif name.startswith("lamp_"):
+            position = np.asarray(place["position"], float)
+            if is_lit(position, caster, frames):
+                lamps.append(PhotoLamp(_spoken(name), position, LAMP_RADIUS, np.zeros(0, int)))
+    return PhotoSources(tuple(windows), tuple(lamps), "capture" if windows or lamps else "none")
+
+
+def is_lit(position: Vector, caster: RayCaster, frames: Sequence[Frame]) -> bool:
+    """Whether a lamp is burnt out in at least half of the pictures that see it, and in one at least."""
+    votes = []
+    for frame in frames:
+        k = frame.camera.intrinsics
+        (x, y), depth = frame.camera.project(position)
+        if depth < 0.2 or not (0 <= x < k.width and 0 <= y < k.height):
+            continue
+        ray = position - frame.camera.origin
+        length = float(np.linalg.norm(ray))
+        # The lamp's own shade may stand before it.
+        if caster.occluded(frame.camera.origin[None], ray[None], max(1.0 - 2 * AROUND_LAMP / length, 0.0))[0]:
+            continue
+        reach = max(AROUND_LAMP * k.fx / depth, 2.0)
+        rows = slice(max(int(y - reach), 0), int(y + reach) + 1)
+        patch = frame.image[rows, max(int(x - reach), 0) : int(x + reach) + 1]
+        votes.append((patch.min(axis=-1) > SATURATED).mean() > LIT_SHARE)
+    return bool(votes) and float(np.mean(votes)) >= 0.5
+
+
+_Number = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
+_Size = Annotated[float, msgspec.Meta(gt=0.0, le=1e3)]
+
+
+class _Window(msgspec.Struct, forbid_unknown_fields=True):
+    center: tuple[_Number, _Number, _Number]
+    normal: tuple[_Number, _Number, _Number]
+    width: _Size
+    height: _Size
+    name: str | None = None
+
+
+class _Lamp(msgspec.Struct, forbid_unknown_fields=True):
+    position: tuple[_Number, _Number, _Number]
+    radius: _Size = LAMP_RADIUS
+    name: str | None = None
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    windows: list[Any] = []
+    lamps: list[Any] = []
+
+
+FORMS = {
+    "center": "three finite numbers",
+    "normal": "three finite numbers",
+    "position": "three finite numbers",
+    "width": "a number of metres > 0",
+    "height": "a number of metres > 0",
+    "radius": "a number of metres > 0",
+    "name": "a text",
+    "windows": "a list",
+    "lamps": "a list",
+}
+
+
+def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarray, "n 3"]) -> PhotoSources:
+    """Sources from a file; see the module for its form.
+
+    Args:
+        path: YAML or JSON.
+        up: unit vector against gravity.
+        caster: the scan, which windows must stand at.
+        eyes: where cameras stood, which windows must face.
+
+    Raises:
+        InputError: no such file, malformed, a window off the walls or inside out, a lamp outside the scan.
+    """
+    path = Path(path)
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError:
+        raise InputError(f"{path}: no such file of windows and lamps") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        mark = getattr(error, "problem_mark", None)
+        raise InputError(f"{path}: neither YAML nor JSON{f' (line {mark.line + 1})' if mark else ''}") from None
+    lists = _converted(str(path), content, _File)
+    windows = [
+        _checked_window(f"{path}: window {i}", _converted(f"{path}: window {i}", entry, _Window), i, up)
+        for i, entry in enumerate(lists.windows)
+    ]
+    lamps = [
+        (_converted(f"{path}: lamp {i}", entry, _Lamp), f"{path}: lamp {i}", i)
+        for i, entry in enumerate(lists.lamps)
+    ]
+    if not windows and not lamps:
+        raise InputError(f"{path}: names no window and no lamp")
+    for i, window in enumerate(windows):
+        _check_place(f"{path}: window {i}", window, caster, eyes)
+    low, high = caster.mesh.bounds
+    made = []
+    for lamp, where, i in lamps:
+        place = np.asarray(lamp.position, float)
+        if (place < low - REACH).any() or (place > high + REACH).any():
+            raise InputError(f"{where}: position {list(lamp.position)} lies outside the scan (metres, its axes)")
+        made.append(PhotoLamp(lamp.name or f"lamp-{i + 1}", place, lamp.radius, np.zeros(0, int)))
+    names = [window.name for window in windows] + [lamp.name for lamp in made]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{path}: the name {name!r} is given twice")
+    return PhotoSources(tuple(windows), tuple(made), "file")
+
+
+def _checked_window(where: str, entry: _Window, number: int, up: Vector) -> PhotoWindow:
+    try:
+        center, normal = np.asarray(entry.center, float), np.asarray(entry.normal, float)
+        return PhotoWindow.facing(
+            entry.name or f"window-{number + 1}", center, normal, up, entry.width, entry.height
+        )
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _check_place(where: str, window: PhotoWindow, caster: RayCaster, eyes: Float[np.ndarray, "n 3"]) -> None:
+    """Raise `InputError` if a window stands off the walls, or looks out of the room."""
+    mesh = caster.mesh
+    rim = np.concatenate([window.corners, 0.5 * (window.corners + np.roll(window.corners, 1, axis=0))])
+    away = cKDTree(_surface_points(mesh)).query(rim)[0]
+    low, high = mesh.bounds
+    inside = bool(((window.center > low - REACH) & (window.center < high + REACH)).all())
+    to_box = np.abs(np.stack([window.center - low, window.center - high]))[:, np.abs(window.normal) > 0.9]
+    if np.median(away) > REACH and not (inside and to_box.size and to_box.min() < REACH):
+        raise InputError(
+            f"{where}: stands {np.median(away):.2g} m off the scan's walls; give its centre in metres, in the "
+            "capture's axes"
+        )
+    if np.median((eyes - window.center) @ window.normal) < 0:
+        raise InputError(f"{where}: looks away from the cameras; its normal must point into the room")
+
+
+def _surface_points(mesh: Any) -> Float[np.ndarray, "n 3"]:
+    """Points all over a mesh: its vertices, and more of them on large triangles."""
+    corners, areas = mesh.vertices[mesh.faces], mesh.area_faces
+    chosen = np.random.default_rng(0).choice(len(areas), 20000, p=areas / areas.sum())
+    weights = np.random.default_rng(1).dirichlet(np.ones(3), len(chosen))
+    return np.concatenate([mesh.vertices, np.einsum("nk,nkd->nd", weights, corners[chosen])])
+
+
+def _converted(where: str, content: Any, form: Any) -> Any:
+    """An entry of a file as its type; one clear line on what is wrong with it."""
+    known = form.__struct_fields__
+    if not isinstance(content, dict):
+        raise InputError(f"{where}: must be a mapping with {', '.join(known)}")
+    for key in content:
+        if key not in known:
+            hint = did_you_mean(str(key), known)
+            raise InputError(f"{where}: unknown key {key!r}{hint}; there are {', '.join(known)}")
+    try:
+        return msgspec.convert(content, form)
+    except msgspec.ValidationError as error:
+        missing = re.search(r"missing required field `(\w+)`", str(error))
+        if missing:
+            raise InputError(f"{where}: key {missing[1]!r} is missing") from None
+        at = re.search(r"`\$\.(\w+)", str(error))
+        key = at[1] if at else str(known[0])
+        raise InputError(f"{where}: {key!r} must be {FORMS[key]}, got {content.get(key)!r}") from None
+
+
+def _spoken(name: str) -> str:
+    """`window_0` → window-1."""
+    kind, _, number = name.partition("_")
+    return f"{kind}-{int(number) + 1}" if number.isdecimal() else name

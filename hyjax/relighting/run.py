@@ -21,7 +21,6 @@ from hyjax.data.registry import open_capture
 from hyjax.guide.choose import FrameGuide, open_guide
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light, kind_name
-from hyjax.light.photo_light import add_surface_light
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.light.view import View
@@ -124,6 +123,7 @@ def relight_capture(
         "renderer": settings.renderer,
         "schedule": json.loads(schedule.to_json()),
         "reference_lux": setup.reference_lux,
+        "photo_light": scene.photo_light.record() if settings.divides_photo_light else None,
         "settings": record,
         "milliseconds": clock.summary(),
         "frames_per_second": summary.frames_per_second,
@@ -156,11 +156,13 @@ class _Shader:
                 self._blender = stack.enter_context(blender)
         elif settings.shadows:
             with clock("shadow maps"):
-                maps = scene.shadow_maps(setup)
+                maps = scene.shadow_maps(setup, occluders=settings.shadow_occluders)
         surface_light = None
-        if settings.mode == "linear" and not settings.keep_photo_light:
+        if settings.divides_photo_light:
             with clock("photo light"):
-                surface_light = jax.block_until_ready(scene.surface_light(setup, shadows=settings.shadows))
+                surface_light = jax.block_until_ready(
+                    scene.surface_light(setup, shadows=settings.shadows, occluders=settings.shadow_occluders)
+                )
         # Blender, and what frames leave to the next, there is once.
         once = settings.video or settings.renderer == "blender"
         self.devices = jax.local_devices()[: 1 if once else None]
@@ -178,7 +180,7 @@ class _Shader:
                 rendering = self._blender.render(frame.camera)
             view, shaded = rendering.shade(view, self.setup)
             if light is not None:
-                shaded = add_surface_light(shaded, light, view.gbuffer, setup.lights)
+                shaded = view.add_surface_light(shaded, light, setup.lights)
             return view, shaded
         if len(self.devices) > 1:
             view = jax.device_put(view, self.devices[number % len(self.devices)])

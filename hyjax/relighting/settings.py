@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.pipeline import Mode
-from hyjax.scene.settings import SceneSettings, check_lights_name
+from hyjax.scene.settings import Occluders, SceneSettings, check_lights_name
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
 
@@ -37,6 +37,9 @@ class RelightSettings(Settings):
     """The frames follow each other: carry refined light from each to the next, so that it does not flicker."""
     shadows: bool = True
     """Whether lights cast shadows."""
+    occluders: Occluders = "completed"
+    """What throws shadows: completed is the mesh with small holes closed and, if there are depth maps, a finer
+    fusion of them; surface is the bare mesh, as always in paper mode."""
     renderer: Renderer = "shadow_map"
     """What shades the mesh: shadow_map, or blender: Cycles, which traces every shadow and takes its time."""
     save_filters: bool = False
@@ -61,6 +64,16 @@ class RelightSettings(Settings):
         check_lights_name(self.lights)
         self.scene.check()
         return self
+
+    @property
+    def shadow_occluders(self) -> Occluders:
+        """What throws shadows; the paper's mode knows the bare surface alone."""
+        return "surface" if self.paper_mode else self.occluders
+
+    @property
+    def divides_photo_light(self) -> bool:
+        """Whether the light that the frames were taken under is divided out."""
+        return not self.paper_mode and not self.keep_photo_light
 
     @property
     def mode(self) -> Mode:

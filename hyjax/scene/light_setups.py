@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import Capture
-from hyjax.data.frames import spread
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import blackbody
@@ -22,10 +21,15 @@ from hyjax.light.kinds import AmbientLight, Aperture, DirectionalLight, PointLig
 from hyjax.light.kinds.directional import SUN_DEGREES
 from hyjax.light.kinds.file_keys import direction
 from hyjax.light.setup import LightSetup
+from hyjax.scene.exposure import SeenSurface, exposed, warn_of_missing
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.vectors import perpendicular, reject, unit
 
 Vector = Float[np.ndarray, "3"]
+ASIDE = (0.35, -0.35, 0.0, 0.7, -0.7, 1.2, -1.2)
+"""Tangents of the angles between the sun's direction and the window's normal, the usual one first."""
+ENOUGH_SUN = 0.02
+"""Share of the surface that is seen: a sun that falls on this much of it is left where it is."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,6 +44,7 @@ class LightAnchors:
         window: centre of a window.
         inward: unit normal of the window, into the room.
         width, height: of the window.
+        seen: surface that the cameras see.
     """
 
     up: Vector
@@ -50,6 +55,7 @@ class LightAnchors:
     inward: Vector
     width: float
     height: float
+    seen: SeenSurface
 
 
 def survey(
@@ -67,7 +73,8 @@ def survey(
     Raises:
         InputError: no camera sees any surface.
     """
-    focus, eye = _focus(caster, cameras)
+    seen, eye = SeenSurface.of(caster, cameras)
+    focus = np.median(seen.points, axis=0)
     forward = _forward(focus - eye, up)
     anchors = anchors or {}
     points = _points(caster, focus, eye, forward, up)
@@ -75,13 +82,14 @@ def survey(
     window = anchors.get("window_0")
     if window:
         center, inward = (np.asarray(window[k], float) for k in ("center", "normal"))
-        return LightAnchors(up, focus, points, lamps, center, inward, window["width"], window["height"])
+        return LightAnchors(up, focus, points, lamps, center, inward, window["width"], window["height"], seen)
     # Beside the view, on the side with more room, a head above what the cameras look at.
     middle = 0.5 * (focus + eye) + 0.4 * up
     sides = [unit(np.cross(forward, up)) * s for s in (1.0, -1.0)]
     free = [min(_free(caster, middle, side), 2.5) for side in sides]
     best = int(np.argmax(free))
-    return LightAnchors(up, focus, points, lamps, middle + 0.9 * free[best] * sides[best], -sides[best], 1.6, 1.2)
+    place = middle + 0.9 * free[best] * sides[best]
+    return LightAnchors(up, focus, points, lamps, place, -sides[best], 1.6, 1.2, seen)
 
 
 def survey_capture(caster: RayCaster, capture: Capture) -> LightAnchors:
@@ -93,14 +101,14 @@ def survey_capture(caster: RayCaster, capture: Capture) -> LightAnchors:
 def noon_window(anchors: LightAnchors) -> LightSetup:
     """A bright day: sky and sun through the window."""
     sky = RectLight.filling(_window(anchors), 3200.0, blackbody(7000.0))
-    sun = _through(anchors, 35.0, 900.0, blackbody(5600.0))
+    sun = _through(anchors, (35.0, 30.0, 55.0), 900.0, blackbody(5600.0))
     return LightSetup((sky, AmbientLight(60.0, blackbody(6000.0)), sun), 200.0)
 
 
 def golden_hour(anchors: LightAnchors) -> LightSetup:
     """Low warm sun."""
     sky = RectLight.filling(_window(anchors), 1000.0, blackbody(9000.0))
-    sun = _through(anchors, 13.0, 700.0, blackbody(3000.0))
+    sun = _through(anchors, (13.0, 10.0, 28.0), 700.0, blackbody(3000.0))
     return LightSetup((sky, AmbientLight(28.0, blackbody(4800.0)), sun), 200.0)
 
 
@@ -116,7 +124,7 @@ def night_moon(anchors: LightAnchors) -> LightSetup:
     """Dark, with moonlight through the window; exposed as a camera at night would."""
     night = np.array([0.62, 0.8, 1.3])
     sky = RectLight.filling(_window(anchors), 7.0, night)
-    moon = _through(anchors, 38.0, 4.0, np.array([0.8, 0.92, 1.15]))
+    moon = _through(anchors, (38.0, 30.0, 55.0), 4.0, np.array([0.8, 0.92, 1.15]))
     return LightSetup((sky, AmbientLight(0.15, night), moon), 2.5)
 
 
@@ -142,6 +150,10 @@ SETUPS: dict[str, Callable[[LightAnchors], LightSetup]] = {
 }
 
 
+BENCHMARKS = ("center-point", "two-colors")
+"""Set-ups of the paper, whose exposure is fixed."""
+
+
 def check_setup_name(name: str) -> None:
     """Raise `InputError` unless `name` is one of `SETUPS`."""
     if name not in SETUPS:
@@ -152,13 +164,16 @@ def check_setup_name(name: str) -> None:
 
 
 def named_setup(name: str, anchors: LightAnchors) -> LightSetup:
-    """One of `SETUPS`, placed in a room.
+    """One of `SETUPS`, placed in a room; a light that reaches nothing that the cameras see is told in the log.
 
     Raises:
         InputError: unknown name.
     """
     check_setup_name(name)
     setup = SETUPS[name](anchors)
+    if name not in BENCHMARKS:
+        setup = dataclasses.replace(setup, reference_lux=exposed(setup, anchors.seen))
+    warn_of_missing(setup, anchors.seen, name)
     lights = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), setup.lights)
     return LightSetup(lights, setup.reference_lux)
 
@@ -168,26 +183,33 @@ def _window(anchors: LightAnchors) -> Aperture:
     return Aperture.facing(center, anchors.inward, anchors.up, anchors.width, anchors.height)
 
 
-def _through(anchors: LightAnchors, elevation: float, illuminance: float, color: Any) -> DirectionalLight:
-    """Parallel light that falls through the window from `elevation` degrees, a little from one side."""
-    aside, angle = np.cross(anchors.up, anchors.inward), np.deg2rad(elevation)
-    level = np.cos(angle) * unit(anchors.inward + 0.35 * aside)
-    travel = direction(level - np.sin(angle) * anchors.up)
-    return DirectionalLight(travel, illuminance, color, np.deg2rad(SUN_DEGREES), _window(anchors))
+def _through(
+    anchors: LightAnchors, elevations: tuple[float, float, float], illuminance: float, color: Any
+) -> DirectionalLight:
+    """Parallel light that falls through the window onto what the cameras see.
+
+    Args:
+        anchors: the window.
+        elevations: degrees above the horizon: the usual, the least and the most.
+        illuminance: in lux.
+        color: linear RGB.
+    """
+    usual, least, most = elevations
+    window = _window(anchors)
+    choices = [(aside, usual) for aside in ASIDE]
+    choices += [(aside, height) for height in np.linspace(least, most, 5) for aside in ASIDE]
+    shares = np.array([anchors.seen.sunlit(window, _travel(anchors, *choice)) for choice in choices])
+    # The usual sun where it lands; the nearest to it that does, else.
+    best = next((k for k, share in enumerate(shares) if share >= ENOUGH_SUN), int(np.argmax(shares)))
+    travel = direction(_travel(anchors, *choices[best if shares[best] > 0 else 0]))
+    return DirectionalLight(travel, illuminance, color, np.deg2rad(SUN_DEGREES), window)
 
 
-def _focus(caster: RayCaster, cameras: Sequence[Camera]) -> tuple[Vector, Vector]:
-    """Median of the surface points that a few cameras see, and the cameras' mean position."""
-    chosen, points = spread(cameras, 8), []
-    for camera in chosen:
-        small = camera.intrinsics.resize(24, 32)
-        rays = Camera(small, camera.pose).rays().reshape(-1, 3)
-        hits = caster.cast(camera.origin, rays)
-        points.append(camera.origin + rays[hits.hit] * hits.distance[hits.hit, None])
-    surface = np.concatenate(points)
-    if not len(surface):
-        raise InputError("no camera sees the mesh; are the mesh and the poses in the same coordinates (metres)?")
-    return np.median(surface, axis=0), np.mean([c.origin for c in chosen], axis=0)
+def _travel(anchors: LightAnchors, aside: float, elevation: float) -> Vector:
+    """Direction of a sun at `elevation` degrees, `aside` of the window's normal (tangent)."""
+    angle = np.deg2rad(elevation)
+    level = unit(anchors.inward + aside * np.cross(anchors.up, anchors.inward))
+    return np.asarray(np.cos(angle) * level - np.sin(angle) * anchors.up)
 
 
 def _points(caster: RayCaster, focus: Vector, eye: Vector, forward: Vector, up: Vector) -> list[Vector]:

@@ -1,8 +1,7 @@
 """Scene: a capture with its surface, from which views and the light on them come."""
 
 import functools
-import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
@@ -11,7 +10,7 @@ import numpy as np
 import trimesh
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import fit, spread
+from hyjax.data.frames import fit
 from hyjax.data.light_file import is_light_file, read_lights
 from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera
@@ -19,26 +18,20 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
-from hyjax.light.photo_light import SurfaceLight, bounced_light
+from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.setup import LightSetup, same_lights
 from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
-from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate
-from hyjax.photo_light.sources import named_sources
 from hyjax.scene.light_setups import LightAnchors, check_setup_name, named_setup, survey_capture
-from hyjax.scene.settings import SceneSettings, parse_size
+from hyjax.scene.occluders import SLACK, complete, fine_detail
+from hyjax.scene.photo_light import ScenePhotoLight
+from hyjax.scene.settings import Occluders, SceneSettings, parse_size
 from hyjax.scene.surfaces import surface_of
-from hyjax.util.cache import cache_folder, cached_arrays
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
-from hyjax.util.files import digest
 
 UNIT_TOLERANCE = 1e-3
-PHOTO_FRAMES = 24
-"""Frames, spread over the capture, that the photo's light is estimated from."""
-PHOTO_VERSION = 1
-"""Of that estimate. Add one whenever it comes out differently."""
 
 
 class Scene:
@@ -56,13 +49,26 @@ class Scene:
         mesh: surface in the capture's world coordinates.
         size: (height, width) to work at; None as captured.
         source: the mesh in a few words, for the record.
+        exact: whether the mesh is accurate and has no holes, so that it throws its shadows as it is.
+        detail: makes, when first needed, a finer surface that throws shadows, too; None for none.
+        photo_sources: file that names the windows and lamps that lit the frames; None to find them.
+        progress: show bars on stderr.
 
     Raises:
         InputError: the capture has no frames, or no unit vector against gravity.
     """
 
     def __init__(
-        self, capture: Capture, mesh: trimesh.Trimesh, *, size: tuple[int, int] | None = None, source: str = "mesh"
+        self,
+        capture: Capture,
+        mesh: trimesh.Trimesh,
+        *,
+        size: tuple[int, int] | None = None,
+        source: str = "mesh",
+        exact: bool = False,
+        detail: Callable[[], trimesh.Trimesh | None] = lambda: None,
+        photo_sources: Path | None = None,
+        progress: bool = False,
     ) -> None:
         if not len(capture):
             raise InputError(f"{capture.name}: the capture has no frames")
@@ -71,9 +77,9 @@ class Scene:
         self.capture, self.size, self.source = capture, size, source
         self.caster = RayCaster(mesh)
         self._anchors: LightAnchors | None = None
-        self._maps: tuple[tuple[Light, ...], tuple[ShadowMap | None, ...]] | None = None
-        self._surface_light: tuple[tuple[tuple[Light, ...], bool, float], SurfaceLight] | None = None
-        self.progress = False
+        self.exact, self._detail, self._completed = exact, detail, None if not exact else self.caster
+        self._maps: dict[Occluders, tuple[tuple[Light, ...], tuple[ShadowMap | None, ...]]] = {}
+        self._sources_file, self._progress = photo_sources, progress
 
     @classmethod
     def open(
@@ -108,9 +114,20 @@ class Scene:
                 repair=settings.repair_mesh,
                 progress=progress,
             )
-            scene = cls(capture, mesh, size=parse_size(settings.size), source=source)
-            scene.progress = progress
-            return scene
+
+            def detail() -> trimesh.Trimesh | None:
+                return fine_detail(capture, settings.mesh, settings.seed, progress)
+
+            return cls(
+                capture,
+                mesh,
+                size=parse_size(settings.size),
+                source=source,
+                exact=settings.mesh == "true",
+                detail=detail,
+                photo_sources=settings.photo_sources,
+                progress=progress,
+            )
 
     def __len__(self) -> int:
         return len(self.capture)
@@ -159,12 +176,35 @@ class Scene:
             self._anchors = survey_capture(self.caster, self.capture)
         return named_setup(name, self._anchors)
 
-    def shadow_maps(self, lights: LightSetup | Sequence[Light]) -> tuple[ShadowMap | None, ...]:
-        """Shadow maps of lights; those of the last lights are kept."""
-        own = LightSetup.of(lights).lights
-        if self._maps is None or not same_lights(self._maps[0], own):
-            self._maps = own, jax.block_until_ready(cast_shadow_maps(self.caster, own))
-        return self._maps[1]
+    @property
+    def occluders(self) -> RayCaster:
+        """The mesh that throws shadows: the surface, completed."""
+        if self._completed is None:
+            self._completed = RayCaster(complete(self.mesh, self._detail()))
+        return self._completed
+
+    @property
+    def slack(self) -> float | None:
+        """Of shadow maps of `occluders`, see `ShadowMap`."""
+        return None if self.exact else SLACK
+
+    def shadow_maps(
+        self, lights: LightSetup | Sequence[Light], *, occluders: Occluders = "completed"
+    ) -> tuple[ShadowMap | None, ...]:
+        """Shadow maps of lights; those of the last lights are kept.
+
+        Args:
+            lights: a set-up, or lights.
+            occluders: what throws the shadows.
+        """
+        own, last = LightSetup.of(lights).lights, self._maps.get(occluders)
+        if last is None or not same_lights(last[0], own):
+            if occluders == "completed":
+                maps = cast_shadow_maps(self.occluders, own, slack=self.slack)
+            else:
+                maps = cast_shadow_maps(self.caster, own)
+            self._maps[occluders] = last = own, jax.block_until_ready(maps)
+        return last[1]
 
     def shade(
         self,
@@ -173,6 +213,7 @@ class Scene:
         *,
         shadows: bool = True,
         keep_photo_light: bool = False,
+        occluders: Occluders = "completed",
     ) -> Shaded:
         """Light on what a view sees.
 
@@ -181,48 +222,45 @@ class Scene:
             lights: lights, a set-up, or its name or file, see `lights`.
             shadows: whether lights cast shadows.
             keep_photo_light: whether to leave the light that the frames were taken under, and bounces out.
+            occluders: what throws them.
 
         Raises:
             InputError: no such set-up.
         """
         setup = self.lights(lights)
-        light = None if keep_photo_light else self.surface_light(setup, shadows=shadows)
-        return view.shade(setup, shadow_maps=self.shadow_maps(setup) if shadows else None, surface_light=light)
+        light = None
+        if not keep_photo_light:
+            light = self.surface_light(setup, shadows=shadows, occluders=occluders)
+        maps = self.shadow_maps(setup, occluders=occluders) if shadows else None
+        return view.shade(setup, shadow_maps=maps, surface_light=light)
 
     @functools.cached_property
-    def photo_light(self) -> Estimate:
+    def photo_light(self) -> ScenePhotoLight:
         """Light that the frames were taken under, estimated when first asked for and kept in the cache folder."""
-        frames = spread(range(len(self)), PHOTO_FRAMES)
-        mesh = (np.ascontiguousarray(part).tobytes() for part in (self.mesh.vertices, self.mesh.faces))
-        windows, lamps = named_sources(self.capture)
-        named = f"{windows} {lamps}"
-        key = digest([self.capture.fingerprint, str(self.size), named, hashlib.sha256(b"".join(mesh)).hexdigest()])
-        return cached_arrays(
-            cache_folder() / f"photo-light-v{PHOTO_VERSION}-{key}.npz",
-            lambda arrays: read_estimate(self.caster, arrays),
-            lambda: estimate_arrays(
-                self.caster,
-                (self.frame(i) for i in frames),
-                np.asarray(self.capture.up, np.float64),
-                windows,
-                lamps,
-                self.progress,
-            ),
+        return ScenePhotoLight(
+            self.capture, self.caster, self.frame, sources_file=self._sources_file, progress=self._progress
         )
 
-    def surface_light(self, lights: LightSetup | Sequence[Light], *, shadows: bool = True) -> SurfaceLight:
-        """Photo's own light and the bounces of new lights, on the vertices; those of the last lights are kept."""
+    def surface_light(
+        self,
+        lights: LightSetup | Sequence[Light],
+        *,
+        shadows: bool = True,
+        occluders: Occluders = "completed",
+    ) -> SurfaceLight:
+        """Photo's own light and the bounces of new lights, on the vertices; those of the last lights are kept.
+
+        Args:
+            lights: new lights.
+            shadows: whether they cast shadows.
+            occluders: what throws them.
+
+        Raises:
+            InputError: the file of the photo's sources cannot be used.
+        """
         setup = LightSetup.of(lights)
-        key = (setup.lights, shadows, setup.reference_lux)
-        if self._surface_light is None or not _same_key(self._surface_light[0], key):
-            photo = self.photo_light.light
-            bounced = bounced_light(photo, setup.lights, self.shadow_maps(setup) if shadows else None)
-            self._surface_light = key, SurfaceLight(photo.illuminance, bounced, photo.transport.faces)
-        return self._surface_light[1]
-
-
-def _same_key(a: tuple[tuple[Light, ...], bool, float], b: tuple[tuple[Light, ...], bool, float]) -> bool:
-    return a[1:] == b[1:] and same_lights(a[0], b[0])
+        maps = self.shadow_maps(setup, occluders=occluders) if shadows else None
+        return self.photo_light.surface_light(setup, maps)
 
 
 def view_of(frame: Frame, gbuffer: GBuffer) -> View:

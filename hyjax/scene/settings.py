@@ -2,12 +2,15 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
 
+Occluders = Literal["completed", "surface"]
+"""What throws shadows: all that is known of the place, see `hyjax.scene.occluders`, or the bare surface."""
 LARGEST = 16384
 """Pixels a side."""
 
@@ -29,6 +32,9 @@ class SceneSettings(Settings):
     """Voxel of a fused mesh in metres."""
     seed: int = 0
     """Of a simulated scan."""
+    photo_sources: Path | None = None
+    """YAML or JSON file of the windows and lamps that lit the frames. Default: those that the capture knows, else
+    those that are found."""
     repair_mesh: bool = False
     """Drop unusable triangles of a mesh file instead of refusing it."""
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import logging
+from collections.abc import Callable
 from pathlib import Path
 
 import trimesh
@@ -79,24 +80,32 @@ def surface_of(
     spread = ChosenFrames(capture, range(0, len(capture), -(-len(capture) // most_frames)))
     if mesh == "fused" and most_frames != MAX_FUSED_FRAMES:
         description += f" from {len(spread)} frames"
+
+    def make() -> trimesh.Trimesh:
+        if mesh == "scan":
+            return simulate_scan(*capture.scan_input(), seed, progress)
+        return fuse(spread, voxel, progress=progress)
+
+    return description, kept(description, capture, make)
+
+
+def kept(description: str, capture: Capture, make: Callable[[], trimesh.Trimesh]) -> trimesh.Trimesh:
+    """A mesh from the cache folder, or made and kept there, under its description and the capture."""
     key = hashlib.sha256(f"{VERSION} {description} {capture.fingerprint}".encode()).hexdigest()[:16]
     file = cache_folder() / f"surface-{key}.ply"
     if file.is_file():
         try:
-            return description, load_mesh(file)
+            return load_mesh(file)
         except InputError:
             file.unlink(missing_ok=True)  # damaged: made again below
-    if mesh == "scan":
-        made = simulate_scan(*capture.scan_input(), seed, progress)
-    else:
-        made = fuse(spread, voxel, progress=progress)
+    made = make()
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         save_mesh(file, made)
-        return description, load_mesh(file)  # as any later run will find it
+        return load_mesh(file)  # as any later run will find it
     except (OSError, InputError) as error:
         _log.warning("the mesh is not kept for the next time: %s", error)
-        return description, made
+        return made
 
 
 def _check_metres(mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:

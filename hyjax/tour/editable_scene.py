@@ -11,6 +11,7 @@ from jaxtyping import ArrayLike, Float
 
 from hyjax.geometry.mesh import load_mesh, submesh
 from hyjax.geometry.raycast import RayCaster
+from hyjax.scene.occluders import complete
 from hyjax.tour.furniture import Part, cast_parts, piece_at
 from hyjax.tour.plan import Piece, TourPlan
 from hyjax.util.errors import InputError
@@ -54,10 +55,21 @@ class EditableScene:
         mesh: the surface, in the capture's world coordinates.
         up: against gravity.
         folder: where uploaded mesh files lie.
+        occluders: what throws the shadows of the room as it was scanned; the surface if None. Once a piece of the
+            scan has been taken out, its parts with their holes closed throw them.
+        slack: of shadow maps, see `hyjax.light.shadow_map.ShadowMap`; None if the surface throws its own shadows.
     """
 
-    def __init__(self, caster: RayCaster, up: Float[np.ndarray, "3"], folder: Path) -> None:
+    def __init__(
+        self,
+        caster: RayCaster,
+        up: Float[np.ndarray, "3"],
+        folder: Path,
+        occluders: RayCaster | None = None,
+        slack: float | None = None,
+    ) -> None:
         self.caster, self.mesh, self.up, self._folder = caster, caster.mesh, up, folder
+        self._occluders, self._slack = occluders, slack
         self._parts = LruCache(MOST_PARTS)
 
     def apply(self, plan: TourPlan) -> SceneParts:
@@ -70,7 +82,7 @@ class EditableScene:
             )
         else:
             rest, scanned = self.caster, ()
-        parts = [Part(rest, np.eye(4), self.mesh)]
+        parts = [Part(rest, np.eye(4), self.mesh, self._thrower(("rest", scanned), rest), self._slack)]
         keys: list[Hashable] = [("rest", scanned)]
         pieces: list[int | None] = [None]
         for number, piece in enumerate(plan.pieces):
@@ -78,10 +90,16 @@ class EditableScene:
                 continue
             name = ("piece", piece.seed, piece.file)
             caster = self._parts(("caster", name), functools.partial(RayCaster, mesh))
-            parts.append(Part(caster, piece.matrix, self.mesh))
+            parts.append(Part(caster, piece.matrix, self.mesh, self._thrower(name, caster), self._slack))
             keys.append((name, piece.pose))
             pieces.append(number)
         return SceneParts(tuple(parts), tuple(keys), tuple(pieces))
+
+    def _thrower(self, name: Hashable, caster: RayCaster) -> RayCaster | None:
+        """What throws the shadows of a part."""
+        if self._slack is None or caster is self.caster:
+            return self._occluders
+        return self._parts(("thrower", name), lambda: RayCaster(complete(caster.mesh)))
 
     def apply_to_mesh(self, plan: TourPlan) -> trimesh.Trimesh:
         """The whole surface as the plan arranges it."""

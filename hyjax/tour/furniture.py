@@ -88,12 +88,15 @@ def _axes(
 class Part:
     """A rigid part of the room: its surface as it was scanned, and where it is now (4×4).
 
-    Shadow maps take it as a `RayCaster`: `mesh` is the whole room's, as it says what a map must cover.
+    Shadow maps take it as a `RayCaster`: `mesh` is the whole room's, as it says what a map must cover. Shadows are
+    thrown by `occluders`, if there are any, in the surface's place, and looked up with `slack`.
     """
 
     caster: RayCaster
     pose: Float[np.ndarray, "4 4"]
     mesh: trimesh.Trimesh
+    occluders: RayCaster | None = None
+    slack: float | None = None
 
     @property
     def moved(self) -> bool:
@@ -106,10 +109,23 @@ class Part:
         grid: tuple[int, int] | None = None,
     ) -> Hits:
         """`RayCaster.cast`, with rays and hits in the room's coordinates."""
+        return self._cast(self.caster, origins, directions, grid)
+
+    def cast_at_occluders(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
+        """`cast` at what throws this part's shadows."""
+        return self._cast(self.occluders or self.caster, origins, directions, None)
+
+    def _cast(
+        self,
+        caster: RayCaster,
+        origins: Float[np.ndarray, "n 3"],
+        directions: Float[np.ndarray, "n 3"],
+        grid: tuple[int, int] | None,
+    ) -> Hits:
         if not self.moved:
-            return self.caster.cast(origins, directions, grid)
+            return caster.cast(origins, directions, grid)
         turn, shift = self.pose[:3, :3], self.pose[:3, 3]
-        return self.caster.cast((origins - shift) @ turn, directions @ turn, grid)
+        return caster.cast((origins - shift) @ turn, directions @ turn, grid)
 
     def gbuffer(self, camera: Camera) -> GBuffer:
         """Surface points of this part alone that a camera sees."""

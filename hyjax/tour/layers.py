@@ -91,7 +91,9 @@ class LayerCache:
 
         def cast(part: Part, key: Hashable) -> ShadowMap | None:
             caster: Any = CancellableCaster(part, cancelled)
-            return self._maps((geometry, key, quality), lambda: cast_shadow_maps(caster, [unit], scale)[0])
+            return self._maps(
+                (geometry, key, quality), lambda: cast_shadow_maps(caster, [unit], scale, part.slack)[0]
+            )
 
         maps = [cast(part, key) for part, key in zip(parts.parts, parts.keys, strict=True)]
         return shade_each(gbuffer, [unit])[..., 0], visibility(gbuffer, unit, _merge_maps(maps))
@@ -111,7 +113,7 @@ class CancellableCaster:
     def cast(self, *rays: Any) -> Hits:
         if self.cancelled():
             raise RenderCancelled
-        return self.part.cast(*rays)
+        return self.part.cast_at_occluders(*rays)
 
 
 def mebibytes(result: object) -> float:

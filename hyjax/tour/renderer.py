@@ -58,7 +58,7 @@ class Renderer:
     def __init__(self, scene: Scene, *, guide: FrameGuide = RGB, folder: Path = Path()) -> None:
         self.capture, self.guide, self._source = scene.capture, guide, scene
         self.up = np.asarray(scene.capture.up, float)
-        self.scene = EditableScene(scene.caster, self.up, folder)
+        self.scene = EditableScene(scene.caster, self.up, folder, scene.occluders, scene.slack)
         a, b, c = scene.mesh.extents
         self.surface_area = 2.0 * float(a * b + b * c + c * a)
         self._frames, self._layers = LruCache(FRAMES_MIB, mebibytes), LayerCache()

@@ -137,7 +137,11 @@ class FrameEstimator:
 
     def _calls(self) -> Mapping[str, Callable[[], Any]]:
         """Each stage by itself, as the pipeline runs it."""
-        view, maps, schedule = self._view(), self.scene.shadow_maps(self.lights), Schedule.preset("hyjax-shadow")
+        view, maps, schedule = (
+            self._view(),
+            self.scene.shadow_maps(self.lights, occluders="surface"),
+            Schedule.preset("hyjax-scan-shadow"),
+        )
         shaded, features = view.shade(self.lights, shadow_maps=maps), self.guide.features(self.display)
         return {
             "G-buffer": self._view,
@@ -172,7 +176,7 @@ class FrameEstimator:
 
     def _frame(self, schedule: Schedule) -> jax.Array:
         view = self._view()
-        shaded = view.shade(self.lights, shadow_maps=self.scene.shadow_maps(self.lights))
+        shaded = view.shade(self.lights, shadow_maps=self.scene.shadow_maps(self.lights, occluders="surface"))
         return relight(view, shaded, self.guide.features(self.display), schedule).image
 
     def parts(self) -> dict[str, float]:

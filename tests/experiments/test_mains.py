@@ -21,6 +21,7 @@ from experiments import (
     kappa_sweep,
     kinect_registration,
     reference_quality,
+    shadow_overlap,
     stage_times,
     tour_latency,
     tuning_gain,
@@ -252,6 +253,18 @@ def test_bench_peers(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert {"conditions", "step", "cascade", "batch", "size", "quality", "quality time", "guide", "frame"} <= kinds
     differences = [row["difference"] for row in of_kind(rows, "agreement")]
     assert differences and max(differences) < 1e-3
+
+
+@pytest.mark.slow
+def test_shadow_overlap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shadow_overlap, "SETUPS", ("center-point",))
+    monkeypatch.setattr(shadow_overlap, "SCANNED", 12)
+    config = shadow_overlap.Config(rooms=("random:0:0",), frames=1, size=SIZE, out=tmp_path)
+    rows = of_kind(shadow_overlap.main(config), "score")
+    assert [row["occluders"] for row in rows] == ["surface", "closed", "completed"]
+    assert all(0 <= row["both"] <= row["either"] <= row["counted"] for row in rows)
+    with pytest.raises(InputError, match="rooms: 'attic' must be"):
+        shadow_overlap.open_place("attic", config)
 
 
 @pytest.mark.slow

@@ -84,7 +84,8 @@ def test_a_new_kind_goes_all_the_way(tmp_path: Path) -> None:
     frame = jnp.full((24, 24, 3), 0.5)
     view = View.of(frame, gbuffer)
     shaded = view.shade(setup, shadow_maps=maps)
-    relit = relight(view, shaded, frame, Schedule.uniform([(2, 4)]))
+    sharp = Schedule.preset("hyjax-shadow")
+    relit = relight(view, shaded, frame, Schedule.uniform([(2, 4)]), shadow_schedule=sharp)
     assert np.isfinite(relit.image).all() and relit.image[12, 12, 0] < 0.2 * relit.image[0, 0, 0]
 
     write_lights(tmp_path / "written.json", setup)

@@ -10,6 +10,7 @@ from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import DirectionalLight, PointLight
 from hyjax.light.setup import LightSetup
+from hyjax.scene.exposure import warn_of_missing
 from hyjax.scene.light_setups import SETUPS, LightAnchors, named_setup, survey
 from hyjax.util.errors import InputError
 
@@ -163,3 +164,26 @@ def test_unknown_names_and_unseen_meshes_are_refused(box: RayCaster) -> None:
     far = RayCaster(trimesh.creation.box(bounds=[[100, 100, 100], [101, 101, 101]]))
     with pytest.raises(InputError, match="no camera sees the mesh"):
         survey(far, BOX_CAMERAS, UP)
+
+
+def test_the_sun_turns_to_what_is_seen_and_lamps_do_not_burn_out(box: RayCaster) -> None:
+    stage = survey(box, BOX_CAMERAS, UP)
+    (sun,) = [x for x in named_setup("golden-hour", stage).lights if isinstance(x, DirectionalLight)]
+    assert stage.seen.lux(sun).max() > 0
+    evening = named_setup("evening-lamps", stage)
+    lux = sum(stage.seen.lux(light) for light in evening.lights)
+    assert np.quantile(lux, 0.95) < 1.6 * float(evening.reference_lux)
+
+
+def test_the_papers_set_ups_keep_their_exposure(box: RayCaster) -> None:
+    stage = survey(box, BOX_CAMERAS, UP)
+    assert all(named_setup(name, stage).reference_lux == 300.0 for name in ("center-point", "two-colors"))
+
+
+def test_a_light_that_misses_the_view_is_told(box: RayCaster, caplog: pytest.LogCaptureFixture) -> None:
+    stage = survey(box, BOX_CAMERAS, UP)
+    behind = PointLight(np.array([0.0, 30.0, 1.0]), 900.0, np.ones(3))
+    warn_of_missing(LightSetup((behind,), 100.0), stage.seen, "mine")
+    assert [record.getMessage() for record in caplog.records] == [
+        "mine: light 0 (PointLight) reaches no surface that the cameras see"
+    ]

@@ -58,7 +58,7 @@ def casts(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Lights that shadow maps are cast for."""
     found: list[Any] = []
 
-    def counted(caster: Any, lights: Any) -> Any:
+    def counted(caster: Any, lights: Any, **_: Any) -> Any:
         found.append(lights)
         return (None,) * len(lights)
 
@@ -84,6 +84,24 @@ def test_shadow_maps_are_cast_once_for_lights_that_stay(casts: list[Any]) -> Non
     assert len(casts) == 2
     scene.shade(scene.view(0), "two-colors", shadows=False)
     assert len(casts) == 2
+
+
+def test_what_throws_shadows_is_asked_for_once_and_an_exact_mesh_does_it_itself() -> None:
+    asked: list[int] = []
+
+    def detail() -> None:
+        asked.append(1)
+
+    lights = [PointLight(jnp.zeros(3), jnp.asarray(9.0), jnp.ones(3))]
+    scene = Scene(Box(), box(), detail=detail)
+    (bare,) = scene.shadow_maps(lights, occluders="surface")
+    assert bare is not None and bare.slack is None and not asked
+    for _ in range(2):
+        (completed,) = scene.shadow_maps(lights)
+        assert completed is not None and completed.slack is not None
+    assert scene.occluders is not scene.caster and len(asked) == 1
+    exact = Scene(Box(), box(), detail=detail, exact=True)
+    assert exact.occluders is exact.caster and exact.slack is None and len(asked) == 1
 
 
 def test_lights_by_name_file_set_up_or_one_by_one(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.kinds import DirectionalLight, PointLight
 from hyjax.light.view import View
 from hyjax.pipeline import relight
+from hyjax.scene.occluders import SLACK, complete
 from hyjax.scene.scene import Scene
 from hyjax.tour import layers as layers_module
 from hyjax.tour.layers import RenderCancelled, mebibytes
@@ -64,7 +65,9 @@ def test_a_picture_is_what_relight_makes_of_its_lights(renderer: Renderer, plan:
     caster = RayCaster(renderer.scene.mesh)
     display = jnp.asarray(frame.image)
     view = View.of(display, caster.gbuffer(frame.camera))
-    whole = relight(view, view.shade(setup, shadow_maps=cast_shadow_maps(caster, setup.lights)), display, HYJAX)
+    occluders = RayCaster(complete(renderer.scene.mesh))
+    maps = cast_shadow_maps(occluders, setup.lights, slack=SLACK)
+    whole = relight(view, view.shade(setup, shadow_maps=maps), display, HYJAX)
     assert not rendered.draft
     np.testing.assert_allclose(rendered.linear, whole.image, rtol=2e-4, atol=2e-5)
 
@@ -81,9 +84,9 @@ def cast(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """What shadow maps are cast of: a part of the room, and lights."""
     found: list[Any] = []
 
-    def counted(caster: Any, lights: Any, scale: float = 1.0) -> Any:
+    def counted(caster: Any, lights: Any, scale: float = 1.0, slack: float | None = None) -> Any:
         found.append((caster, lights))
-        return cast_shadow_maps(caster, lights, scale)
+        return cast_shadow_maps(caster, lights, scale, slack)
 
     monkeypatch.setattr(layers_module, "cast_shadow_maps", counted)
     return found

@@ -1,0 +1,160 @@
+"""What emits light in a frame: window panes and lamps, which show the sky or the bulb that they now are.
+
+Their pixels are not a surface that light falls on. A pane shows the sky that the new lights put there, bright at
+noon and dark at night, patterned as the photo's was; a lamp that is off is white in the light of the room.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.kinds import Light
+from hyjax.util.geometry import cross, dot, unit
+
+PANE_REFLECTANCE, LAMP_REFLECTANCE = 0.04, 0.6
+SLACK = 0.12
+"""Metres before a pane that a scanned surface may lie and still belong to it: bars, blinds, noise."""
+WITHIN = 0.1
+"""Metres from a source within which a new light makes it shine."""
+DARK, BRIGHT = 0.1, 0.3
+"""Linear values of the photo between which a pixel of a source becomes one that shines."""
+BURNT, WHITE = 0.75, 0.95
+"""Likewise of a lamp."""
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Emitters:
+    """Panes and lamps of a place, with what they send under new lights.
+
+    Attributes:
+        panes: centre, half-axis to the right and half-axis up of each pane.
+        lamps: position and radius of each lamp.
+        sent: radiance times π of panes, then lamps, as a filter: 1 stands for white in the photo's mean light.
+        kept: what is left of the light that each sent when the photo was taken.
+        mean: K, see `hyjax.light.photo_light.PhotoLight`.
+    """
+
+    panes: Float[Array, "n 3 3"]
+    lamps: Float[Array, "m 4"]
+    sent: Float[Array, "k 3"]
+    kept: Float[Array, "k 3"]
+    mean: Float[Array, "3"]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Emission:
+    """Pixels that emit.
+
+    Attributes:
+        weight: how far a pixel belongs to a source, in [0, 1].
+        sent: what it emits, linear.
+        reflectance: what it shows of the light that falls on it, in units of a white surface's picture.
+    """
+
+    weight: Float[Array, "h w 1"]
+    sent: Float[Array, "h w 3"]
+    reflectance: Float[Array, "h w 3"]
+
+
+def radiant_filter(
+    lights: Sequence[Light],
+    panes: Float[np.ndarray, "n 3 3"],
+    lamps: Float[np.ndarray, "m 4"],
+    reference_lux: float,
+) -> Float[np.ndarray, "k 3"]:
+    """What panes and lamps send under new lights: radiance times π over the reference illuminance.
+
+    Args:
+        lights: a rectangle in a pane's opening, or a bulb within a lamp, makes it shine.
+        panes, lamps: see `Emitters`.
+        reference_lux: of the set-up.
+    """
+    sent = np.zeros((len(panes) + len(lamps), 3))
+    for light in lights:
+        emitter, color = light.emitter(), np.asarray(light.color)
+        if emitter is None:
+            continue
+        if emitter.kind == "rect":
+            area = 4 * np.linalg.norm(np.cross(np.asarray(emitter.right), np.asarray(emitter.up)))
+            for k, (center, right, up) in enumerate(panes):
+                away = emitter.position - center
+                normal = np.cross(right, up)
+                off = abs(away @ normal) / np.linalg.norm(normal)
+                if off < WITHIN and abs(away @ right) <= right @ right and abs(away @ up) <= up @ up:
+                    sent[k] += emitter.strength / area * color
+        elif emitter.kind in ("point", "spot"):
+            for k, (*place, radius) in enumerate(lamps):
+                if np.linalg.norm(emitter.position - place) < radius + WITHIN:
+                    sent[len(panes) + k] += emitter.strength / (4 * np.pi * radius**2) * color
+        elif emitter.kind == "sky":
+            sent[: len(panes)] += emitter.strength * color
+    return sent / reference_lux
+
+
+@jax.jit
+def emission(
+    emitters: Emitters,
+    frame: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+    pose: Float[Array, "4 4"],
+    intrinsics: Float[Array, "3 3"],
+) -> Emission:
+    """Pixels of a view that emit.
+
+    Args:
+        emitters: of the place.
+        frame: the photo, linear.
+        gbuffer: surface of the view; what lies before a pane hides it.
+        pose: camera-to-world.
+        intrinsics: calibration matrix.
+    """
+    h, w = gbuffer.depth.shape
+    x, y = jnp.meshgrid(jnp.arange(w) + 0.5, jnp.arange(h) + 0.5)
+    local = [(x - intrinsics[0, 2]) / intrinsics[0, 0], (y - intrinsics[1, 2]) / intrinsics[1, 1], jnp.ones_like(x)]
+    ray = jnp.stack([sum(pose[i, k] * local[k] for k in range(3)) for i in range(3)], axis=-1)
+    depth = jnp.where(gbuffer.hit, gbuffer.depth, jnp.inf)
+    pixel = 1.0 / intrinsics[0, 0]
+    brightness = jnp.min(frame, axis=-1)
+    weight, sent, reflectance = jnp.zeros((h, w)), jnp.zeros((h, w, 3)), jnp.zeros((h, w, 3))
+    shares = []
+    for center, right, up in emitters.panes:
+        normal = cross(right, up)
+        slope = dot(ray, normal)
+        distance = dot(center - pose[:3, 3], normal) / jnp.where(jnp.abs(slope) > 1e-9, slope, 1e-9)
+        place = pose[:3, 3] + distance[..., None] * ray - center
+        # Metres inside the border, over the width of a pixel there: a border without stairs.
+        inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
+        cover = jnp.clip(jnp.minimum(*inside) / (pixel * jnp.maximum(distance, 1e-3)) + 0.5, 0.0, 1.0)
+        cover *= (distance > 0) & (slope < 0) & (depth > distance - SLACK)
+        shares.append((cover * _ramp(brightness, DARK, BRIGHT), PANE_REFLECTANCE))
+    for *place, radius in emitters.lamps:
+        toward = jnp.stack(place) - pose[:3, 3]
+        along = dot(toward, ray) / dot(ray, ray)
+        away = jnp.sqrt(jnp.maximum(dot(toward, toward) - along**2 * dot(ray, ray), 1e-12))
+        cover = jnp.clip((1.5 * radius - away) / (pixel * jnp.maximum(along, 1e-3)) + 0.5, 0.0, 1.0)
+        cover *= (along > 0) & (depth > along - 2 * radius - SLACK)
+        shares.append((cover * _ramp(brightness, BURNT, WHITE), LAMP_REFLECTANCE))
+    for k, (share, share_reflected) in enumerate(shares):
+        if k < len(emitters.panes):
+            total = jnp.sum(share[..., None] * frame, axis=(0, 1)) / jnp.maximum(jnp.sum(share), 1e-6)
+            pattern = frame / jnp.maximum(total, 1e-3)
+        else:
+            pattern = jnp.ones(3)
+        weight = jnp.maximum(weight, share)
+        sent = jnp.where(
+            share[..., None] > 0, emitters.sent[k] * emitters.mean * pattern + emitters.kept[k] * frame, sent
+        )
+        reflectance = jnp.where(share[..., None] > 0, share_reflected * emitters.mean, reflectance)
+    return Emission(weight[..., None], sent, reflectance)
+
+
+def _ramp(x: Float[Array, "h w"], low: float, high: float) -> Float[Array, "h w"]:
+    t = jnp.clip((x - low) / (high - low), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)

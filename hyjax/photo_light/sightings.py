@@ -1,0 +1,100 @@
+"""Sightings: frames as the search for light sources sees them, and the box that closes the scan."""
+
+import dataclasses
+
+import numpy as np
+import trimesh
+from jaxtyping import Bool, Float, Int
+
+from hyjax.data.capture import Frame
+from hyjax.geometry.raycast import RayCaster
+from hyjax.photo_light.sources import SATURATED, Vector
+from hyjax.util.vectors import perpendicular, reject, unit
+
+PIXELS = 160
+"""Pixels of a row that are looked at."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sighting:
+    """A frame's pixels, coarsely: their rays, what they hit, how bright they are.
+
+    Attributes:
+        frame: its camera and picture.
+        rays: of unit depth.
+        depth: of the surface; infinite without.
+        face: triangle that is seen, −1 without.
+        low: least of the three channels, display values.
+    """
+
+    frame: Frame
+    rays: Float[np.ndarray, "h w 3"]
+    depth: Float[np.ndarray, "h w"]
+    face: Int[np.ndarray, "h w"]
+    low: Float[np.ndarray, "h w"]
+
+    @property
+    def burnt(self) -> Bool[np.ndarray, "h w"]:
+        """Where the picture is burnt out."""
+        return self.low > SATURATED
+
+
+def sight(caster: RayCaster, frame: Frame) -> Sighting:
+    """A frame, coarsely."""
+    step = max(1, frame.camera.intrinsics.width // PIXELS)
+    rays = frame.camera.rays()[step // 2 :: step, step // 2 :: step]
+    hits = caster.cast(frame.camera.origin, rays.reshape(-1, 3))
+    shape = rays.shape[:2]
+    low = frame.image[step // 2 :: step, step // 2 :: step].min(axis=-1)
+    return Sighting(frame, rays, hits.distance.reshape(shape), hits.face.reshape(shape), low)
+
+
+Box = tuple[Float[np.ndarray, "5 3"], Float[np.ndarray, "5"]]
+"""Outward normals of four walls and the ceiling, and their offsets."""
+
+
+def closing_box(mesh: trimesh.Trimesh, up: Vector, eyes: Float[np.ndarray, "n 3"]) -> Box:
+    """Walls and ceiling as planes beyond all cameras: the outermost ones of some area, else the scan's end."""
+    normals, areas = np.asarray(mesh.face_normals), np.asarray(mesh.area_faces)
+    x = unit(reject(perpendicular(up), up))
+    y = np.cross(up, x)
+    upright = np.abs(normals @ up) < 0.3
+    angle = np.arctan2(normals[upright] @ y, normals[upright] @ x)
+    turn = np.angle(np.sum(areas[upright] * np.exp(4j * angle)) + 1e-12) / 4
+    x = np.cos(turn) * x + np.sin(turn) * y
+    outward = np.stack([x, -x, np.cross(up, x), -np.cross(up, x), up])
+    return outward, np.array([_outermost(mesh, normals, areas, d, float((eyes @ d).max())) for d in outward])
+
+
+def _outermost(
+    mesh: trimesh.Trimesh, normals: np.ndarray, areas: np.ndarray, outward: Vector, least: float
+) -> float:
+    """Offset of a wall, `least` or more."""
+    facing = np.abs(normals @ outward) > 0.85
+    end = max(float(np.quantile(mesh.vertices @ outward, 0.995)), least)
+    offsets = mesh.triangles_center[facing] @ outward
+    bins = np.arange(least, end + 0.2, 0.02)
+    if len(bins) < 2 or not facing.any():
+        return end
+    area = np.histogram(offsets, bins, weights=areas[facing])[0]
+    near = np.convolve(area, np.ones(5), "same")  # within 5 cm
+    strong = np.flatnonzero(near > max(0.4, 0.3 * near.max()))
+    if not len(strong):
+        return end
+    last = strong[-1]
+    first = last
+    while first - 1 in strong and last - first < 10:
+        first -= 1
+    peak = first + int(np.argmax(near[first : last + 1]))
+    return float(bins[peak] + 0.01)
+
+
+def exits(box: Box, origin: Vector, rays: Float[np.ndarray, "*s 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Ray parameter where each ray leaves the box, and through which wall; infinite and 5 downwards."""
+    outward, offsets = box
+    along = rays @ outward.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.where(along > 1e-9, (offsets - outward @ origin) / along, np.inf)
+    t = np.where(t > 0, t, np.inf)
+    first = t.min(axis=-1)
+    return first, np.where(np.isfinite(first), t.argmin(axis=-1), len(offsets))

@@ -1,0 +1,183 @@
+"""Search for the windows and lamps that lit photographs, in the photographs.
+
+A window is a hole of the scan in a wall or the ceiling, a good part of which is burnt out in several frames, or a
+burnt-out rectangle on the wall with a darker wall around it. A lamp is a small burnt-out blob inside the room at
+which the rays of several frames meet, unless the scan is flat there: a sheet of paper.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from hyjax.data.capture import Capture, Frame
+from hyjax.geometry.raycast import RayCaster
+from hyjax.photo_light.lamp_search import search_lamps
+from hyjax.photo_light.sightings import Box, Sighting, closing_box, exits, sight
+from hyjax.photo_light.sources import (
+    SATURATED,
+    PhotoLamp,
+    PhotoSources,
+    PhotoWindow,
+    Vector,
+    hinted_sources,
+    read_sources,
+)
+
+CELL = 0.05
+"""Metres of a cell of a wall."""
+BEHIND = 0.06
+"""Metres behind a wall's plane from which a surface belongs to the opening, and not to the wall."""
+FEWEST_FRAMES = 2
+"""Frames that see a cell of a window, in the mean."""
+MOST_SATURATED = 0.5
+"""Share of all pixels: where more are burnt out, the frames say nothing about windows."""
+SMALLEST = 0.15
+"""Square metres of a window."""
+
+
+def search_sources(
+    caster: RayCaster, frames: Sequence[Frame], up: Vector
+) -> tuple[tuple[PhotoWindow, ...], tuple[PhotoLamp, ...]]:
+    """Windows and lamps that several frames agree on."""
+    sightings = [sight(caster, frame) for frame in frames]
+    if not sightings or np.mean([s.burnt.mean() for s in sightings]) > MOST_SATURATED:
+        return (), ()
+    box = closing_box(caster.mesh, up, np.stack([s.frame.camera.origin for s in sightings]))
+    windows = [window for wall in range(len(box[0])) for window in _windows_of(wall, box, sightings, up)]
+    named = tuple(dataclasses.replace(w, name=f"window-{i + 1}") for i, w in enumerate(windows))
+    return named, search_lamps(caster, sightings, box, named, up)
+
+
+def find_photo_sources(
+    capture: Capture, caster: RayCaster, frames: Sequence[Frame], *, file: Path | None = None
+) -> PhotoSources:
+    """Windows and lamps of photographs: from a file, else from the capture's hints, else found.
+
+    Args:
+        capture: its direction up and its anchors.
+        caster: its surface.
+        frames: that are looked at, spread over the capture.
+        file: YAML or JSON, see the module.
+
+    Raises:
+        InputError: the file cannot be used.
+    """
+    up = np.asarray(capture.up, float)
+    if file is not None:
+        return read_sources(file, up, caster, np.stack([frame.camera.origin for frame in frames]))
+    hinted = hinted_sources(capture.anchors, up, caster, frames)
+    if hinted.windows or hinted.lamps:
+        return hinted
+    windows, lamps = search_sources(caster, frames, up)
+    return PhotoSources(windows, lamps, "found" if windows or lamps else "none")
+
+
+def _windows_of(wall: int, box: Box, sightings: Sequence[Sighting], up: Vector) -> list[PhotoWindow]:
+    """Windows in one wall of the box."""
+    outward, offset = box[0][wall], box[1][wall]
+    vertical = up if abs(outward @ up) < 0.5 else box[0][0]
+    across = np.cross(vertical, -outward)
+    seen = []
+    for s in sightings:
+        t, through = exits(box, s.frame.camera.origin, s.rays)
+        chosen = through == wall
+        if not chosen.any():
+            continue
+        origin, rays, depth = s.frame.camera.origin, s.rays[chosen], s.depth[chosen]
+        place = origin + rays * t[chosen][:, None]
+        behind = origin @ outward + np.where(np.isfinite(depth), depth, 1e3) * (rays @ outward) - offset
+        seen.append((place @ across, place @ vertical, behind, s.low[chosen]))
+    if not seen:
+        return []
+    low = np.array([min(part[k].min() for part in seen) for k in (0, 1)])
+    high = np.array([max(part[k].max() for part in seen) for k in (0, 1)])
+    low, high = np.maximum(low, high - 40.0), high  # a ray almost along the wall leaves it far away
+    shape = tuple(((high - low) / CELL).astype(int) + 1)
+    count = {key: np.zeros(shape, int) for key in ("open", "wall", "burnt hole", "burnt wall")}
+    total, weight = np.zeros(shape), np.zeros(shape)
+    for a, b, behind, value in seen:
+        index = (np.stack([a, b], axis=-1) - low) / CELL
+        inside = (index >= 0).all(axis=-1)
+        i, j = index[inside].astype(int).T
+        behind, value = behind[inside], value[inside]
+        hole, solid, burnt = behind > BEHIND, np.abs(behind) <= 2 * BEHIND, value > SATURATED
+        for key, which in (
+            ("open", hole), ("wall", solid & ~hole), ("burnt hole", hole & burnt), ("burnt wall", solid & burnt),
+        ):  # fmt: skip
+            flat = np.unique(i[which] * shape[1] + j[which])
+            count[key].reshape(-1)[flat] += 1
+        np.add.at(total, (i[solid], j[solid]), value[solid])
+        np.add.at(weight, (i[solid], j[solid]), 1.0)
+    hole = (count["open"] > 0) & (count["open"] >= count["wall"])
+    white = count["burnt wall"] > FEWEST_FRAMES
+    burnt = (count["burnt hole"] > 0) | white
+    frames_seen = count["open"] + count["burnt wall"]
+    brightness = np.where(weight > 0, total / np.maximum(weight, 1.0), np.nan)
+    frame = _Wall(-outward, offset * outward, across, vertical, low)
+    return [
+        frame.window(rectangle)
+        for rectangle in _rectangles(hole | white, hole, burnt, brightness)
+        if frames_seen[rectangle[0] : rectangle[1] + 1, rectangle[2] : rectangle[3] + 1].mean() >= FEWEST_FRAMES
+    ]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Wall:
+    """Axes of a wall's cells."""
+
+    inward: Vector
+    origin: Vector
+    across: Vector
+    vertical: Vector
+    low: Float[np.ndarray, "2"]
+
+    def window(self, rectangle: tuple[int, int, int, int]) -> PhotoWindow:
+        """The window over rows and columns of cells, first and last of each."""
+        first = self.low + CELL * np.array(rectangle[::2])
+        last = self.low + CELL * (np.array(rectangle[1::2]) + 1)
+        a, b = (first + last) / 2
+        width, height = last - first
+        center = self.origin + a * self.across + b * self.vertical
+        return PhotoWindow("", center, self.across * width / 2, self.vertical * height / 2, self.inward)
+
+
+def _rectangles(
+    mask: Bool[np.ndarray, "a b"],
+    hole: Bool[np.ndarray, "a b"],
+    burnt: Bool[np.ndarray, "a b"],
+    brightness: Float[np.ndarray, "a b"],
+) -> list[tuple[int, int, int, int]]:
+    """Rectangles of cells that are windows: first and last row, first and last column."""
+    closed = ndimage.binary_closing(np.pad(mask, 3), np.ones((3, 3)))[3:-3, 3:-3]
+    labels, number = ndimage.label(ndimage.binary_opening(closed, np.ones((3, 3))))
+    found = []
+    for k in range(1, number + 1):
+        part = labels == k
+        if part.sum() * CELL**2 < SMALLEST:
+            continue
+        spans = []
+        for axis in (1, 0):
+            profile = part.sum(axis=axis)
+            lines = np.flatnonzero(profile >= 0.5 * np.quantile(profile[profile > 0], 0.9))
+            spans += [int(lines[0]), int(lines[-1])]
+        inside = np.s_[spans[0] : spans[1] + 1, spans[2] : spans[3] + 1]
+        area = part[inside].size * CELL**2
+        if area < SMALLEST or part[inside].mean() < 0.6 or burnt[inside].mean() < 0.25:
+            continue
+        if min(spans[1] - spans[0], spans[3] - spans[2]) * CELL < 0.25:
+            continue
+        if hole[inside].mean() < 0.3 and not _stands_out(part, brightness, area):
+            continue
+        found.append((spans[0], spans[1], spans[2], spans[3]))
+    return found
+
+
+def _stands_out(part: Bool[np.ndarray, "a b"], brightness: Float[np.ndarray, "a b"], area: float) -> bool:
+    """Whether a burnt-out patch of wall is a window: large, with a darker wall around most of it."""
+    ring = ndimage.binary_dilation(part, iterations=5) & ~ndimage.binary_dilation(part, iterations=2)
+    around = brightness[ring & np.isfinite(brightness)]
+    return area >= 0.4 and len(around) > 0.5 * ring.sum() and float(np.quantile(around, 0.75)) < 0.8

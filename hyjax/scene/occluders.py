@@ -1,0 +1,70 @@
+"""Occluders: the mesh that throws a scan's shadows, with more in it than the mesh that is lit.
+
+Legs of chairs and rims of tables are lost in a headset's coarse triangles, and holes let light through that the
+room keeps out. Shadows may be thrown by anything that is known: here also by a finer fusion of the same depth maps,
+where there are any, and with small holes closed. What it throws on itself for being only so accurate is forgiven
+(`SLACK`).
+"""
+
+import logging
+
+import trimesh
+
+from hyjax.data.capture import Capture, ChosenFrames
+from hyjax.geometry.hole_closing import close_holes
+from hyjax.geometry.scan import ScanConfig, simulate_sensors
+from hyjax.geometry.tsdf import fuse
+from hyjax.scene.surfaces import MAX_FUSED_FRAMES, kept
+from hyjax.util.errors import InputError
+
+GAP = 0.5
+"""Metres: the longest edge that closes a hole."""
+VOXEL = 0.03
+"""Metres, of the finer fusion."""
+SLACK = 0.03
+"""Metres that a scan's surface may be wrong by, see `hyjax.light.shadow_map.ShadowMap`."""
+_log = logging.getLogger(__name__)
+
+
+def complete(mesh: trimesh.Trimesh, detail: trimesh.Trimesh | None = None) -> trimesh.Trimesh:
+    """Occluders of a scan: its surface with small holes closed, and a finer surface of the same place."""
+    closed = close_holes(mesh, GAP)
+    if detail is None:
+        return closed
+    parts = [trimesh.Trimesh(part.vertices, part.faces, process=False) for part in (closed, detail)]
+    whole: trimesh.Trimesh = trimesh.util.concatenate(parts)  # type: ignore[assignment]
+    return whole
+
+
+def fine_detail(
+    capture: Capture, source: str | None, seed: int = 0, progress: bool = True
+) -> trimesh.Trimesh | None:
+    """Finer surface of a captured place from the depth maps that its mesh was made of; None where there is none.
+
+    Args:
+        capture: of the place.
+        source: its mesh, as `surface_of` takes it. That of a file, or a fusion, has all the detail that there is.
+        seed: of a simulated scan, whose depth maps are taken again, errors and all.
+        progress: show a bar on stderr.
+    """
+    if source is None:
+        source = "scan" if capture.reference() is not None else "captured"
+    if source not in ("scan", "captured") or not (source == "scan" or capture.has_mesh):
+        return None
+    if capture[0].depth is None:
+        return None
+    try:
+        if source == "scan":
+            return kept(f"detail of scan {seed}, {VOXEL:g} m", capture, lambda: _of_scan(capture, seed, progress))
+        spread = ChosenFrames(capture, range(0, len(capture), -(-len(capture) // MAX_FUSED_FRAMES)))
+        return kept(f"fused at {VOXEL:g} m", capture, lambda: fuse(spread, VOXEL, progress=progress))
+    except InputError as error:
+        _log.warning("shadows are thrown by the mesh alone: %s", error)
+        return None
+
+
+def _of_scan(capture: Capture, seed: int, progress: bool) -> trimesh.Trimesh:
+    frames, given = capture.scan_input()
+    config = given or ScanConfig()
+    views = simulate_sensors(frames, config, seed)
+    return fuse(views, VOXEL, 3 * VOXEL, config.max_depth, config.min_weight, progress)

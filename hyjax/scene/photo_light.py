@@ -1,0 +1,163 @@
+"""Photo's own light of a scene: estimated once, kept in the cache folder, joined by the bounces of new lights."""
+
+import functools
+import hashlib
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.data.capture import Capture, Frame
+from hyjax.data.frames import fit, spread
+from hyjax.geometry.raycast import RayCaster
+from hyjax.light.emission import Emitters, radiant_filter
+from hyjax.light.photo_light import SurfaceLight, bounced_light
+from hyjax.light.setup import LightSetup, same_lights
+from hyjax.light.shadow_map import ShadowMap
+from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate
+from hyjax.photo_light.source_search import find_photo_sources
+from hyjax.photo_light.sources import PhotoSources
+from hyjax.util.cache import cache_folder, cached_arrays
+from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.files import digest
+
+FRAMES = 24
+"""Frames, spread over the capture, that the photo's light is estimated from."""
+WIDTH = 800
+"""Pixels of their longer side, at most."""
+VERSION = 2
+"""Of the estimate. Add one whenever it comes out differently."""
+_log = logging.getLogger(__name__)
+
+
+class ScenePhotoLight:
+    """Light that the frames of a scene were taken under. Nothing is computed before it is asked for.
+
+    Args:
+        capture: frames with poses.
+        caster: its surface.
+        frame: reads a frame.
+        sources_file: names the windows and lamps that lit the frames; None to find them.
+        progress: show bars on stderr.
+    """
+
+    def __init__(
+        self,
+        capture: Capture,
+        caster: RayCaster,
+        frame: Callable[[int], Frame],
+        *,
+        sources_file: Path | None = None,
+        progress: bool = False,
+    ) -> None:
+        self._capture, self._caster, self._frame = capture, caster, frame
+        self._sources_file, self._progress = sources_file, progress
+        self._last: tuple[LightSetup, Sequence[ShadowMap | None] | None, SurfaceLight] | None = None
+
+    @functools.cached_property
+    def sources(self) -> PhotoSources:
+        """Windows and lamps that lit the frames.
+
+        Raises:
+            InputError: the file that names them cannot be used.
+        """
+        return find_photo_sources(self._capture, self._caster, self._frames, file=self._sources_file)
+
+    @functools.cached_property
+    def estimate(self) -> Estimate:
+        """Estimate of the light.
+
+        Raises:
+            InputError: the file that names its sources cannot be used.
+        """
+        caster, sources = self._caster, self.sources
+        mesh = (np.ascontiguousarray(part).tobytes() for part in (caster.mesh.vertices, caster.mesh.faces))
+        named = [(window.name, window.corners.round(4).tolist()) for window in sources.windows]
+        named += [(lamp.name, lamp.position.round(4).tolist()) for lamp in sources.lamps]
+        shape = str(self._frames[0].camera.intrinsics)
+        surface = hashlib.sha256(b"".join(mesh)).hexdigest()
+        key = digest([self._capture.fingerprint, shape, repr(named), surface])
+        found = cached_arrays(
+            cache_folder() / f"photo-light-v{VERSION}-{key}.npz",
+            lambda arrays: read_estimate(caster, arrays),
+            lambda: estimate_arrays(
+                caster, self._frames, np.asarray(self._capture.up, np.float64), sources, self._progress
+            ),
+        )
+        if found.exponent == 0:
+            _log.warning("%s: the light of the photos stays in the pictures: %s", self._capture.name, found.reason)
+        return found
+
+    def surface_light(self, setup: LightSetup, shadow_maps: Sequence[ShadowMap | None] | None) -> SurfaceLight:
+        """Photo's light and the bounces of new lights on the vertices; those of the last set-up are kept.
+
+        Args:
+            setup: new lights.
+            shadow_maps: one for each; None for no shadows.
+        """
+        last = self._last
+        if last is not None and last[1] is shadow_maps and _same_setup(last[0], setup):
+            return last[2]
+        photo, kept = self.estimate.light, jnp.asarray(self.kept(setup.existing), jnp.float32)
+        bounced = bounced_light(photo, setup.lights, shadow_maps)
+        bounced += setup.reference_lux * jnp.einsum("sc,svc->vc", kept, photo.sources)
+        emitters = self.emitters(setup)
+        light = SurfaceLight(photo.illuminance, bounced, photo.transport.faces, emitters)
+        self._last = setup, shadow_maps, light
+        return light
+
+    def record(self) -> dict[str, Any]:
+        """What a run's record says of the photo's light."""
+        return {
+            "sources": list(self.estimate.names),
+            "origin": self.sources.origin,
+            "exponent": self.estimate.exponent,
+            "flatness": round(min(self.estimate.flatness), 3),
+        }
+
+    def kept(self, existing: Mapping[str, Sequence[float]]) -> Float[np.ndarray, "s 3"]:
+        """What is left of each source of the photo.
+
+        Raises:
+            InputError: there is no source of a name.
+        """
+        names = self.estimate.names
+        for name in existing:
+            if name not in names:
+                hint = did_you_mean(name, names)
+                raise InputError(
+                    f"existing: the photos have no source {name!r}{hint}; there are {', '.join(names)}"
+                )
+        return np.array([existing.get(name, (0.0, 0.0, 0.0)) for name in names])
+
+    def emitters(self, setup: LightSetup) -> Emitters | None:
+        """Panes and lamps with what they send under new lights; None if there are none."""
+        windows, lamps = self.sources.windows, self.sources.lamps
+        if not windows and not lamps:
+            return None
+        panes = np.array([(w.center, w.right, w.up) for w in windows]).reshape(-1, 3, 3)
+        bulbs = np.array([(*lamp.position, lamp.radius) for lamp in lamps]).reshape(-1, 4)
+        sent = radiant_filter(setup.lights, panes, bulbs, float(setup.reference_lux))
+        kept = self.kept(setup.existing)[: len(sent)]  # windows, then lamps, as the sources are
+        own, round_, light, left = (jnp.asarray(a, jnp.float32) for a in (panes, bulbs, sent, kept))
+        return Emitters(own, round_, light, left, self.estimate.light.mean)
+
+    @functools.cached_property
+    def _frames(self) -> list[Frame]:
+        """Frames spread over the capture, no larger than needed."""
+        frames = []
+        for index in spread(range(len(self._capture)), FRAMES):
+            frame = self._frame(index)
+            height, width = frame.camera.intrinsics.shape
+            share = min(1.0, WIDTH / max(height, width))
+            frames.append(fit(frame, (round(height * share), round(width * share))) if share < 1 else frame)
+        return frames
+
+
+def _same_setup(a: LightSetup, b: LightSetup) -> bool:
+    same = a.reference_lux == b.reference_lux and dict(a.existing) == dict(b.existing)
+    return same and same_lights(a.lights, b.lights)

@@ -1,0 +1,112 @@
+"""Windows and lamps that lit the photographs: given, hinted at, and found."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hyjax.data.builtin_room import RoomCapture, load_room
+from hyjax.geometry.raycast import RayCaster
+from hyjax.photo_light.source_search import find_photo_sources, search_sources
+from hyjax.photo_light.sources import PhotoSources, hinted_sources, is_lit
+from hyjax.scene.scene import Scene
+from hyjax.util.errors import InputError
+
+WINDOW = "{center: [0.0, 2.95, 1.52], normal: [1, 0, 0], width: 2.4, height: 1.4}"
+
+
+@pytest.fixture(scope="module")
+def room() -> RoomCapture:
+    return load_room(n_frames=24, width=160, height=120, quality=0.25, progress=False)
+
+
+@pytest.fixture(scope="module")
+def scene(room: RoomCapture) -> Scene:
+    return Scene(room, room.reference())
+
+
+def find(scene: Scene, **options: Any) -> PhotoSources:
+    return find_photo_sources(scene.capture, scene.caster, [scene.frame(i) for i in range(0, 24, 4)], **options)
+
+
+def given(scene: Scene, tmp_path: Path, text: str) -> PhotoSources:
+    file = tmp_path / "sources.yaml"
+    file.write_text(text)
+    return find(scene, file=file)
+
+
+def test_the_window_is_found_without_hints(room: RoomCapture, scene: Scene) -> None:
+    windows, _ = search_sources(scene.caster, list(room), room.up)
+    truth = room.anchors["window_0"]
+    assert len(windows) == 1
+    assert np.linalg.norm(windows[0].center - truth["center"]) < 0.15
+    assert 2 * np.linalg.norm(windows[0].right) == pytest.approx(truth["width"], abs=0.25)
+    assert 2 * np.linalg.norm(windows[0].up) == pytest.approx(truth["height"], abs=0.25)
+    np.testing.assert_allclose(windows[0].normal, truth["normal"], atol=0.05)
+    np.testing.assert_allclose(np.cross(windows[0].right, windows[0].up) @ windows[0].normal > 0, True)
+
+
+def test_hints_come_before_the_search_and_dark_lamps_are_left_out(scene: Scene) -> None:
+    sources = find(scene)
+    assert sources.origin == "capture" and [w.name for w in sources.windows] == ["window-1"]
+    assert not sources.lamps  # the room was photographed by day
+
+
+def test_a_hinted_lamp_counts_where_it_is_burnt_out(room: RoomCapture, scene: Scene) -> None:
+    position = np.asarray(room.anchors["lamp_1"]["position"], float)
+    frames = [room[i] for i in range(len(room))]
+    assert not is_lit(position, scene.caster, frames)
+    for frame in frames:
+        (x, y), depth = frame.camera.project(position)
+        if depth > 0.2:
+            frame.image[max(int(y) - 12, 0) : max(int(y) + 12, 0), max(int(x) - 12, 0) : max(int(x) + 12, 0)] = 1.0
+    assert is_lit(position, scene.caster, frames)
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0])
+def test_black_or_burnt_out_frames_say_nothing(value: float, room: RoomCapture, scene: Scene) -> None:
+    frames = [room[i] for i in range(0, 24, 6)]
+    for frame in frames:
+        frame.image[:] = value
+    assert search_sources(scene.caster, frames, room.up) == ((), ())
+
+
+def test_a_file_is_taken_as_it_is(scene: Scene, tmp_path: Path) -> None:
+    sources = given(scene, tmp_path, f"windows: [{WINDOW}]\nlamps: [{{position: [1.4, 1.6, 1.5], name: pendant}}]")
+    assert sources.origin == "file" and sources.windows[0].name == "window-1" and sources.lamps[0].name == "pendant"
+    np.testing.assert_allclose(sources.windows[0].corners.mean(axis=0), [0.0, 2.95, 1.52], atol=1e-6)
+    assert np.ptp(sources.windows[0].corners[:, 1]) == pytest.approx(2.4)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("windows: [", "neither YAML nor JSON"),
+        ("- 1", "must be a mapping"),
+        ("{}", "names no window"),
+        ("window: []", "did you mean 'windows'"),
+        ("windows: 3", "'windows' must be a list"),
+        (f"windows: [{WINDOW.replace('width', 'widht')}]", "did you mean 'width'"),
+        (f"windows: [{WINDOW.replace(', height: 1.4', '')}]", "'height' is missing"),
+        (f"windows: [{WINDOW.replace('2.4', '-2.4')}]", "'width' must be a number of metres > 0"),
+        (f"windows: [{WINDOW.replace('2.4', '.nan')}]", "'width'"),
+        (f"windows: [{WINDOW.replace('2.95', '.inf')}]", "'center' must be three finite numbers"),
+        (f"windows: [{WINDOW.replace('[1, 0, 0]', '[0, 0, 0]')}]", "zero"),
+        (f"windows: [{WINDOW.replace('[1, 0, 0]', '[-1, 0, 0]')}]", "looks away from the cameras"),
+        (f"windows: [{WINDOW.replace('[0.0, 2.95', '[-9.0, 2.95')}]", "off the scan's walls"),
+        (f"windows: [{WINDOW}, {{name: window-1, {WINDOW[1:]}]", "given twice"),
+        ("lamps: [{position: [99, 0, 0]}]", "outside the scan"),
+        ("lamps: [{position: [1, 1]}]", "'position' must be three finite numbers"),
+    ],
+)
+def test_bad_files_are_refused_in_one_line(text: str, said: str, scene: Scene, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"sources\.yaml") as caught:
+        given(scene, tmp_path, text)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="no such file"):
+        find(scene, file=tmp_path / "none.yaml")
+
+
+def test_a_capture_without_hints_has_none(room: RoomCapture) -> None:
+    assert hinted_sources({}, room.up, RayCaster(room.reference()), []).origin == "none"
