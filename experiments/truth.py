@@ -84,12 +84,10 @@ def main(config: Config, start: Start) -> None:
             for setup in config.setups:
                 bar.set_description(f"{name}, {setup}")
                 sheet.append(_judge_setup(results, bench, setup, frames, weights, bar))
-            _write_sheet(results.out / f"{name}.png", sheet)
+            write_contact_sheet(results.out / f"{name}.png", sheet, SHEET)
             check = frames[len(frames) // 2]
-            again = float(psnr(bench.check(check), bench.capture[check].image))
-            results.add(
-                kind="room", room=name, again=again, light_errors=bench.light_errors(), **bench.estimate_row()
-            )
+            again = float(psnr(bench.again(check), bench.capture[check].image))
+            results.add(kind="room", room=name, again=again, **bench.row())
 
 
 def _checked(config: Config) -> tuple[int, int]:
@@ -157,10 +155,6 @@ def _scores(
 def key_of(row: Row) -> Key:
     """Room, set-up and frame of a picture."""
     return row["room"], row["setup"], row["index"]
-
-
-def _write_sheet(path: Path, rows: list[tuple[str, list[np.ndarray]]]) -> None:
-    write_contact_sheet(path, rows, SHEET)
 
 
 def blocks(rows: list[Row], folder: Path) -> list[Block]:

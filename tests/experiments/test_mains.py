@@ -24,6 +24,7 @@ from experiments import (
     shadow_overlap,
     stage_times,
     tour_latency,
+    truth,
     tuning_gain,
     tuning_optimum,
     tuning_promise,
@@ -33,6 +34,8 @@ from experiments import (
 from experiments.command import Experiment
 from experiments.paper_bench import METHODS
 from experiments.records import FILE, Row, of_kind, read_rows
+from experiments.truth_methods import METHODS as METHODS_OF_TRUTH
+from experiments.truth_methods import OPENCV, PHOTO, TRUE_ALL
 from hyjax.data.builtin_room import RoomCapture
 from hyjax.data.capture import Frame
 from hyjax.data.seven_scenes import KINECT
@@ -265,6 +268,32 @@ def test_shadow_overlap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert all(0 <= row["both"] <= row["either"] <= row["counted"] for row in rows)
     with pytest.raises(InputError, match="rooms: 'attic' must be"):
         shadow_overlap.open_place("attic", config)
+
+
+@pytest.mark.slow
+def test_truth(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = truth.Config(
+        rooms=("builtin-0",), setups=("evening-lamps",), frames=1, photos=3, size="96x72", quality=0.25,
+        weights=weights, out=tmp_path,
+    )  # fmt: skip
+    rows = rows_of(truth.main, config, "builtin-0.png", "gains.png")
+    (picture,), (room,), (setup,) = (of_kind(rows, kind) for kind in ("picture", "room", "setup"))
+    assert room["again"] > 35 and setup["bounces"] > 0
+    found = picture["methods"]
+    assert set(METHODS_OF_TRUTH) - {OPENCV} <= set(found)
+    for scores in found.values():
+        assert 3 < scores["raw"]["psnr"] < scores["fitted"]["psnr"] + 0.2 and len(scores["gains"]) == 3
+    assert found[TRUE_ALL]["fitted"]["psnr"] > found[PHOTO]["fitted"]["psnr"]
+    # An interrupted run goes on without judging again what it has.
+    lines = (tmp_path / FILE).read_text().splitlines(keepends=True)
+    (tmp_path / FILE).write_text("".join(line for line in lines if '"kind": "picture"' in line))
+    monkeypatch.setattr(truth, "judge", None)
+    again = truth.main(dataclasses.replace(config, resume=True))
+    assert of_kind(again, "picture") == [picture] and [row["room"] for row in of_kind(again, "room")] == [
+        "builtin-0"
+    ]
+    with pytest.raises(InputError, match="frames: must be between 1 and photos"):
+        truth.main(dataclasses.replace(config, frames=4))
 
 
 @pytest.mark.slow
