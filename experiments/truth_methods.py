@@ -35,7 +35,10 @@ METHODS = (
 )  # fmt: skip
 ORACLES = METHODS[METHODS.index(TRUE_LIGHT) :]
 """Methods that are told something that nobody knows."""
+COMPLETED = {SHADOWS, NEW, UNCLOSED, UNNAMED, TRUE_LIGHT, TRUE_BOUNCES, TRUE_BOTH, RESPONSE}
+"""Methods whose shadows the completed scan throws, and that soften them as `Scene` does; others keep them sharp."""
 OURS, THEIRS = Schedule.preset("hyjax"), with_kappa(Schedule.preset("paper-80"), PAPER_KAPPA)
+SHARP = Schedule.preset("hyjax-shadow")
 SMOOTHER_OPTION = (0.05, 100.0)
 """Strength and reach of OpenCV's smoother, see `peers.opencv_filters`; chosen in the room builtin-0."""
 
@@ -94,20 +97,23 @@ class LitBench:
             TRUE_BOTH: self._shade(view, self._told(self.bench.true_light, self.true_bounces)),
             TRUE_SHADOWS: dataclasses.replace(new, visibility=true.shaded.visibility),
         }
-        relit = {name: _relight(view, own) for name, own in shaded.items()}
+        relit = {name: _relight(view, own, name) for name, own in shaded.items()}
         paper = relight(view, today, view.display, THEIRS, mode="paper").image
         made = {name: own.image for name, own in relit.items()} | {
             PHOTO: view.frame,
             BARE: relit[TODAY].unrefined,
             MEAN: view.frame * _mean_filter(today, view),
             PAPER: paper,
-            TRUE_MESH: _relight(true.view, true.shaded).image,
+            TRUE_MESH: _relight(true.view, true.shaded, TRUE_MESH).image,
             TRUE_ALL: true.relit(view, new),
         }
         if (smoothed := _smoothed(view, today)) is not None:
             made[OPENCV] = smoothed.image
         responding = scene.shade(exposed, setup)
-        told = {RESPONSE: _relight(exposed, responding).image, TRUE_ALL_RESPONSE: true.relit(exposed, responding)}
+        told = {
+            RESPONSE: _relight(exposed, responding, RESPONSE).image,
+            TRUE_ALL_RESPONSE: true.relit(exposed, responding),
+        }
         pictures = {name: Exposed(np.asarray(image)) for name, image in made.items()}
         pictures |= {name: Exposed(np.asarray(image), camera_response) for name, image in told.items()}
         return {name: pictures[name] for name in METHODS if name in pictures}
@@ -160,8 +166,9 @@ class TrueView:
         return image + np.asarray(source.weight) * (shining - image)
 
 
-def _relight(view: View, shaded: Shaded) -> Relit:
-    return relight(view, shaded, view.display, OURS)
+def _relight(view: View, shaded: Shaded, method: str) -> Relit:
+    shadows = None if method in COMPLETED else SHARP
+    return relight(view, shaded, view.display, OURS, shadow_schedule=shadows)
 
 
 def _mean_filter(shaded: Shaded, view: View) -> Float[np.ndarray, "3"]:
@@ -181,5 +188,5 @@ def _smoothed(view: View, shaded: Shaded) -> Relit | None:
     weighted = np.concatenate([np.asarray(shaded.illuminance) * known, known], axis=-1).astype(np.float32)
     channels = [smooth(np.ascontiguousarray(each), *SMOOTHER_OPTION) for each in np.moveaxis(weighted, -1, 0)]
     illuminance = np.stack(channels[:-1], axis=-1) / np.maximum(channels[-1], 1e-3)[..., None]
-    visibility = refine_visibility(shaded, view.display, Schedule.preset("hyjax-shadow"))
+    visibility = refine_visibility(shaded, view.display, SHARP)
     return composite_linear(view.frame, shaded, jnp.asarray(illuminance), visibility)
