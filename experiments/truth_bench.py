@@ -17,11 +17,15 @@ from hyjax.pipeline import LEAST_PHOTO_LIGHT
 from hyjax.scene.photo_light import VERSION
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
+from hyjax.synthetic.truth.source import direct, unshadowed
 from hyjax.util.cache import cache_folder, cached_arrays
 from hyjax.util.files import digest
 
 DARKEST = 1e-3
 """Share of the mean light that no place is darker than in the truth that is divided by."""
+
+SHADOW_RAYS = 8
+"""To each light from each pixel."""
 
 
 class TruthBench:
@@ -71,8 +75,7 @@ class TruthBench:
     @functools.cached_property
     def true_light(self) -> Float[np.ndarray, "v 3"]:
         """E_old / K at the vertices of the scan."""
-        direct, bounce = self.at_vertices(None)
-        light = direct + bounce
+        light = np.add(*self.at_vertices(None))
         return (np.maximum(light, DARKEST * light.mean()) / self.capture.mean_light).astype(np.float32)
 
     def at_vertices(self, setup: LightSetup | None) -> tuple[np.ndarray, np.ndarray]:
@@ -86,6 +89,21 @@ class TruthBench:
         """True (direct, bounced) irradiance / π of a set-up, or of the photo's light."""
         light = self.capture.photo_light() if setup is None else self.capture.light(setup)
         return self.capture.room.irradiance(light, points, normals)
+
+    def visibility(
+        self, setup: LightSetup, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n l"]:
+        """Share of each light that the true mesh lets through, by shadow rays as in the truth; 1 for no light."""
+        turn = np.random.default_rng(0).random((len(points), 2))
+        shares = np.ones((len(points), len(setup.lights)), np.float32)
+        for k, light in enumerate(setup.lights):
+            emitter, strongest = light.emitter(), int(np.argmax(light.color))
+            if emitter is None or emitter.kind == "sky":
+                continue
+            lux = unshadowed(light, points, normals) * float(light.color[strongest])
+            left = np.pi * direct(light, self.capture.room.caster, points, normals, SHADOW_RAYS, turn)[:, strongest]
+            shares[:, k] = np.where(lux > 0, left / np.where(lux > 0, lux, 1.0), 1.0)
+        return np.clip(shares, 0.0, 1.0)
 
     def again(self, index: int) -> Float[np.ndarray, "h w 3"]:
         """A frame rendered again under the photo's own light; its noise is another frame's."""

@@ -13,7 +13,6 @@ from experiments.truth_bench import TruthBench
 from experiments.truth_camera import Exposed, camera_response, exposed_light
 from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
-from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
@@ -59,7 +58,6 @@ class LitBench:
         self.unclosed = bench.unclosed_light(self.setup)
         self.unnamed = bench.unnamed.photo_light.surface_light(self.setup, scene.shadow_maps(self.setup))
         self.light = scene.surface_light(self.setup)  # the last asked for, so that the scene keeps it
-        self.true_maps = cast_shadow_maps(bench.capture.room.caster, self.setup.lights)
         self.true_bounces = (np.pi * bench.at_vertices(self.setup)[1]).astype(np.float32)
 
     def truth(self, index: int) -> Float[np.ndarray, "h w 3"]:
@@ -138,7 +136,10 @@ class LitBench:
         light[hit, 3:] = light[hit, :3] / relative
         filled = cascade_known(jnp.asarray(light), seen.hit[..., None], view.display, OURS)
         light = np.where(hit[..., None], light, np.asarray(filled))
-        return TrueView(own, own.shade(self.setup, shadow_maps=self.true_maps), light[..., :3], light[..., 3:])
+        visibility = np.ones((*hit.shape, len(self.setup.lights)), np.float32)
+        visibility[hit] = self.bench.visibility(self.setup, points, normals)
+        shaded = dataclasses.replace(own.shade(self.setup), visibility=jnp.asarray(visibility))
+        return TrueView(own, shaded, light[..., :3], light[..., 3:])
 
 
 @dataclasses.dataclass(frozen=True)
