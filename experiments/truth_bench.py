@@ -93,7 +93,7 @@ class TruthBench:
     def visibility(
         self, setup: LightSetup, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
     ) -> Float[np.ndarray, "n l"]:
-        """Share of each light that the true mesh lets through, by shadow rays as in the truth; 1 for no light."""
+        """Share of each light that reaches the true mesh, by shadow rays; none where that is turned away."""
         turn = np.random.default_rng(0).random((len(points), 2))
         shares = np.ones((len(points), len(setup.lights)), np.float32)
         for k, light in enumerate(setup.lights):
@@ -102,7 +102,7 @@ class TruthBench:
                 continue
             lux = unshadowed(light, points, normals) * float(light.color[strongest])
             left = np.pi * direct(light, self.capture.room.caster, points, normals, SHADOW_RAYS, turn)[:, strongest]
-            shares[:, k] = np.where(lux > 0, left / np.where(lux > 0, lux, 1.0), 1.0)
+            shares[:, k] = np.where(lux > 0, left / np.where(lux > 0, lux, 1.0), 0.0)
         return np.clip(shares, 0.0, 1.0)
 
     def again(self, index: int) -> Float[np.ndarray, "h w 3"]:

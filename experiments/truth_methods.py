@@ -38,7 +38,7 @@ COMPLETED = {SHADOWS, NEW, UNCLOSED, UNNAMED, TRUE_LIGHT, TRUE_BOUNCES, TRUE_BOT
 """Methods whose shadows the completed scan throws, and that soften them as `Scene` does; others keep them sharp."""
 OURS, THEIRS = Schedule.preset("hyjax"), with_kappa(Schedule.preset("paper-80"), PAPER_KAPPA)
 SHARP = Schedule.preset("hyjax-shadow")
-SMOOTHER_OPTION = (0.05, 100.0)
+SMOOTHER_OPTION = (0.2, 1000.0)
 """Strength and reach of OpenCV's smoother, see `peers.opencv_filters`; chosen in the room builtin-0."""
 
 
