@@ -22,6 +22,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
@@ -144,9 +145,9 @@ def _scores(
     """Method → raw and fitted scores, and the gains."""
     gains = {name: fit_gains(picture, truth) for name, picture in pictures.items()}
     raw, fitted = FITS
-    shown = {f"{name}|{raw}": picture.display() for name, picture in pictures.items()}
-    shown |= {f"{name}|{fitted}": picture.display(gains[name]) for name, picture in pictures.items()}
-    found = judge(shown, truth, {"all": np.ones(truth.shape[:2], bool)}, weights)
+    shown = {f"{name}|{raw}": jnp.asarray(picture.display()) for name, picture in pictures.items()}
+    shown |= {f"{name}|{fitted}": jnp.asarray(picture.display(gains[name])) for name, picture in pictures.items()}
+    found = judge(shown, jnp.asarray(truth), {"all": np.ones(truth.shape[:2], bool)}, weights)
     return {
         name: {fit: found[f"{name}|{fit}"]["all"] for fit in FITS} | {"gains": gains[name]} for name in pictures
     }

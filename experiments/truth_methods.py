@@ -121,8 +121,12 @@ class LitBench:
 
     def _told(self, photo_light: np.ndarray | None = None, bounced: np.ndarray | None = None) -> SurfaceLight:
         """Light on the vertices as usual but for what is told."""
-        told = {"photo_light": photo_light, "bounced": bounced}
-        return dataclasses.replace(self.light, **{k: jnp.asarray(v) for k, v in told.items() if v is not None})
+        light = self.light
+        photo_light, bounced = (
+            own if told is None else jnp.asarray(told)
+            for own, told in ((light.photo_light, photo_light), (light.bounced, bounced))
+        )
+        return dataclasses.replace(light, photo_light=photo_light, bounced=bounced)
 
     def _true(self, view: View, index: int) -> "TrueView":
         """What the true mesh shows in a frame, and the true light on it, pixel by pixel."""
@@ -175,7 +179,7 @@ def _relight(view: View, shaded: Shaded, method: str) -> Relit:
 def _mean_filter(shaded: Shaded, view: View) -> Float[np.ndarray, "3"]:
     """Mean of the raw filter with its shadows, where the mesh has a surface."""
     each = shaded.illuminance * shaded.visibility
-    raw = np.asarray(mix_channels(each, shaded.colors)) / float(shaded.reference_lux)
+    raw = np.asarray(mix_channels(each, shaded.colors) / shaded.reference_lux)
     hit = np.asarray(view.gbuffer.hit)
     return raw[hit].mean(axis=0) if hit.any() else np.ones(3, np.float32)
 
