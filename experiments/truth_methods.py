@@ -122,11 +122,11 @@ class LitBench:
     def _told(self, photo_light: np.ndarray | None = None, bounced: np.ndarray | None = None) -> SurfaceLight:
         """Light on the vertices as usual but for what is told."""
         light = self.light
-        photo_light, bounced = (
-            own if told is None else jnp.asarray(told)
-            for own, told in ((light.photo_light, photo_light), (light.bounced, bounced))
-        )
-        return dataclasses.replace(light, photo_light=photo_light, bounced=bounced)
+        fields = {"photo_light": photo_light, "bounced": bounced}
+        for name, told in fields.items():
+            if told is not None:
+                light = dataclasses.replace(light, **{name: jnp.asarray(told)})  # type: ignore[arg-type]
+        return light
 
     def _true(self, view: View, index: int) -> "TrueView":
         """What the true mesh shows in a frame, and the true light on it, pixel by pixel."""
