@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera
@@ -25,6 +25,8 @@ PAIRS = 20000
 EXPONENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 LEAST_GAIN = 0.04
 """Share by which planes must become flatter on pairs that were not fitted to; below it nothing is divided out."""
+ONE_HUE = 0.2
+"""Difference of log colour within which two places are of one hue."""
 LEAST_PAIRS = 200
 """Pairs of vertices on one plane, to fit to and to test with, below which a scan tells nothing."""
 LEAST_CONTRAST = 0.05
@@ -100,6 +102,7 @@ def estimate_arrays(
     gathered = np.asarray(gather(transport.hits, send(transport, sent)))
     vertices = np.asarray(mesh.vertices)
     pairs = coplanar_pairs(vertices, normal[:count], visible, PAIRS)
+    pairs = pairs[_one_hue(np.log(radiance), pairs)]
     test = held_out(vertices[pairs[:, 0]])
     enough = min(test.sum(), (~test).sum()) >= LEAST_PAIRS and np.ptp(np.log(radiance[visible])) > LEAST_CONTRAST
     theta = np.full((basis.light.shape[1], 3), 1.0)
@@ -179,6 +182,12 @@ def _shares(
 def _log_mean(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
     """Geometric mean; 1 of nothing."""
     return np.exp(np.log(np.maximum(values, FLOOR)).mean(axis=0)) if len(values) else np.ones(3)
+
+
+def _one_hue(log_radiance: Float[np.ndarray, "v 3"], pairs: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+    """Whether pairs are of one hue: where that changes, albedo does."""
+    hue = _split(log_radiance)[1]
+    return np.abs(hue[pairs[:, 0]] - hue[pairs[:, 1]]).max(axis=1) < ONE_HUE
 
 
 def _split(log: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "v 1"], Float[np.ndarray, "v 3"]]:
