@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera
@@ -25,6 +25,8 @@ PAIRS = 20000
 EXPONENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 LEAST_GAIN = 0.04
 """Share by which planes must become flatter on pairs that were not fitted to; below it nothing is divided out."""
+ONE_HUE = 0.2
+"""Difference of log colour within which two places are of one hue."""
 LEAST_PAIRS = 200
 """Pairs of vertices on one plane, to fit to and to test with, below which a scan tells nothing."""
 LEAST_CONTRAST = 0.05
@@ -41,14 +43,16 @@ class Estimate:
     Attributes:
         light: to relight with.
         names: of its sources.
-        exponent: that E_old is raised to: 0 where dividing would do harm, 1 where it is believed.
-        flatness: mean difference of log radiance on planes after the division over that before it, on pairs that
+        exponent: that the brightness of E_old is raised to: 0 where dividing would do harm, 1 where it is believed.
+        hue_exponent: likewise of its hue, which is harder to tell from that of the surfaces.
+        flatness: mean difference of log brightness on planes after the division over that before it, on pairs that
             were held out, for each of `EXPONENTS`.
     """
 
     light: PhotoLight
     names: tuple[str, ...]
     exponent: float
+    hue_exponent: float
     flatness: tuple[float, ...]
 
     @property
@@ -102,6 +106,7 @@ def estimate_arrays(
     gathered = np.asarray(gather(transport.hits, send(transport, sent)))
     vertices = np.asarray(mesh.vertices)
     pairs = coplanar_pairs(vertices, normal[:count], visible, PAIRS)
+    pairs = pairs[_one_hue(np.log(radiance), pairs)]
     test = held_out(vertices[pairs[:, 0]])
     enough = min(test.sum(), (~test).sum()) >= LEAST_PAIRS and np.ptp(np.log(radiance[visible])) > LEAST_CONTRAST
     theta = np.full((basis.light.shape[1], 3), 1.0)
@@ -112,13 +117,15 @@ def estimate_arrays(
         shown = jnp.asarray(visible)
         theta = fit_sources(FitProblem(gathered_here, light_here, radiance_here, shown, fitted, alike))
     light = np.maximum(gathered + basis.light @ theta, FLOOR)
-    flatness = _flatness(np.log(radiance), np.log(light[:count]), pairs[test])
-    best = int(np.argmin(flatness))
-    exponent = EXPONENTS[best] if enough and flatness[best] < 1 - LEAST_GAIN else 0.0
+    log_light, log_radiance = np.log(light[:count]), np.log(radiance)
+    tested = pairs[test] if enough else pairs[:0]
+    bright, hue = (_flatness(*parts, tested) for parts in zip(_split(log_radiance), _split(log_light)))
+    exponent, hue_exponent = _best(bright), _best(hue)
     albedo = np.clip(radiance / light[:count], LOWEST_ALBEDO, HIGHEST_ALBEDO)
     mean = _log_mean(albedo[visible])
     albedo = np.concatenate([albedo, np.broadcast_to(mean, (len(position) - count, 3))])
-    divisor = light[:count] ** exponent
+    mean_log, chroma = _split(log_light)
+    divisor = np.exp(exponent * mean_log + (hue_exponent if exponent else 0.0) * chroma)
     arrays = {
         "illuminance": divisor / _visible_mean(caster, cameras, divisor),
         "mean": scale * _visible_mean(caster, cameras, light[:count]),
@@ -131,7 +138,8 @@ def estimate_arrays(
         "hits": hits,
         "names": np.array(basis.names),
         "exponent": np.array(exponent),
-        "flatness": np.array(flatness),
+        "hue_exponent": np.array(hue_exponent),
+        "flatness": np.array(bright),
     }
 
 
@@ -143,7 +151,7 @@ def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
     names = tuple(str(name) for name in arrays["names"])
     flatness = tuple(float(x) for x in arrays["flatness"])
     light = PhotoLight(illuminance, sources, mean, albedo, transport)
-    return Estimate(light, names, float(arrays["exponent"]), flatness)
+    return Estimate(light, names, float(arrays["exponent"]), float(arrays["hue_exponent"]), flatness)
 
 
 def _transport(caster: RayCaster, hits: np.ndarray, position: np.ndarray, normal: np.ndarray) -> Transport:
@@ -180,15 +188,33 @@ def _log_mean(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
     return np.exp(np.log(np.maximum(values, FLOOR)).mean(axis=0)) if len(values) else np.ones(3)
 
 
+def _one_hue(log_radiance: Float[np.ndarray, "v 3"], pairs: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+    """Whether pairs are of one hue: where that changes, albedo does."""
+    hue = _split(log_radiance)[1]
+    return np.abs(hue[pairs[:, 0]] - hue[pairs[:, 1]]).max(axis=1) < ONE_HUE
+
+
+def _split(log: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "v 1"], Float[np.ndarray, "v 3"]]:
+    """Brightness and hue of logarithms."""
+    mean = log.mean(axis=1, keepdims=True)
+    return mean, log - mean
+
+
 def _flatness(
-    log_radiance: Float[np.ndarray, "v 3"], log_light: Float[np.ndarray, "v 3"], pairs: Int[np.ndarray, "n 2"]
+    log_radiance: Float[np.ndarray, "v c"], log_light: Float[np.ndarray, "v c"], pairs: Int[np.ndarray, "n 2"]
 ) -> tuple[float, ...]:
     """Mean absolute difference across pairs after dividing by E to each exponent, relative to that before."""
     if not len(pairs):
         return (1.0,) * len(EXPONENTS)
     c, e = (v[pairs[:, 0]] - v[pairs[:, 1]] for v in (log_radiance, log_light))
     spread = [np.abs(c - k * e).mean() for k in EXPONENTS]
-    return tuple(float(s / spread[0]) for s in spread)
+    return tuple(float(s / max(spread[0], 1e-9)) for s in spread)
+
+
+def _best(flatness: tuple[float, ...]) -> float:
+    """Exponent that flattens most; 0 where none is worth it."""
+    best = int(np.argmin(flatness))
+    return EXPONENTS[best] if flatness[best] < 1 - LEAST_GAIN else 0.0
 
 
 def _visible_mean(

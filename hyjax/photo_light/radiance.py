@@ -1,7 +1,8 @@
 """Radiance of the scan's vertices: what the frames show there, in linear light."""
 
 import dataclasses
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,11 +17,13 @@ GRAZING = 0.15
 """Cosine below which a surface is seen too flat to be read."""
 SLACK = 0.03
 """Metres of surface before a vertex that do not hide it: the mesh is rough."""
-ROUNDS = 4
-"""Of fitting the frames' exposures and the vertices' radiance in turns."""
+FEWEST = 16
+"""Vertices that two frames must share for their exposures to be compared."""
 GAIN_RANGE = (0.25, 4.0)
 DARKEST = 1e-3
 """Linear value of the sensor's noise floor."""
+Sample = tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]
+"""Vertices that a frame shows, their linear colours, and weights."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,24 +56,35 @@ def vertex_radiance(caster: RayCaster, frames: Iterable[Frame]) -> VertexRadianc
     """
     seen = [_sample(caster, frame) for frame in frames]
     count = len(caster.mesh.vertices)
-    gains = np.ones(len(seen))
-    for _ in range(ROUNDS if len(seen) > 1 else 1):
-        total, weight = np.zeros((count, 3)), np.zeros(count)
-        for gain, (index, color, share) in zip(gains, seen):
-            np.add.at(total, index, color / gain * share[:, None])
-            np.add.at(weight, index, share)
-        radiance = total / np.maximum(weight, 1e-12)[:, None]
-        for k, (index, color, share) in enumerate(seen):
-            clear = (share > SATURATED_WEIGHT) & (color.min(axis=1) > DARKEST)
-            if clear.sum() > 16:
-                gains[k] = np.exp(np.median(np.log(color[clear] / np.maximum(radiance[index[clear]], DARKEST))))
-        gains = np.clip(gains / np.exp(np.mean(np.log(gains))), *GAIN_RANGE) if len(seen) else gains
-    return VertexRadiance(radiance, weight, gains)
+    gains = _exposures(seen, count)
+    total, weight = np.zeros((count, 3)), np.zeros(count)
+    for gain, (index, color, share) in zip(gains, seen, strict=True):
+        np.add.at(total, index, color / gain * share[:, None])
+        np.add.at(weight, index, share)
+    return VertexRadiance(total / np.maximum(weight, 1e-12)[:, None], weight, gains)
 
 
-def _sample(
-    caster: RayCaster, frame: Frame
-) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:
+def _exposures(seen: Sequence[Sample], count: int) -> Float[np.ndarray, "n"]:
+    """Exposure of each frame: least squares over the median ratios of all frames that show the same vertices."""
+    logs = np.full((len(seen), count), np.nan)
+    for log, (index, color, share) in zip(logs, seen, strict=True):
+        clear = (share > SATURATED_WEIGHT) & (color.min(axis=1) > DARKEST)
+        log[index[clear]] = np.log(color[clear]).mean(axis=1)
+    rows, ratios = [np.ones(len(seen))], [0.0]
+    for i, j in itertools.combinations(range(len(seen)), 2):
+        both = logs[i] - logs[j]
+        both = both[np.isfinite(both)]
+        if len(both) >= FEWEST:
+            row, share = np.zeros(len(seen)), np.sqrt(len(both))
+            row[i], row[j] = share, -share
+            rows.append(row)
+            ratios.append(share * float(np.median(both)))
+    # The least change where the frames do not tell: those that overlap with no other keep an exposure of 1.
+    gains, *_ = np.linalg.lstsq(np.stack(rows), np.array(ratios), rcond=1e-6)
+    return np.clip(np.exp(gains), *GAIN_RANGE)
+
+
+def _sample(caster: RayCaster, frame: Frame) -> Sample:
     """Vertices that a frame shows, their linear colours, and weights."""
     points, normals = np.asarray(caster.mesh.vertices), np.asarray(caster.mesh.vertex_normals)
     camera = frame.camera

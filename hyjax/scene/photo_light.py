@@ -29,7 +29,7 @@ FRAMES = 24
 """Frames, spread over the capture, that the photo's light is estimated from."""
 WIDTH = 800
 """Pixels of their longer side, at most."""
-VERSION = 2
+VERSION = 5
 """Of the estimate. Add one whenever it comes out differently."""
 _log = logging.getLogger(__name__)
 
@@ -116,6 +116,7 @@ class ScenePhotoLight:
             "sources": list(self.estimate.names),
             "origin": self.sources.origin,
             "exponent": self.estimate.exponent,
+            "hue_exponent": self.estimate.hue_exponent,
             "flatness": round(min(self.estimate.flatness), 3),
         }
 

@@ -1,0 +1,154 @@
+"""Light transport: a furnace, linearity, gradients, and where rays of a closed room end."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.transport_rays import CELLS, enclose, trace
+from hyjax.light.kinds import Aperture, PointLight
+from hyjax.light.photo_light import PhotoLight, bounced_light, interpolate
+from hyjax.light.transport import Transport, bounce, gather, send
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def room(turn: float = 0.0) -> trimesh.Trimesh:
+    """A box of 4 × 3 × 2.5 m seen from inside, with vertices every half metre."""
+    mesh = trimesh.creation.box((4.0, 3.0, 2.5))
+    mesh = mesh.subdivide_to_size(0.8)
+    mesh.invert()
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(turn, UP))
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
+
+
+def transport_of(mesh: trimesh.Trimesh, openings: tuple[Aperture, ...] = (), rays: int = 64) -> Transport:
+    caster = RayCaster(mesh)
+    hits, position, normal = trace(caster, enclose(caster, UP), openings, rays=rays)
+    place, facing = (jnp.asarray(a, jnp.float32) for a in (position, normal))
+    return Transport(jnp.asarray(hits), jnp.asarray(mesh.faces, jnp.int32), place, facing, len(mesh.vertices))
+
+
+@pytest.fixture(scope="module")
+def closed() -> Transport:
+    return transport_of(room())
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.floats(0.0, 0.95), st.integers(1, 6))
+def test_a_furnace_glows_evenly(closed: Transport, albedo: float, bounces: int) -> None:
+    """In a closed room of one albedo under even light each bounce is the one before times the albedo."""
+    points = closed.position.shape[0]
+    found = bounce(closed, jnp.full((points, 3), albedo), jnp.ones((points, 3)), bounces)
+    expected = sum(albedo**k for k in range(1, bounces + 1))
+    inside = np.asarray(found)[: closed.vertices]
+    np.testing.assert_allclose(np.median(inside), expected, rtol=1e-4, atol=1e-6)
+
+
+def test_bounces_of_two_lights_add_up(closed: Transport) -> None:
+    rng = np.random.default_rng(0)
+    points = closed.position.shape[0]
+    albedo = jnp.asarray(rng.uniform(0.1, 0.9, (points, 3)), jnp.float32)
+    a, b = (jnp.asarray(rng.random((points, 3)), jnp.float32) for _ in range(2))
+    together = bounce(closed, albedo, jnp.concatenate([a, b], axis=-1))
+    np.testing.assert_allclose(together[:, :3], bounce(closed, albedo, a), rtol=1e-5)
+    np.testing.assert_allclose(
+        together[:, :3] + together[:, 3:], bounce(closed, albedo, a + b), rtol=1e-4, atol=1e-6
+    )
+
+
+def test_rays_of_a_closed_room_end_on_its_walls(closed: Transport) -> None:
+    vertices = np.asarray(closed.hits)[:, : closed.vertices]
+    assert (vertices < len(closed.faces)).mean() > 0.97  # rays along edges may slip out
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 1.2])
+def test_the_box_round_a_scan_lies_along_its_walls(turn: float) -> None:
+    box = enclose(RayCaster(room(turn)), UP)
+    np.testing.assert_allclose(sorted(box.high - box.low), [2.54, 3.04, 4.04], atol=0.03)
+    centres, normals = box.patches()
+    assert len(centres) == 6 * CELLS**2
+    middle = (box.low + box.high) / 2 @ box.axes
+    assert (np.einsum("nk,nk->n", middle - centres, normals) > 0).all()
+
+
+def test_what_leaves_through_an_opening_sends_nothing_back() -> None:
+    mesh = room()
+    open_wall = trimesh.Trimesh(
+        mesh.vertices, mesh.faces[mesh.triangles_center[:, 0] < 1.99], vertex_normals=mesh.vertex_normals,
+        process=False,
+    )  # fmt: skip
+    opening = Aperture.facing((2.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), 3.0, 2.5)
+    with_opening, without = (transport_of(open_wall, openings) for openings in ((opening,), ()))
+    last = len(open_wall.faces) + 6 * CELLS**2
+    assert (np.asarray(with_opening.hits) == last).any() and not (np.asarray(without.hits) == last).any()
+    points = without.position.shape[0]
+    light = [bounce(t, jnp.full((points, 3), 0.5), jnp.ones((points, 3))) for t in (with_opening, without)]
+    assert float(light[0].mean()) < 0.95 * float(light[1].mean())
+
+
+def test_vertices_without_a_normal_cast_usable_rays() -> None:
+    mesh = room()
+    normals = np.array(mesh.vertex_normals)
+    normals[:3] = 0.0
+    normals[3] = np.nan
+    broken = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, process=False)
+    caster = RayCaster(mesh)
+    caster.mesh = broken
+    hits, _, normal = trace(caster, enclose(RayCaster(mesh), UP), rays=16)
+    assert np.isfinite(normal).all() and (hits >= 0).all()
+
+
+def test_gradient_of_bounces_is_that_of_finite_differences(closed: Transport) -> None:
+    rng = np.random.default_rng(1)
+    with jax.enable_x64(True):
+        points = closed.position.shape[0]
+        albedo, direct, weight, way = (jnp.asarray(rng.uniform(0.1, 0.9, (points, 3))) for _ in range(4))
+        double = dataclasses.replace(closed, position=jnp.asarray(closed.position, jnp.float64))
+
+        def total(t: float) -> jax.Array:
+            return jnp.sum(weight * bounce(double, albedo, direct + t * way))
+
+        slope = jax.grad(total)(0.0)
+        step = 1e-4
+        np.testing.assert_allclose(slope, (total(step) - total(-step)) / (2 * step), rtol=1e-7)
+
+
+def test_gather_is_the_mean_of_what_rays_end_on() -> None:
+    rng = np.random.default_rng(2)
+    hits, sent = rng.integers(0, 7, (5, 4)), rng.random((7, 3)).astype(np.float32)
+    found = gather(jnp.asarray(hits, jnp.int32), jnp.asarray(sent))
+    np.testing.assert_allclose(found, sent[hits].mean(axis=0), rtol=1e-6)
+
+
+def test_triangles_send_the_mean_of_their_corners(closed: Transport) -> None:
+    values = jnp.asarray(np.random.default_rng(3).random((closed.position.shape[0], 3)), jnp.float32)
+    sent = np.asarray(send(closed, values))
+    np.testing.assert_allclose(sent[: len(closed.faces)], np.asarray(values)[closed.faces].mean(axis=1), rtol=1e-5)
+    assert (sent[-1] == 0).all()
+
+
+def test_bounced_light_is_linear_in_the_lamp(closed: Transport) -> None:
+    even = jnp.ones((closed.vertices, 3))
+    albedo = jnp.full((closed.position.shape[0], 3), 0.5)
+    photo = PhotoLight(even, even[None], jnp.ones(3), albedo, closed)
+    lamp = PointLight(jnp.zeros(3), jnp.float32(500.0), jnp.ones(3))
+    once = bounced_light(photo, [lamp])
+    twice = bounced_light(photo, [dataclasses.replace(lamp, luminous_flux=jnp.float32(1000.0))])
+    np.testing.assert_allclose(twice, 2 * once, rtol=1e-5)
+    # All of the lamp's light is met by walls of albedo 1/2: E / 2 + E / 4 + … over an area S is Φ / S.
+    area = 2 * (4 * 3 + 4 * 2.5 + 3 * 2.5)
+    assert float(jnp.mean(once)) == pytest.approx(500 / area, rel=0.2)
+
+
+def test_vertex_values_are_interpolated_and_holes_are_zero() -> None:
+    values, faces = jnp.asarray([[0.0], [1.0], [2.0]]), jnp.asarray([[0, 1, 2]])
+    weights = jnp.asarray([[[0.5, 0.25, 0.25], [1.0, 0.0, 0.0]]])
+    found = interpolate(values, faces, jnp.asarray([[0, -1]]), weights)
+    np.testing.assert_allclose(found[0, :, 0], [0.75, 0.0])

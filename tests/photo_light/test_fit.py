@@ -1,0 +1,188 @@
+"""Fit of the photo's light: a room whose light is known, and rooms that tell nothing."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+from hyjax.data.capture import Frame
+from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.transport_rays import enclose, trace
+from hyjax.light.transport import Transport, bounce, gather, send
+from hyjax.photo_light.basis import BINS, make_basis
+from hyjax.photo_light.estimate import estimate_arrays, read_estimate
+from hyjax.photo_light.fit import FitProblem, fit_sources, illuminance, loss
+from hyjax.photo_light.pairs import coplanar_pairs, held_out
+from hyjax.photo_light.radiance import linear, vertex_radiance
+from hyjax.photo_light.sources import PhotoLamp, PhotoSources, PhotoWindow
+
+UP = np.array([0.0, 0.0, 1.0])
+WINDOW = PhotoWindow.facing("window-1", np.array([2.0, 0.0, 0.2]), np.array([-1.0, 0.0, 0.0]), UP, 1.8, 1.2)
+SOURCES = PhotoSources((WINDOW,), (), "file")
+LENS = Intrinsics(96, 72, 50.0, 50.0, 48.0, 36.0)
+
+
+def room() -> trimesh.Trimesh:
+    """A box of 4 × 3 × 2.5 m seen from inside, without the triangles of its window."""
+    mesh = trimesh.creation.box((4.0, 3.0, 2.5)).subdivide_to_size(0.25)
+    mesh = trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=True)
+    away = mesh.triangles_center - WINDOW.center
+    opening = (np.abs(away[:, 0]) < 0.05) & (np.abs(away[:, 1]) < 0.9) & (np.abs(away[:, 2]) < 0.6)
+    mesh.update_faces(~opening)
+    mesh.remove_unreferenced_vertices()
+    return mesh
+
+
+class Lit:
+    """The room with a known light: light of the window, its bounces, and what surfaces then send."""
+
+    def __init__(self) -> None:
+        rng, self.mesh = np.random.default_rng(0), room()
+        self.caster, self.count = RayCaster(self.mesh), len(self.mesh.vertices)
+        hits, position, normal = trace(self.caster, enclose(self.caster, UP), [WINDOW.aperture], rays=128)
+        self.position, self.normal = position, normal
+        self.basis = make_basis(self.caster, hits, position, normal, SOURCES)
+        place, facing = (jnp.asarray(a, jnp.float32) for a in (position, normal))
+        self.transport = Transport(
+            jnp.asarray(hits), jnp.asarray(self.mesh.faces, jnp.int32), place, facing, self.count
+        )
+        theta = np.zeros((self.basis.light.shape[1], 3))
+        theta[: BINS[0] * BINS[1]] = rng.uniform(0.5, 30.0, (BINS[0] * BINS[1], 1)) * [1.0, 0.9, 0.7]
+        # Walls of an albedo each, with stripes.
+        wall = np.argmax(np.abs(normal), axis=1) * 2 + (normal.sum(axis=1) > 0)
+        albedo = rng.uniform(0.35, 0.85, (6, 3))[wall]
+        albedo[np.floor(position.sum(axis=1) / 0.7).astype(int) % 4 == 0] *= 0.6
+        direct = jnp.asarray(self.basis.light @ theta, jnp.float32)
+        self.light = np.asarray(direct + bounce(self.transport, jnp.asarray(albedo, jnp.float32), direct, 12))
+        self.radiance = albedo[: self.count] * self.light[: self.count]
+
+    def problem(self) -> FitProblem:
+        radiance = self.radiance / np.exp(np.log(self.radiance).mean())
+        sent = np.concatenate([radiance, np.zeros((len(self.position) - self.count, 3))])
+        gathered = gather(self.transport.hits, send(self.transport, jnp.asarray(sent, jnp.float32)))
+        seen = np.ones(self.count, bool)
+        pairs = coplanar_pairs(self.position[: self.count], self.normal[: self.count], seen, 6000)
+        floats = (self.basis.light[: self.count], radiance)
+        basis, c = (jnp.asarray(a, jnp.float32) for a in floats)
+        alike, chosen = (jnp.asarray(a, jnp.int32) for a in (self.basis.neighbours, pairs))
+        return FitProblem(gathered[: self.count], basis, c, jnp.asarray(seen), chosen, alike)
+
+
+@pytest.fixture(scope="module")
+def lit() -> Lit:
+    return Lit()
+
+
+def spread(log: np.ndarray) -> float:
+    """Median distance of logarithms from their median."""
+    return float(np.median(np.abs(log - np.median(log, axis=0))))
+
+
+def test_the_light_of_a_known_room_is_found(lit: Lit) -> None:
+    problem = lit.problem()
+    found = np.asarray(illuminance(problem, jnp.asarray(fit_sources(problem), jnp.float32)))
+    true = lit.light[: lit.count]
+    assert spread(np.log(found / true)) < 0.3 * spread(np.log(true))
+    assert spread(np.log(found / true)) < 0.08
+
+
+def test_the_gradient_of_the_fit_is_that_of_finite_differences(lit: Lit) -> None:
+    problem = lit.problem()
+    rng = np.random.default_rng(0)
+    with jax.enable_x64(True):
+        double = jax.tree.map(
+            lambda x: jnp.asarray(x, jnp.float64) if jnp.issubdtype(x.dtype, jnp.floating) else x, problem
+        )
+        start, way = (jnp.asarray(rng.normal(size=(problem.basis.shape[1], 3))) for _ in range(2))
+        slope = jnp.sum(jax.grad(loss)(start, double) * way)
+        step = 1e-6
+        numeric = (loss(start + step * way, double) - loss(start - step * way, double)) / (2 * step)
+    np.testing.assert_allclose(slope, numeric, rtol=1e-4)
+
+
+def test_a_window_lights_what_faces_it(lit: Lit) -> None:
+    light = lit.basis.light[: lit.count, : BINS[0] * BINS[1]].sum(axis=1)
+    beside = lit.position[: lit.count, 0] > 1.99
+    # Of radiance times π one it throws its form factor, at most 1; its own wall gets nothing.
+    assert light.min() >= 0 and light.max() < 1
+    assert light[beside & (np.abs(lit.position[: lit.count, 1]) < 1.4)].max() < 0.05
+
+
+def test_a_lamp_throws_its_light_by_the_inverse_square(lit: Lit) -> None:
+    place = np.array([0.0, 0.0, 0.5])
+    sources = PhotoSources((), (PhotoLamp("lamp-1", place, 0.05, np.zeros(0, int)),), "file")
+    hits = np.asarray(lit.transport.hits)
+    basis = make_basis(lit.caster, hits, lit.position, lit.normal, sources)
+    to = place - lit.position[: lit.count]
+    distance = np.linalg.norm(to, axis=1)
+    expected = np.maximum(np.einsum("nk,nk->n", to, lit.normal[: lit.count]), 0) / distance**3
+    close = np.abs(basis.light[: lit.count, 0] - expected) < 0.02 * expected + 0.01
+    assert close.mean() > 0.98 and basis.names[0] == "lamp-1"
+
+
+def test_pairs_lie_on_one_plane_and_blocks_are_held_out_whole(lit: Lit) -> None:
+    position, normal = lit.position[: lit.count], lit.normal[: lit.count]
+    pairs = coplanar_pairs(position, normal, np.ones(lit.count, bool), 3000)
+    away = position[pairs[:, 1]] - position[pairs[:, 0]]
+    assert len(pairs) > 1000
+    assert np.abs(np.einsum("nk,nk->n", away, normal[pairs[:, 0]])).max() < 0.05
+    assert 0.1 < held_out(position).mean() < 0.6
+
+
+def frames_of(lit: Lit, gains: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)) -> list[Frame]:
+    """Pictures of the room, each with an exposure of its own."""
+    found = []
+    for k, gain in enumerate(gains):
+        angle = 2 * np.pi * k / len(gains)
+        eye = 0.6 * np.array([np.cos(angle), np.sin(angle), 0.0])
+        camera = Camera(LENS, look_at(eye, eye + np.array([np.cos(angle), np.sin(angle), -0.15]), UP))
+        hits = lit.caster.cast(camera.origin, camera.rays().reshape(-1, 3))
+        corners = np.asarray(lit.mesh.faces)[np.maximum(hits.face, 0)]
+        seen = np.einsum("nk,nkc->nc", hits.barycentric, lit.radiance[corners]) * hits.hit[:, None]
+        value = np.clip(gain * seen / np.quantile(lit.radiance, 0.98) * 0.8, 0, 1)
+        encoded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-9) ** (1 / 2.4) - 0.055)
+        found.append(Frame(f"f{k}", encoded.reshape(*LENS.shape, 3).astype(np.float32), camera, float(k)))
+    return found
+
+
+def test_radiance_is_read_from_frames_of_different_exposure(lit: Lit) -> None:
+    found = vertex_radiance(lit.caster, frames_of(lit, (0.7, 1.0, 0.5, 1.0, 0.8, 0.6)))
+    clear = (found.weight > 0.5) & (found.radiance.max(axis=1) < 0.7)
+    assert clear.mean() > 0.3
+    assert spread(np.log(found.radiance[clear] / lit.radiance[clear])) < 0.08
+
+
+def test_display_values_are_decoded() -> None:
+    np.testing.assert_allclose(linear(np.array([0.0, 0.04, 0.5, 1.0])), [0.0, 0.003096, 0.214041, 1.0], atol=1e-5)
+
+
+def test_an_estimate_comes_back_from_its_arrays(lit: Lit) -> None:
+    arrays = estimate_arrays(lit.caster, frames_of(lit), UP, SOURCES)
+    found = read_estimate(lit.caster, arrays)
+    assert found.names == ("window-1", "walls", "floor", "ceiling")
+    assert found.exponent > 0 and min(found.flatness) < 0.9
+    # Shares of the sources add up to all the light.
+    np.testing.assert_allclose(found.light.sources.sum(axis=0), found.light.illuminance, rtol=1e-3)
+    # It comes nearer to the truth than an even light.
+    true = lit.light[: lit.count]
+    assert spread(np.log(np.asarray(found.light.illuminance) / true)) < 0.6 * spread(np.log(true))
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0])
+def test_black_or_burnt_out_frames_leave_the_light_even(lit: Lit, value: float) -> None:
+    frames = [
+        Frame(frame.name, np.full_like(frame.image, value), frame.camera, frame.time) for frame in frames_of(lit)
+    ]
+    found = read_estimate(lit.caster, estimate_arrays(lit.caster, frames, UP, SOURCES))
+    assert found.exponent == 0 and found.reason
+    np.testing.assert_allclose(found.light.illuminance, 1.0, rtol=1e-5)
+
+
+def test_a_scan_of_three_triangles_leaves_the_light_even(lit: Lit) -> None:
+    mesh = trimesh.Trimesh(lit.mesh.vertices, lit.mesh.faces[:3], process=True)
+    caster = RayCaster(mesh)
+    found = read_estimate(caster, estimate_arrays(caster, frames_of(lit), UP, SOURCES))
+    assert found.exponent == 0 and np.isfinite(np.asarray(found.light.illuminance)).all()
+    assert "too little" in found.reason
