@@ -111,35 +111,65 @@ class SurfaceLight:
     emitters: Emitters | None = None
 
 
-def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lights: Sequence[Light]) -> Shaded:
+def add_surface_light(
+    shaded: Shaded,
+    light: SurfaceLight,
+    gbuffer: GBuffer,
+    lights: Sequence[Light],
+    *,
+    photographed: GBuffer | None = None,
+) -> Shaded:
     """Shaded surface with the light that it was photographed under, and with bounces.
 
     Args:
         shaded: direct light.
         light: on the vertices.
-        gbuffer: of the view, with triangles.
+        gbuffer: of the view, with triangles. Surfaces that the scan has not, whose `face` is -1, get mean bounces.
         lights: of the shading; bounces stand in for those that fall on any surface alike.
+        photographed: what the frame shows, if furniture has been moved since: its light is in the frame.
 
     Raises:
-        InputError: the G-buffer does not tell its triangles.
+        InputError: a G-buffer does not tell its triangles.
     """
+    uniform = [each.UNIFORM for each in lights]
+    left_out = jnp.asarray([*uniform] + [False] * (shaded.illuminance.shape[-1] - len(uniform)))
+    now, then = _triangles(gbuffer), None if photographed is None else _triangles(photographed)
+    return _add(shaded, light, now, then, left_out & (not all(uniform)))
+
+
+Triangles = tuple[Int[Array, "h w"], Float[Array, "h w 3"], Bool[Array, "h w"]]
+"""Triangle, weights of its corners, and whether there is a surface, at each pixel."""
+
+
+def _triangles(gbuffer: GBuffer) -> Triangles:
     if gbuffer.face is None or gbuffer.barycentric is None:
         raise InputError("surface light: the G-buffer must tell the triangle of each pixel, as a mesh's does")
-    uniform = [each.UNIFORM for each in lights]
-    return _add(shaded, light, gbuffer.face, gbuffer.barycentric, jnp.asarray(uniform) & (not all(uniform)))
+    return gbuffer.face, gbuffer.barycentric, gbuffer.hit
 
 
 @jax.jit
 def _add(
-    shaded: Shaded,
-    light: SurfaceLight,
-    face: Int[Array, "h w"],
-    barycentric: Float[Array, "h w 3"],
-    left_out: Bool[Array, "l"],
+    shaded: Shaded, light: SurfaceLight, now: Triangles, then: Triangles | None, left_out: Bool[Array, "l"]
 ) -> Shaded:
-    values = jnp.concatenate([light.bounced, light.photo_light], axis=-1)
-    fields = interpolate(values, light.faces, face, barycentric)
-    illuminance = jnp.where(left_out, 0.0, shaded.illuminance)
-    return dataclasses.replace(
-        shaded, illuminance=illuminance, bounced=fields[..., :3], photo_light=fields[..., 3:]
+    bounced, photo_light = (
+        _on_pixels(values, light.faces, surface, now[2], elsewhere)
+        for values, surface, elsewhere in (
+            (light.bounced, now, jnp.mean(light.bounced, axis=0)),
+            (light.photo_light, then or now, jnp.ones(3)),
+        )
     )
+    illuminance = jnp.where(left_out, 0.0, shaded.illuminance)
+    return dataclasses.replace(shaded, illuminance=illuminance, bounced=bounced, photo_light=photo_light)
+
+
+def _on_pixels(
+    values: Float[Array, "v 3"],
+    faces: Int[Array, "f 3"],
+    surface: Triangles,
+    known: Bool[Array, "h w"],
+    elsewhere: Float[Array, "3"],
+) -> Float[Array, "h w 3"]:
+    """Values of vertices at pixels; `elsewhere` where a known surface is no part of the scan; 0 in holes."""
+    face, barycentric, _ = surface
+    inside = interpolate(values, faces, face, barycentric)
+    return jnp.where((known & (face < 0))[..., None], elsewhere, inside)

@@ -24,6 +24,7 @@ IDENTITY = tuple(np.eye(4).reshape(-1).tolist())
 LampKind = Literal["bulb", "spot", "candle", "strip"]
 Metres = Annotated[float, msgspec.Meta(gt=-1e4, lt=1e4)]
 Point = tuple[Metres, Metres, Metres]
+Factor = Annotated[float, msgspec.Meta(ge=0, le=1.5)]
 Side = Annotated[float, msgspec.Meta(ge=0.05, le=20)]
 
 
@@ -108,6 +109,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         weather: see `hyjax.tour.sky`.
         exposure: stops that the picture is brighter than the camera would make it.
         windows, lamps, pieces: what there is.
+        existing: what is left of the sources that lit the photos, by name; those that are not named are off.
     """
 
     hour: Annotated[float, msgspec.Meta(ge=0, le=24)] = 12.0
@@ -119,6 +121,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     windows: Annotated[tuple[Window, ...], msgspec.Meta(max_length=MOST_WINDOWS)] = ()
     lamps: Annotated[tuple[Lamp, ...], msgspec.Meta(max_length=MOST_LAMPS)] = ()
     pieces: Annotated[tuple[Piece, ...], msgspec.Meta(max_length=MOST_PIECES)] = ()
+    existing: dict[Annotated[str, msgspec.Meta(max_length=80)], Factor] = {}
 
     def check(self) -> "TourPlan":
         """Return self if it is valid.
