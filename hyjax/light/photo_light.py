@@ -111,65 +111,51 @@ class SurfaceLight:
     emitters: Emitters | None = None
 
 
-def add_surface_light(
-    shaded: Shaded,
-    light: SurfaceLight,
-    gbuffer: GBuffer,
-    lights: Sequence[Light],
-    *,
-    photographed: GBuffer | None = None,
-) -> Shaded:
+def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lights: Sequence[Light]) -> Shaded:
     """Shaded surface with the light that it was photographed under, and with bounces.
 
     Args:
         shaded: direct light.
         light: on the vertices.
-        gbuffer: of the view, with triangles. Surfaces that the scan has not, whose `face` is -1, get mean bounces.
+        gbuffer: of the view, with triangles; see `on_pixels` for surfaces that the scan has not.
         lights: of the shading; bounces stand in for those that fall on any surface alike.
-        photographed: what the frame shows, if furniture has been moved since: its light is in the frame.
 
     Raises:
-        InputError: a G-buffer does not tell its triangles.
+        InputError: the G-buffer does not tell its triangles.
     """
     uniform = [each.UNIFORM for each in lights]
-    left_out = jnp.asarray([*uniform] + [False] * (shaded.illuminance.shape[-1] - len(uniform)))
-    now, then = _triangles(gbuffer), None if photographed is None else _triangles(photographed)
-    return _add(shaded, light, now, then, left_out & (not all(uniform)))
-
-
-Triangles = tuple[Int[Array, "h w"], Float[Array, "h w 3"], Bool[Array, "h w"]]
-"""Triangle, weights of its corners, and whether there is a surface, at each pixel."""
-
-
-def _triangles(gbuffer: GBuffer) -> Triangles:
-    if gbuffer.face is None or gbuffer.barycentric is None:
-        raise InputError("surface light: the G-buffer must tell the triangle of each pixel, as a mesh's does")
-    return gbuffer.face, gbuffer.barycentric, gbuffer.hit
+    return _add(shaded, light, on_triangles(gbuffer), jnp.asarray(uniform) & (not all(uniform)))
 
 
 @jax.jit
-def _add(
-    shaded: Shaded, light: SurfaceLight, now: Triangles, then: Triangles | None, left_out: Bool[Array, "l"]
-) -> Shaded:
-    bounced, photo_light = (
-        _on_pixels(values, light.faces, surface, now[2], elsewhere)
-        for values, surface, elsewhere in (
-            (light.bounced, now, jnp.mean(light.bounced, axis=0)),
-            (light.photo_light, then or now, jnp.ones(3)),
-        )
-    )
+def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, left_out: Bool[Array, "l"]) -> Shaded:
     illuminance = jnp.where(left_out, 0.0, shaded.illuminance)
+    bounced = on_pixels(light.bounced, light.faces, gbuffer)
+    photo_light = on_pixels(light.photo_light, light.faces, gbuffer)
     return dataclasses.replace(shaded, illuminance=illuminance, bounced=bounced, photo_light=photo_light)
 
 
-def _on_pixels(
-    values: Float[Array, "v 3"],
-    faces: Int[Array, "f 3"],
-    surface: Triangles,
-    known: Bool[Array, "h w"],
-    elsewhere: Float[Array, "3"],
-) -> Float[Array, "h w 3"]:
-    """Values of vertices at pixels; `elsewhere` where a known surface is no part of the scan; 0 in holes."""
-    face, barycentric, _ = surface
-    inside = interpolate(values, faces, face, barycentric)
-    return jnp.where((known & (face < 0))[..., None], elsewhere, inside)
+@jax.jit
+def on_pixels(values: Float[Array, "v 3"], faces: Int[Array, "f 3"], gbuffer: GBuffer) -> Float[Array, "h w 3"]:
+    """Light on vertices at the pixels of a view: 0 in holes; its mean on surfaces that the scan has not.
+
+    Args:
+        values: light on the vertices.
+        faces: of the scan.
+        gbuffer: with triangles of the scan, -1 where the surface is another's.
+    """
+    assert gbuffer.face is not None and gbuffer.barycentric is not None
+    inside = interpolate(values, faces, gbuffer.face, gbuffer.barycentric)
+    foreign = gbuffer.hit & (gbuffer.face < 0)
+    return jnp.where(foreign[..., None], jnp.mean(values, axis=0), inside)
+
+
+def on_triangles(gbuffer: GBuffer) -> GBuffer:
+    """The G-buffer, if it tells its triangles.
+
+    Raises:
+        InputError: it does not.
+    """
+    if gbuffer.face is None or gbuffer.barycentric is None:
+        raise InputError("surface light: the G-buffer must tell the triangle of each pixel, as a mesh's does")
+    return gbuffer

@@ -112,29 +112,20 @@ class View:
             shaded = self.add_surface_light(shaded, surface_light, setup.lights)
         yield "shaded", shaded
 
-    def add_surface_light(
-        self,
-        shaded: Shaded,
-        light: SurfaceLight,
-        lights: Sequence[Light],
-        *,
-        photographed: GBuffer | None = None,
-    ) -> Shaded:
+    def add_surface_light(self, shaded: Shaded, light: SurfaceLight, lights: Sequence[Light]) -> Shaded:
         """Shaded surface with the light that it was photographed under, bounces, and what shines by itself.
 
         Args:
             shaded: direct light.
             light: on the vertices of the scan.
             lights: of the shading.
-            photographed: what the frame shows, if furniture has been moved since.
 
         Raises:
-            InputError: a G-buffer does not tell its triangles.
+            InputError: the G-buffer does not tell its triangles.
         """
-        shaded = add_surface_light(shaded, light, self.gbuffer, lights, photographed=photographed)
+        shaded = add_surface_light(shaded, light, self.gbuffer, lights)
         if light.emitters is None or self.pose is None or self.intrinsics is None:
             return shaded
         camera = jnp.asarray(self.pose, jnp.float32), jnp.asarray(self.intrinsics, jnp.float32)
-        shown = self.gbuffer if photographed is None else photographed
-        emitting = emission(light.emitters, self.frame, shown, *camera)
+        emitting = emission(light.emitters, self.frame, self.gbuffer, *camera)
         return dataclasses.replace(shaded, emission=emitting)

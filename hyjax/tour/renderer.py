@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
+from jaxtyping import Array, Float
 from msgspec.structs import replace
 
 from hyjax.data.capture import Frame
@@ -32,7 +33,13 @@ from hyjax.tour.lighting import flicker, setup_of
 from hyjax.tour.picture import DeviceFrame, RenderedFrame, display_picture, stack_layers, to_bytes
 from hyjax.tour.placement import as_point, north_for_bearing, place_lamp
 from hyjax.tour.plan import LampKind, TourPlan, Window
-from hyjax.tour.room_light import RoomLight, bounced_at_vertices, direct_lights
+from hyjax.tour.room_light import (
+    PhotographedFrame,
+    RoomLight,
+    add_room_light,
+    bounced_at_vertices,
+    direct_lights,
+)
 from hyjax.tour.viewpoint import Viewpoint
 from hyjax.util.clock import StageClock
 from hyjax.util.lru_cache import LruCache
@@ -150,15 +157,16 @@ class Renderer:
         view = View(pixels.linear, pixels.display, gbuffer)
         setup = dataclasses.replace(setup, lights=lights)
         shaded = stack_layers(setup, layers, gbuffer.hit)
+        refined = None
         if self.room_light is not None:
             with clock("bounces"):
                 light = self.room_light.surface_light(setup, qualities, parts, cancelled)
-                matrices = frame.camera.pose, frame.camera.intrinsics.matrix
-                view = View(pixels.linear, pixels.display, gbuffer, *(np.asarray(m, np.float32) for m in matrices))
-                shown = None if parts.as_scanned else self._scanned_gbuffer(index, frame)
-                shaded = view.add_surface_light(shaded, light, lights, photographed=shown)
-                jax.block_until_ready(shaded)
-        relit = clock.follow(relight_stages(view, shaded, pixels.guide, viewpoint.schedule))
+                photographed = self._photographed(index, frame, pixels)
+                shaded = jax.block_until_ready(add_room_light(shaded, light, photographed, pixels.linear, gbuffer))
+                refined = self._refined_photo_light(viewpoint, photographed, pixels)
+        relit = clock.follow(
+            relight_stages(view, shaded, pixels.guide, viewpoint.schedule, refined_photo_light=refined)
+        )
         with clock("show"):
             picture = to_bytes(display_picture(viewpoint, relit, view, pixels.guide))
             photo = self._frames(("photo", index), lambda: to_bytes(frame.image))
@@ -201,9 +209,23 @@ class Renderer:
         display = jnp.asarray(frame.image)
         return DeviceFrame(to_linear(display), display, self.guide.features(display))
 
-    def _scanned_gbuffer(self, index: int, frame: Frame) -> GBuffer:
-        """Surface that a frame shows, whatever the plan has moved since."""
-        return self._gbuffer(index, frame, self.scene.apply(TourPlan()))
+    def _photographed(self, index: int, frame: Frame, pixels: DeviceFrame) -> PhotographedFrame:
+        """What a frame was lit by, whatever the plan has moved since."""
+
+        def make() -> PhotographedFrame:
+            assert self.room_light is not None
+            gbuffer = self._gbuffer(index, frame, self.scene.apply(TourPlan()))
+            return self.room_light.photographed(frame.camera, pixels.linear, gbuffer)
+
+        return self._frames(("photographed", index), make)
+
+    def _refined_photo_light(
+        self, viewpoint: Viewpoint, photographed: PhotographedFrame, pixels: DeviceFrame
+    ) -> Float[Array, "h w 3"]:
+        key = "photo light", viewpoint.frame, viewpoint.schedule.to_json()
+        return self._frames(
+            key, lambda: jax.block_until_ready(photographed.refined(pixels.guide, viewpoint.schedule))
+        )
 
     def _gbuffer(self, index: int, frame: Frame, parts: SceneParts) -> GBuffer:
         def cast(part: Part, key: Hashable) -> GBuffer:

@@ -11,9 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hyjax.core.refine import cascade_known
+from hyjax.core.schedule import Schedule
+from hyjax.geometry.camera import Camera
+from hyjax.light.emission import SourcePixels, shine, source_pixels
+from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
-from hyjax.light.photo_light import PhotoLight, SurfaceLight
+from hyjax.light.photo_light import PhotoLight, SurfaceLight, on_pixels
 from hyjax.light.setup import LightSetup
+from hyjax.light.shaded import Shaded
 from hyjax.photo_light.sources import PhotoSources
 from hyjax.scene.photo_light import ScenePhotoLight
 from hyjax.tour.editable_scene import SceneParts
@@ -24,6 +30,28 @@ from hyjax.util.lru_cache import LruCache
 
 ARRANGEMENTS = 4
 """Of furniture, whose points are kept."""
+DRAFT_RAYS = 64
+"""Of each point, while something is being dragged."""
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class PhotographedFrame:
+    """Light in a frame as it was taken.
+
+    Attributes:
+        photo_light: on the surface that the frame shows, relative to its mean; 1 in holes.
+        known: 1 where there is a surface.
+        sources: panes and lamps in it; None if the room has none.
+    """
+
+    photo_light: Float[Array, "h w 3"]
+    known: Float[Array, "h w 1"]
+    sources: SourcePixels | None
+
+    def refined(self, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w 3"]:
+        """The photo's light after the cascade."""
+        return cascade_known(self.photo_light, self.known, guide, schedule)
 
 
 class RoomLight:
@@ -40,6 +68,11 @@ class RoomLight:
     def __init__(self, photo: ScenePhotoLight, layers: LayerCache) -> None:
         self._photo, self._layers, self._points = photo, layers, LruCache(ARRANGEMENTS)
         self._light = photo.estimate.light
+        transport = self._light.transport
+        step = max(1, len(transport.hits) // DRAFT_RAYS)
+        self._draft = dataclasses.replace(
+            self._light, transport=dataclasses.replace(transport, hits=transport.hits[::step])
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -82,7 +115,7 @@ class RoomLight:
         """
         kept = np.asarray(self._photo.kept(setup.existing), np.float32)
         chosen = [
-            (light, self._layers.bounced(light, lambda: self._arranged(parts), parts, quality, cancelled))
+            (light, self._layers.bounced(light, self._points_of(parts, quality), parts, quality, cancelled))
             for light, quality in zip(setup.lights, qualities, strict=True)
             if not light.UNIFORM
         ]
@@ -96,11 +129,31 @@ class RoomLight:
         emitters = self._photo.emitters(setup)
         return SurfaceLight(self._light.illuminance, bounced, self._light.transport.faces, emitters)
 
-    def _arranged(self, parts: SceneParts) -> PhotoLight:
-        """Photo's light with the transport's points where the furniture is now; what they see stays as scanned."""
-        if not any(part.moved and part.scanned is not None for part in parts.parts):
-            return self._light
-        return self._points(parts.keys, lambda: _move_points(self._light, parts))
+    def photographed(self, camera: Camera, frame: Float[Array, "h w 3"], gbuffer: GBuffer) -> PhotographedFrame:
+        """Light in a frame as it was taken.
+
+        Args:
+            camera: of the frame.
+            frame: linear.
+            gbuffer: the room as it was scanned.
+        """
+        light, hit = self._light, gbuffer.hit[..., None]
+        photo_light = jnp.where(hit, on_pixels(light.illuminance, light.transport.faces, gbuffer), 1.0)
+        emitters, sources = self._photo.emitters(LightSetup(())), None
+        if emitters is not None:
+            pose, matrix = (jnp.asarray(m, jnp.float32) for m in (camera.pose, camera.intrinsics.matrix))
+            sources = source_pixels(emitters, frame, gbuffer, pose, matrix)
+        return jax.block_until_ready(PhotographedFrame(photo_light, hit.astype(jnp.float32), sources))
+
+    def _points_of(self, parts: SceneParts, quality: Quality) -> Callable[[], PhotoLight]:
+        """Maker of the transport with its points where the furniture is now; what they see stays as scanned."""
+
+        def make() -> PhotoLight:
+            light = self._light if quality == "fine" else self._draft
+            moved = any(part.moved and part.scanned is not None for part in parts.parts)
+            return _move_points(light, parts) if moved else light
+
+        return lambda: self._points((parts.keys, quality), make)
 
 
 def bounced_at_vertices(light: SurfaceLight, parts: SceneParts) -> Float[Array, "v 3"]:
@@ -116,6 +169,29 @@ def bounced_at_vertices(light: SurfaceLight, parts: SceneParts) -> Float[Array, 
 def direct_lights(lights: Sequence[Light]) -> tuple[Light, ...]:
     """Lights in whose place no bounces stand: those that do not fall on any surface alike, or all if none are."""
     return tuple(light for light in lights if not light.UNIFORM) or tuple(lights)
+
+
+@jax.jit
+def add_room_light(
+    shaded: Shaded,
+    light: SurfaceLight,
+    photographed: PhotographedFrame,
+    frame: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+) -> Shaded:
+    """Shaded surface with bounces, with the light that its frame was taken under, and with what shines by itself.
+
+    Args:
+        shaded: direct light.
+        light: on the vertices.
+        photographed, frame: the photo, which shows furniture where it was.
+        gbuffer: the room as it is now.
+    """
+    shining = None
+    if light.emitters is not None and photographed.sources is not None:
+        shining = shine(light.emitters, photographed.sources, frame)
+    bounced = on_pixels(light.bounced, light.faces, gbuffer)
+    return dataclasses.replace(shaded, bounced=bounced, photo_light=photographed.photo_light, emission=shining)
 
 
 @jax.jit
