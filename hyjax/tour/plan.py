@@ -24,7 +24,9 @@ IDENTITY = tuple(np.eye(4).reshape(-1).tolist())
 LampKind = Literal["bulb", "spot", "candle", "strip"]
 Metres = Annotated[float, msgspec.Meta(gt=-1e4, lt=1e4)]
 Point = tuple[Metres, Metres, Metres]
-Factor = Annotated[float, msgspec.Meta(ge=0, le=1.5)]
+MOST_LEFT = 1.5
+"""Of a source of the photo, relative to what it was."""
+Factor = Annotated[float, msgspec.Meta(ge=0, le=MOST_LEFT)]
 Side = Annotated[float, msgspec.Meta(ge=0.05, le=20)]
 
 
@@ -237,9 +239,7 @@ def _rule(kind: type[msgspec.Struct], name: str, value: Any) -> str:
         inspect.TupleType: "three numbers in metres",
         inspect.VarTupleType: "a list" if name in LISTS else "the 16 numbers of a 4x4 matrix",
         inspect.BoolType: "true or false",
-        inspect.StrType: "the name of a file in the tour's folder"
-        if name == "file"
-        else "a date such as 2026-06-21",
+        inspect.DictType: "names of the photo's sources with a number in 0..1.5 each",
     }
     rule = f"a number in {form.ge:g}..{form.le:g}" if isinstance(form, inspect.FloatType) else rules[type(form)]
     return f"must be {rule}, got {value!r}"

@@ -215,5 +215,5 @@ def _move_points(light: PhotoLight, parts: SceneParts) -> PhotoLight:
             turn, shift = part.pose[:3, :3], part.pose[:3, 3]
             position[numbers] = position[numbers] @ turn.T + shift
             normal[numbers] = normal[numbers] @ turn.T
-    points = {"position": jnp.asarray(position), "normal": jnp.asarray(normal)}
-    return dataclasses.replace(light, transport=dataclasses.replace(light.transport, **points))
+    transport = dataclasses.replace(light.transport, position=jnp.asarray(position), normal=jnp.asarray(normal))
+    return dataclasses.replace(light, transport=transport)
