@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
@@ -63,6 +63,22 @@ class Emission:
     reflectance: Float[Array, "h w 3"]
 
 
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class SourcePixels:
+    """Pixels of a frame that belong to panes and lamps, whatever these send.
+
+    Attributes:
+        weight: how far a pixel belongs to a source, in [0, 1].
+        source: which one, panes first; -1 for none.
+        pattern: of what it sends, relative to its mean.
+    """
+
+    weight: Float[Array, "h w 1"]
+    source: Int[Array, "h w"]
+    pattern: Float[Array, "h w 3"]
+
+
 def radiant_filter(
     lights: Sequence[Light],
     panes: Float[np.ndarray, "n 3 3"],
@@ -108,8 +124,34 @@ def emission(
 ) -> Emission:
     """Pixels of a view that emit.
 
+    Args: see `source_pixels`.
+    """
+    return shine(emitters, source_pixels(emitters, frame, gbuffer, pose, intrinsics), frame)
+
+
+@jax.jit
+def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]) -> Emission:
+    """What the pixels of panes and lamps emit under new lights."""
+    known, source = pixels.source[..., None] >= 0, jnp.maximum(pixels.source, 0)
+    sent = (emitters.sent * emitters.mean)[source] * pixels.pattern + emitters.kept[source] * frame
+    panes, lamps = len(emitters.panes), len(emitters.lamps)
+    share = jnp.asarray([PANE_REFLECTANCE] * panes + [LAMP_REFLECTANCE] * lamps)
+    reflectance = share[source][..., None] * emitters.mean
+    return Emission(pixels.weight, jnp.where(known, sent, 0.0), jnp.where(known, reflectance, 0.0))
+
+
+@jax.jit
+def source_pixels(
+    emitters: Emitters,
+    frame: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+    pose: Float[Array, "4 4"],
+    intrinsics: Float[Array, "3 3"],
+) -> SourcePixels:
+    """Pixels of a view that belong to panes and lamps.
+
     Args:
-        emitters: of the place.
+        emitters: of the place; where they are, not what they send.
         frame: the photo, linear.
         gbuffer: surface of the view; what lies before a pane hides it.
         pose: camera-to-world.
@@ -122,7 +164,7 @@ def emission(
     depth = jnp.where(gbuffer.hit, gbuffer.depth, jnp.inf)
     pixel = 1.0 / intrinsics[0, 0]
     brightness = jnp.min(frame, axis=-1)
-    weight, sent, reflectance = jnp.zeros((h, w)), jnp.zeros((h, w, 3)), jnp.zeros((h, w, 3))
+    weight, source, pattern = jnp.zeros((h, w)), jnp.full((h, w), -1), jnp.ones((h, w, 3))
     shares = []
     for center, right, up in emitters.panes:
         normal = cross(right, up)
@@ -133,26 +175,23 @@ def emission(
         inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
         cover = jnp.clip(jnp.minimum(*inside) / (pixel * jnp.maximum(distance, 1e-3)) + 0.5, 0.0, 1.0)
         cover *= (distance > 0) & (slope < 0) & (depth > distance - SLACK)
-        shares.append((cover * _ramp(brightness, DARK, BRIGHT), PANE_REFLECTANCE))
+        shares.append(cover * _ramp(brightness, DARK, BRIGHT))
     for *place, radius in emitters.lamps:
         toward = jnp.stack(place) - pose[:3, 3]
         along = dot(toward, ray) / dot(ray, ray)
         away = jnp.sqrt(jnp.maximum(dot(toward, toward) - along**2 * dot(ray, ray), 1e-12))
         cover = jnp.clip((1.5 * radius - away) / (pixel * jnp.maximum(along, 1e-3)) + 0.5, 0.0, 1.0)
         cover *= (along > 0) & (depth > along - 2 * radius - SLACK)
-        shares.append((cover * _ramp(brightness, BURNT, WHITE), LAMP_REFLECTANCE))
-    for k, (share, share_reflected) in enumerate(shares):
+        shares.append(cover * _ramp(brightness, BURNT, WHITE))
+    for k, share in enumerate(shares):
+        own = jnp.ones(3)
         if k < len(emitters.panes):
             total = jnp.sum(share[..., None] * frame, axis=(0, 1)) / jnp.maximum(jnp.sum(share), 1e-6)
-            pattern = frame / jnp.maximum(total, 1e-3)
-        else:
-            pattern = jnp.ones(3)
+            own = frame / jnp.maximum(total, 1e-3)
         weight = jnp.maximum(weight, share)
-        sent = jnp.where(
-            share[..., None] > 0, emitters.sent[k] * emitters.mean * pattern + emitters.kept[k] * frame, sent
-        )
-        reflectance = jnp.where(share[..., None] > 0, share_reflected * emitters.mean, reflectance)
-    return Emission(weight[..., None], sent, reflectance)
+        source = jnp.where(share > 0, k, source)
+        pattern = jnp.where(share[..., None] > 0, own, pattern)
+    return SourcePixels(weight[..., None], source, pattern)
 
 
 def _ramp(x: Float[Array, "h w"], low: float, high: float) -> Float[Array, "h w"]:

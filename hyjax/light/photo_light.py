@@ -117,29 +117,45 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
     Args:
         shaded: direct light.
         light: on the vertices.
-        gbuffer: of the view, with triangles.
+        gbuffer: of the view, with triangles; see `on_pixels` for surfaces that the scan has not.
         lights: of the shading; bounces stand in for those that fall on any surface alike.
 
     Raises:
         InputError: the G-buffer does not tell its triangles.
     """
-    if gbuffer.face is None or gbuffer.barycentric is None:
-        raise InputError("surface light: the G-buffer must tell the triangle of each pixel, as a mesh's does")
     uniform = [each.UNIFORM for each in lights]
-    return _add(shaded, light, gbuffer.face, gbuffer.barycentric, jnp.asarray(uniform) & (not all(uniform)))
+    return _add(shaded, light, on_triangles(gbuffer), jnp.asarray(uniform) & (not all(uniform)))
 
 
 @jax.jit
-def _add(
-    shaded: Shaded,
-    light: SurfaceLight,
-    face: Int[Array, "h w"],
-    barycentric: Float[Array, "h w 3"],
-    left_out: Bool[Array, "l"],
-) -> Shaded:
-    values = jnp.concatenate([light.bounced, light.photo_light], axis=-1)
-    fields = interpolate(values, light.faces, face, barycentric)
+def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, left_out: Bool[Array, "l"]) -> Shaded:
     illuminance = jnp.where(left_out, 0.0, shaded.illuminance)
-    return dataclasses.replace(
-        shaded, illuminance=illuminance, bounced=fields[..., :3], photo_light=fields[..., 3:]
-    )
+    bounced = on_pixels(light.bounced, light.faces, gbuffer)
+    photo_light = on_pixels(light.photo_light, light.faces, gbuffer)
+    return dataclasses.replace(shaded, illuminance=illuminance, bounced=bounced, photo_light=photo_light)
+
+
+@jax.jit
+def on_pixels(values: Float[Array, "v 3"], faces: Int[Array, "f 3"], gbuffer: GBuffer) -> Float[Array, "h w 3"]:
+    """Light on vertices at the pixels of a view: 0 in holes; its mean on surfaces that the scan has not.
+
+    Args:
+        values: light on the vertices.
+        faces: of the scan.
+        gbuffer: with triangles of the scan, -1 where the surface is another's.
+    """
+    assert gbuffer.face is not None and gbuffer.barycentric is not None
+    inside = interpolate(values, faces, gbuffer.face, gbuffer.barycentric)
+    foreign = gbuffer.hit & (gbuffer.face < 0)
+    return jnp.where(foreign[..., None], jnp.mean(values, axis=0), inside)
+
+
+def on_triangles(gbuffer: GBuffer) -> GBuffer:
+    """The G-buffer, if it tells its triangles.
+
+    Raises:
+        InputError: it does not.
+    """
+    if gbuffer.face is None or gbuffer.barycentric is None:
+        raise InputError("surface light: the G-buffer must tell the triangle of each pixel, as a mesh's does")
+    return gbuffer

@@ -14,7 +14,7 @@ from hyjax.tour.checks import clamp_number
 from hyjax.tour.events import change_handler, task_handler
 from hyjax.tour.exports import save_setup, save_video, save_view
 from hyjax.tour.placement import north_for_bearing
-from hyjax.tour.plan import KINDS, TourPlan
+from hyjax.tour.plan import KINDS, MOST_LEFT, TourPlan
 from hyjax.tour.session import Session
 from hyjax.tour.sky import Weather
 from hyjax.tour.tools import add_mesh
@@ -44,8 +44,10 @@ class Controls:
         self.session, self._gui, self._viewers = session, gui, viewers
         self._selected: Any = None
         self._fields: dict[str, Any] = {}
+        self._sources: dict[str, Any] = {}
         self._add_daylight()
         self._add_lamps()
+        self._add_photo_sources()
         self._add_furniture()
         self._add_exports()
         self.show_plan()
@@ -83,6 +85,23 @@ class Controls:
             self._gui.add_markdown("Choose one, then click where it goes.")
             for kind in KINDS:
                 self._gui.add_button(kind.capitalize(), icon=ICONS[kind]).on_click(self._tool_button(kind))
+
+    def _add_photo_sources(self) -> None:
+        light = self.session.renderer.room_light
+        if light is None:
+            return
+        gui = self._gui
+        with gui.add_folder("The photo's own light", expand_by_default=False, order=0.5):
+            gui.add_markdown("What is left of the light that the photos were taken in: 0 off, 1 as it was.")
+            for name in light.names:
+                slider = gui.add_slider(
+                    spoken(name), 0.0, MOST_LEFT, 0.05, self.session.plan.existing.get(name, 0.0)
+                )
+                slider.on_update(change_handler(self._viewers, functools.partial(self._set_source, name)))
+                self._sources[name] = slider
+
+    def _set_source(self, name: str, event: Any) -> None:
+        self.session.keep_source(name, event.target.value)
 
     def _add_furniture(self) -> None:
         gui = self._gui
@@ -127,6 +146,8 @@ class Controls:
             value = getattr(plan, name)
             if name != "day" or len(control.value) >= len(value):  # not while it is being typed
                 control.value = value % 360 if name == "north" else value
+        for name, slider in self._sources.items():
+            slider.value = plan.existing.get(name, 0.0)
         self._daylight.content = describe_daylight(plan, self.session.renderer.up)
 
     def show_selected(self) -> None:
@@ -169,6 +190,11 @@ class Controls:
             remove = gui.add_button(label, icon=viser.Icon.TRASH, color="gray")
         done.on_click(change_handler(viewers, lambda _: session.select(None)))
         remove.on_click(change_handler(viewers, lambda _: session.remove(kind, index)))
+
+
+def spoken(name: str) -> str:
+    """Name of a source as a page shows it: `window-1` becomes `Window 1`."""
+    return name.replace("-", " ").replace("_", " ").capitalize()
 
 
 def describe_daylight(plan: TourPlan, up: Float[np.ndarray, "3"]) -> str:

@@ -19,6 +19,8 @@ from hyjax.util.lru_cache import LruCache
 from hyjax.util.vectors import fibonacci_sphere, perpendicular, unit
 
 MOST_PARTS = 64
+AS_SCANNED = "rest", ()
+"""Key of the whole room."""
 BESIDE = (0.0, 0.01, 0.025, 0.05)  # tangents of angles from a ray, tried one after the other
 
 
@@ -46,6 +48,11 @@ class SceneParts:
     parts: tuple[Part, ...]
     keys: tuple[Hashable, ...]
     pieces: tuple[int | None, ...]
+
+    @property
+    def as_scanned(self) -> bool:
+        """Whether the room is as it was scanned, with no piece taken out or brought in."""
+        return self.keys == (AS_SCANNED,)
 
 
 class EditableScene:
@@ -77,12 +84,12 @@ class EditableScene:
         scanned = tuple(sorted({piece.seed for piece in plan.pieces if not piece.file}))
         masks = [mask for seed in scanned if (mask := self._faces(Piece(seed))) is not None]
         if masks:
-            rest = self._parts(
-                ("rest", scanned), lambda: RayCaster(submesh(self.mesh, ~np.logical_or.reduce(masks)))
-            )
+            left = ~np.logical_or.reduce(masks)
+            rest = self._parts(("rest", scanned), lambda: RayCaster(submesh(self.mesh, left)))
         else:
-            rest, scanned = self.caster, ()
-        parts = [Part(rest, np.eye(4), self.mesh, self._thrower(("rest", scanned), rest), self._slack)]
+            left, rest, scanned = np.ones(len(self.mesh.faces), bool), self.caster, AS_SCANNED[1]
+        thrower = self._thrower(("rest", scanned), rest)
+        parts = [Part(rest, np.eye(4), self.mesh, thrower, self._slack, np.flatnonzero(left))]
         keys: list[Hashable] = [("rest", scanned)]
         pieces: list[int | None] = [None]
         for number, piece in enumerate(plan.pieces):
@@ -90,7 +97,9 @@ class EditableScene:
                 continue
             name = ("piece", piece.seed, piece.file)
             caster = self._parts(("caster", name), functools.partial(RayCaster, mesh))
-            parts.append(Part(caster, piece.matrix, self.mesh, self._thrower(name, caster), self._slack))
+            faces = None if piece.file else self._faces(piece)
+            numbers = None if faces is None else np.flatnonzero(faces)
+            parts.append(Part(caster, piece.matrix, self.mesh, self._thrower(name, caster), self._slack, numbers))
             keys.append((name, piece.pose))
             pieces.append(number)
         return SceneParts(tuple(parts), tuple(keys), tuple(pieces))

@@ -1,4 +1,4 @@
-"""Free view of one browser: the room's mesh, and the cameras of the capture to click on."""
+"""Free view of one browser: the room's mesh, the sources of the photos' light, and the cameras to click on."""
 
 import functools
 import math
@@ -19,7 +19,7 @@ from hyjax.tour.screen import quaternion
 
 CAMERAS = 24
 """At most so many are drawn."""
-FRAME_COLOR, CAMERA_COLOR = (255, 140, 0), (70, 70, 70)
+FRAME_COLOR, CAMERA_COLOR, SOURCE_COLOR = (255, 140, 0), (70, 70, 70), (255, 220, 120)
 
 
 class FreeView:
@@ -80,6 +80,14 @@ class FreeView:
             self._scene.add_light_ambient("/ambient", intensity=math.pi),
             self._scene.add_mesh_trimesh("/room", mesh),
         ]
+        if (light := self._renderer.room_light) is not None:
+            places = [(window.name, window.center) for window in light.sources.windows]
+            places += [(lamp.name, lamp.position) for lamp in light.sources.lamps]
+            for name, place in places:
+                nodes.append(self._scene.add_label(f"/photo/{name}", name, position=tuple(place)))
+            for window in light.sources.windows:
+                outline = np.stack([window.corners, np.roll(window.corners, -1, axis=0)], axis=1)
+                nodes.append(self._scene.add_line_segments(f"/photo/{window.name}/frame", outline, SOURCE_COLOR))
         for number, camera in cameras.items():
             k, current = camera.intrinsics, number == frame
             picture = self._thumbnail() if current else None

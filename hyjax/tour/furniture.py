@@ -89,7 +89,8 @@ class Part:
     """A rigid part of the room: its surface as it was scanned, and where it is now (4×4).
 
     Shadow maps take it as a `RayCaster`: `mesh` is the whole room's, as it says what a map must cover. Shadows are
-    thrown by `occluders`, if there are any, in the surface's place, and looked up with `slack`.
+    thrown by `occluders`, if there are any, in the surface's place, and looked up with `slack`. `scanned` numbers
+    its triangles among the whole room's; None if it was brought in.
     """
 
     caster: RayCaster
@@ -97,6 +98,7 @@ class Part:
     mesh: trimesh.Trimesh
     occluders: RayCaster | None = None
     slack: float | None = None
+    scanned: Int[np.ndarray, "m"] | None = None
 
     @property
     def moved(self) -> bool:
@@ -128,11 +130,25 @@ class Part:
         return caster.cast((origins - shift) @ turn, directions @ turn, grid)
 
     def gbuffer(self, camera: Camera) -> GBuffer:
-        """Surface points of this part alone that a camera sees."""
+        """Surface points of this part alone that a camera sees; `face` counts the whole room's triangles."""
         if not self.moved:
-            return self.caster.gbuffer(camera)
+            return self._numbered(self.caster.gbuffer(camera))
         scanned = self.caster.gbuffer(Camera(camera.intrinsics, np.linalg.inv(self.pose) @ camera.pose))
-        return _transform_gbuffer(scanned, jnp.asarray(self.pose, jnp.float32))
+        return _transform_gbuffer(self._numbered(scanned), jnp.asarray(self.pose, jnp.float32))
+
+    def _numbered(self, gbuffer: GBuffer) -> GBuffer:
+        own = np.asarray(gbuffer.face)
+        face = np.full_like(own, -1) if self.scanned is None else np.where(own >= 0, self.scanned[own], -1)
+        return dataclasses.replace(gbuffer, face=jnp.asarray(face, jnp.int32))
+
+    @property
+    def scanned_vertices(self) -> Int[np.ndarray, "v"] | None:
+        """Numbers of its vertices among the whole room's; None if it was brought in."""
+        if self.scanned is None:
+            return None
+        numbers = np.zeros(len(self.caster.mesh.vertices), int)
+        numbers[self.caster.mesh.faces] = self.mesh.faces[self.scanned]
+        return numbers
 
 
 def cast_parts(
@@ -161,11 +177,10 @@ def merge_gbuffers(parts: list[GBuffer]) -> GBuffer:
 @jax.jit
 def _transform_gbuffer(gbuffer: GBuffer, pose: Float[Array, "4 4"]) -> GBuffer:
     position = gbuffer.position @ pose[:3, :3].T + pose[:3, 3]
-    return GBuffer(
-        jnp.where(gbuffer.hit[..., None], position, 0.0),
-        gbuffer.normal @ pose[:3, :3].T,
-        gbuffer.depth,
-        gbuffer.hit,
+    return dataclasses.replace(
+        gbuffer,
+        position=jnp.where(gbuffer.hit[..., None], position, 0.0),
+        normal=gbuffer.normal @ pose[:3, :3].T,
     )
 
 

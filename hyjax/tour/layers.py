@@ -12,12 +12,14 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import trimesh
+from jaxtyping import Array, Float
 
 from hyjax.data.capture import Frame
 from hyjax.geometry.raycast import Hits
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
+from hyjax.light.photo_light import PhotoLight, bounced_light
 from hyjax.light.shading import shade_each
 from hyjax.light.shadow_map import ShadowMap, visibility
 from hyjax.tour.editable_scene import SceneParts
@@ -28,7 +30,7 @@ from hyjax.util.lru_cache import LruCache
 
 DRAFT = 0.25
 """Resolution of shadow maps while something is being dragged, relative to that of `hyjax relight`."""
-MAPS_MIB, LAYERS_MIB = 512, 192
+MAPS_MIB, LAYERS_MIB, BOUNCES_MIB = 512, 192, 96
 Quality = Literal["draft", "fine"]
 
 
@@ -41,6 +43,7 @@ class LayerCache:
 
     def __init__(self) -> None:
         self._maps, self._layers = LruCache(MAPS_MIB, mebibytes), LruCache(LAYERS_MIB, mebibytes)
+        self._bounces = LruCache(BOUNCES_MIB, mebibytes)
 
     def layer(
         self,
@@ -86,6 +89,42 @@ class LayerCache:
         Raises:
             RenderCancelled: `cancelled` returned true.
         """
+        unit, shadow_map = light.normalized(), self._shadow_map(light, parts, quality, cancelled)
+        return shade_each(gbuffer, [unit])[..., 0], visibility(gbuffer, unit, shadow_map)
+
+    def bounced(
+        self,
+        light: Light,
+        points: Callable[[], PhotoLight],
+        parts: SceneParts,
+        quality: Quality,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> Float[Array, "v 3"]:
+        """Lux that a white light of strength 1 throws on the scan's vertices by way of other surfaces.
+
+        A draft leaves it as it was while furniture moves.
+
+        Args:
+            light: of any strength and colour.
+            points: makes the scan's transport, with its points where the furniture is.
+            parts, quality, cancelled: see `shade`.
+
+        Raises:
+            RenderCancelled: `cancelled` returned true.
+        """
+        geometry, unit = geometry_key(light), light.normalized()
+        fine, draft = (geometry, parts.keys), geometry
+
+        def make() -> Float[Array, "v 3"]:
+            shadow_map = self._shadow_map(light, parts, quality, cancelled)
+            return jax.block_until_ready(bounced_light(points(), [unit], [shadow_map]))
+
+        return self._bounces(fine if quality == "fine" or fine in self._bounces else draft, make)
+
+    def _shadow_map(
+        self, light: Light, parts: SceneParts, quality: Quality, cancelled: Callable[[], bool]
+    ) -> ShadowMap | None:
+        """Shadow map that all parts cast together."""
         geometry, unit = geometry_key(light), light.normalized()
         scale = DRAFT if quality == "draft" else 1.0
 
@@ -95,8 +134,7 @@ class LayerCache:
                 (geometry, key, quality), lambda: cast_shadow_maps(caster, [unit], scale, part.slack)[0]
             )
 
-        maps = [cast(part, key) for part, key in zip(parts.parts, parts.keys, strict=True)]
-        return shade_each(gbuffer, [unit])[..., 0], visibility(gbuffer, unit, _merge_maps(maps))
+        return _merge_maps([cast(part, key) for part, key in zip(parts.parts, parts.keys, strict=True)])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -51,7 +51,8 @@ def setup_of(
     """
     steady = lights_of(plan, up, surface_area)
     lights = lights_of(plan, up, surface_area, flicker) if flicker else steady
-    return LightSetup(lights, reference_lux(steady, plan.exposure))
+    existing = {name: (factor, factor, factor) for name, factor in plan.existing.items()}
+    return LightSetup(lights, reference_lux(steady, plan.exposure), existing)
 
 
 def lights_of(

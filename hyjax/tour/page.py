@@ -94,7 +94,8 @@ class Tour:
         height, width = scene.capture[0].camera.intrinsics.shape
         if scene.size is None and width > WIDEST:
             scene.size = round(height * WIDEST / width), WIDEST
-        renderer = Renderer(scene, guide=guide, folder=settings.out)
+        # Estimates the photo's own light, if it was not before: some ten seconds, with a bar.
+        renderer = Renderer(scene, guide=guide, folder=settings.out, keep_photo_light=settings.keep_photo_light)
         return cls(renderer, schedules, settings.out, host=settings.host, port=settings.port)
 
     def warm_up(self) -> None:
@@ -156,6 +157,8 @@ class Tour:
         viewer.notices.notify(
             "Room tour", "Drag the hour, or put a lamp somewhere. Drag the picture to look around.", seconds=10
         )
+        for title, text in self.session.notices:
+            viewer.notices.notify(title, text, color="yellow", seconds=20)
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
         self.queue.remove(client.client_id)

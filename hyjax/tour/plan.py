@@ -24,6 +24,9 @@ IDENTITY = tuple(np.eye(4).reshape(-1).tolist())
 LampKind = Literal["bulb", "spot", "candle", "strip"]
 Metres = Annotated[float, msgspec.Meta(gt=-1e4, lt=1e4)]
 Point = tuple[Metres, Metres, Metres]
+MOST_LEFT = 1.5
+"""Of a source of the photo, relative to what it was."""
+Factor = Annotated[float, msgspec.Meta(ge=0, le=MOST_LEFT)]
 Side = Annotated[float, msgspec.Meta(ge=0.05, le=20)]
 
 
@@ -108,6 +111,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         weather: see `hyjax.tour.sky`.
         exposure: stops that the picture is brighter than the camera would make it.
         windows, lamps, pieces: what there is.
+        existing: what is left of the sources that lit the photos, by name; those that are not named are off.
     """
 
     hour: Annotated[float, msgspec.Meta(ge=0, le=24)] = 12.0
@@ -119,6 +123,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     windows: Annotated[tuple[Window, ...], msgspec.Meta(max_length=MOST_WINDOWS)] = ()
     lamps: Annotated[tuple[Lamp, ...], msgspec.Meta(max_length=MOST_LAMPS)] = ()
     pieces: Annotated[tuple[Piece, ...], msgspec.Meta(max_length=MOST_PIECES)] = ()
+    existing: dict[Annotated[str, msgspec.Meta(max_length=80)], Factor] = {}
 
     def check(self) -> "TourPlan":
         """Return self if it is valid.
@@ -234,9 +239,7 @@ def _rule(kind: type[msgspec.Struct], name: str, value: Any) -> str:
         inspect.TupleType: "three numbers in metres",
         inspect.VarTupleType: "a list" if name in LISTS else "the 16 numbers of a 4x4 matrix",
         inspect.BoolType: "true or false",
-        inspect.StrType: "the name of a file in the tour's folder"
-        if name == "file"
-        else "a date such as 2026-06-21",
+        inspect.DictType: "names of the photo's sources with a number in 0..1.5 each",
     }
     rule = f"a number in {form.ge:g}..{form.le:g}" if isinstance(form, inspect.FloatType) else rules[type(form)]
     return f"must be {rule}, got {value!r}"

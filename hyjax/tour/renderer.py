@@ -4,6 +4,7 @@ The slow steps follow each other: surface → shadow maps → light on each pixe
 colour of a light change only the last.
 """
 
+import dataclasses
 from collections.abc import Callable, Generator, Hashable
 from pathlib import Path
 from typing import Any, get_args
@@ -12,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
+from jaxtyping import Array, Float
 from msgspec.structs import replace
 
 from hyjax.data.capture import Frame
@@ -31,6 +33,13 @@ from hyjax.tour.lighting import flicker, setup_of
 from hyjax.tour.picture import DeviceFrame, RenderedFrame, display_picture, stack_layers, to_bytes
 from hyjax.tour.placement import as_point, north_for_bearing, place_lamp
 from hyjax.tour.plan import LampKind, TourPlan, Window
+from hyjax.tour.room_light import (
+    PhotographedFrame,
+    RoomLight,
+    add_room_light,
+    bounced_at_vertices,
+    direct_lights,
+)
 from hyjax.tour.viewpoint import Viewpoint
 from hyjax.util.clock import StageClock
 from hyjax.util.lru_cache import LruCache
@@ -48,14 +57,27 @@ class Renderer:
         up: against gravity, world axes.
         scene: the surface, which plans edit.
         surface_area: of floor, walls and ceiling of a box around it, square metres.
+        room_light: bounces and the photo's own light; None if that stays in the pictures.
 
     Args:
         scene: capture and surface.
         guide: what makes the guide of a frame.
         folder: where uploaded mesh files lie.
+        keep_photo_light: whether to leave the light that the frames were taken under in the pictures, and bounces
+            out.
+
+    Raises:
+        InputError: the file that names the photo's sources cannot be used.
     """
 
-    def __init__(self, scene: Scene, *, guide: FrameGuide = RGB, folder: Path = Path()) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        guide: FrameGuide = RGB,
+        folder: Path = Path(),
+        keep_photo_light: bool = False,
+    ) -> None:
         self.capture, self.guide, self._source = scene.capture, guide, scene
         self.up = np.asarray(scene.capture.up, float)
         self.scene = EditableScene(scene.caster, self.up, folder, scene.occluders, scene.slack)
@@ -63,6 +85,7 @@ class Renderer:
         self.surface_area = 2.0 * float(a * b + b * c + c * a)
         self._frames, self._layers = LruCache(FRAMES_MIB, mebibytes), LayerCache()
         self._cameras: dict[int, Camera] = {}
+        self.room_light = None if keep_photo_light else RoomLight(scene.photo_light, self._layers)
 
     def first_plan(self) -> TourPlan:
         """A sunny afternoon, with the capture's own windows or one beside what the cameras look at."""
@@ -123,15 +146,27 @@ class Renderer:
             parts = self.scene.apply(plan)
             gbuffer = jax.block_until_ready(self._gbuffer(index, frame, parts))
         with clock("light"):
-            coarse = [draft and not self._layers.is_fine(light, index, parts) for light in setup.lights]
+            lights = setup.lights if self.room_light is None else direct_lights(setup.lights)
+            coarse = [draft and not self._layers.is_fine(light, index, parts) for light in lights]
+            qualities: list[Quality] = ["draft" if rough else "fine" for rough in coarse]
             layers = [
-                self._layers.layer(light, index, gbuffer, parts, "draft" if rough else "fine", cancelled)
-                for light, rough in zip(setup.lights, coarse, strict=True)
+                self._layers.layer(light, index, gbuffer, parts, quality, cancelled)
+                for light, quality in zip(lights, qualities, strict=True)
             ]
             jax.block_until_ready(layers)
         view = View(pixels.linear, pixels.display, gbuffer)
+        setup = dataclasses.replace(setup, lights=lights)
         shaded = stack_layers(setup, layers, gbuffer.hit)
-        relit = clock.follow(relight_stages(view, shaded, pixels.guide, viewpoint.schedule))
+        refined = None
+        if self.room_light is not None:
+            with clock("bounces"):
+                light = self.room_light.surface_light(setup, qualities, parts, cancelled)
+                photographed = self._photographed(index, frame, pixels)
+                shaded = jax.block_until_ready(add_room_light(shaded, light, photographed, pixels.linear, gbuffer))
+                refined = self._refined_photo_light(viewpoint, photographed, pixels)
+        relit = clock.follow(
+            relight_stages(view, shaded, pixels.guide, viewpoint.schedule, refined_photo_light=refined)
+        )
         with clock("show"):
             picture = to_bytes(display_picture(viewpoint, relit, view, pixels.guide))
             photo = self._frames(("photo", index), lambda: to_bytes(frame.image))
@@ -157,17 +192,40 @@ class Renderer:
         ones = jnp.ones(vertices.shape[:2])
         gbuffer = GBuffer(vertices, normals, ones, ones > 0)
         channels = []
-        for light in setup.lights:
-            quality: Quality = "fine" if self._layers.has_maps(light, parts) else "draft"
+        lights = setup.lights if self.room_light is None else direct_lights(setup.lights)
+        qualities: list[Quality] = ["fine" if self._layers.has_maps(light, parts) else "draft" for light in lights]
+        for light, quality in zip(lights, qualities, strict=True):
             illuminance, visible = self._layers.shade(light, gbuffer, parts, quality)
             channels.append(getattr(light, light.STRENGTH) * illuminance * visible)
-        shades = colored(jnp.stack(channels, axis=-1), setup.lights) / setup.reference_lux
+        lux = colored(jnp.stack(channels, axis=-1), lights)
+        if self.room_light is not None:
+            own = dataclasses.replace(setup, lights=lights)
+            lux += bounced_at_vertices(self.room_light.surface_light(own, qualities, parts), parts)
+        shades = lux / setup.reference_lux
         mesh.visual.vertex_colors = to_bytes(to_display(ALBEDO * shades))[0]  # type: ignore[union-attr]
         return mesh
 
     def _device_frame(self, frame: Frame) -> DeviceFrame:
         display = jnp.asarray(frame.image)
         return DeviceFrame(to_linear(display), display, self.guide.features(display))
+
+    def _photographed(self, index: int, frame: Frame, pixels: DeviceFrame) -> PhotographedFrame:
+        """What a frame was lit by, whatever the plan has moved since."""
+
+        def make() -> PhotographedFrame:
+            assert self.room_light is not None
+            gbuffer = self._gbuffer(index, frame, self.scene.apply(TourPlan()))
+            return self.room_light.photographed(frame.camera, pixels.linear, gbuffer)
+
+        return self._frames(("photographed", index), make)
+
+    def _refined_photo_light(
+        self, viewpoint: Viewpoint, photographed: PhotographedFrame, pixels: DeviceFrame
+    ) -> Float[Array, "h w 3"]:
+        key = "photo light", viewpoint.frame, viewpoint.schedule.to_json()
+        return self._frames(
+            key, lambda: jax.block_until_ready(photographed.refined(pixels.guide, viewpoint.schedule))
+        )
 
     def _gbuffer(self, index: int, frame: Frame, parts: SceneParts) -> GBuffer:
         def cast(part: Part, key: Hashable) -> GBuffer:

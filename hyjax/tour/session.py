@@ -29,6 +29,7 @@ class Session:
     Attributes:
         plan: what is set up; replaced, never changed.
         selected: the selected lamp, window or piece of furniture; None for nothing.
+        notices: what viewers are told when they come: title and text.
         lock: held while the plan or the selection changes.
         on_change: called after the plan has changed, with whether lamps, windows or furniture must be redrawn.
         on_select: called after the selection has changed.
@@ -48,6 +49,9 @@ class Session:
     ) -> None:
         make_writable(out)
         self.renderer, self.schedules, self.out, self.queue = renderer, dict(schedules), out, queue
+        self.notices: list[tuple[str, str]] = []
+        if renderer.room_light is not None and (doubt := renderer.room_light.doubt) is not None:
+            self.notices.append(("The photos keep their own light", f"It could not be told well enough: {doubt}."))
         self.plan = self._load()
         self.selected: Selection | None = None
         self.lock = threading.RLock()
@@ -80,6 +84,12 @@ class Session:
             if index < len(things):
                 things[index] = replace(things[index], **changes)
                 self.change(redraw=redraw, **{kind: tuple(things)})
+
+    def keep_source(self, name: str, factor: float) -> None:
+        """Change what is left of one of the photo's own sources."""
+        with self.lock:
+            kept = {**self.plan.existing, name: factor}
+            self.change(existing={source: share for source, share in kept.items() if share > 0})
 
     def remove(self, kind: str, index: int) -> None:
         """Remove one of the plan's `windows`, `lamps` or `pieces`."""
@@ -139,6 +149,18 @@ class Session:
         if not file.is_file():
             return self.renderer.first_plan()
         try:
-            return TourPlan.from_json(file.read_text(encoding="utf-8"))
+            plan = TourPlan.from_json(file.read_text(encoding="utf-8"))
+            return self._known_sources(plan, file)
         except (InputError, UnicodeDecodeError) as error:
             raise InputError(f"{file}: {error}; remove it to begin anew, or choose another --out") from None
+
+    def _known_sources(self, plan: TourPlan, file: Path) -> TourPlan:
+        """The plan without sources that these photos do not have, which viewers are told."""
+        light = self.renderer.room_light
+        if light is None or (unknown := light.unknown(plan.existing)) is None:
+            return plan
+        self.notices.append(
+            ("A plan of another room?", f"{file}: existing: {unknown}. What is unknown is left out.")
+        )
+        _log.warning("%s: existing: %s; what is unknown is left out", file, unknown)
+        return replace(plan, existing={n: share for n, share in plan.existing.items() if n in light.names})

@@ -22,6 +22,8 @@ class TourSettings(Settings):
     """What guides the diffusion: rgb, small or a safetensors file; see relight."""
     schedule: Path | None = None
     """A JSON file, such as tune writes, to choose from beside the named ones."""
+    keep_photo_light: bool = False
+    """Leave the light that the frames were taken under in the pictures, and bounces out."""
     port: int = 8080
     """Where the page is served."""
     host: str = LOCAL

@@ -17,7 +17,10 @@ from hyjax.util.errors import InputError
 
 def test_a_plan_survives_its_file() -> None:
     plan = afternoon(
-        lamps=lamps("bulb", "spot"), pieces=(Piece((1.0, 2.0, 0.5), removed=True),), weather="full moon"
+        lamps=lamps("bulb", "spot"),
+        pieces=(Piece((1.0, 2.0, 0.5), removed=True),),
+        weather="full moon",
+        existing={"window-1": 0.2},
     )
     assert TourPlan.from_json(plan.to_json()) == plan
 
@@ -43,6 +46,8 @@ NONSENSE = {
     "width": {"windows": (replace(WEST, width=0.0),)},
     "move and turn": {"pieces": (Piece((0.0, 0.0, 0.0), pose=tuple((2 * np.eye(4)).reshape(-1).tolist())),)},
     "16 numbers": {"pieces": (Piece((0.0, 0.0, 0.0), pose=(1.0,)),)},
+    "in 0..1.5 each": {"existing": {"ceiling": 2.0}},
+    "existing: .*nan": {"existing": {"ceiling": NAN}},
     "name of a file": {"pieces": (Piece((0.0, 0.0, 0.0), file="../../etc/passwd"),)},
 }
 
@@ -86,6 +91,7 @@ def test_damaged_files_are_refused(text: str, word: str) -> None:
             "lamps[0].position: must be three numbers in metres, got [0, 0]",
         ),
         ({"pieces": [{"seed": [0, 0, 0], "removed": 1}]}, "pieces[0].removed: must be true or false, got 1"),
+        ({"existing": 3}, "existing: must be names of the photo's sources with a number in 0..1.5 each, got 3"),
         ({"day": 3}, "day: must be a date such as 2026-06-21, got 3"),
     ],
 )

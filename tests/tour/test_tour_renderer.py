@@ -41,6 +41,11 @@ def renderer() -> Renderer:
     return Renderer(Scene(BoxCapture(), box_room()))
 
 
+@pytest.fixture(scope="module")
+def keeping() -> Renderer:
+    return Renderer(Scene(BoxCapture(), box_room()), keep_photo_light=True)
+
+
 @pytest.fixture
 def plan() -> TourPlan:
     lamp = place_lamp("bulb", np.array([0.5, 0.4, 1.2]), UP)
@@ -57,17 +62,26 @@ def seed_of(renderer: Renderer, plan: TourPlan) -> Piece:
     return Piece(tuple(hit.origin.tolist()))
 
 
-def test_a_picture_is_what_relight_makes_of_its_lights(renderer: Renderer, plan: TourPlan, tmp_path: Path) -> None:
+@pytest.mark.parametrize("keep_photo_light", [False, True])
+def test_a_picture_is_what_relight_makes_of_its_lights(
+    renderer: Renderer, keeping: Renderer, plan: TourPlan, tmp_path: Path, keep_photo_light: bool
+) -> None:
+    renderer = keeping if keep_photo_light else renderer
+    plan = plan if keep_photo_light else replace(plan, existing={"ceiling": 0.4})
     rendered = renderer.render(plan, VIEW)
     file = tmp_path / "lights.json"
     write_lights(file, setup_of(plan, UP, renderer.surface_area))
     setup, frame = read_lights(file, UP), renderer.frame(0)
     caster = RayCaster(renderer.scene.mesh)
     display = jnp.asarray(frame.image)
-    view = View.of(display, caster.gbuffer(frame.camera))
+    camera = frame.camera.pose.astype(np.float32), frame.camera.intrinsics.matrix.astype(np.float32)
+    view = View.of(display, caster.gbuffer(frame.camera), pose=camera[0], intrinsics=camera[1])
     occluders = RayCaster(complete(renderer.scene.mesh))
     maps = cast_shadow_maps(occluders, setup.lights, slack=SLACK)
-    whole = relight(view, view.shade(setup, shadow_maps=maps), display, HYJAX)
+    light = None
+    if not keep_photo_light:
+        light = Scene(BoxCapture(), box_room()).photo_light.surface_light(setup, maps)
+    whole = relight(view, view.shade(setup, shadow_maps=maps, surface_light=light), display, HYJAX)
     assert not rendered.draft
     np.testing.assert_allclose(rendered.linear, whole.image, rtol=2e-4, atol=2e-5)
 

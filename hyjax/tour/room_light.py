@@ -1,0 +1,219 @@
+"""Light in a room beside what comes straight from new lights: bounces, and what is left of the photo's own light.
+
+Bounces are linear in each light: those of a white light of strength 1 are kept, and scaled and added live.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hyjax.core.refine import cascade_known
+from hyjax.core.schedule import Schedule
+from hyjax.geometry.camera import Camera
+from hyjax.light.emission import SourcePixels, shine, source_pixels
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.kinds import Light
+from hyjax.light.photo_light import PhotoLight, SurfaceLight, on_pixels
+from hyjax.light.setup import LightSetup
+from hyjax.light.shaded import Shaded
+from hyjax.photo_light.sources import PhotoSources
+from hyjax.scene.photo_light import ScenePhotoLight
+from hyjax.tour.editable_scene import SceneParts
+from hyjax.tour.layers import LayerCache, Quality
+from hyjax.tour.picture import CHANNELS
+from hyjax.util.errors import did_you_mean
+from hyjax.util.lru_cache import LruCache
+
+ARRANGEMENTS = 4
+"""Of furniture, whose points are kept."""
+DRAFT_RAYS = 64
+"""Of each point, while something is being dragged."""
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class PhotographedFrame:
+    """Light in a frame as it was taken.
+
+    Attributes:
+        photo_light: on the surface that the frame shows, relative to its mean; 1 in holes.
+        known: 1 where there is a surface.
+        sources: panes and lamps in it; None if the room has none.
+    """
+
+    photo_light: Float[Array, "h w 3"]
+    known: Float[Array, "h w 1"]
+    sources: SourcePixels | None
+
+    def refined(self, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w 3"]:
+        """The photo's light after the cascade."""
+        return cascade_known(self.photo_light, self.known, guide, schedule)
+
+
+class RoomLight:
+    """Photo's own light of a scene, and bounces in it, as a tour needs them.
+
+    Args:
+        photo: estimated now, if it was not before.
+        layers: keeps the shadow maps and bounces of each light.
+
+    Raises:
+        InputError: the file that names the photo's sources cannot be used.
+    """
+
+    def __init__(self, photo: ScenePhotoLight, layers: LayerCache) -> None:
+        self._photo, self._layers, self._points = photo, layers, LruCache(ARRANGEMENTS)
+        self._light = photo.estimate.light
+        transport = self._light.transport
+        step = max(1, len(transport.hits) // DRAFT_RAYS)
+        self._draft = dataclasses.replace(
+            self._light, transport=dataclasses.replace(transport, hits=transport.hits[::step])
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the photo's sources."""
+        return self._photo.estimate.names
+
+    @property
+    def sources(self) -> PhotoSources:
+        """Windows and lamps among them."""
+        return self._photo.sources
+
+    @property
+    def doubt(self) -> str | None:
+        """Why the photo's light stays in the pictures; None if it is divided out."""
+        return self._photo.estimate.reason if self._photo.estimate.exponent == 0 else None
+
+    def unknown(self, existing: Mapping[str, float]) -> str | None:
+        """Which names are no source of these photos, in words; None if all are."""
+        wrong = [f"{name!r}{did_you_mean(name, self.names)}" for name in existing if name not in self.names]
+        return f"the photos have no source {', '.join(wrong)}; there are {', '.join(self.names)}" if wrong else None
+
+    def surface_light(
+        self,
+        setup: LightSetup,
+        qualities: Sequence[Quality],
+        parts: SceneParts,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> SurfaceLight:
+        """Light on the vertices of the scan.
+
+        Args:
+            setup: new lights, and what is left of the photo's sources.
+            qualities: of the shadow maps of each light.
+            parts: of the scene.
+            cancelled: see `LayerCache.shade`.
+
+        Raises:
+            InputError: there is no source of a name.
+            RenderCancelled: `cancelled` returned true.
+        """
+        kept = np.asarray(self._photo.kept(setup.existing), np.float32)
+        chosen = [
+            (light, self._layers.bounced(light, self._points_of(parts, quality), parts, quality, cancelled))
+            for light, quality in zip(setup.lights, qualities, strict=True)
+            if not light.UNIFORM
+        ]
+        count = -(-max(len(chosen), 1) // CHANNELS) * CHANNELS
+        scales = np.zeros((count, 3), np.float32)
+        for k, (light, _) in enumerate(chosen):
+            scales[k] = getattr(light, light.STRENGTH) * np.asarray(light.color)
+        dark = jnp.zeros_like(self._light.illuminance)
+        padded = (*(bounced for _, bounced in chosen), *[dark] * (count - len(chosen)))
+        bounced = _add_up(padded, scales, self._light.sources, np.float32(setup.reference_lux) * kept)
+        emitters = self._photo.emitters(setup)
+        return SurfaceLight(self._light.illuminance, bounced, self._light.transport.faces, emitters)
+
+    def photographed(self, camera: Camera, frame: Float[Array, "h w 3"], gbuffer: GBuffer) -> PhotographedFrame:
+        """Light in a frame as it was taken.
+
+        Args:
+            camera: of the frame.
+            frame: linear.
+            gbuffer: the room as it was scanned.
+        """
+        light, hit = self._light, gbuffer.hit[..., None]
+        photo_light = jnp.where(hit, on_pixels(light.illuminance, light.transport.faces, gbuffer), 1.0)
+        emitters, sources = self._photo.emitters(LightSetup(())), None
+        if emitters is not None:
+            pose, matrix = (jnp.asarray(m, jnp.float32) for m in (camera.pose, camera.intrinsics.matrix))
+            sources = source_pixels(emitters, frame, gbuffer, pose, matrix)
+        return jax.block_until_ready(PhotographedFrame(photo_light, hit.astype(jnp.float32), sources))
+
+    def _points_of(self, parts: SceneParts, quality: Quality) -> Callable[[], PhotoLight]:
+        """Maker of the transport with its points where the furniture is now; what they see stays as scanned."""
+
+        def make() -> PhotoLight:
+            light = self._light if quality == "fine" else self._draft
+            moved = any(part.moved and part.scanned is not None for part in parts.parts)
+            return _move_points(light, parts) if moved else light
+
+        return lambda: self._points((parts.keys, quality), make)
+
+
+def bounced_at_vertices(light: SurfaceLight, parts: SceneParts) -> Float[Array, "v 3"]:
+    """Bounces at the vertices of the parts, one after the other; the mean on what was brought in."""
+    bounced, each = np.asarray(light.bounced), []
+    for part in parts.parts:
+        numbers = part.scanned_vertices
+        mean = np.broadcast_to(bounced.mean(axis=0), (len(part.caster.mesh.vertices), 3))
+        each.append(mean if numbers is None else bounced[numbers])
+    return jnp.asarray(np.concatenate(each))
+
+
+def direct_lights(lights: Sequence[Light]) -> tuple[Light, ...]:
+    """Lights in whose place no bounces stand: those that do not fall on any surface alike, or all if none are."""
+    return tuple(light for light in lights if not light.UNIFORM) or tuple(lights)
+
+
+@jax.jit
+def add_room_light(
+    shaded: Shaded,
+    light: SurfaceLight,
+    photographed: PhotographedFrame,
+    frame: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+) -> Shaded:
+    """Shaded surface with bounces, with the light that its frame was taken under, and with what shines by itself.
+
+    Args:
+        shaded: direct light.
+        light: on the vertices.
+        photographed, frame: the photo, which shows furniture where it was.
+        gbuffer: the room as it is now.
+    """
+    shining = None
+    if light.emitters is not None and photographed.sources is not None:
+        shining = shine(light.emitters, photographed.sources, frame)
+    bounced = on_pixels(light.bounced, light.faces, gbuffer)
+    return dataclasses.replace(shaded, bounced=bounced, photo_light=photographed.photo_light, emission=shining)
+
+
+@jax.jit
+def _add_up(
+    bounces: tuple[Float[Array, "v 3"], ...],
+    scales: Float[Array, "l 3"],
+    sources: Float[Array, "s v 3"],
+    kept: Float[Array, "s 3"],
+) -> Float[Array, "v 3"]:
+    total = jnp.einsum("sc,svc->vc", kept, sources)
+    for k, bounced in enumerate(bounces):
+        total += scales[k] * bounced
+    return total
+
+
+def _move_points(light: PhotoLight, parts: SceneParts) -> PhotoLight:
+    position, normal = (np.array(x) for x in (light.transport.position, light.transport.normal))
+    for part in parts.parts:
+        numbers = part.scanned_vertices
+        if part.moved and numbers is not None:
+            turn, shift = part.pose[:3, :3], part.pose[:3, 3]
+            position[numbers] = position[numbers] @ turn.T + shift
+            normal[numbers] = normal[numbers] @ turn.T
+    transport = dataclasses.replace(light.transport, position=jnp.asarray(position), normal=jnp.asarray(normal))
+    return dataclasses.replace(light, transport=transport)

@@ -1,0 +1,151 @@
+"""Photo's own light and bounces in a tour: linear in each light, where the furniture is, kept by name."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+pytest.importorskip("astral", reason="needs the extra 'tour'")
+
+from box_room import TOP, BoxCapture, box_room, moved
+
+from hyjax.core.schedule import Schedule
+from hyjax.data.builtin_room import UP
+from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.light.photo_light import on_pixels
+from hyjax.scene.scene import Scene
+from hyjax.tour import layers as layers_module
+from hyjax.tour.furniture import merge_gbuffers
+from hyjax.tour.lighting import setup_of
+from hyjax.tour.placement import place_lamp
+from hyjax.tour.plan import Piece, TourPlan
+from hyjax.tour.renderer import Renderer
+from hyjax.tour.room_light import bounced_at_vertices
+from hyjax.tour.viewpoint import Viewpoint
+from hyjax.util.errors import InputError
+
+VIEW = Viewpoint(0, "relit", Schedule.preset("hyjax"))
+LAMP = place_lamp("bulb", np.array([0.0, -1.0, 1.2]), UP)
+NIGHT = TourPlan(hour=1.0, lamps=(LAMP,))
+CUBE = Piece(tuple(TOP.tolist()))
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer(Scene(BoxCapture(), box_room()))
+
+
+def test_faces_of_parts_count_the_scans_triangles(renderer: Renderer) -> None:
+    """At a hit, the scan's triangle is where the piece was scanned."""
+    pose = moved((0.3, -0.9, 0.2), 40.0)
+    parts = renderer.scene.apply(replace(NIGHT, pieces=(replace(CUBE, pose=pose),)))
+    assert not parts.as_scanned and renderer.scene.apply(NIGHT).as_scanned
+    camera = Camera(Intrinsics(80, 60, 50.0, 50.0, 40.0, 30.0), look_at(np.array([-1.5, -2.2, 1.6]), TOP, UP))
+    mesh = renderer.scene.mesh
+    for part in parts.parts:
+        gbuffer = part.gbuffer(camera)
+        hit, face = np.asarray(gbuffer.hit), np.asarray(gbuffer.face)
+        assert hit.any() and ((face >= 0) == hit).all()
+        corners = mesh.vertices[mesh.faces[face[hit]]]
+        scanned = np.einsum("nk,nkc->nc", np.asarray(gbuffer.barycentric)[hit], corners)
+        there = scanned @ part.pose[:3, :3].T + part.pose[:3, 3]
+        np.testing.assert_allclose(there, np.asarray(gbuffer.position)[hit], atol=1e-3)
+        numbers = part.scanned_vertices
+        assert numbers is not None
+        np.testing.assert_allclose(mesh.vertices[numbers], part.caster.mesh.vertices)
+
+
+def test_what_was_brought_in_gets_mean_bounces(renderer: Renderer, tmp_path: Path) -> None:
+    box_room().export(tmp_path / "mesh.ply")
+    own = Renderer(Scene(BoxCapture(), box_room()), folder=tmp_path)
+    brought = replace(NIGHT, pieces=(Piece((0.0, 0.0, 0.0), pose=moved((0.0, 0.0, 0.3)), file="mesh.ply"),))
+    parts = own.scene.apply(brought)
+    camera = own.camera(0)
+    gbuffer = merge_gbuffers([part.gbuffer(camera) for part in parts.parts])
+    foreign = np.asarray(gbuffer.hit & (gbuffer.face < 0))
+    assert foreign.any() and not foreign.all()
+    values = jnp.asarray(np.random.default_rng(0).uniform(size=(len(box_room().vertices), 3)), jnp.float32)
+    pixels = np.asarray(on_pixels(values, jnp.asarray(box_room().faces, jnp.int32), gbuffer))
+    np.testing.assert_allclose(pixels[foreign], np.broadcast_to(values.mean(axis=0), (foreign.sum(), 3)), rtol=1e-5)
+    assert np.isfinite(own.render(brought, VIEW).linear).all()
+    assert len(own.lit_mesh(brought).vertices) == 2 * len(box_room().vertices)
+
+
+def test_bounces_are_computed_once_a_light(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def counted(*args: object) -> object:
+        calls.append(args)
+        return bounced(*args)  # type: ignore[arg-type]
+
+    bounced = layers_module.bounced_light
+    monkeypatch.setattr(layers_module, "bounced_light", counted)
+    elsewhere = replace(LAMP, position=(0.1, -1.1, 1.0))
+    renderer.render(replace(NIGHT, lamps=(elsewhere,)), VIEW)
+    assert len(calls) == 1
+    renderer.render(replace(NIGHT, lamps=(replace(elsewhere, lumen=300.0, kelvin=5000.0),), exposure=1.0), VIEW)
+    renderer.render(replace(NIGHT, lamps=(elsewhere,)), replace_frame(VIEW, 1))
+    assert len(calls) == 1, "brightness, colour and another frame need none"
+
+
+def replace_frame(viewpoint: Viewpoint, frame: int) -> Viewpoint:
+    return Viewpoint(frame, viewpoint.shown, viewpoint.schedule)
+
+
+def test_two_lamps_bounce_as_much_as_both(renderer: Renderer) -> None:
+    """Linear: the light of a set-up is the sum over its lamps."""
+    light, parts = renderer.room_light, renderer.scene.apply(NIGHT)
+    assert light is not None
+    other = replace(LAMP, position=(-0.8, 0.5, 1.6), lumen=300.0, kelvin=6000.0)
+
+    def bounced(*lamps: object) -> np.ndarray:
+        setup = setup_of(replace(NIGHT, lamps=lamps), UP, renderer.surface_area)
+        return np.asarray(light.surface_light(setup, ["fine"] * len(setup.lights), parts).bounced)
+
+    both = bounced(LAMP, other)
+    assert both.min() > 0
+    np.testing.assert_allclose(both, bounced(LAMP) + bounced(other), rtol=1e-4)
+
+
+def test_bounces_follow_furniture_that_moves(renderer: Renderer) -> None:
+    """A table under the lamp catches its light, and loses it when it is pushed away."""
+    light = renderer.room_light
+    assert light is not None
+    away = replace(NIGHT, pieces=(replace(CUBE, pose=moved((-1.5, 0.9, 0.0))),))
+    setup = setup_of(NIGHT, UP, renderer.surface_area)
+    still, pushed = (
+        light.surface_light(setup, ["fine"] * len(setup.lights), renderer.scene.apply(plan))
+        for plan in (NIGHT, away)
+    )
+    change = np.abs(np.asarray(pushed.bounced) - np.asarray(still.bounced))
+    assert change.max() > 0.01 * np.asarray(still.bounced).mean()
+    assert len(bounced_at_vertices(pushed, renderer.scene.apply(away))) == len(renderer.lit_mesh(away).vertices)
+
+
+def test_the_photos_light_can_be_kept_source_by_source(renderer: Renderer) -> None:
+    """With all of it left and nothing else, there is the photo."""
+    light = renderer.room_light
+    assert light is not None
+    dark = TourPlan(hour=1.0)
+    photo = renderer.frame(0).image
+    rendered = renderer.render(replace(dark, existing=dict.fromkeys(light.names, 1.0)), VIEW)
+    assert np.abs(rendered.picture / 255.0 - photo).mean() < 0.03
+    half = renderer.render(replace(dark, existing=dict.fromkeys(light.names, 0.5)), VIEW)
+    np.testing.assert_allclose(half.linear, 0.5 * rendered.linear, atol=0.01)
+
+
+def test_unknown_sources_are_refused_with_a_hint(renderer: Renderer) -> None:
+    with pytest.raises(InputError, match="did you mean 'ceiling'"):
+        renderer.render(replace(NIGHT, existing={"celing": 1.0}), VIEW)
+    light = renderer.room_light
+    assert light is not None and light.unknown({"ceiling": 1.0}) is None
+    assert "did you mean 'ceiling'" in (light.unknown({"celing": 1.0}) or "")
+
+
+def test_an_added_lamp_leaves_the_photo_light_as_it_was(renderer: Renderer) -> None:
+    """What a frame was lit by depends on the frame alone, not on furniture that has moved since."""
+    before = renderer.render(NIGHT, VIEW)
+    renderer.render(replace(NIGHT, pieces=(replace(CUBE, pose=moved((0.0, -0.6, 0.0))),)), VIEW)
+    np.testing.assert_array_equal(renderer.render(NIGHT, VIEW).linear, before.linear)
