@@ -24,6 +24,7 @@ from hyjax.photo_light.sources import PhotoSources
 from hyjax.scene.photo_light import ScenePhotoLight
 from hyjax.tour.editable_scene import SceneParts
 from hyjax.tour.layers import LayerCache, Quality
+from hyjax.tour.lighting import LEAST_AMBIENT
 from hyjax.tour.picture import CHANNELS
 from hyjax.util.errors import did_you_mean
 from hyjax.util.lru_cache import LruCache
@@ -125,7 +126,8 @@ class RoomLight:
             scales[k] = getattr(light, light.STRENGTH) * np.asarray(light.color)
         dark = jnp.zeros_like(self._light.illuminance)
         padded = (*(bounced for _, bounced in chosen), *[dark] * (count - len(chosen)))
-        bounced = _add_up(padded, scales, self._light.sources, np.float32(setup.reference_lux) * kept)
+        glow = np.float32(LEAST_AMBIENT if chosen else 0.0)  # a picture is never entirely dark
+        bounced = _add_up(padded, scales, self._light.sources, np.float32(setup.reference_lux) * kept, glow)
         emitters = self._photo.emitters(setup)
         return SurfaceLight(self._light.illuminance, bounced, self._light.transport.faces, emitters)
 
@@ -200,8 +202,9 @@ def _add_up(
     scales: Float[Array, "l 3"],
     sources: Float[Array, "s v 3"],
     kept: Float[Array, "s 3"],
+    glow: Float[Array, ""],
 ) -> Float[Array, "v 3"]:
-    total = jnp.einsum("sc,svc->vc", kept, sources)
+    total = glow + jnp.einsum("sc,svc->vc", kept, sources)
     for k, bounced in enumerate(bounces):
         total += scales[k] * bounced
     return total

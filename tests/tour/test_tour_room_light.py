@@ -133,7 +133,7 @@ def test_the_photos_light_can_be_kept_source_by_source(renderer: Renderer) -> No
     rendered = renderer.render(replace(dark, existing=dict.fromkeys(light.names, 1.0)), VIEW)
     assert np.abs(rendered.picture / 255.0 - photo).mean() < 0.03
     half = renderer.render(replace(dark, existing=dict.fromkeys(light.names, 0.5)), VIEW)
-    np.testing.assert_allclose(half.linear, 0.5 * rendered.linear, atol=0.01)
+    np.testing.assert_allclose(half.linear, 0.5 * rendered.linear, atol=0.05)
 
 
 def test_unknown_sources_are_refused_with_a_hint(renderer: Renderer) -> None:
