@@ -11,10 +11,10 @@ error beside exposure and white balance. Differences are paired with *hyjax 0.1*
 their intervals are by bootstrap over rooms and set-ups.
 
 A check renders frames again under the photo's own light, which must give the photo back but for its noise.
-Takes about a quarter of an hour on two cores, and half a minute more for each room that is not in the cache.
+Takes about twenty minutes on two cores, and a minute more for each room that is not in the cache.
 
-Expect: the default gains some 3 dB fitted and 5 dB raw on hyjax 0.1, and more where the photo's light is told. True
-light on a true mesh comes to about 30 dB: the rest is the camera, mirror images and what shines.
+Expect: the default gains some 5 dB fitted and 8 dB raw on hyjax 0.1, a little more where the photo's light is told.
+True light on a true mesh comes to some 34 dB, less raw: the rest is the camera, mirror images and what shines.
 """
 
 import dataclasses
