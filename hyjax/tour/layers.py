@@ -166,7 +166,7 @@ def _without_radius(light: Light) -> Light:
     """The light, whose shadows become hard if it is a lamp with a radius: one view in the place of eight."""
     if not hasattr(light, "radius"):
         return light
-    return dataclasses.replace(light, radius=np.float32(0.0))  # type: ignore[type-var]
+    return dataclasses.replace(light, radius=np.asarray(0.0, np.float32))  # type: ignore[type-var]
 
 
 def _merge_maps(maps: list[ShadowMap | None]) -> ShadowMap | None:
