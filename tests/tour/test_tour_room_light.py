@@ -70,6 +70,7 @@ def test_what_was_brought_in_gets_mean_bounces(renderer: Renderer, tmp_path: Pat
     parts = own.scene.apply(brought)
     camera = own.camera(0)
     gbuffer = merge_gbuffers([part.gbuffer(camera) for part in parts.parts])
+    assert gbuffer.face is not None
     foreign = np.asarray(gbuffer.hit & (gbuffer.face < 0))
     assert foreign.any() and not foreign.all()
     values = jnp.asarray(np.random.default_rng(0).uniform(size=(len(box_room().vertices), 3)), jnp.float32)
