@@ -132,12 +132,14 @@ def emission(
 @jax.jit
 def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]) -> Emission:
     """What the pixels of panes and lamps emit under new lights."""
-    known, source = pixels.source[..., None] >= 0, jnp.maximum(pixels.source, 0)
-    sent = (emitters.sent * emitters.mean)[source] * pixels.pattern + emitters.kept[source] * frame
-    panes, lamps = len(emitters.panes), len(emitters.lamps)
-    share = jnp.asarray([PANE_REFLECTANCE] * panes + [LAMP_REFLECTANCE] * lamps)
-    reflectance = share[source][..., None] * emitters.mean
-    return Emission(pixels.weight, jnp.where(known, sent, 0.0), jnp.where(known, reflectance, 0.0))
+    sent, reflectance = jnp.zeros_like(frame), jnp.zeros_like(frame)
+    shares = [PANE_REFLECTANCE] * len(emitters.panes) + [LAMP_REFLECTANCE] * len(emitters.lamps)
+    for k, share in enumerate(shares):  # a few; gathering from a table takes longer
+        here = pixels.source[..., None] == k
+        own = emitters.sent[k] * emitters.mean * pixels.pattern + emitters.kept[k] * frame
+        sent = jnp.where(here, own, sent)
+        reflectance = jnp.where(here, share * emitters.mean, reflectance)
+    return Emission(pixels.weight, sent, reflectance)
 
 
 @jax.jit

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import trimesh
 from jaxtyping import Array, Float
 
@@ -125,8 +126,9 @@ class LayerCache:
         self, light: Light, parts: SceneParts, quality: Quality, cancelled: Callable[[], bool]
     ) -> ShadowMap | None:
         """Shadow map that all parts cast together."""
-        geometry, unit = geometry_key(light), light.normalized()
-        scale = DRAFT if quality == "draft" else 1.0
+        geometry, unit, scale = geometry_key(light), light.normalized(), 1.0
+        if quality == "draft":
+            unit, scale = _without_radius(unit), DRAFT
 
         def cast(part: Part, key: Hashable) -> ShadowMap | None:
             caster: Any = CancellableCaster(part, cancelled)
@@ -158,6 +160,13 @@ def mebibytes(result: object) -> float:
     """Memory of arrays, or of the picture of a frame; an array that occurs twice counts once."""
     arrays = {id(leaf): leaf for leaf in jax.tree.leaves(result.image if isinstance(result, Frame) else result)}
     return sum(getattr(array, "nbytes", 0) for array in arrays.values()) / 2**20
+
+
+def _without_radius(light: Light) -> Light:
+    """The light, whose shadows become hard if it is a lamp with a radius: one view in the place of eight."""
+    if not hasattr(light, "radius"):
+        return light
+    return dataclasses.replace(light, radius=np.asarray(0.0, np.float32))  # type: ignore[type-var]
 
 
 def _merge_maps(maps: list[ShadowMap | None]) -> ShadowMap | None:

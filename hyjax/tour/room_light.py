@@ -173,7 +173,6 @@ def direct_lights(lights: Sequence[Light]) -> tuple[Light, ...]:
     return tuple(light for light in lights if not light.UNIFORM) or tuple(lights)
 
 
-@jax.jit
 def add_room_light(
     shaded: Shaded,
     light: SurfaceLight,
