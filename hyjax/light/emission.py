@@ -17,6 +17,9 @@ from hyjax.light.kinds import Light
 from hyjax.util.geometry import cross, dot, unit
 
 PANE_REFLECTANCE, LAMP_REFLECTANCE = 0.04, 0.6
+PANE_SHARE = 0.4
+"""Brightness of what a pane shows, in the mean that it lets in: what stands on the horizon is darker than the sky
+above. Chosen on two of the rooms that `experiments.truth` chooses on."""
 SLACK = 0.12
 """Metres before a pane that a scanned surface may lie and still belong to it: bars, blinds, noise."""
 WITHIN = 0.1
@@ -71,7 +74,7 @@ class SourcePixels:
     Attributes:
         weight: how far a pixel belongs to a source, in [0, 1].
         source: which one, panes first; -1 for none.
-        pattern: of what it sends, relative to its mean.
+        pattern: of what it sends, relative to the mean light that comes in.
     """
 
     weight: Float[Array, "h w 1"]
@@ -189,7 +192,7 @@ def source_pixels(
         own = jnp.ones(3)
         if k < len(emitters.panes):
             total = jnp.sum(share[..., None] * frame, axis=(0, 1)) / jnp.maximum(jnp.sum(share), 1e-6)
-            own = frame / jnp.maximum(total, 1e-3)
+            own = PANE_SHARE * frame / jnp.maximum(total, 1e-3)
         weight = jnp.maximum(weight, share)
         source = jnp.where(share > 0, k, source)
         pattern = jnp.where(share[..., None] > 0, own, pattern)

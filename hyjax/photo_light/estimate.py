@@ -32,6 +32,8 @@ LEAST_PAIRS = 200
 LEAST_CONTRAST = 0.05
 """Range of log radiance below which the frames show nothing: all black, or all white."""
 LOWEST_ALBEDO = 0.02
+PLAIN_ALBEDO = 0.5
+"""Of all surfaces where the photo's light is not known."""
 VIEW = (48, 64)
 VIEWS = 12
 
@@ -122,6 +124,8 @@ def estimate_arrays(
     bright, hue = (_flatness(*parts, tested) for parts in zip(_split(log_radiance), _split(log_light)))
     exponent, hue_exponent = _best(bright), _best(hue)
     albedo = np.clip(radiance / light[:count], LOWEST_ALBEDO, HIGHEST_ALBEDO)
+    if not exponent:
+        albedo[:] = PLAIN_ALBEDO
     mean = _log_mean(albedo[visible])
     albedo = np.concatenate([albedo, np.broadcast_to(mean, (len(position) - count, 3))])
     mean_log, chroma = _split(log_light)

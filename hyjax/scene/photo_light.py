@@ -29,7 +29,7 @@ FRAMES = 24
 """Frames, spread over the capture, that the photo's light is estimated from."""
 WIDTH = 800
 """Pixels of their longer side, at most."""
-VERSION = 5
+VERSION = 6
 """Of the estimate. Add one whenever it comes out differently."""
 _log = logging.getLogger(__name__)
 

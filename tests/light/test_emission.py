@@ -8,7 +8,7 @@ import pytest
 
 from hyjax.core.schedule import Schedule
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
-from hyjax.light.emission import PANE_REFLECTANCE, Emitters, emission, radiant_filter
+from hyjax.light.emission import PANE_REFLECTANCE, PANE_SHARE, Emitters, emission, radiant_filter
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import AmbientLight, Aperture, PointLight, RectLight
 from hyjax.light.photo_light import SurfaceLight
@@ -68,7 +68,7 @@ def test_a_pane_covers_its_pixels_and_no_others() -> None:
     # 1 m × 0.8 m at 2 m with 20 pixels a unit: 10 × 8 pixels.
     assert weight.sum() == pytest.approx(80, rel=0.02)
     assert weight[12, 16] == 1 and weight[0, 0] == 0
-    np.testing.assert_allclose(np.asarray(result.sent)[12, 16], 0.5, rtol=1e-4)
+    np.testing.assert_allclose(np.asarray(result.sent)[12, 16], 0.5 * PANE_SHARE, rtol=1e-4)
     np.testing.assert_allclose(np.asarray(result.reflectance)[12, 16], PANE_REFLECTANCE * 0.5, rtol=1e-5)
 
 
