@@ -253,4 +253,5 @@ def run_info() -> None:
 
 if __name__ == "__main__":
     warnings.filterwarnings("default")
+    warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
     main()

@@ -24,6 +24,7 @@ from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.core.schedule import Schedule
 from hyjax.light.color import to_display, to_linear
 from hyjax.light.compositing import composite
+from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
 from hyjax.light.view import View
@@ -34,9 +35,6 @@ Mode = Literal["linear", "paper"]
 TemporalFilter = Callable[
     [Float[Array, "h w c"], Float[Array, "h w l"]], tuple[Float[Array, "h w c"], Float[Array, "h w l"]]
 ]
-
-LEAST_PHOTO_LIGHT = 0.05
-"""Share of the photo's mean light below which its noise would be amplified more than twentyfold."""
 
 
 @jax.tree_util.register_dataclass
@@ -132,6 +130,8 @@ def relight_stages(
         raise InputError(f"mode: {mode!r} is unknown; use one of {', '.join(get_args(Mode))}")
     if temporal_filter is not None and mode == "paper":
         raise InputError("relight: temporal_filter works on channels of lights, which mode 'paper' does not have")
+    if mode == "paper" and (shaded.surface_fields or shaded.emission is not None):
+        raise InputError("relight: mode 'paper' keeps the photo's own light; shade with keep_photo_light=True")
     size, hit, lit = view.frame.shape[:2], view.gbuffer.hit.shape, shaded.illuminance.shape
     if not size == hit == lit[:2] == guide.shape[:2]:
         raise InputError(

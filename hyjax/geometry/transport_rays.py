@@ -11,7 +11,8 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture
 from hyjax.util.vectors import orthonormal_frame
 
-RAYS = 256
+RAYS, FEWEST_RAYS, MOST_RAYS_IN_ALL = 256, 32, 16_000_000
+"""Rays of a point; fewer where a scan has so many points that all their rays would take too long."""
 OFFSET = 0.01
 """Metres off the surface at which rays start: a rough mesh has bumps of this size."""
 CELLS = 4
@@ -107,6 +108,7 @@ def trace(
     own = np.asarray(mesh.vertex_normals)
     usable = np.isfinite(own).all(axis=1) & (np.linalg.norm(own, axis=1) > 0.5)
     normal = np.concatenate([np.where(usable[:, None], own, [0.0, 0.0, 1.0]), inward])
+    rays = int(np.clip(MOST_RAYS_IN_ALL // len(position), min(rays, FEWEST_RAYS), rays))
     lobe = cosine_directions(rays)
     rng = np.random.default_rng(seed)
     turns = rng.uniform(0, 2 * np.pi, len(position))

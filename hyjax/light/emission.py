@@ -21,7 +21,7 @@ PANE_SHARE = 0.4
 """Brightness of what a pane shows, in the mean that it lets in: what stands on the horizon is darker than the sky
 above. Chosen on two of the rooms that `experiments.truth` chooses on."""
 SLACK = 0.12
-"""Metres before a pane that a scanned surface may lie and still belong to it: bars, blinds, noise."""
+"""Metres from a pane within which a scanned surface belongs to it: bars, blinds, noise."""
 WITHIN = 0.1
 """Metres from a source within which a new light makes it shine."""
 DARK, BRIGHT = 0.1, 0.3
@@ -41,6 +41,7 @@ class Emitters:
         sent: radiance times π of panes, then lamps, as a filter: 1 stands for white in the photo's mean light.
         kept: what is left of the light that each sent when the photo was taken.
         mean: K, see `hyjax.light.photo_light.PhotoLight`.
+        pane_means: linear mean of what the photos show of each pane.
     """
 
     panes: Float[Array, "n 3 3"]
@@ -48,6 +49,7 @@ class Emitters:
     sent: Float[Array, "k 3"]
     kept: Float[Array, "k 3"]
     mean: Float[Array, "3"]
+    pane_means: Float[Array, "n 3"]
 
 
 @jax.tree_util.register_dataclass
@@ -97,6 +99,8 @@ def radiant_filter(
     """
     sent = np.zeros((len(panes) + len(lamps), 3))
     for light in lights:
+        if type(light).emitter is Light.emitter:
+            continue  # of a kind that does not tell its shape
         emitter, color = light.emitter(), np.asarray(light.color)
         if emitter is None:
             continue
@@ -141,7 +145,9 @@ def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]
         here = pixels.source[..., None] == k
         own = emitters.sent[k] * emitters.mean * pixels.pattern + emitters.kept[k] * frame
         sent = jnp.where(here, own, sent)
-        reflectance = jnp.where(here, share * emitters.mean, reflectance)
+        # What is left of the photo holds its reflections, too.
+        reflected = share * emitters.mean * jnp.maximum(1.0 - emitters.kept[k], 0.0)
+        reflectance = jnp.where(here, reflected, reflectance)
     return Emission(pixels.weight, sent, reflectance)
 
 
@@ -162,16 +168,39 @@ def source_pixels(
         pose: camera-to-world.
         intrinsics: calibration matrix.
     """
-    h, w = gbuffer.depth.shape
-    x, y = jnp.meshgrid(jnp.arange(w) + 0.5, jnp.arange(h) + 0.5)
-    local = [(x - intrinsics[0, 2]) / intrinsics[0, 0], (y - intrinsics[1, 2]) / intrinsics[1, 1], jnp.ones_like(x)]
-    ray = jnp.stack([sum(pose[i, k] * local[k] for k in range(3)) for i in range(3)], axis=-1)
-    depth = jnp.where(gbuffer.hit, gbuffer.depth, jnp.inf)
-    pixel = 1.0 / intrinsics[0, 0]
-    brightness = jnp.min(frame, axis=-1)
-    weight, source, pattern = jnp.zeros((h, w)), jnp.full((h, w), -1), jnp.ones((h, w, 3))
-    shares = []
-    for center, right, up in emitters.panes:
+    ray, depth, pixel = _rays(gbuffer, pose, intrinsics)
+    weight, pattern = jnp.zeros(depth.shape), jnp.ones((*depth.shape, 3))
+    source = jnp.full(depth.shape, -1)
+    shares = list(pane_shares(emitters.panes, frame, gbuffer, pose, intrinsics))
+    for *place, radius in emitters.lamps:
+        toward = jnp.stack(place) - pose[:3, 3]
+        along = dot(toward, ray) / dot(ray, ray)
+        away = jnp.sqrt(jnp.maximum(dot(toward, toward) - along**2 * dot(ray, ray), 1e-12))
+        cover = jnp.clip((1.5 * radius - away) / (pixel * jnp.maximum(along, 1e-3)) + 0.5, 0.0, 1.0)
+        cover *= (along > 0) & (depth > along - 2 * radius - SLACK)
+        shares.append(cover * _ramp(jnp.min(frame, axis=-1), BURNT, WHITE))
+    for k, share in enumerate(shares):
+        own = jnp.ones(3)
+        if k < len(emitters.panes):
+            own = PANE_SHARE * frame / jnp.maximum(emitters.pane_means[k], 1e-3)
+        weight = jnp.maximum(weight, share)
+        source = jnp.where(share > 0, k, source)
+        pattern = jnp.where(share[..., None] > 0, own, pattern)
+    return SourcePixels(weight[..., None], source, pattern)
+
+
+@jax.jit
+def pane_shares(
+    panes: Float[Array, "n 3 3"],
+    frame: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+    pose: Float[Array, "4 4"],
+    intrinsics: Float[Array, "3 3"],
+) -> Float[Array, "n h w"]:
+    """How far each pixel belongs to each pane; arguments as of `source_pixels`."""
+    ray, depth, pixel = _rays(gbuffer, pose, intrinsics)
+    brightness, shares = jnp.min(frame, axis=-1), []
+    for center, right, up in panes:
         normal = cross(right, up)
         slope = dot(ray, normal)
         distance = dot(center - pose[:3, 3], normal) / jnp.where(jnp.abs(slope) > 1e-9, slope, 1e-9)
@@ -180,23 +209,21 @@ def source_pixels(
         inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
         cover = jnp.clip(jnp.minimum(*inside) / (pixel * jnp.maximum(distance, 1e-3)) + 0.5, 0.0, 1.0)
         cover *= (distance > 0) & (slope < 0) & (depth > distance - SLACK)
-        shares.append(cover * _ramp(brightness, DARK, BRIGHT))
-    for *place, radius in emitters.lamps:
-        toward = jnp.stack(place) - pose[:3, 3]
-        along = dot(toward, ray) / dot(ray, ray)
-        away = jnp.sqrt(jnp.maximum(dot(toward, toward) - along**2 * dot(ray, ray), 1e-12))
-        cover = jnp.clip((1.5 * radius - away) / (pixel * jnp.maximum(along, 1e-3)) + 0.5, 0.0, 1.0)
-        cover *= (along > 0) & (depth > along - 2 * radius - SLACK)
-        shares.append(cover * _ramp(brightness, BURNT, WHITE))
-    for k, share in enumerate(shares):
-        own = jnp.ones(3)
-        if k < len(emitters.panes):
-            total = jnp.sum(share[..., None] * frame, axis=(0, 1)) / jnp.maximum(jnp.sum(share), 1e-6)
-            own = PANE_SHARE * frame / jnp.maximum(total, 1e-3)
-        weight = jnp.maximum(weight, share)
-        source = jnp.where(share > 0, k, source)
-        pattern = jnp.where(share[..., None] > 0, own, pattern)
-    return SourcePixels(weight[..., None], source, pattern)
+        # Bars and sills are scanned, glass is not; where it is, it must be burnt out to count.
+        scanned = depth < distance + SLACK
+        shares.append(cover * jnp.where(scanned, _ramp(brightness, BURNT, WHITE), _ramp(brightness, DARK, BRIGHT)))
+    return jnp.stack(shares) if shares else jnp.zeros((0, *depth.shape))
+
+
+def _rays(
+    gbuffer: GBuffer, pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"], Float[Array, ""]]:
+    """Rays of unit depth, depth of the surface on them (infinite in holes), and width of a pixel at unit depth."""
+    h, w = gbuffer.depth.shape
+    x, y = jnp.meshgrid(jnp.arange(w) + 0.5, jnp.arange(h) + 0.5)
+    local = [(x - intrinsics[0, 2]) / intrinsics[0, 0], (y - intrinsics[1, 2]) / intrinsics[1, 1], jnp.ones_like(x)]
+    ray = jnp.stack([sum(pose[i, k] * local[k] for k in range(3)) for i in range(3)], axis=-1)
+    return ray, jnp.where(gbuffer.hit, gbuffer.depth, jnp.inf), 1.0 / intrinsics[0, 0]
 
 
 def _ramp(x: Float[Array, "h w"], low: float, high: float) -> Float[Array, "h w"]:

@@ -25,6 +25,9 @@ from hyjax.light.shadow_map import ShadowMap, visibilities
 from hyjax.light.transport import Transport, bounce
 from hyjax.util.errors import InputError
 
+LEAST_PHOTO_LIGHT = 0.05
+"""Share of the photo's mean light below which its noise would be amplified more than twentyfold."""
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -20,6 +20,8 @@ POINTS = 8
 """Points along each side of a window."""
 FRAME = 0.08
 """Metres before a window where bars, sills and curtains do not count as in the way."""
+BLOCK = 1 << 15
+"""Points at a time, for memory's sake."""
 LAMP_CLEARANCE = 0.15
 """Metres round a lamp, of its own shade."""
 
@@ -138,9 +140,14 @@ def _wall_light(hits: Int[np.ndarray, "r p"], first: int) -> Float[np.ndarray, "
     """Illuminance by each patch of the box: the share of rays that end there."""
     rays, points = hits.shape
     count = 6 * CELLS**2
-    patch = hits.astype(np.int64) - first
-    at = np.where((patch >= 0) & (patch < count), patch + count * np.arange(points), points * count)
-    return np.bincount(at.ravel(), minlength=points * count + 1)[:-1].reshape(points, count) / rays
+    light = np.empty((points, count), np.float32)
+    for start in range(0, points, BLOCK):
+        patch = hits[:, start : start + BLOCK].astype(np.int64) - first
+        here = patch.shape[1]
+        at = np.where((patch >= 0) & (patch < count), patch + count * np.arange(here), here * count)
+        total = np.bincount(at.ravel(), minlength=here * count + 1)[:-1]
+        light[start : start + here] = total.reshape(here, count) / rays
+    return light
 
 
 def _grid_pairs(rows: int, columns: int) -> Int[np.ndarray, "e 2"]:

@@ -12,7 +12,7 @@ from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import enclose, trace
-from hyjax.light.photo_light import PhotoLight
+from hyjax.light.photo_light import LEAST_PHOTO_LIGHT, PhotoLight
 from hyjax.light.transport import Transport, bounce, gather, send
 from hyjax.photo_light.basis import Basis, make_basis
 from hyjax.photo_light.fit import FLOOR, HIGHEST_ALBEDO, FitProblem, fit_sources
@@ -32,6 +32,10 @@ LEAST_PAIRS = 200
 LEAST_CONTRAST = 0.05
 """Range of log radiance below which the frames show nothing: all black, or all white."""
 LOWEST_ALBEDO = 0.02
+SHARED = 1e-6
+"""Light of each source that is on all vertices."""
+WHITE_WALL = 0.75
+"""Albedo of painted walls and ceilings."""
 PLAIN_ALBEDO = 0.5
 """Of all surfaces where the photo's light is not known."""
 VIEW = (48, 64)
@@ -126,15 +130,17 @@ def estimate_arrays(
     albedo = np.clip(radiance / light[:count], LOWEST_ALBEDO, HIGHEST_ALBEDO)
     if not exponent:
         albedo[:] = PLAIN_ALBEDO
-    mean = _log_mean(albedo[visible])
-    albedo = np.concatenate([albedo, np.broadcast_to(mean, (len(position) - count, 3))])
+    mean = _log_mean(albedo[visible]) if visible.any() else np.full(3, PLAIN_ALBEDO)
+    # What was not scanned is often the ceiling and white walls: half way between them and what was.
+    unscanned = np.sqrt(mean * WHITE_WALL)
+    albedo = np.concatenate([albedo, np.broadcast_to(unscanned, (len(position) - count, 3))])
     mean_log, chroma = _split(log_light)
     divisor = np.exp(exponent * mean_log + (hue_exponent if exponent else 0.0) * chroma)
     arrays = {
-        "illuminance": divisor / _visible_mean(caster, cameras, divisor),
+        "illuminance": np.maximum(divisor / _visible_mean(caster, cameras, divisor), LEAST_PHOTO_LIGHT),
         "mean": scale * _visible_mean(caster, cameras, light[:count]),
         "albedo": albedo,
-        "sources": _direct_by_source(basis, theta, light, mean, count),
+        "sources": _direct_by_source(basis, theta, light, unscanned, count),
         "position": position,
         "normal": normal,
     }
@@ -184,7 +190,8 @@ def _shares(
     channels = jnp.moveaxis(direct, 0, 1).reshape(direct.shape[1], -1)
     light = channels + bounce(transport, albedo, channels)
     each = jnp.moveaxis(light[: transport.vertices].reshape(-1, count, 3), 1, 0)
-    return total * each / jnp.maximum(jnp.sum(each, axis=0), FLOOR)
+    each += SHARED  # evenly where none reaches
+    return total * each / jnp.sum(each, axis=0)
 
 
 def _log_mean(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:

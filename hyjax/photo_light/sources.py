@@ -111,6 +111,16 @@ class PhotoSources:
     lamps: tuple[PhotoLamp, ...]
     origin: Literal["file", "capture", "found", "none"]
 
+    @property
+    def anchors(self) -> dict[str, dict[str, Any]]:
+        """Places for new lights, in the form of `Capture.anchors`."""
+        known: dict[str, dict[str, Any]] = {}
+        for number, window in enumerate(self.windows):
+            width, height = (2 * float(np.linalg.norm(axis)) for axis in (window.right, window.up))
+            place = {"center": window.center, "normal": window.normal, "width": width, "height": height}
+            known[f"window_{number}"] = place
+        return known | {f"lamp_{number}": {"position": lamp.position} for number, lamp in enumerate(self.lamps)}
+
 
 def hinted_sources(
     anchors: Mapping[str, Mapping[str, Any]], up: Vector, caster: RayCaster, frames: Sequence[Frame]

@@ -93,7 +93,14 @@ def relight_capture(
         chosen = select_frames(settings.frames, len(scene))
         record |= dict.fromkeys(("voxel", "seed", "repair_mesh", "size"))  # another scene's
         record["capture"] = scene.capture.name
-    setup = scene.lights(settings.lights if lights is None else lights)
+    divides = settings.divides_photo_light
+    setup = scene.lights(settings.lights if lights is None else lights, at_photo_sources=divides)
+    if setup.existing:
+        if not divides:
+            raise InputError(
+                "lights: 'existing' keeps some of the photo's own light; leave keep_photo_light and paper_mode out"
+            )
+        scene.photo_light.kept(setup.existing)
     for light in setup.lights:
         kind_name(light)  # it can be written in the end
     record |= {"mesh": scene.source, "guide": guide.name}

@@ -104,6 +104,7 @@ class RelightSettings(Settings):
             | {
                 "capture": str(self.scene.capture or "built-in room"),
                 "out": str(self.out),
+                "photo_sources": None if self.scene.photo_sources is None else str(self.scene.photo_sources),
             }
         )
 

@@ -92,10 +92,16 @@ def survey(
     return LightAnchors(up, focus, points, lamps, place, -sides[best], 1.6, 1.2, seen)
 
 
-def survey_capture(caster: RayCaster, capture: Capture) -> LightAnchors:
-    """`survey` with cameras from the whole capture, so that its frames are lit alike however they are chosen."""
+def survey_capture(caster: RayCaster, capture: Capture, anchors: Mapping[str, Any] | None = None) -> LightAnchors:
+    """`survey` with cameras from the whole capture, so that its frames are lit alike however they are chosen.
+
+    Args:
+        caster: the captured surface.
+        capture: its cameras, and places that it knows.
+        anchors: places that are known in the place of the capture's own.
+    """
     cameras = [capture[i].camera for i in range(0, len(capture), -(-len(capture) // 8))]
-    return survey(caster, cameras, capture.up, capture.anchors)
+    return survey(caster, cameras, capture.up, capture.anchors if anchors is None else anchors)
 
 
 def noon_window(anchors: LightAnchors) -> LightSetup:

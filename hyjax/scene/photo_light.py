@@ -14,7 +14,8 @@ from jaxtyping import Float
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit, spread
 from hyjax.geometry.raycast import RayCaster
-from hyjax.light.emission import Emitters, radiant_filter
+from hyjax.light.color import to_linear
+from hyjax.light.emission import Emitters, pane_shares, radiant_filter
 from hyjax.light.photo_light import SurfaceLight, bounced_light
 from hyjax.light.setup import LightSetup, same_lights
 from hyjax.light.shadow_map import ShadowMap
@@ -29,7 +30,9 @@ FRAMES = 24
 """Frames, spread over the capture, that the photo's light is estimated from."""
 WIDTH = 800
 """Pixels of their longer side, at most."""
-VERSION = 6
+PANE_FRAMES, PANE_WIDTH = 12, 320
+"""Frames that panes are looked at in, and pixels of their longer side."""
+VERSION = 8
 """Of the estimate. Add one whenever it comes out differently."""
 _log = logging.getLogger(__name__)
 
@@ -92,8 +95,12 @@ class ScenePhotoLight:
             _log.warning("%s: the light of the photos stays in the pictures: %s", self._capture.name, found.reason)
         return found
 
-    def surface_light(self, setup: LightSetup, shadow_maps: Sequence[ShadowMap | None] | None) -> SurfaceLight:
+    def surface_light(
+        self, setup: LightSetup, shadow_maps: Sequence[ShadowMap | None] | None
+    ) -> SurfaceLight | None:
         """Photo's light and the bounces of new lights on the vertices; those of the last set-up are kept.
+
+        None where the photo's light could not be told, unless some of it is to be kept.
 
         Args:
             setup: new lights.
@@ -102,6 +109,8 @@ class ScenePhotoLight:
         last = self._last
         if last is not None and last[1] is shadow_maps and _same_setup(last[0], setup):
             return last[2]
+        if self.estimate.exponent == 0 and not setup.existing:
+            return None
         photo, kept = self.estimate.light, jnp.asarray(self.kept(setup.existing), jnp.float32)
         bounced = bounced_light(photo, setup.lights, shadow_maps)
         bounced += setup.reference_lux * jnp.einsum("sc,svc->vc", kept, photo.sources)
@@ -145,7 +154,27 @@ class ScenePhotoLight:
         sent = radiant_filter(setup.lights, panes, bulbs, float(setup.reference_lux))
         kept = self.kept(setup.existing)[: len(sent)]  # windows, then lamps, as the sources are
         own, round_, light, left = (jnp.asarray(a, jnp.float32) for a in (panes, bulbs, sent, kept))
-        return Emitters(own, round_, light, left, self.estimate.light.mean)
+        return Emitters(own, round_, light, left, self.estimate.light.mean, jnp.asarray(self._pane_means))
+
+    @functools.cached_property
+    def _pane_means(self) -> Float[np.ndarray, "n 3"]:
+        """Mean of what the frames show of each pane, linear."""
+        windows = self.sources.windows
+        panes = jnp.asarray(np.array([(w.center, w.right, w.up) for w in windows]).reshape(-1, 3, 3), jnp.float32)
+        total, weight = np.zeros((len(windows), 3)), np.full(len(windows), 1e-6)
+        for frame in spread(self._frames, PANE_FRAMES) if windows else []:
+            height, width = frame.camera.intrinsics.shape
+            share = min(1.0, PANE_WIDTH / max(height, width))
+            small = fit(frame, (max(1, round(height * share)), max(1, round(width * share))))
+            matrices = small.camera.pose, small.camera.intrinsics.matrix
+            pose, intrinsics = (jnp.asarray(matrix, jnp.float32) for matrix in matrices)
+            linear = to_linear(jnp.asarray(small.image))
+            shares = pane_shares(panes, linear, self._caster.gbuffer(small.camera), pose, intrinsics)
+            for number, each in enumerate(shares):
+                total[number] += np.einsum("hw,hwc->c", each, linear)
+                weight[number] += float(each.sum())
+        seen = weight > 1.0
+        return np.where(seen[:, None], total / weight[:, None], 1.0).astype(np.float32)
 
     @functools.cached_property
     def _frames(self) -> list[Frame]:

@@ -76,7 +76,7 @@ class Scene:
             raise InputError(f"{capture.name}: 'up' must be a unit vector of three numbers, got {capture.up!r}")
         self.capture, self.size, self.source = capture, size, source
         self.caster = RayCaster(mesh)
-        self._anchors: LightAnchors | None = None
+        self._anchors: dict[bool, LightAnchors] = {}
         self.exact, self._detail, self._completed = exact, detail, None if not exact else self.caster
         self._maps: dict[Occluders, tuple[tuple[Light, ...], tuple[ShadowMap | None, ...]]] = {}
         self._sources_file, self._progress = photo_sources, progress
@@ -160,8 +160,15 @@ class Scene:
         frame = self.frame(index)
         return view_of(frame, self.gbuffer(frame.camera))
 
-    def lights(self, lights: LightSetup | Sequence[Light] | str | Path) -> LightSetup:
+    def lights(
+        self, lights: LightSetup | Sequence[Light] | str | Path, *, at_photo_sources: bool = False
+    ) -> LightSetup:
         """Light set-up by name, placed in this room, or from a YAML or JSON file; a set-up or lights as they are.
+
+        Args:
+            lights: any of these.
+            at_photo_sources: whether a named set-up shines through the windows and from the lamps that lit the
+                frames, where a file names them or the capture knows none.
 
         Raises:
             InputError: no such set-up, or the file cannot be used.
@@ -172,9 +179,11 @@ class Scene:
         if is_light_file(name):
             return read_lights(Path(name), self.capture.up)
         check_setup_name(name)
-        if self._anchors is None:
-            self._anchors = survey_capture(self.caster, self.capture)
-        return named_setup(name, self._anchors)
+        found = at_photo_sources and (self._sources_file is not None or not self.capture.anchors)
+        if found not in self._anchors:
+            known = self.photo_light.sources.anchors if found else None
+            self._anchors[found] = survey_capture(self.caster, self.capture, known)
+        return named_setup(name, self._anchors[found])
 
     @property
     def occluders(self) -> RayCaster:
@@ -227,8 +236,10 @@ class Scene:
         Raises:
             InputError: no such set-up.
         """
-        setup = self.lights(lights)
+        setup = self.lights(lights, at_photo_sources=not keep_photo_light)
         light = None
+        if keep_photo_light and setup.existing:
+            raise InputError("lights: 'existing' is of the photo's own light, which is kept whole here")
         if not keep_photo_light:
             light = self.surface_light(setup, shadows=shadows, occluders=occluders)
         maps = self.shadow_maps(setup, occluders=occluders) if shadows else None
@@ -247,8 +258,10 @@ class Scene:
         *,
         shadows: bool = True,
         occluders: Occluders = "completed",
-    ) -> SurfaceLight:
+    ) -> SurfaceLight | None:
         """Photo's own light and the bounces of new lights, on the vertices; those of the last lights are kept.
+
+        None where the photo's light could not be told: the frames are then taken to be evenly lit.
 
         Args:
             lights: new lights.

@@ -96,5 +96,6 @@ class TuneSettings(Settings):
         """Options as a run's record has them."""
         options = dataclasses.asdict(self)
         scene = options.pop("scene")
-        out = None if self.out is None else str(self.out)
-        return scene | options | {"capture": str(self.scene.capture or "built-in room"), "out": out}
+        paths = {"out": self.out, "photo_sources": self.scene.photo_sources}
+        named = {name: None if path is None else str(path) for name, path in paths.items()}
+        return scene | options | {"capture": str(self.scene.capture or "built-in room")} | named

@@ -10,7 +10,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.light.emission import PANE_REFLECTANCE, PANE_SHARE, Emitters, emission, radiant_filter
 from hyjax.light.gbuffer import GBuffer
-from hyjax.light.kinds import AmbientLight, Aperture, PointLight, RectLight
+from hyjax.light.kinds import AmbientLight, Aperture, Light, PointLight, RectLight
 from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.view import View
 from hyjax.pipeline import relight
@@ -37,7 +37,8 @@ def wall(depth: float = 2.0, hit: bool = True) -> GBuffer:
 
 def emitters(sent: np.ndarray, kept: float = 0.0, panes: np.ndarray = PANES, lamps: np.ndarray = NONE) -> Emitters:
     own, bulbs, light = (jnp.asarray(a, jnp.float32) for a in (panes, lamps, sent))
-    return Emitters(own, bulbs, light, jnp.full(light.shape, kept), jnp.full(3, 0.5))
+    seen = jnp.full((len(panes), 3), 0.8)
+    return Emitters(own, bulbs, light, jnp.full(light.shape, kept), jnp.full(3, 0.5), seen)
 
 
 def found(source: Emitters, frame: jnp.ndarray, gbuffer: GBuffer):  # type: ignore[no-untyped-def]
@@ -63,7 +64,7 @@ def test_a_bulb_within_a_lamp_makes_it_shine() -> None:
 
 def test_a_pane_covers_its_pixels_and_no_others() -> None:
     bright = jnp.full((*LENS.shape, 3), 0.8)
-    result = found(emitters(np.array([[1.0, 1.0, 1.0]])), bright, wall(2.0))
+    result = found(emitters(np.array([[1.0, 1.0, 1.0]])), bright, wall(hit=False))
     weight = np.asarray(result.weight)[..., 0]
     # 1 m × 0.8 m at 2 m with 20 pixels a unit: 10 × 8 pixels.
     assert weight.sum() == pytest.approx(80, rel=0.02)
@@ -72,10 +73,42 @@ def test_a_pane_covers_its_pixels_and_no_others() -> None:
     np.testing.assert_allclose(np.asarray(result.reflectance)[12, 16], PANE_REFLECTANCE * 0.5, rtol=1e-5)
 
 
+def test_a_pane_is_as_bright_however_much_of_it_is_in_view() -> None:
+    """It is compared with the mean of all photos: panning across a window must not pump its brightness."""
+    bright = jnp.full((*LENS.shape, 3), 0.4).at[:, 16:].set(0.9)
+    source = emitters(np.array([[1.0, 1.0, 1.0]]))
+    half = bright.at[:, 16:].set(0.0)
+    both = [np.asarray(found(source, frame, wall(hit=False)).sent)[12, 14] for frame in (bright, half)]
+    np.testing.assert_allclose(*both)
+
+
+def test_a_kind_of_light_that_tells_no_shape_is_left_out() -> None:
+    class Glow(PointLight):
+        emitter = Light.emitter
+
+    glow = Glow(jnp.asarray([1.0, 0.5, 0.2]), jnp.float32(9.0), jnp.ones(3))
+    assert (radiant_filter([glow], PANES, LAMPS, 1.0) == 0).all()
+
+
+def test_a_kept_lamp_is_not_lit_twice() -> None:
+    source = emitters(np.zeros((1, 3)), kept=1.0, panes=np.zeros((0, 3, 3)), lamps=np.array([[2.0, 0, 0, 0.2]]))
+    result = found(source, jnp.ones((*LENS.shape, 3)), wall(2.0))
+    np.testing.assert_allclose(np.asarray(result.sent)[12, 16], 1.0)
+    assert float(result.reflectance.max()) == 0
+
+
+def test_the_papers_mode_refuses_divided_light() -> None:
+    seen = view()
+    shaded = seen.shade([PointLight(jnp.zeros(3), 9.0, jnp.ones(3))], surface_light=surface_light(1.0, 1.0))
+    with pytest.raises(InputError, match="keep_photo_light"):
+        relight(seen, shaded, seen.display, Schedule.preset("paper-80"), mode="paper")
+
+
 def test_what_stands_before_a_pane_or_is_dark_does_not_shine() -> None:
     source = emitters(np.array([[1.0, 1.0, 1.0]]))
     bright = jnp.full((*LENS.shape, 3), 0.8)
     assert float(found(source, bright, wall(1.5)).weight.max()) == 0
+    assert float(found(source, 0.9 * bright, wall(2.0)).weight.max()) == 0  # a bar
     assert float(found(source, 0.02 * bright, wall(2.0)).weight.max()) == 0
     assert float(found(source, bright, wall(9.0, hit=False)).weight.max()) == 1
 
@@ -121,7 +154,7 @@ def test_bounces_stand_in_for_ambient_light_unless_there_is_no_other() -> None:
 
 def test_a_kept_pane_is_what_the_photo_showed() -> None:
     lamp = PointLight(jnp.zeros(3), jnp.float32(0.0), jnp.ones(3))
-    seen = view(0.9)
+    seen = view(1.0)
     shaded = seen.shade([lamp], surface_light=surface_light(1.0, 0.0, emitters(np.zeros((1, 3)), kept=0.5)))
     image = np.asarray(relight(seen, shaded, seen.display, Schedule.preset("hyjax")).image)
     np.testing.assert_allclose(image[12, 16], 0.5 * np.asarray(seen.frame)[12, 16], rtol=1e-4)

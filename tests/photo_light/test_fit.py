@@ -1,5 +1,7 @@
 """Fit of the photo's light: a room whose light is known, and rooms that tell nothing."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +13,7 @@ from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import enclose, trace
 from hyjax.light.transport import Transport, bounce, gather, send
-from hyjax.photo_light.basis import BINS, make_basis
+from hyjax.photo_light.basis import BINS, make_basis, window_light
 from hyjax.photo_light.estimate import estimate_arrays, read_estimate
 from hyjax.photo_light.fit import FitProblem, fit_sources, illuminance, loss
 from hyjax.photo_light.pairs import coplanar_pairs, held_out
@@ -55,7 +57,10 @@ class Lit:
         albedo = rng.uniform(0.35, 0.85, (6, 3))[wall]
         albedo[np.floor(position.sum(axis=1) / 0.7).astype(int) % 4 == 0] *= 0.6
         direct = jnp.asarray(self.basis.light @ theta, jnp.float32)
-        self.light = np.asarray(direct + bounce(self.transport, jnp.asarray(albedo, jnp.float32), direct, 12))
+        # The truth goes along other rays, and more of them, than those of the fit.
+        other, _, _ = trace(self.caster, enclose(self.caster, UP), [WINDOW.aperture], rays=512, seed=7)
+        true = dataclasses.replace(self.transport, hits=jnp.asarray(other))
+        self.light = np.asarray(direct + bounce(true, jnp.asarray(albedo, jnp.float32), direct, 12))
         self.radiance = albedo[: self.count] * self.light[: self.count]
 
     def problem(self) -> FitProblem:
@@ -108,6 +113,17 @@ def test_a_window_lights_what_faces_it(lit: Lit) -> None:
     # Of radiance times π one it throws its form factor, at most 1; its own wall gets nothing.
     assert light.min() >= 0 and light.max() < 1
     assert light[beside & (np.abs(lit.position[: lit.count, 1]) < 1.4)].max() < 0.05
+
+
+def test_a_window_lights_by_its_form_factor(lit: Lit) -> None:
+    """Four quarters, each seen from its corner (Howell, catalog of configuration factors, B-4)."""
+    distance, a, b = 1.5, 0.9, 0.6
+    point, facing = np.array([[2.0 - distance, 0.0, 0.2]]), np.array([[1.0, 0.0, 0.0]])
+    x, y = a / distance, b / distance
+    u, v = np.sqrt(1 + x * x), np.sqrt(1 + y * y)
+    quarter = (x / u * np.arctan(y / u) + y / v * np.arctan(x / v)) / (2 * np.pi)
+    found = window_light(lit.caster, point, facing, WINDOW.aperture).sum()
+    assert found == pytest.approx(4 * quarter, rel=0.01)
 
 
 def test_a_lamp_throws_its_light_by_the_inverse_square(lit: Lit) -> None:

@@ -176,3 +176,30 @@ def test_the_record_says_which_lights_were_named(tmp_path: Path) -> None:
         settings = RelightSettings(out=tmp_path / "out", quiet=True, shadows=False, frames="0")
         run = relight_capture(settings, scene=Scene(Box(), box()), lights=lights)
         assert run["settings"]["lights"] == str(file)
+
+
+def test_what_is_kept_of_the_photo_needs_its_light_divided_out(tmp_path: Path) -> None:
+    scene = Scene(Box(), box())
+    setup = LightSetup((PointLight(jnp.zeros(3), jnp.asarray(9.0), jnp.ones(3)),), existing={"walls": (1.0,) * 3})
+    with pytest.raises(InputError, match="existing"):
+        scene.shade(scene.view(0), setup, keep_photo_light=True)
+    with pytest.raises(InputError, match=r"no source 'wals' \(did you mean 'walls'"):
+        scene.photo_light.kept({"wals": (1.0,) * 3})
+
+
+def test_a_scene_that_tells_nothing_of_its_light_is_relit_as_before() -> None:
+    """Grey pictures of an empty box: even light, told in the log."""
+    scene = Scene(Box(), box())
+    light = [PointLight(jnp.zeros(3), jnp.asarray(9.0), jnp.ones(3))]
+    divided, kept = (scene.shade(scene.view(0), light, keep_photo_light=keep) for keep in (False, True))
+    assert divided.photo_light is None and divided.bounced is None
+    np.testing.assert_array_equal(divided.illuminance, kept.illuminance)
+
+
+def test_named_lights_come_from_the_windows_of_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "windows.yaml"
+    file.write_text("windows: [{center: [0, 2, 0], normal: [0, -1, 0], width: 1, height: 1}]")
+    scene = Scene(Box(), box(), photo_sources=file)
+    for at_sources in (True, False):
+        sky = scene.lights("night-moon", at_photo_sources=at_sources).lights[0]
+        assert np.allclose(sky.center, [0, 1.99, 0], atol=1e-5) == at_sources
