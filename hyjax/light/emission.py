@@ -21,7 +21,7 @@ PANE_SHARE = 0.4
 """Brightness of what a pane shows, in the mean that it lets in: what stands on the horizon is darker than the sky
 above. Chosen on two of the rooms that `experiments.truth` chooses on."""
 SLACK = 0.12
-"""Metres from a pane within which a scanned surface belongs to it: bars, blinds, noise."""
+"""Metres before a pane that a scanned surface may lie and still belong to it: bars, blinds, noise."""
 WITHIN = 0.1
 """Metres from a source within which a new light makes it shine."""
 DARK, BRIGHT = 0.1, 0.3
@@ -209,9 +209,7 @@ def pane_shares(
         inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
         cover = jnp.clip(jnp.minimum(*inside) / (pixel * jnp.maximum(distance, 1e-3)) + 0.5, 0.0, 1.0)
         cover *= (distance > 0) & (slope < 0) & (depth > distance - SLACK)
-        # Bars and sills are scanned, glass is not; where it is, it must be burnt out to count.
-        scanned = depth < distance + SLACK
-        shares.append(cover * jnp.where(scanned, _ramp(brightness, BURNT, WHITE), _ramp(brightness, DARK, BRIGHT)))
+        shares.append(cover * _ramp(brightness, DARK, BRIGHT))
     return jnp.stack(shares) if shares else jnp.zeros((0, *depth.shape))
 
 
