@@ -220,4 +220,5 @@ def test_a_cache_that_cannot_be_written_is_no_obstacle(capture: Path, true_mesh:
     options = ("--capture", capture, "--mesh", true_mesh, "--lights", "center-point", "--no-shadows", "--frames", 0)
     done = relight(*options, "--out", tmp_path / "out", HYJAX_CACHE=str(tmp_path / "file" / "cache"))
     assert done.returncode == 0, done.stderr
-    assert len(done.stderr.splitlines()) <= 1
+    # One line on the cache, one on the light of photos that say nothing of it.
+    assert len(done.stderr.splitlines()) <= 2

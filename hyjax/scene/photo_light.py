@@ -181,11 +181,15 @@ class ScenePhotoLight:
         """Frames spread over the capture, no larger than needed."""
         frames = []
         for index in spread(range(len(self._capture)), FRAMES):
-            frame = self._frame(index)
+            try:
+                frame = self._frame(index)
+            except InputError as error:  # told in full when it is its turn to be relit
+                _log.info("the photo's light is estimated without frame %d: %s", index, error)
+                continue
             height, width = frame.camera.intrinsics.shape
             share = min(1.0, WIDTH / max(height, width))
             frames.append(fit(frame, (round(height * share), round(width * share))) if share < 1 else frame)
-        return frames
+        return frames or [self._frame(0)]
 
 
 def _same_setup(a: LightSetup, b: LightSetup) -> bool:
