@@ -208,7 +208,8 @@ def test_a_damaged_frame_amid_a_run_leaves_whole_files(capture: Path, true_mesh:
     (capture / COLOR).write_bytes(cut(capture / COLOR))
     out = tmp_path / "out"
     done = relight(*options, "--mesh", true_mesh, "--no-shadows", "--out", out)
-    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and COLOR in done.stderr
+    # After what is told of the light of the photos, one line.
+    assert done.returncode == 2 and len(done.stderr.splitlines()) <= 2 and COLOR in done.stderr.splitlines()[-1]
     assert {entry.name for entry in out.iterdir()} == {"frame-000000.relit.png", "frame-000000.relit.exr"}
     for entry in out.iterdir():
         assert np.isfinite(read_image(entry)).all()
