@@ -95,12 +95,8 @@ class ScenePhotoLight:
             _log.warning("%s: the light of the photos stays in the pictures: %s", self._capture.name, found.reason)
         return found
 
-    def surface_light(
-        self, setup: LightSetup, shadow_maps: Sequence[ShadowMap | None] | None
-    ) -> SurfaceLight | None:
+    def surface_light(self, setup: LightSetup, shadow_maps: Sequence[ShadowMap | None] | None) -> SurfaceLight:
         """Photo's light and the bounces of new lights on the vertices; those of the last set-up are kept.
-
-        None where the photo's light could not be told, unless some of it is to be kept.
 
         Args:
             setup: new lights.
@@ -109,8 +105,6 @@ class ScenePhotoLight:
         last = self._last
         if last is not None and last[1] is shadow_maps and _same_setup(last[0], setup):
             return last[2]
-        if self.estimate.exponent == 0 and not setup.existing:
-            return None
         photo, kept = self.estimate.light, jnp.asarray(self.kept(setup.existing), jnp.float32)
         bounced = bounced_light(photo, setup.lights, shadow_maps)
         bounced += setup.reference_lux * jnp.einsum("sc,svc->vc", kept, photo.sources)

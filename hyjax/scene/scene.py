@@ -258,10 +258,10 @@ class Scene:
         *,
         shadows: bool = True,
         occluders: Occluders = "completed",
-    ) -> SurfaceLight | None:
+    ) -> SurfaceLight:
         """Photo's own light and the bounces of new lights, on the vertices; those of the last lights are kept.
 
-        None where the photo's light could not be told: the frames are then taken to be evenly lit.
+        Where the photo's light could not be told, the frames are taken to be evenly lit.
 
         Args:
             lights: new lights.
