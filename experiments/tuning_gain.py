@@ -46,7 +46,7 @@ from experiments.tuning_scenes import (
 from hyjax.core.schedule import Schedule
 from hyjax.tuning.cases import Case, raw_filter, refined_filter
 from hyjax.tuning.descent import Objective, polish
-from hyjax.tuning.latency_estimator import CascadeEstimator, check_reachable
+from hyjax.tuning.latency_estimator import CascadeEstimator
 from hyjax.tuning.relaxation import RelaxedSchedule, prepare
 from hyjax.tuning.result import Budget
 from hyjax.tuning.run import BASELINES, tune_bench
@@ -108,35 +108,37 @@ def best_constant(case: Case) -> Any:
 
 def candidates(scene: Scene, tuning: list[Case], config: Config) -> tuple[dict[str, Schedule], dict[str, float]]:
     """All schedules by name, and the budgets of the tuned ones in milliseconds; those out of reach are left out."""
-    clock = CascadeEstimator(tuning[0])
-    ladder = clock.table.factors
+    table = CascadeEstimator(tuning[0]).table
+    ladder = table.factors
     schedules = {name: Schedule.preset(name) for name in BASELINES}
     papers = [name for name in BASELINES if name.startswith("paper")]
     objective = Objective([prepare(case, ladder) for case in tuning], ladder)
     for name in papers:
-        plan = RelaxedSchedule.of(clock.table.steps_of(schedules[name]))
+        plan = RelaxedSchedule.of(table.steps_of(schedules[name]))
         polished = polish(objective, plan, config.polishing).point.schedule(ladder)
         schedules[f"{name} polished"] = dataclasses.replace(polished, name=f"{name} polished")
     # Timed now: what the latency table remembers of them may be from another hour.
     (times,) = retime([(tuning[0], [schedules[name] for name in papers])], config.repeats)
     budgets = {f"tuned, time of {name}": time.p95 for name, time in zip(papers, times, strict=True)}
     budgets["tuned, half of paper-80"] = 0.5 * budgets["tuned, time of paper-80"]
-    for name, time in list(budgets.items()):
+    found = tuned(scene, config, budgets)
+    return schedules | found, {name: time for name, time in budgets.items() if name in found}
+
+
+def tuned(scene: Scene, config: Config, budgets: dict[str, float]) -> dict[str, Schedule]:
+    """Tuned schedules by the names of their budgets, without those that the device cannot keep."""
+    settings = TuneSettings(TuneScene(seed=config.seed), extra=False)
+    ascending = sorted(budgets, key=lambda name: budgets[name])
+    while ascending:
+        names = [name for name in budgets if name in ascending]
         try:
-            check_reachable(clock, time)
+            limits = [Budget(f"{budgets[name]:.3g} ms", budgets[name]) for name in names]
+            found = tune_bench(scene.bench, settings, budgets=limits, frames=scene.frames, effort=config.effort)
         except InputError as error:
-            print(f"{scene.name}: {name}: {error}", file=sys.stderr)
-            del budgets[name]
-    if budgets:
-        found = tune_bench(
-            scene.bench,
-            TuneSettings(TuneScene(seed=config.seed), extra=False),
-            budgets=[Budget(f"{time:.3g} ms", time) for time in budgets.values()],
-            frames=scene.frames,
-            effort=config.effort,
-        )
-        schedules |= {name: best.schedule for name, best in zip(budgets, found.best, strict=True)}
-    return schedules, budgets
+            print(f"{scene.name}: {ascending.pop(0)}: {error}", file=sys.stderr)
+            continue
+        return {name: best.schedule for name, best in zip(names, found.best, strict=True)}
+    return {}
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:

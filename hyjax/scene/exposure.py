@@ -4,6 +4,7 @@ import dataclasses
 import logging
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -76,7 +77,7 @@ class SeenSurface:
 
     def lux(self, light: Light) -> Float[np.ndarray, "n"]:
         """Illuminance of a light on the points, with shadows; times the strongest channel of its colour."""
-        lux = np.asarray(light.illuminance_at(jnp.asarray(self.points), jnp.asarray(self.normals)))
+        lux = np.asarray(jax.vmap(light.illuminance_at)(jnp.asarray(self.points), jnp.asarray(self.normals)))
         every = np.ones(len(lux), bool)
         if isinstance(light, DirectionalLight) and light.aperture is not None:
             free = self.reached_through(light.aperture, np.asarray(light.direction, float))
