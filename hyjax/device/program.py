@@ -1,0 +1,179 @@
+"""Programs: shaders, buffers and launches as plain data, which a page's script and Python run alike.
+
+A picture is stored as groups of four channels, plane after plane. How many groups there are depends on the number
+of lights, so sizes and launches are linear in G, the number of groups of four lights: G = ceil(lights / 4).
+"""
+
+import dataclasses
+import functools
+import hashlib
+import string
+from collections.abc import Sequence
+from importlib import resources
+from typing import Any, Literal
+
+FORMAT = 1
+"""Version of the JSON form. Add one whenever an older script could not run it."""
+CHANNEL_BYTES = {"f32": 16, "f16": 8}
+"""Bytes of a group of four channels of a pixel, by `Precision`."""
+Precision = Literal["f32", "f16"]
+TILE = 8
+"""Pixels along each side of a workgroup of most shaders."""
+LINE = 64
+"""Elements of a workgroup of shaders over lists."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Groups:
+    """A number of channel groups: `base + lights * G`.
+
+    >>> Groups(2, 1).count(9)
+    5
+    """
+
+    base: int
+    lights: int = 0
+
+    def count(self, lights: int) -> int:
+        """Groups where there are so many lights."""
+        return self.base + self.lights * -(-lights // 4)
+
+
+@dataclasses.dataclass(frozen=True)
+class Buffer:
+    """Memory of the device.
+
+    Attributes:
+        bytes: of each channel group; of the whole where there are no groups.
+        groups: how many of them.
+        uniform: whether it is a uniform buffer.
+        initial: numbers that it holds from the beginning.
+    """
+
+    bytes: int
+    groups: Groups = Groups(1)
+    uniform: bool = False
+    initial: tuple[int, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Launch:
+    """One launch of a shader.
+
+    Attributes:
+        stage: what runs together, see `Program`.
+        label: what timings call it.
+        shader: its name in the program.
+        bind: buffers and textures, by binding number.
+        width, height: workgroups.
+        depth: layers of workgroups.
+        jobs: whether there is a layer for each view of a shadow map instead.
+    """
+
+    stage: str
+    label: str
+    shader: str
+    bind: tuple[str, ...]
+    width: int
+    height: int = 1
+    depth: Groups = Groups(1)
+    jobs: bool = False
+
+
+@dataclasses.dataclass
+class Program:
+    """Shaders with their buffers and launches.
+
+    Stages: `load` once, `shadows` and `bounces` where lights change, `photo` where the picture changes, `frame`.
+
+    Attributes:
+        size: (height, width) of pictures.
+        precision: of stored pictures.
+    """
+
+    size: tuple[int, int]
+    precision: Precision = "f32"
+    shaders: dict[str, str] = dataclasses.field(default_factory=dict)
+    buffers: dict[str, Buffer] = dataclasses.field(default_factory=dict)
+    launches: list[Launch] = dataclasses.field(default_factory=list)
+
+    def buffer(self, name: str, size: int, groups: Groups = Groups(1), **options: Any) -> str:
+        """Name of a buffer, which is added if it is new."""
+        self.buffers.setdefault(name, Buffer(size, groups, **options))
+        return name
+
+    def picture(self, name: str, shape: tuple[int, int], groups: Groups) -> str:
+        """Name of a picture's buffer, which is added if it is new."""
+        return self.buffer(name, CHANNEL_BYTES[self.precision] * shape[0] * shape[1], groups)
+
+    def launch(
+        self,
+        stage: str,
+        label: str,
+        files: Sequence[str],
+        bind: Sequence[str],
+        grid: tuple[int, int],
+        depth: Groups = Groups(1),
+        jobs: bool = False,
+        **constants: object,
+    ) -> None:
+        """Add a launch.
+
+        Args:
+            stage: see `Program`.
+            label: what timings call it.
+            files: of shader text, which are joined.
+            bind: buffers and textures, by binding number.
+            grid: workgroups across and down.
+            depth: layers of workgroups.
+            jobs: see `Launch`.
+            constants: what stands in the text for `$name`.
+        """
+        shader = self.add_shader(files, **constants)
+        self.launches.append(Launch(stage, label, shader, tuple(bind), *grid, depth, jobs))
+
+    def add_shader(self, files: Sequence[str], **constants: object) -> str:
+        """Name of a shader, which is added if it is new."""
+        text = shader_text(files, self.precision, **constants)
+        name = f"{files[-1]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+        self.shaders.setdefault(name, text)
+        return name
+
+    def to_json(self) -> dict[str, Any]:
+        """The program as plain data; `hyjax/device/page/engine.js` reads it."""
+        content = dataclasses.asdict(self)
+        return {"format": FORMAT} | content
+
+
+def shader_text(files: Sequence[str], precision: Precision = "f32", **constants: object) -> str:
+    """WGSL text of a shader: files of `hyjax/device/wgsl` after the storage format, with constants put in."""
+    stored = {"f32": "vec4<f32>", "f16": "vec4<f16>"}[precision]
+    enable = "enable f16;\n" if precision == "f16" else ""
+    parts = [_file(name) for name in ("storage", *files)]
+    return enable + "\n".join(string.Template(part).substitute(constants, stored=stored) for part in parts)
+
+
+@functools.cache
+def _file(name: str) -> str:
+    return resources.files("hyjax.device").joinpath("wgsl", f"{name}.wgsl").read_text(encoding="utf-8")
+
+
+def grid_of(shape: tuple[int, int], tile: int = TILE) -> tuple[int, int]:
+    """Workgroups across and down that cover a picture of (rows, columns)."""
+    return -(-shape[1] // tile), -(-shape[0] // tile)
+
+
+def line_of(count: int) -> tuple[int, int]:
+    """Workgroups across and down that cover a list."""
+    groups = -(-count // LINE)
+    width = min(groups, 1 << 15)
+    return width, -(-groups // width)
+
+
+def columns_rows(shape: tuple[int, int]) -> str:
+    """A size as shaders have it.
+
+    >>> columns_rows((480, 640))
+    '640, 480'
+    """
+    return f"{shape[1]}, {shape[0]}"

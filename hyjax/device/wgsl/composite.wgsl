@@ -1,0 +1,88 @@
+// The relit picture in linear light (Eq. 1): `hyjax.pipeline.composite_linear`, with what shines by itself.
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<storage, read> lights: array<Light>;
+@group(0) @binding(2) var<storage, read> emitters: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> picture: array<Stored>;
+@group(0) @binding(4) var<storage, read> positions: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> light: array<Stored>; // after the cascade
+@group(0) @binding(6) var<storage, read> totals: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> visibility: array<Stored>;
+@group(0) @binding(8) var<storage, read_write> image: array<vec4<f32>>; // linear; w is unused
+
+const LEAST_PHOTO_LIGHT = 0.05;
+const PANE_REFLECTANCE = 0.04;
+const LAMP_REFLECTANCE = 0.6;
+const PANE_SHARE = 0.4;
+const SLACK = 0.12;
+
+@compute @workgroup_size(8, 8)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (any(id.xy >= SIZE)) { return; }
+    let pixel = id.y * SIZE.x + id.x;
+    let plane = SIZE.x * SIZE.y;
+    let photo = to_linear(load(picture[pixel]).xyz);
+    let own = load(light[pixel]);
+    let weight = vec4<f32>(own.w);
+    let total_weight = vec4<f32>(totals[0].w);
+    var shining = completed(own, weight, totals[0], total_weight).xyz;
+    for (var group = 0u; 4u * group < frame.counts.x; group++) {
+        let at = (2u + group) * plane + pixel;
+        let each = completed(load(light[at]), weight, totals[2u + group], total_weight) * load(visibility[group * plane + pixel]);
+        for (var k = 0u; k < min(4u, frame.counts.x - 4u * group); k++) {
+            shining += each[k] * lights[4u * group + k].color.xyz;
+        }
+    }
+    let photo_light = completed(load(light[plane + pixel]), weight, totals[1], total_weight).xyz;
+    var relight_filter = shining / max(photo_light, vec3<f32>(LEAST_PHOTO_LIGHT));
+    if (totals[0].w <= 0.0) { relight_filter = frame.ambient.xyz; }
+    var result = relight_filter * photo;
+    let emission = emission_at(id.xy, photo, positions[pixel].w, shining);
+    result += emission.w * (emission.xyz - result);
+    image[pixel] = vec4<f32>(result, 1.0);
+}
+
+// What panes and lamps send from a pixel, and how far it belongs to one: `hyjax.light.emission`. Of each pane there
+// are centre, right, up, sent, kept and mean; of each lamp position with radius, sent and kept.
+fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, surface: f32, shining: vec3<f32>) -> vec4<f32> {
+    let ray = ray_of_pixel(frame, pixel);
+    let depth = select(1e30, surface, surface > 0.0);
+    let width = 1.0 / frame.intrinsics.x;
+    let darkest = min(photo.x, min(photo.y, photo.z));
+    var weight = 0.0;
+    var sent = vec3<f32>(0.0);
+    for (var k = 0u; k < frame.counts.y; k++) {
+        let center = emitters[6u * k].xyz;
+        let right = emitters[6u * k + 1u].xyz;
+        let up = emitters[6u * k + 2u].xyz;
+        let normal = cross(right, up);
+        let slope = dot(ray, normal);
+        let distance = dot(center - frame.origin.xyz, normal) / select(1e-9, slope, abs(slope) > 1e-9);
+        let place = frame.origin.xyz + distance * ray - center;
+        let inside = min(length(right) - abs(dot(place, normalize(right))), length(up) - abs(dot(place, normalize(up))));
+        var cover = clamp(inside / (width * max(distance, 1e-3)) + 0.5, 0.0, 1.0) * smoothstep(0.1, 0.3, darkest);
+        if (distance <= 0.0 || slope >= 0.0 || depth <= distance - SLACK) { cover = 0.0; }
+        weight = max(weight, cover);
+        if (cover > 0.0) {
+            let kept = emitters[6u * k + 4u].xyz;
+            let pattern = PANE_SHARE * photo / max(emitters[6u * k + 5u].xyz, vec3<f32>(1e-3));
+            sent = emitters[6u * k + 3u].xyz * frame.mean.xyz * pattern + kept * photo
+                + PANE_REFLECTANCE * frame.mean.xyz * max(1.0 - kept, vec3<f32>(0.0)) * shining;
+        }
+    }
+    for (var k = 0u; k < frame.counts.z; k++) {
+        let first = 6u * frame.counts.y + 3u * k;
+        let radius = emitters[first].w;
+        let toward = emitters[first].xyz - frame.origin.xyz;
+        let along = dot(toward, ray) / dot(ray, ray);
+        let away = sqrt(max(dot(toward, toward) - along * along * dot(ray, ray), 1e-12));
+        var cover = clamp((1.5 * radius - away) / (width * max(along, 1e-3)) + 0.5, 0.0, 1.0) * smoothstep(0.75, 0.95, darkest);
+        if (along <= 0.0 || depth <= along - 2.0 * radius - SLACK) { cover = 0.0; }
+        weight = max(weight, cover);
+        if (cover > 0.0) {
+            let kept = emitters[first + 2u].xyz;
+            sent = emitters[first + 1u].xyz * frame.mean.xyz + kept * photo
+                + LAMP_REFLECTANCE * frame.mean.xyz * max(1.0 - kept, vec3<f32>(0.0)) * shining;
+        }
+    }
+    return vec4<f32>(sent, weight);
+}
