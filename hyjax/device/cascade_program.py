@@ -152,9 +152,7 @@ class CascadeWriter:
             )
         return self._edges[key]
 
-    def _diffuse(
-        self, name: str, state: str, means: str, level: Level, schedule: Schedule, groups: Groups
-    ) -> str:
+    def _diffuse(self, name: str, state: str, means: str, level: Level, schedule: Schedule, groups: Groups) -> str:
         """Buffer of a level after its steps."""
         shape, sizes = self._shape(level.factor), [float(lam) for lam in np.asarray(level.step_sizes)]
         edges = self._level_edges(level, schedule) if sizes else ""

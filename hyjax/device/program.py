@@ -89,6 +89,7 @@ class Program:
     Attributes:
         size: (height, width) of pictures.
         precision: of stored pictures.
+        names: buffers of what a host shows: `raw`, `refined`, `visibility`, `image`.
     """
 
     size: tuple[int, int]
@@ -96,6 +97,7 @@ class Program:
     shaders: dict[str, str] = dataclasses.field(default_factory=dict)
     buffers: dict[str, Buffer] = dataclasses.field(default_factory=dict)
     launches: list[Launch] = dataclasses.field(default_factory=list)
+    names: dict[str, str] = dataclasses.field(default_factory=dict)
 
     def buffer(self, name: str, size: int, groups: Groups = Groups(1), **options: Any) -> str:
         """Name of a buffer, which is added if it is new."""

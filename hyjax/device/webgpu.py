@@ -62,9 +62,12 @@ class Engine:
         import wgpu
 
         self._wgpu = wgpu
-        own = {name: buffer.bytes * buffer.groups.count(self.lights) for name, buffer in self.program.buffers.items()}
+        own = {
+            name: buffer.bytes * buffer.groups.count(self.lights) for name, buffer in self.program.buffers.items()
+        }
         self._buffers = {
-            name: self._make(name, size, self.program.buffers.get(name)) for name, size in (own | dict(self.sizes)).items()
+            name: self._make(name, size, self.program.buffers.get(name))
+            for name, size in (own | dict(self.sizes)).items()
         }
         height, width = self.program.size
         usage = wgpu.TextureUsage
@@ -90,7 +93,8 @@ class Engine:
 
     def upload(self, name: str, values: np.ndarray) -> None:
         """Fill a buffer from its beginning."""
-        self.device.queue.write_buffer(self._buffers[name], 0, np.ascontiguousarray(values).tobytes())
+        if values.size:
+            self.device.queue.write_buffer(self._buffers[name], 0, np.ascontiguousarray(values).tobytes())
 
     def upload_photo(self, pixels: np.ndarray) -> None:
         """Fill the texture `photo` with bytes, (h, w, 3)."""
@@ -134,7 +138,12 @@ class Engine:
     def _encode_raster(self, encoder: Any, launch: Launch) -> None:
         views = {name: self._textures[name].create_view() for name in ("shown", "depth")}
         color = {"view": views["shown"], "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 0)}
-        depth = {"view": views["depth"], "depth_load_op": "clear", "depth_store_op": "store", "depth_clear_value": 0.0}
+        depth = {
+            "view": views["depth"],
+            "depth_load_op": "clear",
+            "depth_store_op": "store",
+            "depth_clear_value": 0.0,
+        }
         render = encoder.begin_render_pass(color_attachments=[color], depth_stencil_attachment=depth)
         render.set_pipeline(self._pipeline(launch.shader))
         render.set_bind_group(0, self._bind(launch))
@@ -150,7 +159,11 @@ class Engine:
                     vertex={"module": module, "entry_point": "vertex"},
                     fragment={"module": module, "entry_point": "fragment", "targets": [{"format": "r32uint"}]},
                     primitive={"topology": "triangle-list", "cull_mode": "none"},
-                    depth_stencil={"format": "depth32float", "depth_write_enabled": True, "depth_compare": "greater"},
+                    depth_stencil={
+                        "format": "depth32float",
+                        "depth_write_enabled": True,
+                        "depth_compare": "greater",
+                    },
                 )
             else:
                 self._pipelines[shader] = self.device.create_compute_pipeline(

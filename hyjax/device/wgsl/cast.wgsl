@@ -27,7 +27,7 @@ fn meet(face: u32, origin: vec3<f32>, direction: vec3<f32>) -> f32 {
 }
 
 // Ray parameter of the nearest hit; FAR for none.
-fn cast(origin: vec3<f32>, direction: vec3<f32>) -> f32 {
+fn cast_ray(origin: vec3<f32>, direction: vec3<f32>) -> f32 {
     let small = abs(direction) < vec3<f32>(1e-12);
     let inverse = 1.0 / select(direction, vec3<f32>(1e-12), small);
     var stack: array<u32, 32>;

@@ -23,18 +23,18 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 let inside = abs(dot(start, light.right.xyz)) <= dot(light.right.xyz, light.right.xyz)
                     && abs(dot(start, light.up.xyz)) <= dot(light.up.xyz, light.up.xyz);
                 depth = -FAR;
-                if (inside) { depth = to_opening + cast(view.origin + start, view.axes[2]); }
+                if (inside) { depth = to_opening + cast_ray(view.origin + start, view.axes[2]); }
             } else {
-                depth = cast(view.origin + plane, view.axes[2]);
+                depth = cast_ray(view.origin + plane, view.axes[2]);
             }
         }
         case PERSPECTIVE: {
             let ray = view.axes * vec3<f32>(uv * spread_of(light), 1.0);
-            depth = light.direction.w + cast(view.origin + light.direction.w * ray, ray);
+            depth = light.direction.w + cast_ray(view.origin + light.direction.w * ray, ray);
         }
         default: {
             let ray = view.axes * ray_of(uv, projection_of(light));
-            depth = light.direction.w + cast(view.origin + light.direction.w * ray, ray);
+            depth = light.direction.w + cast_ray(view.origin + light.direction.w * ray, ray);
         }
     }
     depths[light.start + k * side * side + id.y * side + id.x] = depth;

@@ -1,0 +1,193 @@
+"""Shaders of a whole frame: surface, lights with shadows, bounces, both cascades, composite.
+
+The mirror of `hyjax.pipeline.relight` in mode `linear`, with shadow maps, and the photo's own light divided out.
+"""
+
+import dataclasses
+
+from hyjax.core.schedule import Schedule
+from hyjax.device.cascade_program import CascadeWriter
+from hyjax.device.program import Groups, Precision, Program, columns_rows, grid_of, line_of
+from hyjax.light.transport import BOUNCES
+
+RECORD_BYTES = 128
+"""Of a light, see `hyjax.device.light_records`."""
+FRAME_BYTES = 128
+"""Of the camera and what all passes need to know, see `wgsl/camera.wgsl`."""
+MOST_LIGHTS = 32
+MOST_EMITTERS = 64
+LEAF = 4
+"""Triangles of a leaf of the tree that rays go through."""
+FIELDS = 4
+"""Vectors of a point: position, normal, photo's light, albedo."""
+LIGHT_GROUPS = Groups(2, 1)
+"""Bounced light with the weight; photo's light; four lights a group."""
+GRID_OF_MAP = 66
+"""Workgroups along each side of a view of a shadow map, at most; see `MOST_TEXELS`."""
+MOST_TEXELS = 8 * GRID_OF_MAP
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneCounts:
+    """What a scene has of everything.
+
+    Attributes:
+        faces: triangles of the scan.
+        vertices: of the scan.
+        points: of the light transport: vertices, then patches of the box that closes the scan.
+        rays: of each point.
+        sources: that lit the photos.
+        occluder_faces: triangles of the mesh that throws shadows.
+        occluder_vertices: of it.
+    """
+
+    faces: int
+    vertices: int
+    points: int
+    rays: int
+    sources: int
+    occluder_faces: int
+    occluder_vertices: int
+
+    @property
+    def leaves(self) -> int:
+        """Leaves of the tree over the occluders: a power of two."""
+        return 1 << max(0, (-(-self.occluder_faces // LEAF) - 1).bit_length())
+
+
+def frame_program(
+    counts: SceneCounts,
+    size: tuple[int, int],
+    schedule: Schedule,
+    shadow_schedule: Schedule,
+    *,
+    features: int = 3,
+    map_texels: int = MOST_TEXELS,
+    precision: Precision = "f32",
+) -> Program:
+    """Program of a scene's frames.
+
+    The host fills the buffers `vertices`, `occluders` (triangles in the order of their tree), `faces`, `fields`,
+    `hits`, `sources` once; `lights`, `kept`, `emitters` and `jobs` where lights change, whose shadow maps are in
+    `depths`, which it makes as large as they need; `frame` and the texture `photo` for each picture.
+
+    Args:
+        counts: of the scene.
+        size: (height, width) of the frames.
+        schedule: cascade for the light.
+        shadow_schedule: cascade for the visibility.
+        features: channels of the guide; the RGB guide, which is the picture itself, has 3.
+        map_texels: side of the largest shadow map, with its gutter.
+        precision: of pictures between passes.
+    """
+    program = Program(size, precision)
+    _load(program, counts)
+    _shadows(program, counts, map_texels)
+    _bounces(program, counts)
+    picture = program.picture("picture", size, Groups(1))
+    whole, camera = grid_of(size), {"size": columns_rows(size)}
+    program.launch("photo", "picture", ["frame", "camera", "picture"], ["photo", picture], whole, **camera)
+    guide = picture if features == 3 else program.picture("guide", size, Groups(-(-features // 4)))
+    light, visibility = _surface(program, counts)
+    writer = CascadeWriter(program, guide, features)
+    refined = writer.cascade("cascade", light, schedule, LIGHT_GROUPS, total=True)
+    filled = writer.cascade("filling", visibility, Schedule.preset("hyjax"), Groups(0, 2), total=True)
+    complete = program.picture("visibility filled", size, Groups(0, 1))
+    pixels = size[0] * size[1]
+    program.launch(
+        "frame",
+        "filling",
+        ["filled", "fill"],
+        [visibility, filled, "filling totals", complete],
+        (256, -(-pixels // (256 * 64))),
+        Groups(0, 1),
+        pixels=pixels,
+    )
+    shadows = writer.cascade("shadow pass", complete, shadow_schedule, Groups(0, 1))
+    image = program.buffer("image", 16 * pixels)
+    bind = ["frame", "lights", "emitters", picture, "positions", refined, "cascade totals", shadows, image]
+    files = ["frame", "camera", "color", "filled", "lights", "composite"]
+    program.launch("frame", "composite", files, bind, whole, **camera)
+    program.names = {"raw": light, "refined": refined, "visibility": shadows, "image": image}
+    return program
+
+
+def _load(program: Program, counts: SceneCounts) -> None:
+    """Boxes of the tree over the occluders, depth by depth."""
+    program.buffer("vertices", 12 * counts.occluder_vertices)
+    program.buffer("occluders", 12 * counts.occluder_faces)
+    boxes = program.buffer("boxes", 64 * counts.leaves)
+    depth = counts.leaves
+    while depth:
+        first = program.buffer(f"depth {depth}", 16, uniform=True, initial=(depth - 1, depth, 0, 0))
+        bind = ["vertices", "occluders", boxes, first]
+        grid = line_of(depth)
+        program.launch("load", "tree", ["trace", "boxes"], bind, grid, **_tree(counts), boxes_access="read_write")
+        depth //= 2
+
+
+def _tree(counts: SceneCounts) -> dict[str, int]:
+    return {"leaves": counts.leaves, "leaf": LEAF, "faces": counts.occluder_faces}
+
+
+def _shadows(program: Program, counts: SceneCounts, map_texels: int) -> None:
+    program.buffer("lights", RECORD_BYTES * MOST_LIGHTS)
+    program.buffer("jobs", 16 * 32 * MOST_LIGHTS)
+    program.launch(
+        "shadows",
+        "shadow maps",
+        ["trace", "cast", "lights", "shadow_map"],
+        ["vertices", "occluders", "boxes", "lights", "jobs", "depths"],
+        grid_of((map_texels, map_texels)),
+        jobs=True,
+        **_tree(counts),
+        boxes_access="read",
+    )
+
+
+def _bounces(program: Program, counts: SceneCounts) -> None:
+    program.buffer("frame", FRAME_BYTES, uniform=True)
+    program.buffer("faces", 12 * counts.faces)
+    fields = program.buffer("fields", 16 * FIELDS * counts.points)
+    direct, indirect = (program.buffer(name, 16 * counts.points) for name in ("direct", "indirect"))
+    radiators = counts.faces + counts.points - counts.vertices + 1
+    sent, hits = program.buffer("sent", 16 * radiators), program.buffer("hits", 4 * counts.rays * counts.points)
+    points = {"points": counts.points}
+    bind = ["frame", "lights", "depths", fields, direct, indirect]
+    line = line_of(counts.points)
+    program.launch("bounces", "direct light", ["frame", "lights", "visibility", "direct"], bind, line, **points)
+    for _ in range(BOUNCES):
+        files, bind = ["send"], ["faces", fields, direct, indirect, sent]
+        constants = {"faces": counts.faces, "vertices": counts.vertices}
+        program.launch("bounces", "bounces", files, bind, line_of(radiators), **constants, **points)
+        program.launch("bounces", "bounces", ["gather"], [hits, sent, indirect], line, rays=counts.rays, **points)
+    program.buffer("sources", max(16, 12 * counts.sources * counts.vertices))
+    program.buffer("kept", 16 * max(1, counts.sources))
+    bounced = program.buffer("bounced", 16 * counts.vertices)
+    constants = {"vertices": counts.vertices, "sources": counts.sources}
+    bind = [indirect, "sources", "kept", bounced]
+    program.launch("bounces", "bounces", ["kept"], bind, line_of(counts.vertices), **constants)
+
+
+def _surface(program: Program, counts: SceneCounts) -> tuple[str, str]:
+    """Buffers of the light on the visible surface, and of its weighted visibility with the weights."""
+    size, whole = program.size, grid_of(program.size)
+    camera, pixels = {"size": columns_rows(size)}, size[0] * size[1]
+    program.launch(
+        "frame",
+        "surface",
+        ["frame", "camera", "raster"],
+        ["frame", "faces", "fields"],
+        (3 * counts.faces, 1),
+        **camera,
+    )
+    positions, normals = (program.buffer(name, 16 * pixels) for name in ("positions", "normals"))
+    light = program.picture("light", size, LIGHT_GROUPS)
+    visibility = program.picture("visibility", size, Groups(0, 2))
+    bind = ["frame", "shown", "faces", "fields", "bounced", positions, normals, light, "picture"]
+    program.launch("frame", "surface", ["frame", "camera", "color", "surface"], bind, whole, **camera)
+    bind = ["frame", "lights", "depths", positions, normals, light, visibility]
+    files = ["frame", "camera", "lights", "visibility", "shade"]
+    program.launch("frame", "shading and visibility", files, bind, whole, Groups(0, 1), **camera)
+    program.buffer("emitters", 16 * 6 * MOST_EMITTERS)
+    return light, visibility

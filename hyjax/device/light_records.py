@@ -1,0 +1,118 @@
+"""Lights as records of a shader: the twin of `struct Light` in `wgsl/lights.wgsl`, and of `page/lights.js`."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from hyjax.device.frame_program import MOST_LIGHTS, RECORD_BYTES
+from hyjax.light.kinds import AmbientLight, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
+from hyjax.util import vectors
+from hyjax.util.errors import InputError
+
+KINDS: dict[type[Light], int] = {
+    AmbientLight: 0,
+    PointLight: 1,
+    SpotLight: 2,
+    RectLight: 3,
+    DirectionalLight: 4,
+    SkyLight: 5,
+}
+RECORD = np.dtype(
+    [
+        ("kind", "<u4"),
+        ("views", "<u4"),
+        ("size", "<u4"),
+        ("start", "<u4"),
+        *((name, "<f4", 4) for name in ("position", "direction", "right", "up", "color", "bounds", "shadow")),
+    ]
+)
+assert RECORD.itemsize == RECORD_BYTES
+
+
+@dataclasses.dataclass(frozen=True)
+class LightRecords:
+    """Lights for a shader.
+
+    Attributes:
+        records: one for each light.
+        jobs: (light, view, 0, 0) of each view of a shadow map.
+        texels: of all shadow maps together.
+    """
+
+    records: np.ndarray
+    jobs: np.ndarray
+    texels: int
+
+
+def light_records(
+    lights: Sequence[Light],
+    occluders: trimesh.Trimesh,
+    *,
+    shadows: bool = True,
+    slack: float | None = None,
+    resolutions: tuple[int, int] = (1024, 512),
+    uniform: bool = True,
+) -> LightRecords:
+    """Records of lights.
+
+    Args:
+        lights: of the kinds that come with hyjax.
+        occluders: the mesh that throws shadows.
+        shadows: whether lights cast any.
+        slack: of shadow maps, see `hyjax.light.shadow_map.ShadowMap`.
+        resolutions: texels a side of a map with one view, and of each of several.
+        uniform: whether light that falls on any surface alike is kept; bounces stand in its place.
+
+    Raises:
+        InputError: too many lights, or one of a kind that the shaders do not have.
+    """
+    if len(lights) > MOST_LIGHTS:
+        raise InputError(f"webgpu: {len(lights)} lights; the shaders take at most {MOST_LIGHTS}")
+    records, jobs, start = np.zeros(len(lights), RECORD), [], 0
+    bounds = np.append(occluders.bounds.mean(axis=0), 0.5 * np.linalg.norm(occluders.extents) * 1.01)
+    for number, (light, record) in enumerate(zip(lights, records)):
+        if type(light) not in KINDS:
+            names = ", ".join(kind.__name__ for kind in KINDS)
+            raise InputError(f"webgpu: no shader for a {type(light).__name__}; there are {names}")
+        _fill(record, light)
+        record["bounds"] = bounds
+        record["shadow"][0] = -1.0 if slack is None else slack
+        if light.UNIFORM and not uniform:
+            record["color"][3] = 0.0
+        views = light.shadow_views() if shadows else None
+        if views is None:
+            continue
+        record["views"], record["size"] = views.count, resolutions[views.count > 1]
+        record["start"] = start
+        jobs += [(number, view, 0, 0) for view in range(views.count)]
+        start += views.count * (int(record["size"]) + 2) ** 2
+    return LightRecords(records, np.array(jobs, np.uint32).reshape(-1, 4), start)
+
+
+def _fill(record: np.void, light: Light) -> None:
+    record["kind"] = KINDS[type(light)]
+    record["color"][:3], record["color"][3] = light.color, getattr(light, light.STRENGTH)
+    if isinstance(light, PointLight | SpotLight):
+        record["position"] = (*np.asarray(light.position), light.radius)
+        record["direction"][3] = light.clearance
+    if isinstance(light, SpotLight):
+        record["direction"][:3] = vectors.unit(light.direction)
+        record["right"][3], record["up"][3] = np.cos(light.inner_angle), np.cos(light.outer_angle)
+    if isinstance(light, RectLight):
+        _rectangle(record, light.center, light.right, light.up)
+    if isinstance(light, DirectionalLight):
+        record["direction"][:3] = vectors.unit(light.direction)
+        record["position"][3] = light.angular_radius
+        if light.aperture is not None:
+            _rectangle(record, light.aperture.center, light.aperture.right, light.aperture.up)
+            record["shadow"][1] = 1.0
+    if isinstance(light, SkyLight):
+        record["direction"][:3] = vectors.unit(light.up)
+
+
+def _rectangle(record: np.void, *vectors3: Float[np.ndarray, "3"]) -> None:
+    for name, vector in zip(("position", "right", "up"), vectors3, strict=True):
+        record[name][:3] = vector

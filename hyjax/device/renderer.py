@@ -1,0 +1,190 @@
+"""Renderer: frames of a scene, relit on a graphics processor by the shaders that an exported page runs."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.core.schedule import Schedule
+from hyjax.device.frame_program import MOST_EMITTERS, frame_program
+from hyjax.device.light_records import LightRecords, light_records
+from hyjax.device.program import Precision, Program
+from hyjax.device.scene_arrays import scene_arrays
+from hyjax.device.webgpu import Engine, open_device
+from hyjax.geometry.camera import Camera
+from hyjax.light.emission import Emitters
+from hyjax.light.setup import LightSetup
+from hyjax.light.shaded import ambient_filter
+from hyjax.scene.scene import Scene
+from hyjax.scene.settings import Occluders
+from hyjax.util.errors import InputError
+
+
+class DeviceRenderer:
+    """Relights frames of a scene under one set-up on a graphics processor.
+
+    Args:
+        scene: opened.
+        setup: the lights.
+        size: (height, width) of the frames.
+        schedule: cascade for the light.
+        shadow_schedule: cascade for the visibility; by default that of `relight`.
+        features: channels of the guide.
+        shadows: whether lights cast shadows.
+        keep_photo_light: whether to leave the photo's own light in the picture, and bounces out.
+        occluders: what throws shadows.
+        resolutions: texels a side of shadow maps with one view, and of each of several.
+        precision: of pictures between passes.
+        device: see `open_device`.
+
+    Raises:
+        InputError: no device, a kind of light without a shader, or too many of them.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        setup: LightSetup,
+        size: tuple[int, int],
+        schedule: Schedule,
+        shadow_schedule: Schedule | None = None,
+        *,
+        features: int = 3,
+        shadows: bool = True,
+        keep_photo_light: bool = False,
+        occluders: Occluders = "completed",
+        resolutions: tuple[int, int] = (1024, 512),
+        precision: Precision = "f32",
+        device: Any = None,
+    ) -> None:
+        self.arrays = scene_arrays(
+            scene, keep_photo_light=keep_photo_light, surface_occluders=occluders == "surface"
+        )
+        self.setup, self._divides = setup, not keep_photo_light
+        caster = scene.caster if occluders == "surface" else scene.occluders
+        slack = scene.slack if occluders == "completed" else None
+        # Light that falls on any surface alike is left out where bounces stand in for it.
+        uniform = keep_photo_light or all(light.UNIFORM for light in setup.lights)
+        self.records = light_records(
+            setup.lights, caster.mesh, shadows=shadows, slack=slack, resolutions=resolutions, uniform=uniform
+        )
+        shadow_schedule = shadow_schedule or Schedule.preset("hyjax-scan-shadow")
+        self.program: Program = frame_program(
+            self.arrays.counts,
+            size,
+            schedule,
+            shadow_schedule,
+            features=features,
+            map_texels=max([int(size) for size in self.records.records["size"]], default=0) + 2,
+            precision=precision,
+        )
+        sizes = {"depths": max(16, 4 * self.records.texels)}
+        self.engine = Engine(self.program, len(setup.lights), sizes, device or open_device(precision))
+        for name, values in self.arrays.uploads().items():
+            self.engine.upload(name, values)
+        self.emitters = scene.photo_light.emitters(setup) if self._divides else None
+        self._upload_lights(scene, self.records)
+
+    def _upload_lights(self, scene: Scene, records: LightRecords) -> None:
+        engine = self.engine
+        engine.upload("lights", records.records)
+        if len(records.jobs):
+            engine.upload("jobs", records.jobs)
+        if self._divides:
+            kept = scene.photo_light.kept(self.setup.existing)
+            if len(kept):
+                engine.upload("kept", np.pad(kept, ((0, 0), (0, 1))).astype(np.float32))
+        if self.emitters is not None:
+            engine.upload("emitters", emitter_vectors(self.emitters))
+        engine.upload("frame", self._frame_record(None))
+        engine.run("load", "shadows", *(["bounces"] if self._divides else []), jobs=len(records.jobs))
+
+    def _frame_record(self, camera: Camera | None) -> np.ndarray:
+        panes, lamps = (0, 0) if self.emitters is None else (len(self.emitters.panes), len(self.emitters.lamps))
+        counts = len(self.setup.lights), panes, lamps
+        ambient = np.asarray(ambient_filter(self.setup.lights, float(self.setup.reference_lux)))
+        return frame_record(camera, counts, ambient, float(self.setup.reference_lux), self.arrays.mean)
+
+    def relight(
+        self, pixels: np.ndarray, camera: Camera, guide: np.ndarray | None = None
+    ) -> Float[np.ndarray, "h w 3"]:
+        """Relit picture, linear.
+
+        Args:
+            pixels: the frame, display-encoded, (h, w, 3) in [0, 1].
+            camera: that took it.
+            guide: features, where they are not the frame itself.
+        """
+        self.engine.upload("frame", self._frame_record(camera))
+        self.engine.upload("picture", self._planes(pixels))
+        if guide is not None and guide.shape[-1] != 3:
+            self.engine.upload("guide", self._planes(guide))
+        self.engine.run("frame")
+        return self.engine.download("image").reshape(*self.program.size, 4)[..., :3]
+
+    def picture(self, name: str, channels: int) -> Float[np.ndarray, "h w c"]:
+        """A stage of the last frame: `raw`, `refined` or `visibility`."""
+        dtype = np.float16 if self.program.precision == "f16" else np.float32
+        planes = self.engine.download(self.program.names[name], dtype).reshape(-1, *self.program.size, 4)
+        return np.moveaxis(planes, 0, 2).reshape(*self.program.size, -1)[..., :channels].astype(np.float32)
+
+    def _planes(self, values: np.ndarray) -> np.ndarray:
+        return channel_groups(np.asarray(values, np.float32)).astype(
+            np.float16 if self.program.precision == "f16" else np.float32
+        )
+
+
+def channel_groups(values: Float[np.ndarray, "h w c"]) -> Float[np.ndarray, "g h w 4"]:
+    """A picture as groups of four channels, the last one filled up with zeros."""
+    height, width, channels = values.shape
+    groups = -(-channels // 4)
+    padded = np.zeros((height, width, 4 * groups), values.dtype)
+    padded[..., :channels] = values
+    return np.ascontiguousarray(np.moveaxis(padded.reshape(height, width, groups, 4), 2, 0))
+
+
+def frame_record(
+    camera: Camera | None,
+    counts: Sequence[int],
+    ambient: Float[np.ndarray, "3"],
+    reference_lux: float,
+    mean: Float[np.ndarray, "3"],
+) -> np.ndarray:
+    """`struct Frame` of `wgsl/frame.wgsl`.
+
+    Args:
+        camera: None where only the lights matter.
+        counts: of lights, panes and lamps.
+        ambient: filter where nothing of a frame is known.
+        reference_lux: of the set-up.
+        mean: of the photos' light.
+    """
+    record = np.zeros(32, np.float32)
+    if camera is not None:
+        for k in range(3):
+            record[4 * k : 4 * k + 3] = camera.pose[:3, k]
+        k = camera.intrinsics
+        record[12:15], record[16:20] = camera.origin, (k.fx, k.fy, k.cx, k.cy)
+    record[20:24] = np.array([*counts, 0], np.uint32).view(np.float32)
+    record[24:28] = (*ambient, 1.0 / reference_lux)
+    record[28:31] = mean
+    return record
+
+
+def emitter_vectors(emitters: Emitters) -> Float[np.ndarray, "n 4"]:
+    """Panes and lamps as `wgsl/composite.wgsl` takes them.
+
+    Raises:
+        InputError: there are too many.
+    """
+    panes, lamps = np.asarray(emitters.panes), np.asarray(emitters.lamps)
+    if len(panes) + len(lamps) > MOST_EMITTERS:
+        raise InputError(f"webgpu: {len(panes) + len(lamps)} windows and lamps; at most {MOST_EMITTERS}")
+    rows: list[np.ndarray] = []
+    sent, kept = np.asarray(emitters.sent), np.asarray(emitters.kept)
+    for number, pane in enumerate(panes):
+        rows += [*pane, sent[number], kept[number], np.asarray(emitters.pane_means)[number]]
+    for number, lamp in enumerate(lamps, len(panes)):
+        rows += [lamp, sent[number], kept[number]]
+    return np.stack([np.pad(np.asarray(row, np.float32), (0, 4 - len(row))) for row in rows])
