@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import fit, spread
+from hyjax.data.frames import shrink, spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters, pane_shares, radiant_filter
@@ -157,9 +157,7 @@ class ScenePhotoLight:
         panes = jnp.asarray(np.array([(w.center, w.right, w.up) for w in windows]).reshape(-1, 3, 3), jnp.float32)
         total, weight = np.zeros((len(windows), 3)), np.full(len(windows), 1e-6)
         for frame in spread(self._frames, PANE_FRAMES) if windows else []:
-            height, width = frame.camera.intrinsics.shape
-            share = min(1.0, PANE_WIDTH / max(height, width))
-            small = fit(frame, (max(1, round(height * share)), max(1, round(width * share))))
+            small = shrink(frame, PANE_WIDTH)
             matrices = small.camera.pose, small.camera.intrinsics.matrix
             pose, intrinsics = (jnp.asarray(matrix, jnp.float32) for matrix in matrices)
             linear = to_linear(jnp.asarray(small.image))
@@ -176,13 +174,9 @@ class ScenePhotoLight:
         frames = []
         for index in spread(range(len(self._capture)), FRAMES):
             try:
-                frame = self._frame(index)
+                frames.append(shrink(self._frame(index), WIDTH))
             except InputError as error:  # told in full when it is its turn to be relit
                 _log.info("the photo's light is estimated without frame %d: %s", index, error)
-                continue
-            height, width = frame.camera.intrinsics.shape
-            share = min(1.0, WIDTH / max(height, width))
-            frames.append(fit(frame, (round(height * share), round(width * share))) if share < 1 else frame)
         return frames or [self._frame(0)]
 
 
