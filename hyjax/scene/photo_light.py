@@ -123,20 +123,21 @@ class ScenePhotoLight:
             "flatness": round(min(self.estimate.flatness), 3),
         }
 
+    def unknown(self, existing: Mapping[str, Any]) -> str | None:
+        """Which names are no source of these photos, in words; None if all are."""
+        names = self.estimate.names
+        wrong = [f"{name!r}{did_you_mean(name, names)}" for name in existing if name not in names]
+        return f"the photos have no source {', '.join(wrong)}; there are {', '.join(names)}" if wrong else None
+
     def kept(self, existing: Mapping[str, Sequence[float]]) -> Float[np.ndarray, "s 3"]:
         """What is left of each source of the photo.
 
         Raises:
             InputError: there is no source of a name.
         """
-        names = self.estimate.names
-        for name in existing:
-            if name not in names:
-                hint = did_you_mean(name, names)
-                raise InputError(
-                    f"existing: the photos have no source {name!r}{hint}; there are {', '.join(names)}"
-                )
-        return np.array([existing.get(name, (0.0, 0.0, 0.0)) for name in names])
+        if unknown := self.unknown(existing):
+            raise InputError(f"existing: {unknown}")
+        return np.array([existing.get(name, (0.0, 0.0, 0.0)) for name in self.estimate.names])
 
     def emitters(self, setup: LightSetup) -> Emitters | None:
         """Panes and lamps with what they send under new lights; None if there are none."""
