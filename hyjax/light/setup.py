@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from hyjax.light.kinds import Light
+from hyjax.util.errors import InputError
 
 REFERENCE_LUX = 300.0
 """Illuminance under which a frame is taken to have been photographed: an ordinary room in daylight or lamplight."""
@@ -31,6 +32,13 @@ class LightSetup:
     def of(cls, lights: "LightSetup | Sequence[Light]") -> "LightSetup":
         """A set-up as it is, or a set-up of these lights under the usual reference."""
         return lights if isinstance(lights, LightSetup) else cls(tuple(lights))
+
+    def check_existing(self, *, divided: bool) -> None:
+        """Raise `InputError` if sources of the photo are to be kept while its light is not divided out."""
+        if self.existing and not divided:
+            raise InputError(
+                "lights: 'existing' keeps some of the photo's own light; leave keep_photo_light and paper_mode out"
+            )
 
 
 def same_lights(a: Sequence[Light], b: Sequence[Light]) -> bool:
