@@ -32,7 +32,7 @@ WIDTH = 800
 """Pixels of their longer side, at most."""
 PANE_FRAMES, PANE_WIDTH = 12, 320
 """Frames that panes are looked at in, and pixels of their longer side."""
-VERSION = 8
+VERSION = 9
 """Of the estimate. Add one whenever it comes out differently."""
 _log = logging.getLogger(__name__)
 
