@@ -46,3 +46,9 @@ def same_lights(a: Sequence[Light], b: Sequence[Light]) -> bool:
     own, other = tuple(a), tuple(b)
     same: bool = jax.tree.structure(own) == jax.tree.structure(other)  # type: ignore[operator]
     return same and all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(own), jax.tree.leaves(other)))
+
+
+def same_setup(a: LightSetup, b: LightSetup) -> bool:
+    """Whether two set-ups have the same lights and reference, and keep the same of the photo's light."""
+    same = a.reference_lux == b.reference_lux and dict(a.existing) == dict(b.existing)
+    return same and same_lights(a.lights, b.lights)

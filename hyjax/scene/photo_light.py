@@ -17,7 +17,7 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters, pane_shares, radiant_filter
 from hyjax.light.photo_light import SurfaceLight, bounced_light
-from hyjax.light.setup import LightSetup, same_lights
+from hyjax.light.setup import LightSetup, same_setup
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate
 from hyjax.photo_light.source_search import find_photo_sources
@@ -103,7 +103,7 @@ class ScenePhotoLight:
             shadow_maps: one for each; None for no shadows.
         """
         last = self._last
-        if last is not None and last[1] is shadow_maps and _same_setup(last[0], setup):
+        if last is not None and last[1] is shadow_maps and same_setup(last[0], setup):
             return last[2]
         photo, kept = self.estimate.light, jnp.asarray(self.kept(setup.existing), jnp.float32)
         bounced = bounced_light(photo, setup.lights, shadow_maps)
@@ -179,8 +179,3 @@ class ScenePhotoLight:
             except InputError as error:  # told in full when it is its turn to be relit
                 _log.info("the photo's light is estimated without frame %d: %s", index, error)
         return frames or [self._frame(0)]
-
-
-def _same_setup(a: LightSetup, b: LightSetup) -> bool:
-    same = a.reference_lux == b.reference_lux and dict(a.existing) == dict(b.existing)
-    return same and same_lights(a.lights, b.lights)
