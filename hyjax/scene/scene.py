@@ -248,7 +248,12 @@ class Scene:
     def photo_light(self) -> ScenePhotoLight:
         """Light that the frames were taken under, estimated when first asked for and kept in the cache folder."""
         return ScenePhotoLight(
-            self.capture, self.caster, self.frame, sources_file=self._sources_file, progress=self._progress
+            self.capture,
+            self.caster,
+            self.frame,
+            size=self.size,
+            sources_file=self._sources_file,
+            progress=self._progress,
         )
 
     def surface_light(
