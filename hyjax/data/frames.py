@@ -40,6 +40,13 @@ def fit(frame: Frame, size: tuple[int, int] | None) -> Frame:
     return dataclasses.replace(frame, image=image, camera=camera, depth=None, depth_intrinsics=None)
 
 
+def shrink(frame: Frame, longest: int) -> Frame:
+    """The frame with a longer side of at most `longest` pixels; see `fit`."""
+    height, width = frame.camera.intrinsics.shape
+    share = min(1.0, longest / max(height, width))
+    return fit(frame, (max(1, round(height * share)), max(1, round(width * share))))
+
+
 def select_frames(text: str, count: int) -> list[int]:
     """Frame indices from `all`, `7`, `0:300:30` (as Python slices) or a comma-separated list of these.
 

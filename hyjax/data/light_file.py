@@ -42,9 +42,9 @@ import jax
 import jax.numpy as jnp
 import msgspec
 import numpy as np
-import yaml
 from jaxtyping import Float
 
+from hyjax.data.hand_written import check_keys, read_plain
 from hyjax.light.kinds import LIGHT_KINDS, AmbientLight, Light, kind_name
 from hyjax.light.kinds.file_keys import LARGEST, REQUIRED, FileKey, plain
 from hyjax.light.setup import REFERENCE_LUX, LightSetup
@@ -89,15 +89,7 @@ def read_lights(path: Path, up: Float[np.ndarray, "3"], *, warn: bool = True) ->
         InputError: no such file, not YAML or JSON, or anything `parse_lights` refuses; the message names the file.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such lights file")
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))  # JSON is a part of YAML
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" (line {mark.line + 1}: {getattr(error, 'problem', '')})" if mark else ""
-        raise InputError(f"{path}: neither YAML nor JSON{line}") from None
-    return parse_lights(content, up, str(path), warn=warn)
+    return parse_lights(read_plain(path, "lights file"), up, str(path), warn=warn)
 
 
 def parse_lights(
@@ -187,11 +179,14 @@ def _renamed(where: str, entries: list[Any], warn: bool) -> list[Any]:
 
 def _checked(where: str, content: Any, keys: tuple[FileKey, ...]) -> dict[str, Any]:
     """Values of all keys, defaults filled in; vectors are tuples."""
+    known = {key.name: key for key in keys}
+    check_keys(where, content, sorted(known), [key.name for key in keys if key.default is REQUIRED])
     try:
         values = msgspec.structs.asdict(msgspec.convert(content, _struct(keys)))
     except msgspec.ValidationError as error:
-        path = re.search(r" - at `\$(?:\.(\w+))?", str(error))
-        raise InputError(_explain(where, content, keys, path[1] if path else None)) from None
+        at = re.search(r" - at `\$\.(\w+)", str(error))
+        assert at is not None
+        raise InputError(_explain(where, content[at[1]], known[at[1]])) from None
     return {k: msgspec.structs.asdict(v) if isinstance(v, msgspec.Struct) else v for k, v in values.items()}
 
 
@@ -212,26 +207,14 @@ def _type(key: FileKey) -> Any:
     return FORMS[key.form][0]
 
 
-def _explain(where: str, content: Any, keys: tuple[FileKey, ...], at: str | None) -> str:
-    """One line on what is wrong with a mapping; `at` is the key whose value is wrong, if that is it."""
-    known = {key.name: key for key in keys}
-    if not isinstance(content, dict):
-        return f"{where}: must be a mapping with {', '.join(sorted(known))}"
-    for name in content:
-        if name not in known:
-            hint = did_you_mean(str(name), known)
-            return f"{where}: unknown key {name!r}{hint}; there are {', '.join(sorted(known))}"
-    for key in keys:
-        if key.default is REQUIRED and key.name not in content:
-            return f"{where}: key {key.name!r} is missing"
-    assert at is not None
-    key = known[at]
+def _explain(where: str, value: Any, key: FileKey) -> str:
+    """One line on what is wrong with a key's value."""
     if isinstance(key.form, tuple):
         try:
-            _checked(f"{where}: {at}", content[at], key.form)
+            _checked(f"{where}: {key.name}", value, key.form)
         except InputError as error:
             return str(error)
-    return f"{where}: {at!r} must be {_form(key)}, got {content[at]!r}"
+    return f"{where}: {key.name!r} must be {_form(key)}, got {value!r}"
 
 
 def _form(key: FileKey) -> str:

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+import trimesh
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
@@ -65,18 +66,22 @@ class Box:
         return distance, (wall * CELLS + cell[n, (axis + 1) % 3]) * CELLS + cell[n, (axis + 2) % 3]
 
 
+def wall_axes(mesh: trimesh.Trimesh, up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """Axes of a scan: two of them along most of its walls, the last one `up`."""
+    frame = orthonormal_frame(up)
+    x, y, z = (np.asarray(mesh.face_normals) @ frame.T).T
+    upright = np.abs(z) < 0.3
+    # Walls repeat every quarter turn: the mean direction of four times the angle.
+    angles, areas = np.arctan2(y[upright], x[upright]), np.asarray(mesh.area_faces)[upright]
+    angle = np.angle(np.sum(areas * np.exp(4j * angles))) / 4
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ frame
+
+
 def enclose(caster: RayCaster, up: Float[np.ndarray, "3"]) -> Box:
     """Box of a scan: turned about `up` so that most of the surface is parallel to its walls."""
-    mesh = caster.mesh
-    normals, areas = np.asarray(mesh.face_normals), np.asarray(mesh.area_faces)
-    frame = orthonormal_frame(up)
-    x, y, z = (normals @ frame.T).T
-    level = np.abs(z) < 0.3
-    # Walls repeat every quarter turn: the mean direction of four times the angle.
-    angle = np.angle(np.sum(areas[level] * np.exp(4j * np.arctan2(y[level], x[level])))) / 4
-    c, s = np.cos(angle), np.sin(angle)
-    axes = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ frame
-    local = np.asarray(mesh.vertices) @ axes.T
+    axes = wall_axes(caster.mesh, up)
+    local = np.asarray(caster.mesh.vertices) @ axes.T
     return Box(axes, np.quantile(local, 0.002, axis=0) - MARGIN, np.quantile(local, 0.998, axis=0) + MARGIN)
 
 

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from hyjax.light.kinds import Light
+from hyjax.util.errors import InputError
 
 REFERENCE_LUX = 300.0
 """Illuminance under which a frame is taken to have been photographed: an ordinary room in daylight or lamplight."""
@@ -32,9 +33,22 @@ class LightSetup:
         """A set-up as it is, or a set-up of these lights under the usual reference."""
         return lights if isinstance(lights, LightSetup) else cls(tuple(lights))
 
+    def check_existing(self, *, divided: bool) -> None:
+        """Raise `InputError` if sources of the photo are to be kept while its light is not divided out."""
+        if self.existing and not divided:
+            raise InputError(
+                "lights: 'existing' keeps some of the photo's own light; leave keep_photo_light and paper_mode out"
+            )
+
 
 def same_lights(a: Sequence[Light], b: Sequence[Light]) -> bool:
     """Whether two sequences have lights of the same kinds and values."""
     own, other = tuple(a), tuple(b)
     same: bool = jax.tree.structure(own) == jax.tree.structure(other)  # type: ignore[operator]
     return same and all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(own), jax.tree.leaves(other)))
+
+
+def same_setup(a: LightSetup, b: LightSetup) -> bool:
+    """Whether two set-ups have the same lights and reference, and keep the same of the photo's light."""
+    same = a.reference_lux == b.reference_lux and dict(a.existing) == dict(b.existing)
+    return same and same_lights(a.lights, b.lights)

@@ -17,7 +17,7 @@ from hyjax.light.transport import Transport, bounce, gather, send
 from hyjax.photo_light.basis import Basis, make_basis
 from hyjax.photo_light.fit import FLOOR, HIGHEST_ALBEDO, FitProblem, fit_sources
 from hyjax.photo_light.pairs import coplanar_pairs, held_out
-from hyjax.photo_light.radiance import vertex_radiance
+from hyjax.photo_light.radiance import VertexRadiance, vertex_radiance
 from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.cache import Arrays
 
@@ -63,7 +63,7 @@ class Estimate:
 
     @property
     def reason(self) -> str:
-        """Why nothing is divided out, or by how much dividing helps."""
+        """Why nothing is divided out, in words for the log and the tour; it has a meaning where `exponent` is 0."""
         if all(f == 1 for f in self.flatness):
             return "frames and scan tell too little of it"
         change = 100 * (1 - min(self.flatness))
@@ -88,7 +88,6 @@ def estimate_arrays(
         progress: show a bar on stderr.
         closed: whether the box round the scan stands for the walls that were not scanned.
     """
-    mesh, count = caster.mesh, len(caster.mesh.vertices)
     cameras: list[Camera] = []
 
     def read() -> Iterator[Frame]:
@@ -96,51 +95,27 @@ def estimate_arrays(
             cameras.append(frame.camera)
             yield frame
 
-    seen = vertex_radiance(caster, read())
-    hits, position, normal = trace(
-        caster, enclose(caster, up), [w.aperture for w in sources.windows], progress=progress
-    )
-    if not closed:
-        hits = np.where(hits < len(mesh.faces), hits, len(mesh.faces) + len(position) - count).astype(np.int32)
-    transport = _transport(caster, hits, position, normal)
+    shown = _shown(vertex_radiance(caster, read()))
+    hits, position, normal = _trace(caster, up, sources, progress, closed)
+    transport, count = _transport(caster, hits, position, normal), len(shown.visible)
     basis = make_basis(caster, hits, position, normal, sources)
-    visible = (seen.weight > 0) & np.isfinite(seen.radiance).all(axis=1)
-    scale = _log_mean(seen.radiance[visible]).mean()
-    radiance = np.where(visible[:, None], np.maximum(seen.radiance / scale, FLOOR), 1.0)
-    radiance[~visible] = _log_mean(radiance[visible])
-    sent = jnp.asarray(np.concatenate([radiance, np.zeros((len(position) - count, 3))]), jnp.float32)
-    gathered = np.asarray(gather(transport.hits, send(transport, sent)))
-    vertices = np.asarray(mesh.vertices)
-    pairs = coplanar_pairs(vertices, normal[:count], visible, PAIRS)
-    pairs = pairs[_one_hue(np.log(radiance), pairs)]
-    test = held_out(vertices[pairs[:, 0]])
-    enough = min(test.sum(), (~test).sum()) >= LEAST_PAIRS and np.ptp(np.log(radiance[visible])) > LEAST_CONTRAST
-    theta = np.full((basis.light.shape[1], 3), 1.0)
-    if enough:
-        known = (gathered[:count], basis.light[:count], radiance)
-        gathered_here, light_here, radiance_here = (jnp.asarray(a, jnp.float32) for a in known)
-        fitted, alike = (jnp.asarray(a, jnp.int32) for a in (pairs[~test], basis.neighbours))
-        shown = jnp.asarray(visible)
-        theta = fit_sources(FitProblem(gathered_here, light_here, radiance_here, shown, fitted, alike))
+    sent = np.concatenate([shown.radiance, np.zeros((len(position) - count, 3))])
+    gathered = np.asarray(gather(transport.hits, send(transport, jnp.asarray(sent, jnp.float32))))
+    theta, tested = _fitted(caster, normal[:count], shown, gathered[:count], basis)
     light = np.maximum(gathered + basis.light @ theta, FLOOR)
-    log_light, log_radiance = np.log(light[:count]), np.log(radiance)
-    tested = pairs[test] if enough else pairs[:0]
-    bright, hue = (_flatness(*parts, tested) for parts in zip(_split(log_radiance), _split(log_light)))
+    log_light, log_radiance = _split(np.log(light[:count])), _split(np.log(shown.radiance))
+    bright, hue = (_flatness(*parts, tested) for parts in zip(log_radiance, log_light))
     exponent, hue_exponent = _best(bright), _best(hue)
-    albedo = np.clip(radiance / light[:count], LOWEST_ALBEDO, HIGHEST_ALBEDO)
-    if not exponent:
-        albedo[:] = PLAIN_ALBEDO
-    mean = _log_mean(albedo[visible]) if visible.any() else np.full(3, PLAIN_ALBEDO)
-    # What was not scanned is often the ceiling and white walls: half way between them and what was.
-    unscanned = np.sqrt(mean * WHITE_WALL)
-    albedo = np.concatenate([albedo, np.broadcast_to(unscanned, (len(position) - count, 3))])
-    mean_log, chroma = _split(log_light)
-    divisor = np.exp(exponent * mean_log + (hue_exponent if exponent else 0.0) * chroma)
+    albedo, unscanned = _albedo(shown, light, believed=exponent > 0)
+    divisor = np.exp(exponent * log_light[0] + (hue_exponent if exponent else 0.0) * log_light[1])
+    illuminance = np.maximum(divisor / _visible_mean(caster, cameras, divisor), LEAST_PHOTO_LIGHT)
+    direct = _direct_by_source(basis, theta, light, unscanned, count)
+    shares = _shares(transport, *(jnp.asarray(a, jnp.float32) for a in (albedo, direct, illuminance)))
     arrays = {
-        "illuminance": np.maximum(divisor / _visible_mean(caster, cameras, divisor), LEAST_PHOTO_LIGHT),
-        "mean": scale * _visible_mean(caster, cameras, light[:count]),
+        "illuminance": illuminance,
+        "mean": shown.scale * _visible_mean(caster, cameras, light[:count]),
         "albedo": albedo,
-        "sources": _direct_by_source(basis, theta, light, unscanned, count),
+        "sources": np.asarray(shares),
         "position": position,
         "normal": normal,
     }
@@ -156,12 +131,90 @@ def estimate_arrays(
 def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
     """Estimate from the arrays that `estimate_arrays` made."""
     transport = _transport(caster, arrays["hits"], arrays["position"], arrays["normal"])
-    illuminance, albedo, mean = (jnp.asarray(arrays[name]) for name in ("illuminance", "albedo", "mean"))
-    sources = _shares(transport, albedo, jnp.asarray(arrays["sources"]), illuminance)
+    parts = ("illuminance", "sources", "mean", "albedo")
+    illuminance, shares, mean, albedo = (jnp.asarray(arrays[name]) for name in parts)
     names = tuple(str(name) for name in arrays["names"])
     flatness = tuple(float(x) for x in arrays["flatness"])
-    light = PhotoLight(illuminance, sources, mean, albedo, transport)
+    light = PhotoLight(illuminance, shares, mean, albedo, transport)
     return Estimate(light, names, float(arrays["exponent"]), float(arrays["hue_exponent"]), flatness)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Shown:
+    """What the frames show of the vertices.
+
+    Attributes:
+        visible: whether a frame shows it.
+        radiance: relative to `scale`; the mean of the others where none does.
+        scale: linear value of the pictures.
+    """
+
+    visible: Bool[np.ndarray, "v"]
+    radiance: Float[np.ndarray, "v 3"]
+    scale: float
+
+    @property
+    def contrast(self) -> float:
+        """Range of its logarithm."""
+        return float(np.ptp(np.log(self.radiance[self.visible])))
+
+
+def _shown(seen: VertexRadiance) -> _Shown:
+    visible = (seen.weight > 0) & np.isfinite(seen.radiance).all(axis=1)
+    scale = float(_log_mean(seen.radiance[visible]).mean())
+    radiance = np.where(visible[:, None], np.maximum(seen.radiance / scale, FLOOR), 1.0)
+    radiance[~visible] = _log_mean(radiance[visible])
+    return _Shown(visible, radiance, scale)
+
+
+def _trace(
+    caster: RayCaster, up: Float[np.ndarray, "3"], sources: PhotoSources, progress: bool, closed: bool
+) -> tuple[Int[np.ndarray, "r p"], Float[np.ndarray, "p 3"], Float[np.ndarray, "p 3"]]:
+    """Ends of all rays, see `trace`; those that leave a scan that is not `closed` end nowhere."""
+    windows = [window.aperture for window in sources.windows]
+    hits, position, normal = trace(caster, enclose(caster, up), windows, progress=progress)
+    if not closed:
+        nowhere = len(caster.mesh.faces) + len(position) - len(caster.mesh.vertices)
+        hits = np.where(hits < len(caster.mesh.faces), hits, nowhere).astype(np.int32)
+    return hits, position, normal
+
+
+def _fitted(
+    caster: RayCaster,
+    normal: Float[np.ndarray, "v 3"],
+    shown: _Shown,
+    gathered: Float[np.ndarray, "v 3"],
+    basis: Basis,
+) -> tuple[Float[np.ndarray, "k 3"], Int[np.ndarray, "n 2"]]:
+    """Strength of each source of the basis, and pairs of vertices that it was not fitted to.
+
+    All are 1, and there are no pairs, where the scan and the frames tell too little.
+    """
+    vertices, count = np.asarray(caster.mesh.vertices), len(normal)
+    pairs = coplanar_pairs(vertices, normal, shown.visible, PAIRS)
+    pairs = pairs[_one_hue(np.log(shown.radiance), pairs)]
+    test = held_out(vertices[pairs[:, 0]])
+    if min(test.sum(), (~test).sum()) < LEAST_PAIRS or shown.contrast <= LEAST_CONTRAST:
+        return np.full((basis.light.shape[1], 3), 1.0), pairs[:0]
+    known = (gathered, basis.light[:count], shown.radiance)
+    gathered_here, light, radiance = (jnp.asarray(a, jnp.float32) for a in known)
+    fitted, alike = (jnp.asarray(a, jnp.int32) for a in (pairs[~test], basis.neighbours))
+    problem = FitProblem(gathered_here, light, radiance, jnp.asarray(shown.visible), fitted, alike)
+    return fit_sources(problem), pairs[test]
+
+
+def _albedo(
+    shown: _Shown, light: Float[np.ndarray, "p 3"], believed: bool
+) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, "3"]]:
+    """Albedo of all points, plain where the light is not believed, and that of what was not scanned."""
+    count = len(shown.radiance)
+    albedo = np.clip(shown.radiance / light[:count], LOWEST_ALBEDO, HIGHEST_ALBEDO)
+    if not believed:
+        albedo[:] = PLAIN_ALBEDO
+    mean = _log_mean(albedo[shown.visible]) if shown.visible.any() else np.full(3, PLAIN_ALBEDO)
+    # What was not scanned is often the ceiling and white walls: half way between them and what was.
+    unscanned = np.sqrt(mean * WHITE_WALL)
+    return np.concatenate([albedo, np.broadcast_to(unscanned, (len(light) - count, 3))]), unscanned
 
 
 def _transport(caster: RayCaster, hits: np.ndarray, position: np.ndarray, normal: np.ndarray) -> Transport:

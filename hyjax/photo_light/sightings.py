@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float, Int
 
 from hyjax.data.capture import Frame
 from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.transport_rays import wall_axes
 from hyjax.photo_light.sources import SATURATED, Vector
-from hyjax.util.vectors import perpendicular, reject, unit
 
 PIXELS = 160
 """Pixels of a row that are looked at."""
@@ -56,13 +56,8 @@ Box = tuple[Float[np.ndarray, "5 3"], Float[np.ndarray, "5"]]
 def closing_box(mesh: trimesh.Trimesh, up: Vector, eyes: Float[np.ndarray, "n 3"]) -> Box:
     """Walls and ceiling as planes beyond all cameras: the outermost ones of some area, else the scan's end."""
     normals, areas = np.asarray(mesh.face_normals), np.asarray(mesh.area_faces)
-    x = unit(reject(perpendicular(up), up))
-    y = np.cross(up, x)
-    upright = np.abs(normals @ up) < 0.3
-    angle = np.arctan2(normals[upright] @ y, normals[upright] @ x)
-    turn = np.angle(np.sum(areas[upright] * np.exp(4j * angle)) + 1e-12) / 4
-    x = np.cos(turn) * x + np.sin(turn) * y
-    outward = np.stack([x, -x, np.cross(up, x), -np.cross(up, x), up])
+    x, y, _ = wall_axes(mesh, up)
+    outward = np.stack([-x, x, -y, y, up])
     return outward, np.array([_outermost(mesh, normals, areas, d, float((eyes @ d).max())) for d in outward])
 
 

@@ -23,14 +23,14 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
-import yaml
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from hyjax.data.capture import Frame
+from hyjax.data.hand_written import check_keys, read_plain
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture
-from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.errors import InputError
 from hyjax.util.vectors import unit
 
 Vector = Float[np.ndarray, "3"]
@@ -207,13 +207,7 @@ def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarr
         InputError: no such file, malformed, a window off the walls or inside out, a lamp outside the scan.
     """
     path = Path(path)
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError:
-        raise InputError(f"{path}: no such file of windows and lamps") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        mark = getattr(error, "problem_mark", None)
-        raise InputError(f"{path}: neither YAML nor JSON{f' (line {mark.line + 1})' if mark else ''}") from None
+    content = read_plain(path, "file of windows and lamps")
     lists = _converted(str(path), content, _File)
     windows = [
         _checked_window(f"{path}: window {i}", _converted(f"{path}: window {i}", entry, _Window), i, up)
@@ -278,21 +272,13 @@ def _surface_points(mesh: Any) -> Float[np.ndarray, "n 3"]:
 
 def _converted(where: str, content: Any, form: Any) -> Any:
     """An entry of a file as its type; one clear line on what is wrong with it."""
-    known = form.__struct_fields__
-    if not isinstance(content, dict):
-        raise InputError(f"{where}: must be a mapping with {', '.join(known)}")
-    for key in content:
-        if key not in known:
-            hint = did_you_mean(str(key), known)
-            raise InputError(f"{where}: unknown key {key!r}{hint}; there are {', '.join(known)}")
+    fields = msgspec.structs.fields(form)
+    check_keys(where, content, [f.name for f in fields], [f.name for f in fields if f.required])
     try:
         return msgspec.convert(content, form)
     except msgspec.ValidationError as error:
-        missing = re.search(r"missing required field `(\w+)`", str(error))
-        if missing:
-            raise InputError(f"{where}: key {missing[1]!r} is missing") from None
         at = re.search(r"`\$\.(\w+)", str(error))
-        key = at[1] if at else str(known[0])
+        key = at[1] if at else fields[0].name
         raise InputError(f"{where}: {key!r} must be {FORMS[key]}, got {content.get(key)!r}") from None
 
 

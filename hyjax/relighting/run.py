@@ -95,11 +95,8 @@ def relight_capture(
         record["capture"] = scene.capture.name
     divides = settings.divides_photo_light
     setup = scene.lights(settings.lights if lights is None else lights, at_photo_sources=divides)
+    setup.check_existing(divided=divides)
     if setup.existing:
-        if not divides:
-            raise InputError(
-                "lights: 'existing' keeps some of the photo's own light; leave keep_photo_light and paper_mode out"
-            )
         scene.photo_light.kept(setup.existing)
     for light in setup.lights:
         kind_name(light)  # it can be written in the end

@@ -12,17 +12,18 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import fit, spread
+from hyjax.data.frames import shrink, spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters, pane_shares, radiant_filter
 from hyjax.light.photo_light import SurfaceLight, bounced_light
-from hyjax.light.setup import LightSetup, same_lights
+from hyjax.light.setup import LightSetup, same_setup
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate
+from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
 from hyjax.photo_light.source_search import find_photo_sources
 from hyjax.photo_light.sources import PhotoSources
-from hyjax.util.cache import cache_folder, cached_arrays
+from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.files import digest
 
@@ -32,8 +33,8 @@ WIDTH = 800
 """Pixels of their longer side, at most."""
 PANE_FRAMES, PANE_WIDTH = 12, 320
 """Frames that panes are looked at in, and pixels of their longer side."""
-VERSION = 8
-"""Of the estimate. Add one whenever it comes out differently."""
+VERSION = 9
+"""Of sources and estimate. Add one whenever either comes out differently."""
 _log = logging.getLogger(__name__)
 
 
@@ -44,6 +45,7 @@ class ScenePhotoLight:
         capture: frames with poses.
         caster: its surface.
         frame: reads a frame.
+        size: (height, width) that it reads them at; None as captured.
         sources_file: names the windows and lamps that lit the frames; None to find them.
         progress: show bars on stderr.
     """
@@ -54,11 +56,12 @@ class ScenePhotoLight:
         caster: RayCaster,
         frame: Callable[[int], Frame],
         *,
+        size: tuple[int, int] | None = None,
         sources_file: Path | None = None,
         progress: bool = False,
     ) -> None:
         self._capture, self._caster, self._frame = capture, caster, frame
-        self._sources_file, self._progress = sources_file, progress
+        self._size, self._sources_file, self._progress = size, sources_file, progress
         self._last: tuple[LightSetup, Sequence[ShadowMap | None] | None, SurfaceLight] | None = None
 
     @functools.cached_property
@@ -68,7 +71,13 @@ class ScenePhotoLight:
         Raises:
             InputError: the file that names them cannot be used.
         """
-        return find_photo_sources(self._capture, self._caster, self._frames, file=self._sources_file)
+        return cached_arrays(
+            cache_folder() / f"photo-sources-v{VERSION}-{self._key}.npz",
+            sources_from_arrays,
+            lambda: sources_to_arrays(
+                find_photo_sources(self._capture, self._caster, self._frames, file=self._sources_file)
+            ),
+        )
 
     @functools.cached_property
     def estimate(self) -> Estimate:
@@ -77,20 +86,7 @@ class ScenePhotoLight:
         Raises:
             InputError: the file that names its sources cannot be used.
         """
-        caster, sources = self._caster, self.sources
-        mesh = (np.ascontiguousarray(part).tobytes() for part in (caster.mesh.vertices, caster.mesh.faces))
-        named = [(window.name, window.corners.round(4).tolist()) for window in sources.windows]
-        named += [(lamp.name, lamp.position.round(4).tolist()) for lamp in sources.lamps]
-        shape = str(self._frames[0].camera.intrinsics)
-        surface = hashlib.sha256(b"".join(mesh)).hexdigest()
-        key = digest([self._capture.fingerprint, shape, repr(named), surface])
-        found = cached_arrays(
-            cache_folder() / f"photo-light-v{VERSION}-{key}.npz",
-            lambda arrays: read_estimate(caster, arrays),
-            lambda: estimate_arrays(
-                caster, self._frames, np.asarray(self._capture.up, np.float64), sources, self._progress
-            ),
-        )
+        found = self._stored[0]
         if found.exponent == 0:
             _log.warning("%s: the light of the photos stays in the pictures: %s", self._capture.name, found.reason)
         return found
@@ -103,7 +99,7 @@ class ScenePhotoLight:
             shadow_maps: one for each; None for no shadows.
         """
         last = self._last
-        if last is not None and last[1] is shadow_maps and _same_setup(last[0], setup):
+        if last is not None and last[1] is shadow_maps and same_setup(last[0], setup):
             return last[2]
         photo, kept = self.estimate.light, jnp.asarray(self.kept(setup.existing), jnp.float32)
         bounced = bounced_light(photo, setup.lights, shadow_maps)
@@ -123,20 +119,21 @@ class ScenePhotoLight:
             "flatness": round(min(self.estimate.flatness), 3),
         }
 
+    def unknown(self, existing: Mapping[str, Any]) -> str | None:
+        """Which names are no source of these photos, in words; None if all are."""
+        names = self.estimate.names
+        wrong = [f"{name!r}{did_you_mean(name, names)}" for name in existing if name not in names]
+        return f"the photos have no source {', '.join(wrong)}; there are {', '.join(names)}" if wrong else None
+
     def kept(self, existing: Mapping[str, Sequence[float]]) -> Float[np.ndarray, "s 3"]:
         """What is left of each source of the photo.
 
         Raises:
             InputError: there is no source of a name.
         """
-        names = self.estimate.names
-        for name in existing:
-            if name not in names:
-                hint = did_you_mean(name, names)
-                raise InputError(
-                    f"existing: the photos have no source {name!r}{hint}; there are {', '.join(names)}"
-                )
-        return np.array([existing.get(name, (0.0, 0.0, 0.0)) for name in names])
+        if unknown := self.unknown(existing):
+            raise InputError(f"existing: {unknown}")
+        return np.array([existing.get(name, (0.0, 0.0, 0.0)) for name in self.estimate.names])
 
     def emitters(self, setup: LightSetup) -> Emitters | None:
         """Panes and lamps with what they send under new lights; None if there are none."""
@@ -148,18 +145,43 @@ class ScenePhotoLight:
         sent = radiant_filter(setup.lights, panes, bulbs, float(setup.reference_lux))
         kept = self.kept(setup.existing)[: len(sent)]  # windows, then lamps, as the sources are
         own, round_, light, left = (jnp.asarray(a, jnp.float32) for a in (panes, bulbs, sent, kept))
-        return Emitters(own, round_, light, left, self.estimate.light.mean, jnp.asarray(self._pane_means))
+        return Emitters(own, round_, light, left, self.estimate.light.mean, jnp.asarray(self._stored[1]))
 
     @functools.cached_property
+    def _key(self) -> str:
+        """Key of all that decides on the sources and the light. No frame is read for it."""
+        capture, mesh = self._capture, self._caster.mesh
+        surface = (np.ascontiguousarray(part).tobytes() for part in (mesh.vertices, mesh.faces))
+        anchors = sorted(
+            (name, sorted((key, np.asarray(value).tolist()) for key, value in place.items()))
+            for name, place in capture.anchors.items()
+        )
+        known = [repr(np.asarray(capture.up).tolist()), repr(anchors), _content(self._sources_file)]
+        hashed = hashlib.sha256(b"".join(surface)).hexdigest()
+        return digest([capture.fingerprint, str(self._size), hashed, *known])
+
+    @functools.cached_property
+    def _stored(self) -> tuple[Estimate, Float[np.ndarray, "n 3"]]:
+        """Estimate, and the means of panes."""
+        caster, up = self._caster, np.asarray(self._capture.up, np.float64)
+
+        def made() -> Arrays:
+            arrays = estimate_arrays(caster, self._frames, up, self.sources, self._progress)
+            return {**arrays, "pane_means": self._pane_means()}
+
+        return cached_arrays(
+            cache_folder() / f"photo-light-v{VERSION}-{self._key}.npz",
+            lambda arrays: (read_estimate(caster, arrays), arrays["pane_means"]),
+            made,
+        )
+
     def _pane_means(self) -> Float[np.ndarray, "n 3"]:
         """Mean of what the frames show of each pane, linear."""
         windows = self.sources.windows
         panes = jnp.asarray(np.array([(w.center, w.right, w.up) for w in windows]).reshape(-1, 3, 3), jnp.float32)
         total, weight = np.zeros((len(windows), 3)), np.full(len(windows), 1e-6)
         for frame in spread(self._frames, PANE_FRAMES) if windows else []:
-            height, width = frame.camera.intrinsics.shape
-            share = min(1.0, PANE_WIDTH / max(height, width))
-            small = fit(frame, (max(1, round(height * share)), max(1, round(width * share))))
+            small = shrink(frame, PANE_WIDTH)
             matrices = small.camera.pose, small.camera.intrinsics.matrix
             pose, intrinsics = (jnp.asarray(matrix, jnp.float32) for matrix in matrices)
             linear = to_linear(jnp.asarray(small.image))
@@ -176,16 +198,15 @@ class ScenePhotoLight:
         frames = []
         for index in spread(range(len(self._capture)), FRAMES):
             try:
-                frame = self._frame(index)
+                frames.append(shrink(self._frame(index), WIDTH))
             except InputError as error:  # told in full when it is its turn to be relit
                 _log.info("the photo's light is estimated without frame %d: %s", index, error)
-                continue
-            height, width = frame.camera.intrinsics.shape
-            share = min(1.0, WIDTH / max(height, width))
-            frames.append(fit(frame, (round(height * share), round(width * share))) if share < 1 else frame)
         return frames or [self._frame(0)]
 
 
-def _same_setup(a: LightSetup, b: LightSetup) -> bool:
-    same = a.reference_lux == b.reference_lux and dict(a.existing) == dict(b.existing)
-    return same and same_lights(a.lights, b.lights)
+def _content(file: Path | None) -> str:
+    """Hash of a file's content; its name where it cannot be read, which is told when it is."""
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest() if file is not None else ""
+    except OSError:
+        return str(file)

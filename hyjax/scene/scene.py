@@ -234,12 +234,11 @@ class Scene:
             occluders: what throws them.
 
         Raises:
-            InputError: no such set-up.
+            InputError: no such set-up, or it keeps sources of a photo whose light is kept whole.
         """
         setup = self.lights(lights, at_photo_sources=not keep_photo_light)
+        setup.check_existing(divided=not keep_photo_light)
         light = None
-        if keep_photo_light and setup.existing:
-            raise InputError("lights: 'existing' is of the photo's own light, which is kept whole here")
         if not keep_photo_light:
             light = self.surface_light(setup, shadows=shadows, occluders=occluders)
         maps = self.shadow_maps(setup, occluders=occluders) if shadows else None
@@ -249,7 +248,12 @@ class Scene:
     def photo_light(self) -> ScenePhotoLight:
         """Light that the frames were taken under, estimated when first asked for and kept in the cache folder."""
         return ScenePhotoLight(
-            self.capture, self.caster, self.frame, sources_file=self._sources_file, progress=self._progress
+            self.capture,
+            self.caster,
+            self.frame,
+            size=self.size,
+            sources_file=self._sources_file,
+            progress=self._progress,
         )
 
     def surface_light(

@@ -26,7 +26,6 @@ from hyjax.tour.editable_scene import SceneParts
 from hyjax.tour.layers import LayerCache, Quality
 from hyjax.tour.lighting import LEAST_AMBIENT
 from hyjax.tour.picture import CHANNELS
-from hyjax.util.errors import did_you_mean
 from hyjax.util.lru_cache import LruCache
 
 ARRANGEMENTS = 4
@@ -92,8 +91,7 @@ class RoomLight:
 
     def unknown(self, existing: Mapping[str, float]) -> str | None:
         """Which names are no source of these photos, in words; None if all are."""
-        wrong = [f"{name!r}{did_you_mean(name, self.names)}" for name in existing if name not in self.names]
-        return f"the photos have no source {', '.join(wrong)}; there are {', '.join(self.names)}" if wrong else None
+        return self._photo.unknown(existing)
 
     def surface_light(
         self,

@@ -13,7 +13,7 @@ Yang et al., *A survey of temporal antialiasing techniques*, 2020.
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import Schedule
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
-from hyjax.light.setup import LightSetup, same_lights
+from hyjax.light.setup import REFERENCE_LUX, LightSetup, same_setup
 from hyjax.light.view import View
 from hyjax.util.errors import InputError
 from hyjax.util.tracing import concrete
@@ -49,6 +49,7 @@ class Memory:
         pose: camera-to-world.
         intrinsics: of the camera, as `Intrinsics.matrix`.
         lights: that the channels belong to.
+        reference_lux, existing: likewise, see `LightSetup`.
     """
 
     channels: Float[Array, "h w c"]
@@ -56,6 +57,8 @@ class Memory:
     pose: Float[Array, "4 4"]
     intrinsics: Float[Array, "3 3"]
     lights: tuple[Light, ...]
+    reference_lux: float = REFERENCE_LUX
+    existing: Mapping[str, tuple[float, float, float]] = dataclasses.field(default_factory=dict)
 
 
 @jax.jit
@@ -148,11 +151,11 @@ def steady(
     return jnp.where(usable, mean, channels)
 
 
-def remembers(memory: Memory | None, shape: tuple[int, ...], lights: Sequence[Light]) -> bool:
-    """Whether a memory is of frames of this size, under just these lights."""
+def remembers(memory: Memory | None, shape: tuple[int, ...], lights: LightSetup | Sequence[Light]) -> bool:
+    """Whether a memory is of frames of this size, under just this set-up."""
     if memory is None or memory.channels.shape != shape:
         return False
-    return same_lights(memory.lights, lights)
+    return same_setup(LightSetup(memory.lights, memory.reference_lux, memory.existing), LightSetup.of(lights))
 
 
 @dataclasses.dataclass
@@ -167,7 +170,8 @@ class Video:
 
     Attributes:
         keep: share of the last frame, 0 to below 1.
-        memory: of the last frame; None before the first. A frame of another size or under other lights starts anew.
+        memory: of the last frame; None before the first. A frame of another size or under another set-up starts
+            anew.
     """
 
     keep: float = KEEP
@@ -194,7 +198,7 @@ class Video:
         if view.pose is None or view.intrinsics is None:
             raise InputError("video: the view needs the camera's pose and intrinsics")
         camera = jnp.asarray(view.pose, jnp.float32), jnp.asarray(view.intrinsics, jnp.float32)
-        own = tuple(LightSetup.of(lights).lights)
+        own = LightSetup.of(lights)
 
         def filtered(illuminance: Array, visibility: Array) -> tuple[Array, Array]:
             channels, count = jnp.concatenate([illuminance, visibility], axis=-1), illuminance.shape[-1]
@@ -205,7 +209,9 @@ class Video:
             # Nothing traced outlives its trace, and a dark frame is not worth keeping.
             lit = concrete(jnp.any(illuminance != 0))
             if lit is not None and lit:
-                self.memory = Memory(channels, depth, *camera, own)
+                self.memory = Memory(
+                    channels, depth, *camera, tuple(own.lights), own.reference_lux, dict(own.existing)
+                )
             return channels[..., :count], channels[..., count:]
 
         return filtered

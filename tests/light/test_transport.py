@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyjax.geometry.raycast import RayCaster
-from hyjax.geometry.transport_rays import CELLS, enclose, trace
+from hyjax.geometry.transport_rays import CELLS, enclose, trace, wall_axes
 from hyjax.light.kinds import Aperture, PointLight
 from hyjax.light.photo_light import PhotoLight, bounced_light, interpolate
 from hyjax.light.transport import Transport, bounce, gather, send
@@ -33,6 +33,13 @@ def transport_of(mesh: trimesh.Trimesh, openings: tuple[Aperture, ...] = (), ray
     hits, position, normal = trace(caster, enclose(caster, UP), openings, rays=rays)
     place, facing = (jnp.asarray(a, jnp.float32) for a in (position, normal))
     return Transport(jnp.asarray(hits), jnp.asarray(mesh.faces, jnp.int32), place, facing, len(mesh.vertices))
+
+
+def test_walls_give_the_axes_however_a_room_is_turned() -> None:
+    axes = wall_axes(room(0.3), UP)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(axes[2], UP)
+    np.testing.assert_allclose(np.abs(axes[:2] @ [np.cos(0.3), np.sin(0.3), 0.0]).max(), 1.0, atol=1e-6)
 
 
 @pytest.fixture(scope="module")

@@ -181,8 +181,15 @@ def test_the_record_says_which_lights_were_named(tmp_path: Path) -> None:
 def test_what_is_kept_of_the_photo_needs_its_light_divided_out(tmp_path: Path) -> None:
     scene = Scene(Box(), box())
     setup = LightSetup((PointLight(jnp.zeros(3), jnp.asarray(9.0), jnp.ones(3)),), existing={"walls": (1.0,) * 3})
-    with pytest.raises(InputError, match="existing"):
+    refused = r"^lights: 'existing' keeps some of the photo's own light; leave keep_photo_light"
+    with pytest.raises(InputError, match=refused):
         scene.shade(scene.view(0), setup, keep_photo_light=True)
+    for settings in (
+        RelightSettings(out=tmp_path, keep_photo_light=True),
+        RelightSettings(out=tmp_path, paper_mode=True),
+    ):
+        with pytest.raises(InputError, match=refused):
+            relight_capture(settings, scene=scene, lights=setup)
     with pytest.raises(InputError, match=r"no source 'wals' \(did you mean 'walls'"):
         scene.photo_light.kept({"wals": (1.0,) * 3})
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyjax import AmbientLight, GBuffer, InputError, PointLight, Schedule, Shaded, View, relight
+from hyjax import AmbientLight, GBuffer, InputError, LightSetup, PointLight, Schedule, Shaded, View, relight
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.video.temporal_filter import KEEP, LEAST_FOUND, Memory, Video, fill_depth, recall, remembers, steady
 
@@ -182,6 +182,24 @@ def test_a_frame_of_another_size_starts_anew() -> None:
     with_memory = relight(view, shaded, frame, SCHEDULE, temporal_filter=keep_still)
     np.testing.assert_array_equal(with_memory.image, relight(view, shaded, frame, SCHEDULE).image)
     assert video.memory is not None and video.memory.channels.shape == (12, 16, 4)
+
+
+@pytest.mark.parametrize(
+    "other", [LightSetup(LIGHTS, existing={"walls": (0.5, 0.5, 0.5)}), LightSetup(LIGHTS, reference_lux=100.0)]
+)
+def test_a_frame_under_another_set_up_of_the_same_lights_starts_anew(other: LightSetup) -> None:
+    """What is left of the photo's light, and how bright it was, are in the channels too."""
+    video, frame = Video(memory=memory(camera(), jnp.zeros((*SIZE, 4)))), jnp.full((*SIZE, 3), 0.5)
+    view = viewed(frame, wall(camera()), camera())
+    free = relight(view, view.shade(other), frame, SCHEDULE)
+    with_memory = relight(
+        view, view.shade(other), frame, SCHEDULE, temporal_filter=video.filter(view, other, frame, SCHEDULE)
+    )
+    np.testing.assert_array_equal(with_memory.image, free.image)
+    assert video.memory is not None and remembers(video.memory, (*SIZE, 4), other)
+    assert not remembers(video.memory, (*SIZE, 4), LIGHTS)
+    again = video.filter(view, other, frame, SCHEDULE)
+    relight(view, view.shade(other), frame, SCHEDULE, temporal_filter=again)
 
 
 def test_refusals() -> None:

@@ -1,0 +1,112 @@
+"""Photo's light of a scene: kept with its sources, so that the next start reads no frame for it."""
+
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+from hyjax import LightSetup, PointLight, Scene
+from hyjax.data.capture import Capture, Frame
+from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
+from hyjax.photo_light.sources import PhotoLamp, PhotoSources, PhotoWindow
+
+UP = np.array([0.0, 0.0, 1.0])
+LENS = Intrinsics(16, 12, 10.0, 10.0, 8.0, 6.0)
+WINDOW = "windows: [{center: [0, 2, 0], normal: [0, -1, 0], width: 1, height: 1}]"
+SETUP = LightSetup((PointLight(jnp.zeros(3), jnp.asarray(9.0), jnp.ones(3)),))
+
+
+class Room(Capture):
+    """Two pictures in a box, which counts how often one is read."""
+
+    name = "room"
+
+    def __init__(self, fingerprint: str = "room", anchors: Any = None) -> None:
+        self.up, self.anchors, self._fingerprint, self.read = UP, anchors or {}, fingerprint, 0
+
+    @property
+    def fingerprint(self) -> str:
+        return self._fingerprint
+
+    def __len__(self) -> int:
+        return 2
+
+    def __getitem__(self, index: int) -> Frame:
+        self.read += 1
+        image = np.random.default_rng(index).uniform(0.3, 0.9, (*LENS.shape, 3)).astype(np.float32)
+        camera = Camera(LENS, look_at(np.array([0.2 * index, -1.0, 0.1]), np.array([0.0, 2.0, 0.0]), UP))
+        return Frame(f"f{index}", image, camera, float(index))
+
+
+def walls(side: float = 4.0) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box((side, 4, 3))
+    mesh.invert()
+    return mesh
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def named(tmp_path: Path) -> Path:
+    file = tmp_path / "windows.yaml"
+    file.write_text(WINDOW)
+    return file
+
+
+def light(scene: Scene) -> Any:
+    return scene.photo_light.surface_light(SETUP, None)
+
+
+@pytest.mark.parametrize("from_file", [True, False])
+def test_the_next_start_reads_no_frame_and_finds_the_same(from_file: bool, named: Path) -> None:
+    file = named if from_file else None
+    first, second = Room(), Room()
+    made, kept = (Scene(room, walls(), photo_sources=file) for room in (first, second))
+    before, after = light(made), light(kept)
+    assert first.read and not second.read
+    assert kept.photo_light.record() == made.photo_light.record()
+    assert (made.photo_light.sources.origin == "file") == from_file
+    np.testing.assert_array_equal(after.photo_light, before.photo_light)
+    np.testing.assert_array_equal(after.bounced, before.bounced)
+    if from_file:
+        np.testing.assert_array_equal(after.emitters.pane_means, before.emitters.pane_means)
+        assert 0.05 < float(after.emitters.pane_means.min()) < float(after.emitters.pane_means.max()) < 0.9
+
+
+def test_whatever_decides_on_the_light_is_in_its_key(named: Path) -> None:
+    light(Scene(Room(), walls(), photo_sources=named))
+    lamp = {"lamp_0": {"position": np.array([0.0, 0.0, 1.0])}}
+    others = [
+        (Room("other"), walls(), {}),
+        (Room(anchors=lamp), walls(), {}),
+        (Room(), walls(4.1), {}),
+        (Room(), walls(), {"size": (6, 8)}),
+    ]
+    for room, mesh, options in others:
+        light(Scene(room, mesh, photo_sources=named, **options))
+        assert room.read, options
+    named.write_text(WINDOW.replace("width: 1", "width: 1.2"))
+    room = Room()
+    light(Scene(room, walls(), photo_sources=named))
+    assert room.read
+    light(Scene(room := Room(), walls()))
+    assert room.read
+
+
+def test_sources_come_back_from_their_arrays() -> None:
+    window = PhotoWindow.facing("balcony", np.array([0.0, 2.0, 0.1]), np.array([0.0, -1.0, 0.0]), UP, 1.0, 1.3)
+    lamps = (
+        PhotoLamp("pendant", np.array([0.0, 0.1, 1.0]), 0.07, np.zeros(0, int)),
+        PhotoLamp("shade", np.array([1.0, 0.1, 1.0]), 0.05, np.array([3, 5])),
+    )
+    back = sources_from_arrays(sources_to_arrays(PhotoSources((window,), lamps, "found")))
+    assert back.origin == "found" and repr(back) == repr(PhotoSources((window,), lamps, "found"))
+    none = sources_from_arrays(sources_to_arrays(PhotoSources((), (), "none")))
+    assert none == PhotoSources((), (), "none")
