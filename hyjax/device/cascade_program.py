@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import ArrayLike
 
 from hyjax.core.pyramid import level_shape
 from hyjax.core.schedule import Level, Schedule
@@ -59,12 +60,12 @@ class CascadeWriter:
         means = self._means(name, source, factors, groups)
         if total:
             self._total(name, means[factors[0]], factors[0], groups)
-        state, coarser, kappa = means[factors[0]], factors[0], float(schedule.levels[0].kappa)
+        state, coarser, kappa = means[factors[0]], factors[0], _value(schedule.levels[0].kappa)
         for level in schedule.levels:
             if level.factor != coarser:
                 state = self._upsample(name, state, coarser, level.factor, schedule, kappa, groups)
             state = self._diffuse(name, state, means[level.factor], level, schedule, groups)
-            coarser, kappa = level.factor, float(level.kappa)
+            coarser, kappa = level.factor, _value(level.kappa)
         return self._upsample(name, state, coarser, 1, schedule, kappa, groups) if coarser > 1 else state
 
     def _shape(self, factor: int) -> tuple[int, int]:
@@ -83,11 +84,13 @@ class CascadeWriter:
                 [means[finer], means[factor]],
                 grid_of(self._shape(factor)),
                 groups,
-                full=columns_rows(self.program.size),
-                fine=columns_rows(self._shape(finer)),
-                coarse=columns_rows(self._shape(factor)),
-                fine_factor=finer,
-                ratio=factor // finer,
+                constants={
+                    "full": columns_rows(self.program.size),
+                    "fine": columns_rows(self._shape(finer)),
+                    "coarse": columns_rows(self._shape(factor)),
+                    "fine_factor": finer,
+                    "ratio": factor // finer,
+                },
             )
         return means
 
@@ -106,11 +109,13 @@ class CascadeWriter:
                 [self._guides.get(finer, self.guide), self._guides[factor]],
                 grid_of(self._shape(factor)),
                 groups,
-                full=columns_rows(self.program.size),
-                fine=columns_rows(self._shape(finer)),
-                coarse=columns_rows(self._shape(factor)),
-                fine_factor=finer,
-                ratio=factor // finer,
+                constants={
+                    "full": columns_rows(self.program.size),
+                    "fine": columns_rows(self._shape(finer)),
+                    "coarse": columns_rows(self._shape(factor)),
+                    "fine_factor": finer,
+                    "ratio": factor // finer,
+                },
             )
         return self._guides[factor]
 
@@ -125,7 +130,7 @@ class CascadeWriter:
     def _level_edges(self, level: Level, schedule: Schedule) -> str:
         """Buffer of a level's conductances."""
         pooled = schedule.pooling == "edges" and level.factor > 1
-        kappa = float(level.kappa)
+        kappa = _value(level.kappa)
         key = level.factor, kappa, pooled, schedule.norm
         if key not in self._edges:
             shape = self._shape(level.factor)
@@ -140,15 +145,17 @@ class CascadeWriter:
                 ["edges"],
                 [self.guide if pooled else self._guide(level.factor), name],
                 grid_of(shape),
-                guide=columns_rows(self.program.size if pooled else shape),
-                cells=columns_rows(shape),
-                groups=-(-self.features // 4),
-                factor=level.factor,
-                scale=_scale(kappa),
-                distance=self._distance(schedule),
-                pooling=schedule.pooling,
-                down=down,
-                right=right,
+                constants={
+                    "guide": columns_rows(self.program.size if pooled else shape),
+                    "cells": columns_rows(shape),
+                    "groups": -(-self.features // 4),
+                    "factor": level.factor,
+                    "scale": _scale(kappa),
+                    "distance": self._distance(schedule),
+                    "pooling": schedule.pooling,
+                    "down": down,
+                    "right": right,
+                },
             )
         return self._edges[key]
 
@@ -158,7 +165,7 @@ class CascadeWriter:
         edges = self._level_edges(level, schedule) if sizes else ""
         update, source, binding = "own + lam * flow", "y[q]", ""
         if level.fidelity is not None:
-            alpha = _number(float(level.fidelity))
+            alpha = _number(_value(level.fidelity))
             update = f"(own + lam * flow + lam * {alpha} * source[q]) / (1.0 + lam * {alpha})"
             source = "load(means[index])"
             binding = "@group(0) @binding(3) var<storage, read> means: array<Stored>;"
@@ -175,13 +182,15 @@ class CascadeWriter:
                 [state, edges, after, *([means] if binding else [])],
                 grid_of(shape, CELLS_OF_TILE - 2 * rim),
                 groups,
-                size=columns_rows(shape),
-                rim=rim,
-                steps=len(run),
-                step_sizes=", ".join(_number(float(lam)) for lam in run),
-                update=update,
-                source=source,
-                source_binding=binding,
+                constants={
+                    "size": columns_rows(shape),
+                    "rim": rim,
+                    "steps": len(run),
+                    "step_sizes": ", ".join(_number(float(lam)) for lam in run),
+                    "update": update,
+                    "source": source,
+                    "source_binding": binding,
+                },
             )
             state = after
         return state
@@ -217,11 +226,13 @@ fn likeness(pixel: vec2<u32>, cell: vec2<u32>) -> f32 {{
             bind,
             grid_of(shape),
             groups,
-            fine=columns_rows(shape),
-            coarse=columns_rows(self._shape(coarser)),
-            factor=coarser // factor,
-            guide_bindings=bindings,
-            likeness=likeness,
+            constants={
+                "fine": columns_rows(shape),
+                "coarse": columns_rows(self._shape(coarser)),
+                "factor": coarser // factor,
+                "guide_bindings": bindings,
+                "likeness": likeness,
+            },
         )
         return fine
 
@@ -234,16 +245,22 @@ fn likeness(pixel: vec2<u32>, cell: vec2<u32>) -> f32 {{
             [means, self.program.buffer(f"{name} totals", 16, groups)],
             (1, 1),
             groups,
-            full=columns_rows(self.program.size),
-            cells=columns_rows(self._shape(factor)),
-            factor=factor,
+            constants={
+                "full": columns_rows(self.program.size),
+                "cells": columns_rows(self._shape(factor)),
+                "factor": factor,
+            },
         )
+
+
+def _value(leaf: ArrayLike) -> float:
+    """A number of a schedule."""
+    return float(np.asarray(leaf))
 
 
 def _number(value: float) -> str:
     """A float32 as WGSL has it."""
-    text = np.format_float_scientific(np.float32(value), unique=True)
-    return text
+    return np.format_float_scientific(np.float32(value), unique=True)
 
 
 def _scale(kappa: float) -> str:

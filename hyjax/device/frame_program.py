@@ -85,8 +85,9 @@ def frame_program(
     _shadows(program, counts, map_texels)
     _bounces(program, counts)
     picture = program.picture("picture", size, Groups(1))
-    whole, camera = grid_of(size), {"size": columns_rows(size)}
-    program.launch("photo", "picture", ["frame", "camera", "picture"], ["photo", picture], whole, **camera)
+    whole = grid_of(size)
+    camera: dict[str, object] = {"size": columns_rows(size)}
+    program.launch("photo", "picture", ["frame", "camera", "picture"], ["photo", picture], whole, constants=camera)
     guide = picture if features == 3 else program.picture("guide", size, Groups(-(-features // 4)))
     light, visibility = _surface(program, counts)
     writer = CascadeWriter(program, guide, features)
@@ -101,13 +102,13 @@ def frame_program(
         [visibility, filled, "filling totals", complete],
         (256, -(-pixels // (256 * 64))),
         Groups(0, 1),
-        pixels=pixels,
+        constants={"pixels": pixels},
     )
     shadows = writer.cascade("shadow pass", complete, shadow_schedule, Groups(0, 1))
     image = program.buffer("image", 16 * pixels)
     bind = ["frame", "lights", "emitters", picture, "positions", refined, "cascade totals", shadows, image]
     files = ["frame", "camera", "color", "filled", "lights", "composite"]
-    program.launch("frame", "composite", files, bind, whole, **camera)
+    program.launch("frame", "composite", files, bind, whole, constants=camera)
     program.names = {"raw": light, "refined": refined, "visibility": shadows, "image": image}
     return program
 
@@ -122,12 +123,12 @@ def _load(program: Program, counts: SceneCounts) -> None:
         first = program.buffer(f"depth {depth}", 16, uniform=True, initial=(depth - 1, depth, 0, 0))
         bind = ["vertices", "occluders", boxes, first]
         grid = line_of(depth)
-        program.launch("load", "tree", ["trace", "boxes"], bind, grid, **_tree(counts), boxes_access="read_write")
+        program.launch("load", "tree", ["trace", "boxes"], bind, grid, constants=_tree(counts, "read_write"))
         depth //= 2
 
 
-def _tree(counts: SceneCounts) -> dict[str, int]:
-    return {"leaves": counts.leaves, "leaf": LEAF, "faces": counts.occluder_faces}
+def _tree(counts: SceneCounts, access: str) -> dict[str, object]:
+    return {"leaves": counts.leaves, "leaf": LEAF, "faces": counts.occluder_faces, "boxes_access": access}
 
 
 def _shadows(program: Program, counts: SceneCounts, map_texels: int) -> None:
@@ -140,8 +141,7 @@ def _shadows(program: Program, counts: SceneCounts, map_texels: int) -> None:
         ["vertices", "occluders", "boxes", "lights", "jobs", "depths"],
         grid_of((map_texels, map_texels)),
         jobs=True,
-        **_tree(counts),
-        boxes_access="read",
+        constants=_tree(counts, "read"),
     )
 
 
@@ -152,42 +152,47 @@ def _bounces(program: Program, counts: SceneCounts) -> None:
     direct, indirect = (program.buffer(name, 16 * counts.points) for name in ("direct", "indirect"))
     radiators = counts.faces + counts.points - counts.vertices + 1
     sent, hits = program.buffer("sent", 16 * radiators), program.buffer("hits", 4 * counts.rays * counts.points)
-    points = {"points": counts.points}
+    points: dict[str, object] = {"points": counts.points}
     bind = ["frame", "lights", "depths", fields, direct, indirect]
     line = line_of(counts.points)
-    program.launch("bounces", "direct light", ["frame", "lights", "visibility", "direct"], bind, line, **points)
+    program.launch(
+        "bounces", "direct light", ["frame", "lights", "visibility", "direct"], bind, line, constants=points
+    )
     for _ in range(BOUNCES):
         files, bind = ["send"], ["faces", fields, direct, indirect, sent]
-        constants = {"faces": counts.faces, "vertices": counts.vertices}
-        program.launch("bounces", "bounces", files, bind, line_of(radiators), **constants, **points)
-        program.launch("bounces", "bounces", ["gather"], [hits, sent, indirect], line, rays=counts.rays, **points)
+        constants: dict[str, object] = {"faces": counts.faces, "vertices": counts.vertices}
+        program.launch("bounces", "bounces", files, bind, line_of(radiators), constants=constants | points)
+        program.launch(
+            "bounces", "bounces", ["gather"], [hits, sent, indirect], line, constants=points | {"rays": counts.rays}
+        )
     program.buffer("sources", max(16, 12 * counts.sources * counts.vertices))
     program.buffer("kept", 16 * max(1, counts.sources))
     bounced = program.buffer("bounced", 16 * counts.vertices)
     constants = {"vertices": counts.vertices, "sources": counts.sources}
     bind = [indirect, "sources", "kept", bounced]
-    program.launch("bounces", "bounces", ["kept"], bind, line_of(counts.vertices), **constants)
+    program.launch("bounces", "bounces", ["kept"], bind, line_of(counts.vertices), constants=constants)
 
 
 def _surface(program: Program, counts: SceneCounts) -> tuple[str, str]:
     """Buffers of the light on the visible surface, and of its weighted visibility with the weights."""
     size, whole = program.size, grid_of(program.size)
-    camera, pixels = {"size": columns_rows(size)}, size[0] * size[1]
+    pixels = size[0] * size[1]
+    camera: dict[str, object] = {"size": columns_rows(size)}
     program.launch(
         "frame",
         "surface",
         ["frame", "camera", "raster"],
         ["frame", "faces", "fields"],
         (3 * counts.faces, 1),
-        **camera,
+        constants=camera,
     )
     positions, normals = (program.buffer(name, 16 * pixels) for name in ("positions", "normals"))
     light = program.picture("light", size, LIGHT_GROUPS)
     visibility = program.picture("visibility", size, Groups(0, 2))
     bind = ["frame", "shown", "faces", "fields", "bounced", positions, normals, light, "picture"]
-    program.launch("frame", "surface", ["frame", "camera", "color", "surface"], bind, whole, **camera)
+    program.launch("frame", "surface", ["frame", "camera", "color", "surface"], bind, whole, constants=camera)
     bind = ["frame", "lights", "depths", positions, normals, light, visibility]
     files = ["frame", "camera", "lights", "visibility", "shade"]
-    program.launch("frame", "shading and visibility", files, bind, whole, Groups(0, 1), **camera)
+    program.launch("frame", "shading and visibility", files, bind, whole, Groups(0, 1), constants=camera)
     program.buffer("emitters", 16 * 6 * MOST_EMITTERS)
     return light, visibility

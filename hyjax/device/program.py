@@ -8,8 +8,9 @@ import dataclasses
 import functools
 import hashlib
 import string
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
+from types import MappingProxyType
 from typing import Any, Literal
 
 FORMAT = 1
@@ -19,6 +20,7 @@ CHANNEL_BYTES = {"f32": 16, "f16": 8}
 Precision = Literal["f32", "f16"]
 TILE = 8
 """Pixels along each side of a workgroup of most shaders."""
+NONE: Mapping[str, object] = MappingProxyType({})
 LINE = 64
 """Elements of a workgroup of shaders over lists."""
 
@@ -116,8 +118,9 @@ class Program:
         bind: Sequence[str],
         grid: tuple[int, int],
         depth: Groups = Groups(1),
+        *,
         jobs: bool = False,
-        **constants: object,
+        constants: Mapping[str, object] = NONE,
     ) -> None:
         """Add a launch.
 
@@ -131,12 +134,12 @@ class Program:
             jobs: see `Launch`.
             constants: what stands in the text for `$name`.
         """
-        shader = self.add_shader(files, **constants)
+        shader = self.add_shader(files, constants)
         self.launches.append(Launch(stage, label, shader, tuple(bind), *grid, depth, jobs))
 
-    def add_shader(self, files: Sequence[str], **constants: object) -> str:
+    def add_shader(self, files: Sequence[str], constants: Mapping[str, object] = NONE) -> str:
         """Name of a shader, which is added if it is new."""
-        text = shader_text(files, self.precision, **constants)
+        text = shader_text(files, self.precision, constants)
         name = f"{files[-1]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
         self.shaders.setdefault(name, text)
         return name
@@ -147,7 +150,7 @@ class Program:
         return {"format": FORMAT} | content
 
 
-def shader_text(files: Sequence[str], precision: Precision = "f32", **constants: object) -> str:
+def shader_text(files: Sequence[str], precision: Precision = "f32", constants: Mapping[str, object] = NONE) -> str:
     """WGSL text of a shader: files of `hyjax/device/wgsl` after the storage format, with constants put in."""
     stored = {"f32": "vec4<f32>", "f16": "vec4<f16>"}[precision]
     enable = "enable f16;\n" if precision == "f16" else ""

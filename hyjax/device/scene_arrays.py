@@ -104,11 +104,11 @@ def _even(mesh: trimesh.Trimesh) -> tuple[np.ndarray, ...]:
 def tree_order(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
     """Triangles in the order of a complete tree, split at the median of the longest side of each part.
 
-    >>> square = np.array([[0.0, 0, 0], [1, 0, 0], [9, 0, 0], [9, 1, 0]])
-    >>> tree_order(square, np.array([[1, 2, 3], [0, 1, 2]])).tolist()
-    [[1, 2, 3], [0, 1, 2]]
+    All leaves but the last ones have `LEAF` triangles, so that the tree needs no pointers.
 
-    All leaves but the last ones have `LEAF` triangles, and the tree needs no pointers.
+    >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [9, 0, 0], [9, 1, 0]])
+    >>> tree_order(corners, np.array([[1, 2, 3], [0, 1, 2]])).tolist()
+    [[1, 2, 3], [0, 1, 2]]
     """
     leaves = 1 << max(0, (-(-len(faces) // LEAF) - 1).bit_length())
     middle = vertices[faces].mean(axis=1)

@@ -10,15 +10,15 @@ import numpy as np
 from hyjax.device.program import Buffer, Launch, Program
 from hyjax.util.errors import InputError
 
-STORAGE_LIMIT = 1 << 31
 TIMESTAMPS = "timestamp-query"
+FAR = {"depth_clear_value": 0.0}
 
 
 def open_device(precision: str = "f32") -> Any:
     """A wgpu device of the best adapter that there is.
 
     Raises:
-        InputError: the package wgpu or a driver is missing, or the adapter has no half precision where that is asked.
+        InputError: the package wgpu or a driver is missing, or half precision where that is asked.
     """
     os.environ.setdefault("WGPU_FORCE_OFFSCREEN", "1")
     try:
@@ -71,14 +71,14 @@ class Engine:
         }
         height, width = self.program.size
         usage = wgpu.TextureUsage
-        self._textures = {
+        textures = {
             "shown": ("r32uint", usage.RENDER_ATTACHMENT | usage.TEXTURE_BINDING),
             "photo": ("rgba8unorm", usage.COPY_DST | usage.TEXTURE_BINDING),
             "depth": ("depth32float", usage.RENDER_ATTACHMENT),
         }
         self._textures = {
             name: self.device.create_texture(size=(width, height, 1), format=kind, usage=flags)
-            for name, (kind, flags) in self._textures.items()
+            for name, (kind, flags) in textures.items()
         }
         self._pipelines: dict[str, Any] = {}
         self._bound: dict[Launch, Any] = {}
