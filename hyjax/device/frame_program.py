@@ -109,6 +109,10 @@ def frame_program(
     bind = ["frame", "lights", "emitters", picture, "positions", refined, "cascade totals", shadows, image]
     files = ["frame", "camera", "color", "filled", "lights", "composite"]
     program.launch("frame", "composite", files, bind, whole, constants=camera)
+    stages = program.buffer("stages", 4 * 16 * pixels)
+    bind = ["frame", "lights", light, refined, "cascade totals", visibility, shadows, stages]
+    files = ["frame", "camera", "filled", "lights", "stages"]
+    program.launch("stages", "stages", files, bind, whole, constants=camera)
     program.names = {"raw": light, "refined": refined, "visibility": shadows, "image": image}
     return program
 

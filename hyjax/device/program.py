@@ -86,7 +86,8 @@ class Launch:
 class Program:
     """Shaders with their buffers and launches.
 
-    Stages: `load` once, `shadows` and `bounces` where lights change, `photo` where the picture changes, `frame`.
+    Stages: `load` once, `shadows` and `bounces` where lights change, `photo` where the picture changes, `frame`;
+    `stages` after it, to look at.
 
     Attributes:
         size: (height, width) of pictures.

@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.schedule import Schedule
 from hyjax.device.frame_program import MOST_EMITTERS, frame_program
@@ -13,9 +14,11 @@ from hyjax.device.program import Precision, Program
 from hyjax.device.scene_arrays import scene_arrays
 from hyjax.device.webgpu import Engine, open_device
 from hyjax.geometry.camera import Camera
+from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import ambient_filter
+from hyjax.pipeline import Relit
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import Occluders
 from hyjax.util.errors import InputError
@@ -61,7 +64,7 @@ class DeviceRenderer:
         self.arrays = scene_arrays(
             scene, keep_photo_light=keep_photo_light, surface_occluders=occluders == "surface"
         )
-        self.setup, self._divides = setup, not keep_photo_light
+        self.setup, self._divides, self._features = setup, not keep_photo_light, features
         caster = scene.caster if occluders == "surface" else scene.occluders
         slack = scene.slack if occluders == "completed" else None
         # Light that falls on any surface alike is left out where bounces stand in for it.
@@ -107,21 +110,42 @@ class DeviceRenderer:
         return frame_record(camera, counts, ambient, float(self.setup.reference_lux), self.arrays.mean)
 
     def relight(
-        self, pixels: np.ndarray, camera: Camera, guide: np.ndarray | None = None
+        self, pixels: Float[np.ndarray, "h w 3"], camera: Camera, guide: Float[Array, "h w f"] | None = None
     ) -> Float[np.ndarray, "h w 3"]:
         """Relit picture, linear.
 
         Args:
-            pixels: the frame, display-encoded, (h, w, 3) in [0, 1].
+            pixels: the frame, display-encoded, in [0, 1].
             camera: that took it.
             guide: features, where they are not the frame itself.
         """
         self.engine.upload("frame", self._frame_record(camera))
         self.engine.upload("picture", self._planes(pixels))
-        if guide is not None and guide.shape[-1] != 3:
+        if self._features != 3 and guide is not None:
             self.engine.upload("guide", self._planes(guide))
         self.engine.run("frame")
-        return self.engine.download("image").reshape(*self.program.size, 4)[..., :3]
+        return self._download("image")[0, ..., :3]
+
+    def relit(self, pixels: Float[np.ndarray, "h w 3"], camera: Camera, guide: Float[Array, "h w f"]) -> Relit:
+        """Relit picture with its stages; arguments as of `relight`.
+
+        What panes and lamps emit is taken from the relit picture in `unrefined`, too.
+        """
+        image = self.relight(pixels, camera, guide)
+        self.engine.run("stages")
+        shading, refined, visibility, shadowed = self._download("stages")[..., :3]
+        shining = self._download("image")[0, ..., 3:]
+        plain = shadowed * np.asarray(to_linear(jnp.asarray(pixels)))
+        unrefined = plain + shining * (image - plain)
+        return Relit(*map(jnp.asarray, (shading, refined, visibility, refined * visibility, unrefined, image)))
+
+    @property
+    def sees_surface(self) -> bool:
+        """Whether any pixel of the last frame shows the scan."""
+        return bool(self.engine.download("cascade totals")[3] > 0)
+
+    def _download(self, name: str) -> Float[np.ndarray, "n h w 4"]:
+        return self.engine.download(name).reshape(-1, *self.program.size, 4)
 
     def picture(self, name: str, channels: int) -> Float[np.ndarray, "h w c"]:
         """A stage of the last frame: `raw`, `refined` or `visibility`."""
@@ -129,7 +153,7 @@ class DeviceRenderer:
         planes = self.engine.download(self.program.names[name], dtype).reshape(-1, *self.program.size, 4)
         return np.moveaxis(planes, 0, 2).reshape(*self.program.size, -1)[..., :channels].astype(np.float32)
 
-    def _planes(self, values: np.ndarray) -> np.ndarray:
+    def _planes(self, values: ArrayLike) -> np.ndarray:
         return channel_groups(np.asarray(values, np.float32)).astype(
             np.float16 if self.program.precision == "f16" else np.float32
         )

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
@@ -18,6 +19,8 @@ from hyjax.data.capture import Frame
 from hyjax.data.frames import select_frames
 from hyjax.data.light_file import write_lights
 from hyjax.data.registry import open_capture
+from hyjax.device.renderer import DeviceRenderer
+from hyjax.device.webgpu import open_device
 from hyjax.guide.choose import FrameGuide, open_guide
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light, kind_name
@@ -79,6 +82,8 @@ def relight_capture(
     schedule, guide = schedule or settings.open_schedule(), guide or open_guide(settings.guide)
     if settings.renderer == "blender":
         blender_python()
+    if settings.renderer == "webgpu":
+        open_device()
     clock, progress, out = StageClock(), not settings.quiet, settings.out
     if scene is None:
         if settings.scene.capture is None:
@@ -106,8 +111,11 @@ def relight_capture(
     for stale in ("run.json", "lights.json", "contact_sheet.png"):
         remove(out / stale)  # of an earlier run, whose pictures are about to be replaced
     with ExitStack() as stack:
-        shader = _Shader(scene, setup, settings, clock, stack)
-        frames = _relight_frames(scene, chosen, shader, settings, schedule, guide, clock)
+        if settings.renderer == "webgpu":
+            frames = _relight_on_device(scene, chosen, setup, settings, schedule, guide, clock)
+        else:
+            shader = _Shader(scene, setup, settings, clock, stack)
+            frames = _relight_frames(scene, chosen, shader, settings, schedule, guide, clock)
         summary = _write_frames(frames, len(chosen), settings, clock)
     if not summary.written:
         raise InputError(
@@ -230,6 +238,40 @@ def _relight_frames(
             return
         relit = prefetch(relight_frame, cast_ahead, count, threads=count)
         yield from running.enter_context(contextlib.closing(relit))
+
+
+def _relight_on_device(
+    scene: Scene,
+    chosen: Sequence[int],
+    setup: LightSetup,
+    settings: RelightSettings,
+    schedule: Schedule,
+    guide: FrameGuide,
+    clock: StageClock,
+) -> Generator[tuple[Frame, Relit | None]]:
+    """Frames with their relit pictures by WebGPU, in order; None for one that sees no surface."""
+    renderer: DeviceRenderer | None = None
+    for index in chosen:
+        with clock("read"):
+            frame = scene.frame(index)
+        with clock("guide"):
+            features = jax.block_until_ready(guide.features(jnp.asarray(frame.image)))
+        size = frame.camera.intrinsics.shape
+        if renderer is None or renderer.program.size != size:
+            with clock("shadow maps"):
+                renderer = DeviceRenderer(
+                    scene,
+                    setup,
+                    size,
+                    schedule,
+                    features=features.shape[-1],
+                    shadows=settings.shadows,
+                    keep_photo_light=not settings.divides_photo_light,
+                    occluders=settings.shadow_occluders,
+                )
+        with clock("frame"):
+            relit = renderer.relit(frame.image, frame.camera, features)
+        yield frame, relit if renderer.sees_surface else None
 
 
 @dataclasses.dataclass

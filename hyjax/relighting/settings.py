@@ -10,7 +10,7 @@ from hyjax.scene.settings import Occluders, SceneSettings, check_lights_name
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
 
-Renderer = Literal["shadow_map", "blender"]
+Renderer = Literal["shadow_map", "blender", "webgpu"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +41,8 @@ class RelightSettings(Settings):
     """What throws shadows: completed is the mesh with small holes closed and, if there are depth maps, a finer
     fusion of them; surface is the bare mesh, as always in paper mode."""
     renderer: Renderer = "shadow_map"
-    """What shades the mesh: shadow_map, or blender: Cycles, which traces every shadow and takes its time."""
+    """What shades the mesh: shadow_map; blender: Cycles, which traces every shadow and takes its time; or webgpu: whole
+    frames on a graphics processor, by the shaders of an exported page."""
     save_filters: bool = False
     """Also write each frame's raw and refined filter."""
     save_visibility: bool = False
@@ -60,6 +61,8 @@ class RelightSettings(Settings):
         """
         if self.video and self.paper_mode:
             raise InputError("video: the paper's mode has no memory of earlier frames; leave one of the two out")
+        if self.renderer == "webgpu" and (self.video or self.paper_mode):
+            raise InputError("renderer: webgpu does neither video nor the paper's mode; leave them out")
         self.open_schedule()
         check_lights_name(self.lights)
         self.scene.check()

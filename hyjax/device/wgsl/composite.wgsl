@@ -7,7 +7,7 @@
 @group(0) @binding(5) var<storage, read> light: array<Stored>; // after the cascade
 @group(0) @binding(6) var<storage, read> totals: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read> visibility: array<Stored>;
-@group(0) @binding(8) var<storage, read_write> image: array<vec4<f32>>; // linear; w is unused
+@group(0) @binding(8) var<storage, read_write> image: array<vec4<f32>>; // linear; w: how far it shines by itself
 
 const LEAST_PHOTO_LIGHT = 0.05;
 const PANE_REFLECTANCE = 0.04;
@@ -38,7 +38,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var result = relight_filter * photo;
     let emission = emission_at(id.xy, photo, positions[pixel].w, shining);
     result += emission.w * (emission.xyz - result);
-    image[pixel] = vec4<f32>(result, 1.0);
+    image[pixel] = vec4<f32>(result, emission.w);
 }
 
 // What panes and lamps send from a pixel, and how far it belongs to one: `hyjax.light.emission`. Of each pane there
