@@ -1,0 +1,66 @@
+"""Target Core ML: a package for Apple's devices, in single precision. It runs on macOS only: not checked elsewhere."""
+
+import contextlib
+import io
+import logging
+import platform
+import tempfile
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.export.artifact import Artifact, load
+from hyjax.export.graph import Graph, Named, export_text
+
+EXTRA = "export-coreml"
+PACKAGES = ("stablehlo-coreml", "coremltools")
+
+
+def convert(graph: Graph, triple: str | None = None) -> Artifact:
+    """The function as an .mlpackage, for iOS 18 and macOS 15 or newer."""
+    with _quiet():
+        return _convert(graph)
+
+
+def _convert(graph: Graph) -> Artifact:
+    tools, converter = load("coremltools", EXTRA), load("stablehlo_coreml", EXTRA)
+    from jax._src.interpreters import mlir
+    from jax._src.lib.mlir import ir
+
+    module = ir.Module.parse(export_text(graph, flat=True), context=mlir.make_ir_context())
+    program = converter.convert(module, minimum_deployment_target=tools.target.iOS18)
+    model = tools.convert(
+        program,
+        source="milinternal",
+        minimum_deployment_target=tools.target.iOS18,
+        pass_pipeline=converter.build_pass_pipeline(),
+        compute_precision=tools.precision.FLOAT32,
+        skip_model_load=platform.system() != "Darwin",
+    )
+    return Artifact(_files(model, graph), None, "Core ML does not run on this system")
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without coremltools' own progress, and its warnings that it is not on a Mac."""
+    logger = logging.getLogger("coremltools")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        with contextlib.redirect_stderr(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)
+
+
+def _files(model: Any, graph: Graph) -> dict[str, bytes]:
+    name = f"{graph.name}.mlpackage"
+    with tempfile.TemporaryDirectory() as folder:
+        model.save(str(Path(folder) / name))
+        paths = sorted(path for path in Path(folder).rglob("*") if path.is_file())
+        return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
