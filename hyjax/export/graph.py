@@ -2,18 +2,18 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import export
 from jaxtyping import Array, Float
 
 from hyjax.core.cascade import cascade
 from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import Schedule
 from hyjax.export.settings import ExportSettings
-from hyjax.export.unroll import unrolled
+from hyjax.export.unroll import fenced, unrolled
 from hyjax.guide.choose import FrameGuide, open_guide
 from hyjax.util.errors import InputError
 
@@ -69,6 +69,11 @@ class Graph:
     def flat(self) -> Callable[..., Array]:
         """The function without loops and calls; its name is the graph's."""
         return self._named(unrolled(self.function))
+
+    @property
+    def flat_with_barriers(self) -> Callable[..., Array]:
+        """`flat`, in which transpositions stay where they are: LiteRT's converter moves some to wrong places."""
+        return self._named(fenced(unrolled(self.function), primitive="transpose"))
 
     @property
     def compact(self) -> Callable[..., Array]:
@@ -204,14 +209,11 @@ def check_parity(graph: Graph, run: Run, target: str) -> float:
     return parity
 
 
-def export_text(graph: Graph, *, flat: bool) -> str:
-    """The function as StableHLO for a CPU, with loops or without."""
-    return exported(graph, flat=flat, platforms=("cpu",)).mlir_module()
-
-
-def exported(graph: Graph, *, flat: bool, platforms: tuple[str, ...]) -> Any:
-    """The function traced and lowered by `jax.export`."""
-    from jax import export
-
-    function = graph.flat if flat else graph.compact
+def lower(graph: Graph, function: Callable[..., Array], *platforms: str) -> export.Exported:
+    """One of the graph's functions for these platforms, by `jax.export`."""
     return export.export(jax.jit(function), platforms=platforms)(*graph.specs)
+
+
+def lower_text(graph: Graph, function: Callable[..., Array]) -> str:
+    """One of the graph's functions as StableHLO of a CPU."""
+    return lower(graph, function, "cpu").mlir_module()

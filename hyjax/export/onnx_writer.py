@@ -138,7 +138,9 @@ class Writer:
         """Reshape and, where an operation does not broadcast by itself, expand."""
         shape, places = equation.params["shape"], equation.params["broadcast_dimensions"]
         sizes = dict(zip(places, equation.invars[0].aval.shape))
-        narrow = self.node("Reshape", [inputs[0], self.integers([sizes.get(axis, 1) for axis in range(len(shape))])])
+        narrow = self.node(
+            "Reshape", [inputs[0], self.integers([sizes.get(axis, 1) for axis in range(len(shape))])]
+        )
         if all(sizes.get(axis, 1) == length for axis, length in enumerate(shape)):
             return narrow
         wide = self.node("Expand", [narrow, self.integers(shape)])

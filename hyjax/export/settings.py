@@ -69,7 +69,9 @@ class ExportSettings(Settings):
             raise InputError(f"triple: goes with --to iree only, not with {self.to}")
         if self.what == "guide":
             if self.guide == "rgb":
-                raise InputError("guide: rgb is the frame itself, with nothing to export; give --guide small or a file")
+                raise InputError(
+                    "guide: rgb is the frame itself, with nothing to export; give --guide small or a file"
+                )
             if min(self.shape) < SMALLEST_NETWORK:
                 raise InputError(f"size: a network needs at least {SMALLEST_NETWORK} pixels a side")
         return self

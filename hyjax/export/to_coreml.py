@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.export.artifact import Artifact, load
-from hyjax.export.graph import Graph, Named, export_text
+from hyjax.export.graph import Graph, Named, lower_text
 
 EXTRA = "export-coreml"
 PACKAGES = ("stablehlo-coreml", "coremltools")
@@ -31,7 +31,7 @@ def _convert(graph: Graph) -> Artifact:
     from jax._src.interpreters import mlir
     from jax._src.lib.mlir import ir
 
-    module = ir.Module.parse(export_text(graph, flat=True), context=mlir.make_ir_context())
+    module = ir.Module.parse(lower_text(graph, graph.flat), context=mlir.make_ir_context())
     program = converter.convert(module, minimum_deployment_target=tools.target.iOS18)
     model = tools.convert(
         program,

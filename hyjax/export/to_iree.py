@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.export.artifact import Artifact, load
-from hyjax.export.graph import Graph, Named, export_text
+from hyjax.export.graph import Graph, Named, lower_text
 from hyjax.util.errors import InputError
 
 EXTRA = "export-iree"
@@ -23,7 +23,7 @@ def convert(graph: Graph, triple: str | None = None) -> Artifact:
     machine = "--iree-llvmcpu-target-cpu=host" if triple is None else f"--iree-llvmcpu-target-triple={triple}"
     try:
         content = compiler.compile_str(
-            export_text(graph, flat=False),
+            lower_text(graph, graph.compact),
             input_type="stablehlo",
             target_backends=["llvm-cpu"],
             extra_args=[machine, *FLAGS],

@@ -4,16 +4,11 @@ The converter, litert-converter 0.5.0, names a version of typing_extensions that
 and does well without: it is installed without its dependencies.
 """
 
-import os
-import tempfile
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 from jaxtyping import Float
 
 from hyjax.export.artifact import Artifact, load
-from hyjax.export.graph import Graph, Named, export_text
+from hyjax.export.graph import Graph, Named, lower_text
 from hyjax.util.errors import InputError
 
 EXTRA = "export-litert"
@@ -43,7 +38,7 @@ def flatbuffer(graph: Graph) -> bytes:
     api.prepare_mlir_context(context)
     try:
         with context:
-            module = ir.Module.parse(export_text(graph, flat=True))
+            module = ir.Module.parse(lower_text(graph, graph.flat_with_barriers))
             api.set_signature(
                 module.operation,
                 signature_name=graph.name,

@@ -6,7 +6,7 @@ from jax import export
 from jaxtyping import Float
 
 from hyjax.export.artifact import Artifact
-from hyjax.export.graph import Graph, Named, exported
+from hyjax.export.graph import Graph, Named, lower
 
 EXTRA = ""
 PACKAGES = ("jax", "jaxlib")
@@ -15,8 +15,8 @@ PLATFORMS = ("cpu", "cuda", "rocm", "tpu")
 
 def convert(graph: Graph, triple: str | None = None) -> Artifact:
     """The function as `jax.export` serialises it, and as portable StableHLO of a CPU for other compilers."""
-    content = bytes(exported(graph, flat=False, platforms=PLATFORMS).serialize())
-    portable = exported(graph, flat=False, platforms=("cpu",)).mlir_module_serialized
+    content = bytes(lower(graph, graph.compact, *PLATFORMS).serialize())
+    portable = lower(graph, graph.compact, "cpu").mlir_module_serialized
     call = jax.jit(export.deserialize(bytearray(content)).call)
 
     def run(inputs: Named) -> Float[np.ndarray, "..."]:

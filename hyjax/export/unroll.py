@@ -40,6 +40,34 @@ def unrolled(function: Callable[..., Any]) -> Callable[..., Any]:
     return flat
 
 
+def fenced(function: Callable[..., Any], *, primitive: str) -> Callable[..., Any]:
+    """A flat function that compilers cannot move operations of one kind in: a barrier follows each.
+
+    >>> flat = jax.make_jaxpr(fenced(lambda x: x.T + 1, primitive="transpose"))(jnp.ones((2, 3)))
+    >>> [equation.primitive.name for equation in flat.eqns]
+    ['transpose', 'optimization_barrier', 'add']
+    """
+
+    def with_barriers(*inputs: Any) -> Any:
+        closed, shape = jax.make_jaxpr(function, return_shape=True)(*inputs)
+        known = dict(zip(closed.jaxpr.invars, jax.tree.leaves(inputs), strict=True))
+        known |= dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
+
+        def read(variable: Any) -> Any:
+            return variable.val if isinstance(variable, Literal) else known[variable]
+
+        for equation in closed.jaxpr.eqns:
+            results = equation.primitive.bind(*map(read, equation.invars), **equation.params)
+            if not equation.primitive.multiple_results:
+                results = [results]
+            if equation.primitive.name == primitive:
+                results = [jax.lax.optimization_barrier(result) for result in results]
+            known |= dict(zip(equation.outvars, results, strict=True))
+        return jax.tree.unflatten(jax.tree.structure(shape), [read(v) for v in closed.jaxpr.outvars])
+
+    return with_barriers
+
+
 def _evaluate(jaxpr: Jaxpr, consts: Sequence[Any], inputs: Sequence[Any]) -> list[Any]:
     known: dict[Any, Any] = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *inputs], strict=True))
 
