@@ -124,11 +124,11 @@ def cascade_graph(
     """
     examples = example_inputs(shape, channels)
     examples["guide"] = np.asarray(guide.features(jnp.asarray(examples.pop("display"))), np.float32)
-    features = f"features of the frame: guide {guide.name}"
+    learned = f"features of the frame: guide {guide.name}"
     meaning = {
         "filter": "values >= 0 in linear light, the light to multiply with; not finite counts as unknown",
         "confidence": "in [0, 1]: how far the filter is trusted at a pixel; 0 where it is unknown",
-        "guide": "display-encoded RGB in [0, 1], the frame" if guide.name == "rgb" else features,
+        "guide": "display-encoded RGB in [0, 1], the frame" if guide.name == "rgb" else learned,
     }
     if not known:
         examples["filter"] = examples["filter"] * examples.pop("confidence")
@@ -136,7 +136,8 @@ def cascade_graph(
     ports = tuple(Port(name, examples[name].shape, text) for name, text in meaning.items() if name in examples)
 
     def repair(*inputs: Array) -> Array:
-        return cascade_known(*inputs, schedule) if known else cascade(*inputs, schedule)
+        y, *confidence, features = inputs
+        return cascade_known(y, *confidence, features, schedule) if known else cascade(y, features, schedule)
 
     return Graph(
         name="cascade" if known else "plain_cascade",

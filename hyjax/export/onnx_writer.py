@@ -20,10 +20,27 @@ IR_VERSION = 9
 TYPES = {"float32": TensorProto.FLOAT, "bool": TensorProto.BOOL, "int32": TensorProto.INT32}
 
 ELEMENTWISE = {
-    **{"add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "max": "Max", "min": "Min", "pow": "Pow"},
-    **{"abs": "Abs", "neg": "Neg", "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "floor": "Floor"},
-    **{"and": "And", "or": "Or", "not": "Not", "gt": "Greater", "ge": "GreaterOrEqual", "lt": "Less"},
-    **{"le": "LessOrEqual", "eq": "Equal"},
+    "abs": "Abs",
+    "add": "Add",
+    "and": "And",
+    "div": "Div",
+    "eq": "Equal",
+    "exp": "Exp",
+    "floor": "Floor",
+    "ge": "GreaterOrEqual",
+    "gt": "Greater",
+    "le": "LessOrEqual",
+    "log": "Log",
+    "lt": "Less",
+    "max": "Max",
+    "min": "Min",
+    "mul": "Mul",
+    "neg": "Neg",
+    "not": "Not",
+    "or": "Or",
+    "pow": "Pow",
+    "sqrt": "Sqrt",
+    "sub": "Sub",
 }
 REDUCTIONS = {"reduce_sum": "ReduceSum", "reduce_max": "ReduceMax", "reduce_min": "ReduceMin"}
 
@@ -111,7 +128,7 @@ class Writer:
 
     def _read(self, variable: Any) -> str:
         if isinstance(variable, Literal):
-            return self.constant(np.asarray(variable.val, variable.aval.dtype))
+            return self.constant(np.asarray(variable.val, _aval(variable).dtype))
         return self._names[variable]
 
     def _write(self, equation: JaxprEqn) -> None:
@@ -129,7 +146,7 @@ class Writer:
 
     def _small(self, equation: JaxprEqn, inputs: list[str]) -> list[str]:
         """Inputs of an elementwise operation, small ones where another has the full shape."""
-        full = [name not in self._narrow and v.aval.ndim > 0 for name, v in zip(inputs, equation.invars)]
+        full = [name not in self._narrow and _aval(v).ndim > 0 for name, v in zip(inputs, equation.invars)]
         if not any(full):
             return inputs
         return [self._narrow.get(name, name) for name in inputs]
@@ -137,7 +154,7 @@ class Writer:
     def broadcast(self, equation: JaxprEqn, inputs: list[str]) -> str:
         """Reshape and, where an operation does not broadcast by itself, expand."""
         shape, places = equation.params["shape"], equation.params["broadcast_dimensions"]
-        sizes = dict(zip(places, equation.invars[0].aval.shape))
+        sizes = dict(zip(places, _aval(equation.invars[0]).shape))
         narrow = self.node(
             "Reshape", [inputs[0], self.integers([sizes.get(axis, 1) for axis in range(len(shape))])]
         )
@@ -148,8 +165,13 @@ class Writer:
         return wide
 
 
+def _aval(variable: Any) -> Any:
+    """Shape and type of a variable of a trace."""
+    return variable.aval
+
+
 def _slice(writer: Writer, equation: JaxprEqn, inputs: list[str]) -> str:
-    params, shape = equation.params, equation.invars[0].aval.shape
+    params, shape = equation.params, _aval(equation.invars[0]).shape
     strides = params["strides"] or (1,) * len(shape)
     wanted = list(zip(range(len(shape)), params["start_indices"], params["limit_indices"], strides))
     cut = [part for part in wanted if part[1:] != (0, shape[part[0]], 1)]
@@ -167,7 +189,7 @@ def _pad(writer: Writer, equation: JaxprEqn, inputs: list[str]) -> str:
 
 
 def _reshape(writer: Writer, equation: JaxprEqn, inputs: list[str]) -> str:
-    return writer.node("Reshape", [inputs[0], writer.integers(equation.outvars[0].aval.shape)])
+    return writer.node("Reshape", [inputs[0], writer.integers(_aval(equation.outvars[0]).shape)])
 
 
 def _stack(writer: Writer, equation: JaxprEqn, inputs: list[str]) -> str:
@@ -189,7 +211,7 @@ def _convert(writer: Writer, equation: JaxprEqn, inputs: list[str]) -> str:
 
 def _product(writer: Writer, equation: JaxprEqn, inputs: list[str]) -> str:
     (left, right), batch = equation.params["dimension_numbers"]
-    shapes = [variable.aval.shape for variable in equation.invars]
+    shapes = [_aval(variable).shape for variable in equation.invars]
     if batch != ((), ()) or tuple(left) != (len(shapes[0]) - 1,) or (tuple(right), len(shapes[1])) != ((0,), 2):
         raise InputError("export: ONNX: no translation of this product of arrays")
     return writer.node("MatMul", inputs)

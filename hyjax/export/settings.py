@@ -23,8 +23,8 @@ class ExportSettings(Settings):
     """Export a cascade or a guide network for another runtime, or a page that runs one."""
 
     to: Target
-    """stablehlo, iree, onnx, litert or coreml: a file for that runtime, with a README.md beside it; web and bench: a
-    page for browsers with WebGPU."""
+    """stablehlo, iree, onnx, litert or coreml: a file for that runtime, with a README.md beside it; web and bench:
+    a page for browsers with WebGPU."""
     what: What = "cascade"
     """What a file for a runtime computes: cascade repairs a filter of which a confidence tells what is known;
     plain-cascade repairs one of which everything is known; guide is the network of --guide."""
@@ -69,9 +69,7 @@ class ExportSettings(Settings):
             raise InputError(f"triple: goes with --to iree only, not with {self.to}")
         if self.what == "guide":
             if self.guide == "rgb":
-                raise InputError(
-                    "guide: rgb is the frame itself, with nothing to export; give --guide small or a file"
-                )
+                raise InputError("guide: rgb is the frame itself; to export a network give --guide small or a file")
             if min(self.shape) < SMALLEST_NETWORK:
                 raise InputError(f"size: a network needs at least {SMALLEST_NETWORK} pixels a side")
         return self

@@ -1,4 +1,4 @@
-"""Target Core ML: a package for Apple's devices, in single precision. It runs on macOS only: not checked elsewhere."""
+"""Target Core ML: a package for Apple's devices, in single precision. It runs there only, and is not checked here."""
 
 import contextlib
 import io
@@ -10,11 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
 from hyjax.export.artifact import Artifact, load
-from hyjax.export.graph import Graph, Named, lower_text
+from hyjax.export.graph import Graph, lower_text
 
 EXTRA = "export-coreml"
 PACKAGES = ("stablehlo-coreml", "coremltools")

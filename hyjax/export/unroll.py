@@ -1,8 +1,8 @@
 """A function without loops, branches and inner calls: the form that runtimes of graphs can take.
 
 Traces a function, and evaluates its trace operation by operation: calls are opened, `scan` is written out step by
-step, of functions with one backend for each platform the plain one is taken, and what depends on no input is computed
-here, once. What remains is a list of operations on arrays, none of which is empty.
+step, of functions with one backend for each platform the plain one is taken, and what depends on no input is
+computed here, once. What remains is a list of operations on arrays, none of which is empty.
 """
 
 from collections.abc import Callable, Sequence
@@ -90,8 +90,9 @@ def _apply(equation: JaxprEqn, values: list[Any]) -> list[Any]:
         return _call(params["branches"][_constant(index, name)], values)
     if name == "scan":
         return _scan(params, values)
-    if all(0 in out.aval.shape for out in equation.outvars):  # runtimes stumble over arrays without values
-        return [np.zeros(out.aval.shape, out.aval.dtype) for out in equation.outvars]
+    shapes: list[Any] = [variable.aval for variable in equation.outvars]
+    if all(0 in out.shape for out in shapes):  # runtimes stumble over arrays without values
+        return [np.zeros(out.shape, out.dtype) for out in shapes]
     if name == "concatenate":
         values = [value for value in values if 0 not in np.shape(value)]
         if len(values) == 1:

@@ -117,7 +117,7 @@ def test_stablehlo_of_any_size(height: int, width: int) -> None:
     ],
 )
 def test_bad_settings(options: dict[str, object], hint: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="^[^\n]*$") as caught:
+    with pytest.raises(InputError, match=r"^[^\n]*$") as caught:
         export_file(ExportSettings(to="stablehlo", out=tmp_path, quiet=True, **options))  # type: ignore[arg-type]
     assert hint in str(caught.value) and not list(tmp_path.iterdir())
 

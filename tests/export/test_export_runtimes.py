@@ -94,7 +94,7 @@ def test_iree_names_its_function(tmp_path: Path) -> None:
 def test_iree_of_a_machine_that_is_none() -> None:
     need("iree")
     graph = cascade_graph(Schedule.preset("shadow"), RGB, (16, 16))
-    with pytest.raises(InputError, match="^export: IREE cannot compile cascade .*$"):
+    with pytest.raises(InputError, match=r"^export: IREE cannot compile cascade .*$"):
         open_target("iree").convert(graph, "no-such-machine")
 
 
