@@ -1,4 +1,4 @@
-"""Target Core ML: a package for Apple's devices, in single precision. It runs there only, and is not checked here."""
+"""Target Core ML: a package for Apple's devices, in single precision. It is not checked: it runs there only."""
 
 import contextlib
 import io

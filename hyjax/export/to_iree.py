@@ -29,8 +29,9 @@ def convert(graph: Graph, triple: str | None = None) -> Artifact:
             extra_args=[machine, *FLAGS],
         )
     except compiler.CompilerToolError as error:
-        lines = [line.strip() for line in str(error).splitlines() if "error:" in line] or [str(error).strip()]
-        raise InputError(f"export: IREE cannot compile {graph.name} ({lines[0]:.200})") from None
+        lines = [line.strip() for line in str(error).splitlines()]
+        reason = next((line for line in lines if "error:" in line or "failed" in line), lines[0])
+        raise InputError(f"export: IREE cannot compile {graph.name} ({reason:.200})") from None
     files = {f"{graph.name}.vmfb": content}
     if triple is not None:
         return Artifact(files, None, f"compiled for {triple}, which does not run here")
