@@ -38,7 +38,7 @@ def _convert(graph: Graph) -> Artifact:
         compute_precision=tools.precision.FLOAT32,
         skip_model_load=platform.system() != "Darwin",
     )
-    return Artifact(_files(model, graph), None, "Core ML does not run on this system")
+    return Artifact(_files(_renamed(model, graph, tools), graph), None, "Core ML does not run on this system")
 
 
 @contextlib.contextmanager
@@ -53,6 +53,15 @@ def _quiet() -> Iterator[None]:
             yield
     finally:
         logger.setLevel(level)
+
+
+def _renamed(model: Any, graph: Graph, tools: Any) -> Any:
+    """The model with the graph's names of inputs and output."""
+    spec = model.get_spec()
+    before = [feature.name for feature in (*spec.description.input, *spec.description.output)]
+    for name, port in zip(before, (*graph.inputs, graph.output), strict=True):
+        tools.utils.rename_feature(spec, name, port.name)
+    return tools.models.MLModel(spec, weights_dir=model.weights_dir, skip_model_load=True)
 
 
 def _files(model: Any, graph: Graph) -> dict[str, bytes]:

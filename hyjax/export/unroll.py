@@ -18,6 +18,8 @@ from hyjax.util.errors import InputError
 LARGEST = float(np.finfo(np.float32).max)
 INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")
 """Names under which operations hold a function that they call."""
+MOST_REPEATED = 4096
+"""Values of a constant that is a smaller one repeated; larger ones are left to the runtime."""
 MOST_STEPS = 2000
 """Steps in all that are written out: each is some fifteen operations."""
 
@@ -104,7 +106,8 @@ def _apply(equation: JaxprEqn, values: list[Any]) -> list[Any]:
         return [jnp.abs(values[0]) <= LARGEST]
     if inner := next((params[key] for key in INNER if key in params), None):
         return _call(inner, values)
-    if all(_is_constant(value) for value in values):
+    grows = name == "broadcast_in_dim" and shapes[0].size > MOST_REPEATED  # a number as a picture fills files
+    if all(_is_constant(value) for value in values) and not grows:
         with jax.ensure_compile_time_eval():
             results = equation.primitive.bind(*values, **params)
     else:
