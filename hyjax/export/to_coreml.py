@@ -12,6 +12,7 @@ from typing import Any
 
 from hyjax.export.artifact import Artifact, load
 from hyjax.export.graph import Graph, lower_text
+from hyjax.util.errors import InputError
 
 EXTRA = "export-coreml"
 PACKAGES = ("stablehlo-coreml", "coremltools")
@@ -19,8 +20,14 @@ PACKAGES = ("stablehlo-coreml", "coremltools")
 
 def convert(graph: Graph, triple: str | None = None) -> Artifact:
     """The function as an .mlpackage, for iOS 18 and macOS 15 or newer."""
-    with _quiet():
-        return _convert(graph)
+    try:
+        with _quiet():
+            return _convert(graph)
+    except InputError:
+        raise
+    except (ValueError, NotImplementedError) as error:
+        reason = next(iter(str(error).splitlines()), "") or "it gives no reason"
+        raise InputError(f"export: Core ML's converter cannot take {graph.name} ({reason:.200})") from None
 
 
 def _convert(graph: Graph) -> Artifact:
