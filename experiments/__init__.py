@@ -24,6 +24,7 @@ EXPERIMENTS = (
     "tuning_race",
     "stage_times",
     "guide_speed",
+    "export_formats",
     "fusion",
     "bench_peers",
     "tour_latency",

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import tyro
 
+from hyjax.export.settings import ExportSettings
 from hyjax.relighting.settings import RelightSettings
 from hyjax.tour.settings import TourSettings
 from hyjax.training.settings import PAPER, TrainSettings
@@ -48,7 +49,7 @@ class Info:
     """Print versions, devices and what optional parts are installed."""
 
 
-def parse() -> RelightSettings | TuneSettings | Train | TourSettings | Info:
+def parse() -> RelightSettings | TuneSettings | Train | TourSettings | ExportSettings | Info:
     """The command line. Exits with status 2 if it is none."""
     # The defaults of `train`, and what its help says they are.
     recipe = PAPER if "--paper" in sys.argv else TrainSettings()
@@ -57,6 +58,7 @@ def parse() -> RelightSettings | TuneSettings | Train | TourSettings | Info:
         | Annotated[TuneSettings, tyro.conf.subcommand("tune", default=TuneSettings(out=Path("tuned")))]
         | Annotated[Train, tyro.conf.subcommand("train", default=Train(recipe))]
         | Annotated[TourSettings, tyro.conf.subcommand("tour")]
+        | Annotated[ExportSettings, tyro.conf.subcommand("export")]
         | Annotated[Info, tyro.conf.subcommand("info")]
     )
     return tyro.cli(
@@ -100,6 +102,8 @@ def main() -> None:
             run_train(command)
         elif isinstance(command, TourSettings):
             run_tour(command)
+        elif isinstance(command, ExportSettings):
+            run_export(command)
         else:
             run_info()
         sys.stdout.flush()
@@ -208,6 +212,24 @@ def run_tour(settings: TourSettings) -> None:
         tour.stop()
         print(f"The tour has ended; with --out {settings.out} it goes on from here")
         exit_now(0)
+
+
+def run_export(settings: ExportSettings) -> None:
+    """`hyjax export`."""
+    settings.check()
+    _keep_compiled()
+    if settings.to == "web":
+        from hyjax.export.web import export_web
+
+        export_web(settings)
+    elif settings.to == "bench":
+        from hyjax.export.bench import export_bench
+
+        export_bench(settings)
+    else:
+        from hyjax.export.run import export_file
+
+        print(f"Look at {export_file(settings) / 'README.md'}")
 
 
 def _keep_compiled() -> None:

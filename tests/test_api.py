@@ -132,7 +132,7 @@ LAYERS: list[set[str]] = [
     {"guide", "pairs"},
     {"training"},
     {"relighting", "tuning"},
-    {"tour"},
+    {"tour", "export"},
     {"cli", "__main__"},
 ]
 LAYER = {module: level for level, row in enumerate(LAYERS) for module in row}

@@ -77,8 +77,9 @@ def convolve_upsampled(x: Picture, kernel: Float[Array, "3 3 i o"]) -> Picture:
     the same pixel.
     """
     batch, height, width, _ = x.shape
-    parities = [
-        [
+    rows = []
+    for a in (0, 1):
+        columns = [
             jax.lax.conv_general_dilated(
                 x,
                 _parity(_parity(kernel, a).swapaxes(0, 1), b).swapaxes(0, 1),
@@ -88,10 +89,9 @@ def convolve_upsampled(x: Picture, kernel: Float[Array, "3 3 i o"]) -> Picture:
             )
             for b in (0, 1)
         ]
-        for a in (0, 1)
-    ]
-    interleaved = jnp.stack([jnp.stack(row, axis=3) for row in parities], axis=2)
-    return interleaved.reshape(batch, 2 * height, 2 * width, kernel.shape[-1])
+        # Interleaved along one axis after the other: Core ML has no arrays of six axes.
+        rows.append(jnp.stack(columns, axis=3).reshape(batch, height, 2 * width, kernel.shape[-1]))
+    return jnp.stack(rows, axis=2).reshape(batch, 2 * height, 2 * width, kernel.shape[-1])
 
 
 def _parity(kernel: Float[Array, "3 k i o"], parity: int) -> Float[Array, "2 k i o"]:

@@ -1,0 +1,76 @@
+"""Export of one function for one runtime: convert, check against JAX, write."""
+
+import contextlib
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+from hyjax.export.artifact import Artifact, say
+from hyjax.export.graph import build_graph, check_parity
+from hyjax.export.readme import write_readme
+from hyjax.export.settings import ExportSettings
+from hyjax.export.targets import open_target
+from hyjax.util.errors import InputError
+from hyjax.util.files import atomic_write, make_writable, write_text
+
+
+def export_file(settings: ExportSettings) -> Path:
+    """Write a function's file for a runtime, and its README.md; the folder of both.
+
+    Args:
+        settings: with a runtime as the target.
+
+    Raises:
+        InputError: settings that cannot be used, a missing package, a converter that refuses, or a result that
+            differs from JAX's; then nothing is written.
+    """
+    settings.check()
+    target = open_target(settings.to)
+    graph = build_graph(settings)
+    size = "x".join(str(n) for n in reversed(settings.shape))
+    say(f"converting {graph.name} ({graph.origin}) at {size}", quiet=settings.quiet)
+    artifact: Artifact = target.convert(graph, settings.triple)
+    parity = None
+    if artifact.run is None:
+        say(f"not checked here: {artifact.unchecked}", quiet=settings.quiet)
+    else:
+        say("comparing with JAX", quiet=settings.quiet)
+        parity = check_parity(graph, artifact.run, settings.to)
+        say(f"differs from JAX by {parity:.1e} of the value range", quiet=settings.quiet)
+    folder = settings.out / f"{settings.what}-{settings.to}"
+    text = write_readme(graph, artifact, target=settings.to, packages=target.PACKAGES, parity=parity)
+    make_writable(folder)
+    write_files(folder, artifact.files)
+    write_text(folder / "README.md", text)
+    return folder
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder, each whole; those in a folder of their own appear together with it.
+
+    Raises:
+        InputError: they cannot be written.
+    """
+    for top in dict.fromkeys(name.partition("/")[0] for name in files):
+        inside = {name: content for name, content in files.items() if name.partition("/")[0] == top}
+        if top in inside:
+            with atomic_write(folder / top) as temporary:
+                temporary.write_bytes(inside[top])
+        else:
+            _write_folder(folder / top, {name.partition("/")[2]: content for name, content in inside.items()})
+
+
+def _write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
+    part = folder.with_name(f".{folder.name}.part")
+    try:
+        shutil.rmtree(part, ignore_errors=True)
+        for name, content in files.items():
+            (part / name).parent.mkdir(parents=True, exist_ok=True)
+            (part / name).write_bytes(content)
+        shutil.rmtree(folder, ignore_errors=True)
+        part.replace(folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot write ({error.strerror or error})") from None
+    finally:
+        with contextlib.suppress(OSError):
+            shutil.rmtree(part, ignore_errors=True)

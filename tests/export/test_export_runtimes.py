@@ -1,0 +1,109 @@
+"""Parity of the targets whose packages are optional, and the examples of their READMEs."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import hypothesis
+import hypothesis.strategies as st
+import pytest
+
+from hyjax.core.schedule import Schedule
+from hyjax.export.graph import build_graph, cascade_graph, measure_parity
+from hyjax.export.run import export_file
+from hyjax.export.settings import ExportSettings
+from hyjax.export.targets import open_target
+from hyjax.guide.choose import RGB
+from hyjax.scene.settings import SceneSettings
+from hyjax.util.errors import InputError
+
+MODULES = {
+    "stablehlo": (),
+    "onnx": ("onnx", "onnxruntime"),
+    "litert": ("litert_converter.converter_api_ext", "ai_edge_litert.interpreter"),
+    "iree": ("iree.compiler", "iree.runtime"),
+    "coreml": ("stablehlo_coreml", "coremltools"),
+}
+# Their own code warns: of Python's protocols, of versions of other packages.
+pytestmark = pytest.mark.filterwarnings("default")
+
+SCHEDULES = {
+    "edges, bilinear": Schedule.preset("paper-50"),
+    "guide, guide, fidelity": Schedule.preset("hyjax"),
+    "mixed, a level without steps": Schedule.uniform(
+        [(6, 3), (2, 0), (1, 2)], upsampling="guide", norm="mean_abs", fidelity=0.2
+    ),
+    "one row of cells": Schedule.uniform([(63, 2), (3, 3)], pooling="guide"),
+}
+
+
+def need(target: str) -> None:
+    for module in MODULES[target]:
+        pytest.importorskip(module, reason=f"needs pip install '.[export-{target}]'")
+
+
+@pytest.mark.parametrize("name", SCHEDULES)
+@pytest.mark.parametrize("target", ["onnx", "litert", pytest.param("iree", marks=pytest.mark.slow)])
+def test_parity_of_cascades(target: str, name: str) -> None:
+    need(target)
+    for known in (True, False):
+        graph = cascade_graph(SCHEDULES[name], RGB, (45, 61), channels=2, known=known)
+        run = open_target(target).convert(graph).run
+        assert measure_parity(graph, run) < 1e-5
+
+
+@hypothesis.settings(max_examples=4)
+@hypothesis.given(height=st.integers(8, 33), width=st.integers(8, 33))
+def test_onnx_of_any_size(height: int, width: int) -> None:
+    need("onnx")
+    for name in ("hyjax", "paper-50"):
+        graph = cascade_graph(Schedule.preset(name), RGB, (height, width), channels=1)
+        assert measure_parity(graph, open_target("onnx").convert(graph).run) < 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["onnx", "litert"])
+def test_parity_of_the_network(target: str) -> None:
+    need(target)
+    scene = SceneSettings(size="101x96")
+    graph = build_graph(ExportSettings(to=target, what="guide", guide="small", scene=scene))  # type: ignore[arg-type]
+    assert measure_parity(graph, open_target(target).convert(graph).run) < 1e-4
+
+
+@pytest.mark.parametrize("target", ["stablehlo", "onnx", "litert"])
+def test_the_readme_s_python_runs(target: str, tmp_path: Path) -> None:
+    need(target)
+    settings = ExportSettings(to=target, scene=SceneSettings(size="24x16"), out=tmp_path, quiet=True)  # type: ignore[arg-type]
+    folder = export_file(settings)
+    (code,) = re.findall(r"```python\n(.*?)```", (folder / "README.md").read_text(), re.DOTALL)
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "(16, 24, 3)\n"
+
+
+def test_iree_names_its_function(tmp_path: Path) -> None:
+    need("iree")
+    settings = ExportSettings(
+        to="iree", scene=SceneSettings(size="16"), schedule="shadow", out=tmp_path, quiet=True
+    )
+    text = (export_file(settings) / "README.md").read_text()
+    assert '"jit_cascade.main"' in text and "push_zeros(session, &call, 16, 16, 3);  // filter" in text
+
+
+def test_iree_of_a_machine_that_is_none() -> None:
+    need("iree")
+    graph = cascade_graph(Schedule.preset("shadow"), RGB, (16, 16))
+    with pytest.raises(InputError, match=r"^export: IREE cannot compile cascade .*$"):
+        open_target("iree").convert(graph, "no-such-machine")
+
+
+@pytest.mark.slow
+def test_core_ml_is_converted_and_not_checked(tmp_path: Path) -> None:
+    need("coreml")
+    settings = ExportSettings(to="coreml", scene=SceneSettings(size="24x16"), out=tmp_path, quiet=True)
+    folder = export_file(settings)
+    assert {path.name for path in folder.iterdir()} == {"cascade.mlpackage", "README.md"}
+    assert (folder / "cascade.mlpackage" / "Manifest.json").is_file()
+    assert "Not checked here" in (folder / "README.md").read_text()
+    export_file(settings)  # over the earlier one
