@@ -57,7 +57,7 @@ def main(config: Config, start: Start) -> None:
             try:
                 artifact = open_target(target).convert(graph)
             except (InputError, ValueError) as error:
-                results.add(kind="export", function=name, target=target, failed=f"{error}".splitlines()[0])
+                made[target] = {"failed": f"{error}".splitlines()[0]}
                 continue
             made[target] = {"bytes": artifact.size}
             if artifact.run is not None:

@@ -98,6 +98,14 @@ def test_the_readme_s_python_runs(target: str, tmp_path: Path) -> None:
     assert done.stdout == "(16, 24, 3)\n"
 
 
+@pytest.mark.parametrize("target", ["onnx", "iree"])
+def test_examples_that_nobody_compiles_say_so(target: str, tmp_path: Path) -> None:
+    need(target)
+    text = (export_file(tiny(target, tmp_path)) / "README.md").read_text()
+    examples = re.findall(r"## .*\n\n(.*neither compile nor run it\.)?\n*```(\w+)\n", text)
+    assert examples and all(bool(note) == (language != "python") for note, language in examples)
+
+
 def test_iree_names_its_function(tmp_path: Path) -> None:
     """In the C example, by the full name that is in the module, and with the inputs' shapes."""
     need("iree")
