@@ -57,7 +57,7 @@ def main(config: Config, start: Start) -> None:
             try:
                 artifact = open_target(target).convert(graph)
             except (InputError, ValueError) as error:
-                results.add(kind="export", function=name, target=target, failed=f"{error}".splitlines()[0])
+                made[target] = {"failed": f"{error}".splitlines()[0]}
                 continue
             made[target] = {"bytes": artifact.size}
             if artifact.run is not None:
@@ -83,25 +83,33 @@ def jax_call(graph: Graph) -> Any:
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
-    """A table from the rows."""
-    exports = of_kind(rows, "export")
+    """A table from the rows: a runtime a line, a function three columns; and why anything is missing."""
+    exports = {(row["function"], row["target"]): row for row in of_kind(rows, "export")}
     if not exports:
         return ["Nothing has been exported yet."]
-    lines = [
-        [
-            row["function"],
-            row["target"],
-            "" if row.get("parity") is None else f"{row['parity']:.1e}",
-            f"{row['bytes'] / 1024:.0f}" if row.get("bytes") else "",
-            f"{row['median_ms']:.1f}" if "median_ms" in row else "",
-            f"{row['p95_ms']:.1f}" if "p95_ms" in row else "",
-            row.get("failed", ""),
-        ]
-        for row in exports
+    functions, targets = (list(dict.fromkeys(names)) for names in zip(*exports))
+    lines = []
+    for target in targets:
+        cells = [exports.get((function, target), {}) for function in functions]
+        lines.append([target, *(text for row in cells for text in described(row))])
+    first = next(iter(exports.values()))
+    caption = f"Size {first['settings']['size']}; {machine(first)}. Parity: of the value range."
+    header = ["", *(text for name in functions for text in (f"{name}: parity", "kB", "ms (p95)"))]
+    failed = [
+        f"{function} by {target}: {row['failed']}"
+        for (function, target), row in exports.items()
+        if row.get("failed")
     ]
-    caption = f"Size {exports[0]['settings']['size']}; {machine(exports[0])}. Parity: of the value range."
-    header = ["function", "runtime", "parity", "kB", "median ms", "p95 ms", "not exported"]
-    return [Table(caption, header, lines, names=2)]
+    return [Table(caption, header, lines), *failed]
+
+
+def described(row: Row) -> tuple[str, str, str]:
+    """Parity, size and time of an export; empty where there is none."""
+    return (
+        "" if row.get("parity") is None else f"{row['parity']:.0e}",
+        f"{row['bytes'] / 1024:.0f}" if row.get("bytes") else "",
+        f"{row['median_ms']:.1f} ({row['p95_ms']:.1f})" if row.get("median_ms") else "",
+    )
 
 
 if __name__ == "__main__":

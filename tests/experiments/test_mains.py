@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from experiments import (
     bench_peers,
     beyond,
     conductances,
+    export_formats,
     flicker,
     guide_worth,
     kappa_sweep,
@@ -72,6 +74,32 @@ def test_beyond(scan: Path, weights: Path, tmp_path: Path, monkeypatch: pytest.M
     for scores in frame["scores"].values():
         assert set(names) < set(scores) and all(5 < scores[name]["all"]["psnr"] < 80 for name in names)
     assert {row["method"] for row in of_kind(rows, "time")} >= {beyond.PAPER, *names}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # the runtimes' own
+def test_export_formats(tmp_path: Path) -> None:
+    for module in ("onnx", "onnxruntime"):
+        pytest.importorskip(module, reason="needs pip install '.[export-onnx]'")
+    config = export_formats.Config(
+        targets=("stablehlo", "onnx"), functions=("cascade, hyjax",), size="32x24", repeats=2, out=tmp_path
+    )
+    found = of_kind(rows_of(export_formats.main, config), "export")
+    assert [row["target"] for row in found] == [export_formats.JAX, *config.targets]
+    assert all(0 < row["median_ms"] <= row["p95_ms"] for row in found)
+    assert all(row["parity"] < 1e-5 and row["bytes"] > 1000 for row in found[1:])
+
+
+@pytest.mark.slow
+def test_export_formats_without_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A target that cannot be made has a row that says why."""
+    monkeypatch.setitem(sys.modules, "iree.compiler", None)
+    config = export_formats.Config(
+        targets=("iree",), functions=("cascade, hyjax",), size="16", repeats=2, out=tmp_path
+    )
+    jax_row, missing = of_kind(rows_of(export_formats.main, config), "export")
+    assert jax_row["median_ms"] > 0 and "median_ms" not in missing
+    assert "pip install '.[export-iree]'" in missing["failed"]
 
 
 @pytest.mark.slow

@@ -41,7 +41,7 @@ def test_unrolled_has_neither_loops_nor_calls() -> None:
     assert all(out.aval.size for equation in flat.eqns for out in equation.outvars)
 
 
-@hypothesis.settings(max_examples=4)
+@hypothesis.settings(max_examples=3)
 @hypothesis.given(height=st.integers(8, 40), width=st.integers(8, 40), pooling=st.sampled_from(["edges", "guide"]))
 def test_unrolled_computes_the_same(height: int, width: int, pooling: str) -> None:
     schedule = Schedule.uniform([(16, 2), (8, 0), (3 - 1, 1)], pooling=pooling, fidelity=0.1)  # type: ignore[arg-type]
@@ -94,6 +94,7 @@ def test_a_file_of_stablehlo(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert all(line.startswith("export: ") for line in capsys.readouterr().err.splitlines())
 
 
+@pytest.mark.slow
 @hypothesis.settings(max_examples=3)
 @hypothesis.given(height=st.integers(8, 33), width=st.integers(8, 33))
 def test_stablehlo_of_any_size(height: int, width: int) -> None:

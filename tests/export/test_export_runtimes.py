@@ -43,16 +43,33 @@ def need(target: str) -> None:
         pytest.importorskip(module, reason=f"needs pip install '.[export-{target}]'")
 
 
-@pytest.mark.parametrize("name", SCHEDULES)
+def tiny(target: str, out: Path) -> ExportSettings:
+    """A few steps on a few pixels."""
+    scene = SceneSettings(size="24x16")
+    return ExportSettings(to=target, scene=scene, schedule="shadow", out=out, quiet=True)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("target", ["onnx", "litert", pytest.param("iree", marks=pytest.mark.slow)])
+def test_parity_of_the_default(target: str) -> None:
+    check_parity(target, Schedule.preset("hyjax"), known=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCHEDULES)
+@pytest.mark.parametrize("target", ["onnx", "litert", "iree"])
 def test_parity_of_cascades(target: str, name: str) -> None:
+    check_parity(target, SCHEDULES[name], known=False)
+    if target != "iree":  # takes seconds for each; the default is checked above
+        check_parity(target, SCHEDULES[name], known=True)
+
+
+def check_parity(target: str, schedule: Schedule, *, known: bool) -> None:
     need(target)
-    for known in (True, False):
-        graph = cascade_graph(SCHEDULES[name], RGB, (45, 61), channels=2, known=known)
-        run = open_target(target).convert(graph).run
-        assert measure_parity(graph, run) < 1e-5
+    graph = cascade_graph(schedule, RGB, (45, 61), channels=2, known=known)
+    assert measure_parity(graph, open_target(target).convert(graph).run) < 1e-5
 
 
+@pytest.mark.slow
 @hypothesis.settings(max_examples=4)
 @hypothesis.given(height=st.integers(8, 33), width=st.integers(8, 33))
 def test_onnx_of_any_size(height: int, width: int) -> None:
@@ -74,21 +91,33 @@ def test_parity_of_the_network(target: str) -> None:
 @pytest.mark.parametrize("target", ["stablehlo", "onnx", "litert"])
 def test_the_readme_s_python_runs(target: str, tmp_path: Path) -> None:
     need(target)
-    settings = ExportSettings(to=target, scene=SceneSettings(size="24x16"), out=tmp_path, quiet=True)  # type: ignore[arg-type]
-    folder = export_file(settings)
+    folder = export_file(tiny(target, tmp_path))
     (code,) = re.findall(r"```python\n(.*?)```", (folder / "README.md").read_text(), re.DOTALL)
     done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert done.stdout == "(16, 24, 3)\n"
 
 
+@pytest.mark.parametrize("target", ["onnx", "iree"])
+def test_examples_that_nobody_compiles_say_so(target: str, tmp_path: Path) -> None:
+    need(target)
+    text = (export_file(tiny(target, tmp_path)) / "README.md").read_text()
+    examples = re.findall(r"## .*\n\n(.*neither compile nor run it\.)?\n*```(\w+)\n", text)
+    assert examples and all(bool(note) == (language != "python") for note, language in examples)
+
+
 def test_iree_names_its_function(tmp_path: Path) -> None:
+    """In the C example, by the full name that is in the module, and with the inputs' shapes."""
     need("iree")
-    settings = ExportSettings(
-        to="iree", scene=SceneSettings(size="16"), schedule="shadow", out=tmp_path, quiet=True
-    )
-    text = (export_file(settings) / "README.md").read_text()
-    assert '"jit_cascade.main"' in text and "push_zeros(session, &call, 16, 16, 3);  // filter" in text
+    from iree import runtime
+
+    folder = export_file(tiny("iree", tmp_path))
+    text = (folder / "README.md").read_text()
+    assert "push_zeros(session, &call, 16, 24, 3);  // filter" in text
+    config = runtime.Config("local-task")
+    module = runtime.VmModule.copy_buffer(config.vm_instance, (folder / "cascade.vmfb").read_bytes())
+    (name,) = re.findall(r'iree_make_cstring_view\("(\S+\.\S+)"\)', text)
+    assert name in {f"{module.name}.{function}" for function in module.function_names}
 
 
 def test_iree_of_a_machine_that_is_none() -> None:
@@ -101,7 +130,7 @@ def test_iree_of_a_machine_that_is_none() -> None:
 @pytest.mark.slow
 def test_core_ml_is_converted_and_not_checked(tmp_path: Path) -> None:
     need("coreml")
-    settings = ExportSettings(to="coreml", scene=SceneSettings(size="24x16"), out=tmp_path, quiet=True)
+    settings = tiny("coreml", tmp_path)
     folder = export_file(settings)
     assert {path.name for path in folder.iterdir()} == {"cascade.mlpackage", "README.md"}
     assert (folder / "cascade.mlpackage" / "Manifest.json").is_file()
