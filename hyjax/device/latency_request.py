@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from hyjax.core.schedule import PRESETS, Schedule
+from hyjax.core.schedule import Schedule
 from hyjax.device.cascade_program import CascadeWriter
 from hyjax.device.frame_program import LIGHT_GROUPS
 from hyjax.device.latency_file import FORMAT, DeviceWorkload, Form, Instant, Record, Text
@@ -14,7 +14,7 @@ from hyjax.tuning.calibration import calibration_steps, schedule_of
 from hyjax.tuning.workload import factors_for
 
 PRESET_NAMES = ("hyjax", "paper-50", "paper-80", "naive-50")
-"""Presets that every request asks for: what a report compares with."""
+"""Presets that a request asks for where their levels are among the factors: what a report compares with."""
 ROUNDS = 30
 WARM_UP_SECONDS = 3.0
 SAMPLE_MS = 10.0
@@ -60,7 +60,13 @@ def calibration_schedules(workload: DeviceWorkload) -> list[Schedule]:
     """Schedules from whose times the costs of all others follow, and the presets."""
     factors = factors_for(workload.height, workload.width)
     schedules = [schedule_of(factors, steps) for steps in calibration_steps(factors)]
-    return each_once([*schedules, *map(Schedule.preset, PRESET_NAMES)])
+    presets = [Schedule.preset(name) for name in PRESET_NAMES]
+    return each_once([*schedules, *(preset for preset in presets if has_levels(preset, factors))])
+
+
+def has_levels(schedule: Schedule, factors: Sequence[int]) -> bool:
+    """Whether all levels of a schedule are among the factors."""
+    return all(level.factor in factors for level in schedule.levels)
 
 
 def each_once(schedules: Iterable[Schedule]) -> list[Schedule]:
@@ -86,8 +92,9 @@ def latency_request(workload: DeviceWorkload, schedules: Sequence[Schedule], **o
 def measure_program(workload: DeviceWorkload, schedules: Sequence[Schedule]) -> Program:
     """Program whose stages `0`, `1`, ... are the diffusion of a frame under each schedule.
 
-    They share buffers and shaders, so that thirty schedules need no more memory than the largest of them. The host
-    fills `light` and `guide`.
+    They share buffers and shaders, so that thirty schedules need no more memory than the largest of them. λ, κ and α
+    are the same in all: they do not decide the time, and so fewer shaders have to be compiled. The host fills `light`
+    and `guide`.
     """
     size = workload.height, workload.width
     program = Program(size, workload.precision)
@@ -95,7 +102,7 @@ def measure_program(workload: DeviceWorkload, schedules: Sequence[Schedule]) -> 
     guide = program.picture("guide", size, Groups(-(-workload.features // 4)))
     for number, schedule in enumerate(schedules):
         writer = CascadeWriter(program, guide, workload.features, stage=str(number))
-        writer.cascade("cascade", light, schedule, LIGHT_GROUPS, total=True)
+        writer.cascade("cascade", light, Form.of(schedule).schedule(), LIGHT_GROUPS, total=True)
     return program
 
 

@@ -60,6 +60,10 @@ class Trouble(Record):
     error: Annotated[str, msgspec.Meta(max_length=1000)]
 
 
+class Alive(Record):
+    """Sign of life."""
+
+
 class _Job:
     def __init__(self, number: int, request: LatencyRequest, schedules: Sequence[Schedule]) -> None:
         self.number, self.request = number, request
@@ -143,6 +147,7 @@ class Measuring:
             "hello": (Device, self._hello),
             "round": (Round, self._round),
             "trouble": (Trouble, self._trouble),
+            "alive": (Alive, lambda _: {}),
         }
         if path not in takers:
             return Answer.refuse(404, "no such address")

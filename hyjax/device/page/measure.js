@@ -5,6 +5,7 @@ import { timeJob } from "./timing.js";
 
 const FORMAT = 1;
 const RETRY = 2000; // milliseconds
+const SIGN_OF_LIFE = 10000; // milliseconds
 const PRESETS = ["hyjax", "paper-50", "paper-80", "naive-50"];
 const at = (id) => document.getElementById(id);
 const pause = (ms) => new Promise((done) => setTimeout(done, ms));
@@ -56,6 +57,7 @@ async function untilReached(call) {
 
 async function live(device, identity) {
   await untilReached(() => send("hello", identity));
+  setInterval(() => send("alive", {}).catch(() => null), SIGN_OF_LIFE);
   for (;;) {
     say("Ready. Waiting for the next schedules …");
     const response = await untilReached(() => fetch("job"));
@@ -72,10 +74,13 @@ async function live(device, identity) {
   }
 }
 
+const compiled = {}; // pipelines of all jobs
+
 /** Time a job; `report` takes each round and says whether there are more. */
 async function runJob(device, job, report) {
   const { request, program } = job;
-  const engine = await Engine.create(device, program, request.workload.lights);
+  say(`Compiling the shaders of ${request.schedules.length} schedules …`);
+  const engine = await Engine.create(device, program, request.workload.lights, {}, compiled);
   at("progress").hidden = false;
   try {
     await timeJob(engine, request, job.done ?? 0, async (round) => {
