@@ -26,7 +26,9 @@ def tls_context(host: str) -> ssl.SSLContext:
         from cryptography.hazmat.primitives import hashes, serialization
         from cryptography.hazmat.primitives.asymmetric import ec
     except ImportError:
-        raise InputError("https: needs the package cryptography; install it with: pip install '.[device]'") from None
+        raise InputError(
+            "https: needs the package cryptography; install it with: pip install '.[device]'"
+        ) from None
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "hyjax")])
     try:

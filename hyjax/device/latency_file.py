@@ -1,4 +1,4 @@
-"""Device latency file: times of schedules on a device, taken by whatever engine runs there; docs/latency_format.md."""
+"""Device latency file: times of schedules that some engine took on a device; see docs/latency_format.md."""
 
 import hashlib
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from hyjax.tuning.workload import Workload, schedule_key
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
 
-FORMAT = 1
+FORMAT: Literal[1] = 1
 """Version of the file and of the request for it. Counted up when an older reader would misunderstand one."""
 FEWEST_SAMPLES = 10
 """Of each schedule: fewer say nothing of a 95th percentile."""
@@ -40,7 +40,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Base of the file's parts."""
 
 
-class Device(Record):
+class Device(Record, frozen=True):
     """What was measured.
 
     Attributes:
@@ -56,7 +56,7 @@ class Device(Record):
     timer: Literal["gpu", "wall"] = "wall"
 
 
-class DeviceWorkload(Record):
+class DeviceWorkload(Record, frozen=True):
     """Shapes that were timed: the diffusion stage of an exported frame.
 
     Attributes:
@@ -91,7 +91,7 @@ class DeviceWorkload(Record):
         return f"{self.width}x{self.height}, lights {self.lights}, guide channels {self.features}, {self.precision}"
 
 
-class Form(Record):
+class Form(Record, frozen=True):
     """What decides a schedule's time: steps by factor, and its form. The default is the form that is searched.
 
     Attributes:
@@ -146,7 +146,7 @@ class Form(Record):
         return schedule_key(self.schedule())
 
 
-class Timed(Form):
+class Timed(Form, frozen=True):
     """A schedule with its times: either all samples, one a round, or what is left of them.
 
     Attributes:
@@ -182,21 +182,21 @@ class Timed(Form):
             raise InputError(f"p95 {self.p95:g} is below the median {self.median:g}")
 
 
-class Stage(Record):
+class Stage(Record, frozen=True):
     """Another stage of a frame with its times."""
 
     median: Duration
     p95: Duration
 
 
-class WarmUp(Record):
+class WarmUp(Record, frozen=True):
     """What ran before the first round, and was thrown away."""
 
     seconds: Instant
     runs: Count
 
 
-class DeviceLatency(Record):
+class DeviceLatency(Record, frozen=True):
     """Content of the file.
 
     Attributes:
@@ -215,7 +215,7 @@ class DeviceLatency(Record):
     workload: DeviceWorkload
     measured: Annotated[tuple[Timed, ...], msgspec.Meta(min_length=1, max_length=10_000)]
     warm_up: WarmUp
-    stages: dict[Text, Stage] = {}  # noqa: RUF012
+    stages: dict[Text, Stage] = {}
     rounds: tuple[Instant, ...] = ()
     created: Text = ""
 
@@ -239,7 +239,7 @@ class DeviceLatency(Record):
                 raise InputError(f"stages.{name}: p95 {stage.p95:g} is below the median {stage.median:g}")
 
     def drift(self) -> float | None:
-        """How much longer the last third of the rounds took than the first: 0.1 is 10 %; None where it is unknown."""
+        """How much longer the last third of the rounds took than the first, 0.1 for 10 %; None if unknown."""
         return drift([timed.milliseconds for timed in self.measured if len(timed.milliseconds) >= 6])
 
     @property

@@ -21,7 +21,7 @@ SAMPLE_MS = 10.0
 MOST_SECONDS = 90.0
 
 
-class Asked(Form, kw_only=True):
+class Asked(Form, frozen=True, kw_only=True):
     """A schedule to time.
 
     Attributes:
@@ -31,7 +31,7 @@ class Asked(Form, kw_only=True):
     whole: dict[str, Any]
 
 
-class LatencyRequest(Record):
+class LatencyRequest(Record, frozen=True):
     """What is to be timed, and how.
 
     Attributes:
@@ -92,9 +92,9 @@ def latency_request(workload: DeviceWorkload, schedules: Sequence[Schedule], **o
 def measure_program(workload: DeviceWorkload, schedules: Sequence[Schedule]) -> Program:
     """Program whose stages `0`, `1`, ... are the diffusion of a frame under each schedule.
 
-    They share buffers and shaders, so that thirty schedules need no more memory than the largest of them. λ, κ and α
-    are the same in all: they do not decide the time, and so fewer shaders have to be compiled. The host fills `light`
-    and `guide`.
+    They share buffers and shaders, so that thirty schedules need no more memory than the largest of them. λ, κ
+    and α are the same in all: they do not decide the time, and so fewer shaders have to be compiled. The host
+    fills `light` and `guide`.
     """
     size = workload.height, workload.width
     program = Program(size, workload.precision)

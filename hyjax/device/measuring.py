@@ -36,7 +36,7 @@ HOT = 0.15
 PAGE = "measure.html"
 
 
-class Round(Record):
+class Round(Record, frozen=True):
     """Times of all schedules of a job in one round.
 
     Attributes:
@@ -54,13 +54,13 @@ class Round(Record):
     last: bool = False
 
 
-class Trouble(Record):
+class Trouble(Record, frozen=True):
     """What went wrong on the device, in a line."""
 
     error: Annotated[str, msgspec.Meta(max_length=1000)]
 
 
-class Alive(Record):
+class Alive(Record, frozen=True):
     """Sign of life."""
 
 

@@ -1,4 +1,4 @@
-"""Web server of a page for devices: on this machine by default, else by HTTPS with a certificate made on the spot."""
+"""Web server of a page for devices: for this machine alone, or by HTTPS with a certificate made on the spot."""
 
 import contextlib
 import dataclasses
@@ -15,9 +15,9 @@ from typing import Any, Protocol
 from urllib.parse import unquote, urlsplit
 
 from hyjax.device.certificate import qr_code, tls_context
+from hyjax.tuning.settings import LOCAL
 from hyjax.util.errors import InputError
 
-LOCAL = "127.0.0.1"
 LOCAL_NAMES = (LOCAL, "localhost", "::1")
 ANY = ("0.0.0.0", "::")
 MOST_BODY = 1 << 20
@@ -97,7 +97,9 @@ class Server:
         InputError: it cannot be listened there, or a package is missing.
     """
 
-    def __init__(self, site: Site, host: str = LOCAL, port: int = 0, *, secret: bool = False, page: str = "") -> None:
+    def __init__(
+        self, site: Site, host: str = LOCAL, port: int = 0, *, secret: bool = False, page: str = ""
+    ) -> None:
         self.site, self.is_local = site, host in LOCAL_NAMES
         self.token = secrets.token_urlsafe(12) if secret and not self.is_local else ""
         self.name = "localhost" if self.is_local else _own_address() if host in ANY else host
@@ -127,11 +129,11 @@ class Server:
                 f"adb reverse tcp:{self.port} tcp:{self.port}, then the same address on the phone."
             )
         return (
-            f"{qr_code(self.address)}\nOpen {self.address} on the device. Its browser warns once, as nobody vouches "
-            "for this certificate: go on to the page. Where it does not let you, there are two other ways: without "
-            f"--host, adb reverse tcp:{self.port} tcp:{self.port} makes the page localhost on an Android phone; or "
-            "put the folder of `hyjax export --to bench` on any HTTPS host, save latency.json there, and give it to "
-            "hyjax tune --latency."
+            f"{qr_code(self.address)}\nOpen {self.address} on the device. Its browser warns once, as nobody "
+            "vouches for this certificate: go on to the page. Where it does not let you, there are two other ways: "
+            f"without --host, adb reverse tcp:{self.port} tcp:{self.port} makes the page localhost on an Android "
+            "phone; or put the folder of `hyjax export --to bench` on any HTTPS host, save latency.json there, "
+            "carry it back, and give it to hyjax tune --latency."
         )
 
     def refusal(self, headers: Any, path: str) -> Answer | None:
