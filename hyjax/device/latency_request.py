@@ -8,7 +8,7 @@ import msgspec
 from hyjax.core.schedule import Schedule
 from hyjax.device.cascade_program import CascadeWriter
 from hyjax.device.frame_program import LIGHT_GROUPS
-from hyjax.device.latency_file import FORMAT, DeviceWorkload, Form, Instant, Record, Text
+from hyjax.device.latency_file import FORMAT, DeviceWorkload, Form, Instant, Record
 from hyjax.device.program import Groups, Program
 from hyjax.tuning.calibration import calibration_steps, schedule_of
 from hyjax.tuning.workload import factors_for
@@ -21,7 +21,7 @@ SAMPLE_MS = 10.0
 MOST_SECONDS = 90.0
 
 
-class Asked(Form, frozen=True, kw_only=True):
+class Asked(Form, frozen=True, kw_only=True, omit_defaults=False):
     """A schedule to time.
 
     Attributes:
@@ -43,17 +43,15 @@ class LatencyRequest(Record, frozen=True):
         sample_ms: how long a sample takes at least: a shorter schedule is run several times for one, and the sample
             is the time of one run.
         most_seconds: begin no further round after so long a time.
-        stages: of the frame, besides, for a budget that is for the whole frame.
     """
 
     format: Literal[1]
     workload: DeviceWorkload
     schedules: tuple[Asked, ...]
-    rounds: int = ROUNDS
-    warm_up_seconds: Instant = WARM_UP_SECONDS
-    sample_ms: float = SAMPLE_MS
-    most_seconds: Instant = MOST_SECONDS
-    stages: tuple[Text, ...] = ()
+    rounds: int
+    warm_up_seconds: Instant
+    sample_ms: float
+    most_seconds: Instant
 
 
 def calibration_schedules(workload: DeviceWorkload) -> list[Schedule]:
@@ -74,19 +72,26 @@ def each_once(schedules: Iterable[Schedule]) -> list[Schedule]:
     return list({Form.of(schedule).key: schedule for schedule in schedules}.values())
 
 
-def latency_request(workload: DeviceWorkload, schedules: Sequence[Schedule], **options: Any) -> LatencyRequest:
+def latency_request(workload: DeviceWorkload, schedules: Sequence[Schedule]) -> LatencyRequest:
     """Request to time schedules.
 
     Args:
         workload: the shapes.
         schedules: each once.
-        options: attributes of the request in the place of its defaults.
 
     Raises:
         InputError: a schedule of which some levels have a fidelity and others none.
     """
     asked = [Asked.of(schedule, whole=msgspec.json.decode(schedule.to_json())) for schedule in schedules]
-    return LatencyRequest(format=FORMAT, workload=workload, schedules=tuple(asked), **options)
+    return LatencyRequest(
+        format=FORMAT,
+        workload=workload,
+        schedules=tuple(asked),
+        rounds=ROUNDS,
+        warm_up_seconds=WARM_UP_SECONDS,
+        sample_ms=SAMPLE_MS,
+        most_seconds=MOST_SECONDS,
+    )
 
 
 def measure_program(workload: DeviceWorkload, schedules: Sequence[Schedule]) -> Program:

@@ -33,6 +33,8 @@ SILENCE = 30.0
 """Seconds after which a device is said to have gone away."""
 HOT = 0.15
 """Rise of times from the first to the last rounds that is worth a word."""
+FEWEST_TO_TELL = 5
+"""Schedules that must agree on it."""
 PAGE = "measure.html"
 
 
@@ -129,6 +131,8 @@ class Measuring:
     # ---- for the page ----
 
     def get(self, path: str) -> Answer:
+        if path == "bench.json":  # of a page on another host
+            return Answer(204)
         if path != "job":
             return self._files.get(path)
         with self._changed:
@@ -216,7 +220,8 @@ class ConnectedDevice:
     def latency(self, request: LatencyRequest, schedules: Sequence[Schedule]) -> DeviceLatency:
         """Times of schedules as a latency file has them."""
         device = self.site.wait_for_device()
-        self.say(f"{device.name} times {len(schedules)} schedules at {request.workload}")
+        counted = "1 schedule" if len(schedules) == 1 else f"{len(schedules)} schedules"
+        self.say(f"{device.name} times {counted} at {request.workload}")
         rounds, seconds = self.site.measure(request, schedules)
         columns = list(zip(*(r.milliseconds for r in rounds)))
         self._tell_heat(columns)
@@ -236,7 +241,7 @@ class ConnectedDevice:
 
     def _tell_heat(self, columns: Sequence[Sequence[float]]) -> None:
         rise = drift(columns)
-        if rise is not None and rise > HOT:
+        if rise is not None and rise > HOT and len(columns) >= FEWEST_TO_TELL:
             self.say(f"the device got slower by {100 * rise:.0f} % from the first to the last rounds: is it hot?")
 
     def close(self) -> None:

@@ -189,9 +189,9 @@ class _Handler(http.server.BaseHTTPRequestHandler):
 
     def _send(self, answer: Answer) -> None:
         self.send_response(answer.status)
-        headers = {
+        headers = {} if answer.status == 204 else {"Content-Length": str(len(answer.content))}
+        headers |= {
             "Content-Type": answer.kind,
-            "Content-Length": str(len(answer.content)),
             "Cache-Control": "no-store",
             "X-Content-Type-Options": "nosniff",
             "Referrer-Policy": "no-referrer",

@@ -202,12 +202,12 @@ async function main() {
     at("facts").textContent = `${identity.adapter}; times by the ${identity.timer === "gpu" ? "graphics processor's" : "browser's"} clock`;
     await keepAwake();
     stored = await fetch("bench.json");
-    if (stored.ok) bench(device, identity, await stored.json());
+    if (stored.status === 200) bench(device, identity, await stored.json());
     else await live(device, identity);
   } catch (error) {
     say("Stopped.");
     complain(`${error.message}\nOpen the page anew to try once more.`);
-    if (!stored?.ok) await send("trouble", { error: `${error.message}`.slice(0, 1000) }).catch(() => null);
+    if (stored?.status !== 200) await send("trouble", { error: `${error.message}`.slice(0, 1000) }).catch(() => null);
   }
 }
 
