@@ -12,8 +12,8 @@ from typing import Annotated
 
 import tyro
 
-from hyjax.export.settings import ExportSettings
 from hyjax.device.serve import ServeSettings
+from hyjax.export.settings import ExportSettings
 from hyjax.relighting.settings import RelightSettings
 from hyjax.tour.settings import TourSettings
 from hyjax.training.settings import PAPER, TrainSettings
@@ -238,6 +238,8 @@ def run_export(settings: ExportSettings) -> None:
         from hyjax.export.run import export_file
 
         print(f"Look at {export_file(settings) / 'README.md'}")
+
+
 def run_serve(settings: ServeSettings) -> None:
     """`hyjax serve`."""
     import threading
