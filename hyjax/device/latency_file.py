@@ -56,7 +56,7 @@ class Device(Record, frozen=True):
     timer: Literal["gpu", "wall"] = "wall"
 
 
-class DeviceWorkload(Record, frozen=True):
+class DeviceWorkload(Record, frozen=True, omit_defaults=False):
     """Shapes that were timed: the diffusion stage of an exported frame.
 
     Attributes:

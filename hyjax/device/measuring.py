@@ -217,9 +217,13 @@ class ConnectedDevice:
         self.server = Server(self.site, host, port, secret=True, page=PAGE)
         say(self.server.invitation())
 
+    def identity(self) -> Device:
+        """What it says that it is; waits for it."""
+        return self.site.wait_for_device()
+
     def latency(self, request: LatencyRequest, schedules: Sequence[Schedule]) -> DeviceLatency:
         """Times of schedules as a latency file has them."""
-        device = self.site.wait_for_device()
+        device = self.identity()
         counted = "1 schedule" if len(schedules) == 1 else f"{len(schedules)} schedules"
         self.say(f"{device.name} times {counted} at {request.workload}")
         rounds, seconds = self.site.measure(request, schedules)

@@ -36,7 +36,7 @@ HARDWARE = (
     # LPDDR5X at 4800 MHz on 64 bits (Qualcomm, Snapdragon 8 Gen 3 product brief), 9600e6 * 8 bytes. Qualcomm gives
     # no peak: 1536 units, two operations at about 0.9 GHz.
     Hardware("Adreno 750 (Snapdragon 8 Gen 3)", 76.8, 2770.0),
-    # Apple, MacBook Pro with M3, technical specifications: 100 GB/s. Apple gives no peak: 10 cores of 128 units, two
+    # Apple, MacBook Pro with M3, technical specifications: 100 GB/s. No peak is given: 10 cores of 128 units, two
     # operations at about 1.38 GHz.
     Hardware("M3 (10 GPU cores)", 100.0, 3530.0),
     # NVIDIA, H100 Tensor Core GPU data sheet: SXM5, 3.35 TB/s, 67 TFLOPS without tensor cores.

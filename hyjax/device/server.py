@@ -179,7 +179,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         self._send(Answer.refuse(status, line))
 
     def _answer(self, respond: Callable[[str], Answer]) -> None:
-        path = urlsplit(self.path).path.lstrip("/")
+        path = urlsplit(self.path).path.removeprefix("/")
         refused = self.owner.refusal(self.headers, path)
         if refused is None and self.owner.token:
             _, slash, path = path.partition("/")
@@ -215,10 +215,12 @@ class _Listener(http.server.ThreadingHTTPServer):
 
     def finish_request(self, request: Any, client_address: Any) -> None:
         """In the connection's own thread: the handshake, then its requests."""
-        if self.context is not None:
-            request.settimeout(IDLE_SECONDS)
-            request = self.context.wrap_socket(request, server_side=True)
-        super().finish_request(request, client_address)
+        if self.context is None:
+            super().finish_request(request, client_address)
+            return
+        request.settimeout(IDLE_SECONDS)
+        with self.context.wrap_socket(request, server_side=True) as wrapped:
+            super().finish_request(wrapped, client_address)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Devices go away as they like, and browsers hang up on a certificate that nobody vouches for."""

@@ -200,23 +200,27 @@ class ConnectedTimes:
 
     Attributes:
         device: the device.
-        kept: file that its times are written to, and read from if it is there; None for none.
+        kept: file that its times are written to; None for none.
+        resume: take them from there if they are there.
         fingerprint: in the place of that of the times, which are not known yet.
     """
 
     device: ConnectedDevice
     kept: Path | None = None
+    resume: bool = False
     fingerprint: str = "measured by the run"
 
     def __call__(self, case: Case) -> DeviceEstimator:
         """Estimator for frames like this one.
 
         Raises:
-            InputError: as `DeviceEstimator`, or the file cannot be used.
+            InputError: as `DeviceEstimator`, or the file cannot be used, or is of another device.
         """
         workload = DeviceWorkload.of(workload_of(case))
-        if self.kept is not None and self.kept.exists():
+        if self.kept is not None and self.resume and self.kept.exists():
             latency, origin = read_latency(self.kept), str(self.kept)
+            if latency.device != (found := self.device.identity()):
+                raise InputError(f"{self.kept}: times of {latency.device.name}, not of {found.name}, which is here")
         else:
             schedules = calibration_schedules(workload)
             latency, origin = self.device.latency(latency_request(workload, schedules), schedules), "times"

@@ -87,7 +87,7 @@ def _latency_source(settings: TuneSettings) -> Iterator[LatencySource | None]:
 
     device = ConnectedDevice(other.host, other.port, _say)
     try:
-        yield ConnectedTimes(device, settings.out and settings.out / "latency.json")
+        yield ConnectedTimes(device, settings.out and settings.out / "latency.json", settings.resume)
     finally:
         device.close()
 
