@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -276,3 +277,13 @@ def test_least_times() -> None:
     assert (work.read, work.written) == (96 * 128 * 48, 48 * 64 * 48)
     times = [least_milliseconds(programs[4], 2, hardware) for hardware in HARDWARE]
     assert times == sorted(times, reverse=True) and times[-1] > 0
+
+
+def test_the_example_of_the_documentation_is_right() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "latency_format.md").read_text()
+    _, example = re.findall(r"```json\n(.*?)```", text, re.DOTALL)
+    content = json.loads(example)
+    assert parse_latency(example).measured[1].time.p95 == 10.2
+    for part in (DeviceLatency, Device, DeviceWorkload, Timed, WarmUp):
+        assert all(f"{name}" in text for name in part.__struct_fields__), part
+    assert set(content) == set(DeviceLatency.__struct_fields__)
