@@ -21,9 +21,9 @@ from experiments.command import RunConfig, Start, experiment, run
 from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
 from hyjax.core.schedule import Schedule
-from hyjax.device.latency_file import DeviceWorkload
-from hyjax.device.latency_request import measure_program
 from hyjax.device.roofline import HARDWARE, Work, least_milliseconds, work_by_kind
+from hyjax.tuning.device_latency import DeviceWorkload
+from hyjax.tuning.device_request import measure_program
 from hyjax.util.errors import InputError
 
 PRESETS = ("hyjax", "paper-50", "paper-80", "naive-50")

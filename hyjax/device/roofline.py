@@ -77,11 +77,12 @@ def launch_work(program: Program, launch: Launch, lights: int) -> Work:
     """Work of a launch of a cascade.
 
     >>> from hyjax.core.schedule import Schedule
-    >>> from hyjax.device.latency_file import DeviceWorkload
-    >>> from hyjax.device.latency_request import measure_program
-    >>> program = measure_program(DeviceWorkload(height=64, width=64, lights=2), [Schedule.uniform([(1, 4)])])
+    >>> from hyjax.device.cascade_program import CascadeWriter
+    >>> program = Program((64, 64))
+    >>> light, guide = (program.picture(name, (64, 64), Groups(1)) for name in ("light", "guide"))
+    >>> refined = CascadeWriter(program, guide, 3).cascade("cascade", light, Schedule.uniform([(1, 4)]), Groups(1))
     >>> [(kind_of(launch), launch_work(program, launch, 2).passes) for launch in program.launches]
-    [('total', 1), ('edges', 1), ('diffuse', 1)]
+    [('edges', 1), ('diffuse', 1)]
 
     Args:
         program: it is of.

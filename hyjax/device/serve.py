@@ -5,8 +5,7 @@ from pathlib import Path
 
 import tyro
 
-from hyjax.device.server import LOCAL_NAMES, Folder, Server
-from hyjax.tuning.settings import LOCAL
+from hyjax.device.server import LOCAL, LOCAL_NAMES, Folder, Server
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
 

@@ -15,9 +15,9 @@ from typing import Any, Protocol
 from urllib.parse import unquote, urlsplit
 
 from hyjax.device.certificate import qr_code, tls_context
-from hyjax.tuning.settings import LOCAL
 from hyjax.util.errors import InputError
 
+LOCAL = "127.0.0.1"
 LOCAL_NAMES = (LOCAL, "localhost", "::1")
 ANY = ("0.0.0.0", "::")
 MOST_BODY = 1 << 20

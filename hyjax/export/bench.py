@@ -7,11 +7,11 @@ from pathlib import Path
 
 import jax.numpy as jnp
 
-from hyjax.device.latency_file import DeviceWorkload
-from hyjax.device.latency_request import calibration_schedules, job, latency_request, request_text
 from hyjax.export.settings import ExportSettings
 from hyjax.guide.choose import RGB, open_guide
 from hyjax.scene.scene import Scene
+from hyjax.tuning.device_latency import DeviceWorkload
+from hyjax.tuning.device_request import calibration_schedules, job, latency_request, request_text
 from hyjax.util.files import make_writable, write_text
 
 PAGE = ("measure.html", "measure.js", "timing.js", "engine.js")

@@ -4,13 +4,13 @@ import dataclasses
 from pathlib import Path
 from typing import Any, Literal
 
+from hyjax.device.server import LOCAL
 from hyjax.scene.settings import SceneSettings, check_lights_name
 from hyjax.tuning.result import Budget
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
 
 BudgetStage = Literal["cascade", "frame"]
-LOCAL = "127.0.0.1"
 CONVERGED = "converged"
 """The target where there is no better mesh: what the paper's cascade approximates."""
 
@@ -56,7 +56,7 @@ class OtherDevice(Settings):
         if not 0 <= self.port <= 65535:
             raise InputError(f"port: must lie in 0..65535, got {self.port}")
         if self.latency is not None:
-            from hyjax.device.latency_file import read_latency
+            from hyjax.tuning.device_latency import read_latency
 
             read_latency(self.latency)
 

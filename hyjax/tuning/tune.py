@@ -23,7 +23,7 @@ from hyjax.tuning.settings import TuneSettings
 from hyjax.util.files import make_writable, write_text
 
 if TYPE_CHECKING:
-    from hyjax.device.latency_request import LatencyRequest
+    from hyjax.tuning.device_request import LatencyRequest
 
 
 def tune(
@@ -83,7 +83,7 @@ def _latency_source(settings: TuneSettings) -> Iterator[LatencySource | None]:
     if other.latency is not None:
         yield FileTimes(other.latency, settings.stage == "frame")
         return
-    from hyjax.device.measuring import ConnectedDevice
+    from hyjax.tuning.device_measuring import ConnectedDevice
 
     device = ConnectedDevice(other.host, other.port, _say)
     try:
@@ -103,8 +103,8 @@ def write_request(settings: TuneSettings, path: Path) -> "LatencyRequest":
     Raises:
         InputError: the settings cannot be used, no frame sees the mesh, or the file cannot be written.
     """
-    from hyjax.device.latency_file import DeviceWorkload
-    from hyjax.device.latency_request import calibration_schedules, latency_request, request_text
+    from hyjax.tuning.device_latency import DeviceWorkload
+    from hyjax.tuning.device_request import calibration_schedules, latency_request, request_text
 
     settings.check()
     bench = open_bench(settings, guide=open_guide(settings.guide))

@@ -15,7 +15,10 @@ from hypothesis import strategies as st
 from hyjax import InputError, Schedule, tune
 from hyjax.core.schedule import guided_schedule
 from hyjax.data.builtin_room import load_room
-from hyjax.device.latency_file import (
+from hyjax.device.roofline import HARDWARE, kind_of, launch_work, least_milliseconds, work_by_kind
+from hyjax.tuning.cost_model import CostModel
+from hyjax.tuning.device_estimator import FRAME_STAGES, DeviceEstimator, latency_table
+from hyjax.tuning.device_latency import (
     FEWEST_SAMPLES,
     Device,
     DeviceLatency,
@@ -27,10 +30,7 @@ from hyjax.device.latency_file import (
     read_latency,
     write_latency,
 )
-from hyjax.device.latency_request import calibration_schedules, latency_request, measure_program, request_text
-from hyjax.device.roofline import HARDWARE, kind_of, launch_work, least_milliseconds, work_by_kind
-from hyjax.tuning.cost_model import CostModel
-from hyjax.tuning.device_estimator import FRAME_STAGES, DeviceEstimator, latency_table
+from hyjax.tuning.device_request import calibration_schedules, latency_request, measure_program, request_text
 from hyjax.tuning.report_text import summary
 from hyjax.tuning.search import Effort
 from hyjax.tuning.settings import OtherDevice, TuneScene, TuneSettings

@@ -13,13 +13,13 @@ import pytest
 from experiments.browser import browser
 from hyjax import Schedule
 from hyjax.data.builtin_room import load_room
-from hyjax.device import latency_request
-from hyjax.device.latency_file import DeviceWorkload, parse_latency, read_latency
-from hyjax.device.measuring import ConnectedDevice
 from hyjax.device.server import Folder, Server
 from hyjax.export.bench import write_bench
+from hyjax.tuning import device_request
 from hyjax.tuning.bench import open_bench
 from hyjax.tuning.device_estimator import ConnectedTimes
+from hyjax.tuning.device_latency import DeviceWorkload, parse_latency, read_latency
+from hyjax.tuning.device_measuring import ConnectedDevice
 from hyjax.tuning.report_text import time_of
 from hyjax.tuning.run import tune_bench
 from hyjax.tuning.search import Effort
@@ -39,9 +39,9 @@ def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """An empty page of a browser with WebGPU, and jobs that take seconds."""
     if not os.environ.get("HYJAX_BROWSER"):
         pytest.skip("set HYJAX_BROWSER=1 to drive a browser, with -n 0: it takes two cores for itself")
-    monkeypatch.setattr(latency_request, "ROUNDS", 10)
-    monkeypatch.setattr(latency_request, "WARM_UP_SECONDS", 0.0)
-    monkeypatch.setattr(latency_request, "SAMPLE_MS", 1.0)
+    monkeypatch.setattr(device_request, "ROUNDS", 10)
+    monkeypatch.setattr(device_request, "WARM_UP_SECONDS", 0.0)
+    monkeypatch.setattr(device_request, "SAMPLE_MS", 1.0)
     with browser(WEBGPU) as launched:  # asked for: one that is missing fails
         yield launched.new_page()
 
@@ -81,7 +81,7 @@ def test_a_schedule_for_the_browser_keeps_its_budget(page: Any, tmp_path: Path) 
             again = ConnectedTimes(device, kept, resume=True)
             found["tight"] = tune_bench(bench, tight, effort=TINY, latency=again)
             schedules = [found["ample"].schedule, found["tight"].schedule]
-            request = latency_request.latency_request(read_latency(kept).workload, schedules)
+            request = device_request.latency_request(read_latency(kept).workload, schedules)
             found["again"] = device.times(request, schedules)
 
         thread = threading.Thread(target=work, daemon=True)

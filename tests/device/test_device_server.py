@@ -12,12 +12,12 @@ import pytest
 
 from hyjax import InputError
 from hyjax.core.schedule import guided_schedule
-from hyjax.device import measuring
-from hyjax.device.latency_file import DeviceWorkload
-from hyjax.device.latency_request import latency_request
-from hyjax.device.measuring import ConnectedDevice
 from hyjax.device.serve import ServeSettings, open_folder
 from hyjax.device.server import MOST_BODY, Folder, Server
+from hyjax.tuning import device_measuring as measuring
+from hyjax.tuning.device_latency import DeviceWorkload
+from hyjax.tuning.device_measuring import ConnectedDevice
+from hyjax.tuning.device_request import latency_request
 
 JSON = {"Content-Type": "application/json"}
 WORKLOAD = DeviceWorkload(height=32, width=32, lights=1)

@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import msgspec
 
 from hyjax.core.schedule import Schedule
-from hyjax.device.latency_file import (
+from hyjax.device.server import JSON, Answer, Folder, Server
+from hyjax.tuning.device_latency import (
     FEWEST_SAMPLES,
     FORMAT,
     Device,
@@ -21,8 +22,7 @@ from hyjax.device.latency_file import (
     WarmUp,
     drift,
 )
-from hyjax.device.latency_request import LatencyRequest, job
-from hyjax.device.server import JSON, Answer, Folder, Server
+from hyjax.tuning.device_request import LatencyRequest, job
 from hyjax.tuning.result import Milliseconds
 from hyjax.util.clock import timestamp
 from hyjax.util.errors import InputError

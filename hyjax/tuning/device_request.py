@@ -8,9 +8,9 @@ import msgspec
 from hyjax.core.schedule import Schedule
 from hyjax.device.cascade_program import CascadeWriter
 from hyjax.device.frame_program import LIGHT_GROUPS
-from hyjax.device.latency_file import FORMAT, DeviceWorkload, Form, Instant, Record
 from hyjax.device.program import Groups, Program
 from hyjax.tuning.calibration import calibration_steps, schedule_of
+from hyjax.tuning.device_latency import FORMAT, DeviceWorkload, Form, Instant, Record
 from hyjax.tuning.workload import factors_for
 
 PRESET_NAMES = ("hyjax", "paper-50", "paper-80", "naive-50")
