@@ -2,7 +2,7 @@
 
 import contextlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from hyjax.util.errors import InputError
@@ -22,8 +22,11 @@ ARGUMENTS = [
 
 
 @contextlib.contextmanager
-def browser() -> Iterator[Any]:
+def browser(options: Sequence[str] = ()) -> Iterator[Any]:
     """The browser.
+
+    Args:
+        options: of its command line, besides `ARGUMENTS`.
 
     Raises:
         InputError: playwright or chromium is not installed.
@@ -36,7 +39,7 @@ def browser() -> Iterator[Any]:
     if chromium is None:
         raise InputError("browser: needs chromium; apt install chromium")
     with sync_playwright() as driver:
-        launched = driver.chromium.launch(executable_path=chromium, args=ARGUMENTS)
+        launched = driver.chromium.launch(executable_path=chromium, args=[*ARGUMENTS, *options])
         try:
             yield launched
         finally:

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import tyro
 
+from hyjax.device.serve import ServeSettings
 from hyjax.export.settings import ExportSettings
 from hyjax.relighting.settings import RelightSettings
 from hyjax.tour.settings import TourSettings
@@ -49,7 +50,7 @@ class Info:
     """Print versions, devices and what optional parts are installed."""
 
 
-def parse() -> RelightSettings | TuneSettings | Train | TourSettings | ExportSettings | Info:
+def parse() -> RelightSettings | TuneSettings | Train | TourSettings | ExportSettings | ServeSettings | Info:
     """The command line. Exits with status 2 if it is none."""
     # The defaults of `train`, and what its help says they are.
     recipe = PAPER if "--paper" in sys.argv else TrainSettings()
@@ -59,6 +60,7 @@ def parse() -> RelightSettings | TuneSettings | Train | TourSettings | ExportSet
         | Annotated[Train, tyro.conf.subcommand("train", default=Train(recipe))]
         | Annotated[TourSettings, tyro.conf.subcommand("tour")]
         | Annotated[ExportSettings, tyro.conf.subcommand("export")]
+        | Annotated[ServeSettings, tyro.conf.subcommand("serve")]
         | Annotated[Info, tyro.conf.subcommand("info")]
     )
     return tyro.cli(
@@ -104,6 +106,8 @@ def main() -> None:
             run_tour(command)
         elif isinstance(command, ExportSettings):
             run_export(command)
+        elif isinstance(command, ServeSettings):
+            run_serve(command)
         else:
             run_info()
         sys.stdout.flush()
@@ -134,9 +138,13 @@ def run_relight(settings: RelightSettings) -> None:
 def run_tune(settings: TuneSettings) -> None:
     """`hyjax tune`."""
     from hyjax.tuning.report import summary
-    from hyjax.tuning.tune import tune
+    from hyjax.tuning.tune import tune, write_request
 
     _keep_compiled()
+    if (path := settings.target_device.request) is not None:
+        request = write_request(settings, path)
+        print(f"{len(request.schedules)} schedules to time at {request.workload}: {path}")
+        return
     tuned = tune(settings=settings)
     if tuned.record["frames without surface"]:
         names = ", ".join(tuned.record["frames without surface"])
@@ -230,6 +238,23 @@ def run_export(settings: ExportSettings) -> None:
         from hyjax.export.run import export_file
 
         print(f"Look at {export_file(settings) / 'README.md'}")
+
+
+def run_serve(settings: ServeSettings) -> None:
+    """`hyjax serve`."""
+    import threading
+
+    from hyjax.device.serve import open_folder
+
+    server = open_folder(settings)
+    if not settings.is_local:
+        print(f"hyjax: listening at {settings.host}: everybody who reaches it sees this folder", file=sys.stderr)
+    print(server.invitation(), flush=True)
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        server.stop()
+        exit_now(0)
 
 
 def _keep_compiled() -> None:

@@ -131,6 +131,7 @@ LAYERS: list[set[str]] = [
     {"scene"},
     {"guide", "pairs"},
     {"training"},
+    {"device"},
     {"relighting", "tuning"},
     {"tour", "export"},
     {"cli", "__main__"},

@@ -13,6 +13,7 @@ from hyjax.light.color import to_display
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.cases import Case, raw_filter, refined_filter
 from hyjax.tuning.report import Example, contact_sheet_rows, write_report
+from hyjax.tuning.report_text import time_of
 from hyjax.tuning.result import Candidate, Tuned
 from hyjax.util.contact_sheet import contact_sheet
 from hyjax.util.images import write_png
@@ -21,17 +22,17 @@ MOST_EXAMPLES = 4
 
 
 def equal_time(tuned: Tuned) -> tuple[Candidate, Candidate]:
-    """A schedule of the paper and the best tuned one that is measured to be no slower (the fastest if none is)."""
+    """A schedule of the paper and the best tuned one that is no slower (the fastest if none is)."""
     paper = next((c for c in tuned.baselines if c.name == "paper-50"), [*tuned.baselines, *tuned.best][0])
     candidates = tuned.front or tuned.best
-    within = [c for c in candidates if c.measured and paper.measured and c.measured.median <= paper.measured.median]
+    within = [c for c in candidates if time_of(c).median <= time_of(paper).median]
     return paper, (within[-1] if within else candidates[0])
 
 
 def examples(tuned: Tuned, bench: Workbench, indices: Sequence[int]) -> list[Example]:
     """At most four frames: frame, filters and relit pictures, raw, paper's, tuned and target."""
     paper, ours = equal_time(tuned)
-    note = ", ".join(f"{c.name} {c.measured.median:.2f} ms" for c in (paper, ours) if c.measured)
+    note = ", ".join(f"{c.name} {time_of(c).median:.2f} ms" for c in (paper, ours))
     made = []
     for index in spread(indices, MOST_EXAMPLES):
         case = bench.case(index)

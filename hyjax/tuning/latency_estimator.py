@@ -41,14 +41,27 @@ class LatencyEstimator(Protocol):
     cost: CostModel
     """Of the 95th percentile, over the table's factors: what the search keeps below the budget."""
 
+    source: str
+    """In a few words, where the times are from."""
+
+    device: str
+    """Name of the device, where it is not the one that searches; else empty."""
+
     def predict(self, schedule: Schedule) -> Milliseconds:
         """By the latency table."""
+        ...
+
+    def is_timed(self, schedule: Schedule) -> bool:
+        """Whether what `measure` has said of a schedule was timed; predicted if not."""
         ...
 
     def measure(
         self, schedules: Sequence[Schedule], *, again: bool = False, progress: bool = True
     ) -> list[Milliseconds]:
-        """On the clock, in turns; what was timed on this table before is timed again only if asked for."""
+        """On the clock, in turns, where the device is within reach, else as `predict`.
+
+        What was timed on this table before is timed again only if asked for.
+        """
         ...
 
     def parts(self) -> dict[str, float]:
@@ -68,7 +81,30 @@ def has_searched_form(schedule: Schedule) -> bool:
     return schedule.upsampling == schedule.pooling == "guide" and schedule.norm == "l2" and with_data_term
 
 
-class CascadeEstimator:
+class LatencySource(Protocol):
+    """What makes the estimator of a run, in the place of this machine's."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the times."""
+        ...
+
+    def __call__(self, case: Case) -> LatencyEstimator:
+        """Estimator for frames like this one."""
+        ...
+
+
+class OwnEstimator:
+    """Base of this machine's estimators."""
+
+    device = ""
+
+    def is_timed(self, schedule: Schedule) -> bool:
+        """Always: this machine is there."""
+        return True
+
+
+class CascadeEstimator(OwnEstimator):
     """Times of the diffusion stage, `cascade_known`.
 
     Args:
@@ -102,7 +138,7 @@ class CascadeEstimator:
         return {"reading, weighting and upsampling the filter": self.table.p95.fixed, "one level": cheapest}
 
 
-class FrameEstimator:
+class FrameEstimator(OwnEstimator):
     """Times of a whole frame: view, guide, shading, visibility, diffusion, shadow pass, composite; without files.
 
     Args:
@@ -114,7 +150,7 @@ class FrameEstimator:
     STAGES = ("G-buffer", "guide", "shading", "visibility", "shadow pass", "linear composite")
 
     def __init__(self, cascade: CascadeEstimator, bench: Workbench, index: int) -> None:
-        self.cascade, self.table = cascade, cascade.table
+        self.cascade, self.table, self.source = cascade, cascade.table, cascade.source
         self.scene, self.lights, self.guide = bench.scene, bench.lights, bench.guide
         frame = self.scene.frame(index)
         self.camera, self.display = frame.camera, jnp.asarray(frame.image)

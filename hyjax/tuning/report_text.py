@@ -165,15 +165,21 @@ def sentence(tuned: Tuned, budget: Budget, best: Candidate) -> str:
         text += (
             f", measured median {milliseconds(best.measured.median)} ms, p95 {milliseconds(best.measured.p95)} ms"
         )
+    elif device := tuned.record.get("searched on") and tuned.record.get("device"):
+        time = best.predicted
+        text += (
+            f", for {device} predicted, not timed: median {milliseconds(time.median)} ms, "
+            f"p95 {milliseconds(time.p95)} ms"
+        )
     other = rival(tuned, budget, best)
     against = None if other is None else loss_of(other, best)
     if other is None or against is None:
         own = loss_of(best, best)
         return text + ("." if own is None else f"; loss {own:.4g}.")
     own = loss_of(best, other)
-    time = milliseconds(time_of(other).median)
+    usual = milliseconds(time_of(other).median)
     late = "" if time_of(other).p95 <= budget.milliseconds else ", which does not fit"
     frames = "held-out" if best.held_out is not None and other.held_out is not None else "tuning"
     return text + (
-        f"; loss {number(own, '.4g')} against {against:.4g} of {other.name} at {time} ms{late} ({frames} frames)."
+        f"; loss {number(own, '.4g')} against {against:.4g} of {other.name} at {usual} ms{late} ({frames} frames)."
     )

@@ -20,6 +20,7 @@ from hyjax.tuning.latency_estimator import (
     CascadeEstimator,
     FrameEstimator,
     LatencyEstimator,
+    LatencySource,
     check_reachable,
     has_searched_form,
     smallest_schedules,
@@ -27,6 +28,7 @@ from hyjax.tuning.latency_estimator import (
 from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.relaxation import RelaxedSchedule, prepare
 from hyjax.tuning.report import write_front, write_pareto_csv, write_pareto_plot, write_schedules
+from hyjax.tuning.report_text import time_of
 from hyjax.tuning.request import split_frames
 from hyjax.tuning.result import Budget, Candidate, Milliseconds, Tuned
 from hyjax.tuning.search import AGAIN, QUICK, Effort, Search
@@ -49,6 +51,7 @@ def tune_bench(
     frames: Sequence[int] | None = None,
     holdout: Sequence[int] = (),
     effort: Effort | None = None,
+    latency: LatencySource | None = None,
 ) -> Tuned:
     """Find the schedule whose relit frames are closest to the target's within each budget.
 
@@ -59,6 +62,7 @@ def tune_bench(
         frames: indices to tune on, in the place of the settings' frames, held-out ones included.
         holdout: indices that are only reported on, if `frames` are given.
         effort: how long to look at each budget.
+        latency: of another device, in the place of this machine's.
 
     Raises:
         InputError: no frame left to tune on or none that sees the mesh, a budget that cannot be reached, an `out`
@@ -82,21 +86,24 @@ def tune_bench(
         "settings": settings.record() | {"meshes": bench.description},
     }
     try:
-        journal = Journal(out, _decisive(bench, chosen, settings.scene.seed, machine), settings.resume)
+        decisive = _decisive(bench, chosen, settings.scene.seed, machine)
+        if latency is not None:
+            decisive["latency"] = latency.fingerprint
+        journal = Journal(out, decisive, settings.resume)
         cases, blind = bench.cases(chosen, "tuning", progress)
         holdout_cases, holdout_blind = bench.cases(list(holdout), "held-out", progress)
-        cascade = CascadeEstimator(cases[0], recalibrate=settings.recalibrate, progress=progress)
         with_surface = next(i for i in chosen if bench.name(i) not in blind)
-        frame = FrameEstimator(cascade, bench, with_surface)  # also says what the other stages cost
-        estimator: LatencyEstimator = frame if settings.stage == "frame" else cascade
+        estimator = latency(cases[0]) if latency else _own_estimator(bench, settings, cases[0], with_surface)
         for budget in budgets:
             check_reachable(estimator, budget.milliseconds)
-        factors = cascade.table.factors
+        factors = estimator.table.factors
         record |= {
             "frames": {"tuned on": [*map(bench.name, chosen)], "held out": [*map(bench.name, holdout)]},
             "frames without surface": blind + holdout_blind,
-            "latency": _latency(cascade),
+            "latency": _latency(estimator),
         } | machine
+        if estimator.device:
+            record |= {"device": estimator.device, "searched on": machine["device"]}
         run = _Run(estimator, cases, holdout_cases, monitor, budgets, record)
         run.add_baselines([Schedule.preset(name) for name in BASELINES if _reaches(name, factors)], progress)
         search = Search(
@@ -132,6 +139,13 @@ def tune_bench(
         line = [*str(error).splitlines(), type(error).__name__][0]
         raise InputError(f"device: {jax.default_backend()} no longer works ({line}){kept}") from None
     return run.result()
+
+
+def _own_estimator(bench: Workbench, settings: TuneSettings, case: Case, index: int) -> LatencyEstimator:
+    """Times of this machine."""
+    cascade = CascadeEstimator(case, recalibrate=settings.recalibrate, progress=not settings.quiet)
+    frame = FrameEstimator(cascade, bench, index)  # also says what the other stages cost
+    return frame if settings.stage == "frame" else cascade
 
 
 def _decisive(bench: Workbench, frames: Sequence[int], seed: int, machine: dict[str, Any]) -> dict[str, Any]:
@@ -175,8 +189,9 @@ class _Run:
         counts = [self.estimator.table.steps_of(schedule) for schedule in schedules]
         self.points = [RelaxedSchedule.of(steps) for steps in counts if max(steps) <= MOST_STEPS]
 
-    def judge(self, schedule: Schedule, measured: Milliseconds) -> Candidate:
+    def judge(self, schedule: Schedule, time: Milliseconds) -> Candidate:
         """A schedule with its scores, by the functions that `relight` runs."""
+        measured = time if self.estimator.is_timed(schedule) else None
         tuning, held_out = (
             scores(cases, [refined_filter(case, schedule) for case in cases]) if cases else None
             for cases in (self.cases, self.holdout)
@@ -200,7 +215,8 @@ class _Run:
                 if not found:
                     break
                 warm = [found[0].point]
-                name = f"tuned-{budget.slug}"
+                device = f" on {self.estimator.device}" if self.estimator.device else ""
+                name = f"tuned-{budget.slug}{device}"
                 finalists = [f.point.schedule(search.objective.factors, name) for f in found[:FINALISTS]]
                 times = self.estimator.measure(finalists, progress=False)
                 for f, schedule, time in zip(found, finalists, times):
@@ -224,7 +240,7 @@ class _Run:
 
     def extra_budgets(self) -> list[Budget]:
         """Times at which a comparison is wanted: the paper's schedules', half of that, and below the budgets."""
-        paper = [c.measured.p95 for c in self.baselines if c.name.startswith("paper") and c.measured]
+        paper = [time_of(c).p95 for c in self.baselines if c.name.startswith("paper")]
         least = min(b.milliseconds for b in self.budgets)
         wanted = [*paper, 0.5 * max(paper, default=least), 0.5 * least, 0.25 * least]
         lowest = self.estimator.predict(smallest_schedules(self.estimator)[0]).p95
@@ -253,7 +269,7 @@ class _Run:
         if within_search:
             known = [c for c in known if has_searched_form(c.schedule)]
             known = [c for c in known if max(level.steps for level in c.schedule.levels) <= MOST_STEPS]
-        fitting = [c for c in known if c.measured and c.measured.p95 <= budget.milliseconds]
+        fitting = [c for c in known if time_of(c).p95 <= budget.milliseconds]
         if fitting:
             return min(fitting, key=lambda c: c.tuning.loss if c.tuning else math.inf)
         fastest = smallest_schedules(self.estimator)[0]
@@ -269,9 +285,9 @@ class _Run:
 
 
 def _front(candidates: list[Candidate]) -> list[Candidate]:
-    """Those that no other beats in both measured median and tuning loss, by time."""
+    """Those that no other beats in both median and tuning loss, by time."""
     front: list[Candidate] = []
-    for candidate in sorted(candidates, key=lambda c: (c.measured.median, c.tuning.loss)):  # type: ignore[union-attr]
+    for candidate in sorted(candidates, key=lambda c: (time_of(c).median, c.tuning.loss)):  # type: ignore[union-attr]
         if not front or candidate.tuning.loss < front[-1].tuning.loss:  # type: ignore[union-attr]
             front.append(candidate)
     return front
@@ -285,10 +301,10 @@ def _fingerprint(scene: Scene) -> str:
     return hashlib.sha256(scene.mesh.vertices.tobytes() + scene.mesh.faces.tobytes()).hexdigest()[:16]
 
 
-def _latency(cascade: CascadeEstimator) -> dict[str, Any]:
-    table = cascade.table
+def _latency(estimator: LatencyEstimator) -> dict[str, Any]:
+    table = estimator.table
     return {
-        "table": cascade.source,
+        "table": estimator.source,
         "workload": str(table.workload),
         "median relative error": table.error["median_relative"],
         "worst relative error": table.error["worst_relative"],

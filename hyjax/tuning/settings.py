@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any, Literal
 
+from hyjax.device.server import LOCAL
 from hyjax.scene.settings import SceneSettings, check_lights_name
 from hyjax.tuning.result import Budget
 from hyjax.util.errors import InputError
@@ -29,10 +30,43 @@ class TuneScene(SceneSettings):
 
 
 @dataclasses.dataclass(frozen=True)
+class OtherDevice(Settings):
+    """Another device than this machine, that a schedule is tuned for."""
+
+    device: bool = False
+    """Tune for the device that opens a page which this command serves: it times schedules in its browser."""
+    host: str = LOCAL
+    """With --device: address to listen at; any but the default has HTTPS and a token, for a phone nearby."""
+    port: int = 8090
+    """With --device: where the page is served; 0 for any port that is free."""
+    latency: Path | None = None
+    """Tune for the device whose times are in this file, by a page or another engine (docs/latency_format.md)."""
+    request: Path | None = None
+    """Write into this file which schedules another engine is to time for --latency, and do nothing else."""
+
+    def check(self, stage: str) -> None:
+        """Raise `InputError` for options that exclude each other, or a file or port that cannot be used."""
+        if self.latency is not None and self.device:
+            raise InputError("device: give either --device or --latency, not both")
+        if self.device and stage != "cascade":
+            raise InputError(
+                "stage: a page times the diffusion alone; give --stage cascade, or --latency with a file that "
+                "has the other stages of a frame"
+            )
+        if not 0 <= self.port <= 65535:
+            raise InputError(f"port: must lie in 0..65535, got {self.port}")
+        if self.latency is not None:
+            from hyjax.tuning.device_latency import read_latency
+
+            read_latency(self.latency)
+
+
+@dataclasses.dataclass(frozen=True)
 class TuneSettings(Settings):
-    """Find the schedule that makes the best picture within a time budget on this device."""
+    """Find the schedule that makes the best picture within a time budget on this machine or another device."""
 
     scene: TuneScene = dataclasses.field(default_factory=TuneScene)
+    target_device: OtherDevice = dataclasses.field(default_factory=OtherDevice)
     fps: tuple[float, ...] = ()
     """Frame rates to reach, such as 60, or several: 30 60 120."""
     budget_ms: tuple[float, ...] = ()
@@ -73,7 +107,9 @@ class TuneSettings(Settings):
         """
         from hyjax.scene.surfaces import check_mesh_name
 
-        self.budgets()
+        if self.target_device.request is None:
+            self.budgets()
+        self.target_device.check(self.stage)
         if self.time_limit is not None and not self.time_limit > 0:
             raise InputError(f"time limit: must be > 0 seconds, got {self.time_limit:g}")
         check_lights_name(self.lights)
@@ -95,7 +131,9 @@ class TuneSettings(Settings):
     def record(self) -> dict[str, Any]:
         """Options as a run's record has them."""
         options = dataclasses.asdict(self)
-        scene = options.pop("scene")
-        paths = {"out": self.out, "photo_sources": self.scene.photo_sources}
+        scene = options.pop("scene") | options.pop("target_device")
+        other = self.target_device
+        paths = {"out": self.out, "latency": other.latency, "request": other.request}
+        paths |= {"photo_sources": self.scene.photo_sources}
         named = {name: None if path is None else str(path) for name, path in paths.items()}
         return scene | options | {"capture": str(self.scene.capture or "built-in room")} | named

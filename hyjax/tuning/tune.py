@@ -1,19 +1,29 @@
-"""The best schedule for a frame rate on this device: `hyjax tune` as a function."""
+"""The best schedule for a frame rate on this machine or another device: `hyjax tune` as a function."""
 
+import contextlib
 import dataclasses
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from tqdm import tqdm
 
 from hyjax.data.capture import Capture
 from hyjax.guide.choose import open_guide
 from hyjax.tuning.bench import open_bench
 from hyjax.tuning.journal import check_free
+from hyjax.tuning.latency_estimator import LatencySource, workload_of
+from hyjax.tuning.request import split_frames
 from hyjax.tuning.result import Tuned
 from hyjax.tuning.run import tune_bench
 from hyjax.tuning.search import Effort
 from hyjax.tuning.settings import TuneSettings
-from hyjax.util.files import make_writable
+from hyjax.util.files import make_writable, write_text
+
+if TYPE_CHECKING:
+    from hyjax.tuning.device_request import LatencyRequest
 
 
 def tune(
@@ -24,7 +34,9 @@ def tune(
     capture: Capture | None = None,
     effort: Effort | None = None,
 ) -> Tuned:
-    """Find, on this device, the schedule whose relit frames come closest to the target's within each time budget.
+    """Find the schedule whose relit frames come closest to the target's within each time budget.
+
+    Times are this machine's, or those of the device that the settings name.
 
     Args:
         settings: what to tune for and on; a budget, in them or below, is all that is needed.
@@ -54,7 +66,54 @@ def tune(
     if settings.out is not None:
         make_writable(settings.out)
         check_free(settings.out, settings.resume)
-    return tune_bench(open_bench(settings, capture=capture, guide=guide), settings, effort=effort)
+    with _latency_source(settings) as latency:
+        bench = open_bench(settings, capture=capture, guide=guide)
+        return tune_bench(bench, settings, effort=effort, latency=latency)
+
+
+@contextlib.contextmanager
+def _latency_source(settings: TuneSettings) -> Iterator[LatencySource | None]:
+    """What tells times of the device to tune for; None for this machine."""
+    other = settings.target_device
+    if other.latency is None and not other.device:
+        yield None
+        return
+    from hyjax.tuning.device_estimator import ConnectedTimes, FileTimes
+
+    if other.latency is not None:
+        yield FileTimes(other.latency, settings.stage == "frame")
+        return
+    from hyjax.tuning.device_measuring import ConnectedDevice
+
+    device = ConnectedDevice(other.host, other.port, _say)
+    try:
+        yield ConnectedTimes(device, settings.out and settings.out / "latency.json", settings.resume)
+    finally:
+        device.close()
+
+
+def _say(line: str) -> None:
+    tqdm.write(f"hyjax: {line}", file=sys.stderr)
+    sys.stderr.flush()
+
+
+def write_request(settings: TuneSettings, path: Path) -> "LatencyRequest":
+    """Write which schedules another engine is to time, for frames of these settings.
+
+    Raises:
+        InputError: the settings cannot be used, no frame sees the mesh, or the file cannot be written.
+    """
+    from hyjax.tuning.device_latency import DeviceWorkload
+    from hyjax.tuning.device_request import calibration_schedules, latency_request, request_text
+
+    settings.check()
+    bench = open_bench(settings, guide=open_guide(settings.guide))
+    frames, _ = split_frames(len(bench.scene), settings.frames, settings.holdout)
+    (case, *_), _ = bench.cases(frames[:1], "tuning", not settings.quiet)
+    workload = DeviceWorkload.of(workload_of(case))
+    request = latency_request(workload, calibration_schedules(workload))
+    write_text(path, request_text(request))
+    return request
 
 
 def _several(values: float | Sequence[float]) -> tuple[float, ...]:

@@ -17,6 +17,7 @@ from experiments import (
     bench_peers,
     beyond,
     conductances,
+    device_roofline,
     export_formats,
     flicker,
     guide_worth,
@@ -187,6 +188,13 @@ def test_stage_times(scan: Path, tmp_path: Path) -> None:
     stages = {row["stage"]: row["median_ms"] for row in of_kind(rows, "stage")}
     assert {"shading", "cascade paper-80", "shadow pass", "composite"} < set(stages)
     assert all(time > 0 for time in stages.values()) and len(of_kind(rows, "part")) == 8
+
+
+def test_device_roofline(tmp_path: Path) -> None:
+    config = device_roofline.Config(size=64, presets=("hyjax", "paper-50"), out=tmp_path)
+    rows = rows_of(device_roofline.main, config, "device_roofline.png")
+    ours, paper = of_kind(rows, "total")
+    assert all(0 < ours["milliseconds"][name] < time for name, time in paper["milliseconds"].items())
 
 
 def check_schedules(rows: list[Row], scenes: set[str], tuned: str) -> None:

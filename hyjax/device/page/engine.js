@@ -36,10 +36,12 @@ export class Engine {
    * @param program plain data
    * @param lights number of lights
    * @param sizes bytes of buffers that the program leaves open
+   * @param pipelines compiled shaders by name, which programs of one device may share; new ones are added
    */
-  static async create(device, program, lights, sizes = {}) {
+  static async create(device, program, lights, sizes = {}, pipelines = {}) {
     if (program.format !== FORMAT) throw new Error(`program of format ${program.format}; this script reads ${FORMAT}`);
     const engine = new Engine(device, program, lights, sizes);
+    engine.pipelines = pipelines;
     await engine.compile();
     return engine;
   }
@@ -72,7 +74,7 @@ export class Engine {
   }
 
   async compile() {
-    const shaders = Object.entries(this.program.shaders);
+    const shaders = Object.entries(this.program.shaders).filter(([name]) => !(name in this.pipelines));
     await Promise.all(shaders.map(async ([name, code]) => {
       const module = this.device.createShaderModule({ code, label: name });
       this.pipelines[name] = name.startsWith("raster-")

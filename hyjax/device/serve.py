@@ -1,0 +1,47 @@
+"""Serving of a folder with a page, such as an exported one: `hyjax serve`."""
+
+import dataclasses
+from pathlib import Path
+
+import tyro
+
+from hyjax.device.server import LOCAL, LOCAL_NAMES, Folder, Server
+from hyjax.util.errors import InputError
+from hyjax.util.settings import Settings
+
+INDEX = "index.html"
+
+
+@dataclasses.dataclass(frozen=True)
+class ServeSettings(Settings):
+    """Show an exported page: its folder, to browsers of this machine or of the local network."""
+
+    folder: tyro.conf.Positional[Path]
+    """With the page, as `hyjax export` writes it."""
+    host: str = LOCAL
+    """Address to listen at. Any but the default has HTTPS, as WebGPU wants it; everybody who reaches it sees the
+    folder."""
+    port: int = 8091
+    """Where the page is served; 0 for any port that is free."""
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this machine can reach the page."""
+        return self.host in LOCAL_NAMES
+
+
+def open_folder(settings: ServeSettings) -> Server:
+    """A server of a folder.
+
+    Raises:
+        InputError: no such folder, none with a page, or it cannot be listened at the address.
+    """
+    folder = settings.folder
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    index = next((page for page in (INDEX, "measure.html") if (folder / page).is_file()), None)
+    if index is None:
+        raise InputError(f"{folder}: no {INDEX} in it; give the folder that hyjax export has written")
+    if not 0 <= settings.port <= 65535:
+        raise InputError(f"port: must lie in 0..65535, got {settings.port}")
+    return Server(Folder(folder, index), settings.host, settings.port)
