@@ -1,0 +1,1 @@
+"""Exports: a scene with its tuned cascade, written for where there is no Python."""
