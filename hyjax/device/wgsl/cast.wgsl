@@ -1,7 +1,10 @@
 // Ray parameter at which a ray enters a box; FAR if it does not before `limit`.
 fn enter(node: u32, origin: vec3<f32>, inverse: vec3<f32>, limit: f32) -> f32 {
-    let a = (boxes[2u * node].xyz - origin) * inverse;
-    let b = (boxes[2u * node + 1u].xyz - origin) * inverse;
+    let corner = boxes[2u * node].xyz;
+    let opposite = boxes[2u * node + 1u].xyz;
+    if (corner.x > opposite.x) { return FAR; } // of no triangle
+    let a = (corner - origin) * inverse;
+    let b = (opposite - origin) * inverse;
     let low = min(a, b);
     let high = max(a, b);
     let first = max(max(low.x, low.y), max(low.z, 0.0));
