@@ -8,6 +8,7 @@ import { Renderer } from "./renderer.js";
 
 const REFINE_AFTER = 200; // milliseconds that a lamp lies still before its shadows are cast in full
 const TIMED_EVERY = 500; // milliseconds
+const SOFTWARE = /swiftshader|llvmpipe|basic render/i; // GPUs that are none
 const OFF_SURFACE = 0.3; // metres from the surface that a lamp is put at
 
 export class Viewer extends EventTarget {
@@ -38,18 +39,23 @@ export class Viewer extends EventTarget {
   async start() {
     this.device = await openDevice();
     this.device.addEventListener("uncapturederror", ({ error }) => this.say(`The graphics driver reports: ${error.message}`));
-    this.device.lost.then((info) => this.lost(info));
+    this.device.lost.then(() => this.lost());
     this.renderer = await Renderer.create(this.device, this.page, this.arrays);
-    this.display = await Display.create(this.device, this.canvas, this.page);
+    if (this.display) { // a canvas keeps its first context
+      const fresh = this.canvas.cloneNode();
+      this.canvas.replaceWith(fresh);
+      this.canvas = fresh;
+    }
+    const copied = Boolean(this.wasLost) || SOFTWARE.test(this.device.hyjaxName);
+    this.display = await Display.create(this.device, this.canvas, this.page, copied);
     this.dirty = { lights: true, camera: true, display: true };
     this.stopped = false;
     this.loop();
     await this.drawn();
   }
 
-  async lost(info) {
+  async lost() {
     this.stopped = true;
-    if (info.reason === "destroyed") return;
     if (this.wasLost) {
       this.fail(new Error("The graphics device was lost twice. Reload the page to try again."));
       return;
@@ -128,7 +134,7 @@ export class Viewer extends EventTarget {
     const rendered = renderer.busy;
     if (rendered) await renderer.run({ timed });
     const { stage, wipe, stops } = this;
-    this.display.draw(renderer.engine, { stage, wipe: this.flying ? 0 : wipe, stops, lights: renderer.lights });
+    await this.display.draw(renderer.engine, { stage, wipe: this.flying ? 0 : wipe, stops, lights: renderer.lights });
     await this.device.queue.onSubmittedWorkDone();
     if (!rendered) return;
     this.milliseconds = performance.now() - begun;
