@@ -227,9 +227,7 @@ def _write_sheet(
     shown = [column for column, heading in enumerate(HEADINGS) if heading in ("frame", "visibility", "relit")]
     for index in spread(list(frames), SHEET_ROWS):
         view = scene.view(index)
-        relit = relight(
-            view, scene.shade(view, setup), view.display, schedule, shadow_schedule=shadow_schedule
-        )
+        relit = relight(view, scene.shade(view, setup), view.display, schedule, shadow_schedule=shadow_schedule)
         frame = scene.frame(index)
         pictures = sheet_row(frame, relit, "linear")
         rows.append((frame.name, [pictures[column] for column in shown]))
