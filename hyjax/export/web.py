@@ -261,7 +261,8 @@ def _readme(content: dict[str, Any]) -> str:
     )
     return f"""# {content["name"]}, relit in the browser
 
-{len(content["frames"])} frames of {width}x{height} pixels, relit by the browser's own GPU (WebGPU). Nothing is sent anywhere.
+{len(content["frames"])} frames of {width}x{height} pixels, relit by the browser's own GPU (WebGPU).
+Nothing is sent anywhere.
 
 Any web server shows this folder; on this machine for instance
 

@@ -223,6 +223,7 @@ def test_a_lights_file_gives_the_same_picture(
 ) -> None:
     from hyjax.data.light_file import parse_lights
 
+    place, center = [2.5, 2.0, 2.2], [2.0, 2.0, 2.4]
     content = {
         "reference_lux": 250,
         "lights": [
