@@ -223,29 +223,17 @@ def test_a_lights_file_gives_the_same_picture(
 ) -> None:
     from hyjax.data.light_file import parse_lights
 
-    place, center = [2.5, 2.0, 2.2], [2.0, 2.0, 2.4]
+    kinds: list[dict[str, Any]] = [
+        {"kind": "point", "position": [2.2, 2.5, 1.8], "luminous_flux": 1200, "temperature": 3000},
+        {"kind": "spot", "position": [2.5, 2, 2.2], "target": [2, 3.5, 0], "luminous_flux": 900, "radius": 0.05},
+        {"kind": "sky", "illuminance": 40, "color": [0.8, 0.9, 1.2]},
+        {"kind": "directional", "direction": [1, 0.2, -0.8], "illuminance": 300},
+        {"kind": "rect", "center": [2, 2, 2.4], "normal": [0, 0, -1], "width": 1, "height": 0.5},
+    ]
+    kinds[-1]["luminous_flux"] = 2000
     content = {
         "reference_lux": 250,
-        "lights": [
-            {"kind": "point", "position": [2.2, 2.5, 1.8], "luminous_flux": 1200, "temperature": 3000},
-            {
-                "kind": "spot",
-                "position": [2.5, 2.0, 2.2],
-                "target": [2.0, 3.5, 0],
-                "luminous_flux": 900,
-                "radius": 0.05,
-            },
-            {"kind": "sky", "illuminance": 40, "color": [0.8, 0.9, 1.2]},
-            {"kind": "directional", "direction": [1, 0.2, -0.8], "illuminance": 300},
-            {
-                "kind": "rect",
-                "center": [2, 2, 2.4],
-                "normal": [0, 0, -1],
-                "width": 1,
-                "height": 0.5,
-                "luminous_flux": 2000,
-            },
-        ],
+        "lights": kinds,
         "existing": {scene.photo_light.estimate.names[0]: 0.3},
     }
     visit.page.evaluate("(content) => hyjax.setLights(content)", content)
