@@ -11,7 +11,7 @@ export async function openDevice() {
     throw new Error("This browser has no WebGPU. Chrome 121, Edge 121, Safari 26 and Firefox 141 have it.");
   }
   const adapter = await navigator.gpu.requestAdapter({ powerPreference: "high-performance" });
-  if (!adapter) throw new Error("WebGPU found no graphics adapter on this device.");
+  if (!adapter) throw new Error("This browser has WebGPU but found no graphics adapter for it: its driver may be blocked, or hardware acceleration be off.");
   const wanted = ["timestamp-query", "shader-f16"].filter((name) => adapter.features.has(name));
   const limits = {};
   for (const name of ["maxStorageBufferBindingSize", "maxBufferSize", "maxStorageBuffersPerShaderStage"]) {
