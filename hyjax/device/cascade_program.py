@@ -242,8 +242,7 @@ fn likeness(pixel: vec2<u32>, cell: vec2<u32>) -> f32 {{
 
 def _number(value: float) -> str:
     """A float32 as WGSL has it."""
-    text = np.format_float_scientific(np.float32(value), unique=True)
-    return text
+    return str(np.format_float_scientific(np.float32(value), unique=True))
 
 
 def _scale(kappa: float) -> str:

@@ -18,7 +18,7 @@ def open_device(precision: str = "f32") -> Any:
     """A wgpu device of the best adapter that there is.
 
     Raises:
-        InputError: the package wgpu or a driver is missing, or the adapter has no half precision where that is asked.
+        InputError: the package wgpu or a driver is missing, or the adapter has no half precision where it is asked.
     """
     os.environ.setdefault("WGPU_FORCE_OFFSCREEN", "1")
     try:
