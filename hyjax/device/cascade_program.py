@@ -260,7 +260,7 @@ def _value(leaf: ArrayLike) -> float:
 
 def _number(value: float) -> str:
     """A float32 as WGSL has it."""
-    return np.format_float_scientific(np.float32(value), unique=True)
+    return str(np.format_float_scientific(np.float32(value), unique=True))
 
 
 def _scale(kappa: float) -> str:

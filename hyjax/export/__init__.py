@@ -1,1 +1,1 @@
-"""The repaired filter and the guide network for other runtimes: one file a target, checked where it was made."""
+"""Exports for where there is no Python: a page of a scene, or one function for another runtime."""

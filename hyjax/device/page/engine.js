@@ -11,7 +11,7 @@ export async function openDevice() {
     throw new Error("This browser has no WebGPU. Chrome 121, Edge 121, Safari 26 and Firefox 141 have it.");
   }
   const adapter = await navigator.gpu.requestAdapter({ powerPreference: "high-performance" });
-  if (!adapter) throw new Error("WebGPU found no graphics adapter on this device.");
+  if (!adapter) throw new Error("This browser has WebGPU but found no graphics adapter for it: its driver may be blocked, or hardware acceleration be off.");
   const wanted = ["timestamp-query", "shader-f16"].filter((name) => adapter.features.has(name));
   const limits = {};
   for (const name of ["maxStorageBufferBindingSize", "maxBufferSize", "maxStorageBuffersPerShaderStage"]) {
@@ -47,12 +47,10 @@ export class Engine {
   }
 
   constructor(device, program, lights, sizes) {
-    Object.assign(this, { device, program, lights });
+    Object.assign(this, { device, program, lights: 0 });
     this.buffers = {};
-    for (const [name, buffer] of Object.entries(program.buffers)) {
-      this.makeBuffer(name, buffer.bytes * groupCount(buffer.groups, lights), buffer);
-    }
-    for (const [name, bytes] of Object.entries(sizes)) this.makeBuffer(name, bytes, null);
+    this.bound = new Map();
+    this.resize(lights, sizes);
     const [height, width] = program.size;
     const use = GPUTextureUsage;
     const texture = (format, usage) => device.createTexture({ size: [width, height], format, usage });
@@ -62,14 +60,35 @@ export class Engine {
       depth: texture("depth32float", use.RENDER_ATTACHMENT),
     };
     this.pipelines = {};
-    this.bound = new Map();
     this.timer = device.features.has("timestamp-query") ? new Timer(device) : null;
   }
 
-  makeBuffer(name, bytes, buffer) {
+  /**
+   * Take another number of lights. Buffers that are large enough stay as they are, with what they hold.
+   * Returns the names of those that were made anew.
+   */
+  resize(lights, sizes = {}) {
+    const made = [];
+    const fit = (name, bytes, buffer) => {
+      const size = Math.max(16, Math.ceil(bytes / 16) * 16);
+      if (this.buffers[name]?.size >= size) return;
+      this.buffers[name]?.destroy();
+      this.makeBuffer(name, size, buffer);
+      made.push(name);
+    };
+    for (const [name, buffer] of Object.entries(this.program.buffers)) {
+      fit(name, buffer.bytes * groupCount(buffer.groups, lights), buffer);
+    }
+    for (const [name, bytes] of Object.entries(sizes)) fit(name, bytes, null);
+    if (made.length) this.bound.clear();
+    this.lights = lights;
+    return made;
+  }
+
+  makeBuffer(name, size, buffer) {
     const use = GPUBufferUsage;
     const usage = use.COPY_DST | use.COPY_SRC | (buffer?.uniform ? use.UNIFORM : use.STORAGE);
-    this.buffers[name] = this.device.createBuffer({ size: Math.max(16, Math.ceil(bytes / 16) * 16), usage, label: name });
+    this.buffers[name] = this.device.createBuffer({ size, usage, label: name });
     if (buffer?.initial.length) this.upload(name, new Uint32Array(buffer.initial));
   }
 
@@ -100,12 +119,11 @@ export class Engine {
     this.device.queue.copyExternalImageToTexture({ source: bitmap }, { texture: this.textures.photo }, [width, height]);
   }
 
-  /** Content of a buffer. */
-  async download(name, Type = Float32Array) {
-    const source = this.buffers[name];
-    const copy = this.device.createBuffer({ size: source.size, usage: GPUBufferUsage.COPY_DST | GPUBufferUsage.MAP_READ });
+  /** Content of a buffer, or `bytes` of it from an offset. */
+  async download(name, { Type = Float32Array, offset = 0, bytes = this.buffers[name].size } = {}) {
+    const copy = this.device.createBuffer({ size: bytes, usage: GPUBufferUsage.COPY_DST | GPUBufferUsage.MAP_READ });
     const encoder = this.device.createCommandEncoder();
-    encoder.copyBufferToBuffer(source, 0, copy, 0, source.size);
+    encoder.copyBufferToBuffer(this.buffers[name], offset, copy, 0, bytes);
     this.device.queue.submit([encoder.finish()]);
     await copy.mapAsync(GPUMapMode.READ);
     const values = new Type(copy.getMappedRange().slice(0));
@@ -184,7 +202,7 @@ export class Engine {
 
 /** Times of passes by timestamps, added up by label. */
 class Timer {
-  static MOST = 128; // passes
+  static MOST = 512; // passes
 
   constructor(device) {
     this.device = device;

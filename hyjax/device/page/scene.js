@@ -1,0 +1,94 @@
+// Content of an exported page: page.json, the arrays of scene.bin, and the frames.
+
+export const PAGE_FORMAT = 1;
+const TYPES = { uint16: Uint16Array, uint32: Uint32Array, float32: Float32Array };
+const KEPT = 48; // decoded frames
+
+async function read(name) {
+  const response = await fetch(name);
+  if (!response.ok) throw new Error(`${name} is missing on this server (${response.status}).`);
+  return response;
+}
+
+/** Content of page.json. */
+export async function loadPage() {
+  const page = await (await read("page.json")).json();
+  if (page.format !== PAGE_FORMAT) throw new Error(`page.json has format ${page.format}; these scripts read ${PAGE_FORMAT}.`);
+  return page;
+}
+
+/**
+ * Arrays of scene.bin, as buffers of the program take them.
+ * @param progress called with the share that is loaded
+ */
+export async function loadArrays(page, progress) {
+  const response = await read(page.file.name);
+  const unpacked = counted(response, progress).pipeThrough(new DecompressionStream(page.file.compression));
+  const bytes = await new Response(unpacked).arrayBuffer();
+  if (bytes.byteLength !== page.file.bytes) throw new Error(`${page.file.name} is cut off.`);
+  const arrays = {};
+  for (const entry of page.arrays) {
+    const count = entry.shape.reduce((product, side) => product * side, 1);
+    const values = new TYPES[entry.dtype](bytes, entry.offset, count);
+    if (entry.differences) for (let k = 1; k < count; k++) values[k] += values[k - 1];
+    arrays[entry.name] = values instanceof Uint16Array ? Uint32Array.from(values) : values;
+  }
+  arrays.fields = fourthNumbers(arrays.fields);
+  return arrays;
+}
+
+function counted(response, progress) {
+  const total = Number(response.headers.get("content-length"));
+  let seen = 0;
+  return response.body.pipeThrough(new TransformStream({
+    transform(chunk, controller) {
+      seen += chunk.byteLength;
+      if (total) progress(Math.min(1, seen / total));
+      controller.enqueue(chunk);
+    },
+  }));
+}
+
+/** Vectors of three numbers as vectors of four, as shaders have them. */
+function fourthNumbers(values) {
+  const result = new Float32Array((values.length / 3) * 4);
+  for (let k = 0; 3 * k < values.length; k++) result.set(values.subarray(3 * k, 3 * k + 3), 4 * k);
+  return result;
+}
+
+/** Pictures of the frames, decoded when they are needed; the last ones are kept. */
+export class Frames {
+  constructor(page) {
+    this.entries = page.frames;
+    this.size = page.size;
+    this.decoded = new Map();
+  }
+
+  get count() {
+    return this.entries.length;
+  }
+
+  /** Picture of a frame as an ImageBitmap. */
+  picture(index) {
+    let found = this.decoded.get(index);
+    this.decoded.delete(index);
+    found ??= this.decode(index);
+    this.decoded.set(index, found); // the newest is last
+    if (this.decoded.size > KEPT) {
+      const [oldest, bitmap] = this.decoded.entries().next().value;
+      this.decoded.delete(oldest);
+      bitmap.then((picture) => picture.close(), () => {});
+    }
+    found.catch(() => this.decoded.delete(index));
+    return found;
+  }
+
+  async decode(index) {
+    const { file } = this.entries[index];
+    const blob = await (await read(file)).blob();
+    const bitmap = await createImageBitmap(blob, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
+    const [height, width] = this.size;
+    if (bitmap.width !== width || bitmap.height !== height) throw new Error(`${file} is not ${width} x ${height} pixels.`);
+    return bitmap;
+  }
+}

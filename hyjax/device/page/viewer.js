@@ -1,0 +1,248 @@
+// Viewer: what is shown, and the loop that draws it when something has changed.
+import { FlyingCamera, frameCamera, project, rayThrough } from "./camera.js";
+import { LightList } from "./light_list.js";
+import { add, dot } from "./lights.js";
+import { openDevice } from "./engine.js";
+import { Display } from "./display.js";
+import { Renderer } from "./renderer.js";
+
+const REFINE_AFTER = 200; // milliseconds that a lamp lies still before its shadows are cast in full
+const TIMED_EVERY = 500; // milliseconds
+const SOFTWARE = /swiftshader|llvmpipe|basic render/i; // GPUs that are none
+const OFF_SURFACE = 0.3; // metres from the surface that a lamp is put at
+
+export class Viewer extends EventTarget {
+  /**
+   * @param page content of page.json
+   * @param arrays from loadArrays
+   * @param frames Frames
+   * @param canvas that it draws to
+   */
+  constructor(page, arrays, frames, canvas) {
+    super();
+    Object.assign(this, { page, arrays, frames, canvas });
+    Object.assign(this, { frame: 0, flying: null, stage: "result", wipe: 0, stops: 0, playing: false, rate: 12 });
+    this.lights = new LightList(page);
+    this.height = null; // metres above the floor at which lamps are put; null: off the surface
+    this.coarse = new Set(); // ids of lamps that are being moved
+    this.keys = new Set();
+    this.dirty = { lights: true, camera: true, display: true };
+    this.fps = 0;
+    this.milliseconds = 0;
+    this.waiting = [];
+    const { bounds, up } = page.scene;
+    const corners = bounds[0].map((low, k) => (up[k] > 0 ? low : bounds[1][k]));
+    this.floor = dot(corners, up);
+  }
+
+  /** Open the GPU and draw the first picture. */
+  async start() {
+    this.device = await openDevice();
+    this.device.addEventListener("uncapturederror", ({ error }) => this.say(`The graphics driver reports: ${error.message}`));
+    this.device.lost.then(() => this.lost());
+    this.renderer = await Renderer.create(this.device, this.page, this.arrays);
+    if (this.display) { // a canvas keeps its first context
+      const fresh = this.canvas.cloneNode();
+      this.canvas.replaceWith(fresh);
+      this.canvas = fresh;
+    }
+    const copied = Boolean(this.wasLost) || SOFTWARE.test(this.device.hyjaxName);
+    this.display = await Display.create(this.device, this.canvas, this.page, copied);
+    this.dirty = { lights: true, camera: true, display: true };
+    this.stopped = false;
+    this.loop();
+    await this.drawn();
+  }
+
+  async lost() {
+    this.stopped = true;
+    if (this.wasLost) {
+      this.fail(new Error("The graphics device was lost twice. Reload the page to try again."));
+      return;
+    }
+    this.wasLost = true;
+    this.say("The graphics device was lost; it is being opened again.");
+    await this.start().catch((error) => this.fail(error));
+  }
+
+  /** Tell the visitor something. */
+  say(text) {
+    this.dispatchEvent(new CustomEvent("notice", { detail: text }));
+  }
+
+  fail(error) {
+    this.stopped = true;
+    for (const { reject } of this.waiting.splice(0)) reject(error);
+    this.dispatchEvent(new CustomEvent("failure", { detail: error }));
+  }
+
+  /** What has changed: any of "lights", "camera", "display". */
+  change(...names) {
+    for (const name of names) this.dirty[name] = true;
+    this.dispatchEvent(new Event("change"));
+  }
+
+  /** Resolves when everything that has changed is drawn. */
+  drawn() {
+    return new Promise((resolve, reject) => this.waiting.push({ resolve, reject }));
+  }
+
+  get isDirty() {
+    return this.dirty.lights || this.dirty.camera || this.dirty.display;
+  }
+
+  async loop() {
+    let last = performance.now();
+    const { device } = this;
+    while (!this.stopped && device === this.device) {
+      const now = await new Promise(requestAnimationFrame);
+      if (document.hidden) continue;
+      const seconds = Math.min(0.1, Math.max(0, now - last) / 1e3);
+      last = now;
+      if (this.flying?.step(this.keys, seconds)) this.change("camera");
+      if (this.playing && now - (this.turned ?? 0) >= 1e3 / this.rate) {
+        this.turned = now;
+        this.frame = (this.frame + 1) % this.frames.count;
+        this.change("camera");
+      }
+      try {
+        if (this.isDirty) await this.draw(now);
+      } catch (error) {
+        if (this.stopped || device !== this.device) return;
+        this.fail(error);
+        return;
+      }
+      if (!this.isDirty) for (const { resolve } of this.waiting.splice(0)) resolve();
+    }
+  }
+
+  async draw(now) {
+    const begun = performance.now();
+    const dirty = this.dirty;
+    this.dirty = { lights: false, camera: false, display: false };
+    const { renderer } = this;
+    if (dirty.camera) {
+      const bitmap = this.flying ? null : await this.frames.picture(this.frame);
+      if (this.playing) this.frames.picture((this.frame + 1) % this.frames.count).catch(() => {});
+      renderer.setCamera(this.camera, bitmap);
+    }
+    if (dirty.lights) {
+      const coarse = new Set([...this.coarse].map((id) => this.lights.numberOf(id)).filter((k) => k >= 0));
+      await renderer.setLights(this.lights.setup(), coarse);
+    }
+    const timed = renderer.busy && now - (this.timed ?? -1e9) > TIMED_EVERY;
+    const rendered = renderer.busy;
+    if (rendered) await renderer.run({ timed });
+    const { stage, wipe, stops } = this;
+    await this.display.draw(renderer.engine, { stage, wipe: this.flying ? 0 : wipe, stops, lights: renderer.lights });
+    await this.device.queue.onSubmittedWorkDone();
+    if (!rendered) return;
+    this.milliseconds = performance.now() - begun;
+    this.count(performance.now());
+    if (timed) {
+      this.timed = now;
+      await renderer.readTimes();
+    }
+    this.dispatchEvent(new Event("rendered"));
+  }
+
+  /** Frames a second, of pictures that come one after the other. */
+  count(now) {
+    const since = now - (this.counted ?? -1e9);
+    this.counted = now;
+    if (since < 1000) this.fps = this.fps ? 0.9 * this.fps + 100 / since : 1e3 / since;
+    else this.fps = 1e3 / this.milliseconds;
+  }
+
+  // ---- camera ----
+
+  get camera() {
+    return this.flying ? this.flying.camera : frameCamera(this.page.frames[this.frame]);
+  }
+
+  goTo(frame) {
+    if (!Number.isInteger(frame) || frame < 0 || frame >= this.frames.count) {
+      throw new Error(`goto: the page has frames 0 to ${this.frames.count - 1}, got ${frame}.`);
+    }
+    this.flying = null;
+    this.frame = frame;
+    this.change("camera");
+  }
+
+  fly() {
+    if (this.flying) return;
+    this.playing = false;
+    this.flying = new FlyingCamera(this.camera, this.page.scene.up, this.page.scene.bounds);
+    this.change("camera");
+  }
+
+  land() {
+    this.flying = null;
+    this.change("camera");
+  }
+
+  // ---- lamps ----
+
+  /** Where a lamp goes that is put at a pixel; null where there is no surface. */
+  placeAt({ positions, normals }, x, y) {
+    const [height, width] = this.page.size;
+    const column = Math.floor(x);
+    const row = Math.floor(y);
+    if (column < 0 || row < 0 || column >= width || row >= height) return null;
+    const k = 4 * (row * width + column);
+    if (!normals[k + 3]) return null;
+    const place = add([...positions.subarray(k, k + 3)], [...normals.subarray(k, k + 3)], OFF_SURFACE);
+    if (this.height === null) return place;
+    const { up } = this.page.scene;
+    return add(place, up, this.floor + this.height - dot(place, up));
+  }
+
+  async addLamp(x, y) {
+    const place = this.placeAt(await this.renderer.surface(), x, y);
+    if (!place) throw new Error("There is no surface here; click on a wall, the floor or a piece of furniture.");
+    const item = this.lights.add(place);
+    this.selected = item.id;
+    this.change("lights");
+    return item;
+  }
+
+  /** Put a lamp somewhere, with coarse shadows until it lies still. */
+  moveLamp(item, position) {
+    const { entry } = item;
+    if (entry.target) { // it goes on pointing the same way
+      entry.target = add(entry.target, add(position, entry.position, -1));
+    }
+    entry.position = position;
+    this.coarse.add(item.id);
+    clearTimeout(this.refine);
+    this.refine = setTimeout(() => {
+      this.coarse.clear();
+      this.change("lights");
+    }, REFINE_AFTER);
+    this.change("lights");
+  }
+
+  /** Pixel of the picture at which a lamp is, and whether it is in view. */
+  pixelOf(position) {
+    const [height, width] = this.page.size;
+    const at = project(this.camera, position);
+    return at && at.x >= 0 && at.y >= 0 && at.x <= width && at.y <= height ? at : null;
+  }
+
+  ray(x, y) {
+    return rayThrough(this.camera, x, y);
+  }
+
+  stats() {
+    const { times } = this.renderer;
+    const measured = Object.keys(times).length ? { ...times } : { "whole frame (wall clock)": this.milliseconds };
+    return {
+      adapter: this.device.hyjaxName,
+      size: [...this.page.size],
+      lights: this.renderer.lights.length,
+      passes: measured,
+      milliseconds: this.milliseconds,
+      fps: this.fps,
+    };
+  }
+}

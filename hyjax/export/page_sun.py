@@ -1,0 +1,68 @@
+"""Sun by the hour: lights through a room's windows for every half hour of a day, as entries of a lights file."""
+
+import logging
+from typing import Any
+
+import numpy as np
+
+from hyjax.export.page_scene import setup_content
+from hyjax.scene.scene import Scene
+
+BEARING = 240.0
+"""Degrees from north of what the first window looks at: an afternoon sun comes in."""
+STEP = 0.5
+"""Hours."""
+_log = logging.getLogger(__name__)
+
+
+def sun_table(scene: Scene, day: str = "2026-06-21", latitude: float = 48.0) -> dict[str, Any] | None:
+    """Lights of each half hour of a day; None without the extra `tour`, or for a room without windows.
+
+    Args:
+        scene: the room.
+        day: date.
+        latitude: degrees.
+    """
+    windows = scene.photo_light.sources.windows
+    if not windows:
+        _log.info("web: no sun by the hour: this room has no windows")
+        return None
+    try:
+        from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALLS, setup_of
+        from hyjax.tour.placement import as_point, north_for_bearing
+        from hyjax.tour.plan import MOST_WINDOWS, TourPlan, Window
+    except ImportError:
+        _log.warning("web: the page has no sun by the hour, which needs the extra 'tour': pip install '.[tour]'")
+        return None
+    up = np.asarray(scene.capture.up, float)
+    openings = tuple(
+        Window(
+            as_point(w.center),
+            as_point(w.normal),
+            *(float(np.clip(2.0 * np.linalg.norm(side), 0.05, 20.0)) for side in (w.right, w.up)),
+        )
+        for w in windows[:MOST_WINDOWS]
+    )
+    plan = TourPlan(day=day, latitude=latitude, windows=openings, north=north_for_bearing(openings[0], BEARING, up))
+    a, b, c = scene.mesh.extents
+    area = 2.0 * float(a * b + b * c + c * a)
+    rows = []
+    for hour in np.arange(0.0, 24.0, STEP):
+        setup = setup_of(_at(plan, float(hour)), up, area)
+        content = setup_content(setup)
+        rows.append({"hour": float(hour), "reference_lux": content["reference_lux"], "lights": content["lights"]})
+    return {
+        "day": day,
+        "latitude": latitude,
+        "rows": rows,
+        "adaptation": ADAPTATION,
+        "walls": WALLS,
+        "least_ambient": LEAST_AMBIENT,
+        "surface_area": area,
+    }
+
+
+def _at(plan: Any, hour: float) -> Any:
+    from msgspec.structs import replace
+
+    return replace(plan, hour=hour).check()

@@ -1,0 +1,279 @@
+"""Page: a folder that any web server shows, in which a browser's GPU relights the frames of a scene."""
+
+import contextlib
+import json
+import logging
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from tqdm import tqdm
+
+from hyjax.core.schedule import Schedule
+from hyjax.data.capture import Frame
+from hyjax.data.frames import select_frames, spread
+from hyjax.device.frame_program import frame_program
+from hyjax.device.program import shader_text
+from hyjax.device.scene_arrays import scene_arrays
+from hyjax.export.page_scene import PackedArrays, describe_scene, light_keys, pack_scene, setup_content
+from hyjax.export.page_sun import sun_table
+from hyjax.light.setup import REFERENCE_LUX, LightSetup
+from hyjax.pipeline import relight
+from hyjax.relighting.pictures import HEADINGS, sheet_row
+from hyjax.scene.scene import Scene
+from hyjax.util.contact_sheet import write_contact_sheet
+from hyjax.util.errors import InputError
+
+PAGE_FORMAT = 1
+"""Version of page.json. Add one whenever older scripts could not read it."""
+RESOLUTIONS = 512, 256
+"""Texels a side of shadow maps with one view, and of each of several: half of what `relight` takes."""
+RAYS = 128
+"""Rays of each point of the light transport, half of what `relight` takes."""
+QUALITY = 95
+SHEET_ROWS = 3
+_PAGE_FILE, _SCENE_FILE = "page.json", "scene.bin"
+_log = logging.getLogger(__name__)
+
+
+def export_web(settings: Any) -> dict[str, Any]:
+    """`write_page` with the settings of an export.
+
+    Args:
+        settings: `ExportSettings`.
+
+    Returns:
+        See `write_page`.
+
+    Raises:
+        InputError: anything that it refuses.
+    """
+    check_page_folder(settings.out)
+    if settings.guide not in (None, "rgb"):
+        raise InputError("web: the page's guide is the frame itself; leave --guide out")
+    schedule = settings.open_schedule()
+    scene = Scene.open(settings.scene, progress=not settings.quiet)
+    frames = select_frames(settings.frames, len(scene))
+    setup = scene.lights(settings.lights, at_photo_sources=True)
+    return write_page(scene, setup, schedule, frames, settings.out, progress=not settings.quiet)
+
+
+def write_page(
+    scene: Scene,
+    setup: LightSetup,
+    schedule: Schedule,
+    frames: Sequence[int],
+    out: Path,
+    *,
+    shadow_schedule: Schedule | None = None,
+    rays: int = RAYS,
+    resolutions: tuple[int, int] = RESOLUTIONS,
+    lossless: bool = False,
+    sun: bool = True,
+    progress: bool = False,
+) -> dict[str, Any]:
+    """Write a page.
+
+    The folder appears whole or not at all; an earlier page in its place is replaced.
+
+    Args:
+        scene: opened.
+        setup: lights that the page starts with.
+        schedule: cascade for the light.
+        frames: positions in the capture.
+        out: folder.
+        shadow_schedule: cascade for the visibility; by default that of `relight`.
+        rays: of each point of the light transport.
+        resolutions: texels a side of shadow maps with one view, and of each of several.
+        lossless: whether frames are PNG and not JPEG files.
+        sun: whether to add the sun by the hour.
+        progress: show a bar on stderr.
+
+    Returns:
+        The content of page.json.
+
+    Raises:
+        InputError: the folder holds something else, no frames, frames of several sizes, or what the shaders cannot
+            show.
+    """
+    if not frames:
+        raise InputError("web: no frames; choose at least one")
+    steps = tqdm(total=len(frames) + 4, desc="page", unit="step", disable=not progress)
+    with _replacing(out) as folder, steps:
+        arrays = scene_arrays(scene, rays=rays)
+        packed = pack_scene(arrays)
+        (folder / _SCENE_FILE).write_bytes(packed.content)
+        described = describe_scene(scene, setup, arrays)
+        steps.update()
+        entries = []
+        for index in frames:
+            entries.append(_write_frame(scene.frame(index), folder, lossless))
+            steps.update()
+        sizes = {(entry["height"], entry["width"]) for entry in entries}
+        if len(sizes) > 1:
+            raise InputError("web: the frames are of several sizes; give one with --size")
+        (size,) = sizes
+        shadow_schedule = shadow_schedule or Schedule.preset("hyjax-scan-shadow")
+        program = frame_program(
+            arrays.counts, size, schedule, shadow_schedule, map_texels=max(resolutions) + 2
+        ).to_json()
+        by_hour = sun_table(scene) if sun else None
+        steps.update()
+        content = {
+            "format": PAGE_FORMAT,
+            "made_by": "hyjax",
+            "name": scene.capture.name,
+            "size": list(size),
+            "program": program,
+            "display": _display_shader(size),
+            "scene": described,
+            "file": {"name": _SCENE_FILE, "bytes": packed.bytes, "compression": "gzip"},
+            "arrays": packed.entries,
+            "frames": entries,
+            "setup": setup_content(setup),
+            "default_reference_lux": REFERENCE_LUX,
+            "light_keys": light_keys(),
+            "resolutions": list(resolutions),
+            "sun": by_hour,
+            "schedule": json.loads(schedule.to_json()),
+        }
+        (folder / _PAGE_FILE).write_text(json.dumps(content), encoding="utf-8")
+        _write_sheet(scene, setup, schedule, shadow_schedule, frames, folder)
+        steps.update()
+        _write_scripts(folder)
+        (folder / "README.md").write_text(_readme(content), encoding="utf-8")
+        _check(folder, content, packed)
+        steps.update()
+    return content
+
+
+def check_page_folder(out: Path) -> None:
+    """Raise `InputError` unless a page can be written there: nothing is, or an earlier page."""
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; choose another --out")
+    if out.is_dir() and any(out.iterdir()) and not _is_page(out):
+        raise InputError(f"{out}: is not empty and holds no page of hyjax; choose another --out")
+
+
+def _is_page(folder: Path) -> bool:
+    try:
+        content = json.loads((folder / _PAGE_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(content, dict) and content.get("made_by") == "hyjax"
+
+
+@contextlib.contextmanager
+def _replacing(out: Path) -> Iterator[Path]:
+    """A temporary folder beside `out`, renamed to it if the block ends well, removed if not."""
+    check_page_folder(out)
+    temporary, old = (out.with_name(f".{out.name}.{os.getpid()}.{end}") for end in ("part", "old"))
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
+        if out.exists():
+            out.rename(old)
+        temporary.rename(out)
+    except OSError as error:
+        raise InputError(f"{out}: cannot write ({error.strerror or error})") from None
+    finally:
+        if old.exists() and not out.exists():
+            old.rename(out)
+        for left in (temporary, old):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _write_frame(frame: Frame, folder: Path, lossless: bool) -> dict[str, Any]:
+    """Write a frame's picture; its entry in page.json."""
+    name = f"frames/{frame.name}.{'png' if lossless else 'jpg'}"
+    path = folder / name
+    path.parent.mkdir(exist_ok=True)
+    pixels = np.round(np.clip(frame.image, 0.0, 1.0) * 255.0).astype(np.uint8)
+    picture = Image.fromarray(pixels)
+    if lossless:
+        picture.save(path, optimize=True)
+    else:
+        picture.save(path, quality=QUALITY, subsampling=0, optimize=True)
+    k = frame.camera.intrinsics
+    return {
+        "name": frame.name,
+        "file": name,
+        "height": k.height,
+        "width": k.width,
+        "pose": np.asarray(frame.camera.pose, np.float64).round(9).tolist(),
+        "intrinsics": [k.fx, k.fy, k.cx, k.cy],
+    }
+
+
+def _display_shader(size: tuple[int, int]) -> str:
+    return shader_text(["color", "filled", "display"], size=f"{size[1]}, {size[0]}")
+
+
+def _write_sheet(
+    scene: Scene,
+    setup: LightSetup,
+    schedule: Schedule,
+    shadow_schedule: Schedule,
+    frames: Sequence[int],
+    folder: Path,
+) -> None:
+    """Write what a browser shows that cannot run the page."""
+    rows = []
+    shown = [column for column, heading in enumerate(HEADINGS) if heading in ("frame", "visibility", "relit")]
+    for index in spread(list(frames), SHEET_ROWS):
+        view = scene.view(index)
+        relit = relight(view, scene.shade(view, setup), view.display, schedule, shadow_schedule=shadow_schedule)
+        frame = scene.frame(index)
+        pictures = sheet_row(frame, relit, "linear")
+        rows.append((frame.name, [pictures[column] for column in shown]))
+    write_contact_sheet(folder / "contact_sheet.png", rows, [HEADINGS[column] for column in shown])
+
+
+def _write_scripts(folder: Path) -> None:
+    for file in resources.files("hyjax.device").joinpath("page").iterdir():
+        if Path(file.name).suffix in (".html", ".css", ".js", ".svg"):
+            (folder / file.name).write_bytes(file.read_bytes())
+
+
+def _check(folder: Path, content: dict[str, Any], packed: PackedArrays) -> None:
+    """Raise `InputError` if a file is missing or another than it was written: a full disk."""
+    names = [entry["file"] for entry in content["frames"]]
+    for name in (*names, _SCENE_FILE, _PAGE_FILE, "index.html", "main.js", "contact_sheet.png", "README.md"):
+        file = folder / name
+        if not file.is_file() or not file.stat().st_size:
+            raise InputError(f"{file.name}: was not written; is the disk full?")
+    if (folder / _SCENE_FILE).stat().st_size != len(packed.content):
+        raise InputError(f"{_SCENE_FILE}: was cut off; is the disk full?")
+
+
+def _readme(content: dict[str, Any]) -> str:
+    height, width = content["size"]
+    sun = content["sun"]
+    by_hour = (
+        f"The sun by the hour is that of {sun['day']} at {sun['latitude']:g} degrees north."
+        if sun
+        else "This page has no sun by the hour: the room has no windows, or the extra `tour` was not installed."
+    )
+    return f"""# {content["name"]}, relit in the browser
+
+{len(content["frames"])} frames of {width}x{height} pixels, relit by the browser's own GPU (WebGPU).
+Nothing is sent anywhere.
+
+Any web server shows this folder; on this machine for instance
+
+    python -m http.server --bind 127.0.0.1 8000
+
+and then http://localhost:8000. Elsewhere it must be https: browsers have WebGPU on secure pages only. Opened as a
+file it shows `contact_sheet.png` alone.
+
+{by_hour}
+
+`page.json` holds the shaders with their buffers and launches, the lights, and the frames with their cameras;
+`scene.bin` the arrays, packed with gzip. Scripts on the page find `window.hyjax` with `ready`, `fps`, `stats()`,
+`setLights(json)`, `goto(frame)` and `pixels()`.
+"""

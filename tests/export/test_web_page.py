@@ -1,0 +1,312 @@
+"""An exported page: its files, and what it shows in a real browser."""
+
+import contextlib
+import functools
+import http.server
+import json
+import os
+import re
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.browser import NAMES
+from hyjax.core.schedule import Schedule
+from hyjax.data.builtin_room import load_room
+from hyjax.export.page_scene import pack_arrays
+from hyjax.export.web import check_page_folder, write_page
+from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.setup import LightSetup
+from hyjax.pipeline import relight
+from hyjax.scene.scene import Scene
+from hyjax.util.errors import InputError
+
+SCHEDULE = Schedule.preset("hyjax")
+RESOLUTIONS = 128, 64
+WAIT = 60.0
+WEBGPU = [
+    "--headless=new",
+    "--no-sandbox",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-gpu-watchdog",
+    "--enable-unsafe-webgpu",
+    "--use-webgpu-adapter=swiftshader",
+    "--enable-features=Vulkan",
+]
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    room = load_room(n_frames=3, width=96, height=72, quality=0.25, progress=False)
+    return Scene(room, room.reference())
+
+
+@pytest.fixture(scope="module")
+def setup(scene: Scene) -> LightSetup:
+    return scene.lights("evening-lamps")
+
+
+@pytest.fixture(scope="module")
+def folder(scene: Scene, setup: LightSetup, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("web") / "page"
+    write_page(scene, setup, SCHEDULE, [0, 2], out, rays=256, resolutions=RESOLUTIONS, lossless=True)
+    return out
+
+
+# ---- files ----
+
+
+@pytest.mark.slow
+def test_the_folder_is_complete(folder: Path) -> None:
+    page = json.loads((folder / "page.json").read_text())
+    assert page["size"] == [72, 96] and len(page["frames"]) == 2
+    for name in ("index.html", "style.css", "main.js", "engine.js", "contact_sheet.png", "README.md", "icon.svg"):
+        assert (folder / name).stat().st_size > 0, name
+    for frame in page["frames"]:
+        assert (folder / frame["file"]).is_file() and np.shape(frame["pose"]) == (4, 4)
+    buffers, arrays = page["program"]["buffers"], {entry["name"]: entry for entry in page["arrays"]}
+    assert set(arrays) == {"vertices", "occluders", "faces", "fields", "hits", "sources"} <= set(buffers)
+    assert len(page["setup"]["lights"]) == 4 and page["setup"]["reference_lux"] > 0
+    assert set(page["light_keys"]) == {"ambient", "point", "spot", "rect", "directional", "sky"}
+    assert not list(folder.parent.glob(".*")), "nothing temporary is left"
+    if page["sun"]:
+        assert [row["hour"] for row in page["sun"]["rows"]] == [0.5 * k for k in range(48)]
+
+
+@pytest.mark.slow
+def test_the_page_asks_nobody_else(folder: Path) -> None:
+    for file in folder.iterdir():
+        if file.suffix in (".js", ".css", ".html"):
+            text = file.read_text().replace("http://localhost", "")
+            assert not re.search(r"https?://|@import|eval\(", text), file.name
+    assert "default-src 'self'" in (folder / "index.html").read_text()
+
+
+def test_scripts_are_short_modules() -> None:
+    scripts = Path(__file__).parents[2] / "hyjax" / "device" / "page"
+    for file in scripts.glob("*.js"):
+        assert len(file.read_text().splitlines()) <= 300, file.name
+
+
+def test_arrays_come_back_from_the_packed_file() -> None:
+    import gzip
+
+    arrays = {"a": np.arange(5, dtype=np.uint16), "b": np.array([[7, 3], [9, 1]], np.uint32)}
+    packed = pack_arrays(arrays, ("b",))
+    content = gzip.decompress(packed.content)
+    assert len(content) == packed.bytes
+    for entry in packed.entries:
+        values = np.frombuffer(content, entry["dtype"], np.prod(entry["shape"]), entry["offset"])
+        if entry["differences"]:
+            values = np.cumsum(values, dtype=values.dtype)
+        np.testing.assert_array_equal(values.reshape(entry["shape"]), arrays[entry["name"]])
+
+
+def test_a_folder_with_something_else_in_it_is_refused(tmp_path: Path) -> None:
+    check_page_folder(tmp_path / "new")
+    check_page_folder(tmp_path)
+    (tmp_path / "letter.txt").write_text("dear")
+    with pytest.raises(InputError, match="is not empty and holds no page"):
+        check_page_folder(tmp_path)
+    with pytest.raises(InputError, match="is a file"):
+        check_page_folder(tmp_path / "letter.txt")
+    (tmp_path / "page.json").write_text('{"made_by": "hyjax"}')
+    check_page_folder(tmp_path)
+
+
+# ---- in a browser ----
+
+
+class Visit:
+    """The page in a browser."""
+
+    def __init__(self, browser: Any, url: str, size: tuple[int, int] = (1000, 700)) -> None:
+        self.page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        self.page.set_default_timeout(1e3 * WAIT)
+        self.asked: list[str] = []
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.goto(url)
+
+    def state(self) -> str:
+        """Wait until the page is ready or says why not."""
+        end = time.monotonic() + WAIT
+        while (state := self.page.evaluate("document.body.dataset.state")) not in ("ready", "failed"):
+            assert time.monotonic() < end, "the page does not start"
+            self.page.wait_for_timeout(100)
+        return str(state)
+
+    def pixels(self) -> np.ndarray:
+        values = self.page.evaluate("hyjax.pixels().then((p) => [...p])")
+        return np.array(values, np.float32).reshape(72, 96, 3)
+
+
+@contextlib.contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """Address of a folder."""
+
+    class Quiet(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *_: Any) -> None:
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=folder)) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_address[1]}/"
+        server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def driver() -> Iterator[Any]:
+    if not os.environ.get("HYJAX_BROWSER"):
+        pytest.skip("set HYJAX_BROWSER=1 to drive a browser, with -n 0: it takes two cores for itself")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        yield driver
+
+
+@contextlib.contextmanager
+def launched(driver: Any, arguments: list[str]) -> Iterator[Any]:
+    chromium = next((path for name in NAMES if (path := shutil.which(name))), None)
+    assert chromium, "needs chromium; apt install chromium"
+    browser = driver.chromium.launch(executable_path=chromium, args=arguments)
+    try:
+        yield browser
+    finally:
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def visit(folder: Path, driver: Any) -> Iterator[Visit]:
+    """The page, opened once: its shaders take a while to compile without a GPU."""
+    with launched(driver, WEBGPU) as browser, served(folder) as url:
+        visit = Visit(browser, url)
+        assert visit.state() == "ready", visit.page.inner_text("#failure-text")
+        yield visit
+        assert all(asked.startswith((url, "blob:")) for asked in visit.asked), visit.asked
+
+
+def reference(scene: Scene, lights: LightSetup, frame: int) -> np.ndarray:
+    """What `relight` makes of a frame with the page's shadow maps."""
+    maps = cast_shadow_maps(scene.occluders, lights.lights, scale=RESOLUTIONS[0] / 1024, slack=scene.slack)
+    view = scene.view(frame)
+    light = scene.photo_light.surface_light(lights, maps)
+    shaded = view.shade(lights, shadow_maps=maps, surface_light=light)
+    return np.asarray(relight(view, shaded, view.display, SCHEDULE).image)
+
+
+def difference(visit: Visit, wanted: np.ndarray) -> float:
+    mean = float(np.abs(visit.pixels() - wanted).mean())
+    print(f"mean difference {mean:.1e} of {wanted.mean():.2f}")
+    return mean
+
+
+@pytest.mark.slow
+def test_the_picture_is_that_of_relight(visit: Visit, scene: Scene, setup: LightSetup) -> None:
+    assert difference(visit, reference(scene, setup, 0)) < 2e-3
+    visit.page.evaluate("hyjax.goto(1)")
+    assert difference(visit, reference(scene, setup, 2)) < 2e-3
+    visit.page.evaluate("hyjax.goto(0)")
+    stats = visit.page.evaluate("hyjax.stats()")
+    assert stats["lights"] == 4 and stats["milliseconds"] > 0 and "cascade" in stats["passes"]
+
+
+@pytest.mark.slow
+def test_a_lights_file_gives_the_same_picture(
+    visit: Visit, scene: Scene, setup: LightSetup, tmp_path: Path
+) -> None:
+    from hyjax.data.light_file import parse_lights
+
+    kinds: list[dict[str, Any]] = [
+        {"kind": "point", "position": [2.2, 2.5, 1.8], "luminous_flux": 1200, "temperature": 3000},
+        {"kind": "spot", "position": [2.5, 2, 2.2], "target": [2, 3.5, 0], "luminous_flux": 900, "radius": 0.05},
+        {"kind": "sky", "illuminance": 40, "color": [0.8, 0.9, 1.2]},
+        {"kind": "directional", "direction": [1, 0.2, -0.8], "illuminance": 300},
+        {"kind": "rect", "center": [2, 2, 2.4], "normal": [0, 0, -1], "width": 1, "height": 0.5},
+    ]
+    kinds[-1]["luminous_flux"] = 2000
+    content = {
+        "reference_lux": 250,
+        "lights": kinds,
+        "existing": {scene.photo_light.estimate.names[0]: 0.3},
+    }
+    visit.page.evaluate("(content) => hyjax.setLights(content)", content)
+    wanted = reference(scene, parse_lights(content, scene.capture.up), 0)
+    assert difference(visit, wanted) < 2e-3
+    before = visit.pixels()
+    for wrong, message in (
+        ({"lights": [{"kind": "bulb"}]}, "unknown kind 'bulb'"),
+        ({"lights": [{"kind": "point", "position": [0, 0], "luminous_flux": 1}]}, "three finite numbers"),
+        ({"lights": [{"kind": "point", "position": [0, 0, 1]}]}, "'luminous_flux' is missing"),
+        ({"lights": [], "existing": {"sun": 1}}, "no source 'sun'"),
+        ("no json", "not JSON"),
+    ):
+        said = visit.page.evaluate("(c) => hyjax.setLights(c).then(() => '', (error) => error.message)", wrong)
+        assert message in said
+    np.testing.assert_array_equal(visit.pixels(), before)
+
+
+@pytest.mark.slow
+def test_a_lamp_is_added_by_a_click_and_dragged(visit: Visit) -> None:
+    visit.page.get_by_role("button", name="Start over").click()
+    before = visit.pixels()
+    box = visit.page.locator("#over").bounding_box()
+    count = visit.page.locator(".marker").count()
+    visit.page.get_by_role("button", name="Add a lamp").click()
+    x, y = box["x"] + 0.45 * box["width"], box["y"] + 0.3 * box["height"]
+    visit.page.mouse.click(x, y)
+    visit.page.get_by_role("button", name="Remove").wait_for()
+    lit = visit.pixels()
+    assert visit.page.locator(".marker").count() == count + 1
+    assert (lit - before).mean() > 0.01, "it is brighter"
+    marker = visit.page.locator(".marker.selected").bounding_box()
+    place = marker["x"] + marker["width"] / 2, marker["y"] + marker["height"] / 2
+    visit.page.mouse.move(*place)
+    visit.page.mouse.down()
+    visit.page.wait_for_timeout(1000)
+    visit.page.mouse.move(place[0] - 0.25 * box["width"], place[1], steps=3)
+    visit.page.mouse.up()
+    visit.page.wait_for_timeout(600)
+    assert np.abs(visit.pixels() - lit).mean() > 5e-3, "it is elsewhere"
+    visit.page.get_by_role("button", name="Remove").click()
+    np.testing.assert_allclose(visit.pixels(), before, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_dragging_flies_off_and_the_button_goes_back(visit: Visit) -> None:
+    before = visit.pixels()
+    box = visit.page.locator("#over").bounding_box()
+    middle = box["x"] + 0.5 * box["width"], box["y"] + 0.7 * box["height"]
+    visit.page.mouse.move(*middle)
+    visit.page.mouse.down()
+    visit.page.mouse.move(middle[0] + 150, middle[1], steps=4)
+    visit.page.mouse.up()
+    away = visit.pixels()
+    assert np.abs(away - before).mean() > 5e-3 and away.std() > 0.01
+    visit.page.get_by_role("button", name="Back to the photos").click()
+    np.testing.assert_allclose(visit.pixels(), before, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_on_a_phone_nothing_is_wider_than_the_screen(visit: Visit, tmp_path: Path) -> None:
+    visit.page.set_viewport_size({"width": 360, "height": 740})
+    visit.page.wait_for_timeout(200)
+    assert visit.page.evaluate("document.documentElement.scrollWidth") <= 360
+    visit.page.screenshot(path=tmp_path / "phone.png")
+    visit.page.set_viewport_size({"width": 1000, "height": 700})
+
+
+@pytest.mark.slow
+def test_without_webgpu_the_page_says_so_and_shows_its_frames(folder: Path, driver: Any) -> None:
+    with launched(driver, ["--headless=new", "--no-sandbox"]) as browser, served(folder) as url:
+        visit = Visit(browser, url)
+        assert visit.state() == "failed"
+        assert "WebGPU" in visit.page.inner_text("#failure-text")
+        visit.page.wait_for_timeout(500)
+        assert visit.page.evaluate("document.getElementById('sheet').naturalWidth") > 0
