@@ -18,7 +18,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.data.frames import select_frames, spread
 from hyjax.device.frame_program import frame_program
-from hyjax.device.program import shader_text
+from hyjax.device.program import columns_rows, shader_text
 from hyjax.device.scene_arrays import scene_arrays
 from hyjax.export.page_scene import PackedArrays, describe_scene, light_keys, pack_scene, setup_content
 from hyjax.export.page_sun import sun_table
@@ -211,7 +211,7 @@ def _write_frame(frame: Frame, folder: Path, lossless: bool) -> dict[str, Any]:
 
 
 def _display_shader(size: tuple[int, int]) -> str:
-    return shader_text(["color", "filled", "display"], size=f"{size[1]}, {size[0]}")
+    return shader_text(["color", "filled", "display"], constants={"size": columns_rows(size)})
 
 
 def _write_sheet(

@@ -41,8 +41,8 @@ class RelightSettings(Settings):
     """What throws shadows: completed is the mesh with small holes closed and, if there are depth maps, a finer
     fusion of them; surface is the bare mesh, as always in paper mode."""
     renderer: Renderer = "shadow_map"
-    """What shades the mesh: shadow_map; blender: Cycles, which traces every shadow and takes its time; or webgpu: whole
-    frames on a graphics processor, by the shaders of an exported page."""
+    """What shades the mesh: shadow_map; blender: Cycles, which traces every shadow and takes its time; or webgpu:
+    whole frames on a graphics processor, by the shaders of an exported page."""
     save_filters: bool = False
     """Also write each frame's raw and refined filter."""
     save_visibility: bool = False
