@@ -164,8 +164,8 @@ def frame_record(
     if camera is not None:
         for k in range(3):
             record[4 * k : 4 * k + 3] = camera.pose[:3, k]
-        k = camera.intrinsics
-        record[12:15], record[16:20] = camera.origin, (k.fx, k.fy, k.cx, k.cy)
+        lens = camera.intrinsics
+        record[12:15], record[16:20] = camera.origin, (lens.fx, lens.fy, lens.cx, lens.cy)
     record[20:24] = np.array([*counts, 0], np.uint32).view(np.float32)
     record[24:28] = (*ambient, 1.0 / reference_lux)
     record[28:31] = mean
