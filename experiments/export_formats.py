@@ -7,8 +7,8 @@ Takes two minutes on two cores. Needs the packages of `pip install '.[export-onn
 packages are missing, or that cannot take a function, has a row that says why. Every runtime is timed in turns with
 JAX; Core ML is converted only.
 
-Expect: runtimes of graphs compute a cascade operation by operation, and take ten to twenty times as long as JAX; for
-the network they take a quarter longer. IREE takes one to three times as long as JAX.
+Expect: runtimes of graphs compute a cascade operation by operation, and take ten to twenty times as long as JAX;
+for the network they take a quarter longer. IREE takes one to three times as long as JAX.
 """
 
 import dataclasses
