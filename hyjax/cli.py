@@ -279,6 +279,7 @@ def run_info() -> None:
     import jax
 
     from hyjax.data.registry import CAPTURE_FORMATS
+    from hyjax.device.webgpu import describe, open_device
     from hyjax.light.kinds import LIGHT_KINDS
     from hyjax.metrics import METRICS
     from hyjax.util.cache import cache_folder
@@ -291,6 +292,11 @@ def run_info() -> None:
         print(f"{name:<32}{package_version(name)} (optional)")
     print(f"{'devices':<32}{', '.join(f'{d.platform} ({d.device_kind})' for d in jax.devices())}")
     print(f"{'cpu cores':<32}{record['cpu_count']}")
+    try:
+        adapter = describe(open_device())
+    except InputError as error:
+        adapter = f"none ({error})"
+    print(f"{'webgpu':<32}{adapter}")
     print(f"{'cache':<32}{cache_folder()}")
     print(f"{'kinds of light':<32}{', '.join(LIGHT_KINDS)}")
     print(f"{'metrics':<32}{', '.join(METRICS)}")

@@ -29,8 +29,9 @@ class ExportSettings(Settings):
     """What a file for a runtime computes: cascade repairs a filter of which a confidence tells what is known;
     plain-cascade repairs one of which everything is known; guide is the network of --guide."""
     scene: SceneSettings = dataclasses.field(default_factory=SceneSettings)
-    frames: str = "0"
-    """Of a page: which frames, by position in the capture: all, 7, 0:300:30, or a list such as 0,5,9:12."""
+    frames: str | None = None
+    """Of a page: which frames, by position in the capture: all, 7, 0:300:30, or a list such as 0,5,9:12. Default:
+    24, spread over the capture."""
     lights: str = "evening-lamps"
     """Of a page: noon-window, golden-hour, evening-lamps, night-moon, center-point, two-colors, or a YAML or JSON
     file."""

@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from PIL import Image
@@ -18,7 +18,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.data.frames import select_frames, spread
 from hyjax.device.frame_program import frame_program
-from hyjax.device.program import columns_rows, shader_text
+from hyjax.device.program import Precision, columns_rows, shader_text
 from hyjax.device.scene_arrays import scene_arrays
 from hyjax.export.page_scene import PackedArrays, describe_scene, light_keys, pack_scene, setup_content
 from hyjax.export.page_sun import sun_table
@@ -36,8 +36,11 @@ RESOLUTIONS = 512, 256
 RAYS = 128
 """Rays of each point of the light transport, half of what `relight` takes."""
 QUALITY = 95
+FRAMES = 24
+"""Of a page whose frames are not named, at most."""
 SHEET_ROWS = 3
 _PAGE_FILE, _SCENE_FILE = "page.json", "scene.bin"
+_OF_TIMING = "measure.html", "measure.js", "timing.js"
 _log = logging.getLogger(__name__)
 
 
@@ -58,7 +61,8 @@ def export_web(settings: Any) -> dict[str, Any]:
         raise InputError("web: the page's guide is the frame itself; leave --guide out")
     schedule = settings.open_schedule()
     scene = Scene.open(settings.scene, progress=not settings.quiet)
-    frames = select_frames(settings.frames, len(scene))
+    every = range(len(scene))
+    frames = spread(every, FRAMES) if settings.frames is None else select_frames(settings.frames, len(scene))
     setup = scene.lights(settings.lights, at_photo_sources=True)
     return write_page(scene, setup, schedule, frames, settings.out, progress=not settings.quiet)
 
@@ -119,9 +123,12 @@ def write_page(
             raise InputError("web: the frames are of several sizes; give one with --size")
         (size,) = sizes
         shadow_schedule = shadow_schedule or Schedule.preset("hyjax-scan-shadow")
-        program = frame_program(
-            arrays.counts, size, schedule, shadow_schedule, map_texels=max(resolutions) + 2
-        ).to_json()
+        programs = [
+            frame_program(
+                arrays.counts, size, schedule, shadow_schedule, map_texels=max(resolutions) + 2, precision=precision
+            ).to_json()
+            for precision in get_args(Precision)
+        ]
         by_hour = sun_table(scene) if sun else None
         steps.update()
         content = {
@@ -129,8 +136,8 @@ def write_page(
             "made_by": "hyjax",
             "name": scene.capture.name,
             "size": list(size),
-            "program": program,
-            "display": _display_shader(size),
+            "programs": programs,
+            "displays": [_display_shader(size, precision) for precision in get_args(Precision)],
             "scene": described,
             "file": {"name": _SCENE_FILE, "bytes": packed.bytes, "compression": "gzip"},
             "arrays": packed.entries,
@@ -210,8 +217,8 @@ def _write_frame(frame: Frame, folder: Path, lossless: bool) -> dict[str, Any]:
     }
 
 
-def _display_shader(size: tuple[int, int]) -> str:
-    return shader_text(["color", "filled", "display"], constants={"size": columns_rows(size)})
+def _display_shader(size: tuple[int, int], precision: Precision) -> str:
+    return shader_text(["color", "filled", "display"], precision, {"size": columns_rows(size)})
 
 
 def _write_sheet(
@@ -236,7 +243,7 @@ def _write_sheet(
 
 def _write_scripts(folder: Path) -> None:
     for file in resources.files("hyjax.device").joinpath("page").iterdir():
-        if Path(file.name).suffix in (".html", ".css", ".js", ".svg"):
+        if Path(file.name).suffix in (".html", ".css", ".js", ".svg") and file.name not in _OF_TIMING:
             (folder / file.name).write_bytes(file.read_bytes())
 
 

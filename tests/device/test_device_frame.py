@@ -141,6 +141,16 @@ def test_whole_frame(scene: Scene, device: Any, lights: str, keep: bool) -> None
             assert error < 4e-3 * max(1.0, expected.mean()), stage
 
 
+def test_half_precision_of_a_frame(scene: Scene, device: Any) -> None:
+    if "shader-f16" not in device.features:
+        pytest.skip("this adapter has no half precision")
+    setup = scene.lights("evening-lamps", at_photo_sources=True)
+    renderer = renderer_of(scene, setup, device, False, precision="f16")
+    view, _, relit = reference(scene, setup, 0, keep=False)
+    found = renderer.relight(np.asarray(view.display), scene.frame(0).camera)
+    assert np.abs(found - np.asarray(relit.image)).mean() < 2e-3
+
+
 def test_features_of_a_network(scene: Scene, device: Any) -> None:
     setup = scene.lights("noon-window")
     renderer = renderer_of(scene, setup, device, True, features=6)

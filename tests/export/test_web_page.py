@@ -71,7 +71,7 @@ def test_the_folder_is_complete(folder: Path) -> None:
         assert (folder / name).stat().st_size > 0, name
     for frame in page["frames"]:
         assert (folder / frame["file"]).is_file() and np.shape(frame["pose"]) == (4, 4)
-    buffers, arrays = page["program"]["buffers"], {entry["name"]: entry for entry in page["arrays"]}
+    buffers, arrays = page["programs"][0]["buffers"], {entry["name"]: entry for entry in page["arrays"]}
     assert set(arrays) == {"vertices", "occluders", "faces", "fields", "hits", "sources"} <= set(buffers)
     assert len(page["setup"]["lights"]) == 4 and page["setup"]["reference_lux"] > 0
     assert set(page["light_keys"]) == {"ambient", "point", "spot", "rect", "directional", "sky"}

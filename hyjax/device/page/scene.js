@@ -17,6 +17,14 @@ export async function loadPage() {
   return page;
 }
 
+/** Take the page's program of half precision where the device has it, else of single. */
+export function choosePrecision(page, device) {
+  const precision = device.features.has("shader-f16") ? "f16" : "f32";
+  const chosen = page.programs.findIndex((program) => program.precision === precision);
+  page.program = page.programs[chosen];
+  page.display = page.displays[chosen];
+}
+
 /**
  * Arrays of scene.bin, as buffers of the program take them.
  * @param progress called with the share that is loaded

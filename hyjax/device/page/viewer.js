@@ -5,6 +5,7 @@ import { add, dot } from "./lights.js";
 import { openDevice } from "./engine.js";
 import { Display } from "./display.js";
 import { Renderer } from "./renderer.js";
+import { choosePrecision } from "./scene.js";
 
 const REFINE_AFTER = 200; // milliseconds that a lamp lies still before its shadows are cast in full
 const TIMED_EVERY = 500; // milliseconds
@@ -40,6 +41,7 @@ export class Viewer extends EventTarget {
     this.device = await openDevice();
     this.device.addEventListener("uncapturederror", ({ error }) => this.say(`The graphics driver reports: ${error.message}`));
     this.device.lost.then(() => this.lost());
+    choosePrecision(this.page, this.device);
     this.renderer = await Renderer.create(this.device, this.page, this.arrays);
     if (this.display) { // a canvas keeps its first context
       const fresh = this.canvas.cloneNode();
