@@ -133,7 +133,8 @@ LAYERS: list[set[str]] = [
     {"training"},
     {"device"},
     {"relighting", "tuning"},
-    {"tour", "export"},
+    {"tour"},
+    {"export"},
     {"cli", "__main__"},
 ]
 LAYER = {module: level for level, row in enumerate(LAYERS) for module in row}

@@ -27,7 +27,7 @@ from hyjax.util.errors import InputError
         (
             RelightSettings,
             {"renderer": "povray"},
-            r"^renderer: 'povray' is unknown; use one of shadow_map, blender$",
+            r"^renderer: 'povray' is unknown; use one of shadow_map, blender, webgpu$",
         ),
         (RelightSettings, {"save_filters": "yes"}, r"^save filters: must be bool, got 'yes'$"),
         (TuneSettings, {"fps": 60}, r"^fps: must be tuple\[float, \.\.\.\], got 60$"),
