@@ -403,11 +403,11 @@ def test_lamps_change_by_the_panel_and_are_saved(visit: Visit, scene: Scene, tmp
     download.value.save_as(file)
     lamp = read_lights(file, scene.capture.up).lights[-1]
     assert isinstance(lamp, PointLight)
-    floor = visit.page.evaluate("fetch('page.json').then((r) => r.json()).then((p) => p.scene.bounds[0][2])")
+    floor = page.evaluate("fetch('page.json').then((r) => r.json()).then((p) => p.scene.bounds[0][2])")
     assert abs(lamp.position[2] - floor - 1.2) < 1e-3
     page.get_by_role("button", name="Start over").click()
     np.testing.assert_array_equal(canvas(visit), before)
-    visit.page.evaluate("(content) => hyjax.setLights(content)", file.read_text())
+    page.evaluate("(content) => hyjax.setLights(content)", file.read_text())
     np.testing.assert_array_equal(canvas(visit), dim)
     page.select_option("#put-mode", "off")
     page.get_by_role("button", name="Start over").click()
@@ -467,7 +467,7 @@ def test_a_hidden_page_draws_nothing(visit: Visit) -> None:
 
 @pytest.mark.slow
 def test_a_lost_device_is_opened_again_once(visit: Visit) -> None:
-    """The last that has the page."""
+    """The last test that has the page, and lost while it draws."""
     before = canvas(visit)
     visit.page.get_by_role("button", name="Play the frames").click()
     visit.page.wait_for_timeout(300)
