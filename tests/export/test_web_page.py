@@ -1,8 +1,10 @@
 """An exported page: its files, and what it shows in a real browser."""
 
+import base64
 import contextlib
 import functools
 import http.server
+import io
 import json
 import os
 import re
@@ -15,13 +17,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from experiments.browser import NAMES
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import load_room
+from hyjax.data.light_file import read_lights
 from hyjax.export.page_scene import pack_arrays
 from hyjax.export.web import check_page_folder, write_page
 from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.kinds.point import PointLight
 from hyjax.light.setup import LightSetup
 from hyjax.pipeline import relight
 from hyjax.scene.scene import Scene
@@ -40,6 +45,17 @@ WEBGPU = [
     "--use-webgpu-adapter=swiftshader",
     "--enable-features=Vulkan",
 ]
+
+DEVICES = """
+globalThis.devices = [];
+if (globalThis.GPUAdapter) {
+  const { requestDevice } = GPUAdapter.prototype;
+  GPUAdapter.prototype.requestDevice = async function (...options) {
+    devices.push(await requestDevice.apply(this, options));
+    return devices.at(-1);
+  };
+}
+"""
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +147,7 @@ class Visit:
         self.page = browser.new_page(viewport={"width": size[0], "height": size[1]})
         self.page.set_default_timeout(1e3 * WAIT)
         self.asked: list[str] = []
+        self.page.add_init_script(DEVICES)
         self.page.on("request", lambda request: self.asked.append(request.url))
         self.page.goto(url)
 
@@ -300,6 +317,171 @@ def test_on_a_phone_nothing_is_wider_than_the_screen(visit: Visit, tmp_path: Pat
     assert visit.page.evaluate("document.documentElement.scrollWidth") <= 360
     visit.page.screenshot(path=tmp_path / "phone.png")
     visit.page.set_viewport_size({"width": 1000, "height": 700})
+
+
+def canvas(visit: Visit) -> np.ndarray:
+    """Pixels of the canvas, 0 to 255."""
+    visit.pixels()
+    url = visit.page.evaluate("document.getElementById('canvas').toDataURL()")
+    picture = Image.open(io.BytesIO(base64.b64decode(url.split(",")[1])))
+    return np.asarray(picture.convert("RGB"), np.float32)
+
+
+def apart(a: np.ndarray, b: np.ndarray) -> float:
+    """Mean difference, of 255."""
+    return float(np.abs(a - b).mean())
+
+
+@pytest.mark.slow
+def test_frames_stages_and_the_wipe(visit: Visit, folder: Path) -> None:
+    page = visit.page
+    photo = np.asarray(Image.open(folder / json.loads((folder / "page.json").read_text())["frames"][0]["file"]))
+    page.evaluate("hyjax.goto(0)")
+    result = canvas(visit)
+    page.locator("#scrub").fill("1")
+    assert apart(canvas(visit), result) > 5 and page.inner_text("#frame-label") == "2 / 2"
+    page.get_by_role("button", name="Play the frames").click()
+    seen = set()
+    for _ in range(20):
+        seen.add(page.inner_text("#frame-label"))
+        page.wait_for_timeout(100)
+    page.get_by_role("button", name="Pause").click()
+    assert seen == {"1 / 2", "2 / 2"}
+    page.locator("#scrub").fill("0")
+    shown = {}
+    for stage in ("photo", "normals", "depth", "raw filter", "refined filter", "visibility"):
+        page.select_option("#stages", stage)
+        shown[stage] = canvas(visit)
+        assert shown[stage].std() > 5, stage
+        assert all(apart(shown[stage], other) > 3 for name, other in shown.items() if name != stage), stage
+    np.testing.assert_array_equal(shown["photo"], photo)
+    page.select_option("#stages", "result")
+    np.testing.assert_array_equal(canvas(visit), result)
+    picture, handle = page.locator("#picture").bounding_box(), page.locator("#wipe span").bounding_box()
+    assert handle["x"] >= picture["x"], "the handle is inside"
+    x, y = handle["x"] + 5, handle["y"] + 5
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 0.5 * picture["width"], y, steps=3)
+    page.mouse.up()
+    wiped = canvas(visit)
+    np.testing.assert_array_equal(wiped[:, :47], photo[:, :47])
+    np.testing.assert_array_equal(wiped[:, 49:], result[:, 49:])
+    page.focus("#wipe")
+    for _ in range(11):
+        page.keyboard.press("ArrowLeft")
+    np.testing.assert_array_equal(canvas(visit), result)
+
+
+@pytest.mark.slow
+def test_lamps_change_by_the_panel_and_are_saved(visit: Visit, scene: Scene, tmp_path: Path) -> None:
+    page = visit.page
+    page.get_by_role("button", name="Start over").click()
+    before = canvas(visit)
+    page.locator("#exposure").fill("1")
+    assert canvas(visit).mean() > before.mean() + 10
+    page.locator("#exposure").fill("0")
+    page.select_option("#put-mode", "height")
+    page.locator("#height").fill("1.2")
+    page.get_by_role("button", name="Add a lamp").click()
+    box = page.locator("#over").bounding_box()
+    page.mouse.click(box["x"] + 0.45 * box["width"], box["y"] + 0.8 * box["height"])
+    page.get_by_role("button", name="Remove").wait_for()
+    warm = canvas(visit)
+    assert warm.mean() > before.mean() + 5
+    page.get_by_label("Temperature").fill("9000")
+    cold = (canvas(visit) - warm).mean((0, 1))
+    assert cold[2] > 5 > -5 > cold[0]
+    page.get_by_label("Colour").fill("#ff2020")
+    red = canvas(visit)
+    page.get_by_label("Brightness").fill("0.3")
+    dim = canvas(visit)
+    assert dim[..., 0].mean() < red[..., 0].mean() - 10
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save the lights").click()
+    file = tmp_path / download.value.suggested_filename
+    download.value.save_as(file)
+    lamp = read_lights(file, scene.capture.up).lights[-1]
+    assert isinstance(lamp, PointLight)
+    floor = page.evaluate("fetch('page.json').then((r) => r.json()).then((p) => p.scene.bounds[0][2])")
+    assert abs(lamp.position[2] - floor - 1.2) < 1e-3
+    page.get_by_role("button", name="Start over").click()
+    np.testing.assert_array_equal(canvas(visit), before)
+    page.evaluate("(content) => hyjax.setLights(content)", file.read_text())
+    np.testing.assert_array_equal(canvas(visit), dim)
+    page.select_option("#put-mode", "off")
+    page.get_by_role("button", name="Start over").click()
+
+
+@pytest.mark.slow
+def test_fingers_drag_lamps_and_fly(visit: Visit) -> None:
+    page = visit.page
+    page.set_viewport_size({"width": 360, "height": 740})
+    touch = page.context.new_cdp_session(page)
+
+    def fingers(kind: str, *places: tuple[float, float]) -> None:
+        points = [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(places)]
+        touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+
+    before = canvas(visit)
+    marker = page.locator(".marker:visible").first.bounding_box()
+    x, y = marker["x"] + marker["width"] / 2, marker["y"] + marker["height"] / 2
+    fingers("Start", (x, y))
+    page.wait_for_timeout(1000)
+    fingers("Move", (x - 40, y))
+    fingers("Move", (x - 80, y))
+    fingers("End")
+    page.wait_for_timeout(600)
+    moved = canvas(visit)
+    assert apart(moved, before) > 1 and page.locator("#land").is_hidden()
+    box = page.locator("#over").bounding_box()
+    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.7 * box["height"]
+    fingers("Start", (x, y))
+    fingers("Move", (x + 30, y))
+    fingers("End")
+    flown = canvas(visit)
+    assert apart(flown, moved) > 3
+    fingers("Start", (x - 30, y), (x + 30, y))
+    fingers("Move", (x - 40, y), (x + 40, y))
+    fingers("End")
+    assert apart(canvas(visit), flown) > 1, "it is nearer"
+    page.get_by_role("button", name="Back to the photos").click()
+    page.get_by_role("button", name="Start over").click()
+    np.testing.assert_array_equal(canvas(visit), before)
+    page.set_viewport_size({"width": 1000, "height": 700})
+
+
+@pytest.mark.slow
+def test_a_hidden_page_draws_nothing(visit: Visit) -> None:
+    before = canvas(visit)
+    visit.page.evaluate("Object.defineProperty(document, 'hidden', { value: true, configurable: true })")
+    visit.page.locator("#scrub").fill("1")
+    visit.page.wait_for_timeout(500)
+    url = visit.page.evaluate("document.getElementById('canvas').toDataURL()")
+    visit.page.evaluate("delete document.hidden")
+    assert apart(canvas(visit), before) > 5
+    assert visit.page.evaluate("document.getElementById('canvas').toDataURL()") != url
+    visit.page.locator("#scrub").fill("0")
+    np.testing.assert_array_equal(canvas(visit), before)
+
+
+@pytest.mark.slow
+def test_a_lost_device_is_opened_again_once(visit: Visit) -> None:
+    """The last test that has the page, and lost while it draws."""
+    before = canvas(visit)
+    visit.page.get_by_role("button", name="Play the frames").click()
+    visit.page.wait_for_timeout(300)
+    visit.page.evaluate("devices.at(-1).destroy()")
+    visit.page.wait_for_timeout(100)
+    assert "is being opened again" in visit.page.inner_text("#notice")
+    visit.page.evaluate("hyjax.goto(0)")
+    visit.page.get_by_role("button", name="Pause").click()
+    visit.page.evaluate("hyjax.goto(0)")
+    assert visit.page.evaluate("devices.length") == 2
+    np.testing.assert_array_equal(canvas(visit), before)
+    visit.page.evaluate("devices.at(-1).destroy()")
+    visit.page.wait_for_timeout(300)
+    assert visit.state() == "failed" and "lost twice" in visit.page.inner_text("#failure-text")
 
 
 @pytest.mark.slow

@@ -68,20 +68,26 @@ function connectWipe(viewer) {
     viewer.wipe = Math.max(0, Math.min(1, share));
     viewer.change("display");
   };
+  let grip = 0; // share of the width from the wipe to where its handle is held
+  const shareAt = ({ clientX }) => {
+    const box = element("picture").getBoundingClientRect();
+    return (clientX - box.left) / box.width;
+  };
   wipe.addEventListener("pointerdown", (event) => {
     wipe.setPointerCapture(event.pointerId);
+    grip = shareAt(event) - viewer.wipe;
     event.preventDefault();
   });
   wipe.addEventListener("pointermove", (event) => {
     if (!wipe.hasPointerCapture(event.pointerId)) return;
-    const box = element("picture").getBoundingClientRect();
-    set((event.clientX - box.left) / box.width);
+    set(shareAt(event) - grip);
   });
   wipe.addEventListener("keydown", ({ code }) => {
     if (code === "ArrowLeft" || code === "ArrowRight") set(viewer.wipe + (code === "ArrowLeft" ? -0.05 : 0.05));
   });
   viewer.addEventListener("change", () => {
     wipe.style.left = `${100 * viewer.wipe}%`;
+    wipe.firstElementChild.style.left = `${5 + 18 * (1 - 2 * viewer.wipe)}px`; // inside at both edges
     wipe.setAttribute("aria-valuenow", Math.round(100 * viewer.wipe));
   });
 }

@@ -8,6 +8,7 @@ import { Renderer } from "./renderer.js";
 import { choosePrecision } from "./scene.js";
 
 const REFINE_AFTER = 200; // milliseconds that a lamp lies still before its shadows are cast in full
+const LOST_WITHIN = 300; // milliseconds
 const TIMED_EVERY = 500; // milliseconds
 const SOFTWARE = /swiftshader|llvmpipe|basic render/i; // GPUs that are none
 const OFF_SURFACE = 0.3; // metres from the surface that a lamp is put at
@@ -110,6 +111,8 @@ export class Viewer extends EventTarget {
       try {
         if (this.isDirty) await this.draw(now);
       } catch (error) {
+        // What fails because the device is lost is for `lost` to mend, which may hear of it a little later.
+        await Promise.race([device.lost, new Promise((done) => { setTimeout(done, LOST_WITHIN); })]);
         if (this.stopped || device !== this.device) return;
         this.fail(error);
         return;

@@ -48,6 +48,7 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, surface: f32, shining: vec3<f
     let depth = select(1e30, surface, surface > 0.0);
     let width = 1.0 / frame.intrinsics.x;
     let darkest = min(photo.x, min(photo.y, photo.z));
+    let hole = frame.counts.w == 1u && surface <= 0.0; // of the mesh, which has no glass
     var weight = 0.0;
     var sent = vec3<f32>(0.0);
     for (var k = 0u; k < frame.counts.y; k++) {
@@ -59,13 +60,15 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, surface: f32, shining: vec3<f
         let distance = dot(center - frame.origin.xyz, normal) / select(1e-9, slope, abs(slope) > 1e-9);
         let place = frame.origin.xyz + distance * ray - center;
         let inside = min(length(right) - abs(dot(place, normalize(right))), length(up) - abs(dot(place, normalize(up))));
-        var cover = clamp(inside / (width * max(distance, 1e-3)) + 0.5, 0.0, 1.0) * smoothstep(0.1, 0.3, darkest);
+        var cover = clamp(inside / (width * max(distance, 1e-3)) + 0.5, 0.0, 1.0) * select(smoothstep(0.1, 0.3, darkest), 1.0, hole);
         if (distance <= 0.0 || slope >= 0.0 || depth <= distance - SLACK) { cover = 0.0; }
         weight = max(weight, cover);
         if (cover > 0.0) {
             let kept = emitters[6u * k + 4u].xyz;
-            let pattern = PANE_SHARE * photo / max(emitters[6u * k + 5u].xyz, vec3<f32>(1e-3));
-            sent = emitters[6u * k + 3u].xyz * frame.mean.xyz * pattern + kept * photo
+            let mean = max(emitters[6u * k + 5u].xyz, vec3<f32>(1e-3));
+            let pane = select(photo, mean, hole);
+            let pattern = PANE_SHARE * pane / mean;
+            sent = emitters[6u * k + 3u].xyz * frame.mean.xyz * pattern + kept * pane
                 + PANE_REFLECTANCE * frame.mean.xyz * max(1.0 - kept, vec3<f32>(0.0)) * shining;
         }
     }

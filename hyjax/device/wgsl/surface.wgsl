@@ -1,5 +1,7 @@
 // The surface that each pixel shows: `hyjax.geometry.raycast.RayCaster.gbuffer`, and the light that lies on it.
 // Of each vertex, `fields` holds position, normal, the photo's own light and albedo.
+const HOLE = 0.35;
+
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var shown: texture_2d<u32>;
 @group(0) @binding(2) var<storage, read> faces: array<u32>;
@@ -26,7 +28,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         normals[pixel] = vec4<f32>(0.0);
         light[pixel] = store(vec4<f32>(0.0));
         light[plane + pixel] = store(vec4<f32>(0.0));
-        if (frame.counts.w == 1u) { picture[pixel] = store(vec4<f32>(0.0)); }
+        // Off the photos, holes of the mesh are grey, not black.
+        if (frame.counts.w == 1u) { picture[pixel] = store(vec4<f32>(to_display(HOLE * frame.mean.xyz), 0.0)); }
         return;
     }
     let corners = vec3<u32>(faces[3u * face - 3u], faces[3u * face - 2u], faces[3u * face - 1u]);
