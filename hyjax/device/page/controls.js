@@ -183,6 +183,10 @@ function connectPicture(viewer) {
     viewer.change("lights", "display");
   });
   element("save").addEventListener("click", () => {
+    if (!viewer.lights.content().lights.length) {
+      viewer.say("All lights are off; a lights file needs one.");
+      return;
+    }
     const text = `${JSON.stringify(viewer.lights.content(), null, 2)}\n`;
     const url = URL.createObjectURL(new Blob([text], { type: "application/json" }));
     Object.assign(document.createElement("a"), { href: url, download: "lights.json" }).click();
