@@ -64,6 +64,7 @@ def frame_program(
     features: int = 3,
     map_texels: int = MOST_TEXELS,
     precision: Precision = "f32",
+    stages: bool = True,
 ) -> Program:
     """Program of a scene's frames.
 
@@ -79,6 +80,7 @@ def frame_program(
         features: channels of the guide; the RGB guide, which is the picture itself, has 3.
         map_texels: side of the largest shadow map, with its gutter.
         precision: of pictures between passes.
+        stages: whether there is a stage `stages`, whose pictures take four times the memory of the image.
     """
     program = Program(size, precision)
     _load(program, counts)
@@ -109,10 +111,11 @@ def frame_program(
     bind = ["frame", "lights", "emitters", picture, "positions", refined, "cascade totals", shadows, image]
     files = ["frame", "camera", "color", "filled", "lights", "composite"]
     program.launch("frame", "composite", files, bind, whole, constants=camera)
-    stages = program.buffer("stages", 4 * 16 * pixels)
-    bind = ["frame", "lights", light, refined, "cascade totals", visibility, shadows, stages]
-    files = ["frame", "camera", "filled", "lights", "stages"]
-    program.launch("stages", "stages", files, bind, whole, constants=camera)
+    if stages:
+        filters = program.buffer("stages", 4 * 16 * pixels)
+        bind = ["frame", "lights", light, refined, "cascade totals", visibility, shadows, filters]
+        files = ["frame", "camera", "filled", "lights", "stages"]
+        program.launch("stages", "stages", files, bind, whole, constants=camera)
     program.names = {"raw": light, "refined": refined, "visibility": shadows, "image": image}
     return program
 

@@ -154,9 +154,12 @@ class Program:
 def shader_text(files: Sequence[str], precision: Precision = "f32", constants: Mapping[str, object] = NONE) -> str:
     """WGSL text of a shader: files of `hyjax/device/wgsl` after the storage format, with constants put in."""
     stored = {"f32": "vec4<f32>", "f16": "vec4<f16>"}[precision]
+    largest = {"f32": "3.0e38", "f16": "65504.0"}[precision]
     enable = "enable f16;\n" if precision == "f16" else ""
     parts = [_file(name) for name in ("storage", *files)]
-    return enable + "\n".join(string.Template(part).substitute(constants, stored=stored) for part in parts)
+    return enable + "\n".join(
+        string.Template(part).substitute(constants, stored=stored, largest=largest) for part in parts
+    )
 
 
 @functools.cache

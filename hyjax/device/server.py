@@ -145,7 +145,7 @@ class Server:
         if self.is_local and host:
             return Answer.refuse(403, "not an address of this machine")
         origin = headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != headers.get("Host", ""):
+        if origin is not None and origin.partition("://")[2] != headers.get("Host", ""):
             return Answer.refuse(403, "not a page of this site")
         if self.token and not secrets.compare_digest(path.split("/")[0].encode(), self.token.encode()):
             return Answer.refuse(403, "the address lacks its token: take it from the terminal once more")
@@ -163,6 +163,10 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     do_HEAD = do_GET
 
     def do_POST(self) -> None:
+        refused = self.owner.refusal(self.headers, self._path())
+        if refused is not None:  # before anything of it is read
+            self.close_connection = True
+            return self._send(refused)
         try:
             length = int(self.headers.get("Content-Length", ""))
         except ValueError:
@@ -174,12 +178,15 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             return self._refuse(415, f"must be {JSON}")
         return self._answer(lambda path: self.owner.site.post(path, body))
 
+    def _path(self) -> str:
+        return self.path.partition("?")[0].removeprefix("/")
+
     def _refuse(self, status: int, line: str) -> None:
         self.close_connection = True
         self._send(Answer.refuse(status, line))
 
     def _answer(self, respond: Callable[[str], Answer]) -> None:
-        path = urlsplit(self.path).path.removeprefix("/")
+        path = self._path()
         refused = self.owner.refusal(self.headers, path)
         if refused is None and self.owner.token:
             _, slash, path = path.partition("/")

@@ -86,6 +86,11 @@ class Engine:
     def _make(self, name: str, size: int, buffer: Buffer | None) -> Any:
         usage, uniform = self._wgpu.BufferUsage, buffer is not None and buffer.uniform
         flags = usage.COPY_DST | usage.COPY_SRC | (usage.UNIFORM if uniform else usage.STORAGE)
+        most = min(self.device.limits[key] for key in ("max-storage-buffer-binding-size", "max-buffer-size"))
+        if size > most:
+            raise InputError(
+                f"webgpu: {name!r} needs {size >> 20} MiB, the device takes {most >> 20}; choose a smaller --size"
+            )
         made = self.device.create_buffer(size=max(16, -(-size // 16) * 16), usage=flags, label=name)
         if buffer is not None and buffer.initial:
             self.device.queue.write_buffer(made, 0, np.asarray(buffer.initial, np.uint32).tobytes())

@@ -125,7 +125,13 @@ def write_page(
         shadow_schedule = shadow_schedule or Schedule.preset("hyjax-scan-shadow")
         programs = [
             frame_program(
-                arrays.counts, size, schedule, shadow_schedule, map_texels=max(resolutions) + 2, precision=precision
+                arrays.counts,
+                size,
+                schedule,
+                shadow_schedule,
+                map_texels=max(resolutions) + 2,
+                precision=precision,
+                stages=False,
             ).to_json()
             for precision in get_args(Precision)
         ]

@@ -256,6 +256,10 @@ def _relight_on_device(
             frame = scene.frame(index)
         with clock("guide"):
             features = jax.block_until_ready(guide.features(jnp.asarray(frame.image)))
+        if guide.name != "rgb" and features.shape[-1] == 3:
+            raise InputError(
+                "guide: webgpu takes three features for the frame itself; train with another --features"
+            )
         size = frame.camera.intrinsics.shape
         if renderer is None or renderer.program.size != size:
             with clock("shadow maps"):

@@ -85,7 +85,7 @@ class Measuring:
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
-        self.say = say
+        self.say = lambda line: say("".join(c if c.isprintable() else "?" for c in line))
         self.device: Device | None = None
         self._files = Folder(resources.files("hyjax.device").joinpath("page"), PAGE)  # type: ignore[arg-type]
         self._changed = threading.Condition()

@@ -15,6 +15,8 @@ from hyjax.util.files import atomic_write
 T = TypeVar("T")
 Arrays = Mapping[str, np.ndarray]
 _log = logging.getLogger(__name__)
+_refused: set[Path] = set()
+"""Folders that could not be written; each is told once."""
 
 
 def cache_folder() -> Path:
@@ -49,5 +51,7 @@ def cached_arrays(
         with atomic_write(file) as part:
             (np.savez_compressed if compressed else np.savez)(part, **arrays)  # type: ignore[arg-type]
     except (OSError, InputError) as error:
-        _log.warning("%s: cannot keep this for the next time (%s)", file, error)
+        if file.parent not in _refused:
+            _refused.add(file.parent)
+            _log.warning("%s: cannot keep this for the next time (%s)", file, error)
     return parse(arrays)

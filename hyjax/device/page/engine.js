@@ -72,6 +72,12 @@ export class Engine {
     const fit = (name, bytes, buffer) => {
       const size = Math.max(16, Math.ceil(bytes / 16) * 16);
       if (this.buffers[name]?.size >= size) return;
+      const { maxBufferSize, maxStorageBufferBindingSize } = this.device.limits;
+      const most = Math.min(maxBufferSize, maxStorageBufferBindingSize);
+      if (size > most) {
+        throw new Error(`This GPU takes buffers of ${most >> 20} MiB at most, "${name}" needs ${Math.ceil(size / 2 ** 20)}: `
+          + "export the page with a smaller --size, or use fewer lights.");
+      }
       this.buffers[name]?.destroy();
       this.makeBuffer(name, size, buffer);
       made.push(name);

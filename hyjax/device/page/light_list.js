@@ -83,8 +83,13 @@ export class LightList {
   }
 
   activeEntries() {
-    const own = this.shown.filter((item) => item.on).map((item) => item.entry);
-    return [...own, ...(this.row?.lights ?? [])];
+    const outside = this.row?.lights ?? [];
+    return [...this.active.map((item) => item.entry), ...outside];
+  }
+
+  /** Items that are on, no more than the shaders take beside the light from outside. */
+  get active() {
+    return this.shown.filter((item) => item.on).slice(0, MOST_LIGHTS - (this.row?.lights.length ?? 0));
   }
 
   /** Illuminance that the camera exposes for: by the hour it follows what lamps add, as in `hyjax.tour.lighting`. */
@@ -106,7 +111,7 @@ export class LightList {
 
   /** Number of an item among the lights of `setup`; -1 if it is off. */
   numberOf(id) {
-    return this.shown.filter((item) => item.on).findIndex((item) => item.id === id);
+    return this.active.findIndex((item) => item.id === id);
   }
 
   /** Content of a lights file. */

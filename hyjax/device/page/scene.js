@@ -2,7 +2,7 @@
 
 export const PAGE_FORMAT = 1;
 const TYPES = { uint16: Uint16Array, uint32: Uint32Array, float32: Float32Array };
-const KEPT = 48; // decoded frames
+const KEPT_BYTES = 64e6; // of decoded frames
 
 async function read(name) {
   const response = await fetch(name);
@@ -70,6 +70,8 @@ export class Frames {
     this.entries = page.frames;
     this.size = page.size;
     this.decoded = new Map();
+    const [height, width] = page.size;
+    this.kept = Math.max(4, Math.floor(KEPT_BYTES / (4 * width * height))); // pictures
   }
 
   get count() {
@@ -82,7 +84,7 @@ export class Frames {
     this.decoded.delete(index);
     found ??= this.decode(index);
     this.decoded.set(index, found); // the newest is last
-    if (this.decoded.size > KEPT) {
+    if (this.decoded.size > this.kept) {
       const [oldest, bitmap] = this.decoded.entries().next().value;
       this.decoded.delete(oldest);
       bitmap.then((picture) => picture.close(), () => {});

@@ -10,6 +10,7 @@ import { choosePrecision } from "./scene.js";
 const REFINE_AFTER = 200; // milliseconds that a lamp lies still before its shadows are cast in full
 const LOST_WITHIN = 300; // milliseconds
 const TIMED_EVERY = 500; // milliseconds
+const LOST_AGAIN = 60e3; // milliseconds within which a second loss of the device is one too many
 const SOFTWARE = /swiftshader|llvmpipe|basic render/i; // GPUs that are none
 const OFF_SURFACE = 0.3; // metres from the surface that a lamp is put at
 
@@ -59,7 +60,9 @@ export class Viewer extends EventTarget {
 
   async lost() {
     this.stopped = true;
-    if (this.wasLost) {
+    const again = performance.now() - (this.lostAt ?? -Infinity) < LOST_AGAIN;
+    this.lostAt = performance.now();
+    if (this.wasLost && again) {
       this.fail(new Error("The graphics device was lost twice. Reload the page to try again."));
       return;
     }
@@ -75,6 +78,7 @@ export class Viewer extends EventTarget {
 
   fail(error) {
     this.stopped = true;
+    this.failure = error;
     for (const { reject } of this.waiting.splice(0)) reject(error);
     this.dispatchEvent(new CustomEvent("failure", { detail: error }));
   }
@@ -87,6 +91,7 @@ export class Viewer extends EventTarget {
 
   /** Resolves when everything that has changed is drawn. */
   drawn() {
+    if (this.failure) return Promise.reject(this.failure);
     return new Promise((resolve, reject) => this.waiting.push({ resolve, reject }));
   }
 
@@ -127,9 +132,9 @@ export class Viewer extends EventTarget {
     this.dirty = { lights: false, camera: false, display: false };
     const { renderer } = this;
     if (dirty.camera) {
-      const bitmap = this.flying ? null : await this.frames.picture(this.frame);
+      const { camera, bitmap } = await this.seen();
       if (this.playing) this.frames.picture((this.frame + 1) % this.frames.count).catch(() => {});
-      renderer.setCamera(this.camera, bitmap);
+      renderer.setCamera(camera, bitmap);
     }
     if (dirty.lights) {
       const coarse = new Set([...this.coarse].map((id) => this.lights.numberOf(id)).filter((k) => k >= 0));
@@ -149,6 +154,23 @@ export class Viewer extends EventTarget {
       await renderer.readTimes();
     }
     this.dispatchEvent(new Event("rendered"));
+  }
+
+  /** The camera with its photo; none where it flies. A frame that cannot be read leaves the one before it. */
+  async seen() {
+    const { camera, flying, frame } = this;
+    if (flying) return { camera, bitmap: null };
+    try {
+      const bitmap = await this.frames.picture(frame);
+      this.lastFrame = frame;
+      return { camera, bitmap };
+    } catch (error) {
+      if (this.lastFrame === undefined || this.lastFrame === frame) throw error;
+      this.playing = false;
+      this.frame = this.lastFrame;
+      this.say(error.message);
+      return this.seen();
+    }
   }
 
   /** Frames a second, of pictures that come one after the other. */
@@ -203,6 +225,7 @@ export class Viewer extends EventTarget {
   }
 
   async addLamp(x, y) {
+    this.playing = false;
     const place = this.placeAt(await this.renderer.surface(), x, y);
     if (!place) throw new Error("There is no surface here; click on a wall, the floor or a piece of furniture.");
     const item = this.lights.add(place);
