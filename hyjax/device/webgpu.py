@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import tempfile
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -21,6 +22,7 @@ def open_device(precision: str = "f32") -> Any:
         InputError: the package wgpu or a driver is missing, or half precision where that is asked.
     """
     os.environ.setdefault("WGPU_FORCE_OFFSCREEN", "1")
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # else drivers complain on stderr
     try:
         import wgpu
     except ImportError:
