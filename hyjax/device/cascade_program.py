@@ -1,7 +1,7 @@
 """Shaders of a cascade, generated from its schedule: the mirror of `hyjax.core.cascade`."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,9 @@ class CascadeWriter:
         schedule.check()
         factors = [level.factor for level in schedule.levels]
         means = self._means(name, source, factors, groups)
+        if "guide" in (schedule.pooling, schedule.upsampling):
+            for factor in sorted(factors):  # coarse cells from fine ones
+                self._guide(factor)
         if total:
             self._total(name, means[factors[0]], factors[0], groups)
         state, coarser, kappa = means[factors[0]], factors[0], _value(schedule.levels[0].kappa)
@@ -75,49 +78,37 @@ class CascadeWriter:
         """Buffers of a picture's cell means by factor, each from the next finer one that divides it."""
         means = {1: source}
         for factor in sorted(set(factors) - {1}):
-            finer = max(f for f in means if factor % f == 0)
-            means[factor] = self.program.picture(f"{name} means {factor}", self._shape(factor), groups)
-            self.program.launch(
-                self.stage,
-                name,
-                ["cells"],
-                [means[finer], means[factor]],
-                grid_of(self._shape(factor)),
-                groups,
-                constants={
-                    "full": columns_rows(self.program.size),
-                    "fine": columns_rows(self._shape(finer)),
-                    "coarse": columns_rows(self._shape(factor)),
-                    "fine_factor": finer,
-                    "ratio": factor // finer,
-                },
-            )
+            means[factor] = self._cells(name, f"{name} means {factor}", means, factor, groups)
         return means
 
     def _guide(self, factor: int) -> str:
         """Buffer of the guide's cell means."""
-        if factor == 1:
-            return self.guide
-        if factor not in self._guides:
-            finer = max((f for f in self._guides if factor % f == 0), default=1)
+        known = self._guides | {1: self.guide}
+        if factor not in known:
             groups = Groups(-(-self.features // 4))
-            self._guides[factor] = self.program.picture(f"guide {factor}", self._shape(factor), groups)
-            self.program.launch(
-                self.stage,
-                "guide",
-                ["cells"],
-                [self._guides.get(finer, self.guide), self._guides[factor]],
-                grid_of(self._shape(factor)),
-                groups,
-                constants={
-                    "full": columns_rows(self.program.size),
-                    "fine": columns_rows(self._shape(finer)),
-                    "coarse": columns_rows(self._shape(factor)),
-                    "fine_factor": finer,
-                    "ratio": factor // finer,
-                },
-            )
-        return self._guides[factor]
+            known[factor] = self._guides[factor] = self._cells("guide", f"guide {factor}", known, factor, groups)
+        return known[factor]
+
+    def _cells(self, label: str, name: str, finer_means: Mapping[int, str], factor: int, groups: Groups) -> str:
+        """Buffer of cell means, from the coarsest of finer ones that divides them."""
+        finer, shape = max(f for f in finer_means if factor % f == 0), self._shape(factor)
+        cells = self.program.picture(name, shape, groups)
+        self.program.launch(
+            self.stage,
+            label,
+            ["cells"],
+            [finer_means[finer], cells],
+            grid_of(shape),
+            groups,
+            constants={
+                "full": columns_rows(self.program.size),
+                "fine": columns_rows(self._shape(finer)),
+                "coarse": columns_rows(shape),
+                "fine_factor": finer,
+                "ratio": factor // finer,
+            },
+        )
+        return cells
 
     def _distance(self, schedule: Schedule) -> str:
         """Shader functions of the distance of two guides."""

@@ -103,15 +103,6 @@ class Engine:
         if values.size:
             self.device.queue.write_buffer(self._buffers[name], 0, np.ascontiguousarray(values).tobytes())
 
-    def upload_photo(self, pixels: np.ndarray) -> None:
-        """Fill the texture `photo` with bytes, (h, w, 3)."""
-        height, width = self.program.size
-        full = np.full((height, width, 4), 255, np.uint8)
-        full[..., :3] = pixels
-        place = {"texture": self._textures["photo"], "mip_level": 0, "origin": (0, 0, 0)}
-        layout = {"offset": 0, "bytes_per_row": 4 * width, "rows_per_image": height}
-        self.device.queue.write_texture(place, full.tobytes(), layout, (width, height, 1))
-
     def download(self, name: str, dtype: Any = np.float32) -> np.ndarray:
         """Content of a buffer."""
         return np.frombuffer(self.device.queue.read_buffer(self._buffers[name]), dtype)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hyjax.core.schedule import Schedule
-from hyjax.relighting.settings import read_schedule
+from hyjax.relighting.settings import open_schedule
 from hyjax.scene.settings import SceneSettings, check_lights_name, parse_size
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
@@ -87,11 +87,7 @@ class ExportSettings(Settings):
         Raises:
             InputError: no such schedule, a file that cannot be used, or a κ beside a file's own.
         """
-        if Path(self.schedule).suffix.lower() != ".json":
-            return Schedule.preset(self.schedule, kappa=self.kappa)
-        if self.kappa is not None:
-            raise InputError(f"kappa: {self.schedule} brings its own; give --kappa with a named schedule only")
-        return read_schedule(Path(self.schedule))
+        return open_schedule(self.schedule, self.kappa)
 
     def record(self) -> dict[str, Any]:
         """Options as a record of the export has them."""

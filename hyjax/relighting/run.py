@@ -82,8 +82,7 @@ def relight_capture(
     schedule, guide = schedule or settings.open_schedule(), guide or open_guide(settings.guide)
     if settings.renderer == "blender":
         blender_python()
-    if settings.renderer == "webgpu":
-        open_device()
+    device = open_device() if settings.renderer == "webgpu" else None
     clock, progress, out = StageClock(), not settings.quiet, settings.out
     if scene is None:
         if settings.scene.capture is None:
@@ -112,7 +111,7 @@ def relight_capture(
         remove(out / stale)  # of an earlier run, whose pictures are about to be replaced
     with ExitStack() as stack:
         if settings.renderer == "webgpu":
-            frames = _relight_on_device(scene, chosen, setup, settings, schedule, guide, clock)
+            frames = _relight_on_device(scene, chosen, setup, settings, schedule, guide, clock, device)
         else:
             shader = _Shader(scene, setup, settings, clock, stack)
             frames = _relight_frames(scene, chosen, shader, settings, schedule, guide, clock)
@@ -248,6 +247,7 @@ def _relight_on_device(
     schedule: Schedule,
     guide: FrameGuide,
     clock: StageClock,
+    device: Any,
 ) -> Generator[tuple[Frame, Relit | None]]:
     """Frames with their relit pictures by WebGPU, in order; None for one that sees no surface."""
     renderer: DeviceRenderer | None = None
@@ -272,6 +272,7 @@ def _relight_on_device(
                     shadows=settings.shadows,
                     keep_photo_light=not settings.divides_photo_light,
                     occluders=settings.shadow_occluders,
+                    device=device,
                 )
         with clock("frame"):
             relit = renderer.relit(frame.image, frame.camera, features)

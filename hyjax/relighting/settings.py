@@ -90,12 +90,8 @@ class RelightSettings(Settings):
             InputError: no such schedule, a file that cannot be used, or a κ beside a file's own.
         """
         text = self.schedule or ("paper-80" if self.paper_mode else "hyjax")
-        if Path(text).suffix.lower() != ".json":
-            kappa = PAPER_KAPPA if self.kappa is None and self.paper_mode else self.kappa
-            return Schedule.preset(text, kappa=kappa)
-        if self.kappa is not None:
-            raise InputError(f"kappa: {text} brings its own; give --kappa with a named schedule only")
-        return read_schedule(Path(text))
+        papers = self.paper_mode and self.kappa is None and not is_schedule_file(text)
+        return open_schedule(text, PAPER_KAPPA if papers else self.kappa)
 
     def record(self) -> dict[str, Any]:
         """Options as a run's record has them."""
@@ -110,6 +106,24 @@ class RelightSettings(Settings):
                 "photo_sources": None if self.scene.photo_sources is None else str(self.scene.photo_sources),
             }
         )
+
+
+def is_schedule_file(text: str) -> bool:
+    """Whether a schedule is named by its file."""
+    return Path(text).suffix.lower() == ".json"
+
+
+def open_schedule(text: str, kappa: float | None = None) -> Schedule:
+    """Schedule by name or from a file.
+
+    Raises:
+        InputError: no such schedule, a file that cannot be used, or a κ beside a file's own.
+    """
+    if not is_schedule_file(text):
+        return Schedule.preset(text, kappa=kappa)
+    if kappa is not None:
+        raise InputError(f"kappa: {text} brings its own; give --kappa with a named schedule only")
+    return read_schedule(Path(text))
 
 
 def read_schedule(path: Path) -> Schedule:

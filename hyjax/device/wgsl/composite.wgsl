@@ -9,7 +9,6 @@
 @group(0) @binding(7) var<storage, read> visibility: array<Stored>;
 @group(0) @binding(8) var<storage, read_write> image: array<vec4<f32>>; // linear; w: how far it shines by itself
 
-const LEAST_PHOTO_LIGHT = 0.05;
 const PANE_REFLECTANCE = 0.04;
 const LAMP_REFLECTANCE = 0.6;
 const PANE_SHARE = 0.4;

@@ -1,6 +1,5 @@
 // A stage of the frame on the canvas, and the photo wiped over it.
 const SIZE = vec2<u32>($size); // columns, rows
-const LEAST_PHOTO_LIGHT = 0.05;
 
 struct Shown {
     stage: u32,  // 0 result, 1 photo, 2 normals, 3 depth, 4 raw filter, 5 refined filter, 6 visibility

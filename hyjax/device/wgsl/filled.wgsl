@@ -2,6 +2,7 @@
 // (weight x value, weight) are diffused, then divided; far from anything known stands the mean of all that is.
 const HOLE_FLOOR = 1e-3;
 const TINY = 1e-12;
+const LEAST_PHOTO_LIGHT = 0.05; // `hyjax.light.photo_light`: what divides is no less
 
 fn completed(value: vec4<f32>, weight: vec4<f32>, total: vec4<f32>, total_weight: vec4<f32>) -> vec4<f32> {
     let floor_weight = max(HOLE_FLOOR * (1.0 - weight), vec4<f32>(0.0));

@@ -8,7 +8,6 @@
 @group(0) @binding(6) var<storage, read> visibility: array<Stored>;
 @group(0) @binding(7) var<storage, read_write> stages: array<vec4<f32>>;
 
-const LEAST_PHOTO_LIGHT = 0.05;
 
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
