@@ -289,4 +289,9 @@ def _visit(table: Path, video: str) -> str | None:
     return visit.removesuffix(".0") or None  # pandas writes a column with gaps as floats
 
 
-FORMAT = CaptureFormat("ARKitScenes", is_arkit_scenes, open_arkit_scenes, "lowres_wide.traj, vga_wide/")
+FORMAT = CaptureFormat(
+    "ARKitScenes",
+    lambda tree: tree.path.is_dir() and is_arkit_scenes(tree.path),
+    lambda tree: open_arkit_scenes(tree.folder),
+    "lowres_wide.traj, vga_wide/",
+)

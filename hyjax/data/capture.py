@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from hyjax.data.file_tree import FileTree
 from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.geometry.depth_map import DepthReading
+from hyjax.geometry.depth_sensor import UNKNOWN, DepthSensor
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 
@@ -31,6 +34,8 @@ class Frame:
         time: seconds since the capture's start.
         depth: distance along the camera's axis in metres, 0 where there is no reading; None without a sensor.
         depth_intrinsics: of `depth`, where its size or lens differs from the image's; None if they are the same.
+        confidence: of each reading of `depth`, in [0, 1]; None where the device does not tell.
+        exposure: seconds; None where it is not told.
     """
 
     name: str
@@ -39,6 +44,8 @@ class Frame:
     time: float
     depth: Float[np.ndarray, "dh dw"] | None = None
     depth_intrinsics: Intrinsics | None = None
+    confidence: Float[np.ndarray, "dh dw"] | None = None
+    exposure: float | None = None
 
     def __post_init__(self) -> None:
         if self.image.ndim != 3 or self.image.shape[:2] != self.camera.intrinsics.shape:
@@ -69,10 +76,20 @@ class Capture(abc.ABC):
             `normal` (into the room), `width` and `height`; `lamp_0`, … with `position`.
         mesh_file: of the mesh that the device made; None without one.
         laser_folder: of the place's laser scans (see `hyjax.data.laser_scans`); None without any.
+        sensor: that measured the depth.
+        metric: whether its lengths are metres, as far as is known.
+        depth_in_units: whether depth is in the unit of the poses, as it is where it was computed from pictures.
+        faults: what is damaged and was left out, a line each; `open_capture` warns of them, or refuses them.
+        remarks: what else is worth telling, a line each.
     """
 
     name: str
     up: Float[np.ndarray, "3"]
+    sensor: DepthSensor = UNKNOWN
+    metric: bool = True
+    depth_in_units: bool = False
+    faults: Sequence[str] = ()
+    remarks: Sequence[str] = ()
     anchors: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
     mesh_file: Path | None = None
     laser_folder: Path | None = None
@@ -92,6 +109,22 @@ class Capture(abc.ABC):
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
 
+    @property
+    def depth_count(self) -> int:
+        """Number of depth maps, which may be more than the frames: see `depth_reading`."""
+        return len(self) if self[0].depth is not None else 0
+
+    def depth_reading(self, index: int) -> DepthReading:
+        """A depth map by its position among `depth_count`, as it was measured; no picture is read for it.
+
+        Raises:
+            InputError: it cannot be read, or there is none.
+        """
+        frame = self[index]
+        if frame.depth is None:
+            raise InputError(f"{self.name}: frame {frame.name} has no depth map")
+        return DepthReading(frame.depth, frame.depth_camera, frame.confidence)
+
     def mesh(self) -> "trimesh.Trimesh | None":
         """The mesh that the device made, in world coordinates; None without one.
 
@@ -108,7 +141,7 @@ class Capture(abc.ABC):
     @property
     def has_mesh(self) -> bool:
         """Whether the device made a mesh, which is not read for it."""
-        return self.mesh_file is not None or type(self).mesh is not Capture.mesh
+        return self.mesh_file is not None
 
     def reference(self) -> "trimesh.Trimesh | None":
         """The true surface in world coordinates; None where it is not known, as of any real place."""
@@ -121,18 +154,18 @@ class Capture(abc.ABC):
 
 @dataclasses.dataclass(frozen=True)
 class CaptureFormat:
-    """A way to store a capture in a folder.
+    """A way to store a capture in a folder or an archive.
 
     Attributes:
         name: in help texts and messages.
-        recognise: whether a folder has this format, by names of files alone.
-        open: opens such a folder; raises `InputError` if it cannot be used.
+        recognise: whether files have this format, by their names alone (or a few bytes).
+        open: opens such files; raises `InputError` if they cannot be used.
         signs: names of files by which a person recognises the format.
     """
 
     name: str
-    recognise: Callable[[Path], bool]
-    open: Callable[[Path], Capture]
+    recognise: Callable[[FileTree], bool]
+    open: Callable[[FileTree], Capture]
     signs: str
 
 
@@ -140,7 +173,7 @@ class ChosenFrames(Capture):
     """Some frames of a capture as a capture of their own: what is made from it depends on no other frame."""
 
     def __init__(self, capture: Capture, indices: Sequence[int]) -> None:
-        self.name, self.up = capture.name, capture.up
+        self.name, self.up, self.sensor = capture.name, capture.up, capture.sensor
         self._capture, self.indices = capture, list(indices)
 
     @property

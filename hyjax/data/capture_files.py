@@ -1,17 +1,19 @@
 """Helpers of the readers of captures: numbers in text, pictures, files named by time, fingerprints."""
 
 import hashlib
+import json
 import os
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
+from hyjax.data.file_tree import FileTree
 from hyjax.util.errors import InputError
-from hyjax.util.images import read_image
+from hyjax.util.images import read_depth, read_image, read_labels
 
 TIMED = re.compile(r"\d+_(\d+\.\d+)")
 
@@ -23,27 +25,85 @@ def read_numbers(path: Path, shape: tuple[int, ...], meaning: str = "row by row"
         InputError: the file cannot be read, holds anything but numbers, or another number of them.
     """
     try:
-        numbers = np.array(path.read_text().split(), dtype=np.float64)
-    except ValueError as error:  # UnicodeDecodeError of a binary file is one too
-        raise InputError(f"{path}: need {np.prod(shape)} plain numbers ({error})") from error
+        text = path.read_text()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file; need {np.prod(shape)} plain numbers") from None
     except OSError as error:
         raise InputError(f"{path}: cannot read ({error.strerror})") from None
+    return parse_numbers(text, str(path), shape, meaning)
+
+
+def tree_numbers(
+    tree: FileTree, name: str, shape: tuple[int, ...], meaning: str = "row by row"
+) -> Float[np.ndarray, "*shape"]:
+    """All numbers of a text file of a tree; see `read_numbers`."""
+    return parse_numbers(tree.text(name), tree.where(name), shape, meaning)
+
+
+def parse_numbers(
+    text: str, path: str, shape: tuple[int, ...], meaning: str = "row by row"
+) -> Float[np.ndarray, "*shape"]:
+    """All numbers of a text; see `read_numbers`."""
+    try:
+        numbers = np.array(text.split(), dtype=np.float64)
+    except ValueError as error:
+        raise InputError(f"{path}: need {np.prod(shape)} plain numbers ({error})") from error
     if numbers.size != np.prod(shape):
         expected = "x".join(map(str, shape))
         raise InputError(f"{path}: has {numbers.size} numbers, need {expected}: {meaning}")
     return numbers.reshape(shape)
 
 
-def read_colour(path: Path) -> Float[np.ndarray, "h w 3"]:
+def read_colour(path: Path, where: str | None = None) -> Float[np.ndarray, "h w 3"]:
     """A colour picture, without its alpha channel if it has one.
 
     Raises:
         InputError: it cannot be read, or has no colour.
     """
-    image = read_image(path)
+    image = read_image(path, where)
     if image.shape[2] < 3:
-        raise InputError(f"{path}: need a colour picture, this one has {image.shape[2]} channel(s)")
+        raise InputError(f"{where or path}: need a colour picture, this one has {image.shape[2]} channel(s)")
     return image[..., :3]
+
+
+def tree_colour(tree: FileTree, name: str) -> Float[np.ndarray, "h w 3"]:
+    """A colour picture of a tree, without its alpha channel; see `read_colour`."""
+    with tree.local(name) as path:
+        return read_colour(path, tree.where(name))
+
+
+def tree_depth(tree: FileTree, name: str, unit: float = 0.001) -> Float[np.ndarray, "h w"]:
+    """A 16-bit depth map of a tree in metres, 0 where there is no reading; see `read_depth`."""
+    with tree.local(name) as path:
+        return read_depth(path, unit, tree.where(name))
+
+
+def tree_labels(tree: FileTree, name: str) -> UInt8[np.ndarray, "h w"]:
+    """An 8-bit picture of a tree whose values are numbers, such as confidences; see `read_labels`."""
+    with tree.local(name) as path:
+        return read_labels(path, tree.where(name))
+
+
+def tree_json(tree: FileTree, name: str) -> Any:
+    """Content of a JSON file of a tree.
+
+    Raises:
+        InputError: it cannot be read, or is no JSON.
+    """
+    try:
+        return json.loads(tree.text(name))
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InputError(f"{tree.where(name)}: not readable as JSON ({error})") from None
+
+
+def looks_whole(tree: FileTree, name: str) -> bool:
+    """Whether a JPEG or PNG begins and ends as one; its pixels are not read. True for other formats."""
+    marks = {".jpg": (b"\xff\xd8", b"\xff\xd9"), ".png": (b"\x89PNG", b"IEND")}
+    suffix = f".{name.rpartition('.')[2].lower()}".replace(".jpeg", ".jpg")
+    if suffix not in marks:
+        return tree.size(name) > 0
+    head, tail = tree.ends(name, 64)
+    return head.startswith(marks[suffix][0]) and marks[suffix][1] in tail
 
 
 class TimedFile(NamedTuple):

@@ -25,7 +25,7 @@ def fit(frame: Frame, size: tuple[int, int] | None) -> Frame:
         InputError: a side of less than one pixel.
     """
     if size is None or size == frame.camera.intrinsics.shape:
-        return dataclasses.replace(frame, depth=None, depth_intrinsics=None)
+        return dataclasses.replace(frame, depth=None, depth_intrinsics=None, confidence=None)
     height, width = size
     if min(size) < 1:
         raise InputError(f"size: must be at least 1x1 pixels, got {width}x{height}")
@@ -37,7 +37,8 @@ def fit(frame: Frame, size: tuple[int, int] | None) -> Frame:
     image = np.asarray(to_display(jnp.asarray(resize(linear, height, width))))
     intrinsics: Intrinsics = frame.camera.intrinsics.crop(top, left, window_h, window_w).resize(height, width)
     camera = Camera(intrinsics, frame.camera.pose)
-    return dataclasses.replace(frame, image=image, camera=camera, depth=None, depth_intrinsics=None)
+    depthless = dataclasses.replace(frame, depth=None, depth_intrinsics=None, confidence=None)
+    return dataclasses.replace(depthless, image=image, camera=camera)
 
 
 def shrink(frame: Frame, longest: int) -> Frame:

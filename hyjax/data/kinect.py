@@ -15,6 +15,8 @@ from jaxtyping import Float
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.geometry.depth_map import DepthReading
+from hyjax.geometry.depth_sensor import KINECT as KINECT_SENSOR
 from hyjax.util.files import digest
 
 KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
@@ -36,7 +38,8 @@ class RegisteredKinect(Capture):
     """A capture whose frames have the colour camera's pose and intrinsics."""
 
     def __init__(self, capture: Capture) -> None:
-        self.name, self.up = capture.name, capture.up
+        self.name, self.up, self.sensor = capture.name, capture.up, KINECT_SENSOR
+        self.faults, self.remarks = capture.faults, capture.remarks
         self._capture = capture
 
     @property
@@ -52,6 +55,15 @@ class RegisteredKinect(Capture):
         camera = Camera(COLOUR, frame.camera.pose @ colour_pose())
         depth = None if frame.depth is None else warped(frame.depth, frame.depth_camera, camera)
         return Frame(frame.name, frame.image, camera, frame.time, depth)
+
+    @property
+    def depth_count(self) -> int:
+        """See `Capture`."""
+        return self._capture.depth_count
+
+    def depth_reading(self, index: int) -> DepthReading:
+        """As the depth camera measured it."""
+        return self._capture.depth_reading(index)
 
 
 def colour_pose(roll: float = ROLL) -> Float[np.ndarray, "4 4"]:

@@ -4,17 +4,21 @@ A new format is a file that ends with its `CaptureFormat` and a line in `CAPTURE
 a call of `register_format`.
 """
 
+import logging
 from pathlib import Path
 
 from hyjax.data import arkit_scenes, seven_scenes
 from hyjax.data.capture import Capture, CaptureFormat
+from hyjax.data.file_tree import FileTree, open_tree
+from hyjax.data.scaled import ScaledCapture
 from hyjax.util.errors import InputError
 
 CAPTURE_FORMATS = [
     seven_scenes.FORMAT,
     arkit_scenes.FORMAT,
 ]
-"""The formats of captures; the first one that recognises a folder reads it."""
+"""The formats of captures; the one that recognises a folder reads it."""
+_log = logging.getLogger(__name__)
 
 
 def register_format(entry: CaptureFormat) -> None:
@@ -33,24 +37,65 @@ def known_formats() -> str:
     return "; ".join(f"{entry.name} ({entry.signs})" for entry in CAPTURE_FORMATS)
 
 
-def open_capture(path: Path | str | None = None, progress: bool = True) -> Capture:
-    """Open the capture in a folder, whichever of `CAPTURE_FORMATS` it has; the built-in room by default.
+def open_capture(
+    path: Path | str | None = None,
+    progress: bool = True,
+    *,
+    scale: float | None = None,
+    strict: bool = False,
+) -> Capture:
+    """Open a capture, whichever of `CAPTURE_FORMATS` it has; the built-in room by default.
 
     Args:
-        path: the folder; None for the built-in room.
+        path: a folder, a ZIP archive, an `.r3d` or a `.sens` file; None for the built-in room.
         progress: show a bar on stderr while the built-in room is rendered for the first time.
+        scale: metres in one unit of the capture's poses, for those that do not know it.
+        strict: refuse a capture of which anything is damaged, instead of leaving that out with a line.
 
     Raises:
-        InputError: no such folder, no known format, or an error of the format's own reader.
+        InputError: no such folder, no known format or several, or an error of the format's own reader.
     """
+    if scale is not None and not 0 < scale < float("inf"):
+        raise InputError(f"scale: must be > 0 metres, got {scale:g}")
     if path is None:
         from hyjax.data.builtin_room import load_room
 
+        if scale is not None:
+            raise InputError("scale: the built-in room is in metres already")
         return load_room(progress=progress)
-    path = Path(path)
-    if not path.is_dir():
-        raise InputError(f"{path}: {'not a' if path.exists() else 'no such'} folder; give the folder of a capture")
-    for entry in CAPTURE_FORMATS:
-        if entry.recognise(path):
-            return entry.open(path)
-    raise InputError(f"{path}: not a known capture layout; known are: {known_formats()}")
+    tree = open_tree(Path(path))
+    files, entry = detect_format(tree)
+    capture = entry.open(files)
+    for fault in capture.faults:
+        if strict:
+            raise InputError(f"{path}: {fault} (--strict)")
+        _log.warning("%s: %s", path, fault)
+    if scale is not None:
+        return ScaledCapture(capture, scale)
+    if not capture.metric:
+        _log.warning("%s: its unit is not known, it is taken for metres; give --scale, metres in one unit", path)
+    return capture
+
+
+def detect_format(tree: FileTree) -> tuple[FileTree, CaptureFormat]:
+    """The format of a capture, and its files: those of the one folder that an archive holds.
+
+    Raises:
+        InputError: no format fits, or two do.
+    """
+    while len(tree.folders()) == 1 and not tree.below("") and not _fitting(tree):
+        tree = tree.subtree(tree.folders()[0])
+    fitting = _fitting(tree)
+    if len(fitting) == 1:
+        return tree, fitting[0]
+    if fitting:
+        names = " and ".join(f"{entry.name} ({entry.signs})" for entry in fitting)
+        raise InputError(f"{tree.path}: looks like {names}; move the files of one of them elsewhere")
+    for folder in tree.folders():
+        if inner := _fitting(tree.subtree(folder)):
+            raise InputError(f"{tree.path}: not a capture, but {folder}/ in it is ({inner[0].name}); give that")
+    raise InputError(f"{tree.path}: not a known capture layout; known are: {known_formats()}")
+
+
+def _fitting(tree: FileTree) -> list[CaptureFormat]:
+    return [entry for entry in CAPTURE_FORMATS if entry.recognise(tree)]

@@ -1,7 +1,7 @@
 """Measured depth maps, and which of their readings are reliable."""
 
 from collections.abc import Iterable, Iterator
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,6 +14,20 @@ NEAR = 0.1  # metres; nothing nearer is measured by any depth camera
 # Neighbouring pixels further apart than a surface seen at this slope (tan 80°) straddle two surfaces.
 STEEPEST = 5.7
 SLACK = (0.03, 0.02)  # metres, and per metre of depth: how far a surface may be off from a reading of it
+
+
+class DepthReading(NamedTuple):
+    """A depth map as fusion needs it.
+
+    Attributes:
+        depth: metres along the camera's axis, 0 where there is no reading.
+        camera: of the depth map.
+        confidence: of each reading, in [0, 1]; None where the device does not tell.
+    """
+
+    depth: Float[np.ndarray, "h w"]
+    camera: Camera
+    confidence: Float[np.ndarray, "h w"] | None = None
 
 
 class DepthFrame(Protocol):

@@ -1,5 +1,7 @@
 """Triangle meshes in and out, checked when they are read so that no later code has to."""
 
+import io
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,9 +20,10 @@ READABLE = (".ply", ".obj", ".glb", ".gltf")
 WRITABLE = (".ply", ".glb")
 # Twice a triangle's area over its longest edge squared; below this it has no direction to be shaded in.
 FLATNESS_TOLERANCE = 1e-10
+_log = logging.getLogger(__name__)
 
 
-def load_mesh(path: Path, repair: bool = False) -> trimesh.Trimesh:
+def load_mesh(path: Path, repair: bool = False, content: bytes | None = None) -> trimesh.Trimesh:
     """Read a PLY, OBJ, GLB or glTF file as one triangle mesh.
 
     Coordinates are taken as they are, in metres and in the file's own axes: a glTF that is y-up stays y-up.
@@ -30,7 +33,9 @@ def load_mesh(path: Path, repair: bool = False) -> trimesh.Trimesh:
 
     Args:
         path: the file.
-        repair: drop unusable faces (and the vertices that only they used) instead of refusing them.
+        repair: drop unusable faces (and the vertices that only they used) instead of refusing them, with a line
+            that counts them.
+        content: the file's bytes, where it lies in an archive.
 
     Raises:
         InputError: no such file, unknown extension, truncated or unparseable, no faces, non-finite vertices,
@@ -39,9 +44,9 @@ def load_mesh(path: Path, repair: bool = False) -> trimesh.Trimesh:
     path = Path(path)
     if path.suffix.lower() not in READABLE:
         raise InputError(f"{path}: unknown mesh format '{path.suffix}'; known are {', '.join(READABLE)}")
-    if not path.is_file():
+    if content is None and not path.is_file():
         raise InputError(f"{path}: no such file")
-    vertices, faces, normals = _concatenate(list(_parts(path)))
+    vertices, faces, normals = _concatenate(list(_parts(path, content)))
     if len(faces) == 0:
         raise InputError(f"{path}: has no faces (truncated, or a point cloud?); need a triangle mesh")
     bad, reason = _unusable_faces(vertices, faces)
@@ -50,6 +55,8 @@ def load_mesh(path: Path, repair: bool = False) -> trimesh.Trimesh:
     kept = faces[~bad]
     if len(kept) == 0:
         raise InputError(f"{path}: all {len(faces)} triangles are unusable ({reason}); need a triangle mesh")
+    if reason:
+        _log.warning("%s: %s; %d of %d faces are dropped", path, reason, bad.sum(), len(faces))
     return _compact(vertices, kept, normals) if repair else _mesh(vertices, kept, normals)
 
 
@@ -91,16 +98,19 @@ def drop_faces(mesh: trimesh.Trimesh, bad: Bool[np.ndarray, "m"]) -> trimesh.Tri
 Part = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
 
-def _parts(path: Path) -> Iterator[Part]:
+def _parts(path: Path, content: bytes | None) -> Iterator[Part]:
     """(vertices, faces, vertex normals if the file has them) of each mesh in the file, in world axes."""
     try:
-        scene = trimesh.load_scene(path, process=False)
+        if content is None:
+            scene = trimesh.load_scene(path, process=False)
+        else:  # materials and textures beside it are not read
+            scene = trimesh.load_scene(io.BytesIO(content), file_type=path.suffix[1:].lower(), process=False)
         for node in scene.graph.nodes_geometry:
             transform, name = scene.graph[node]
             part = scene.geometry[name]
             if isinstance(part, trimesh.Trimesh):
                 yield _transformed(part, transform)
-                _check_announced_faces(path, part)
+                _check_announced_faces(path, part, content)
     except InputError:
         raise
     except Exception as error:  # each of trimesh's readers fails in its own way: Value-, Index-, KeyError, ...
@@ -126,11 +136,11 @@ def _transformed(part: trimesh.Trimesh, transform: Float[np.ndarray, "4 4"]) -> 
     return vertices, faces, unit(normals, SHORTEST)
 
 
-def _check_announced_faces(path: Path, part: trimesh.Trimesh) -> None:
+def _check_announced_faces(path: Path, part: trimesh.Trimesh, content: bytes | None) -> None:
     """An ASCII PLY cut off in its face list is read without complaint; its header knows better."""
     if path.suffix.lower() != ".ply":
         return
-    with path.open("rb") as file:
+    with path.open("rb") if content is None else io.BytesIO(content) as file:
         header = file.read(65536).partition(b"end_header")[0]
     for line in header.splitlines():
         words = line.split()

@@ -18,7 +18,6 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.data.frames import select_frames
 from hyjax.data.light_file import write_lights
-from hyjax.data.registry import open_capture
 from hyjax.device.renderer import DeviceRenderer
 from hyjax.device.webgpu import open_device
 from hyjax.guide.choose import FrameGuide, open_guide
@@ -88,14 +87,14 @@ def relight_capture(
         if settings.scene.capture is None:
             make_writable(out)  # rendering the room takes a while
         with clock("capture"):
-            capture = open_capture(settings.scene.capture, progress)
+            capture = settings.scene.open_capture(progress)
         make_writable(out)
         chosen = select_frames(settings.frames, len(capture))
         scene = Scene.open(settings.scene, capture=capture, clock=clock, progress=progress)
     else:
         make_writable(out)
         chosen = select_frames(settings.frames, len(scene))
-        record |= dict.fromkeys(("voxel", "seed", "repair_mesh", "size"))  # another scene's
+        record |= dict.fromkeys(("voxel", "seed", "repair_mesh", "size", "scale", "strict"))  # another scene's
         record["capture"] = scene.capture.name
     divides = settings.divides_photo_light
     setup = scene.lights(settings.lights if lights is None else lights, at_photo_sources=divides)

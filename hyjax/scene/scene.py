@@ -12,7 +12,6 @@ import trimesh
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit
 from hyjax.data.light_file import is_light_file, read_lights
-from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
@@ -104,7 +103,7 @@ class Scene:
         settings, clock = settings.check(), clock or StageClock()
         if capture is None:
             with clock("capture"):
-                capture = open_capture(settings.capture, progress)
+                capture = settings.open_capture(progress)
         with clock("mesh"):
             source, mesh = surface_of(
                 capture,

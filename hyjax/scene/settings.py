@@ -2,12 +2,15 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
+
+if TYPE_CHECKING:
+    from hyjax.data.capture import Capture
 
 Occluders = Literal["completed", "surface"]
 """What throws shadows: all that is known of the place, see `hyjax.scene.occluders`, or the bare surface."""
@@ -20,7 +23,7 @@ class SceneSettings(Settings):
     """A capture, its surface, and the size to work at."""
 
     capture: Path | None = None
-    """Folder of a capture, in one of the formats that `hyjax info` lists. Default: the built-in room."""
+    """Folder or archive of a capture, in one of the formats that `hyjax info` lists. Default: the built-in room."""
     mesh: str | None = None
     """PLY, OBJ or GLB file in the capture's world coordinates; or 'captured' (came with the capture), 'scan'
     (simulated headset scan), 'fused' (from depth maps), 'true' (built-in room only). Default: scan for the built-in
@@ -37,6 +40,20 @@ class SceneSettings(Settings):
     those that are found."""
     repair_mesh: bool = False
     """Drop unusable triangles of a mesh file instead of refusing it."""
+    scale: float | None = None
+    """Metres in one unit of the capture's poses, for a capture that does not know it (COLMAP)."""
+    strict: bool = False
+    """Stop at the first damaged picture of a capture instead of leaving it out with a line."""
+
+    def open_capture(self, progress: bool = False) -> "Capture":
+        """Capture that they name; see `hyjax.data.registry.open_capture`.
+
+        Raises:
+            InputError: it cannot be used.
+        """
+        from hyjax.data.registry import open_capture
+
+        return open_capture(self.capture, progress, scale=self.scale, strict=self.strict)
 
     def check(self) -> "SceneSettings":
         """These settings, if a scene can be opened with them as far as that can be known in advance.

@@ -12,7 +12,6 @@ from pathlib import Path
 import viser
 
 from hyjax.core.schedule import Schedule
-from hyjax.data.registry import open_capture
 from hyjax.guide.choose import open_guide
 from hyjax.scene.scene import Scene
 from hyjax.tour.controls import Controls
@@ -88,7 +87,7 @@ class Tour:
         check_port(settings.host, settings.port)
         schedules, guide = settings.open_schedules(), open_guide(settings.guide)
         named = settings.scene.capture
-        capture = None if named is None else open_capture(named)
+        capture = None if named is None else settings.scene.open_capture()
         make_writable(settings.out)
         scene = Scene.open(settings.scene, capture=capture, progress=not settings.quiet)
         height, width = scene.capture[0].camera.intrinsics.shape

@@ -9,7 +9,6 @@ from tqdm import tqdm
 
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture
-from hyjax.data.registry import open_capture
 from hyjax.guide.choose import RGB, FrameGuide
 from hyjax.light.setup import LightSetup
 from hyjax.scene.scene import Scene, view_of
@@ -110,7 +109,7 @@ def open_bench(
     """
     scene_settings, progress = settings.scene, not settings.quiet
     if capture is None:
-        capture = open_capture(scene_settings.capture, progress)
+        capture = scene_settings.open_capture(progress)
     target = settings.target
     if target is None:
         with_depth = "fused" if capture.reference() is None else "true"

@@ -4,52 +4,83 @@ from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
 
 
-def read_image(path: Path) -> Float[np.ndarray, "h w c"]:
+def read_image(path: Path, where: str | None = None) -> Float[np.ndarray, "h w c"]:
     """Read a picture as float32 with its channels as stored; integer formats are scaled to [0, 1].
+
+    Args:
+        path: of the file.
+        where: what messages call it, if not by its path.
 
     Raises:
         InputError: the file is missing, truncated or not a picture.
     """
-    return _read(path, "float").astype(np.float32, copy=False)
+    return _read(path, where, "float").astype(np.float32, copy=False)
 
 
-def read_depth(path: Path, unit: float = 0.001) -> Float[np.ndarray, "h w"]:
+def read_labels(path: Path, where: str | None = None) -> UInt8[np.ndarray, "h w"]:
+    """Read an 8-bit picture whose values are numbers, such as confidences of depth: its first channel as stored.
+
+    Raises:
+        InputError: the file is missing, truncated or not an 8-bit picture.
+    """
+    return _read(path, where, "uint8", only="uint8")[..., 0]
+
+
+def picture_shape(path: Path, where: str | None = None) -> tuple[int, int]:
+    """(height, width) of a picture, from its header alone.
+
+    Raises:
+        InputError: the file is missing or not a picture.
+    """
+    source = _open(Path(path), where or str(path))
+    spec = source.spec()
+    source.close()
+    return spec.height, spec.width
+
+
+def read_depth(path: Path, unit: float = 0.001, where: str | None = None) -> Float[np.ndarray, "h w"]:
     """Read a 16-bit depth map; returns metres, 0 where there is no reading (stored as 0 or 65535).
 
     Args:
         path: a one-channel 16-bit picture.
         unit: metres per stored step.
+        where: what messages call it, if not by its path.
 
     Raises:
         InputError: the file is missing, truncated or not a one-channel 16-bit picture.
     """
-    raw = _read(path, "uint16", only="uint16")
+    raw = _read(path, where, "uint16", only="uint16")
     if raw.shape[2] != 1:
-        raise InputError(f"{path}: a depth map has one channel, this picture has {raw.shape[2]}")
+        raise InputError(f"{where or path}: a depth map has one channel, this picture has {raw.shape[2]}")
     depth = raw[..., 0].astype(np.float32) * unit
     return np.where(raw[..., 0] == 65535, 0.0, depth).astype(np.float32)
 
 
-def _read(path: Path, kind: str, only: str | None = None) -> np.ndarray:
-    path = Path(path)
+def _open(path: Path, where: str) -> oiio.ImageInput:
     if not path.is_file():
-        raise InputError(f"{path}: no such file")
+        raise InputError(f"{where}: no such file")
     # libpng complains on stderr by itself, beside our one line. A PNG that was cut off has lost its last chunk.
     if path.suffix.lower() == ".png" and not _ends_with(path, b"IEND"):
-        raise InputError(f"{path}: damaged or truncated picture (its end is missing)")
+        raise InputError(f"{where}: damaged or truncated picture (its end is missing)")
     source = oiio.ImageInput.open(str(path))
     if source is None:
-        raise InputError(f"{path}: not a readable picture ({_first_line(oiio.geterror())})")
+        raise InputError(f"{where}: not a readable picture ({_first_line(oiio.geterror())})")
+    return source
+
+
+def _read(path: Path, where: str | None, kind: str, only: str | None = None) -> np.ndarray:
+    where = where or str(path)
+    source = _open(Path(path), where)
     stored = str(source.spec().format)
     if only is not None and stored != only:
         source.close()
-        raise InputError(f"{path}: stored as {stored}, must be {only}")
+        raise InputError(f"{where}: stored as {stored}, must be {only}")
     try:
         pixels = source.read_image(kind)
         error = source.geterror()
@@ -57,7 +88,7 @@ def _read(path: Path, kind: str, only: str | None = None) -> np.ndarray:
         source.close()
     # A truncated JPEG is padded with grey and only reported as an error, so the error decides, not the pixels.
     if pixels is None or error:
-        raise InputError(f"{path}: damaged or truncated picture ({_first_line(error)})")
+        raise InputError(f"{where}: damaged or truncated picture ({_first_line(error)})")
     return pixels
 
 

@@ -50,7 +50,9 @@ class Album(Capture):
         return Frame(f"{index}", read_image(self._folder / f"{index}.png"), Camera(LENS, pose), float(index))
 
 
-ALBUM = CaptureFormat("Album", lambda folder: (folder / "album.json").is_file(), Album, "album.json, 0.png")
+ALBUM = CaptureFormat(
+    "Album", lambda tree: "album.json" in tree, lambda tree: Album(tree.folder), "album.json, 0.png"
+)
 
 
 @pytest.fixture

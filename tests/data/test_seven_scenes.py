@@ -79,7 +79,7 @@ def test_truncated_depth_is_named(folder: Path) -> None:
     refuses(folder, "frame-000004.depth.png")
 
 
-def test_truncated_jpeg_is_named(folder: Path) -> None:
+def test_a_truncated_jpeg_is_left_out_with_a_line(folder: Path) -> None:
     damaged = folder / "frame-000004.color.jpg"
     picture = oiio.ImageBuf(oiio.ImageSpec(WIDTH, HEIGHT, 3, "uint8"))
     oiio.ImageBufAlgo.noise(picture, "uniform", 0.0, 1.0)
@@ -87,7 +87,11 @@ def test_truncated_jpeg_is_named(folder: Path) -> None:
     (folder / "frame-000004.color.png").unlink()
     assert len(list(open_seven_scenes(folder))) == 3
     damaged.write_bytes(damaged.read_bytes()[:-200])
-    refuses(folder, "frame-000004.color.jpg", "truncated")
+    capture = open_seven_scenes(folder)
+    assert [frame.name for frame in capture] == ["frame-000002", "frame-000010"]
+    assert capture.faults == ("1 of 3 pictures are damaged and left out (first: frame-000004.color.jpg)",)
+    with pytest.raises(InputError, match=r"1 of 3 pictures are damaged .*--strict"):
+        open_capture(folder, strict=True)
 
 
 def test_up_is_estimated_without_gravity(folder: Path) -> None:

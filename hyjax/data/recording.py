@@ -1,0 +1,212 @@
+"""Recordings: captures that are a list of shots, each a posed picture, a posed depth map, or both.
+
+A reader of a format only makes `Shot`s; everything that formats have in common is done here: lens distortion is
+undone, sizes are checked, pictures are turned upright, shots without a picture still give their depth to fusion.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from hyjax.data.capture import Capture, Frame
+from hyjax.data.file_tree import FileTree
+from hyjax.data.lens import Distortion, undistorted
+from hyjax.data.orientation import turn_frame, turns_upright
+from hyjax.geometry.camera import Camera, Intrinsics, check_pose
+from hyjax.geometry.depth_map import DepthReading
+from hyjax.geometry.depth_sensor import UNKNOWN, DepthSensor
+from hyjax.geometry.mesh import load_mesh
+from hyjax.util.errors import InputError
+
+Y_UP, Z_UP = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
+
+DepthAndConfidence = tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"] | None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Shot:
+    """What a recording has of one moment.
+
+    Attributes:
+        name: short and unique within the recording.
+        time: seconds.
+        pose: camera-to-world in our axes (x right, y down, z forward), metres.
+        intrinsics: of the picture as it is stored.
+        picture: reads the display-encoded picture; None if there is none.
+        depth: reads depth in metres (0 where there is none) and its confidence in [0, 1]; None if there is none.
+        depth_intrinsics: of the depth map as it is stored; the picture's, brought to the map's size, if None.
+        distortion: of the picture's lens; depth is taken to be free of any.
+        exposure: seconds; None where it is not told.
+    """
+
+    name: str
+    time: float
+    pose: Float[np.ndarray, "4 4"]
+    intrinsics: Intrinsics
+    picture: Callable[[], Float[np.ndarray, "h w 3"]] | None = None
+    depth: Callable[[], DepthAndConfidence] | None = None
+    depth_intrinsics: Intrinsics | None = None
+    distortion: Distortion | None = None
+    exposure: float | None = None
+
+
+class Recording(Capture):
+    """A capture made of shots, in the order in which they are given.
+
+    Args:
+        tree: its files.
+        shots: at least one with a picture.
+        name: short; the tree's name if None.
+        up: unit vector against gravity; the cameras' mean up direction if None.
+        mesh: name of the file of the device's mesh in `tree`; None without one.
+        sensor: of its depth.
+        faults: what is damaged, a line each; see `Capture`.
+        remarks: what is worth telling, a line each.
+        turn: whether pictures are turned upright by quarter turns, all by the same.
+        metric, depth_in_units: see `Capture`.
+
+    Raises:
+        InputError: no shot has a picture, two have one name, or a pose is none.
+    """
+
+    def __init__(
+        self,
+        tree: FileTree,
+        shots: Sequence[Shot],
+        *,
+        name: str | None = None,
+        up: Float[np.ndarray, "3"] | None = None,
+        mesh: str | None = None,
+        sensor: DepthSensor = UNKNOWN,
+        faults: Sequence[str] = (),
+        remarks: Sequence[str] = (),
+        turn: bool = True,
+        metric: bool = True,
+        depth_in_units: bool = False,
+    ) -> None:
+        self.name = name or (tree.path.resolve().stem if tree.path.is_file() else tree.path.resolve().name)
+        self._tree, self._mesh_name = tree, mesh
+        self._pictures = [shot for shot in shots if shot.picture is not None]
+        self._depths = [shot for shot in shots if shot.depth is not None]
+        if not self._pictures:
+            because = f" ({'; '.join(faults)})" if faults else ""
+            raise InputError(f"{tree.path}: none of {len(shots)} frames has a picture that can be read{because}")
+        if len({shot.name for shot in self._pictures}) < len(self._pictures):
+            raise InputError(f"{tree.path}: two frames have one name")
+        for shot in shots:
+            check_pose(shot.pose, f"{tree.path}: frame {shot.name}")
+        poses = [shot.pose for shot in self._pictures]
+        self.up = mean_up(poses, tree.path) if up is None else up
+        self.sensor, self.metric, self.depth_in_units = sensor, metric, depth_in_units
+        self.faults, self.remarks = tuple(faults), tuple(remarks)
+        self.quarter_turns = turns_upright(poses, self.up) if turn else 0
+        self.mesh_file = None if mesh is None else Path(tree.where(mesh))
+
+    @property
+    def fingerprint(self) -> str:
+        """See `Capture`."""
+        return self._tree.fingerprint()
+
+    def __len__(self) -> int:
+        return len(self._pictures)
+
+    def __getitem__(self, index: int) -> Frame:
+        """The frame at a position; IndexError beyond the end ends a `for` loop.
+
+        Raises:
+            InputError: a file is damaged or of another size than its intrinsics.
+        """
+        shot = self._pictures[index]
+        assert shot.picture is not None
+        image = shot.picture()
+        intrinsics = shot.intrinsics
+        if image.shape[:2] != intrinsics.shape:
+            raise InputError(
+                f"{self.name}: picture of frame {shot.name} is {image.shape[1]}x{image.shape[0]} but its "
+                f"intrinsics are for {intrinsics.width}x{intrinsics.height}"
+            )
+        if shot.distortion is not None:
+            image = undistorted(image, intrinsics, shot.distortion)
+        depth = confidence = lens = None
+        if shot.depth is not None:
+            depth, confidence = shot.depth()
+            lens = _depth_lens(shot, depth)
+        time = shot.time - self._pictures[0].time
+        frame = Frame(shot.name, image, Camera(intrinsics, shot.pose), time, depth, lens, confidence, shot.exposure)
+        return turn_frame(frame, self.quarter_turns)
+
+    @property
+    def depth_count(self) -> int:
+        """See `Capture`."""
+        return len(self._depths)
+
+    def depth_reading(self, index: int) -> DepthReading:
+        """See `Capture`."""
+        shot = self._depths[index]
+        assert shot.depth is not None
+        depth, confidence = shot.depth()
+        return DepthReading(depth, Camera(_depth_lens(shot, depth), shot.pose), confidence)
+
+    def mesh(self) -> trimesh.Trimesh | None:
+        """See `Capture`."""
+        if self._mesh_name is None:
+            return None
+        return load_mesh(Path(self._mesh_name), repair=True, content=self._tree.read(self._mesh_name))
+
+
+def _depth_lens(shot: Shot, depth: Float[np.ndarray, "h w"]) -> Intrinsics:
+    lens = shot.depth_intrinsics
+    if lens is None:
+        return shot.intrinsics.resize(*depth.shape)
+    if lens.shape != depth.shape:
+        raise InputError(
+            f"depth map of frame {shot.name} is {depth.shape[1]}x{depth.shape[0]} but its intrinsics are for "
+            f"{lens.width}x{lens.height}"
+        )
+    return lens
+
+
+def from_opengl(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """Camera-to-world in our axes from one whose camera looks along -z with y up, as ARKit's and OpenGL's do.
+
+    Example:
+        >>> import numpy as np
+        >>> from_opengl(np.eye(4))[:3, 2]
+        array([ 0.,  0., -1.])
+    """
+    return np.asarray(pose, np.float64) @ FLIPPED
+
+
+to_opengl = from_opengl
+"""Its own inverse."""
+
+
+def mean_up(poses: Sequence[Float[np.ndarray, "4 4"]], where: Path | str) -> Float[np.ndarray, "3"]:
+    """Unit mean of the cameras' up directions.
+
+    Raises:
+        InputError: they cancel out.
+    """
+    up = -np.mean([pose[:3, 1] for pose in poses], axis=0)
+    length = float(np.linalg.norm(up))
+    if not length > 0.1:
+        raise InputError(f"{where}: the cameras' up directions cancel out, so gravity cannot be told")
+    return up / length
+
+
+def rigid(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
+    """The rigid motion nearest to a pose that was rounded; None if it is none (NaN, infinite, mirrored, scaled)."""
+    pose = np.asarray(pose, np.float64)
+    if pose.shape != (4, 4) or not np.all(np.isfinite(pose)) or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-3):
+        return None
+    left, scale, right = np.linalg.svd(pose[:3, :3])
+    if np.abs(scale - 1.0).max() > 0.01 or np.linalg.det(left @ right) < 0:
+        return None
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = left @ right, pose[:3, 3]
+    return result

@@ -1,0 +1,65 @@
+"""Captures whose poses are in a unit of their own, brought to metres."""
+
+import dataclasses
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from hyjax.data.capture import Capture, Frame
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.depth_map import DepthReading
+from hyjax.util.files import digest
+
+
+class ScaledCapture(Capture):
+    """A capture with its poses, its mesh and the depth that was computed from them, in metres.
+
+    Args:
+        capture: in units of its own. A sensor's depth is metric as it is; see `Capture.depth_in_units`.
+        scale: metres in one unit.
+    """
+
+    def __init__(self, capture: Capture, scale: float) -> None:
+        self._capture, self._scale = capture, scale
+        self.name, self.up, self.sensor = capture.name, capture.up, capture.sensor
+        self.faults, self.remarks, self.mesh_file = capture.faults, capture.remarks, capture.mesh_file
+        self._of_depth = scale if capture.depth_in_units else 1.0
+
+    @property
+    def fingerprint(self) -> str:
+        """See `Capture`."""
+        return digest([self._capture.fingerprint, repr(self._scale)])
+
+    def __len__(self) -> int:
+        return len(self._capture)
+
+    def __getitem__(self, index: int) -> Frame:
+        frame = self._capture[index]
+        depth = None if frame.depth is None else frame.depth * np.float32(self._of_depth)
+        return dataclasses.replace(frame, camera=self._scaled(frame.camera), depth=depth)
+
+    @property
+    def depth_count(self) -> int:
+        """See `Capture`."""
+        return self._capture.depth_count
+
+    def depth_reading(self, index: int) -> DepthReading:
+        """See `Capture`."""
+        depth, camera, confidence = self._capture.depth_reading(index)
+        return DepthReading(depth * np.float32(self._of_depth), self._scaled(camera), confidence)
+
+    def mesh(self) -> trimesh.Trimesh | None:
+        """See `Capture`."""
+        mesh = self._capture.mesh()
+        return None if mesh is None else mesh.apply_scale(self._scale)
+
+    @property
+    def has_mesh(self) -> bool:
+        """See `Capture`."""
+        return self._capture.has_mesh
+
+    def _scaled(self, camera: Camera) -> Camera:
+        pose: Float[np.ndarray, "4 4"] = camera.pose.copy()
+        pose[:3, 3] *= self._scale
+        return Camera(camera.intrinsics, pose)

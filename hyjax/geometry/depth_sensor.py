@@ -1,0 +1,25 @@
+"""Depth sensors: what their readings can be trusted for."""
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class DepthSensor:
+    """A kind of depth camera.
+
+    Attributes:
+        name: in messages.
+        far: metres beyond which readings are too coarse to fuse; None where it is not known.
+        border: pixels of the depth map beside a jump that may mix near and far.
+    """
+
+    name: str
+    far: float | None = None
+    border: int = 1
+
+
+KINECT = DepthSensor("Kinect", 4.0)
+"""First generation, structured light: noise at 4 m is 2 to 4 cm (Khoshelham & Elberink, Sensors 2012)."""
+PHONE_LIDAR = DepthSensor("phone LiDAR", 5.0, border=2)
+"""iPhone and iPad Pro since 2020: 256×192, upsampled by the phone from a sparse grid, hence wrong at borders."""
+UNKNOWN = DepthSensor("depth camera")

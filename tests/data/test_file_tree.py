@@ -1,0 +1,107 @@
+"""Files of captures, in folders and in archives. An archive from a stranger can lead nowhere else."""
+
+import stat
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from hyjax.data.file_tree import open_tree
+from hyjax.util.errors import InputError
+
+FILES = {"a.txt": b"one", "depth/0.bin": b"x" * 300, "depth/1.bin": b"y" * 200, "depth/far/2.bin": b""}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name, content in FILES.items():
+        file = tmp_path / "capture" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content)
+    return tmp_path / "capture"
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Path:
+    path = tmp_path / "capture.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in FILES.items():
+            file.writestr(name, content)
+        file.writestr("__MACOSX/._a.txt", b"of another system")
+    return path
+
+
+@pytest.mark.parametrize("kind", ["folder", "archive"])
+def test_folders_and_archives_are_read_alike(kind: str, request: pytest.FixtureRequest) -> None:
+    tree = open_tree(request.getfixturevalue(kind))
+    assert tree.names == tuple(sorted(FILES))
+    assert {name: tree.read(name) for name in tree.names} == FILES
+    assert [tree.size(name) for name in tree.names] == [len(FILES[name]) for name in tree.names]
+    assert tree.below("depth") == ["depth/0.bin", "depth/1.bin"] and tree.below("", ".TXT") == ["a.txt"]
+    assert tree.folders() == ["depth"] and "a.txt" in tree and "b.txt" not in tree
+    assert tree.ends("depth/0.bin", 2) == (b"xx", b"xx") and tree.ends("a.txt", 64) == (b"one", b"one")
+    with tree.local("depth/1.bin") as path:
+        assert path.name == "1.bin" and path.read_bytes() == FILES["depth/1.bin"]
+    below = tree.subtree("depth")
+    assert below.names == ("0.bin", "1.bin", "far/2.bin") and below.read("0.bin") == FILES["depth/0.bin"]
+    assert len({tree.fingerprint(), below.fingerprint()}) == 2
+    with pytest.raises(InputError, match=r"b\.txt: no such file"):
+        tree.read("b.txt")
+
+
+def test_fingerprints_follow_the_content(folder: Path) -> None:
+    before = open_tree(folder).fingerprint()
+    assert open_tree(folder).fingerprint() == before
+    (folder / "a.txt").write_bytes(b"other")
+    assert open_tree(folder).fingerprint() != before
+
+
+def _archive_with(path: Path, name: str, content: bytes = b"x", mode: int = 0o644) -> Path:
+    entry = zipfile.ZipInfo(name)
+    entry.external_attr = mode << 16
+    entry.compress_type = zipfile.ZIP_DEFLATED
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("a.txt", b"one")
+        file.writestr(entry, content)
+    return path
+
+
+@pytest.mark.parametrize("name", ["/etc/passwd", "../up.txt", "a/../../up.txt", "C:/up.txt", "\\up.txt", "..\\up"])
+def test_names_that_lead_out_are_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"bad\.zip: refused, .*leads out"):
+        open_tree(_archive_with(tmp_path / "bad.zip", name))
+
+
+def test_links_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="refused, it holds a link, 'way_out'"):
+        open_tree(_archive_with(tmp_path / "bad.zip", "way_out", b"/etc/passwd", stat.S_IFLNK | 0o777))
+
+
+def test_bombs_are_refused_before_they_are_unpacked(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"refused, 'bomb' unpacks to 64 MiB"):
+        open_tree(_archive_with(tmp_path / "bad.zip", "bomb", bytes(1 << 26)))
+
+
+def test_a_file_twice_is_refused(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="Duplicate name"):
+        path = _archive_with(tmp_path / "bad.zip", "a.txt")
+    with pytest.raises(InputError, match="two files have one name"):
+        open_tree(path)
+
+
+def test_damaged_archives_are_one_line(archive: Path) -> None:
+    content = archive.read_bytes()
+    archive.write_bytes(content[: len(content) // 2])
+    with pytest.raises(InputError, match=r"capture\.zip: not a readable ZIP archive"):
+        open_tree(archive)
+    start = content.index(b"depth/0.bin") + len(b"depth/0.bin")
+    archive.write_bytes(
+        content[:start] + bytes(b ^ 0x55 for b in content[start : start + 4]) + content[start + 4 :]
+    )
+    with pytest.raises(InputError, match=r"depth/0\.bin: damaged in the archive"):
+        open_tree(archive).read("depth/0.bin")
+
+
+def test_nothing_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such folder"):
+        open_tree(tmp_path / "none")
