@@ -87,7 +87,7 @@ def relight_capture(
         if settings.scene.capture is None:
             make_writable(out)  # rendering the room takes a while
         with clock("capture"):
-            capture = settings.scene.open_capture(progress)
+            capture = settings.scene.open_capture(progress=progress)
         make_writable(out)
         chosen = select_frames(settings.frames, len(capture))
         scene = Scene.open(settings.scene, capture=capture, clock=clock, progress=progress)

@@ -103,7 +103,7 @@ class Scene:
         settings, clock = settings.check(), clock or StageClock()
         if capture is None:
             with clock("capture"):
-                capture = settings.open_capture(progress)
+                capture = settings.open_capture(progress=progress)
         with clock("mesh"):
             source, mesh = surface_of(
                 capture,

@@ -45,7 +45,7 @@ class SceneSettings(Settings):
     strict: bool = False
     """Stop at the first damaged picture of a capture instead of leaving it out with a line."""
 
-    def open_capture(self, progress: bool = False) -> "Capture":
+    def open_capture(self, *, progress: bool = False) -> "Capture":
         """Capture that they name; see `hyjax.data.registry.open_capture`.
 
         Raises:

@@ -109,7 +109,7 @@ def open_bench(
     """
     scene_settings, progress = settings.scene, not settings.quiet
     if capture is None:
-        capture = scene_settings.open_capture(progress)
+        capture = scene_settings.open_capture(progress=progress)
     target = settings.target
     if target is None:
         with_depth = "fused" if capture.reference() is None else "true"

@@ -128,7 +128,7 @@ def test_a_capture_that_cannot_be_used_is_refused() -> None:
 
 
 def test_frames_are_checked_before_the_mesh_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SceneSettings, "open_capture", lambda *_: Box())
+    monkeypatch.setattr(SceneSettings, "open_capture", lambda *_, **__: Box())
 
     def made(*_: Any, **__: Any) -> None:
         raise AssertionError("the mesh was made")
