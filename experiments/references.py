@@ -29,6 +29,7 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.splatting import PointSplatter
 from hyjax.geometry.surface import relax, with_normals
 from hyjax.light.gbuffer import GBuffer
+from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.surfaces import surface_of
 from hyjax.util.errors import InputError, did_you_mean
 
@@ -104,7 +105,8 @@ def open_reference(capture: Capture, name: str | None = None, *, progress: bool 
         return Reference(
             f"laser scans, {len(cloud.points)} points", cloud, PointSplatter(cloud).gbuffer, unread=False
         )
-    description, mesh = surface_of(capture, name, voxel=VOXEL, most_frames=len(capture), progress=progress)
+    fusion = FusionSettings(voxel=VOXEL, fuse_frames=0)
+    description, mesh = surface_of(capture, name, fusion=fusion, progress=progress)
     if name != "fused":
         return Reference(description, mesh, RayCaster(mesh).gbuffer, measured=name != "true")
     return cleaned(description, mesh)

@@ -81,6 +81,7 @@ class Capture(abc.ABC):
         depth_in_units: whether depth is in the unit of the poses, as it is where it was computed from pictures.
         faults: what is damaged and was left out, a line each; `open_capture` warns of them, or refuses them.
         remarks: what else is worth telling, a line each.
+        strict: whether damaged frames are refused rather than left out.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Capture(abc.ABC):
     depth_in_units: bool = False
     faults: Sequence[str] = ()
     remarks: Sequence[str] = ()
+    strict: bool = False
     anchors: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
     mesh_file: Path | None = None
     laser_folder: Path | None = None
@@ -108,6 +110,10 @@ class Capture(abc.ABC):
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
+
+    def camera(self, index: int) -> Camera:
+        """Camera of the frame at a position; formats that need no picture for it read none."""
+        return self[index].camera
 
     @property
     def depth_count(self) -> int:

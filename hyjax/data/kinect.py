@@ -31,7 +31,7 @@ def registered(capture: Capture) -> Capture:
 
     Such a one is known by its intrinsics, those of the depth camera in 7-Scenes' release.
     """
-    return RegisteredKinect(capture) if capture[0].camera.intrinsics == KINECT else capture
+    return RegisteredKinect(capture) if capture.camera(0).intrinsics == KINECT else capture
 
 
 class RegisteredKinect(Capture):
@@ -52,9 +52,13 @@ class RegisteredKinect(Capture):
 
     def __getitem__(self, index: int) -> Frame:
         frame = self._capture[index]
-        camera = Camera(COLOUR, frame.camera.pose @ colour_pose())
+        camera = self.camera(index)
         depth = None if frame.depth is None else warped(frame.depth, frame.depth_camera, camera)
         return Frame(frame.name, frame.image, camera, frame.time, depth)
+
+    def camera(self, index: int) -> Camera:
+        """See `Capture`."""
+        return Camera(COLOUR, self._capture.camera(index).pose @ colour_pose())
 
     @property
     def depth_count(self) -> int:

@@ -140,6 +140,11 @@ class Recording(Capture):
         frame = Frame(shot.name, image, Camera(intrinsics, shot.pose), time, depth, lens, confidence, shot.exposure)
         return turn_frame(frame, self.quarter_turns)
 
+    def camera(self, index: int) -> Camera:
+        """See `Capture`."""
+        shot = self._pictures[index]
+        return Camera(shot.intrinsics, shot.pose).turned(self.quarter_turns)
+
     @property
     def depth_count(self) -> int:
         """See `Capture`."""

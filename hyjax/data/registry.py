@@ -71,9 +71,10 @@ def open_capture(
             raise InputError(f"{path}: {fault} (--strict)")
         _log.warning("%s: %s", path, fault)
     if scale is not None:
-        return ScaledCapture(capture, scale)
-    if not capture.metric:
+        capture = ScaledCapture(capture, scale)
+    elif not capture.metric:
         _log.warning("%s: its unit is not known, it is taken for metres; give --scale, metres in one unit", path)
+    capture.strict = strict
     return capture
 
 

@@ -39,6 +39,10 @@ class ScaledCapture(Capture):
         depth = None if frame.depth is None else frame.depth * np.float32(self._of_depth)
         return dataclasses.replace(frame, camera=self._scaled(frame.camera), depth=depth)
 
+    def camera(self, index: int) -> Camera:
+        """See `Capture`."""
+        return self._scaled(self._capture.camera(index))
+
     @property
     def depth_count(self) -> int:
         """See `Capture`."""

@@ -90,6 +90,10 @@ class SevenScenes(Capture):
         camera = Camera(self._intrinsics, pose)
         return Frame(f"frame-{number:06d}", image, camera, number / FRAMES_PER_SECOND, depth)
 
+    def camera(self, index: int) -> Camera:
+        """See `Capture`."""
+        return Camera(self._intrinsics, self._poses[index])
+
     @property
     def depth_count(self) -> int:
         """See `Capture`."""

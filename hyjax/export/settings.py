@@ -92,5 +92,6 @@ class ExportSettings(Settings):
     def record(self) -> dict[str, Any]:
         """Options as a record of the export has them."""
         options = dataclasses.asdict(self)
-        scene = {name: None if value is None else str(value) for name, value in options.pop("scene").items()}
+        options.pop("scene")
+        scene = {name: None if value is None else str(value) for name, value in self.scene.options().items()}
         return scene | options | {"out": str(self.out)}

@@ -39,26 +39,35 @@ class DepthFrame(Protocol):
     @property
     def depth_camera(self) -> Camera: ...
 
+    @property
+    def confidence(self) -> Float[np.ndarray, "h w"] | None: ...
 
-PosedDepth = DepthFrame | tuple[Float[np.ndarray, "h w"], Camera]
+
+PosedDepth = DepthFrame | DepthReading | tuple[Float[np.ndarray, "h w"], Camera]
 
 
-def posed_depths(frames: Iterable[PosedDepth]) -> Iterator[tuple[Float[np.ndarray, "h w"], Camera]]:
-    """(depth, its camera) of frames, one at a time.
+def posed_depths(frames: Iterable[PosedDepth]) -> Iterator[DepthReading]:
+    """Depth maps of frames, one at a time.
 
     Raises:
         InputError: a frame without depth, or depth of another size than its camera.
     """
     for number, frame in enumerate(frames):
-        depth, camera = frame if isinstance(frame, tuple) else (frame.depth, frame.depth_camera)
-        if depth is None:
+        if isinstance(frame, tuple):
+            reading = DepthReading(*frame)
+        elif frame.depth is None:
             raise InputError(f"frame {number} has no depth map; fusion needs a capture with depth")
+        else:
+            reading = DepthReading(frame.depth, frame.depth_camera, frame.confidence)
+        depth, camera = reading.depth, reading.camera
         if depth.shape != camera.intrinsics.shape:
             raise InputError(
                 f"depth map {number} is {depth.shape[1]}x{depth.shape[0]} but its camera is "
                 f"{camera.intrinsics.width}x{camera.intrinsics.height}; give the depth camera's intrinsics"
             )
-        yield depth, camera
+        if reading.confidence is not None and reading.confidence.shape != depth.shape:
+            raise InputError(f"depth map {number} and its confidence differ in size")
+        yield reading
 
 
 def clean_depth(depth: Float[np.ndarray, "h w"], camera: Camera, max_depth: float) -> Float[np.ndarray, "h w"]:

@@ -145,7 +145,7 @@ def simulate_sensor(
     frame: PosedDepth, config: ScanConfig, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "h w"], Camera]:
     """One depth map as the simulated sensor reads it, with the pose that the headset estimates."""
-    depth, camera = next(posed_depths([frame]))
+    depth, camera, _ = next(posed_depths([frame]))
     k = camera.intrinsics
     width = min(config.width, k.width)
     small = k.resize(max(1, round(k.height * width / k.width)), width)

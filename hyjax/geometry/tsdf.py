@@ -11,9 +11,13 @@ running weighted mean, carving of free space); Nießner et al., "Real-time 3D re
 hashing", SIGGRAPH Asia 2013 (sparse blocks); weights after Newcombe et al., "KinectFusion", ISMAR 2011.
 """
 
+import logging
 import os
-from collections.abc import Iterable, Sized
+import time
+from collections.abc import Iterable, Iterator, Sized
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import trimesh
@@ -26,12 +30,23 @@ from hyjax.geometry.depth_map import NEAR, PosedDepth, clean_depth, posed_depths
 from hyjax.geometry.surface import extract_surface
 from hyjax.geometry.voxels import voxel_coordinates, voxel_keys
 from hyjax.util.errors import InputError
+from hyjax.util.files import atomic_write, remove
 
+_log = logging.getLogger(__name__)
 BLOCK = 8
 CHUNK = 64  # blocks updated at once: arrays of 128 KiB, which stay in the cache
 NO_READING = -1e6  # in place of a depth: every voxel is then far behind the surface, hence not updated
 MAX_BLOCKS = 1 << 20  # 4 GiB of voxels
 MAX_CANDIDATES = 8_000_000  # blocks in the box around one view
+SAVE_EVERY = 30.0
+"""Seconds between two checkpoints."""
+
+
+@runtime_checkable
+class Restartable(Protocol):
+    """Frames that can be taken from any position on."""
+
+    def start(self, first: int) -> Iterator[PosedDepth]: ...
 
 
 def fuse(
@@ -41,19 +56,25 @@ def fuse(
     max_depth: float = 4.0,
     min_weight: float = 0.1,
     progress: bool = True,
+    *,
+    checkpoint: Path | None = None,
 ) -> trimesh.Trimesh:
     """Surface seen by posed depth maps, as a mesh in world coordinates.
 
-    The result does not depend on the frames' order beyond rounding. Frames are taken one at a time.
+    The result does not depend on the frames' order beyond rounding. Frames are taken one at a time; memory goes to
+    the space that they see, not to their number.
 
     Args:
-        frames: frames with depth, or pairs (depth in metres, its camera). Readings that are not finite, not
-            positive or beyond `max_depth` are no readings.
+        frames: frames with depth, `DepthReading`s, or pairs (depth in metres, its camera). Readings that are not
+            finite, not positive or beyond `max_depth` are no readings. Those that the device is less sure of weigh
+            less, by the square of their confidence.
         voxel: edge of a voxel in metres.
         truncation: half width of the band around the surface in metres; 4 voxels unless given.
         max_depth: metres.
         min_weight: least weight of a voxel; 1 is one view head-on from 1 m, 1/9 one from 3 m.
         progress: show a bar on stderr.
+        checkpoint: file to keep what has been fused in, every half minute; a later call with the same frames (which
+            then have a method `start(first)`) goes on from it, and removes it in the end.
 
     Raises:
         InputError: unusable parameters, a depth map of another size than its camera, no readings at all, or a
@@ -64,15 +85,45 @@ def fuse(
         raise InputError(
             f"fuse: need 0 < voxel < truncation < max depth, got {voxel}, {truncation} and {max_depth} m"
         )
-    volume = Volume(voxel, truncation)
+    volume, done = load_volume(checkpoint, voxel, truncation)
     total = len(frames) if isinstance(frames, Sized) else None
+    left = frames.start(done) if done and isinstance(frames, Restartable) else frames
+    saved = time.monotonic()
+    bar = tqdm(posed_depths(left), "fusing", total, initial=done, disable=not progress, unit="frame")
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for depth, camera in tqdm(posed_depths(frames), "fusing", total, disable=not progress, unit="frame"):
-            volume.integrate(depth, camera, max_depth, pool)
+        for count, (depth, camera, confidence) in enumerate(bar, start=done + 1):
+            volume.integrate(depth, camera, max_depth, pool, confidence)
+            if checkpoint is not None and time.monotonic() - saved > SAVE_EVERY:
+                save_volume(checkpoint, volume, count)
+                saved = time.monotonic()
+    if checkpoint is not None:
+        remove(checkpoint)
     if volume.count == 0:
         raise InputError(f"fuse: not one depth reading between {NEAR} and {max_depth} m; nothing to fuse")
     coordinates, distance, weight = volume.blocks()
     return extract_surface(coordinates, distance, weight > min_weight, voxel)
+
+
+def save_volume(checkpoint: Path, volume: "Volume", count: int) -> None:
+    """Keep a volume, and how many frames are in it; a folder that cannot be written costs a line, no more."""
+    try:
+        checkpoint.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(checkpoint) as part, part.open("wb") as stream:
+            np.savez(stream, count=count, **volume.arrays())  # type: ignore[arg-type]
+    except (OSError, InputError) as error:
+        _log.warning("the fusion is not kept meanwhile: %s", error)
+
+
+def load_volume(checkpoint: Path | None, voxel: float, truncation: float) -> "tuple[Volume, int]":
+    """A volume that was kept, and how many frames are in it; an empty one where there is none to be used."""
+    if checkpoint is not None and checkpoint.is_file():
+        try:
+            with checkpoint.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
+                count = int(kept["count"])
+                return Volume.of_arrays(voxel, truncation, kept["keys"], kept["sums"], kept["weights"]), count
+        except Exception as error:  # damage shows itself in a dozen ways
+            _log.warning("%s: damaged (%s), the fusion begins anew", checkpoint, error)
+    return Volume(voxel, truncation), 0
 
 
 class Volume:
@@ -90,6 +141,27 @@ class Volume:
         self._weights = np.zeros((0, BLOCK**3), dtype=np.float32)
         self._local = np.indices((BLOCK,) * 3).reshape(3, -1).T * voxel
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All that it holds, for `of_arrays`."""
+        return {"keys": self._keys, "sums": self._sums[self._slots], "weights": self._weights[self._slots]}
+
+    @classmethod
+    def of_arrays(
+        cls, voxel: float, truncation: float, keys: np.ndarray, sums: np.ndarray, weights: np.ndarray
+    ) -> "Volume":
+        """A volume as it was.
+
+        Raises:
+            InputError: the arrays are none of a volume's.
+        """
+        kinds = keys.dtype == np.int64 and sums.dtype == weights.dtype == np.float32
+        if not kinds or keys.ndim != 1 or not sums.shape == weights.shape == (len(keys), BLOCK**3):
+            raise InputError("these arrays are none of a volume's")
+        volume = cls(voxel, truncation)
+        volume.count, volume._keys, volume._slots = len(keys), keys, np.arange(len(keys))
+        volume._sums, volume._weights = sums, weights
+        return volume
+
     def blocks(self) -> tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, "n 512"], Float[np.ndarray, "n 512"]]:
         """Block coordinates, mean signed distance (as a share of the truncation, in [-1, 1]), weight."""
         sums, weights = self._sums[self._slots], self._weights[self._slots]
@@ -97,14 +169,23 @@ class Volume:
         return voxel_coordinates(self._keys), sums, weights
 
     def integrate(
-        self, depth: Float[np.ndarray, "h w"], camera: Camera, max_depth: float, pool: ThreadPoolExecutor
+        self,
+        depth: Float[np.ndarray, "h w"],
+        camera: Camera,
+        max_depth: float,
+        pool: ThreadPoolExecutor,
+        confidence: Float[np.ndarray, "h w"] | None = None,
     ) -> None:
-        """Add one depth map's votes."""
+        """Add one depth map's votes. Readings without any confidence are none."""
+        if confidence is not None:
+            depth = np.where(confidence > 0, depth, np.float32(0.0))
         depth = clean_depth(depth, camera, max_depth)
         if not depth.any():
             return
         # 1/z² as the sensor's noise, levelled off near the camera so that one close view does not outvote all.
         weight = view_cosine(depth, camera) / np.maximum(depth, 0.5) ** 2
+        if confidence is not None:
+            weight *= np.square(confidence, dtype=np.float32)
         reading = np.where(depth > 0, depth, np.float32(NO_READING))
         # A rim of "no reading" takes the voxels that project outside the picture.
         padded = np.pad(reading, 1, constant_values=NO_READING), np.pad(weight, 1)

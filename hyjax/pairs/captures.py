@@ -17,6 +17,7 @@ from hyjax.geometry.depth_map import confirmed
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.surface import with_normals
 from hyjax.pairs.depth_pairs import DepthPair, Options, PairsKind, Unit, masked_pair, selected
+from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.surfaces import surface_of
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
@@ -54,8 +55,8 @@ class CapturePairs:
             raise InputError(f"{capture.name}: depth is not registered to the pictures; use depth=surface")
         self._caster: RayCaster | None = None
         if depth != "sensor":
-            most = len(self._frames)
-            _, mesh = surface_of(self._frames, "fused", voxel=VOXEL, most_frames=most, progress=progress)
+            fusion = FusionSettings(voxel=VOXEL, fuse_frames=0)
+            _, mesh = surface_of(self._frames, "fused", fusion=fusion, progress=progress)
             self._caster = RayCaster(with_normals(mesh, SMOOTHING))
 
     @property

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import functools
 import json
+import logging
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -30,6 +31,7 @@ from hyjax.pipeline import Relit, relight_stages
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.blender import BlenderRenderer, blender_python
+from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.scene import Scene, view_of
 from hyjax.util.clock import StageClock, Stopwatch
 from hyjax.util.contact_sheet import write_contact_sheet
@@ -39,7 +41,10 @@ from hyjax.util.files import make_writable, remove, write_text
 from hyjax.util.prefetch import DEPTH, background_writer, prefetch
 from hyjax.video import Video
 
+_log = logging.getLogger(__name__)
 SHEET_ROWS = 12
+ANOTHERS = ("seed", "repair_mesh", "size", "scale", "strict", *(f.name for f in dataclasses.fields(FusionSettings)))
+"""Settings of a scene that was opened before."""
 WARM_UP = DEPTH + 2
 """Frames that do not count for frames per second: the first compiles, and others are read meanwhile."""
 
@@ -94,7 +99,7 @@ def relight_capture(
     else:
         make_writable(out)
         chosen = select_frames(settings.frames, len(scene))
-        record |= dict.fromkeys(("voxel", "seed", "repair_mesh", "size", "scale", "strict"))  # another scene's
+        record |= dict.fromkeys(ANOTHERS)  # another scene's
         record["capture"] = scene.capture.name
     divides = settings.divides_photo_light
     setup = scene.lights(settings.lights if lights is None else lights, at_photo_sources=divides)
@@ -116,6 +121,8 @@ def relight_capture(
             frames = _relight_frames(scene, chosen, shader, settings, schedule, guide, clock)
         summary = _write_frames(frames, len(chosen), settings, clock)
     if not summary.written:
+        if not summary.skipped:
+            raise InputError(f"{scene.capture.name}: none of the chosen frames can be read")
         raise InputError(
             f"{scene.capture.name}: no ray of any chosen frame met the mesh; are the mesh and the poses in the "
             "same coordinates (metres, camera-to-world)?"
@@ -141,6 +148,17 @@ def relight_capture(
     } | environment()
     write_text(out / "run.json", json.dumps(run, indent=2) + "\n")
     return run
+
+
+def readable(scene: Scene, index: int) -> Frame | None:
+    """A frame of a scene; None, with a line, for one whose picture is damaged, unless the capture is strict."""
+    try:
+        return scene.frame(index)
+    except InputError as error:
+        if scene.capture.strict:
+            raise
+        _log.warning("%s; this frame is left out", error)
+        return None
 
 
 class _Shader:
@@ -209,9 +227,11 @@ def _relight_frames(
     """Frames with their relit pictures, in order; None for one that sees no surface."""
     memory = Video()
 
-    def cast(index: int) -> tuple[Frame, GBuffer]:
+    def cast(index: int) -> tuple[Frame, GBuffer] | None:
         with clock("read"):
-            frame = scene.frame(index)
+            frame = readable(scene, index)
+        if frame is None:
+            return None
         with clock("g-buffer"):
             return frame, jax.block_until_ready(scene.gbuffer(frame.camera))
 
@@ -229,7 +249,7 @@ def _relight_frames(
         return frame, clock.follow(stages)
 
     with ExitStack() as running:
-        cast_ahead = enumerate(running.enter_context(contextlib.closing(prefetch(cast, chosen))))
+        cast_ahead = enumerate(filter(None, running.enter_context(contextlib.closing(prefetch(cast, chosen)))))
         count = len(shader.devices)
         if count == 1:
             yield from map(relight_frame, cast_ahead)
@@ -252,7 +272,9 @@ def _relight_on_device(
     renderer: DeviceRenderer | None = None
     for index in chosen:
         with clock("read"):
-            frame = scene.frame(index)
+            frame = readable(scene, index)
+        if frame is None:
+            continue
         with clock("guide"):
             features = jax.block_until_ready(guide.features(jnp.asarray(frame.image)))
         if guide.name != "rgb" and features.shape[-1] == 3:

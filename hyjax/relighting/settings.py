@@ -96,9 +96,9 @@ class RelightSettings(Settings):
     def record(self) -> dict[str, Any]:
         """Options as a run's record has them."""
         options = dataclasses.asdict(self)
-        scene = options.pop("scene")
+        options.pop("scene")
         return (
-            scene
+            self.scene.options()
             | options
             | {
                 "capture": str(self.scene.capture or "built-in room"),

@@ -100,7 +100,7 @@ def survey_capture(caster: RayCaster, capture: Capture, anchors: Mapping[str, An
         capture: its cameras, and places that it knows.
         anchors: places that are known in the place of the capture's own.
     """
-    cameras = [capture[i].camera for i in range(0, len(capture), -(-len(capture) // 8))]
+    cameras = [capture.camera(i) for i in range(0, len(capture), -(-len(capture) // 8))]
     return survey(caster, cameras, capture.up, capture.anchors if anchors is None else anchors)
 
 

@@ -10,11 +10,13 @@ import logging
 
 import trimesh
 
-from hyjax.data.capture import Capture, ChosenFrames
+from hyjax.data.capture import Capture
 from hyjax.geometry.hole_closing import close_holes
 from hyjax.geometry.scan import ScanConfig, simulate_sensors
 from hyjax.geometry.tsdf import fuse
-from hyjax.scene.surfaces import MAX_FUSED_FRAMES, kept
+from hyjax.scene.fusion import fuse_capture, plan_fusion
+from hyjax.scene.fusion_settings import FusionSettings
+from hyjax.scene.surfaces import kept
 from hyjax.util.errors import InputError
 
 GAP = 0.5
@@ -51,13 +53,13 @@ def fine_detail(
         source = "scan" if capture.reference() is not None else "captured"
     if source not in ("scan", "captured") or not (source == "scan" or capture.has_mesh):
         return None
-    if capture[0].depth is None:
+    if not capture.depth_count:
         return None
     try:
         if source == "scan":
             return kept(f"detail of scan {seed}, {VOXEL:g} m", capture, lambda: _of_scan(capture, seed, progress))
-        spread = ChosenFrames(capture, range(0, len(capture), -(-len(capture) // MAX_FUSED_FRAMES)))
-        return kept(f"fused at {VOXEL:g} m", capture, lambda: fuse(spread, VOXEL, progress=progress))
+        plan = plan_fusion(capture, FusionSettings(voxel=VOXEL))
+        return kept(repr(plan), capture, lambda: fuse_capture(capture, plan, progress=progress))
     except InputError as error:
         _log.warning("shadows are thrown by the mesh alone: %s", error)
         return None

@@ -108,14 +108,15 @@ class Scene:
             source, mesh = surface_of(
                 capture,
                 settings.mesh,
-                voxel=settings.voxel,
+                fusion=settings.fusion,
                 seed=settings.seed,
                 repair=settings.repair_mesh,
                 progress=progress,
             )
 
             def detail() -> trimesh.Trimesh | None:
-                return fine_detail(capture, settings.mesh, settings.seed, progress)
+                made = "fused" if source.startswith("fused") else settings.mesh
+                return fine_detail(capture, made, settings.seed, progress)
 
             return cls(
                 capture,

@@ -2,10 +2,11 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
 
@@ -31,8 +32,7 @@ class SceneSettings(Settings):
     size: str | None = None
     """Work at this size: 512 (square) or 640x480 (width x height), of the largest centred part of that shape.
     Default: as captured."""
-    voxel: float = 0.03
-    """Voxel of a fused mesh in metres."""
+    fusion: FusionSettings = dataclasses.field(default_factory=FusionSettings)
     seed: int = 0
     """Of a simulated scan."""
     photo_sources: Path | None = None
@@ -44,6 +44,12 @@ class SceneSettings(Settings):
     """Metres in one unit of the capture's poses, for a capture that does not know it (COLMAP)."""
     strict: bool = False
     """Stop at the first damaged picture of a capture instead of leaving it out with a line."""
+
+    def options(self) -> dict[str, Any]:
+        """Options by name, those of the fusion among them."""
+        options = dataclasses.asdict(self)
+        fusion = options.pop("fusion")
+        return options | fusion
 
     def open_capture(self, *, progress: bool = False) -> "Capture":
         """Capture that they name; see `hyjax.data.registry.open_capture`.
@@ -59,13 +65,13 @@ class SceneSettings(Settings):
         """These settings, if a scene can be opened with them as far as that can be known in advance.
 
         Raises:
-            InputError: a size, voxel or seed out of range, or no such mesh.
+            InputError: a size, a setting of the fusion or the seed is out of range, or there is no such mesh.
         """
-        from hyjax.scene.surfaces import check_fusion, check_mesh_name
+        from hyjax.scene.surfaces import check_mesh_name, check_surface
 
         parse_size(self.size)
         check_mesh_name(self.mesh)
-        check_fusion(self.voxel, self.seed)
+        check_surface(self.fusion, self.seed)
         return self
 
 

@@ -7,16 +7,27 @@ from pathlib import Path
 
 import trimesh
 
-from hyjax.data.capture import Capture, ChosenFrames
+from hyjax.data.capture import Capture
 from hyjax.geometry.mesh import load_mesh, save_mesh
 from hyjax.geometry.scan import simulate_scan
-from hyjax.geometry.tsdf import fuse
+from hyjax.scene.fusion import (
+    coverage_of,
+    fuse_capture,
+    plan_fusion,
+    tell_coverage,
+)
+from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.util.cache import cache_folder
 from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.files import digest
 
-VERSION = 2
+VERSION = 3
 """Of how surfaces are made. Add one whenever a fusion or a scan comes out differently."""
-MAX_FUSED_FRAMES = 150
+ENOUGH = 0.9
+"""Coverage of a device's mesh with which no fusion is tried."""
+CLEARLY = 0.03
+"""Coverage by which a fusion must be better than the device's mesh."""
+BY_SENSOR = FusionSettings()
 _log = logging.getLogger(__name__)
 WORDS = ("captured", "scan", "fused", "true")
 
@@ -25,23 +36,24 @@ def surface_of(
     capture: Capture,
     mesh: str | None = None,
     *,
-    voxel: float = 0.03,
+    fusion: FusionSettings = BY_SENSOR,
     seed: int = 0,
     repair: bool = False,
-    most_frames: int = MAX_FUSED_FRAMES,
     progress: bool = True,
 ) -> tuple[str, trimesh.Trimesh]:
     """The mesh to relight a capture with. Meshes made here are kept in the cache folder.
+
+    Lines tell how much of what was measured it has, where that is little, and where it lies elsewhere.
 
     Args:
         capture: of the place.
         mesh: a file, or `"captured"` (that came with the capture), `"fused"` (from the depth maps), `"scan"` (what
             a headset would have made of it, rough and with holes, drawn from `seed`), `"true"` (the built-in room's
-            own). By default the built-in room gets its scan and any other capture its own mesh, or else its fusion.
-        voxel: edge of a fusion's voxels in metres.
+            own). By default the built-in room gets its scan, and any other capture its own mesh, or else its
+            fusion; its fusion, too, where that has clearly more of what was measured.
+        fusion: how depth maps are fused.
         seed: of a simulated scan.
         repair: drop unusable triangles of a mesh file instead of refusing it.
-        most_frames: a fusion takes no more depth maps than this, spread over the capture.
         progress: show bars on stderr.
 
     Returns:
@@ -51,42 +63,86 @@ def surface_of(
         InputError: the file cannot be used, the capture has no depth to make a mesh of, or there is no captured or
             true mesh.
     """
-    check_fusion(voxel, seed)
+    check_surface(fusion, seed)
     if mesh is None and capture.reference() is not None:
         mesh = "scan"
-    if mesh in (None, "captured"):
-        captured = capture.mesh()
-        if captured is not None:
-            file = capture.mesh_file
-            description = "captured mesh" if file is None else f"captured mesh {file.name}"
-            return description, _check_metres(captured, str(file or capture.name))
-        if mesh is not None:
+    if mesh is None and capture.has_mesh:
+        return _captured_or_fused(capture, fusion, progress)
+    if mesh == "captured":
+        if not capture.has_mesh:
             raise InputError(
                 f"{capture.name}: no mesh came with this capture (of an ARKitScenes scan, download asset 'mesh'); "
                 "use 'fused', 'scan' or a file"
             )
-        mesh = "fused"
+        return _judged(capture, *_captured(capture))
+    if mesh in (None, "fused"):
+        return _judged(capture, *_fused(capture, fusion, progress))
     if mesh not in WORDS:
         check_mesh_name(mesh)
-        return mesh, _check_metres(load_mesh(Path(mesh), repair), mesh)
+        return _judged(capture, mesh, _check_metres(load_mesh(Path(mesh), repair), mesh))
     if mesh == "true":
         true = capture.reference()
         if true is None:
             raise InputError("mesh: this capture has no true mesh; use 'fused', 'scan' or a file")
         return "true mesh", true
-    if capture[0].depth is None:
+    if not capture.depth_count:
         raise InputError(f"{capture.name}: the capture has no depth to make a mesh of; give one with --mesh FILE")
-    description = f"simulated scan, seed {seed}" if mesh == "scan" else f"fused at {voxel:g} m"
-    spread = ChosenFrames(capture, range(0, len(capture), -(-len(capture) // most_frames)))
-    if mesh == "fused" and most_frames != MAX_FUSED_FRAMES:
-        description += f" from {len(spread)} frames"
+    description = f"simulated scan, seed {seed}"
 
     def make() -> trimesh.Trimesh:
-        if mesh == "scan":
-            return simulate_scan(*capture.scan_input(), seed, progress)
-        return fuse(spread, voxel, progress=progress)
+        return simulate_scan(*capture.scan_input(), seed, progress)
 
     return description, kept(description, capture, make)
+
+
+def _captured(capture: Capture) -> tuple[str, trimesh.Trimesh]:
+    mesh, file = capture.mesh(), capture.mesh_file
+    assert mesh is not None
+    description = "captured mesh" if file is None else f"captured mesh {file.name}"
+    return description, _check_metres(mesh, str(file or capture.name))
+
+
+def _fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[str, trimesh.Trimesh]:
+    plan = plan_fusion(capture, fusion)
+
+    def make() -> trimesh.Trimesh:
+        checkpoint = cache_folder() / f"fusion-{digest([capture.fingerprint, repr(plan)])}.npz"
+        return fuse_capture(capture, plan, checkpoint=checkpoint, progress=progress)
+
+    return str(plan), kept(repr(plan), capture, make)
+
+
+def _captured_or_fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[str, trimesh.Trimesh]:
+    """The mesh that the device made; the fusion of its depth where that has clearly more of what was measured."""
+    if not capture.depth_count:
+        return _captured(capture)
+    try:
+        own = _captured(capture)
+    except InputError as error:
+        _log.warning("%s; its depth maps are fused instead", error)
+        return _judged(capture, *_fused(capture, fusion, progress))
+    of_own = coverage_of(capture, own[1], fusion.confidence)
+    if of_own.covered < ENOUGH:
+        fused = _fused(capture, fusion, progress)
+        of_fused = coverage_of(capture, fused[1], fusion.confidence)
+        if of_fused.covered > of_own.covered + CLEARLY:
+            _log.warning(
+                "%s: the %s has %.0f %% of what has depth, the fusion of its depth %.0f %%: that is taken "
+                "(--mesh captured for the other)",
+                capture.name,
+                own[0],
+                100 * of_own.covered,
+                100 * of_fused.covered,
+            )
+            own, of_own = fused, of_fused
+    tell_coverage(capture, own[0], of_own)
+    return own
+
+
+def _judged(capture: Capture, description: str, mesh: trimesh.Trimesh) -> tuple[str, trimesh.Trimesh]:
+    if capture.depth_count:
+        tell_coverage(capture, description, coverage_of(capture, mesh))
+    return description, mesh
 
 
 def kept(description: str, capture: Capture, make: Callable[[], trimesh.Trimesh]) -> trimesh.Trimesh:
@@ -114,10 +170,9 @@ def _check_metres(mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
     return mesh
 
 
-def check_fusion(voxel: float, seed: int) -> None:
-    """Raise `InputError` unless a mesh can be made with this voxel in metres and this seed."""
-    if not 0 < voxel <= 1:
-        raise InputError(f"voxel: must lie in (0, 1] metres, got {voxel:g}")
+def check_surface(fusion: FusionSettings, seed: int) -> None:
+    """Raise `InputError` unless a mesh can be made with these settings and this seed."""
+    fusion.check()
     if seed < 0:
         raise InputError(f"seed: must be >= 0, got {seed}")
 

@@ -90,7 +90,7 @@ class Tour:
         capture = None if named is None else settings.scene.open_capture()
         make_writable(settings.out)
         scene = Scene.open(settings.scene, capture=capture, progress=not settings.quiet)
-        height, width = scene.capture[0].camera.intrinsics.shape
+        height, width = scene.capture.camera(0).intrinsics.shape
         if scene.size is None and width > WIDEST:
             scene.size = round(height * WIDEST / width), WIDEST
         # Estimates the photo's own light, if it was not before: some ten seconds, with a bar.

@@ -111,7 +111,7 @@ class Renderer:
     def captured_camera(self, index: int) -> Camera:
         """Camera of a frame as it was captured; its picture is read for it only once."""
         if index not in self._cameras:
-            self._cameras[index] = self.capture[index].camera
+            self._cameras[index] = self.capture.camera(index)
         return self._cameras[index]
 
     def render(

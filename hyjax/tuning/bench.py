@@ -113,11 +113,12 @@ def open_bench(
     target = settings.target
     if target is None:
         with_depth = "fused" if capture.reference() is None else "true"
-        target = CONVERGED if capture[0].depth is None else with_depth
+        target = CONVERGED if not capture.depth_count else with_depth
     rough = dataclasses.replace(scene_settings, mesh=scene_settings.mesh or rough_mesh(capture))
     scene, accurate = Scene.open(rough, capture=capture, progress=progress), None
     if target != CONVERGED:
-        better = dataclasses.replace(scene_settings, mesh=target, voxel=TARGET_VOXEL)
+        fusion = dataclasses.replace(scene_settings.fusion, voxel=TARGET_VOXEL)
+        better = dataclasses.replace(scene_settings, mesh=target, fusion=fusion)
         accurate = Scene.open(better, capture=capture, progress=progress)
         if np.array_equal(scene.mesh.vertices, accurate.mesh.vertices):
             raise InputError(

@@ -131,7 +131,8 @@ class TuneSettings(Settings):
     def record(self) -> dict[str, Any]:
         """Options as a run's record has them."""
         options = dataclasses.asdict(self)
-        scene = options.pop("scene") | options.pop("target_device")
+        options.pop("scene")
+        scene = self.scene.options() | options.pop("target_device")
         other = self.target_device
         paths = {"out": self.out, "latency": other.latency, "request": other.request}
         paths |= {"photo_sources": self.scene.photo_sources}

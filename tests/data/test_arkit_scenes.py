@@ -18,6 +18,7 @@ from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.data.capture import Capture
 from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera
+from hyjax.geometry.mesh import save_mesh
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.tsdf import fuse
 from hyjax.scene import surfaces
@@ -211,27 +212,37 @@ def test_the_fingerprint_follows_the_files(scan: Path) -> None:
 # ---- the mesh that came with it ----
 
 
-def test_the_captured_mesh_is_the_default(scan: Path) -> None:
-    """Also with a triangle without area, which a given file would be refused for."""
+def test_a_captured_mesh_that_fits_is_the_default(
+    scan: Path, room: RoomCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
+    own = f"captured mesh {VIDEO}_3dod_mesh.ply"
+    assert surface_of(open_arkit_scenes(scan), progress=False)[0].startswith("fused at")  # the box is another's
+    assert f"the {own} has" in caplog.text and "that is taken" in caplog.text
+    save_mesh(scan / f"{VIDEO}_3dod_mesh.ply", room.reference())
+    assert surface_of(open_arkit_scenes(scan), progress=False)[0] == own
+
+
+def test_a_captured_mesh_is_repaired(scan: Path) -> None:
+    """It may have a triangle without area, which a given file would be refused for."""
     capture, file = open_arkit_scenes(scan), scan / f"{VIDEO}_3dod_mesh.ply"
     flat = trimesh.Trimesh(BOX.vertices, [*BOX.faces, [0, 0, 1]], process=False)
     file.write_bytes(trimesh.exchange.ply.export_ply(flat))
-    for word in (None, "captured"):
-        description, mesh = surface_of(capture, word, progress=False)
-        assert description == f"captured mesh {file.name}" and len(mesh.faces) == len(BOX.faces)
+    description, mesh = surface_of(capture, "captured", progress=False)
+    assert description == f"captured mesh {file.name}" and len(mesh.faces) == len(BOX.faces)
     with pytest.raises(InputError, match="degenerate"):
         surface_of(capture, str(file), progress=False)
 
 
 def test_without_a_mesh_the_asset_is_named(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(surfaces, "fuse", lambda *_, **__: BOX)
+    monkeypatch.setattr(surfaces, "fuse_capture", lambda *_, **__: BOX)
     (scan / f"{VIDEO}_3dod_mesh.ply").unlink()
     capture = open_arkit_scenes(scan)
     assert capture.mesh_file is None
     with pytest.raises(InputError, match=rf"{VIDEO}: no mesh .* asset 'mesh'.*'fused'"):
         surface_of(capture, "captured", progress=False)
-    assert surface_of(capture, progress=False)[0] == "fused at 0.03 m"
+    assert surface_of(capture, progress=False)[0].startswith("fused at")
 
 
 def test_depth_maps_fuse_to_the_room(room: RoomCapture, caster: RayCaster, tmp_path: Path) -> None:

@@ -14,7 +14,9 @@ from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.mesh import save_mesh
 from hyjax.scene import surfaces
-from hyjax.scene.surfaces import MAX_FUSED_FRAMES, surface_of
+from hyjax.scene.fusion import FusionPlan
+from hyjax.scene.fusion_settings import MAX_FUSED_FRAMES, FusionSettings
+from hyjax.scene.surfaces import surface_of
 from hyjax.util.errors import InputError
 from hyjax.util.images import write_png
 
@@ -59,10 +61,12 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Made:
     def stub(kind: str, *arguments: object) -> trimesh.Trimesh:
         calls.append(kind)
         if kind == "fuse":
-            calls[-1] = f"fuse {len(list(arguments[0]))} at {arguments[1]}"  # type: ignore[call-overload]
+            plan = arguments[1]
+            assert isinstance(plan, FusionPlan)
+            calls[-1] = f"fuse {len(plan.indices)} at {plan.voxel}"
         return trimesh.creation.icosphere(1, radius=1.0 + 0.1 * len(calls))
 
-    monkeypatch.setattr(surfaces, "fuse", lambda *a, **_: stub("fuse", *a))
+    monkeypatch.setattr(surfaces, "fuse_capture", lambda *a, **_: stub("fuse", *a))
     monkeypatch.setattr(surfaces, "simulate_scan", lambda *a, **_: stub(f"scan {a[2]}", *a))
     return calls
 
@@ -91,7 +95,7 @@ def test_the_key_holds_all_that_the_surface_depends_on(cache: Path, made: Made) 
     for number, call in enumerate(
         [
             lambda: get(Wall()),
-            lambda: get(Wall(), voxel=0.05),
+            lambda: get(Wall(), fusion=FusionSettings(voxel=0.05)),
             lambda: get(Wall(), "scan"),
             lambda: get(Wall(), "scan", seed=1),
             lambda: get(Wall(fingerprint="b")),
@@ -181,7 +185,7 @@ def test_long_captures_are_fused_from_a_spread(cache: Path, made: Made) -> None:
 
 def test_the_default_fits_the_capture(cache: Path, made: Made, room: RoomCapture) -> None:
     assert surface_of(room, progress=False)[0] == "simulated scan, seed 0"
-    assert surface_of(Wall(), progress=False)[0] == "fused at 0.03 m"
+    assert surface_of(Wall(), progress=False)[0] == "fused at 0.03 m to 2.5 m from 3 depth maps"
     assert made == ["scan 0", "fuse 3 at 0.03"]
 
 
@@ -217,7 +221,7 @@ def test_a_word_that_is_no_file_is_told_the_words() -> None:
 
 def test_fusing_a_wall_gives_the_wall(cache: Path) -> None:
     """Not stubbed: the mesh lies where the depth says, and what is read back is what was made."""
-    mesh = get(Wall(), voxel=0.05)
+    mesh = get(Wall(), fusion=FusionSettings(voxel=0.05))
     assert np.abs(mesh.vertices[:, 0] - 2.0).max() < 0.03
     assert np.ptp(mesh.vertices[:, 1]) > 1.5
-    assert same(mesh, get(Wall(), voxel=0.05))
+    assert same(mesh, get(Wall(), fusion=FusionSettings(voxel=0.05)))

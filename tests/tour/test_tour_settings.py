@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.settings import SceneSettings
 from hyjax.tour.settings import TourSettings
 from hyjax.util.errors import InputError
@@ -15,7 +16,7 @@ from hyjax.util.errors import InputError
         (TourSettings(port=70000), "port"),
         (TourSettings(schedule=Path("missing.json")), "missing.json"),
         (TourSettings(scene=SceneSettings(size="7")), "size"),
-        (TourSettings(scene=SceneSettings(voxel=-1.0)), "voxel"),
+        (TourSettings(scene=SceneSettings(fusion=FusionSettings(voxel=-1.0))), "voxel"),
     ],
 )
 def test_settings_that_cannot_be_used_are_refused(settings: TourSettings, word: str) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from hyjax.relighting.settings import RelightSettings
+from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.settings import SceneSettings
 from hyjax.tour.settings import TourSettings
 from hyjax.training.settings import TrainSettings
@@ -17,8 +18,8 @@ from hyjax.util.errors import InputError
     ("kind", "options", "message"),
     [
         (SceneSettings, {"size": 640}, r"^size: must be str \| None, got 640$"),
-        (SceneSettings, {"voxel": "fine"}, r"^voxel: must be float, got 'fine'$"),
-        (SceneSettings, {"voxel": None}, r"^voxel: must be float, got None$"),
+        (FusionSettings, {"voxel": "fine"}, r"^voxel: must be float \| None, got 'fine'$"),
+        (FusionSettings, {"confidence": None}, r"^confidence: must be float, got None$"),
         (SceneSettings, {"seed": 1.5}, r"^seed: must be int, got 1.5$"),
         (SceneSettings, {"capture": 3}, r"^capture: must be Path \| None, got 3$"),
         (RelightSettings, {"frames": [0]}, r"^frames: must be str, got \[0\]$"),

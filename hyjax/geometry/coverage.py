@@ -1,0 +1,68 @@
+"""Coverage: how much of what depth maps measured a mesh has, and how near it lies to the readings."""
+
+import dataclasses
+from collections.abc import Iterable
+
+import numpy as np
+
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.depth_map import NEAR, SLACK, DepthReading
+from hyjax.geometry.raycast import RayCaster
+
+ROWS = 60
+"""Rays of a depth map, from top to bottom."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Coverage:
+    """How a mesh and depth maps agree.
+
+    Attributes:
+        measured: share of the pixels that have a reading.
+        covered: share of these in which the mesh lies within `SLACK` of the reading.
+        hit: share of these in which there is any mesh.
+        distance: median of the distance between reading and mesh along the camera's axis in metres, where there is
+            mesh; NaN if there is none anywhere.
+    """
+
+    measured: float
+    covered: float
+    hit: float
+    distance: float
+
+    @classmethod
+    def of(cls, caster: RayCaster, readings: Iterable[DepthReading]) -> "Coverage":
+        """Coverage of depth maps by a mesh; a few thousand pixels of each are looked at.
+
+        Args:
+            caster: of the mesh.
+            readings: depth maps; readings without any confidence count as none.
+        """
+        pixels = read = covered = hit = 0
+        distances = []
+        for depth, camera, confidence in readings:
+            rows = min(ROWS, depth.shape[0])
+            columns = max(1, round(rows * depth.shape[1] / depth.shape[0]))
+            small = camera.intrinsics.resize(rows, columns)
+            row, column = (
+                ((np.arange(few) + 0.5) * many / few).astype(int)
+                for few, many in ((rows, depth.shape[0]), (columns, depth.shape[1]))
+            )
+            measured = depth[np.ix_(row, column)]
+            valid = np.isfinite(measured) & (measured > NEAR)
+            if confidence is not None:
+                valid &= confidence[np.ix_(row, column)] > 0
+            rays = Camera(small, camera.pose).rays()[valid]
+            found = caster.cast(camera.origin, rays).distance  # rays have unit depth
+            error = np.abs(found - measured[valid])
+            pixels, read = pixels + valid.size, read + len(rays)
+            covered += int((error < SLACK[0] + SLACK[1] * measured[valid]).sum())
+            hit += int(np.isfinite(found).sum())
+            distances.append(error[np.isfinite(error)])
+        every = np.concatenate(distances) if distances else np.zeros(0)
+        return cls(
+            read / max(pixels, 1),
+            covered / max(read, 1),
+            hit / max(read, 1),
+            float(np.median(every)) if len(every) else float("nan"),
+        )

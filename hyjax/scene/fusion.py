@@ -1,0 +1,176 @@
+"""Fusion of a capture's depth maps, with a range, voxels and weights that follow from its sensor and its place."""
+
+import dataclasses
+import logging
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from hyjax.data.capture import Capture
+from hyjax.data.frames import spread
+from hyjax.geometry.coverage import Coverage
+from hyjax.geometry.depth_map import NEAR, DepthReading
+from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.tsdf import fuse
+from hyjax.scene.fusion_settings import FusionSettings
+from hyjax.util.errors import InputError
+from hyjax.util.prefetch import prefetch
+
+FAR_SHARE = 0.1
+"""Readings beyond a sensor's range, as a share of all, from which on they are fused, too."""
+FARTHEST = 10.0
+"""Metres, of a sensor that is not known."""
+VOXEL_SHARE = 0.015
+"""Voxel over median depth."""
+SMALLEST, LARGEST = 0.02, 0.04
+"""Metres, of voxels that are chosen here."""
+FEW = 50
+"""Depth maps below which a voxel must not have been seen as well as is asked for otherwise."""
+SAMPLED = 12
+"""Depth maps that are looked at to choose, and to judge the result."""
+LITTLE = 0.8
+"""Coverage below which a line says so."""
+_log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class FusionPlan:
+    """What a fusion is made with: lengths in metres.
+
+    Attributes:
+        indices: of the depth maps.
+        voxel, truncation, far: see `hyjax.geometry.tsdf.fuse`.
+        min_weight: least weight of a voxel.
+        confidence: least confidence of a reading.
+    """
+
+    indices: tuple[int, ...]
+    voxel: float
+    truncation: float
+    far: float
+    min_weight: float
+    confidence: float
+
+    def __str__(self) -> str:
+        return f"fused at {self.voxel:g} m to {self.far:g} m from {len(self.indices)} depth maps"
+
+
+class Readings:
+    """Chosen depth maps of a capture, read when asked for; damaged ones are left out with a line, once each.
+
+    Args:
+        capture: with depth.
+        indices: of the depth maps.
+        confidence: readings with less are none.
+    """
+
+    def __init__(self, capture: Capture, indices: Sequence[int], confidence: float) -> None:
+        self._capture, self._indices, self._confidence = capture, indices, confidence
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __iter__(self) -> Iterator[DepthReading]:
+        return self.start(0)
+
+    def start(self, first: int) -> Iterator[DepthReading]:
+        """The depth maps from one position on. A damaged one comes as one without readings."""
+        return prefetch(self._read, self._indices[first:])
+
+    def _read(self, index: int) -> DepthReading:
+        try:
+            depth, camera, confidence = self._capture.depth_reading(index)
+        except InputError as error:
+            if self._capture.strict:
+                raise
+            _log.warning("%s; left out of the fusion", error)
+            camera = self._capture.camera(0)
+            return DepthReading(np.zeros(camera.intrinsics.shape, np.float32), camera)
+        if confidence is not None:
+            depth = np.where(confidence >= self._confidence, depth, np.float32(0.0))
+        return DepthReading(depth, camera, confidence)
+
+
+def plan_fusion(capture: Capture, settings: FusionSettings) -> FusionPlan:
+    """Range, voxel and weights for a capture, from a few of its depth maps.
+
+    Raises:
+        InputError: the settings cannot be used, or the capture has no depth at all.
+    """
+    settings.check()
+    count = capture.depth_count
+    if not count:
+        raise InputError(f"{capture.name}: the capture has no depth to make a mesh of; give one with --mesh FILE")
+    most = settings.fuse_frames or count
+    indices = tuple(range(0, count, -(-count // most)))
+    seen = [r.depth[::4, ::4].ravel() for r in Readings(capture, spread(indices, SAMPLED), settings.confidence)]
+    depth = np.concatenate(seen)
+    depth = depth[np.isfinite(depth) & (depth > NEAR)]
+    if not len(depth):
+        raise InputError(f"{capture.name}: its depth maps have no readings; give a mesh with --mesh FILE")
+    far = settings.depth_range
+    if far is None:
+        far = capture.sensor.far or FARTHEST
+        if (depth > far).mean() > FAR_SHARE or capture.sensor.far is None:
+            far = min(2 * far, float(np.ceil(2 * np.quantile(depth, 0.98)) / 2 + 0.5))
+    voxel = settings.voxel
+    if voxel is None:
+        voxel = min(max(round(VOXEL_SHARE * float(np.median(depth)), 2), SMALLEST), LARGEST)
+    weight = settings.min_weight
+    if weight is None:
+        weight = 0.1 * float(np.clip(len(indices) / FEW, 0.2, 1.0)) * min(1.0, (4.0 / far) ** 2)
+    return FusionPlan(indices, voxel, capture.sensor.truncation * voxel, far, weight, settings.confidence)
+
+
+def fuse_capture(
+    capture: Capture, plan: FusionPlan, *, checkpoint: Path | None = None, progress: bool = True
+) -> trimesh.Trimesh:
+    """Mesh of a capture's depth maps.
+
+    Args:
+        capture: with depth.
+        plan: see `plan_fusion`.
+        checkpoint: file that a long fusion is kept in meanwhile, from which a later call goes on.
+        progress: show a bar on stderr.
+
+    Raises:
+        InputError: see `hyjax.geometry.tsdf.fuse`.
+    """
+    frames = Readings(capture, plan.indices, plan.confidence)
+    return fuse(
+        frames,
+        plan.voxel,
+        plan.truncation,
+        plan.far,
+        plan.min_weight,
+        progress,
+        checkpoint=checkpoint,
+    )
+
+
+def coverage_of(capture: Capture, mesh: trimesh.Trimesh, confidence: float = 0.5) -> Coverage:
+    """How much of what a capture's depth maps measured a mesh has; a few of them are looked at."""
+    indices = spread(range(capture.depth_count), SAMPLED)
+    return Coverage.of(RayCaster(mesh), Readings(capture, indices, confidence))
+
+
+def tell_coverage(capture: Capture, description: str, coverage: Coverage) -> None:
+    """A line where a mesh has little of what was measured, or lies elsewhere."""
+    if coverage.hit < 0.05:
+        _log.warning(
+            "%s: the %s is met by %.0f %% of what has depth; are mesh and poses in the same axes and units?",
+            capture.name,
+            description,
+            100 * coverage.hit,
+        )
+    elif coverage.covered < LITTLE:
+        _log.warning(
+            "%s: the %s has %.0f %% of what has depth (median distance %.3g m); holes are lit as their "
+            "surroundings are",
+            capture.name,
+            description,
+            100 * coverage.covered,
+            coverage.distance,
+        )

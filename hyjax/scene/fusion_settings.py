@@ -1,0 +1,46 @@
+"""Settings of the fusion of depth maps."""
+
+import dataclasses
+
+from hyjax.util.errors import InputError
+from hyjax.util.settings import Settings
+
+MAX_FUSED_FRAMES = 150
+"""Depth maps that a fusion takes, unless it is told otherwise."""
+NEAREST = 0.1
+"""Metres that a range must reach beyond."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FusionSettings(Settings):
+    """How depth maps are fused to a mesh. What is not set follows from the sensor and the place."""
+
+    voxel: float | None = None
+    """Voxel of a fused mesh in metres. Default: 1.5 % of the median depth, 2 to 4 cm."""
+    depth_range: float | None = None
+    """Fuse readings up to so many metres. Default: 5 of a phone's LiDAR, 4 of a Kinect, else what is seen; more
+    where over a tenth of the readings lie beyond."""
+    confidence: float = 0.5
+    """Least confidence of a reading, 0 to 1; phones tell 0, 0.5 and 1. More of it weighs more."""
+    min_weight: float | None = None
+    """Least weight of a voxel; 1 is one view head-on from one metre. Default: 0.1, less for few or far views."""
+    fuse_frames: int = MAX_FUSED_FRAMES
+    """Fuse at most so many depth maps, spread over the capture; 0 for all. One that was stopped goes on."""
+
+    def check(self) -> "FusionSettings":
+        """These settings, if they can be used.
+
+        Raises:
+            InputError: one is out of range.
+        """
+        if self.voxel is not None and not 0 < self.voxel <= 1:
+            raise InputError(f"voxel: must lie in (0, 1] metres, got {self.voxel:g}")
+        if self.depth_range is not None and not NEAREST < self.depth_range <= 1000:
+            raise InputError(f"depth range: must lie in ({NEAREST:g}, 1000] metres, got {self.depth_range:g}")
+        if not 0 <= self.confidence <= 1:
+            raise InputError(f"confidence: must lie in [0, 1], got {self.confidence:g}")
+        if self.min_weight is not None and not 0 <= self.min_weight < float("inf"):
+            raise InputError(f"min weight: must be >= 0, got {self.min_weight:g}")
+        if self.fuse_frames < 0:
+            raise InputError(f"fuse frames: must be >= 0, got {self.fuse_frames}")
+        return self
