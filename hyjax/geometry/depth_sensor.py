@@ -21,6 +21,6 @@ class DepthSensor:
 KINECT = DepthSensor("Kinect", 4.0)
 """First generation, structured light: noise at 4 m is 2 to 4 cm (Khoshelham & Elberink, Sensors 2012)."""
 PHONE_LIDAR = DepthSensor("phone LiDAR", 5.0, truncation=3.0)
-"""iPhone and iPad Pro since 2020: 256×192, upsampled by the phone from a sparse grid, hence wrong at borders. A band
+"""iPhone and iPad Pro since 2020: 256×192, upsampled by the phone from a sparse grid, so wrong at borders. A band
 of three voxels in place of four bloats them less; see `experiments.fusion_borders`."""
 UNKNOWN = DepthSensor("depth camera")

@@ -117,6 +117,7 @@ class Pictured:
     image: np.ndarray
     depth: np.ndarray
     depth_camera: Camera
+    confidence: None = None
 
 
 def test_dark_surfaces_are_lost_in_half_the_pixels() -> None:
