@@ -26,9 +26,7 @@ def json_object(tree: FileTree, name: str) -> dict[str, Any]:
     return content
 
 
-def json_number(
-    fields: Mapping[str, Any], key: str, where: str, default: float | None = None
-) -> float:
+def json_number(fields: Mapping[str, Any], key: str, where: str, default: float | None = None) -> float:
     """A finite number of an object.
 
     Args:

@@ -1,5 +1,6 @@
-"""What the readers of phone captures share: depth with confidence, poses from quaternions, counts of what is wrong."""
+"""What readers of phone captures share: depth with confidence, poses from quaternions, counts of what is wrong."""
 
+import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -80,7 +81,7 @@ def lens_of(
         raise InputError(f"{where}: {error}") from None
     if not (0 < cx < width and 0 < cy < height and 0.05 * width < fx < 100 * width):
         raise InputError(
-            f"{where}: focal length {fx:g} and principal point ({cx:g}, {cy:g}) are not of {width}x{height} pictures"
+            f"{where}: focal length {fx:g} and centre ({cx:g}, {cy:g}) do not belong to {width}x{height} pictures"
         )
     return lens
 
@@ -136,7 +137,7 @@ def shape_of_pictures(tree: FileTree, names: Sequence[str]) -> tuple[int, int]:
 
 def in_order_of_time(shots: Sequence[Shot], remarks: Tally) -> list[Shot]:
     """Shots sorted by time; those whose clock went back are counted in `remarks`."""
-    for before, after in zip(shots, shots[1:]):
+    for before, after in itertools.pairwise(shots):
         if after.time < before.time:
             remarks.add("times go back, frames are taken in order of time", after.name)
     return sorted(shots, key=lambda shot: shot.time)
