@@ -5,11 +5,11 @@
     depth/12.exr               rgbd/12.depth    metres; one channel R; in an .r3d float32, LZFSE-compressed
                                rgbd/12.conf     confidence 0 to 2, a byte a reading, LZFSE-compressed
 
-`metadata` has for all frames `w`, `h` (of pictures), `dw`, `dh` (of depth), `fps`, `K` (9 numbers, column by column)
-and for each `poses` (qx qy qz qw tx ty tz, camera-to-world, camera in ARKit's axes), `perFrameIntrinsicCoeffs`
-(fx fy cx cy) and `frameTimestamps` (seconds); the last two are not in older files. Frame 12 is entry 12 of the lists:
-numbers may be missing in between. Where the poses begin at the first camera, `initPose` places that in a world that
-is y-up; without it gravity is taken from how the camera was held.
+`metadata` has for all frames `w`, `h` (of pictures), `dw`, `dh` (of depth), `fps`, `K` (9 numbers, column by
+column) and for each `poses` (qx qy qz qw tx ty tz, camera-to-world, camera in ARKit's axes),
+`perFrameIntrinsicCoeffs` (fx fy cx cy) and `frameTimestamps` (seconds); the last two are not in older files. Frame 12
+is entry 12 of the lists: numbers may be missing in between. Where the poses begin at the first camera, `initPose`
+places that in a world that is y-up; without it gravity is taken from how the camera was held.
 
 Principal points are taken as they are: whether the app has pixel centres at whole numbers is not told.
 
@@ -74,7 +74,7 @@ def open_record3d(tree: FileTree) -> Recording:
         _lzfse()
     poses, up = _read_poses(metadata, where, remarks)
     lenses = _Lenses(metadata, where, shape_of_pictures(tree, list(pictures.values())))
-    times = _read_times(metadata, where)
+    times, rate = _read_times(metadata, where)
     shots: list[Shot] = []
     for number in sorted({*pictures, *depths}):
         picture, depth = pictures.get(number), depths.get(number)
@@ -88,11 +88,7 @@ def open_record3d(tree: FileTree) -> Recording:
         elif depth is None and depths:
             remarks.add("pictures have no depth", picture)
         lens = lenses.of(number)
-        time = (
-            times[number]
-            if number < len(times)
-            else number / json_number(metadata, "fps", where, FRAMES_PER_SECOND)
-        )
+        time = times[number] if number < len(times) else number / rate
         shots.append(
             Shot(
                 f"frame_{number:06d}",
@@ -140,13 +136,15 @@ def _read_poses(
     return poses, None
 
 
-def _read_times(metadata: Metadata, where: str) -> list[float]:
+def _read_times(metadata: Metadata, where: str) -> tuple[list[float], float]:
+    """Seconds of the frames, as far as they are told, and pictures a second for the others."""
+    rate = json_number(metadata, "fps", where, FRAMES_PER_SECOND)
+    if not 0.01 <= rate <= 1e4:
+        raise InputError(f"{where}: fps: need pictures a second, got {rate:g}")
     if "frameTimestamps" not in metadata:
-        if json_number(metadata, "fps", where, FRAMES_PER_SECOND) <= 0:
-            raise InputError(f"{where}: fps: need a number above 0")
-        return []
+        return [], rate
     rows = json_list(metadata, "frameTimestamps", where)
-    return [float(t) for t in number_list(rows, len(rows), f"{where}: frameTimestamps")]
+    return number_list(rows, len(rows), f"{where}: frameTimestamps").tolist(), rate
 
 
 class _Lenses:
@@ -157,7 +155,7 @@ class _Lenses:
         self._told = json_count(metadata, "h", where), json_count(metadata, "w", where)
         if abs(self._told[0] * shape[1] / (self._told[1] * shape[0]) - 1.0) > 0.01:
             raise InputError(
-                f"{where}: w and h are {self._told[1]} and {self._told[0]} but the pictures are {shape[1]}x{shape[0]}"
+                f"{where}: w and h are {self._told[1]} and {self._told[0]}, but pictures are {shape[1]}x{shape[0]}"
             )
         coefficients = "perFrameIntrinsicCoeffs"
         rows = json_list(metadata, coefficients, where) if coefficients in metadata else []
@@ -202,6 +200,7 @@ def _unpacked(
 ) -> Float[np.ndarray, "h w"]:
     """An LZFSE-compressed array; of the pictures' proportions where `metadata` does not tell its size."""
     lzfse = _lzfse()
+    values: np.ndarray
     try:
         values = np.frombuffer(lzfse.decompress(tree.read(name)), kind)
     except (lzfse.error, ValueError, MemoryError):

@@ -7,8 +7,8 @@
     confidence/000012.png   0 to 2
     imu.csv             not read
 
-Poses are camera-to-world in metres, the world is y-up. The camera's axes are x right, y down, z forward: the app turns
-ARKit's by half a turn about x before it writes the quaternion (`q_WA * q_AC` in its `OdometryEncoder.swift`).
+Poses are camera-to-world in metres, the world is y-up. The camera's axes are x right, y down, z forward: the app
+turns ARKit's by half a turn about x before it writes the quaternion (`q_WA * q_AC` in its `OdometryEncoder.swift`).
 
 Tested on small files written to this layout, on no real recording.
 
@@ -64,8 +64,8 @@ def open_stray(tree: FileTree) -> Recording:
     video = VideoFrames(tree, VIDEO)
     numbers = [int(row["frame"]) for row in rows]
     # The video has a picture a row. Where rows were taken out of the table, their numbers still tell which.
-    by_number = bool(numbers) and len(numbers) < len(video) and 0 <= min(numbers) and max(numbers) < len(video)
-    shared = _read_matrix(tree, video.shape) if not rows or not all(_has_lens(row) for row in rows) else None
+    by_number = len(numbers) < len(video) and max(numbers) < len(video)
+    shared = _read_matrix(tree, video.shape) if not all(_has_lens(row) for row in rows) else None
     shots: list[Shot] = []
     for place, (row, number) in enumerate(zip(rows, numbers)):
         shot = _read_row(tree, row, number, number if by_number else place, video, shared, faults, remarks)
@@ -106,23 +106,22 @@ def _read_odometry(tree: FileTree, faults: Tally) -> list[Row]:
             faults.add("row was cut off at the end of the file and left out", f"{ODOMETRY} line {number}")
             continue
         names = [name for name in (*NEEDED, *LENS) if name in NEEDED or cells.get(name)]
-        rows.append({name: _cell(cells.get(name, ""), f"{where}: line {number}: {name}") for name in names})
+        rows.append({name: _cell(cells.get(name, ""), name, f"{where}: line {number}") for name in names})
     if not rows:
         raise InputError(f"{where}: has no rows")
     return rows
 
 
-def _cell(text: str, what: str) -> float:
+def _cell(text: str, column: str, where: str) -> float:
     """A number, NaN for one that is not finite; `timestamp` and `frame` must be."""
     try:
         number = float(text)
     except ValueError:
-        raise InputError(f"{what}: need a number, got {text[:40]!r}") from None
-    key = what.rpartition(" ")[2]
-    if key == "frame" and not (number.is_integer() and 0 <= number < MOST_FRAMES):
-        raise InputError(f"{what}: need a whole number from 0, got {text[:40]!r}")
-    if not math.isfinite(number) and key in ("timestamp", *LENS):
-        raise InputError(f"{what}: need a finite number, got {text[:40]!r}")
+        raise InputError(f"{where}: {column}: need a number, got {text[:40]!r}") from None
+    if column == "frame" and not (number.is_integer() and 0 <= number < MOST_FRAMES):
+        raise InputError(f"{where}: {column}: need a whole number from 0, got {text[:40]!r}")
+    if not math.isfinite(number) and column in ("timestamp", *LENS):
+        raise InputError(f"{where}: {column}: need a finite number, got {text[:40]!r}")
     return number if math.isfinite(number) else math.nan
 
 

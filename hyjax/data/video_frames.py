@@ -58,7 +58,7 @@ class VideoFrames:
             if not self._times or not self._keys or min(self.shape) < 1:
                 raise InputError(f"{self._where}: holds no video pictures")
             weakref.finalize(self, stack.pop_all().close)
-        self._decoded: Iterator[av.VideoFrame] | None = None
+        self._decoded: Iterator[Any] | None = None
         self._next = 0
 
     def __len__(self) -> int:
