@@ -92,7 +92,9 @@ def tree_json(tree: FileTree, name: str) -> Any:
     """
     try:
         return json.loads(tree.text(name))
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # JSONDecodeError, and numbers of thousands of digits
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"{tree.where(name)}: not readable as JSON ({error})") from None
 
 
