@@ -7,7 +7,7 @@ a call of `register_format`.
 import logging
 from pathlib import Path
 
-from hyjax.data import arkit_scenes, seven_scenes
+from hyjax.data import arkit_scenes, colmap, nerfstudio, redwood, scannet, seven_scenes, tum
 from hyjax.data.capture import Capture, CaptureFormat
 from hyjax.data.file_tree import FileTree, open_tree
 from hyjax.data.scaled import ScaledCapture
@@ -16,6 +16,11 @@ from hyjax.util.errors import InputError
 CAPTURE_FORMATS = [
     seven_scenes.FORMAT,
     arkit_scenes.FORMAT,
+    nerfstudio.FORMAT,
+    colmap.FORMAT,
+    tum.FORMAT,
+    scannet.FORMAT,
+    redwood.FORMAT,
 ]
 """The formats of captures; the one that recognises a folder reads it."""
 _log = logging.getLogger(__name__)
