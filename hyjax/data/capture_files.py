@@ -4,8 +4,10 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator
-from pathlib import Path
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +15,7 @@ from jaxtyping import Float, UInt8
 
 from hyjax.data.file_tree import FileTree
 from hyjax.util.errors import InputError
-from hyjax.util.images import read_depth, read_image, read_labels
+from hyjax.util.images import picture_shape, read_depth, read_image, read_labels
 
 TIMED = re.compile(r"\d+_(\d+\.\d+)")
 
@@ -106,6 +108,48 @@ def looks_whole(tree: FileTree, name: str) -> bool:
         return tree.size(name) > 0
     head, tail = tree.ends(name, 64)
     return head.startswith(marks[suffix][0]) and marks[suffix][1] in tail
+
+
+def tree_shape(tree: FileTree, name: str) -> tuple[int, int]:
+    """(height, width) of a picture of a tree, from its header; see `picture_shape`."""
+    with tree.local(name) as path:
+        return picture_shape(path, tree.where(name))
+
+
+def bytes_colour(content: bytes, suffix: str, where: str) -> Float[np.ndarray, "h w 3"]:
+    """A colour picture from the bytes of its file; see `read_colour`."""
+    with tempfile.TemporaryDirectory(prefix="hyjax-") as folder:
+        path = Path(folder) / f"picture{suffix}"
+        path.write_bytes(content)
+        return read_colour(path, where)
+
+
+def by_number(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Key to sort names by: the numbers in them as numbers, so that 10 comes after 9."""
+    parts = re.split(r"(\d+)", name)
+    return tuple((0, int(p), "") if p.isascii() and p.isdigit() else (1, 0, p) for p in parts)
+
+
+def short_names(files: Sequence[str]) -> list[str]:
+    """Names for frames after their files: without folder and extension, where that tells them apart."""
+    stems = [PurePosixPath(file).stem for file in files]
+    if len(set(stems)) == len(stems):
+        return stems
+    return [file.strip("/").replace("/", "_") for file in files]
+
+
+def counted(reasons: Iterable[tuple[str, str]]) -> list[str]:
+    """Lines such as `3 pictures are damaged (first: 000012.jpg)`, one a reason.
+
+    Args:
+        reasons: (what is said after the number, which one), such as `("pictures are damaged", "000012.jpg")`.
+    """
+    count: Counter[str] = Counter()
+    first: dict[str, str] = {}
+    for reason, name in reasons:
+        count[reason] += 1
+        first.setdefault(reason, name)
+    return [f"{number} {reason} (first: {first[reason]})" for reason, number in count.items()]
 
 
 class TimedFile(NamedTuple):

@@ -12,9 +12,11 @@ import shutil
 import stat
 import tempfile
 import threading
+import weakref
 import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
+from typing import BinaryIO
 
 from hyjax.util.errors import InputError
 
@@ -83,6 +85,18 @@ class FileTree(abc.ABC):
             copy.write_bytes(content)
             yield copy
 
+    @contextlib.contextmanager
+    def stream(self, name: str) -> Iterator[BinaryIO]:
+        """A file opened for reading from any place in it, for the block alone.
+
+        Of an archive it is a copy on disk, which is made once and is there as long as the tree.
+
+        Raises:
+            InputError: there is none of this name, or it cannot be read.
+        """
+        with self.local(name) as path, _opened(path, self.where(name)) as file:
+            yield file
+
     def ends(self, name: str, count: int) -> tuple[bytes, bytes]:
         """The first and the last `count` bytes of a file."""
         content = self.read(name)
@@ -119,6 +133,16 @@ class FileTree(abc.ABC):
     def subtree(self, folder: str) -> "FileTree":
         """The files below a folder."""
         return _Subtree(self, folder)
+
+
+@contextlib.contextmanager
+def _opened(path: Path, where: str) -> Iterator[BinaryIO]:
+    try:
+        file = path.open("rb")
+    except OSError as error:
+        raise InputError(f"{where}: cannot read ({error.strerror})") from None
+    with file:
+        yield file
 
 
 class _Folder(FileTree):
@@ -191,6 +215,29 @@ class _Archive(FileTree):
         if len(self._known) < len(names):
             raise InputError(f"{path}: two files have one name; which of them is meant cannot be told")
         self._lock = threading.Lock()
+        self._copies: dict[str, Path] = {}
+
+    @contextlib.contextmanager
+    def stream(self, name: str) -> Iterator[BinaryIO]:
+        if name not in self:
+            raise InputError(f"{self.where(name)}: no such file")
+        with self._lock:
+            if name not in self._copies:
+                self._copies[name] = self._copy(name)
+        with _opened(self._copies[name], self.where(name)) as file:
+            yield file
+
+    def _copy(self, name: str) -> Path:
+        """A copy of a file in a folder that goes when this tree does."""
+        folder = tempfile.mkdtemp(prefix="hyjax-")
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        copy = Path(folder) / "copy"
+        try:
+            with self._zip.open(name) as source, copy.open("wb") as target:
+                shutil.copyfileobj(source, target, 1 << 20)
+        except Exception as error:  # BadZipFile, OSError (a full disk), zlib.error, …
+            raise InputError(f"{self.where(name)}: cannot be unpacked ({error})") from None
+        return copy
 
     def read(self, name: str) -> bytes:
         if name not in self:
@@ -261,6 +308,11 @@ class _Subtree(FileTree):
     def local(self, name: str) -> Iterator[Path]:
         with self._tree.local(self._top + name) as path:
             yield path
+
+    @contextlib.contextmanager
+    def stream(self, name: str) -> Iterator[BinaryIO]:
+        with self._tree.stream(self._top + name) as file:
+            yield file
 
     def ends(self, name: str, count: int) -> tuple[bytes, bytes]:
         return self._tree.ends(self._top + name, count)

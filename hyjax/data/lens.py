@@ -63,11 +63,17 @@ class Distortion:
 
 
 def undistorted(
-    image: Float[np.ndarray, "h w c"], intrinsics: Intrinsics, distortion: Distortion
-) -> Float[np.ndarray, "h w c"]:
+    image: Float[np.ndarray, "h w *c"], intrinsics: Intrinsics, distortion: Distortion, *, nearest: bool = False
+) -> Float[np.ndarray, "h w *c"]:
     """The picture that a pinhole with the same intrinsics would have taken, by linear interpolation.
 
     Beyond the borders of the stored picture the nearest pixel goes on.
+
+    Args:
+        image: as the lens gave it.
+        intrinsics: of `image`.
+        distortion: of the lens.
+        nearest: take the nearest pixel, as depth maps want it, and 0 beyond the borders.
     """
     if distortion.is_none:
         return image
@@ -76,6 +82,11 @@ def undistorted(
     y = (np.arange(k.height) + 0.5 - k.cy) / k.fy
     column, row = distortion.distort(*np.broadcast_arrays(x[None, :], y[:, None]))
     where = np.stack([row * k.fy + k.cy - 0.5, column * k.fx + k.cx - 0.5])
+    if nearest:
+        rows, columns = np.round(np.clip(where, -1e6, 1e6)).astype(int)
+        inside = (rows >= 0) & (rows < k.height) & (columns >= 0) & (columns < k.width)
+        taken = image[np.clip(rows, 0, k.height - 1), np.clip(columns, 0, k.width - 1)]
+        return np.where(inside.reshape(*inside.shape, *(1,) * (image.ndim - 2)), taken, image.dtype.type(0))
     layers = [
         ndimage.map_coordinates(image[..., channel], where, order=1, mode="nearest")
         for channel in range(image.shape[2])

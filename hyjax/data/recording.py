@@ -40,7 +40,8 @@ class Shot:
         picture: reads the display-encoded picture; None if there is none.
         depth: reads depth in metres (0 where there is none) and its confidence in [0, 1]; None if there is none.
         depth_intrinsics: of the depth map as it is stored; the picture's, brought to the map's size, if None.
-        distortion: of the picture's lens; depth is taken to be free of any.
+        distortion: of the picture's lens.
+        depth_distortion: of the lens of the depth map; None where it is free of any, as most are.
         exposure: seconds; None where it is not told.
     """
 
@@ -52,6 +53,7 @@ class Shot:
     depth: Callable[[], DepthAndConfidence] | None = None
     depth_intrinsics: Intrinsics | None = None
     distortion: Distortion | None = None
+    depth_distortion: Distortion | None = None
     exposure: float | None = None
 
 
@@ -134,8 +136,7 @@ class Recording(Capture):
             image = undistorted(image, intrinsics, shot.distortion)
         depth = confidence = lens = None
         if shot.depth is not None:
-            depth, confidence = shot.depth()
-            lens = _depth_lens(shot, depth)
+            depth, confidence, lens = _read_depth(shot)
         time = shot.time - self._pictures[0].time
         frame = Frame(shot.name, image, Camera(intrinsics, shot.pose), time, depth, lens, confidence, shot.exposure)
         return turn_frame(frame, self.quarter_turns)
@@ -153,15 +154,28 @@ class Recording(Capture):
     def depth_reading(self, index: int) -> DepthReading:
         """See `Capture`."""
         shot = self._depths[index]
-        assert shot.depth is not None
-        depth, confidence = shot.depth()
-        return DepthReading(depth, Camera(_depth_lens(shot, depth), shot.pose), confidence)
+        depth, confidence, lens = _read_depth(shot)
+        return DepthReading(depth, Camera(lens, shot.pose), confidence)
 
     def mesh(self) -> trimesh.Trimesh | None:
         """See `Capture`."""
         if self._mesh_name is None:
             return None
         return load_mesh(Path(self._mesh_name), repair=True, content=self._tree.read(self._mesh_name))
+
+
+def _read_depth(
+    shot: Shot,
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"] | None, Intrinsics]:
+    """A shot's depth map and its confidence as a pinhole would have them, and their intrinsics."""
+    assert shot.depth is not None
+    depth, confidence = shot.depth()
+    lens = _depth_lens(shot, depth)
+    if shot.depth_distortion is not None:
+        depth = undistorted(depth, lens, shot.depth_distortion, nearest=True)
+        if confidence is not None:
+            confidence = undistorted(confidence, lens, shot.depth_distortion, nearest=True)
+    return depth, confidence, lens
 
 
 def _depth_lens(shot: Shot, depth: Float[np.ndarray, "h w"]) -> Intrinsics:

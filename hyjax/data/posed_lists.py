@@ -1,0 +1,52 @@
+"""Tables of poses and of pictures over time, as data sets have them in text files."""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from hyjax.data.file_tree import FileTree
+from hyjax.util.errors import InputError
+
+
+def table_rows(tree: FileTree, name: str) -> list[list[str]]:
+    """The rows of a text file, each its words; commas and tabs part words too, `#` begins a comment.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    lines = (line.partition("#")[0].replace(",", " ") for line in tree.text(name).splitlines())
+    return [words for words in map(str.split, lines) if words]
+
+
+def floats(words: list[str], where: str, row: int) -> list[float]:
+    """Numbers of a row, NaN and infinite ones too.
+
+    Raises:
+        InputError: a word is none.
+    """
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise InputError(f"{where}: row {row} has a word that is no number: {' '.join(words)[:60]!r}") from None
+
+
+def pose_of(
+    position: Float[np.ndarray, "3"], quaternion: Float[np.ndarray, "4"]
+) -> Float[np.ndarray, "4 4"] | None:
+    """The rigid motion of a place and a quaternion qx qy qz qw; None if it is none (NaN, infinite, of no length)."""
+    length = float(np.linalg.norm(quaternion))
+    if not np.all(np.isfinite(position)) or not abs(length - 1.0) < 0.01:
+        return None
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(quaternion / length).as_matrix()
+    pose[:3, 3] = position
+    return pose
+
+
+def ascending(times: Float[np.ndarray, "n"]) -> list[int]:
+    """Rows in order of time whose time is later than that of all rows before them; clocks that go back are cut."""
+    kept: list[int] = []
+    for row, time in enumerate(times):
+        if np.isfinite(time) and (not kept or time > times[kept[-1]]):
+            kept.append(row)
+    return kept

@@ -1,0 +1,163 @@
+"""Redwood's scenes and recordings made with Open3D: pictures, depth maps and a `.log` of poses, all by order.
+
+    color/, image/ or rgb/      pictures
+    depth/                      16-bit millimetres, registered to the pictures
+    trajectory.log              five lines a frame: three numbers, then 4×4 camera-to-world, camera x right, y down,
+                                z forward; also scene/trajectory.log, or the only .log there is
+    camera_primesense.json      `width`, `height` and `intrinsic_matrix`, nine numbers column by column; also
+                                camera_intrinsic.json, camera_intrinsics.json, intrinsic.json; optional
+    scene/integrated.ply        mesh; optional
+
+The number of a picture is its place among the files in order of the numbers in their names. Intrinsics count pixels
+from the centre of the first one, hence half a pixel is added. Up is the cameras' mean up direction.
+
+Tested on files written to the published layout, not on a real capture.
+
+Sources: Choi, Zhou, Koltun, "Robust reconstruction of indoor scenes", CVPR 2015, and redwood-data.org's file format;
+Open3D's documentation, "Reconstruction system" and `open3d.io.read_pinhole_camera_trajectory`.
+"""
+
+import functools
+from pathlib import PurePosixPath
+
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.data.capture import CaptureFormat
+from hyjax.data.capture_files import (
+    by_number,
+    counted,
+    looks_whole,
+    short_names,
+    tree_colour,
+    tree_depth,
+    tree_shape,
+)
+from hyjax.data.fields import tree_fields
+from hyjax.data.file_tree import FileTree
+from hyjax.data.posed_lists import floats, table_rows
+from hyjax.data.recording import DepthAndConfidence, Recording, Shot, rigid
+from hyjax.geometry.camera import Intrinsics
+from hyjax.geometry.depth_sensor import KINECT
+from hyjax.util.errors import InputError
+
+PICTURES = ("color", "image", "rgb")
+ENDINGS = (".jpg", ".jpeg", ".png")
+INTRINSICS = ("camera_primesense.json", "camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json")
+MESHES = ("scene/integrated.ply", "integrated.ply", "mesh.ply")
+DEFAULT = Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)
+"""Open3D's `PrimeSenseDefault`, counted from the corner of the first pixel."""
+
+Reasons = list[tuple[str, str]]
+
+
+def is_redwood(tree: FileTree) -> bool:
+    """Whether there are `depth/`, a folder of pictures and a `.log` of poses."""
+    return _log_name(tree) is not None and _folder(tree) is not None and bool(tree.below("depth", ".png"))
+
+
+def open_redwood(tree: FileTree) -> Recording:
+    """Open a scene in the layout of Redwood or Open3D.
+
+    Raises:
+        InputError: poses or intrinsics cannot be read, or no picture has a pose.
+    """
+    log, folder = _log_name(tree), _folder(tree)
+    assert log is not None and folder is not None
+    faults: Reasons = []
+    remarks: list[str] = []
+    pictures = sorted((n for e in ENDINGS for n in tree.below(folder, e)), key=by_number)
+    depths = _by_picture(pictures, sorted(tree.below("depth", ".png"), key=by_number))
+    poses = _read_log(tree, log, len(pictures))
+    if max(poses, default=0) >= len(pictures):
+        missing = [number for number in poses if number >= len(pictures)]
+        faults.append((f"poses of {log} are left out, there are {len(pictures)} pictures", f"pose {missing[0]}"))
+    if unposed := [name for number, name in enumerate(pictures) if number not in poses]:
+        remarks.append(
+            f"{len(unposed)} of {len(pictures)} pictures are left out, without pose (first: {unposed[0]})"
+        )
+    intrinsics = _intrinsics(tree, pictures[0], remarks)
+    shots = []
+    for number, (name, short) in enumerate(zip(pictures, short_names(pictures))):
+        pose = rigid(poses[number]) if number in poses else None
+        if number in poses and pose is None:
+            faults.append((f"poses of {log} are left out, they are no rigid motions", f"pose {number}"))
+        elif pose is not None and not looks_whole(tree, name):
+            faults.append(("pictures are damaged and left out", name))
+        elif pose is not None:
+            depth = depths.get(name)
+            if depth is None:
+                faults.append(("pictures have no depth map", name))
+            elif not looks_whole(tree, depth):
+                faults.append(("depth maps are damaged and left out", depth))
+                depth = None
+            colour = functools.partial(tree_colour, tree, name)
+            reader = None if depth is None else functools.partial(_read_depth, tree, depth)
+            shots.append(Shot(short, number / 30, pose, intrinsics, colour, reader))
+    mesh = next((name for name in MESHES if name in tree), None)
+    return Recording(tree, shots, mesh=mesh, sensor=KINECT, faults=counted(faults), remarks=remarks)
+
+
+def _log_name(tree: FileTree) -> str | None:
+    known = [name for name in ("trajectory.log", "scene/trajectory.log") if name in tree]
+    logs = known[:1] or tree.below("", ".log")
+    return logs[0] if len(logs) == 1 else None
+
+
+def _folder(tree: FileTree) -> str | None:
+    return next((f for f in PICTURES if any(tree.below(f, ending) for ending in ENDINGS)), None)
+
+
+def _by_picture(pictures: list[str], depths: list[str]) -> dict[str, str]:
+    """Depth map of each picture: of the same name where most have one, by order otherwise."""
+    named = {PurePosixPath(depth).stem: depth for depth in depths}
+    same = {picture: named[stem] for picture in pictures if (stem := PurePosixPath(picture).stem) in named}
+    return same if 2 * len(same) > len(pictures) else dict(zip(pictures, depths))
+
+
+def _read_log(tree: FileTree, name: str, count: int) -> dict[int, Float[np.ndarray, "4 4"]]:
+    """Pose by number of the picture: the one that the log gives if these ascend, the place in the log otherwise."""
+    where = tree.where(name)
+    rows = [floats(words, where, row) for row, words in enumerate(table_rows(tree, name), start=1)]
+    numbers, poses = [], []
+    for start in range(0, len(rows), 5):
+        head, *matrix = rows[start : start + 5]
+        if len(head) != 3 or len(matrix) != 4 or any(len(row) != 4 for row in matrix):
+            raise InputError(f"{where}: pose {start // 5} is not three numbers and four rows of four")
+        numbers.append(head[0])
+        poses.append(np.array(matrix))
+    told = np.array(numbers)
+    usable = bool(np.all(np.isfinite(told)) and np.all(told == np.round(told)) and np.all(np.diff(told) > 0))
+    if len(told) and usable and told[0] >= 0 and told[-1] < count:
+        return dict(zip(map(int, told), poses))
+    return dict(enumerate(poses))
+
+
+def _intrinsics(tree: FileTree, picture: str, remarks: list[str]) -> Intrinsics:
+    height, width = tree_shape(tree, picture)
+    name = next((name for name in INTRINSICS if name in tree), None)
+    if name is None:
+        if (height, width) != DEFAULT.shape:
+            raise InputError(
+                f"{tree.where(INTRINSICS[0])}: missing; the default is for 640x480, not {width}x{height}"
+            )
+        remarks.append(f"there is no {INTRINSICS[0]}; taking the PrimeSense's default, 525 525 319.5 239.5")
+        return DEFAULT
+    fields = tree_fields(tree, name)
+    k = fields.numbers("intrinsic_matrix", (9,)).reshape(3, 3).T
+    if not np.array_equal(k[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], (0, 0, 0, 0, 1)):
+        raise InputError(
+            f"{fields.where}: 'intrinsic_matrix' must be fx 0 0 0 fy 0 cx cy 1, is {k.T.ravel().tolist()}"
+        )
+    values = (k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
+    try:
+        return Intrinsics(fields.whole("width", width), fields.whole("height", height), *map(float, values))
+    except InputError as error:
+        raise InputError(f"{fields.where}: {error}") from None
+
+
+def _read_depth(tree: FileTree, name: str) -> DepthAndConfidence:
+    return tree_depth(tree, name), None
+
+
+FORMAT = CaptureFormat("Redwood", is_redwood, open_redwood, "color/, depth/, trajectory.log")
