@@ -7,9 +7,9 @@
 
 `metadata` has for all frames `w`, `h` (of pictures), `dw`, `dh` (of depth), `fps`, `K` (9 numbers, column by
 column) and for each `poses` (qx qy qz qw tx ty tz, camera-to-world, camera in ARKit's axes),
-`perFrameIntrinsicCoeffs` (fx fy cx cy) and `frameTimestamps` (seconds); the last two are not in older files. Frame 12
-is entry 12 of the lists: numbers may be missing in between. Where the poses begin at the first camera, `initPose`
-places that in a world that is y-up; without it gravity is taken from how the camera was held.
+`perFrameIntrinsicCoeffs` (fx fy cx cy) and `frameTimestamps` (seconds); the last two are not in older files. Frame
+12 is entry 12 of the lists: numbers may be missing in between. Where the poses begin at the first camera,
+`initPose` places that in a world that is y-up; without it gravity is taken from how the camera was held.
 
 Principal points are taken as they are: whether the app has pixel centres at whole numbers is not told.
 
