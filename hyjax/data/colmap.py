@@ -6,10 +6,10 @@
                                          `meshed-*.ply`: preferred where depth maps are in it
     depth/ or depths/                    16-bit millimetres of a sensor, named after the pictures; not of COLMAP
 
-Camera axes are ours, pixel coordinates have the centre of the first pixel at 0.5 as here. The unit is not metres:
-a sensor's depth tells it, as the median ratio to the depth of the sparse points; otherwise `--scale` does. Which way
-is up is not told either: it is the cameras' mean up direction. A sensor's depth is taken to be that of a pinhole with
-the picture's intrinsics.
+Camera axes are ours, pixel coordinates have the centre of the first pixel at 0.5 as here. The unit is not
+metres: a sensor's depth tells it, as the median ratio to the depth of the sparse points; otherwise `--scale` does.
+Which way is up is not told either: it is the cameras' mean up direction. A sensor's depth is taken to be that of a
+pinhole with the picture's intrinsics.
 
 Tested on models written by pycolmap, not on a real capture.
 
