@@ -147,7 +147,7 @@ def _read_model(tree: FileTree, folder: str, kind: str) -> Any:
         model = pycolmap.Reconstruction()
         try:
             (model.read_binary if kind == ".bin" else model.read_text)(copy)
-            model.images.values()
+            _ = [image.name for image in model.images.values()]  # not UTF-8 in a damaged file
         except Exception as error:  # ValueError, IndexError, MemoryError, …
             reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
             raise InputError(f"{tree.where(folder)}: damaged model ({reason})") from None
