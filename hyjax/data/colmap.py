@@ -6,10 +6,10 @@
                                          `meshed-*.ply`: preferred where depth maps are in it
     depth/ or depths/                    16-bit millimetres of a sensor, named after the pictures; not of COLMAP
 
-Camera axes are ours, pixel coordinates have the centre of the first pixel at 0.5 as here. The unit is not metres:
-a sensor's depth tells it, as the median ratio to the depth of the sparse points; otherwise `--scale` does. Which way
-is up is not told either: it is the cameras' mean up direction. A sensor's depth is taken to be that of a pinhole with
-the picture's intrinsics.
+Camera axes are ours, pixel coordinates have the centre of the first pixel at 0.5 as here. The unit is not
+metres: a sensor's depth tells it, as the median ratio to the depth of the sparse points; otherwise `--scale` does.
+Which way is up is not told either: it is the cameras' mean up direction. A sensor's depth is taken to be that of a
+pinhole with the picture's intrinsics.
 
 Tested on models written by pycolmap, not on a real capture.
 
@@ -147,7 +147,7 @@ def _read_model(tree: FileTree, folder: str, kind: str) -> Any:
         model = pycolmap.Reconstruction()
         try:
             (model.read_binary if kind == ".bin" else model.read_text)(copy)
-            model.images.values()
+            _ = [image.name for image in model.images.values()]  # not UTF-8 in a damaged file
         except Exception as error:  # ValueError, IndexError, MemoryError, …
             reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
             raise InputError(f"{tree.where(folder)}: damaged model ({reason})") from None

@@ -36,7 +36,7 @@ class Fields:
             InputError: it is none, or missing.
         """
         if key not in self and default is not None:
-            return default
+            return float(default)
         value = self._value(key)
         try:
             number = float("nan") if isinstance(value, str | bool) else float(value)

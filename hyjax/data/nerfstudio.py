@@ -65,8 +65,8 @@ def open_nerfstudio(tree: FileTree) -> Recording:
     if tree.path.is_file() and tree.names == (listing,):
         tree = open_tree(tree.path.resolve().parent)
     top = tree_fields(tree, listing)
-    entries = sorted(top.objects("frames"), key=lambda entry: by_number(entry.text("file_path")))
-    found = [(entry, _find(tree, entry.text("file_path"))) for entry in entries]
+    found = [(entry, _find(tree, entry.text("file_path"))) for entry in top.objects("frames")]
+    found.sort(key=lambda pair: by_number(pair[1] or pair[0].text("file_path")))
     remarks: list[tuple[str, str]] = []
     faults: list[tuple[str, str]] = []
     chosen: dict[str, Fields] = {}

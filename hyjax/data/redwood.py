@@ -13,8 +13,8 @@ from the centre of the first one, hence half a pixel is added. Up is the cameras
 
 Tested on files written to the published layout, not on a real capture.
 
-Sources: Choi, Zhou, Koltun, "Robust reconstruction of indoor scenes", CVPR 2015, and redwood-data.org's file format;
-Open3D's documentation, "Reconstruction system" and `open3d.io.read_pinhole_camera_trajectory`.
+Sources: Choi, Zhou, Koltun, "Robust reconstruction of indoor scenes", CVPR 2015, and redwood-data.org's file
+format; Open3D's documentation, "Reconstruction system" and `open3d.io.read_pinhole_camera_trajectory`.
 """
 
 import functools

@@ -2,14 +2,14 @@
 
     header    version, name of the sensor; intrinsics and extrinsics of colour and of depth, 4×4 float32 each;
               compressions, sizes, steps a metre of depth, number of frames
-    a frame   camera-to-world (4×4 float32, camera x right, y down, z forward; -inf where tracking was lost), times of
-              colour and depth in microseconds, bytes of each, the colour picture (JPEG, PNG or raw), the depth map
-              (16 bits, zlib or raw)
+    a frame   camera-to-world (4×4 float32, camera x right, y down, z forward; -inf where tracking was lost),
+              times of colour and depth in microseconds, bytes of each, the colour picture (JPEG, PNG or raw), the
+              depth map (16 bits, zlib or raw)
 
-A file is read in place: opening it reads the 96 bytes before each frame's pictures, a frame reads its own. Extrinsics
-lead from a camera to what `camera-to-world` is of; depth of a camera that stands elsewhere is seen from the picture's.
-Intrinsics count pixels from the centre of the first one, hence half a pixel is added. Up is z where the cameras' mean
-up direction is within 45° of it, as in ScanNet's own scenes, and that direction elsewhere.
+A file is read in place: opening it reads the 96 bytes before each frame's pictures, a frame reads its own.
+Extrinsics lead from a camera to what `camera-to-world` is of; depth of a camera that stands elsewhere is brought to
+the picture's. Intrinsics count pixels from the centre of the first one, hence half a pixel is added. Up is z where
+the cameras' mean up direction is within 45° of it, as in ScanNet's own scenes, and that direction elsewhere.
 
 Tested on files written to the published layout, not on a real capture.
 

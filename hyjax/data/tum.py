@@ -73,7 +73,8 @@ def open_tum(tree: FileTree) -> Recording:
     if not covered:
         raise InputError(
             f"{tree.path}: no picture has a pose: rgb.txt runs from {pictures[0].time:.3f} to "
-            f"{pictures[-1].time:.3f} s, groundtruth.txt from {trajectory.times[0]:.3f} to {trajectory.times[-1]:.3f} s"
+            f"{pictures[-1].time:.3f} s, groundtruth.txt from {trajectory.times[0]:.3f} to "
+            f"{trajectory.times[-1]:.3f} s"
         )
     if uncovered := len(pictures) - len(covered):
         remarks.append(f"{uncovered} of {len(pictures)} pictures are left out, groundtruth.txt does not cover them")
