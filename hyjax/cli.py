@@ -47,7 +47,16 @@ class Train:
 
 @dataclasses.dataclass(frozen=True)
 class Info:
-    """Print versions, devices and what optional parts are installed."""
+    """Tell what a capture holds and what is doubtful in it; without PATH: versions, devices and optional parts."""
+
+    path: tyro.conf.Positional[Path | None] = None
+    """Folder or archive of a capture."""
+    scale: float | None = None
+    """Metres in one unit of its poses, for a capture that does not know it."""
+    out: Path | None = None
+    """PNG file for a few frames, their depth and the path from above. Default: NAME-info.png here."""
+    quiet: bool = False
+    """No progress bar."""
 
 
 def parse() -> RelightSettings | TuneSettings | Train | TourSettings | ExportSettings | ServeSettings | Info:
@@ -109,7 +118,7 @@ def main() -> None:
         elif isinstance(command, ServeSettings):
             run_serve(command)
         else:
-            run_info()
+            run_info(command)
         sys.stdout.flush()
     except InputError as error:
         print(f"hyjax: {error}", file=sys.stderr)
@@ -274,8 +283,38 @@ def _keep_compiled() -> None:
         warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
 
 
-def run_info() -> None:
+def run_info(command: Info) -> None:
     """`hyjax info`."""
+    if command.path is not None:
+        inspect_capture(command)
+    else:
+        print_versions()
+
+
+def inspect_capture(command: Info) -> None:
+    """`hyjax info PATH`."""
+    from hyjax.data.registry import open_capture
+    from hyjax.scene.inspection import inspect, relight_command
+    from hyjax.scene.inspection_picture import write_inspection
+
+    assert command.path is not None
+    level = logging.getLogger("hyjax").level
+    logging.getLogger("hyjax").setLevel(logging.ERROR)  # its lines stand in the list below
+    try:
+        capture = open_capture(command.path, scale=command.scale)
+        inspection = inspect(capture, progress=not command.quiet)
+        out = command.out or Path(f"{capture.name}-info.png")
+        write_inspection(out, inspection)
+    finally:
+        logging.getLogger("hyjax").setLevel(level)
+    for name, value in inspection.lines():
+        print(f"{name:<16}{value}")
+    print(f"{'picture':<16}{out}")
+    print(f"{'relight it':<16}{relight_command(command.path, capture, scale=command.scale)}")
+
+
+def print_versions() -> None:
+    """`hyjax info` without a path."""
     import jax
 
     from hyjax.data.registry import CAPTURE_FORMATS

@@ -81,6 +81,7 @@ class Capture(abc.ABC):
         depth_in_units: whether depth is in the unit of the poses, as it is where it was computed from pictures.
         faults: what is damaged and was left out, a line each; `open_capture` warns of them, or refuses them.
         remarks: what else is worth telling, a line each.
+        format: name of the layout that it was read from; empty where it was made in memory.
         strict: whether damaged frames are refused rather than left out.
     """
 
@@ -91,6 +92,7 @@ class Capture(abc.ABC):
     depth_in_units: bool = False
     faults: Sequence[str] = ()
     remarks: Sequence[str] = ()
+    format: str = ""
     strict: bool = False
     anchors: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
     mesh_file: Path | None = None

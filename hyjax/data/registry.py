@@ -95,7 +95,7 @@ def open_capture(
         capture = ScaledCapture(capture, scale)
     elif not capture.metric:
         _log.warning("%s: its unit is not known, it is taken for metres; give --scale, metres in one unit", path)
-    capture.strict = strict
+    capture.format, capture.strict = entry.name, strict
     return capture
 
 

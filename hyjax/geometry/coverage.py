@@ -31,11 +31,11 @@ class Coverage:
     distance: float
 
     @classmethod
-    def of(cls, caster: RayCaster, readings: Iterable[DepthReading]) -> "Coverage":
+    def of(cls, caster: RayCaster | None, readings: Iterable[DepthReading]) -> "Coverage":
         """Coverage of depth maps by a mesh; a few thousand pixels of each are looked at.
 
         Args:
-            caster: of the mesh.
+            caster: of the mesh; None where there is none, which covers nothing.
             readings: depth maps; readings without any confidence count as none.
         """
         pixels = read = covered = hit = 0
@@ -53,7 +53,9 @@ class Coverage:
             if confidence is not None:
                 valid &= confidence[np.ix_(row, column)] > 0
             rays = Camera(small, camera.pose).rays()[valid]
-            found = caster.cast(camera.origin, rays).distance  # rays have unit depth
+            found = np.full(len(rays), np.inf)
+            if caster is not None:
+                found = caster.cast(camera.origin, rays).distance  # rays have unit depth
             error = np.abs(found - measured[valid])
             pixels, read = pixels + valid.size, read + len(rays)
             covered += int((error < SLACK[0] + SLACK[1] * measured[valid]).sum())

@@ -150,10 +150,10 @@ def fuse_capture(
     )
 
 
-def coverage_of(capture: Capture, mesh: trimesh.Trimesh, confidence: float = 0.5) -> Coverage:
+def coverage_of(capture: Capture, mesh: trimesh.Trimesh | None, confidence: float = 0.5) -> Coverage:
     """How much of what a capture's depth maps measured a mesh has; a few of them are looked at."""
     indices = spread(range(capture.depth_count), SAMPLED)
-    return Coverage.of(RayCaster(mesh), Readings(capture, indices, confidence))
+    return Coverage.of(None if mesh is None else RayCaster(mesh), Readings(capture, indices, confidence))
 
 
 def tell_coverage(capture: Capture, description: str, coverage: Coverage) -> None:

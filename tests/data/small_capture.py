@@ -101,6 +101,8 @@ def mutated(content: bytes, place: int, byte: int, kind: int) -> bytes:
         content[:place],
         content[:place] + content[place // 2 :],
         content[:place] + content[place + 1 + byte % 9 :],
-        content[:place] + (b"-1e400", b"null", b"NaN", b'"x"', b"[]", b"9" * 30, b"\xff" * 8)[byte % 7] + content[place:],
+        content[:place]
+        + (b"-1e400", b"null", b"NaN", b'"x"', b"[]", b"9" * 30, b"\xff" * 8)[byte % 7]
+        + content[place:],
     )
     return changes[kind % len(changes)]

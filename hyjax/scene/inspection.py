@@ -1,0 +1,216 @@
+"""Inspection of a capture: what it holds, whether its parts fit each other, and what is doubtful."""
+
+import dataclasses
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+from tqdm import tqdm
+
+from hyjax.data.capture import Capture
+from hyjax.data.frames import spread
+from hyjax.geometry.coverage import Coverage
+from hyjax.geometry.depth_map import NEAR, SLACK
+from hyjax.scene.fusion import LITTLE, coverage_of, plan_fusion
+from hyjax.scene.fusion_settings import FusionSettings
+from hyjax.util.errors import InputError
+
+LOOKED_AT = 12
+"""Frames and depth maps that are read."""
+LONGEST_STEP = 1.0
+"""Metres between two neighbouring frames that are no walk."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Inspection:
+    """What a capture holds.
+
+    Attributes:
+        capture: the capture.
+        sizes: (width, height) of the pictures that were read.
+        exposures: seconds of the pictures that were read, where the device tells them.
+        seconds: from the first frame to the last.
+        positions: of the cameras, metres.
+        depth_size: (width, height) of the depth maps; None without any.
+        coverage: how mesh and depth agree; without a mesh, only how much has depth; None without depth.
+        quantiles: of depth in metres: least, median, most, but for a hundredth at both ends.
+        mesh: that the device made; None without one.
+        doubts: what may be wrong, a line each.
+    """
+
+    capture: Capture
+    sizes: list[tuple[int, int]]
+    exposures: list[float]
+    seconds: float
+    positions: Float[np.ndarray, "n 3"]
+    depth_size: tuple[int, int] | None
+    coverage: Coverage | None
+    quantiles: tuple[float, float, float] | None
+    mesh: trimesh.Trimesh | None
+    doubts: tuple[str, ...]
+
+    @property
+    def path_length(self) -> float:
+        """Metres that the camera went."""
+        return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
+
+    def lines(self) -> Iterator[tuple[str, str]]:
+        """Names and values, for people."""
+        capture, count = self.capture, len(self.capture)
+        yield "format", capture.format
+        rate = f", {(count - 1) / self.seconds:.3g} a second over {self.seconds:.3g} s" if self.seconds > 0 else ""
+        yield "frames", f"{count}{rate}"
+        yield "pictures", ", ".join(f"{w}x{h}" for w, h in dict.fromkeys(self.sizes))
+        if self.exposures:
+            low, high = (1e3 * f(self.exposures) for f in (min, max))
+            yield "exposure", f"{low:.3g} to {high:.3g} ms"
+        extent = np.ptp(self.positions, axis=0)
+        yield "camera path", f"{self.path_length:.3g} m within {' x '.join(f'{e:.2g}' for e in extent)} m"
+        yield "up", " ".join(f"{x:.3f}" for x in capture.up)
+        if self.depth_size is None or self.coverage is None or self.quantiles is None:
+            yield "depth", "none"
+        else:
+            low, middle, high = self.quantiles
+            yield (
+                "depth",
+                f"{capture.depth_count} maps of {self.depth_size[0]}x{self.depth_size[1]} ({capture.sensor.name}), "
+                f"{100 * self.coverage.measured:.0f} % of the pixels, {low:.2g} to {high:.2g} m, "
+                f"median {middle:.2g} m",
+            )
+        if self.mesh is None:
+            yield "mesh", "none"
+        else:
+            yield "mesh", f"{len(self.mesh.faces)} triangles, {self.mesh.area:.3g} m²"
+            if self.coverage is not None:
+                yield (
+                    "mesh to depth",
+                    f"{self.coverage.distance:.3g} m (median); the mesh has {100 * self.coverage.covered:.0f} % of "
+                    "what has depth",
+                )
+        for remark in capture.remarks:
+            yield "note", remark
+        for doubt in self.doubts:
+            yield "doubtful", doubt
+
+
+def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
+    """Look a capture over; a dozen of its pictures and depth maps are read.
+
+    Args:
+        capture: any.
+        progress: show a bar on stderr.
+
+    Raises:
+        InputError: nothing of it can be read.
+    """
+    doubts = list(capture.faults)
+    sizes, exposures, times = [], [], []
+    for index in tqdm(spread(range(len(capture)), LOOKED_AT), "reading", disable=not progress, unit="frame"):
+        try:
+            frame = capture[index]
+        except InputError as error:
+            doubts.append(str(error))
+            continue
+        sizes.append((frame.camera.intrinsics.width, frame.camera.intrinsics.height))
+        times.append(frame.time)
+        if frame.exposure is not None:
+            exposures.append(frame.exposure)
+    if not sizes:
+        raise InputError(f"{capture.name}: none of the pictures can be read")
+    positions = np.array([capture.camera(index).origin for index in range(len(capture))])
+    mesh = None
+    try:
+        mesh = capture.mesh()
+    except InputError as error:
+        doubts.append(str(error))
+    coverage = depth_size = quantiles = None
+    if capture.depth_count:
+        readings = [capture.depth_reading(index) for index in spread(range(capture.depth_count), LOOKED_AT)]
+        depth = np.concatenate([reading.depth.ravel() for reading in readings])
+        depth = depth[np.isfinite(depth) & (depth > NEAR)]
+        depth_size = readings[0].depth.shape[1], readings[0].depth.shape[0]
+        if len(depth):
+            low, middle, high = (float(q) for q in np.quantile(depth, (0.01, 0.5, 0.99)))
+            quantiles = low, middle, high
+            coverage = coverage_of(capture, mesh)
+        else:
+            doubts.append("the depth maps have no readings")
+    doubts += _doubts(capture, positions, mesh, coverage)
+    seconds = max(times) - min(times)
+    return Inspection(
+        capture, sizes, exposures, seconds, positions, depth_size, coverage, quantiles, mesh, tuple(doubts)
+    )
+
+
+def _doubts(
+    capture: Capture, positions: np.ndarray, mesh: trimesh.Trimesh | None, coverage: Coverage | None
+) -> Iterator[str]:
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    if len(steps) and steps.max() > LONGEST_STEP:
+        yield f"the camera jumps by {steps.max():.3g} m before frame {steps.argmax() + 1}"
+    if len(steps) and steps.sum() < 0.05:
+        yield "the camera hardly moves; a mesh of one view has holes behind everything"
+    if not capture.metric:
+        yield "the unit of length is not known; give --scale, metres in one unit"
+    if mesh is None and not capture.depth_count:
+        yield "neither depth nor a mesh; give one with --mesh FILE"
+    if mesh is not None and not 0.1 < max(mesh.extents) < 1000:
+        yield f"the mesh spans {max(mesh.extents):.3g} m; is it in metres?"
+    if mesh is None or coverage is None:
+        return
+    if coverage.hit < 0.05:
+        yield f"the mesh is met by {100 * coverage.hit:.0f} % of what has depth; same axes and units?"
+    elif coverage.distance > SLACK[0] + 2 * SLACK[1]:
+        yield f"mesh and depth lie {coverage.distance:.3g} m apart (median); are both in the same axes and units?"
+    elif coverage.covered < LITTLE:
+        yield f"the mesh has only {100 * coverage.covered:.0f} % of what has depth"
+
+
+def relight_command(path: Path | None, capture: Capture, *, scale: float | None = None) -> str:
+    """Command that relights a capture."""
+    words = ["hyjax", "relight"]
+    if path is not None:
+        words += ["--capture", str(path)]
+    if scale is not None:
+        words += ["--scale", f"{scale:g}"]
+    elif not capture.metric:
+        words += ["--scale", "METRES_IN_ONE_UNIT"]
+    if not capture.depth_count and not capture.has_mesh:
+        words += ["--mesh", "FILE"]
+    words += ["--lights", "evening-lamps"]
+    return " ".join(word if word.isupper() else shlex.quote(word) for word in words)
+
+
+def points_from_above(
+    inspection: Inspection, most: int = 20_000
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "m 2"]]:
+    """Points of the surface and camera positions, from above: metres along two horizontal axes."""
+    capture = inspection.capture
+    x, y = horizontal_axes(capture.up)
+    points = np.zeros((0, 3))
+    if capture.depth_count:
+        plan = plan_fusion(capture, FusionSettings())
+        found = []
+        for index in spread(range(capture.depth_count), LOOKED_AT):
+            depth, camera, confidence = capture.depth_reading(index)
+            near = (depth > NEAR) & (depth < plan.far)
+            if confidence is not None:
+                near &= confidence > 0.5
+            found.append(camera.unproject(depth)[near])
+        points = np.concatenate(found)
+    elif inspection.mesh is not None:
+        points = np.asarray(inspection.mesh.vertices)
+    points = points[:: max(1, len(points) // most)]
+    return np.stack([points @ x, points @ y], -1), np.stack(
+        [inspection.positions @ x, inspection.positions @ y], -1
+    )
+
+
+def horizontal_axes(up: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Two unit vectors across `up` and each other, right-handed with it."""
+    first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    first /= np.linalg.norm(first)
+    return first, np.cross(up, first)
