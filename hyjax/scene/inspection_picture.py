@@ -45,7 +45,7 @@ def write_inspection(path: Path, inspection: Inspection) -> None:
                 figure.colorbar(shown, ax=axes, shrink=0.8, label="depth (m)")
     axes = figure.add_subplot(grid[-1, :])
     surface, path_points = points_from_above(inspection)
-    axes.scatter(*surface.T, s=0.5, color="0.6", linewidths=0, label="surface")
+    axes.plot(*surface.T, ".", markersize=0.7, color="0.6", label="surface")
     axes.plot(*path_points.T, color="tab:red", linewidth=1.5, label="camera")
     axes.plot(*path_points[0], "o", color="tab:red", label="start")
     axes.set_aspect("equal")
