@@ -111,7 +111,9 @@ def test_pictures_of_another_size_are_refused(folder: Path) -> None:
 
 
 @given(data=st.data())
-def test_random_content_gives_frames_or_one_line(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+def test_random_content_gives_frames_or_one_line(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
     folder = write_polycam(tmp_path_factory.mktemp("scan"), FRAMES[:2])
     file = cameras(folder)[1]
     file.write_text(json.dumps(data.draw(mutated(json.loads(file.read_text())))))

@@ -91,7 +91,7 @@ def test_missing_and_damaged_depth_and_confidence(folder: Path) -> None:
 def test_clocks_that_go_back_are_put_in_order_and_told(folder: Path) -> None:
     edit_json(folder / "frame_00003.json", time=1.0)
     capture = open_capture(folder)
-    assert [frame.name for frame in capture][0] == "frame_00003" and capture[1].time > 1
+    assert capture[0].name == "frame_00003" and capture[1].time > 1
     assert "1 times go back" in capture.remarks[0]
 
 
@@ -141,7 +141,9 @@ def test_without_any_picture(folder: Path) -> None:
 
 
 @given(data=st.data())
-def test_random_content_gives_frames_or_one_line(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+def test_random_content_gives_frames_or_one_line(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
     folder = write_scanner3d(tmp_path_factory.mktemp("scan"), FRAMES[:2])
     file = folder / "frame_00001.json"
     file.write_text(json.dumps(data.draw(mutated(json.loads(file.read_text())))))

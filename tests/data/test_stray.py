@@ -267,8 +267,9 @@ def test_a_table_numbered_by_the_sensor_is_taken_by_order(folder: Path) -> None:
             (folder / kind / f"{index:06d}.png").rename(folder / kind / f"{renumber[index]}.png")
     edit_lines(
         folder,
-        lambda lines: [lines[0]]
-        + [line.replace(f" {i:06d},", f" {renumber[i]},", 1) for i, line in enumerate(lines[1:])],
+        lambda lines: (
+            [lines[0]] + [line.replace(f" {i:06d},", f" {renumber[i]},", 1) for i, line in enumerate(lines[1:])]
+        ),
     )
     agree(open_capture(folder), FRAMES)
 

@@ -44,4 +44,4 @@ def mutated_text(draw: st.DrawFn, text: str) -> str:
     """A copy with a stretch replaced by something short."""
     start = draw(st.integers(0, len(text)))
     end = draw(st.integers(start, min(len(text), start + 30)))
-    return text[:start] + draw(st.text("0123456789.,- enaif\n\"x", max_size=6)) + text[end:]
+    return text[:start] + draw(st.text('0123456789.,- enaif\n"x', max_size=6)) + text[end:]

@@ -34,7 +34,7 @@ def box_room(count: int = 6) -> list[Frame]:
 def _frame(index: int) -> Frame:
     angle = 0.15 * index
     eye = np.array([0.6 - 0.1 * index, 0.2 + 0.05 * index, -0.3])
-    pose = look_at(eye, eye + [np.sin(angle), -0.25, np.cos(angle)], UP)
+    pose = look_at(eye, eye + np.array([np.sin(angle), -0.25, np.cos(angle)]), UP)
     camera, depth_camera = Camera(LENS, pose), Camera(LENS.resize(*DEPTH_SHAPE), pose)
     points = camera.unproject(_box_depth(camera))
     image = 0.5 + 0.35 * np.sin(1.7 * points + [0.0, 1.0, 2.0])
@@ -157,7 +157,9 @@ def write_scanner3d(folder: Path, frames: Sequence[Frame], picture_every: int = 
     return folder
 
 
-def write_record3d(folder: Path, frames: Sequence[Frame], numbers: Sequence[int] | None = None, r3d: bool = False) -> Path:
+def write_record3d(
+    folder: Path, frames: Sequence[Frame], numbers: Sequence[int] | None = None, r3d: bool = False
+) -> Path:
     """Record3D's EXR + RGB export, or the content of an .r3d; `numbers` of the frames, 0, 1, … if None."""
     numbers = range(len(frames)) if numbers is None else numbers
     k = frames[0].camera.intrinsics
