@@ -9,9 +9,13 @@
         lowres_depth/….png                        16-bit millimetres, seen through lowres_wide's lens
         confidence/….png                          8-bit, 0 low to 2 high
         <video_id>_frames/                        3dod: the folders and the trajectory are in here
+                                                  (an older sample has color.traj, wide/, color_intrinsics/ and
+                                                  depth_densified/ instead, with files named <timestamp>.png)
 
 The world is z-up, in metres; cameras look along +z with x right and y down. Devices were held in any
 orientation: pictures are turned upright (`hyjax.data.orientation`), as the poses say.
+
+Tested on small files written to these layouts, on no real scan.
 
 Source: Baruch et al., "ARKitScenes: a diverse real-world dataset for 3D indoor scene understanding using mobile
 RGB-D data", NeurIPS Datasets and Benchmarks 2021, and the data pages of its repository.
@@ -21,6 +25,7 @@ import csv
 import dataclasses
 import itertools
 import logging
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -31,18 +36,45 @@ from hyjax.data.arkit_intrinsics import NAME_TOLERANCE, read_intrinsics
 from hyjax.data.capture import Capture, CaptureFormat, Frame
 from hyjax.data.capture_files import TimedFile, TimedFiles, fingerprint, read_colour, timed_files
 from hyjax.data.orientation import turn_frame, turns_upright
+from hyjax.data.phone_captures import confidence_from_levels
 from hyjax.data.trajectory import Trajectory, read_trajectory
 from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.errors import InputError
-from hyjax.util.images import read_depth, read_image
+from hyjax.util.images import read_depth, read_labels
+
+
+@dataclasses.dataclass(frozen=True)
+class _Layout:
+    """Names within a scan.
+
+    Attributes:
+        trajectory: file of the poses.
+        pictures: folders of pictures, best first.
+        intrinsics: folder of their intrinsics; that of the pictures with `_intrinsics` behind it if None.
+        depth: folder of depth maps.
+        depth_intrinsics: folder of theirs.
+        one_lens: whether depth is seen through the pictures' lens, whatever its size.
+    """
+
+    trajectory: str
+    pictures: tuple[str, ...]
+    intrinsics: str | None
+    depth: str
+    depth_intrinsics: str
+    one_lens: bool = False
+
 
 TRAJECTORY = "lowres_wide.traj"
-PICTURES = ("vga_wide", "wide", "lowres_wide")
-"""Folders of pictures, best first: `wide` is larger, but has few pictures of few scans."""
+# `wide` is larger than `vga_wide`, but has few pictures of few scans.
+PUBLISHED = _Layout(TRAJECTORY, ("vga_wide", "wide", "lowres_wide"), None, "lowres_depth", "lowres_wide_intrinsics")
+OLDER = _Layout("color.traj", ("wide",), "color_intrinsics", "depth_densified", "color_intrinsics", one_lens=True)
+CONFIDENCE = "confidence"
 DEPTH_TOLERANCE = 1 / 60
 """Seconds between a picture and the depth map that goes with it; depth comes sixty times a second."""
 SPLITS = ("raw_train_val_splits.csv", "metadata.csv")
 """Tables of video and visit: the repository's, and the one that the downloader leaves beside the scans."""
+TIMED_BY_VIDEO = re.compile(r"(\d+)_")
 LASER = "laser_scanner_point_clouds"
 _log = logging.getLogger(__name__)
 
@@ -79,6 +111,7 @@ class _DepthFiles:
     map: Path
     intrinsics: Path
     confidence: Path | None
+    one_lens: bool
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,20 +138,22 @@ class ArkitScenes(Capture):
     def __init__(self, path: Path) -> None:
         assets = _assets_folder(path.resolve())
         scan = assets.parent if assets.name.endswith("_frames") else assets
-        if not (assets / TRAJECTORY).is_file():
-            raise InputError(f"{_missing(assets, TRAJECTORY)}; about two dozen videos have none")
-        trajectory = read_trajectory(assets / TRAJECTORY)
-        pictures = _picture_folder(assets)
-        depths = _Depths(assets) if (assets / "lowres_depth").is_dir() else None
+        layout = OLDER if (assets / OLDER.trajectory).is_file() else PUBLISHED
+        if not (assets / layout.trajectory).is_file():
+            raise InputError(f"{_missing(assets, layout.trajectory)}; about two dozen videos have none")
+        trajectory = read_trajectory(assets / layout.trajectory)
+        pictures = _picture_folder(assets, layout)
+        intrinsics = _intrinsics_folder(pictures, layout)
+        depths = _Depths(assets, layout) if (assets / layout.depth).is_dir() else None
         self._scan = scan
-        self._folders = {scan, assets, pictures, _intrinsics_folder(pictures)} | (
-            depths.folders if depths else set()
-        )
-        self._frames = _frames(assets, pictures, depths, trajectory)
+        self._folders = {scan, assets, pictures, intrinsics} | (depths.folders if depths else set())
+        self._frames = _frames(assets, pictures, intrinsics, depths, trajectory, layout)
         self._poses = [trajectory.pose_at(shot.time) for shot in self._frames]
         self.quarter_turns = turns_upright(self._poses)
         self.up = np.array([0.0, 0.0, 1.0])
-        self.name = self._frames[0].picture.name.partition("_")[0]
+        self.sensor = PHONE_LIDAR
+        video = TIMED_BY_VIDEO.match(self._frames[0].picture.name)
+        self.name = video[1] if video else scan.name
         mesh = scan / f"{self.name}_3dod_mesh.ply"
         self.mesh_file = mesh if mesh.is_file() else None
         self.laser_folder = _laser_folder(scan, self.name)
@@ -134,7 +169,7 @@ class ArkitScenes(Capture):
     def __getitem__(self, index: int) -> Frame:
         """Frame at a position in order of time. IndexError beyond the end ends a `for` loop.
 
-        Depth is 0 where its confidence is low.
+        Depth is 0 where its confidence is low, which is 0 too; medium is 0.5, high is 1.
 
         Raises:
             InputError: a picture is damaged or of another size than its intrinsics, or these are malformed.
@@ -142,17 +177,19 @@ class ArkitScenes(Capture):
         shot = self._frames[index]
         image, intrinsics = read_colour(shot.picture), read_intrinsics(shot.intrinsics)
         _check_size(shot.picture, image, intrinsics.shape, shot.intrinsics)
-        depth = lens = None
+        depth = lens = confidence = None
         if shot.depth is not None:
-            depth, lens = _read_depth(shot.depth)
+            depth, lens, confidence = _read_depth(shot.depth)
         time = shot.time - self._frames[0].time
-        frame = Frame(shot.picture.stem, image, Camera(intrinsics, self._poses[index]), time, depth, lens)
+        camera = Camera(intrinsics, self._poses[index])
+        frame = Frame(shot.picture.stem, image, camera, time, depth, lens, confidence)
         return turn_frame(frame, self.quarter_turns)
 
 
 def _is_scan(path: Path) -> bool:
     """By names alone."""
-    signs = (TRAJECTORY, "vga_wide", "lowres_wide", "lowres_depth", "[0-9]*_frames", "[0-9]*_3dod_mesh.ply")
+    layouts = (TRAJECTORY, OLDER.trajectory, "vga_wide", "lowres_wide", PUBLISHED.depth, OLDER.depth)
+    signs = (*layouts, "[0-9]*_frames", "[0-9]*_3dod_mesh.ply")
     return any(any(path.glob(sign)) for sign in signs)
 
 
@@ -177,32 +214,33 @@ def _missing(assets: Path, asset: str) -> InputError:
     )
 
 
-def _intrinsics_folder(pictures: Path) -> Path:
-    return pictures.with_name(f"{pictures.name}_intrinsics")
+def _intrinsics_folder(pictures: Path, layout: _Layout) -> Path:
+    return pictures.with_name(layout.intrinsics or f"{pictures.name}_intrinsics")
 
 
-def _picture_folder(assets: Path) -> Path:
+def _picture_folder(assets: Path, layout: _Layout) -> Path:
     """The best folder of pictures that has its intrinsics."""
-    present = [assets / name for name in PICTURES if (assets / name).is_dir()]
+    present = [assets / name for name in layout.pictures if (assets / name).is_dir()]
     if not present:
-        raise InputError(f"{_missing(assets, PICTURES[0])}, or one of {', '.join(PICTURES[1:])}")
-    usable = [folder for folder in present if _intrinsics_folder(folder).is_dir()]
+        others = f", or one of {', '.join(layout.pictures[1:])}" if layout.pictures[1:] else ""
+        raise InputError(f"{_missing(assets, layout.pictures[0])}{others}")
+    usable = [folder for folder in present if _intrinsics_folder(folder, layout).is_dir()]
+    missing = _missing(assets, _intrinsics_folder(present[0], layout).name)
     if not usable:
-        raise _missing(assets, _intrinsics_folder(present[0]).name)
+        raise missing
     if usable[0] != present[0]:
-        _log.warning(
-            "%s; taking the pictures of %s", _missing(assets, _intrinsics_folder(present[0]).name), usable[0].name
-        )
+        _log.warning("%s; taking the pictures of %s", missing, usable[0].name)
     return usable[0]
 
 
 class _Depths:
     """The depth maps of a scan, which have a lens and times of their own."""
 
-    def __init__(self, assets: Path) -> None:
+    def __init__(self, assets: Path, layout: _Layout) -> None:
         maps, intrinsics_files, confidences = (
-            assets / name for name in ("lowres_depth", "lowres_wide_intrinsics", "confidence")
+            assets / name for name in (layout.depth, layout.depth_intrinsics, CONFIDENCE)
         )
+        self._one_lens = layout.one_lens
         if not intrinsics_files.is_dir():
             raise _missing(assets, intrinsics_files.name)
         self.folders = {maps, intrinsics_files} | ({confidences} if confidences.is_dir() else set())
@@ -220,19 +258,21 @@ class _Depths:
         if depth is None or intrinsics_file is None:
             return None
         confidence = self._confidences.nearest(depth.time, NAME_TOLERANCE)
-        return _DepthFiles(depth.path, intrinsics_file.path, confidence and confidence.path)
+        return _DepthFiles(depth.path, intrinsics_file.path, confidence and confidence.path, self._one_lens)
 
 
-def _frames(assets: Path, pictures: Path, depths: _Depths | None, trajectory: Trajectory) -> list[_FrameFiles]:
+def _frames(
+    assets: Path, pictures: Path, intrinsics: Path, depths: _Depths | None, trajectory: Trajectory, layout: _Layout
+) -> list[_FrameFiles]:
     """The frames that have all they need; a warning counts the others."""
-    files, intrinsics_files = timed_files(pictures, ".png"), timed_files(_intrinsics_folder(pictures), ".pincam")
+    files, intrinsics_files = timed_files(pictures, ".png"), timed_files(intrinsics, ".pincam")
     shots: list[_FrameFiles] = []
     left_out: Counter[str] = Counter()
     for time, picture in files:
         intrinsics_file = intrinsics_files.nearest(time, NAME_TOLERANCE)
         depth = None if depths is None else depths.nearest(time)
         if not trajectory.covers(time):
-            left_out[f"at times that {TRAJECTORY} does not cover"] += 1
+            left_out[f"at times that {layout.trajectory} does not cover"] += 1
         elif intrinsics_file is None:
             left_out["without .pincam"] += 1
         elif depths is not None and depth is None:
@@ -249,15 +289,19 @@ def _frames(assets: Path, pictures: Path, depths: _Depths | None, trajectory: Tr
     return shots
 
 
-def _read_depth(files: _DepthFiles) -> tuple[Float[np.ndarray, "h w"], Intrinsics]:
-    """Depth in metres, 0 where there is no reading or its confidence is low, and its intrinsics."""
+def _read_depth(
+    files: _DepthFiles,
+) -> tuple[Float[np.ndarray, "h w"], Intrinsics, Float[np.ndarray, "h w"] | None]:
+    """Depth in metres, 0 where there is no reading or its confidence is low, its intrinsics and its confidence."""
     depth, intrinsics = read_depth(files.map), read_intrinsics(files.intrinsics)
+    if files.one_lens:
+        intrinsics = intrinsics.resize(*depth.shape)
     _check_size(files.map, depth, intrinsics.shape, files.intrinsics)
-    if files.confidence is not None:
-        confidence = read_image(files.confidence)[..., 0]
-        _check_size(files.confidence, confidence, depth.shape, files.map)
-        depth = np.where(confidence == 0, np.float32(0.0), depth)
-    return depth, intrinsics
+    if files.confidence is None:
+        return depth, intrinsics, None
+    levels = read_labels(files.confidence)
+    _check_size(files.confidence, levels, depth.shape, files.map)
+    return np.where(levels == 0, np.float32(0.0), depth), intrinsics, confidence_from_levels(levels)
 
 
 def _check_size(file: Path, pixels: np.ndarray, shape: tuple[int, ...], other: Path) -> None:

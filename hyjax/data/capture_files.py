@@ -17,7 +17,7 @@ from hyjax.data.file_tree import FileTree
 from hyjax.util.errors import InputError
 from hyjax.util.images import picture_shape, read_depth, read_image, read_labels
 
-TIMED = re.compile(r"\d+_(\d+\.\d+)")
+TIMED = re.compile(r"(?:\d+_)?(\d+\.\d+)")
 
 
 def read_numbers(path: Path, shape: tuple[int, ...], meaning: str = "row by row") -> Float[np.ndarray, "*shape"]:
@@ -181,7 +181,7 @@ class TimedFiles:
 
 
 def timed_files(folder: Path, suffix: str) -> TimedFiles:
-    """The files of a folder that are named as `47333462_6845.210.png`: video, time in seconds, suffix.
+    """The files of a folder that are named as `47333462_6845.210.png`: video (or nothing), time in seconds, suffix.
 
     Raises:
         InputError: two files of the same time.

@@ -248,6 +248,20 @@ class _Archive(FileTree):
         except Exception as error:  # BadZipFile, OSError, zlib.error, lzma.LZMAError, …
             raise InputError(f"{self.where(name)}: damaged in the archive ({error})") from None
 
+    @contextlib.contextmanager
+    def local(self, name: str) -> Iterator[Path]:
+        """See `FileTree`; large files are copied piece by piece."""
+        if name not in self:
+            raise InputError(f"{self.where(name)}: no such file")
+        with tempfile.TemporaryDirectory(prefix="hyjax-") as folder:
+            copy = Path(folder) / PurePosixPath(name).name
+            try:
+                with self._lock, self._zip.open(name) as packed, copy.open("wb") as file:
+                    shutil.copyfileobj(packed, file, 1 << 20)
+            except Exception as error:  # as in `read`
+                raise InputError(f"{self.where(name)}: damaged in the archive ({error})") from None
+            yield copy
+
     def size(self, name: str) -> int:
         return self._zip.getinfo(name).file_size
 

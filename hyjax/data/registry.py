@@ -7,7 +7,19 @@ a call of `register_format`.
 import logging
 from pathlib import Path
 
-from hyjax.data import arkit_scenes, colmap, nerfstudio, redwood, scannet, seven_scenes, tum
+from hyjax.data import (
+    arkit_scenes,
+    colmap,
+    nerfstudio,
+    polycam,
+    record3d,
+    redwood,
+    scanner3d,
+    scannet,
+    seven_scenes,
+    stray,
+    tum,
+)
 from hyjax.data.capture import Capture, CaptureFormat
 from hyjax.data.file_tree import FileTree, open_tree
 from hyjax.data.scaled import ScaledCapture
@@ -21,6 +33,10 @@ CAPTURE_FORMATS = [
     tum.FORMAT,
     scannet.FORMAT,
     redwood.FORMAT,
+    scanner3d.FORMAT,
+    record3d.FORMAT,
+    stray.FORMAT,
+    polycam.FORMAT,
 ]
 """The formats of captures; the one that recognises a folder reads it."""
 _log = logging.getLogger(__name__)

@@ -1,0 +1,143 @@
+"""What readers of phone captures share: depth with confidence, poses from quaternions, counts of what is wrong."""
+
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from hyjax.data.capture_files import looks_whole, tree_depth, tree_labels
+from hyjax.data.file_tree import FileTree
+from hyjax.data.recording import DepthAndConfidence, Shot, rigid
+from hyjax.geometry.camera import Intrinsics
+from hyjax.util.errors import InputError
+from hyjax.util.images import picture_shape
+
+ARKIT_LEVELS = (0, 1, 2)
+"""ARKit's confidence levels: low, medium, high."""
+FARTHEST = 1e5
+"""Metres from the world's origin beyond which a camera's position is taken for garbage."""
+PIXEL_CENTRE = 0.5
+"""What our principal point has more than ARKit's, whose pixel centres are at whole numbers: ARKit's own projection
+matrices, which 3D Scanner App keeps beside the intrinsics, agree with these to 0.001 pixels if it is added."""
+
+
+class Tally:
+    """Things that were noticed in a capture, counted by what they are.
+
+    Example:
+        >>> tally = Tally()
+        >>> for name in ("3.jpg", "7.jpg"):
+        ...     tally.add("pictures are damaged", name)
+        >>> tally.lines()
+        ['2 pictures are damaged (first: 3.jpg)']
+    """
+
+    def __init__(self) -> None:
+        self._found: dict[str, tuple[int, str]] = {}
+
+    def add(self, what: str, name: str) -> None:
+        """Count one, which is called `name`."""
+        count, first = self._found.get(what, (0, name))
+        self._found[what] = count + 1, first
+
+    def lines(self) -> list[str]:
+        """A line for each kind of thing, in the order in which they were first seen."""
+        return [f"{count} {what} (first: {first})" for what, (count, first) in self._found.items()]
+
+
+def usable_pose(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
+    """The rigid motion nearest to a pose; None if it is none, or leads out of any building."""
+    result = rigid(pose)
+    return None if result is None or np.abs(result[:3, 3]).max() > FARTHEST else result
+
+
+def pose_from_quaternion(
+    quaternion: Float[np.ndarray, "4"], position: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "4 4"] | None:
+    """A pose from a unit quaternion x y z w and a position; None if they are not finite or not of unit length."""
+    if not np.all(np.isfinite((*quaternion, *position))) or abs(np.linalg.norm(quaternion) - 1.0) > 0.01:
+        return None
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    pose[:3, 3] = position
+    return usable_pose(pose)
+
+
+def lens_of(
+    shape: tuple[int, int], focal_and_centre: Sequence[float], where: str, shift: float = 0.0
+) -> Intrinsics:
+    """Intrinsics of pictures of (height, width) from fx, fy, cx, cy; `shift` is added to cx and cy.
+
+    Raises:
+        InputError: they belong to no picture of this size.
+    """
+    fx, fy, cx, cy = (float(value) for value in focal_and_centre)
+    height, width = shape
+    try:
+        lens = Intrinsics(width, height, fx, fy, cx + shift, cy + shift)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    if not (0 < cx < width and 0 < cy < height and 0.05 * width < fx < 100 * width):
+        raise InputError(
+            f"{where}: focal length {fx:g} and centre ({cx:g}, {cy:g}) do not belong to {width}x{height} pictures"
+        )
+    return lens
+
+
+def lidar_depth(
+    tree: FileTree, depth: str, confidence: str | None, levels: tuple[int, int, int] = ARKIT_LEVELS
+) -> Callable[[], DepthAndConfidence]:
+    """Reads a depth map in millimetres and its confidence map, whose `levels` become 0, 0.5 and 1."""
+
+    def read() -> DepthAndConfidence:
+        metres = tree_depth(tree, depth)
+        if confidence is None:
+            return metres, None
+        found = tree_labels(tree, confidence)
+        if found.shape != metres.shape:
+            raise InputError(
+                f"{tree.where(confidence)}: is {found.shape[1]}x{found.shape[0]} but its depth map is "
+                f"{metres.shape[1]}x{metres.shape[0]}; the two must have one size"
+            )
+        return metres, confidence_from_levels(found, levels)
+
+    return read
+
+
+def confidence_from_levels(
+    found: np.ndarray, levels: tuple[int, int, int] = ARKIT_LEVELS
+) -> Float[np.ndarray, "h w"]:
+    """Confidence in [0, 1] from a device's low, medium and high; what is beyond high is high."""
+    return np.interp(found, levels, (0.0, 0.5, 1.0)).astype(np.float32)
+
+
+def whole_file(tree: FileTree, name: str, what: str, faults: Tally) -> str | None:
+    """The name of a file if it is there and whole; a damaged one is counted in `faults` as `what`."""
+    if name not in tree:
+        return None
+    if looks_whole(tree, name):
+        return name
+    faults.add(f"{what} are damaged and left out", name)
+    return None
+
+
+def shape_of_pictures(tree: FileTree, names: Sequence[str]) -> tuple[int, int]:
+    """(height, width) of a capture's pictures, by the header of the first.
+
+    Raises:
+        InputError: there is no picture, or its header cannot be read.
+    """
+    if not names:
+        raise InputError(f"{tree.path}: has no pictures that can be read")
+    with tree.local(names[0]) as path:
+        return picture_shape(path, tree.where(names[0]))
+
+
+def in_order_of_time(shots: Sequence[Shot], remarks: Tally) -> list[Shot]:
+    """Shots sorted by time; those whose clock went back are counted in `remarks`."""
+    for before, after in itertools.pairwise(shots):
+        if after.time < before.time:
+            remarks.add("times go back, frames are taken in order of time", after.name)
+    return sorted(shots, key=lambda shot: shot.time)

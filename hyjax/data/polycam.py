@@ -1,0 +1,122 @@
+"""Polycam's raw data ("keyframes"): an iPhone's or iPad's LiDAR or room scan.
+
+    keyframes/cameras/<microseconds>.json   t_00 to t_23 (3×4 camera-to-world, ARKit's axes), fx fy cx cy, width,
+                                            height, blur_score, timestamp
+    keyframes/images/….jpg                  the picture
+    keyframes/depth/….png                   16-bit millimetres, 256×192
+    keyframes/confidence/….png              0, 54 (medium) or 255
+    keyframes/corrected_cameras/, keyframes/corrected_images/, keyframes/corrected_depth/
+                                            the same after the app has adjusted poses and undone the lens; not of
+                                            every scan, and not of every keyframe
+    mesh_info.json, raw.glb                 not read: the mesh is moved against the poses
+
+Corrected cameras and pictures are preferred. The world is y-up, in metres.
+
+Tested on small files written to this layout, on no real export.
+
+Source: github.com/PolyCam/polyform.
+"""
+
+import functools
+
+import numpy as np
+
+from hyjax.data.capture import CaptureFormat
+from hyjax.data.capture_files import tree_colour
+from hyjax.data.file_tree import FileTree
+from hyjax.data.json_fields import json_count, json_number, json_object
+from hyjax.data.phone_captures import (
+    PIXEL_CENTRE,
+    Tally,
+    in_order_of_time,
+    lens_of,
+    lidar_depth,
+    usable_pose,
+    whole_file,
+)
+from hyjax.data.recording import Y_UP, Recording, Shot, from_opengl
+from hyjax.geometry.depth_sensor import PHONE_LIDAR
+
+RAW, CORRECTED = "keyframes/cameras", "keyframes/corrected_cameras"
+CONFIDENCE_LEVELS = (0, 54, 255)
+
+
+def is_polycam(tree: FileTree) -> bool:
+    """Whether there are `keyframes/cameras/*.json` or `keyframes/corrected_cameras/*.json`."""
+    return bool(tree.below(RAW, ".json") or tree.below(CORRECTED, ".json"))
+
+
+def open_polycam(tree: FileTree) -> Recording:
+    """Open raw data. Cameras are read and checked now, pictures and depth when asked for.
+
+    Keyframes that the app has not corrected are left out of a scan that it has.
+
+    Raises:
+        InputError: no keyframe has a picture and a pose, or a camera's file lacks what is needed.
+    """
+    faults, remarks = Tally(), Tally()
+    corrected = bool(tree.below(CORRECTED, ".json") and tree.below("keyframes/corrected_images"))
+    cameras = tree.below(CORRECTED if corrected else RAW, ".json")
+    names = [camera.rpartition("/")[2].removesuffix(".json") for camera in cameras]
+    if corrected:
+        for camera in tree.below(RAW, ".json"):
+            if camera.rpartition("/")[2].removesuffix(".json") not in names:
+                remarks.add("keyframes were not corrected by the app and are left out", camera)
+    images = "keyframes/corrected_images" if corrected else "keyframes/images"
+    has_corrected_depth = corrected and bool(tree.below("keyframes/corrected_depth", ".png"))
+    depths = "keyframes/corrected_depth" if has_corrected_depth else "keyframes/depth"
+    shots = []
+    for index, (camera, name) in enumerate(zip(cameras, names)):
+        shot = _read_keyframe(tree, camera, name, index, images, depths, faults, remarks)
+        if shot is not None:
+            shots.append(shot)
+    return Recording(
+        tree,
+        in_order_of_time(shots, remarks),
+        up=Y_UP,
+        sensor=PHONE_LIDAR,
+        faults=faults.lines(),
+        remarks=remarks.lines(),
+    )
+
+
+def _read_keyframe(
+    tree: FileTree, camera: str, name: str, index: int, images: str, depths: str, faults: Tally, remarks: Tally
+) -> Shot | None:
+    fields, where = json_object(tree, camera), tree.where(camera)
+    rows = [[_entry(fields, f"t_{row}{column}", where) for column in range(4)] for row in range(3)]
+    pose = usable_pose(np.array([*rows, [0.0, 0.0, 0.0, 1.0]]))
+    size = json_count(fields, "height", where), json_count(fields, "width", where)
+    values = [json_number(fields, key, where) for key in ("fx", "fy", "cx", "cy")]
+    lens = lens_of(size, values, where, PIXEL_CENTRE)
+    microseconds = float(name) if name.isascii() and name.isdigit() and len(name) <= 16 else float(index)
+    time = json_number(fields, "timestamp", where, microseconds) / 1e6
+    found = [file for suffix in ("jpg", "jpeg", "png") if (file := f"{images}/{name}.{suffix}") in tree]
+    picture = whole_file(tree, found[0], "pictures", faults) if found else None
+    depth = whole_file(tree, f"{depths}/{name}.png", "depth maps", faults)
+    confidence = whole_file(tree, f"keyframes/confidence/{name}.png", "confidence maps", faults)
+    if pose is None:
+        faults.add("poses are none (not finite, or no rotation) and left out", camera)
+        return None
+    if picture is None:
+        remarks.add("cameras have no picture" + ("; their depth is used" if depth else " and no depth"), camera)
+    elif depth is None:
+        remarks.add("pictures have no depth", picture)
+    return Shot(
+        name,
+        time,
+        from_opengl(pose),
+        lens,
+        None if picture is None else functools.partial(tree_colour, tree, picture),
+        None if depth is None else lidar_depth(tree, depth, confidence, CONFIDENCE_LEVELS),
+    )
+
+
+def _entry(fields: dict[str, object], key: str, where: str) -> float:
+    """An entry of a pose, which may be NaN."""
+    if isinstance(value := fields.get(key), float) and not np.isfinite(value):
+        return float("nan")
+    return json_number(fields, key, where)
+
+
+FORMAT = CaptureFormat("Polycam", is_polycam, open_polycam, "keyframes/cameras/*.json")

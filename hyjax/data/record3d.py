@@ -1,0 +1,231 @@
+"""Record3D's exports: "EXR + RGB" folders, and `.r3d` files.
+
+    metadata.json   or, in an .r3d (a ZIP archive), metadata
+    rgb/12.jpg                 rgbd/12.jpg      the picture, portrait
+    depth/12.exr               rgbd/12.depth    metres; one channel R; in an .r3d float32, LZFSE-compressed
+                               rgbd/12.conf     confidence 0 to 2, a byte a reading, LZFSE-compressed
+
+`metadata` has for all frames `w`, `h` (of pictures), `dw`, `dh` (of depth), `fps`, `K` (9 numbers, column by
+column) and for each `poses` (qx qy qz qw tx ty tz, camera-to-world, camera in ARKit's axes),
+`perFrameIntrinsicCoeffs` (fx fy cx cy) and `frameTimestamps` (seconds); the last two are not in older files. Frame
+12 is entry 12 of the lists: numbers may be missing in between. Where the poses begin at the first camera,
+`initPose` places that in a world that is y-up; without it gravity is taken from how the camera was held.
+
+Principal points are taken as they are: whether the app has pixel centres at whole numbers is not told.
+
+Tested on small files written to this layout, on no real export.
+
+Source: the app's author in the issues of github.com/marek-simonik/record3d (27, 33, 36).
+"""
+
+import functools
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.data.capture import CaptureFormat
+from hyjax.data.capture_files import tree_colour
+from hyjax.data.file_tree import FileTree
+from hyjax.data.json_fields import json_count, json_list, json_number, json_numbers, json_object, number_list
+from hyjax.data.phone_captures import (
+    Tally,
+    confidence_from_levels,
+    in_order_of_time,
+    lens_of,
+    pose_from_quaternion,
+    shape_of_pictures,
+    whole_file,
+)
+from hyjax.data.recording import Y_UP, DepthAndConfidence, Recording, Shot, from_opengl
+from hyjax.geometry.camera import Intrinsics
+from hyjax.geometry.depth_sensor import PHONE_LIDAR
+from hyjax.util.errors import InputError
+from hyjax.util.images import read_image
+
+PICTURE = re.compile(r"(?:rgb|rgbd)/(\d+)\.jpe?g")
+DEPTH = re.compile(r"(?:depth/(\d+)\.exr|rgbd/(\d+)\.depth)")
+FRAMES_PER_SECOND = 30.0
+"""Where the file does not tell."""
+Metadata = Mapping[str, Any]
+
+
+def is_record3d(tree: FileTree) -> bool:
+    """Whether there are `metadata.json` and `rgb/`, or `metadata` and `rgbd/`."""
+    return ("metadata.json" in tree or "metadata" in tree) and any(map(PICTURE.fullmatch, tree.names))
+
+
+def open_record3d(tree: FileTree) -> Recording:
+    """Open an export. `metadata` is read and checked now, pictures and depth when asked for.
+
+    Raises:
+        InputError: no frame has a picture and a pose, `metadata` lacks what is needed, or the package `lzfse` is
+            needed and not installed.
+    """
+    name = "metadata.json" if "metadata.json" in tree else "metadata"
+    metadata, where = json_object(tree, name), tree.where(name)
+    faults, remarks = Tally(), Tally()
+    files = {int(match[1]): file for file in tree.names if (match := PICTURE.fullmatch(file))}
+    pictures = {number: file for number, file in files.items() if whole_file(tree, file, "pictures", faults)}
+    depths = {int(match[1] or match[2]): file for file in tree.names if (match := DEPTH.fullmatch(file))}
+    if any(file.endswith(".depth") for file in depths.values()):
+        _lzfse()
+    poses, up = _read_poses(metadata, where, remarks)
+    lenses = _Lenses(metadata, where, shape_of_pictures(tree, list(pictures.values())))
+    times, rate = _read_times(metadata, where)
+    shots: list[Shot] = []
+    for number in sorted({*pictures, *depths}):
+        picture, depth = pictures.get(number), depths.get(number)
+        pose = poses[number] if number < len(poses) else None
+        if pose is None:
+            why = "poses are none (not finite, or no rotation)" if number < len(poses) else "frames have no pose"
+            faults.add(f"{why} and are left out", str(picture or depth))
+            continue
+        if picture is None:
+            remarks.add("depth maps have no picture; fusion uses them", str(depth))
+        elif depth is None and depths:
+            remarks.add("pictures have no depth", picture)
+        lens = lenses.of(number)
+        time = times[number] if number < len(times) else number / rate
+        shots.append(
+            Shot(
+                f"frame_{number:06d}",
+                time,
+                from_opengl(pose),
+                lens,
+                None if picture is None else functools.partial(tree_colour, tree, picture),
+                None if depth is None else functools.partial(_read_depth, tree, depth, metadata, where, lens),
+            )
+        )
+    unused = [number for number in range(len(poses)) if number not in files]
+    for number in unused:
+        remarks.add("poses have no picture", f"number {number}")
+    return Recording(
+        tree,
+        in_order_of_time(shots, remarks),
+        up=up,
+        sensor=PHONE_LIDAR,
+        faults=faults.lines(),
+        remarks=remarks.lines(),
+    )
+
+
+Pose = Float[np.ndarray, "4 4"]
+
+
+def _read_poses(
+    metadata: Metadata, where: str, remarks: Tally
+) -> tuple[list[Pose | None], Float[np.ndarray, "3"] | None]:
+    """Camera-to-world poses (None where one is none) in ARKit's axes, and up; None if gravity is not told."""
+    rows = json_list(metadata, "poses", where)
+    numbers = [number_list(row, 7, f"{where}: poses[{place}]", finite=False) for place, row in enumerate(rows)]
+    poses = [pose_from_quaternion(row[:4], row[4:]) for row in numbers]
+    known = [pose for pose in poses if pose is not None]
+    if len(known) > 1 and all(np.allclose(pose, known[0], atol=1e-9) for pose in known):
+        raise InputError(f"{where}: poses are all the same; the selfie camera has none, and a scan needs motion")
+    if not poses or poses[0] is None or not np.allclose(poses[0], np.eye(4), atol=1e-4):
+        return poses, Y_UP
+    if "initPose" in metadata:
+        row = json_numbers(metadata, "initPose", 7, where, finite=False)
+        start = pose_from_quaternion(row[:4], row[4:])
+        if start is not None and not np.allclose(start[:3, :3], np.eye(3), atol=1e-4):
+            return [None if pose is None else start @ pose for pose in poses], Y_UP
+    remarks.add("pose begins the world, so gravity is taken from how the camera was held", "poses[0]")
+    return poses, None
+
+
+def _read_times(metadata: Metadata, where: str) -> tuple[list[float], float]:
+    """Seconds of the frames, as far as they are told, and pictures a second for the others."""
+    rate = json_number(metadata, "fps", where, FRAMES_PER_SECOND)
+    if not 0.01 <= rate <= 1e4:
+        raise InputError(f"{where}: fps: need pictures a second, got {rate:g}")
+    if "frameTimestamps" not in metadata:
+        return [], rate
+    rows = json_list(metadata, "frameTimestamps", where)
+    return number_list(rows, len(rows), f"{where}: frameTimestamps").tolist(), rate
+
+
+class _Lenses:
+    """Intrinsics of the pictures, in the size in which they are stored."""
+
+    def __init__(self, metadata: Metadata, where: str, shape: tuple[int, int]) -> None:
+        self._where, self._shape = where, shape
+        self._told = json_count(metadata, "h", where), json_count(metadata, "w", where)
+        if abs(self._told[0] * shape[1] / (self._told[1] * shape[0]) - 1.0) > 0.01:
+            raise InputError(
+                f"{where}: w and h are {self._told[1]} and {self._told[0]}, but pictures are {shape[1]}x{shape[0]}"
+            )
+        coefficients = "perFrameIntrinsicCoeffs"
+        rows = json_list(metadata, coefficients, where) if coefficients in metadata else []
+        self._each = [number_list(row, 4, f"{where}: {coefficients}[{i}]") for i, row in enumerate(rows)]
+        self._all = self._scaled(_of_matrix(json_numbers(metadata, "K", 9, where)), "K")
+
+    def of(self, number: int) -> Intrinsics:
+        if number >= len(self._each):
+            return self._all
+        return self._scaled(self._each[number], f"perFrameIntrinsicCoeffs[{number}]")
+
+    def _scaled(self, values: Float[np.ndarray, "4"], key: str) -> Intrinsics:
+        return lens_of(self._told, values.tolist(), f"{self._where}: {key}").resize(*self._shape)
+
+
+def _of_matrix(k: Float[np.ndarray, "9"]) -> Float[np.ndarray, "4"]:
+    """fx, fy, cx, cy of K, which other programs than the app write row by row."""
+    return k[[0, 4, 2, 5]] if not k[6:8].any() and k[[2, 5]].all() else k[[0, 4, 6, 7]]
+
+
+def _read_depth(tree: FileTree, name: str, metadata: Metadata, where: str, lens: Intrinsics) -> DepthAndConfidence:
+    if name.endswith(".exr"):
+        with tree.local(name) as path:
+            return _positive(read_image(path, tree.where(name))[..., 0]), None
+    metres = _unpacked(tree, name, np.float32, metadata, where, lens)
+    other = name.removesuffix("depth") + "conf"
+    if other not in tree:
+        return _positive(metres), None
+    levels = _unpacked(tree, other, np.uint8, metadata, where, lens)
+    if levels.shape != metres.shape:
+        raise InputError(f"{tree.where(other)}: not of the size of its depth map")
+    return _positive(metres), confidence_from_levels(levels)
+
+
+def _positive(metres: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Depth with 0 for what is no reading: NaN, infinite, negative."""
+    return np.where(np.isfinite(metres) & (metres > 0), metres, 0.0).astype(np.float32)
+
+
+def _unpacked(
+    tree: FileTree, name: str, kind: type, metadata: Metadata, where: str, lens: Intrinsics
+) -> Float[np.ndarray, "h w"]:
+    """An LZFSE-compressed array; of the pictures' proportions where `metadata` does not tell its size."""
+    lzfse = _lzfse()
+    values: np.ndarray
+    try:
+        values = np.frombuffer(lzfse.decompress(tree.read(name)), kind)
+    except (lzfse.error, ValueError, MemoryError):
+        raise InputError(f"{tree.where(name)}: damaged (cannot be decompressed by LZFSE)") from None
+    if "dw" in metadata and "dh" in metadata:
+        shape = json_count(metadata, "dh", where), json_count(metadata, "dw", where)
+    else:
+        width = max(1, round((values.size * lens.width / lens.height) ** 0.5))
+        shape = values.size // width, width
+    if values.size != shape[0] * shape[1] or not values.size:
+        raise InputError(f"{tree.where(name)}: holds {values.size} readings, need {shape[1]}x{shape[0]} (dw, dh)")
+    return values.reshape(shape)
+
+
+def _lzfse() -> Any:
+    try:
+        import lzfse
+    except ImportError:
+        raise InputError(
+            "depth of .r3d files needs the package lzfse; install it with: pip install '.[captures]' "
+            "(or export EXR + RGB from the app)"
+        ) from None
+    return lzfse
+
+
+FORMAT = CaptureFormat(
+    "Record3D", is_record3d, open_record3d, "metadata.json, rgb/N.jpg, depth/N.exr; or an .r3d file"
+)

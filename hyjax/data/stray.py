@@ -1,0 +1,180 @@
+"""Stray Scanner: an iPhone's or iPad's LiDAR video.
+
+    rgb.mp4             the pictures, HEVC (H.264 of old versions), sideways as the sensor sees them
+    odometry.csv        timestamp, frame, x, y, z, qx, qy, qz, qw and, of newer versions, fx, fy, cx, cy
+    camera_matrix.csv   3×3 intrinsics of the last picture
+    depth/000012.png    16-bit millimetres, 256×192, one a row of odometry.csv
+    confidence/000012.png   0 to 2
+    imu.csv             not read
+
+Poses are camera-to-world in metres, the world is y-up. The camera's axes are x right, y down, z forward: the app
+turns ARKit's by half a turn about x before it writes the quaternion (`q_WA * q_AC` in its `OdometryEncoder.swift`).
+
+Tested on small files written to this layout, on no real recording.
+
+Source: github.com/strayrobots/scanner, `docs/format.md` and the app's source.
+"""
+
+import csv
+import functools
+import io
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.data.capture import CaptureFormat
+from hyjax.data.capture_files import parse_numbers
+from hyjax.data.file_tree import FileTree
+from hyjax.data.phone_captures import (
+    PIXEL_CENTRE,
+    Tally,
+    in_order_of_time,
+    lens_of,
+    lidar_depth,
+    pose_from_quaternion,
+    whole_file,
+)
+from hyjax.data.recording import Y_UP, Recording, Shot
+from hyjax.data.video_frames import VideoFrames
+from hyjax.geometry.camera import Intrinsics
+from hyjax.geometry.depth_sensor import PHONE_LIDAR
+from hyjax.util.errors import InputError
+
+VIDEO, ODOMETRY, MATRIX = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
+NEEDED = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+LENS = ("fx", "fy", "cx", "cy")
+MOST_FRAMES = 10_000_000
+
+
+def is_stray(tree: FileTree) -> bool:
+    """Whether there are `odometry.csv` and `rgb.mp4`."""
+    return ODOMETRY in tree and VIDEO in tree
+
+
+def open_stray(tree: FileTree) -> Recording:
+    """Open a recording. Poses are read and checked now, pictures and depth when asked for.
+
+    Raises:
+        InputError: `av` is not installed, the video cannot be read, a row of `odometry.csv` is malformed, or no row
+            has a picture and a pose.
+    """
+    faults, remarks = Tally(), Tally()
+    rows = _read_odometry(tree, faults)
+    video = VideoFrames(tree, VIDEO)
+    numbers = [int(row["frame"]) for row in rows]
+    # The video has a picture a row. Where rows were taken out of the table, their numbers still tell which.
+    by_number = len(numbers) < len(video) and max(numbers) < len(video)
+    shared = _read_matrix(tree, video.shape) if not all(_has_lens(row) for row in rows) else None
+    shots: list[Shot] = []
+    for place, (row, number) in enumerate(zip(rows, numbers)):
+        shot = _read_row(tree, row, number, number if by_number else place, video, shared, faults, remarks)
+        if shot is not None:
+            shots.append(shot)
+    extra = len(video) - len(rows)
+    if extra > 0:
+        remarks.add(f"video has {extra} more pictures than {ODOMETRY} has rows; they are not used", VIDEO)
+    return Recording(
+        tree,
+        in_order_of_time(shots, remarks),
+        up=Y_UP,
+        sensor=PHONE_LIDAR,
+        faults=faults.lines(),
+        remarks=remarks.lines(),
+    )
+
+
+Row = dict[str, float]
+
+
+def _read_odometry(tree: FileTree, faults: Tally) -> list[Row]:
+    """Rows by column, without blank columns; all that is needed is there, and numbers."""
+    where = tree.where(ODOMETRY)
+    try:
+        lines = list(csv.reader(io.StringIO(tree.text(ODOMETRY)), skipinitialspace=True))
+    except csv.Error as error:
+        raise InputError(f"{where}: not a table ({error})") from None
+    header = [name.strip() for name in lines[0]] if lines else []
+    if missing := [name for name in NEEDED if name not in header]:
+        raise InputError(f"{where}: has no column {', '.join(missing)}; need {', '.join(NEEDED)}")
+    rows = []
+    for number, line in enumerate(lines[1:], start=2):
+        cells = dict(zip(header, (cell.strip() for cell in line)))
+        if not any(cells.values()):
+            continue
+        if number == len(lines) and any(not cells.get(name) for name in NEEDED):
+            faults.add("row was cut off at the end of the file and left out", f"{ODOMETRY} line {number}")
+            continue
+        names = [name for name in (*NEEDED, *LENS) if name in NEEDED or cells.get(name)]
+        rows.append({name: _cell(cells.get(name, ""), name, f"{where}: line {number}") for name in names})
+    if not rows:
+        raise InputError(f"{where}: has no rows")
+    return rows
+
+
+def _cell(text: str, column: str, where: str) -> float:
+    """A number, NaN for one that is not finite; `timestamp` and `frame` must be."""
+    try:
+        number = float(text)
+    except ValueError:
+        raise InputError(f"{where}: {column}: need a number, got {text[:40]!r}") from None
+    if column == "frame" and not (number.is_integer() and 0 <= number < MOST_FRAMES):
+        raise InputError(f"{where}: {column}: need a whole number from 0, got {text[:40]!r}")
+    if not math.isfinite(number) and column in ("timestamp", *LENS):
+        raise InputError(f"{where}: {column}: need a finite number, got {text[:40]!r}")
+    return number if math.isfinite(number) else math.nan
+
+
+def _has_lens(row: Row) -> bool:
+    return all(name in row for name in LENS)
+
+
+def _read_matrix(tree: FileTree, shape: tuple[int, int]) -> Intrinsics:
+    if MATRIX not in tree:
+        raise InputError(f"{tree.where(MATRIX)}: missing, and {ODOMETRY} has no columns {', '.join(LENS)}")
+    where = tree.where(MATRIX)
+    k = parse_numbers(tree.text(MATRIX).replace(",", " "), where, (3, 3), "fx 0 cx / 0 fy cy / 0 0 1, with commas")
+    return lens_of(shape, k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), where, PIXEL_CENTRE)
+
+
+def _read_row(
+    tree: FileTree,
+    row: Row,
+    number: int,
+    place: int,
+    video: VideoFrames,
+    shared: Intrinsics | None,
+    faults: Tally,
+    remarks: Tally,
+) -> Shot | None:
+    lens = shared
+    if _has_lens(row):
+        values = [row[name] for name in LENS]
+        lens = lens_of(video.shape, values, f"{tree.where(ODOMETRY)}: frame {number}", PIXEL_CENTRE)
+    assert lens is not None
+    pose = pose_from_quaternion(_numbers(row, "qx", "qy", "qz", "qw"), _numbers(row, "x", "y", "z"))
+    name = f"{number:06d}"
+    if pose is None:
+        faults.add("poses are none (not finite, or no rotation) and left out", f"frame {name}")
+        return None
+    depth = whole_file(tree, f"depth/{name}.png", "depth maps", faults)
+    confidence = whole_file(tree, f"confidence/{name}.png", "confidence maps", faults)
+    if place >= len(video):
+        remarks.add("poses have no picture: the video is shorter", f"frame {name}")
+    elif depth is None:
+        remarks.add("pictures have no depth", f"frame {name}")
+    return Shot(
+        f"frame_{name}",
+        row["timestamp"],
+        pose,
+        lens,
+        functools.partial(video.read, place) if place < len(video) else None,
+        None if depth is None else lidar_depth(tree, depth, confidence),
+    )
+
+
+def _numbers(row: Row, *names: str) -> Float[np.ndarray, "n"]:
+    return np.array([row[name] for name in names])
+
+
+FORMAT = CaptureFormat("Stray Scanner", is_stray, open_stray, "rgb.mp4, odometry.csv, depth/NNNNNN.png")

@@ -1,0 +1,145 @@
+"""Pictures of a video file, in any order, without holding more than a few of them.
+
+Needs the package `av` (PyAV, which brings FFmpeg's libraries).
+"""
+
+import bisect
+import contextlib
+import threading
+import weakref
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from hyjax.data.file_tree import FileTree
+from hyjax.util.errors import InputError
+
+if TYPE_CHECKING:
+    import av
+
+UNTOLD, REC_709 = 2, 1
+"""Colour matrices by FFmpeg's numbers."""
+
+
+class VideoFrames:
+    """Pictures of a video by their position in order of time.
+
+    Read in order, each is decoded once; otherwise decoding starts at the key frame before. Threads may read at the
+    same time; they wait for each other. Pictures are as they are stored: a rotation that players would apply is not
+    applied, as intrinsics are of the stored ones.
+
+    Args:
+        tree: of the file; from an archive it is copied to a temporary file, which lives as long as this object.
+        name: of the file in it.
+
+    Raises:
+        InputError: `av` is not installed, or the file holds no video that can be read.
+    """
+
+    def __init__(self, tree: FileTree, name: str) -> None:
+        av = import_av(tree.where(name))
+        self._where = tree.where(name)
+        self._lock = threading.Lock()
+        with contextlib.ExitStack() as stack:
+            path = stack.enter_context(tree.local(name))
+            self._errors = (av.error.FFmpegError, OSError, ValueError, EOFError)
+            try:
+                self._times, self._keys = _index(av, path)
+                self._container = stack.enter_context(av.open(str(path)))
+                self._stream = self._container.streams.video[0]
+                self._stream.thread_type = "AUTO"
+                context = self._stream.codec_context
+                self.shape = (int(context.height), int(context.width))
+            except (*self._errors, IndexError) as error:
+                raise InputError(f"{self._where}: not a readable video ({_line(error)})") from None
+            if not self._times or not self._keys or min(self.shape) < 1:
+                raise InputError(f"{self._where}: holds no video pictures")
+            weakref.finalize(self, stack.pop_all().close)
+        self._decoded: Iterator[Any] | None = None
+        self._next = 0
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    def read(self, index: int) -> Float[np.ndarray, "h w 3"]:
+        """The picture at a position, display-encoded in [0, 1].
+
+        Raises:
+            InputError: it cannot be decoded.
+        """
+        if not 0 <= index < len(self):
+            raise InputError(f"{self._where}: has {len(self)} pictures, none at position {index}")
+        with self._lock:
+            # Of streams with open groups of pictures, those right behind a key frame need the one before it.
+            last_key = bisect.bisect_right(self._keys, self._times[index]) - 1
+            for key in (last_key, last_key - 1, 0):
+                try:
+                    frame = self._find(index, max(key, 0))
+                except self._errors as error:
+                    self._decoded = None
+                    raise InputError(f"{self._where}: picture {index} cannot be decoded ({_line(error)})") from None
+                if frame is not None:
+                    pixels = _colours(frame)
+                    return pixels.astype(np.float32) / np.float32(255.0)
+        raise InputError(f"{self._where}: picture {index} cannot be decoded; the video is damaged there")
+
+    def _find(self, index: int, key: int) -> "av.VideoFrame | None":
+        """The picture at a position, by decoding on, or anew from a key frame; None if it does not come."""
+        wanted, start = self._times[index], self._keys[key]
+        if self._decoded is None or index < self._next or self._times[self._next] < start:
+            self._container.seek(start, stream=self._stream)
+            self._decoded = self._container.decode(self._stream)
+        for frame in self._decoded:
+            if frame.pts is not None and frame.pts >= wanted:
+                self._next = min(bisect.bisect_right(self._times, frame.pts), len(self) - 1)
+                if frame.pts == wanted:
+                    if index == len(self) - 1:
+                        self._decoded = None
+                    return frame
+                break
+        self._decoded = None
+        return None
+
+
+def _index(av: Any, path: Path) -> tuple[list[int], list[int]]:
+    """Times of all pictures, and of the key frames among them, in the stream's own unit; nothing is decoded."""
+    times, keys = set(), set()
+    with av.open(str(path)) as container:
+        if not container.streams.video:
+            return [], []
+        with contextlib.suppress(av.error.FFmpegError):  # a file that was cut off: what is there is used
+            for packet in container.demux(container.streams.video[0]):
+                if packet.pts is not None and packet.size and not packet.is_discard:
+                    times.add(int(packet.pts))
+                    if packet.is_keyframe:
+                        keys.add(int(packet.pts))
+    return sorted(times), sorted(keys)
+
+
+def _colours(frame: "av.VideoFrame") -> UInt8[np.ndarray, "h w 3"]:
+    """8-bit RGB. A video that does not tell its colour matrix is taken for Rec. 709's, as phones record."""
+    matrix = REC_709 if frame.colorspace == UNTOLD else None
+    return frame.reformat(format="rgb24", src_colorspace=matrix).to_ndarray()
+
+
+def import_av(what: str) -> Any:
+    """The package `av`.
+
+    Args:
+        what: needs it, for the message.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        import av
+    except ImportError:
+        raise InputError(f"{what}: needs the package av; install it with: pip install '.[captures]'") from None
+    return av
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:120] or type(error).__name__
