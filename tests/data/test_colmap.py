@@ -29,7 +29,9 @@ def folder(tmp_path: Path) -> Path:
     return write(tmp_path / "hall")
 
 
-def write(folder: Path, place: str = "sparse/0", camera: str = PINHOLE, binary: bool = True, names: str = "") -> Path:
+def write(
+    folder: Path, place: str = "sparse/0", camera: str = PINHOLE, binary: bool = True, names: str = ""
+) -> Path:
     """A model whose points lie on the walls of the small capture's depth maps."""
     model = folder / place
     model.mkdir(parents=True, exist_ok=True)
@@ -46,7 +48,9 @@ def write(folder: Path, place: str = "sparse/0", camera: str = PINHOLE, binary: 
         for row in range(8, 48, 8):
             for column in range(8, 64, 8):
                 number = len(points) + 1
-                points.append(f"{number} {' '.join(map(str, world[row, column] / UNIT))} 9 9 9 0.1 {index + 1} {len(seen)}")
+                points.append(
+                    f"{number} {' '.join(map(str, world[row, column] / UNIT))} 9 9 9 0.1 {index + 1} {len(seen)}"
+                )
                 seen.append(f"{column + 0.5} {row + 0.5} {number}")
         images += [f"{index + 1} {' '.join(map(repr, map(float, numbers)))} 1 {name}", " ".join(seen)]
     (model / "cameras.txt").write_text(f"# Camera list\n1 {camera}\n")
@@ -167,7 +171,7 @@ def test_smaller_pictures_are_not_taken_for_the_models(folder: Path) -> None:
 
 def test_pictures_beside_a_transforms_json_belong_to_nerfstudio(folder: Path) -> None:
     (folder / "transforms.json").write_text("{}")
-    with pytest.raises(InputError, match="transforms.json: has no 'frames'"):
+    with pytest.raises(InputError, match=r"transforms\.json: has no 'frames'"):
         open_capture(folder)
 
 

@@ -43,12 +43,19 @@ def sens(
     poses = [small.pose(i) for i in range(small.COUNT)] if poses is None else poses
     name = b"StructureSensor"
     parts = [struct.pack("<IQ", version, len(name)), name]
-    for part in (matrix(small.LENS), np.eye(4), matrix(DEPTH_LENS), np.eye(4) if depth_to_rig is None else depth_to_rig):
+    for part in (
+        matrix(small.LENS),
+        np.eye(4),
+        matrix(DEPTH_LENS),
+        np.eye(4) if depth_to_rig is None else depth_to_rig,
+    ):
         parts.append(np.asarray(part, "<f4").tobytes())
     packings = {"raw": 0, "png": 1, "jpg": 2}[colour], {"raw": 0, "zlib": 1}[depth]
     packings = packings[0], packings[1] if depth_packing is None else depth_packing
     k, d = small.LENS, DEPTH_LENS
-    parts.append(struct.pack("<2i4IfQ", *packings, k.width, k.height, d.width, d.height, 1000.0, count or len(poses)))
+    parts.append(
+        struct.pack("<2i4IfQ", *packings, k.width, k.height, d.width, d.height, 1000.0, count or len(poses))
+    )
     for index, pose in enumerate(poses):
         pixels = np.round(small.picture(index % 3) * 255).astype(np.uint8)
         file = io.BytesIO()
@@ -180,6 +187,7 @@ def test_any_damage_ends_in_a_result_or_one_line(
     tmp_path_factory: pytest.TempPathFactory, place: int, byte: int, kind: int
 ) -> None:
     folder = write(
-        tmp_path_factory.mktemp("damaged") / "scene", small.mutated(sens(), place if byte % 2 else place % 400, byte, kind)
+        tmp_path_factory.mktemp("damaged") / "scene",
+        small.mutated(sens(), place if byte % 2 else place % 400, byte, kind),
     )
     small.result_or_refusal(lambda: small.first_frame(folder))

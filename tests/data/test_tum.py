@@ -31,7 +31,9 @@ def pose_row(time: float, pose: np.ndarray) -> str:
 
 def write(folder: Path) -> Path:
     """Poses at 0, 0.1, 0.2 s, pictures with them, depth 15 ms later."""
-    rgb, depth, poses = (["# a comment", f"# timestamp {what}"] for what in ("file", "file", "tx ty tz qx qy qz qw"))
+    rgb, depth, poses = (
+        ["# a comment", f"# timestamp {what}"] for what in ("file", "file", "tx ty tz qx qy qz qw")
+    )
     for index in range(small.COUNT):
         time = START + index / 10
         small.save_picture(folder / f"rgb/{time:.6f}.png", small.picture(index))
@@ -95,7 +97,10 @@ def test_a_depth_of_65535_is_no_reading(folder: Path) -> None:
 
 
 def test_poses_that_are_nan_are_left_out(folder: Path) -> None:
-    edit(folder / "groundtruth.txt", lambda rows: [*rows, f"{START + 1} nan 0 0 0 0 0 1", f"{START + 2} 0 0 0 0 0 0 0"])
+    edit(
+        folder / "groundtruth.txt",
+        lambda rows: [*rows, f"{START + 1} nan 0 0 0 0 0 1", f"{START + 2} 0 0 0 0 0 0 0"],
+    )
     capture = open_capture(folder)
     assert len(capture) == 3 and "2 rows of groundtruth.txt are left out, they are no poses" in capture.faults[0]
 
