@@ -12,6 +12,7 @@ from typing import Annotated
 
 import tyro
 
+from hyjax.data.convert import ConvertSettings
 from hyjax.device.serve import ServeSettings
 from hyjax.export.settings import ExportSettings
 from hyjax.relighting.settings import RelightSettings
@@ -59,7 +60,12 @@ class Info:
     """No progress bar."""
 
 
-def parse() -> RelightSettings | TuneSettings | Train | TourSettings | ExportSettings | ServeSettings | Info:
+Command = (
+    RelightSettings | TuneSettings | Train | TourSettings | ExportSettings | ServeSettings | ConvertSettings | Info
+)
+
+
+def parse() -> Command:
     """The command line. Exits with status 2 if it is none."""
     # The defaults of `train`, and what its help says they are.
     recipe = PAPER if "--paper" in sys.argv else TrainSettings()
@@ -70,6 +76,7 @@ def parse() -> RelightSettings | TuneSettings | Train | TourSettings | ExportSet
         | Annotated[TourSettings, tyro.conf.subcommand("tour")]
         | Annotated[ExportSettings, tyro.conf.subcommand("export")]
         | Annotated[ServeSettings, tyro.conf.subcommand("serve")]
+        | Annotated[ConvertSettings, tyro.conf.subcommand("convert")]
         | Annotated[Info, tyro.conf.subcommand("info")]
     )
     return tyro.cli(
@@ -117,6 +124,8 @@ def main() -> None:
             run_export(command)
         elif isinstance(command, ServeSettings):
             run_serve(command)
+        elif isinstance(command, ConvertSettings):
+            run_convert(command)
         else:
             run_info(command)
         sys.stdout.flush()
@@ -264,6 +273,14 @@ def run_serve(settings: ServeSettings) -> None:
     except KeyboardInterrupt:
         server.stop()
         exit_now(0)
+
+
+def run_convert(settings: ConvertSettings) -> None:
+    """`hyjax convert`."""
+    from hyjax.data.convert import convert, relight_command
+
+    count = convert(settings)
+    print(f"{count} frame{'s' * (count != 1)} in {settings.out}; relight with: {relight_command(settings)}")
 
 
 def _keep_compiled() -> None:

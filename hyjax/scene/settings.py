@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hyjax.scene.fusion_settings import FusionSettings
-from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
+from hyjax.util.sizes import parse_size
 
 if TYPE_CHECKING:
     from hyjax.data.capture import Capture
 
 Occluders = Literal["completed", "surface"]
 """What throws shadows: all that is known of the place, see `hyjax.scene.occluders`, or the bare surface."""
-LARGEST = 16384
-"""Pixels a side."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,18 +82,3 @@ def check_lights_name(lights: str) -> None:
         read_lights(Path(lights), np.array([0.0, 0.0, 1.0]), warn=False)  # whichever way is up
     else:
         check_setup_name(lights)
-
-
-def parse_size(text: str | None) -> tuple[int, int] | None:
-    """(height, width) from 512 (square) or 640x480 (width x height); None stays None.
-
-    Raises:
-        InputError: not of this form, or a side outside 8 to 16384.
-    """
-    if text is None:
-        return None
-    fields = str(text).lower().split("x")
-    numbers = all(f.isascii() and f.isdecimal() and len(f) < 6 and 8 <= int(f) <= LARGEST for f in fields)
-    if not 1 <= len(fields) <= 2 or not numbers:
-        raise InputError(f"size: {text!r} must be a number (512) or width x height (640x480), each 8 to {LARGEST}")
-    return int(fields[-1]), int(fields[0])

@@ -104,6 +104,23 @@ def write_png(path: Path, display: Float[np.ndarray, "h w c"]) -> None:
     _write(path, pixels, "uint8", {"oiio:ColorSpace": "srgb_rec709_scene"})
 
 
+def write_depth(path: Path, depth: Float[np.ndarray, "h w"], unit: float = 0.001) -> None:
+    """Write a depth map in metres as a 16-bit PNG; what has no reading, or does not fit, is 0.
+
+    Args:
+        path: of the file.
+        depth: metres.
+        unit: metres per stored step.
+    """
+    steps = np.round(np.nan_to_num(np.asarray(depth, np.float64), posinf=0.0, neginf=0.0) / unit)
+    _write(path, np.where((steps > 0) & (steps < 65535), steps, 0).astype(np.uint16), "uint16", {})
+
+
+def write_labels(path: Path, labels: UInt8[np.ndarray, "h w"]) -> None:
+    """Write an 8-bit picture whose values are numbers, such as confidences of depth."""
+    _write(path, labels, "uint8", {})
+
+
 def write_exr(path: Path, linear: Float[np.ndarray, "h w c"]) -> None:
     """Write linear values as a half-float EXR (ZIP compressed). Values beyond half range are clipped to it."""
     pixels = np.clip(np.asarray(linear, dtype=np.float32), -65504.0, 65504.0).astype(np.float16)

@@ -1,4 +1,4 @@
-"""A small capture to be written in every layout: three posed pictures with depth, and its folder as a ZIP archive."""
+"""A small capture to be written in every layout: three posed pictures with depth, and its folder as a ZIP."""
 
 import zipfile
 from collections.abc import Callable
@@ -96,13 +96,12 @@ def first_frame(path: Path) -> object:
 def mutated(content: bytes, place: int, byte: int, kind: int) -> bytes:
     """The content with a byte changed, cut off, doubled or without some bytes; or with a value replaced."""
     place %= max(len(content), 1)
+    value = (b"-1e400", b"null", b"NaN", b'"x"', b"[]", b"9" * 30, b"\xff" * 8)[byte % 7]
     changes = (
         content[:place] + bytes([byte]) + content[place + 1 :],
         content[:place],
         content[:place] + content[place // 2 :],
         content[:place] + content[place + 1 + byte % 9 :],
-        content[:place]
-        + (b"-1e400", b"null", b"NaN", b'"x"', b"[]", b"9" * 30, b"\xff" * 8)[byte % 7]
-        + content[place:],
+        content[:place] + value + content[place:],
     )
     return changes[kind % len(changes)]

@@ -42,7 +42,14 @@ def test_folders_and_archives_are_read_alike(kind: str, request: pytest.FixtureR
     assert tree.ends("depth/0.bin", 2) == (b"xx", b"xx") and tree.ends("a.txt", 64) == (b"one", b"one")
     with tree.local("depth/1.bin") as path:
         assert path.name == "1.bin" and path.read_bytes() == FILES["depth/1.bin"]
+    for _ in range(2):
+        with tree.stream("depth/0.bin") as file:
+            assert file.seek(298) == 298 and file.read() == b"xx"
+    with pytest.raises(InputError, match="no such file"), tree.stream("b.txt"):
+        pass
     below = tree.subtree("depth")
+    with below.stream("1.bin") as file:
+        assert file.read(2) == b"yy"
     assert below.names == ("0.bin", "1.bin", "far/2.bin") and below.read("0.bin") == FILES["depth/0.bin"]
     assert len({tree.fingerprint(), below.fingerprint()}) == 2
     with pytest.raises(InputError, match=r"b\.txt: no such file"):

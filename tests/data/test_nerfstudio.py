@@ -175,7 +175,7 @@ def test_distortion_is_undone(folder: Path, model: str) -> None:
 )
 def test_wrong_content_is_refused_with_the_name_of_the_key(folder: Path, changes: Content, told: str) -> None:
     change(folder, **changes)
-    with pytest.raises(InputError, match="transforms.json|office") as caught:
+    with pytest.raises(InputError, match=r"transforms\.json|office") as caught:
         open_capture(folder)
     assert told in str(caught.value) and "\n" not in str(caught.value)
 

@@ -1,0 +1,126 @@
+"""Captures written in another layout: `hyjax convert`."""
+
+import dataclasses
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import trimesh
+import tyro
+
+from hyjax.data.capture import Capture, ChosenFrames, Frame
+from hyjax.util.errors import InputError
+from hyjax.util.files import digest
+from hyjax.util.settings import Settings
+from hyjax.util.sizes import parse_size
+
+Layout = Literal["7scenes", "nerfstudio", "arkit", "stray"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ConvertSettings(Settings):
+    """Write a capture, or the built-in room, in another layout."""
+
+    capture: tyro.conf.Positional[Path | None] = None
+    """Folder or archive of a capture, in one of the formats that `hyjax info` lists. Default: the built-in room."""
+    to: Layout
+    """7scenes: one lens, depth registered to the pictures. nerfstudio: transforms.json. arkit: a raw scan of
+    ARKitScenes, with confidences and the device's mesh. stray: a recording of Stray Scanner."""
+    out: Path = Path("converted")
+    """Folder for the result, which must not be there or be empty."""
+    frames: str = "all"
+    """Which frames, by position in the capture: all, 7, 0:300:30, or a list such as 0,5,9:12."""
+    size: str | None = None
+    """Size of the pictures: 512 (square) or 640x480 (width x height), of the largest centred part of that shape.
+    Default: as captured."""
+    scale: float | None = None
+    """Metres in one unit of the capture's poses, for a capture that does not know it (COLMAP)."""
+    strict: bool = False
+    """Stop at the first damaged picture of a capture instead of leaving it out with a line."""
+    quiet: bool = False
+    """No progress on the terminal."""
+
+
+class SelectedFrames(ChosenFrames):
+    """Some frames of a capture, with pictures of a size; depth keeps its own, and the mesh stays.
+
+    Args:
+        capture: any.
+        indices: of its frames.
+        size: height and width of the pictures; theirs if None.
+    """
+
+    def __init__(self, capture: Capture, indices: list[int], size: tuple[int, int] | None) -> None:
+        super().__init__(capture, indices)
+        self.metric, self.depth_in_units = capture.metric, capture.depth_in_units
+        self._size = size
+
+    @property
+    def fingerprint(self) -> str:
+        """See `Capture`."""
+        return digest([super().fingerprint, str(self._size)])
+
+    def __getitem__(self, index: int) -> Frame:
+        from hyjax.data.frames import fit
+
+        frame = super().__getitem__(index)
+        if self._size is None:
+            return frame
+        lens = None if frame.depth is None else frame.depth_camera.intrinsics
+        fitted = fit(frame, self._size)
+        return dataclasses.replace(fitted, depth=frame.depth, depth_intrinsics=lens, confidence=frame.confidence)
+
+    def mesh(self) -> trimesh.Trimesh | None:
+        """See `Capture`."""
+        return self._capture.mesh()
+
+    @property
+    def has_mesh(self) -> bool:
+        """See `Capture`."""
+        return self._capture.has_mesh
+
+
+def convert(settings: ConvertSettings) -> int:
+    """Write a capture in another layout; the number of its frames.
+
+    Args:
+        settings: what and where to.
+
+    Raises:
+        InputError: the capture cannot be used, the output folder is in use, or a package is missing.
+    """
+    size = parse_size(settings.size)
+    out = Path(settings.out)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: is there already and not an empty folder; choose another --out")
+    writer = _writer(settings.to)
+    from hyjax.data.frames import select_frames
+    from hyjax.data.registry import open_capture
+
+    capture = open_capture(settings.capture, not settings.quiet, scale=settings.scale, strict=settings.strict)
+    chosen = SelectedFrames(capture, select_frames(settings.frames, len(capture)), size)
+    writer(chosen, out, not settings.quiet)
+    return len(chosen)
+
+
+def relight_command(settings: ConvertSettings) -> str:
+    """The command that relights what was written."""
+    words = ["hyjax", "relight", "--capture", str(settings.out)]
+    if (settings.out / "mesh.ply").is_file():
+        words += ["--mesh", str(settings.out / "mesh.ply")]
+    return shlex.join(words)
+
+
+def _writer(layout: Layout) -> Callable[[Capture, Path, bool], None]:
+    if layout == "arkit":
+        from hyjax.data.write_arkit import write_arkit
+
+        return write_arkit
+    if layout == "stray":
+        from hyjax.data.write_stray import write_stray
+
+        return write_stray
+    from hyjax.data.writers import write_7scenes, write_nerfstudio
+
+    return write_7scenes if layout == "7scenes" else write_nerfstudio
