@@ -15,6 +15,7 @@ import tyro
 from hyjax.data.convert import ConvertSettings
 from hyjax.device.serve import ServeSettings
 from hyjax.export.settings import ExportSettings
+from hyjax.info import InfoSettings
 from hyjax.relighting.settings import RelightSettings
 from hyjax.tour.settings import TourSettings
 from hyjax.training.settings import PAPER, TrainSettings
@@ -46,22 +47,15 @@ class Train:
     """No progress bars."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Info:
-    """Tell what a capture holds and what is doubtful in it; without PATH: versions, devices and optional parts."""
-
-    path: tyro.conf.Positional[Path | None] = None
-    """Folder or archive of a capture."""
-    scale: float | None = None
-    """Metres in one unit of its poses, for a capture that does not know it."""
-    out: Path | None = None
-    """PNG file for a few frames, their depth and the path from above. Default: NAME-info.png here."""
-    quiet: bool = False
-    """No progress bar."""
-
-
 Command = (
-    RelightSettings | TuneSettings | Train | TourSettings | ExportSettings | ServeSettings | ConvertSettings | Info
+    RelightSettings
+    | TuneSettings
+    | Train
+    | TourSettings
+    | ExportSettings
+    | ServeSettings
+    | ConvertSettings
+    | InfoSettings
 )
 
 
@@ -77,7 +71,7 @@ def parse() -> Command:
         | Annotated[ExportSettings, tyro.conf.subcommand("export")]
         | Annotated[ServeSettings, tyro.conf.subcommand("serve")]
         | Annotated[ConvertSettings, tyro.conf.subcommand("convert")]
-        | Annotated[Info, tyro.conf.subcommand("info")]
+        | Annotated[InfoSettings, tyro.conf.subcommand("info")]
     )
     return tyro.cli(
         commands,
@@ -127,6 +121,8 @@ def main() -> None:
         elif isinstance(command, ConvertSettings):
             run_convert(command)
         else:
+            from hyjax.info import run_info
+
             run_info(command)
         sys.stdout.flush()
     except InputError as error:
@@ -298,66 +294,6 @@ def _keep_compiled() -> None:
         # Half-written by a process that was killed, or that writes it just now: compiled anew.
         warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
         warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
-
-
-def run_info(command: Info) -> None:
-    """`hyjax info`."""
-    if command.path is not None:
-        inspect_capture(command)
-    else:
-        print_versions()
-
-
-def inspect_capture(command: Info) -> None:
-    """`hyjax info PATH`."""
-    from hyjax.data.registry import open_capture
-    from hyjax.scene.inspection import inspect, relight_command
-    from hyjax.scene.inspection_picture import write_inspection
-
-    assert command.path is not None
-    level = logging.getLogger("hyjax").level
-    logging.getLogger("hyjax").setLevel(logging.ERROR)  # its lines stand in the list below
-    try:
-        capture = open_capture(command.path, scale=command.scale)
-        inspection = inspect(capture, progress=not command.quiet)
-        out = command.out or Path(f"{capture.name}-info.png")
-        write_inspection(out, inspection)
-    finally:
-        logging.getLogger("hyjax").setLevel(level)
-    for name, value in inspection.lines():
-        print(f"{name:<16}{value}")
-    print(f"{'picture':<16}{out}")
-    print(f"{'relight it':<16}{relight_command(command.path, capture, scale=command.scale)}")
-
-
-def print_versions() -> None:
-    """`hyjax info` without a path."""
-    import jax
-
-    from hyjax.data.registry import CAPTURE_FORMATS
-    from hyjax.device.webgpu import describe, open_device
-    from hyjax.light.kinds import LIGHT_KINDS
-    from hyjax.metrics import METRICS
-    from hyjax.util.cache import cache_folder
-    from hyjax.util.environment import OPTIONAL, environment, package_version
-
-    record = environment()
-    for name, version in record["versions"].items():
-        print(f"{name:<32}{version}")
-    for name in OPTIONAL:
-        print(f"{name:<32}{package_version(name)} (optional)")
-    print(f"{'devices':<32}{', '.join(f'{d.platform} ({d.device_kind})' for d in jax.devices())}")
-    print(f"{'cpu cores':<32}{record['cpu_count']}")
-    try:
-        adapter = describe(open_device())
-    except InputError as error:
-        adapter = f"none ({error})"
-    print(f"{'webgpu':<32}{adapter}")
-    print(f"{'cache':<32}{cache_folder()}")
-    print(f"{'kinds of light':<32}{', '.join(LIGHT_KINDS)}")
-    print(f"{'metrics':<32}{', '.join(METRICS)}")
-    for entry in CAPTURE_FORMATS:
-        print(f"{'capture format':<32}{entry.name}: {entry.signs}")
 
 
 if __name__ == "__main__":

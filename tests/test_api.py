@@ -135,6 +135,7 @@ LAYERS: list[set[str]] = [
     {"relighting", "tuning"},
     {"tour"},
     {"export"},
+    {"info"},
     {"cli", "__main__"},
 ]
 LAYER = {module: level for level, row in enumerate(LAYERS) for module in row}

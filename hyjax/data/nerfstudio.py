@@ -34,9 +34,10 @@ from hyjax.data.capture_files import (
     tree_shape,
 )
 from hyjax.data.fields import Fields, tree_fields
-from hyjax.data.file_tree import FileTree, open_tree
+from hyjax.data.file_tree import FileTree
 from hyjax.data.lens import Distortion
 from hyjax.data.recording import Z_UP, DepthAndConfidence, Recording, Shot, from_opengl, mean_up, rigid
+from hyjax.data.trees import open_tree
 from hyjax.geometry.camera import Intrinsics
 from hyjax.util.errors import InputError
 

@@ -21,8 +21,9 @@ from hyjax.data import (
     tum,
 )
 from hyjax.data.capture import Capture, CaptureFormat
-from hyjax.data.file_tree import FileTree, open_tree
+from hyjax.data.file_tree import FileTree
 from hyjax.data.scaled import ScaledCapture
+from hyjax.data.trees import open_tree
 from hyjax.util.errors import InputError
 
 CAPTURE_FORMATS = [

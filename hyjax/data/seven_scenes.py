@@ -19,8 +19,9 @@ from jaxtyping import Float
 
 from hyjax.data.capture import Capture, CaptureFormat, Frame
 from hyjax.data.capture_files import looks_whole, tree_colour, tree_depth, tree_numbers
-from hyjax.data.file_tree import FileTree, open_tree
+from hyjax.data.file_tree import FileTree
 from hyjax.data.kinect import KINECT, registered
+from hyjax.data.trees import open_tree
 from hyjax.geometry.camera import Camera, Intrinsics, check_pose
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.util.errors import InputError

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hyjax.data.file_tree import open_tree
+from hyjax.data.trees import open_tree
 from hyjax.util.errors import InputError
 
 FILES = {"a.txt": b"one", "depth/0.bin": b"x" * 300, "depth/1.bin": b"y" * 200, "depth/far/2.bin": b""}

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from reference.json_mutations import mutated
 from reference.phone_layouts import agree, box_room, edit_json, sideways, write_scanner3d, zipped
 
-from hyjax.data.file_tree import open_tree
 from hyjax.data.registry import open_capture
 from hyjax.data.scanner3d import open_scanner3d
+from hyjax.data.trees import open_tree
 from hyjax.geometry.raycast import RayCaster
 from hyjax.util.errors import InputError
 

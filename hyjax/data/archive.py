@@ -1,0 +1,117 @@
+"""ZIP archives as file trees: read in place, never unpacked as a whole.
+
+Archives from strangers are safe to open: names that lead out of the archive, links, encrypted files and files that
+unpack to far more than they are packed in are refused before anything is read.
+"""
+
+import contextlib
+import shutil
+import stat
+import tempfile
+import threading
+import weakref
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from typing import BinaryIO
+
+from hyjax.data.file_tree import IGNORED, FileTree, digest_of, opened
+from hyjax.util.errors import InputError
+
+ARCHIVES = (".zip", ".r3d")
+MOST_FILES = 1_000_000
+LARGEST_RATIO = 200
+"""Of unpacked to packed size of files of more than `HARMLESS` bytes; depth maps of a bare wall reach 50."""
+HARMLESS = 1 << 24
+LARGEST_FILE = 1 << 32
+
+
+class Archive(FileTree):
+    """A ZIP archive. Threads may read from it at the same time."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._zip = zipfile.ZipFile(path)
+        except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
+            raise InputError(f"{path}: not a readable ZIP archive ({error})") from None
+        entries = [entry for entry in self._zip.infolist() if not entry.is_dir()]
+        if len(entries) > MOST_FILES:
+            raise InputError(f"{path}: holds {len(entries)} files; at most {MOST_FILES} are read")
+        for entry in entries:
+            _check_entry(path, entry)
+        names = [entry.filename for entry in entries if not set(PurePosixPath(entry.filename).parts) & {*IGNORED}]
+        super().__init__(path, names)
+        if len(self._known) < len(names):
+            raise InputError(f"{path}: two files have one name; which of them is meant cannot be told")
+        self._lock = threading.Lock()
+        self._copies: dict[str, Path] = {}
+
+    @contextlib.contextmanager
+    def stream(self, name: str) -> Iterator[BinaryIO]:
+        if name not in self:
+            raise InputError(f"{self.where(name)}: no such file")
+        with self._lock:
+            if name not in self._copies:
+                self._copies[name] = self._copy(name)
+        with opened(self._copies[name], self.where(name)) as file:
+            yield file
+
+    def _copy(self, name: str) -> Path:
+        """A copy of a file in a folder that goes when this tree does."""
+        folder = tempfile.mkdtemp(prefix="hyjax-")
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        copy = Path(folder) / "copy"
+        try:
+            with self._zip.open(name) as source, copy.open("wb") as target:
+                shutil.copyfileobj(source, target, 1 << 20)
+        except Exception as error:  # BadZipFile, OSError (a full disk), zlib.error, …
+            raise InputError(f"{self.where(name)}: cannot be unpacked ({error})") from None
+        return copy
+
+    def read(self, name: str) -> bytes:
+        if name not in self:
+            raise InputError(f"{self.where(name)}: no such file")
+        try:
+            with self._lock:
+                return self._zip.read(name)
+        except Exception as error:  # BadZipFile, OSError, zlib.error, lzma.LZMAError, …
+            raise InputError(f"{self.where(name)}: damaged in the archive ({error})") from None
+
+    @contextlib.contextmanager
+    def local(self, name: str) -> Iterator[Path]:
+        """See `FileTree`; large files are copied piece by piece."""
+        if name not in self:
+            raise InputError(f"{self.where(name)}: no such file")
+        with tempfile.TemporaryDirectory(prefix="hyjax-") as folder:
+            copy = Path(folder) / PurePosixPath(name).name
+            try:
+                with self._lock, self._zip.open(name) as packed, copy.open("wb") as file:
+                    shutil.copyfileobj(packed, file, 1 << 20)
+            except Exception as error:  # as in `read`
+                raise InputError(f"{self.where(name)}: damaged in the archive ({error})") from None
+            yield copy
+
+    def size(self, name: str) -> int:
+        return self._zip.getinfo(name).file_size
+
+    def fingerprint(self) -> str:
+        entries = (self._zip.getinfo(name) for name in self.names)
+        return digest_of(str(self.path.resolve()), (f"{e.filename} {e.file_size} {e.CRC}" for e in entries))
+
+
+def _check_entry(path: Path, entry: zipfile.ZipInfo) -> None:
+    """Raise `InputError` for an entry that no capture has."""
+    name = entry.filename
+    parts = PurePosixPath(name.replace("\\", "/")).parts
+    if not name or "\0" in entry.orig_filename or name.startswith(("/", "\\")) or ".." in parts or ":" in parts[0]:
+        raise InputError(f"{path}: refused, it holds a file named {name[:60]!r}, which leads out of the archive")
+    if stat.S_ISLNK(entry.external_attr >> 16):
+        raise InputError(f"{path}: refused, it holds a link, {name[:60]!r}")
+    if entry.flag_bits & 1:
+        raise InputError(f"{path}: {name[:60]!r} is encrypted; unpack the archive and give its folder")
+    ratio = entry.file_size / max(entry.compress_size, 1)
+    if entry.file_size > LARGEST_FILE or (entry.file_size > HARMLESS and ratio > LARGEST_RATIO):
+        raise InputError(
+            f"{path}: refused, {name[:60]!r} unpacks to {entry.file_size / 2**20:.0f} MiB from "
+            f"{entry.compress_size / 2**20:.3g} MiB; unpack the archive yourself if you trust it"
+        )

@@ -1,0 +1,96 @@
+"""File trees of what a path names: a folder, an archive, or a single file."""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from hyjax.data.archive import ARCHIVES, Archive
+from hyjax.data.file_tree import IGNORED, FileTree, digest_of
+from hyjax.util.errors import InputError
+
+
+def open_tree(path: Path) -> FileTree:
+    """The files of a folder, or of a ZIP archive (`.zip`, `.r3d`); a single file is a tree of one.
+
+    Example:
+        >>> import tempfile, pathlib
+        >>> folder = pathlib.Path(tempfile.mkdtemp())
+        >>> _ = (folder / "note.txt").write_text("two\\n")
+        >>> open_tree(folder).text("note.txt")
+        'two\\n'
+
+    Raises:
+        InputError: there is nothing at this path, or an archive that is damaged or not safe to open.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return Folder(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such folder; give the folder or the archive of a capture")
+    if path.suffix.lower() in ARCHIVES:
+        return Archive(path)
+    return SingleFile(path)
+
+
+class Folder(FileTree):
+    """A folder on disk. Links below it are followed; the user has put them there."""
+
+    def __init__(self, path: Path) -> None:
+        self._root = path.resolve()
+        super().__init__(path, _walk(self._root))
+
+    @property
+    def folder(self) -> Path:
+        return self._root
+
+    def _file(self, name: str) -> Path:
+        if name not in self:
+            raise InputError(f"{self.where(name)}: no such file")
+        return self._root / name
+
+    def read(self, name: str) -> bytes:
+        try:
+            return self._file(name).read_bytes()
+        except OSError as error:
+            raise InputError(f"{self.where(name)}: cannot read ({error.strerror})") from None
+
+    @contextlib.contextmanager
+    def local(self, name: str) -> Iterator[Path]:
+        yield self._file(name)
+
+    def ends(self, name: str, count: int) -> tuple[bytes, bytes]:
+        try:
+            with self._file(name).open("rb") as file:
+                head = file.read(count)
+                file.seek(-min(count, self.size(name)), os.SEEK_END)
+                return head, file.read(count)
+        except OSError as error:
+            raise InputError(f"{self.where(name)}: cannot read ({error.strerror})") from None
+
+    def size(self, name: str) -> int:
+        return self._file(name).stat().st_size
+
+    def fingerprint(self) -> str:
+        entries = ((name, (self._root / name).stat()) for name in self.names)
+        return digest_of(str(self._root), (f"{name} {s.st_size} {s.st_mtime_ns}" for name, s in entries))
+
+
+def _walk(root: Path) -> Iterator[str]:
+    for folder, folders, files in os.walk(root, followlinks=False):
+        folders[:] = sorted(name for name in folders if name not in IGNORED)
+        for name in files:
+            file = Path(folder) / name
+            if name not in IGNORED and file.is_file():  # no pipe, device or dangling link
+                yield file.relative_to(root).as_posix()
+
+
+class SingleFile(Folder):
+    """One file of a folder, such as a `.sens`."""
+
+    def __init__(self, path: Path) -> None:
+        self._root = path.resolve().parent
+        FileTree.__init__(self, path, [path.name])
+
+    def where(self, name: str) -> str:
+        return str(self.path)

@@ -1,0 +1,84 @@
+"""`hyjax info`: what a capture holds; or versions, devices and optional parts."""
+
+import dataclasses
+import logging
+from pathlib import Path
+
+import tyro
+
+from hyjax.util.errors import InputError
+from hyjax.util.settings import Settings
+
+
+@dataclasses.dataclass(frozen=True)
+class InfoSettings(Settings):
+    """Tell what a capture holds and what is doubtful in it; without PATH: versions, devices and optional parts."""
+
+    path: tyro.conf.Positional[Path | None] = None
+    """Folder or archive of a capture."""
+    scale: float | None = None
+    """Metres in one unit of its poses, for a capture that does not know it."""
+    out: Path | None = None
+    """PNG file for a few frames, their depth and the path from above. Default: NAME-info.png here."""
+    quiet: bool = False
+    """No progress bar."""
+
+
+def run_info(settings: InfoSettings) -> None:
+    """`hyjax info`."""
+    if settings.path is not None:
+        inspect_capture(settings)
+    else:
+        print_versions()
+
+
+def inspect_capture(settings: InfoSettings) -> None:
+    """`hyjax info PATH`."""
+    from hyjax.data.registry import open_capture
+    from hyjax.scene.inspection import inspect, relight_command
+    from hyjax.scene.inspection_picture import write_inspection
+
+    assert settings.path is not None
+    level = logging.getLogger("hyjax").level
+    logging.getLogger("hyjax").setLevel(logging.ERROR)  # its lines stand in the list below
+    try:
+        capture = open_capture(settings.path, scale=settings.scale)
+        inspection = inspect(capture, progress=not settings.quiet)
+        out = settings.out or Path(f"{capture.name}-info.png")
+        write_inspection(out, inspection)
+    finally:
+        logging.getLogger("hyjax").setLevel(level)
+    for name, value in inspection.lines():
+        print(f"{name:<16}{value}")
+    print(f"{'picture':<16}{out}")
+    print(f"{'relight it':<16}{relight_command(settings.path, capture, scale=settings.scale)}")
+
+
+def print_versions() -> None:
+    """`hyjax info` without a path."""
+    import jax
+
+    from hyjax.data.registry import CAPTURE_FORMATS
+    from hyjax.device.webgpu import describe, open_device
+    from hyjax.light.kinds import LIGHT_KINDS
+    from hyjax.metrics import METRICS
+    from hyjax.util.cache import cache_folder
+    from hyjax.util.environment import OPTIONAL, environment, package_version
+
+    record = environment()
+    for name, version in record["versions"].items():
+        print(f"{name:<32}{version}")
+    for name in OPTIONAL:
+        print(f"{name:<32}{package_version(name)} (optional)")
+    print(f"{'devices':<32}{', '.join(f'{d.platform} ({d.device_kind})' for d in jax.devices())}")
+    print(f"{'cpu cores':<32}{record['cpu_count']}")
+    try:
+        adapter = describe(open_device())
+    except InputError as error:
+        adapter = f"none ({error})"
+    print(f"{'webgpu':<32}{adapter}")
+    print(f"{'cache':<32}{cache_folder()}")
+    print(f"{'kinds of light':<32}{', '.join(LIGHT_KINDS)}")
+    print(f"{'metrics':<32}{', '.join(METRICS)}")
+    for entry in CAPTURE_FORMATS:
+        print(f"{'capture format':<32}{entry.name}: {entry.signs}")
