@@ -6,7 +6,6 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-import av
 import numpy as np
 import pytest
 from hypothesis import given
@@ -25,6 +24,7 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.errors import InputError
 
+av = pytest.importorskip("av", reason="needs the extra `captures`")
 FRAMES = box_room(6)
 
 
