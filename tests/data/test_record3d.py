@@ -4,7 +4,6 @@ import json
 import sys
 from pathlib import Path
 
-import lzfse
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,6 +17,7 @@ from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera
 from hyjax.util.errors import InputError
 
+lzfse = pytest.importorskip("lzfse", reason='needs the extra: pip install ".[captures]"')
 FRAMES = box_room(4)
 
 
@@ -105,6 +105,8 @@ def test_damaged_depth_is_named(unpacked: Path) -> None:
     refuses(unpacked, "rgbd/1.depth", "LZFSE")
     (unpacked / "rgbd" / "1.depth").write_bytes(lzfse.compress(bytes(40)))
     refuses(unpacked, "rgbd/1.depth", "need 48x36")
+    (unpacked / "rgbd" / "1.depth").write_bytes(lzfse.compress(bytes(1 << 26)))  # a bomb
+    refuses(unpacked, "rgbd/1.depth", "larger than a depth map can be")
 
 
 def test_without_lzfse_one_line_says_what_to_install(unpacked: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,9 +31,9 @@ def mutated(draw: st.DrawFn, content: Any) -> Any:
                 break
             holder = place[0][place[1]]
         if place is None:
-            return draw(WRONG)
+            return copy.deepcopy(draw(WRONG))
         if draw(st.booleans()):
-            place[0][place[1]] = draw(WRONG)
+            place[0][place[1]] = copy.deepcopy(draw(WRONG))
         else:
             del place[0][place[1]]
     return content

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import lzfse
 import numpy as np
 import OpenImageIO as oiio
 from jaxtyping import Float
@@ -181,6 +180,8 @@ def write_record3d(
     (folder / ("metadata" if r3d else "metadata.json")).write_text(json.dumps(metadata))
     for number, frame in by_number.items():
         if r3d:
+            import lzfse
+
             write_jpeg(folder / f"rgbd/{number}.jpg", frame)
             levels = np.uint8(frame.confidence * 2)
             (folder / f"rgbd/{number}.depth").write_bytes(lzfse.compress(frame.depth.tobytes()))
