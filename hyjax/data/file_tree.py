@@ -87,9 +87,7 @@ class FileTree(abc.ABC):
 
     @contextlib.contextmanager
     def stream(self, name: str) -> Iterator[BinaryIO]:
-        """A file opened for reading from any place in it, for the block alone.
-
-        Of an archive it is a copy on disk, which is made once and is there as long as the tree.
+        """A file opened for the block to read from any place in it; of an archive, a copy that is made once.
 
         Raises:
             InputError: there is none of this name, or it cannot be read.
@@ -135,14 +133,11 @@ class FileTree(abc.ABC):
         return _Subtree(self, folder)
 
 
-@contextlib.contextmanager
-def _opened(path: Path, where: str) -> Iterator[BinaryIO]:
+def _opened(path: Path, where: str) -> BinaryIO:
     try:
-        file = path.open("rb")
+        return path.open("rb")
     except OSError as error:
         raise InputError(f"{where}: cannot read ({error.strerror})") from None
-    with file:
-        yield file
 
 
 class _Folder(FileTree):
@@ -219,25 +214,12 @@ class _Archive(FileTree):
 
     @contextlib.contextmanager
     def stream(self, name: str) -> Iterator[BinaryIO]:
-        if name not in self:
-            raise InputError(f"{self.where(name)}: no such file")
-        with self._lock:
-            if name not in self._copies:
-                self._copies[name] = self._copy(name)
+        if name not in self._copies:
+            folder = tempfile.mkdtemp(prefix="hyjax-")
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+            self._copies[name] = self._copy(name, folder)
         with _opened(self._copies[name], self.where(name)) as file:
             yield file
-
-    def _copy(self, name: str) -> Path:
-        """A copy of a file in a folder that goes when this tree does."""
-        folder = tempfile.mkdtemp(prefix="hyjax-")
-        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        copy = Path(folder) / "copy"
-        try:
-            with self._zip.open(name) as source, copy.open("wb") as target:
-                shutil.copyfileobj(source, target, 1 << 20)
-        except Exception as error:  # BadZipFile, OSError (a full disk), zlib.error, …
-            raise InputError(f"{self.where(name)}: cannot be unpacked ({error})") from None
-        return copy
 
     def read(self, name: str) -> bytes:
         if name not in self:
@@ -250,17 +232,20 @@ class _Archive(FileTree):
 
     @contextlib.contextmanager
     def local(self, name: str) -> Iterator[Path]:
-        """See `FileTree`; large files are copied piece by piece."""
+        with tempfile.TemporaryDirectory(prefix="hyjax-") as folder:
+            yield self._copy(name, folder)
+
+    def _copy(self, name: str, folder: str) -> Path:
+        """A copy of a file in a folder, made piece by piece."""
         if name not in self:
             raise InputError(f"{self.where(name)}: no such file")
-        with tempfile.TemporaryDirectory(prefix="hyjax-") as folder:
-            copy = Path(folder) / PurePosixPath(name).name
-            try:
-                with self._lock, self._zip.open(name) as packed, copy.open("wb") as file:
-                    shutil.copyfileobj(packed, file, 1 << 20)
-            except Exception as error:  # as in `read`
-                raise InputError(f"{self.where(name)}: damaged in the archive ({error})") from None
-            yield copy
+        copy = Path(folder) / PurePosixPath(name).name
+        try:
+            with self._lock, self._zip.open(name) as packed, copy.open("wb") as file:
+                shutil.copyfileobj(packed, file, 1 << 20)
+        except Exception as error:  # as in `read`
+            raise InputError(f"{self.where(name)}: damaged in the archive ({error})") from None
+        return copy
 
     def size(self, name: str) -> int:
         return self._zip.getinfo(name).file_size
