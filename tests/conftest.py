@@ -79,6 +79,15 @@ def kitchen() -> Path:
 
 
 @pytest.fixture(scope="session")
+def scanner3d_chair() -> Path:
+    """A real scan by 3D Scanner App."""
+    folder = data_folder() / "scanner3d_chair"
+    if not folder.is_dir():
+        pytest.skip(f"no scan in {folder}; point HYJAX_DATA at the folder that holds scanner3d_chair/")
+    return folder
+
+
+@pytest.fixture(scope="session")
 def lpips_reference() -> dict[str, np.ndarray]:
     """The pictures of the LPIPS reference example: ref, p0 and p1, display values in [0, 1]."""
     folder = data_folder() / "lpips_reference"

@@ -26,7 +26,7 @@ def json_object(tree: FileTree, name: str) -> dict[str, Any]:
     return content
 
 
-def json_number(fields: Mapping[str, Any], key: str, where: str, default: float | None = None) -> float:
+def json_number(fields: Mapping[str, Any], key: str, where: str, *, default: float | None = None) -> float:
     """A finite number of an object.
 
     Args:
@@ -68,7 +68,7 @@ def json_list(fields: Mapping[str, Any], key: str, where: str) -> list[Any]:
 
 
 def json_numbers(
-    fields: Mapping[str, Any], key: str, count: int, where: str, finite: bool = True
+    fields: Mapping[str, Any], key: str, count: int, where: str, *, finite: bool = True
 ) -> Float[np.ndarray, "count"]:
     """A list of so many numbers of an object.
 
@@ -82,10 +82,10 @@ def json_numbers(
     Raises:
         InputError: there is none, or it is another list.
     """
-    return number_list(_value(fields, key, where), count, f"{where}: {key}", finite)
+    return number_list(_value(fields, key, where), count, f"{where}: {key}", finite=finite)
 
 
-def number_list(value: Any, count: int, what: str, finite: bool = True) -> Float[np.ndarray, "count"]:
+def number_list(value: Any, count: int, what: str, *, finite: bool = True) -> Float[np.ndarray, "count"]:
     """A value of a JSON file as a list of so many numbers; see `json_numbers`."""
     if not isinstance(value, list) or len(value) != count:
         got = f"{len(value)} of them" if isinstance(value, list) else _kind(value)

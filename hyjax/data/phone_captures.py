@@ -66,7 +66,7 @@ def pose_from_quaternion(
 
 
 def lens_of(
-    shape: tuple[int, int], focal_and_centre: Sequence[float], where: str, shift: float = 0.0
+    shape: tuple[int, int], focal_and_centre: Sequence[float], where: str, *, shift: float = 0.0
 ) -> Intrinsics:
     """Intrinsics of pictures of (height, width) from fx, fy, cx, cy; `shift` is added to cx and cy.
 
@@ -87,7 +87,7 @@ def lens_of(
 
 
 def lidar_depth(
-    tree: FileTree, depth: str, confidence: str | None, levels: tuple[int, int, int] = ARKIT_LEVELS
+    tree: FileTree, depth: str, confidence: str | None, *, levels: tuple[int, int, int] = ARKIT_LEVELS
 ) -> Callable[[], DepthAndConfidence]:
     """Reads a depth map in millimetres and its confidence map, whose `levels` become 0, 0.5 and 1."""
 

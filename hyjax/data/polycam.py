@@ -88,9 +88,9 @@ def _read_keyframe(
     pose = usable_pose(np.array([*rows, [0.0, 0.0, 0.0, 1.0]]))
     size = json_count(fields, "height", where), json_count(fields, "width", where)
     values = [json_number(fields, key, where) for key in ("fx", "fy", "cx", "cy")]
-    lens = lens_of(size, values, where, PIXEL_CENTRE)
+    lens = lens_of(size, values, where, shift=PIXEL_CENTRE)
     microseconds = float(name) if name.isascii() and name.isdigit() and len(name) <= 16 else float(index)
-    time = json_number(fields, "timestamp", where, microseconds) / 1e6
+    time = json_number(fields, "timestamp", where, default=microseconds) / 1e6
     found = [file for suffix in ("jpg", "jpeg", "png") if (file := f"{images}/{name}.{suffix}") in tree]
     picture = whole_file(tree, found[0], "pictures", faults) if found else None
     depth = whole_file(tree, f"{depths}/{name}.png", "depth maps", faults)
@@ -108,7 +108,7 @@ def _read_keyframe(
         from_opengl(pose),
         lens,
         None if picture is None else functools.partial(tree_colour, tree, picture),
-        None if depth is None else lidar_depth(tree, depth, confidence, CONFIDENCE_LEVELS),
+        None if depth is None else lidar_depth(tree, depth, confidence, levels=CONFIDENCE_LEVELS),
     )
 
 

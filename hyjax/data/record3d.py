@@ -49,6 +49,10 @@ PICTURE = re.compile(r"(?:rgb|rgbd)/(\d+)\.jpe?g")
 DEPTH = re.compile(r"(?:depth/(\d+)\.exr|rgbd/(\d+)\.depth)")
 FRAMES_PER_SECOND = 30.0
 """Where the file does not tell."""
+MOST_READINGS = 1 << 22
+"""Of a depth map; the largest that the app writes has 640×480."""
+SLACK = 4096
+"""Bytes by which what cannot be compressed may grow."""
 Metadata = Mapping[str, Any]
 
 
@@ -138,7 +142,7 @@ def _read_poses(
 
 def _read_times(metadata: Metadata, where: str) -> tuple[list[float], float]:
     """Seconds of the frames, as far as they are told, and pictures a second for the others."""
-    rate = json_number(metadata, "fps", where, FRAMES_PER_SECOND)
+    rate = json_number(metadata, "fps", where, default=FRAMES_PER_SECOND)
     if not 0.01 <= rate <= 1e4:
         raise InputError(f"{where}: fps: need pictures a second, got {rate:g}")
     if "frameTimestamps" not in metadata:
@@ -199,15 +203,18 @@ def _unpacked(
     tree: FileTree, name: str, kind: type, metadata: Metadata, where: str, lens: Intrinsics
 ) -> Float[np.ndarray, "h w"]:
     """An LZFSE-compressed array; of the pictures' proportions where `metadata` does not tell its size."""
-    lzfse = _lzfse()
+    lzfse, shape = _lzfse(), None
+    if "dw" in metadata and "dh" in metadata:
+        shape = json_count(metadata, "dh", where), json_count(metadata, "dw", where)
+    most = MOST_READINGS if shape is None else min(shape[0] * shape[1], MOST_READINGS)
+    if tree.size(name) > most * np.dtype(kind).itemsize + SLACK:
+        raise InputError(f"{tree.where(name)}: larger than a depth map can be that is compressed")
     values: np.ndarray
     try:
         values = np.frombuffer(lzfse.decompress(tree.read(name)), kind)
     except (lzfse.error, ValueError, MemoryError):
         raise InputError(f"{tree.where(name)}: damaged (cannot be decompressed by LZFSE)") from None
-    if "dw" in metadata and "dh" in metadata:
-        shape = json_count(metadata, "dh", where), json_count(metadata, "dw", where)
-    else:
+    if shape is None:
         width = max(1, round((values.size * lens.width / lens.height) ** 0.5))
         shape = values.size // width, width
     if values.size != shape[0] * shape[1] or not values.size:

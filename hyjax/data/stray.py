@@ -134,7 +134,7 @@ def _read_matrix(tree: FileTree, shape: tuple[int, int]) -> Intrinsics:
         raise InputError(f"{tree.where(MATRIX)}: missing, and {ODOMETRY} has no columns {', '.join(LENS)}")
     where = tree.where(MATRIX)
     k = parse_numbers(tree.text(MATRIX).replace(",", " "), where, (3, 3), "fx 0 cx / 0 fy cy / 0 0 1, with commas")
-    return lens_of(shape, k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), where, PIXEL_CENTRE)
+    return lens_of(shape, k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), where, shift=PIXEL_CENTRE)
 
 
 def _read_row(
@@ -150,7 +150,7 @@ def _read_row(
     lens = shared
     if _has_lens(row):
         values = [row[name] for name in LENS]
-        lens = lens_of(video.shape, values, f"{tree.where(ODOMETRY)}: frame {number}", PIXEL_CENTRE)
+        lens = lens_of(video.shape, values, f"{tree.where(ODOMETRY)}: frame {number}", shift=PIXEL_CENTRE)
     assert lens is not None
     pose = pose_from_quaternion(_numbers(row, "qx", "qy", "qz", "qw"), _numbers(row, "x", "y", "z"))
     name = f"{number:06d}"

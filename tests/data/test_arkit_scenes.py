@@ -129,6 +129,56 @@ def test_depth_is_the_nearest_in_time(scan: Path) -> None:
     np.testing.assert_allclose(open_arkit_scenes(scan)[0].depth, 1.234)
 
 
+def test_confidence_of_depth_is_kept(scan: Path) -> None:
+    levels = np.full((60, 80), 2)
+    levels[:, :30], levels[:, 30:50] = 0, 1
+    write_png(scan / "confidence" / f"{FIRST}.png", levels / 255)
+    capture = open_arkit_scenes(scan)
+    np.testing.assert_array_equal(capture[0].confidence, levels / 2)
+    assert capture.sensor.name == "phone LiDAR" and capture.depth_reading(0).confidence is not None
+    shutil.rmtree(scan / "confidence")
+    assert open_arkit_scenes(scan)[0].confidence is None
+
+
+def as_older_sample(scan: Path) -> Path:
+    """The scan with the names of the older sample: <timestamp>.png in wide/, color.traj and so on."""
+    older = scan.parent / "41999999"
+    renamed = {
+        "vga_wide": "wide",
+        "vga_wide_intrinsics": "color_intrinsics",
+        "lowres_depth": "depth_densified",
+        "confidence": "confidence",
+    }
+    for folder, name in renamed.items():
+        for file in (scan / folder).iterdir():
+            (older / name).mkdir(parents=True, exist_ok=True)
+            shutil.copy(file, older / name / file.name.partition("_")[2])
+    shutil.copy(scan / "lowres_wide.traj", older / "color.traj")
+    shutil.copy(scan / f"{VIDEO}_3dod_mesh.ply", older / "41999999_3dod_mesh.ply")
+    return older
+
+
+def test_the_older_samples_layout(scan: Path) -> None:
+    older = as_older_sample(scan)
+    assert is_arkit_scenes(older)
+    capture = open_capture(older)
+    assert isinstance(capture, ArkitScenes) and capture.name == "41999999" and capture.mesh_file is not None
+    for frame, original in zip(capture, open_arkit_scenes(scan)):
+        np.testing.assert_array_equal(frame.image, original.image)
+        np.testing.assert_array_equal(frame.camera.pose, original.camera.pose)
+        np.testing.assert_array_equal(frame.depth, original.depth)
+        assert frame.depth_intrinsics == frame.camera.intrinsics.resize(60, 80)
+    assert capture[0].name == FIRST.partition("_")[2]
+
+
+def test_missing_parts_of_the_older_sample_are_named(scan: Path) -> None:
+    older = as_older_sample(scan)
+    shutil.rmtree(older / "color_intrinsics")
+    refuses(older, "color_intrinsics")
+    shutil.rmtree(older / "wide")
+    refuses(older, "no wide")
+
+
 def test_readings_of_low_confidence_are_dropped(scan: Path) -> None:
     whole = open_arkit_scenes(scan)[0].depth
     confidence = np.full((60, 80), 2)

@@ -1,0 +1,125 @@
+"""Polycam's raw data, on small scans written to its layout."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from reference.json_mutations import mutated
+from reference.phone_layouts import agree, box_room, edit_json, sideways, write_polycam, zipped
+
+from hyjax.data.registry import open_capture
+from hyjax.util.errors import InputError
+
+FRAMES = box_room(4)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_polycam(tmp_path / "scan", FRAMES)
+
+
+def cameras(folder: Path) -> list[Path]:
+    return sorted((folder / "keyframes" / "cameras").glob("*.json"))
+
+
+def refuses(folder: Path, *parts: str) -> None:
+    with pytest.raises(InputError) as caught:
+        list(open_capture(folder))
+    message = str(caught.value)
+    assert "\n" not in message and all(part in message for part in parts), message
+
+
+@pytest.mark.parametrize("quarters", [0, 1, 3])
+def test_a_scan_is_read_from_folder_and_archive_however_the_phone_was_held(tmp_path: Path, quarters: int) -> None:
+    folder = write_polycam(tmp_path / "scan", sideways(FRAMES, quarters))
+    for path in (folder, zipped(folder)):
+        capture = open_capture(path)
+        agree(capture, FRAMES)
+        assert capture.quarter_turns == quarters and not capture.faults and not capture.remarks
+        assert [frame.time for frame in capture] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+
+
+def test_corrected_cameras_are_preferred_and_what_was_not_corrected_is_told(tmp_path: Path) -> None:
+    moved = [box_room(5)[index + 1] for index in range(4)]
+    for index, frame in enumerate(moved):
+        object.__setattr__(frame, "time", FRAMES[index].time)
+    folder = write_polycam(tmp_path / "scan", FRAMES)
+    write_polycam(folder, moved[:3], corrected=True)
+    capture = open_capture(folder)
+    agree(capture, moved[:3])
+    assert "1 keyframes were not corrected by the app and are left out" in capture.remarks[0]
+
+
+def test_corrected_cameras_without_their_pictures_are_not_used(tmp_path: Path) -> None:
+    folder = write_polycam(tmp_path / "scan", FRAMES)
+    write_polycam(folder, box_room(5)[1:], corrected=True)
+    for picture in (folder / "keyframes" / "corrected_images").iterdir():
+        picture.unlink()
+    np.testing.assert_allclose(open_capture(folder)[0].camera.pose, FRAMES[0].camera.pose, atol=1e-9)
+
+
+def test_the_three_confidences_of_polycam(folder: Path) -> None:
+    assert set(np.unique(open_capture(folder)[0].confidence)) == {0.0, 0.5, 1.0}
+
+
+def test_missing_and_damaged_files(folder: Path) -> None:
+    names = [file.stem for file in cameras(folder)]
+    images, depths = folder / "keyframes" / "images", folder / "keyframes" / "depth"
+    (images / f"{names[0]}.jpg").unlink()
+    (images / f"{names[1]}.jpg").write_bytes(b"\xff\xd8 cut off")
+    (depths / f"{names[2]}.png").unlink()
+    capture = open_capture(folder)
+    assert len(capture) == 2 and capture.depth_count == 3 and capture[0].depth is None
+    assert "1 pictures are damaged" in capture.faults[0]
+    assert "2 cameras have no picture; their depth is used" in capture.remarks[0]
+
+
+def test_poses_that_are_none_are_left_out_and_counted(folder: Path) -> None:
+    edit_json(cameras(folder)[1], t_00=float("nan"))
+    edit_json(cameras(folder)[2], t_11=7.0)
+    capture = open_capture(folder)
+    assert len(capture) == 2 and "2 poses are none" in capture.faults[0]
+
+
+def test_clocks_that_go_back_are_put_in_order_and_told(folder: Path) -> None:
+    edit_json(cameras(folder)[3], timestamp=5)
+    capture = open_capture(folder)
+    assert capture[0].name == cameras(folder)[3].stem and "1 times go back" in capture.remarks[0]
+
+
+def test_without_time_stamps_the_names_tell_the_time(folder: Path) -> None:
+    for file in cameras(folder):
+        edit_json(file, timestamp=None)
+    assert [frame.time for frame in open_capture(folder)] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    "key, value",
+    [("t_23", None), ("t_23", "far"), ("fx", -1), ("fx", None), ("width", 0.5), ("height", 10**30), ("cx", [1])],
+)
+def test_bad_content_names_file_and_key(folder: Path, key: str, value: object) -> None:
+    edit_json(cameras(folder)[2], **{key: value})
+    refuses(folder, cameras(folder)[2].name, key)
+
+
+def test_pictures_of_another_size_are_refused(folder: Path) -> None:
+    edit_json(cameras(folder)[2], width=192, height=144, cx=96, cy=72)
+    refuses(folder, "96x72", "192x144")
+
+
+@given(data=st.data())
+def test_random_content_gives_frames_or_one_line(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    folder = write_polycam(tmp_path_factory.mktemp("scan"), FRAMES[:2])
+    file = cameras(folder)[1]
+    file.write_text(json.dumps(data.draw(mutated(json.loads(file.read_text())))))
+    try:
+        frames = list(open_capture(folder))
+    except InputError as error:
+        assert "\n" not in str(error)
+    else:
+        assert frames
