@@ -114,7 +114,7 @@ class Fields:
 
     def number(self, key: str, default: float | None = None) -> float:
         """A finite number; see `json_number`."""
-        return json_number(self._content, key, self.where, default)
+        return json_number(self._content, key, self.where, default=default)
 
     def count(self, key: str) -> int:
         """A whole number of at least one; see `json_count`."""
@@ -142,9 +142,9 @@ class Fields:
             raise InputError(f"{self.where}: {key}: need a text, got {_kind(value)}")
         return value
 
-    def numbers(self, key: str, count: int, finite: bool = True) -> Float[np.ndarray, "count"]:
+    def numbers(self, key: str, count: int, *, finite: bool = True) -> Float[np.ndarray, "count"]:
         """A list of so many numbers; see `json_numbers`."""
-        return json_numbers(self._content, key, count, self.where, finite)
+        return json_numbers(self._content, key, count, self.where, finite=finite)
 
     def rows(self, key: str, width: int) -> Float[np.ndarray, "h width"]:
         """Lists of so many numbers each, NaN where one is not finite.
@@ -153,7 +153,8 @@ class Fields:
             InputError: there are none, or they are something else.
         """
         lists = json_list(self._content, key, self.where)
-        read = [number_list(row, width, f"{self.where}: {key}[{place}]", False) for place, row in enumerate(lists)]
+        what = f"{self.where}: {key}"
+        read = [number_list(row, width, f"{what}[{place}]", finite=False) for place, row in enumerate(lists)]
         return np.array(read).reshape(-1, width)
 
     def objects(self, key: str) -> "list[Fields]":
