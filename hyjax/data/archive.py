@@ -48,25 +48,12 @@ class Archive(FileTree):
 
     @contextlib.contextmanager
     def stream(self, name: str) -> Iterator[BinaryIO]:
-        if name not in self:
-            raise InputError(f"{self.where(name)}: no such file")
-        with self._lock:
-            if name not in self._copies:
-                self._copies[name] = self._copy(name)
+        if name not in self._copies:
+            folder = tempfile.mkdtemp(prefix="hyjax-")
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+            self._copies[name] = self._copy(name, folder)
         with opened(self._copies[name], self.where(name)) as file:
             yield file
-
-    def _copy(self, name: str) -> Path:
-        """A copy of a file in a folder that goes when this tree does."""
-        folder = tempfile.mkdtemp(prefix="hyjax-")
-        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        copy = Path(folder) / "copy"
-        try:
-            with self._zip.open(name) as source, copy.open("wb") as target:
-                shutil.copyfileobj(source, target, 1 << 20)
-        except Exception as error:  # BadZipFile, OSError (a full disk), zlib.error, …
-            raise InputError(f"{self.where(name)}: cannot be unpacked ({error})") from None
-        return copy
 
     def read(self, name: str) -> bytes:
         if name not in self:
@@ -79,17 +66,20 @@ class Archive(FileTree):
 
     @contextlib.contextmanager
     def local(self, name: str) -> Iterator[Path]:
-        """See `FileTree`; large files are copied piece by piece."""
+        with tempfile.TemporaryDirectory(prefix="hyjax-") as folder:
+            yield self._copy(name, folder)
+
+    def _copy(self, name: str, folder: str) -> Path:
+        """A copy of a file in a folder, made piece by piece."""
         if name not in self:
             raise InputError(f"{self.where(name)}: no such file")
-        with tempfile.TemporaryDirectory(prefix="hyjax-") as folder:
-            copy = Path(folder) / PurePosixPath(name).name
-            try:
-                with self._lock, self._zip.open(name) as packed, copy.open("wb") as file:
-                    shutil.copyfileobj(packed, file, 1 << 20)
-            except Exception as error:  # as in `read`
-                raise InputError(f"{self.where(name)}: damaged in the archive ({error})") from None
-            yield copy
+        copy = Path(folder) / PurePosixPath(name).name
+        try:
+            with self._lock, self._zip.open(name) as packed, copy.open("wb") as file:
+                shutil.copyfileobj(packed, file, 1 << 20)
+        except Exception as error:  # as in `read`
+            raise InputError(f"{self.where(name)}: damaged in the archive ({error})") from None
+        return copy
 
     def size(self, name: str) -> int:
         return self._zip.getinfo(name).file_size

@@ -4,9 +4,8 @@ import dataclasses
 import shlex
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import trimesh
 import tyro
 
 from hyjax.data.capture import Capture, ChosenFrames, Frame
@@ -14,6 +13,9 @@ from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 from hyjax.util.settings import Settings
 from hyjax.util.sizes import parse_size
+
+if TYPE_CHECKING:
+    import trimesh
 
 Layout = Literal["7scenes", "nerfstudio", "arkit", "stray"]
 
@@ -71,7 +73,7 @@ class SelectedFrames(ChosenFrames):
         fitted = fit(frame, self._size)
         return dataclasses.replace(fitted, depth=frame.depth, depth_intrinsics=lens, confidence=frame.confidence)
 
-    def mesh(self) -> trimesh.Trimesh | None:
+    def mesh(self) -> "trimesh.Trimesh | None":
         """See `Capture`."""
         return self._capture.mesh()
 

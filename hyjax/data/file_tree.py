@@ -123,14 +123,16 @@ class FileTree(abc.ABC):
         return _Subtree(self, folder)
 
 
-@contextlib.contextmanager
-def opened(path: Path, where: str) -> Iterator[BinaryIO]:
+def opened(path: Path, where: str) -> BinaryIO:
+    """A file opened for reading.
+
+    Raises:
+        InputError: it cannot be.
+    """
     try:
-        file = path.open("rb")
+        return path.open("rb")
     except OSError as error:
         raise InputError(f"{where}: cannot read ({error.strerror})") from None
-    with file:
-        yield file
 
 
 class _Subtree(FileTree):

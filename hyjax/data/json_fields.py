@@ -93,6 +93,80 @@ def number_list(value: Any, count: int, what: str, *, finite: bool = True) -> Fl
     return np.array([_number(number, f"{what}[{place}]", finite) for place, number in enumerate(value)])
 
 
+class Fields:
+    """An object of a JSON file by its keys, for layouts with objects in objects.
+
+    Args:
+        content: as `json` gives it.
+        where: what messages call it.
+
+    Raises:
+        InputError: it is no object.
+    """
+
+    def __init__(self, content: Any, where: str) -> None:
+        if not isinstance(content, dict):
+            raise InputError(f"{where}: need a JSON object, got {_kind(content)}")
+        self._content, self.where = content, where
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._content
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """A finite number; see `json_number`."""
+        return json_number(self._content, key, self.where, default=default)
+
+    def count(self, key: str) -> int:
+        """A whole number of at least one; see `json_count`."""
+        return json_count(self._content, key, self.where)
+
+    def flag(self, key: str, default: bool) -> bool:
+        """True or false; `default` where there is no such key.
+
+        Raises:
+            InputError: it is something else.
+        """
+        value = self._content.get(key, default)
+        if not isinstance(value, bool):
+            raise InputError(f"{self.where}: {key}: need true or false, got {_kind(value)}")
+        return value
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """A text; `default` where there is no such key, if one is given.
+
+        Raises:
+            InputError: there is none, or it is something else.
+        """
+        value = default if default is not None and key not in self else _value(self._content, key, self.where)
+        if not isinstance(value, str):
+            raise InputError(f"{self.where}: {key}: need a text, got {_kind(value)}")
+        return value
+
+    def numbers(self, key: str, count: int, *, finite: bool = True) -> Float[np.ndarray, "count"]:
+        """A list of so many numbers; see `json_numbers`."""
+        return json_numbers(self._content, key, count, self.where, finite=finite)
+
+    def rows(self, key: str, width: int) -> Float[np.ndarray, "h width"]:
+        """Lists of so many numbers each, NaN where one is not finite.
+
+        Raises:
+            InputError: there are none, or they are something else.
+        """
+        lists = json_list(self._content, key, self.where)
+        what = f"{self.where}: {key}"
+        read = [number_list(row, width, f"{what}[{place}]", finite=False) for place, row in enumerate(lists)]
+        return np.array(read).reshape(-1, width)
+
+    def objects(self, key: str) -> "list[Fields]":
+        """A list of objects.
+
+        Raises:
+            InputError: there is none.
+        """
+        entries = json_list(self._content, key, self.where)
+        return [Fields(entry, f"{self.where}: {key}[{place}]") for place, entry in enumerate(entries)]
+
+
 def _value(fields: Mapping[str, Any], key: str, where: str) -> Any:
     if key not in fields:
         raise InputError(f"{where}: {key} is missing")

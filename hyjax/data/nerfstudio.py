@@ -33,8 +33,8 @@ from hyjax.data.capture_files import (
     tree_depth,
     tree_shape,
 )
-from hyjax.data.fields import Fields, tree_fields
 from hyjax.data.file_tree import FileTree
+from hyjax.data.json_fields import Fields, json_object
 from hyjax.data.lens import Distortion
 from hyjax.data.recording import Z_UP, DepthAndConfidence, Recording, Shot, from_opengl, mean_up, rigid
 from hyjax.data.trees import open_tree
@@ -65,7 +65,7 @@ def open_nerfstudio(tree: FileTree) -> Recording:
     listing = next(name for name in NAMES if name in tree)
     if tree.path.is_file() and tree.names == (listing,):
         tree = open_tree(tree.path.resolve().parent)
-    top = tree_fields(tree, listing)
+    top = Fields(json_object(tree, listing), tree.where(listing))
     found = [(entry, _find(tree, entry.text("file_path"))) for entry in top.objects("frames")]
     found.sort(key=lambda pair: by_number(pair[1] or pair[0].text("file_path")))
     remarks: list[tuple[str, str]] = []
@@ -114,9 +114,11 @@ def _find(tree: FileTree, path: str) -> str | None:
 
 
 def _pose(entry: Fields) -> Float[np.ndarray, "4 4"]:
-    numbers = entry.numbers("transform_matrix", (4, 4), (3, 4))
+    rows = entry.rows("transform_matrix", 4)
+    if len(rows) not in (3, 4):
+        raise InputError(f"{entry.where}: transform_matrix: need 4x4 or 3x4 numbers, got {len(rows)} rows")
     pose = np.eye(4)
-    pose[: len(numbers)] = numbers
+    pose[: len(rows)] = rows
     return pose
 
 
@@ -132,7 +134,7 @@ def _shot(
         if found is None:
             faults.append(("depth maps are missing", entry.text(key)))
         elif not found.lower().endswith(".png"):
-            raise InputError(f"{entry.where}: {key!r}: only 16-bit PNG is read as depth, not {found}")
+            raise InputError(f"{entry.where}: {key}: only 16-bit PNG is read as depth, not {found}")
         elif not looks_whole(tree, found):
             faults.append(("depth maps are damaged and left out", found))
         else:
@@ -155,7 +157,7 @@ def _depth_unit(top: Fields) -> float:
     key = "integer_depth_scale" if "integer_depth_scale" in top else "depth_unit_scale_factor"
     unit = top.number(key, 0.001)
     if not 0 < unit < 1e3:
-        raise InputError(f"{top.where}: {key!r} must be > 0 and below 1000, is {unit:g}")
+        raise InputError(f"{top.where}: {key}: must be > 0 and below 1000, got {unit:g}")
     return unit
 
 
@@ -171,7 +173,7 @@ def _either(top: Fields, entry: Fields, key: str) -> Fields:
 def _intrinsics(tree: FileTree, top: Fields, entry: Fields, name: str) -> Intrinsics:
     sizes = [_either(top, entry, key) for key in ("h", "w")]
     if "h" in sizes[0] and "w" in sizes[1]:
-        height, width = sizes[0].whole("h"), sizes[1].whole("w")
+        height, width = sizes[0].count("h"), sizes[1].count("w")
     else:
         height, width = tree_shape(tree, name)
     fx = _focal(top, entry, "x", width)
@@ -192,7 +194,7 @@ def _focal(top: Fields, entry: Fields, axis: str, side: int) -> float:
         return _either(top, entry, focal).number(focal)
     radians = _either(top, entry, angle).number(angle)
     if not 0 < radians < math.pi:
-        raise InputError(f"{top.where}: {angle!r} must be between 0 and π, is {radians:g}")
+        raise InputError(f"{top.where}: {angle}: must be between 0 and π, got {radians:g}")
     return side / 2 / math.tan(radians / 2)
 
 
@@ -207,7 +209,7 @@ def _distortion(top: Fields, entry: Fields) -> Distortion | None:
         known = ", ".join((*PERSPECTIVE[:5], FISHEYE[0]))
         raise InputError(f"{top.where}: camera_model {model[:40]!r} is not read, only {known}; undistort it first")
     if k4:  # nerfstudio does not read it either
-        raise InputError(f"{top.where}: 'k4' goes with camera_model {FISHEYE[0]} only")
+        raise InputError(f"{top.where}: k4: goes with camera_model {FISHEYE[0]} only")
     distortion = Distortion("brown", (k1, k2, k3), (p1, p2))
     return None if distortion.is_none else distortion
 
@@ -217,10 +219,10 @@ def _up(
 ) -> tuple[Float[np.ndarray, "3"], list[str]]:
     """Unit vector against gravity, and a line that says how it is known."""
     if "up" in top:
-        up = top.numbers("up", (3,))
+        up = top.numbers("up", 3)
         length = float(np.linalg.norm(up))
         if not 1e-6 < length < 1e6:
-            raise InputError(f"{top.where}: 'up' must be a direction, is {up.tolist()}")
+            raise InputError(f"{top.where}: up: must be a direction, got {up.tolist()}")
         return up / length, []
     if top.text("orientation_override", "") == "none":
         return Z_UP, ["z is up, as the file says that it was oriented"]

@@ -33,8 +33,8 @@ from hyjax.data.capture_files import (
     tree_depth,
     tree_shape,
 )
-from hyjax.data.fields import tree_fields
 from hyjax.data.file_tree import FileTree
+from hyjax.data.json_fields import Fields, json_object
 from hyjax.data.posed_lists import floats, table_rows
 from hyjax.data.recording import DepthAndConfidence, Recording, Shot, rigid
 from hyjax.geometry.camera import Intrinsics
@@ -143,15 +143,17 @@ def _intrinsics(tree: FileTree, picture: str, remarks: list[str]) -> Intrinsics:
             )
         remarks.append(f"there is no {INTRINSICS[0]}; taking the PrimeSense's default, 525 525 319.5 239.5")
         return DEFAULT
-    fields = tree_fields(tree, name)
-    k = fields.numbers("intrinsic_matrix", (9,)).reshape(3, 3).T
+    fields = Fields(json_object(tree, name), tree.where(name))
+    k = fields.numbers("intrinsic_matrix", 9).reshape(3, 3).T
     if not np.array_equal(k[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], (0, 0, 0, 0, 1)):
         raise InputError(
-            f"{fields.where}: 'intrinsic_matrix' must be fx 0 0 0 fy 0 cx cy 1, is {k.T.ravel().tolist()}"
+            f"{fields.where}: intrinsic_matrix: must be fx 0 0 0 fy 0 cx cy 1, got {k.T.ravel().tolist()}"
         )
     values = (k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
     try:
-        return Intrinsics(fields.whole("width", width), fields.whole("height", height), *map(float, values))
+        if "width" in fields and "height" in fields:
+            height, width = fields.count("height"), fields.count("width")
+        return Intrinsics(width, height, *map(float, values))
     except InputError as error:
         raise InputError(f"{fields.where}: {error}") from None
 

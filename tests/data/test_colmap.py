@@ -171,7 +171,7 @@ def test_smaller_pictures_are_not_taken_for_the_models(folder: Path) -> None:
 
 def test_pictures_beside_a_transforms_json_belong_to_nerfstudio(folder: Path) -> None:
     (folder / "transforms.json").write_text("{}")
-    with pytest.raises(InputError, match=r"transforms\.json: has no 'frames'"):
+    with pytest.raises(InputError, match=r"transforms\.json: frames is missing"):
         open_capture(folder)
 
 

@@ -92,7 +92,7 @@ def test_damaged_pictures_are_left_out(folder: Path) -> None:
 def test_intrinsics_of_rows_instead_of_columns_are_refused(folder: Path) -> None:
     matrix = np.reshape(MATRIX, (3, 3)).T.ravel().tolist()
     (folder / "camera_primesense.json").write_text(json.dumps({"intrinsic_matrix": matrix}))
-    with pytest.raises(InputError, match=r"camera_primesense.json: 'intrinsic_matrix' must be fx 0 0"):
+    with pytest.raises(InputError, match=r"camera_primesense.json: intrinsic_matrix: must be fx 0 0"):
         open_capture(folder)
 
 

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from hyjax.data.builtin_room import load_room
 from hyjax.data.capture import Capture, ChosenFrames, Frame
-from hyjax.data.trees import open_tree
 from hyjax.data.registry import open_capture
+from hyjax.data.trees import open_tree
 from hyjax.data.video_frames import VideoFrames
 from hyjax.data.write_stray import write_stray
 from hyjax.geometry.camera import Camera
