@@ -27,6 +27,7 @@ EXPERIMENTS = (
     "guide_speed",
     "export_formats",
     "fusion",
+    "fusion_borders",
     "bench_peers",
     "tour_latency",
 )
