@@ -17,7 +17,7 @@ from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera
 from hyjax.util.errors import InputError
 
-lzfse = pytest.importorskip("lzfse", reason="needs the extra `captures`")
+lzfse = pytest.importorskip("lzfse", reason='needs the extra: pip install ".[captures]"')
 FRAMES = box_room(4)
 
 

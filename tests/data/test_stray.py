@@ -15,7 +15,7 @@ from reference.phone_layouts import DEPTH_SHAPE, LENS, UP, agree, box_room, side
 from scipy.spatial.transform import Rotation
 
 from hyjax.data.builtin_room import load_room
-from hyjax.data.capture import Capture, Frame
+from hyjax.data.capture import Capture, ChosenFrames, Frame
 from hyjax.data.file_tree import open_tree
 from hyjax.data.registry import open_capture
 from hyjax.data.video_frames import VideoFrames
@@ -24,7 +24,7 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.errors import InputError
 
-av = pytest.importorskip("av", reason="needs the extra `captures`")
+av = pytest.importorskip("av", reason='needs the extra: pip install ".[captures]"')
 FRAMES = box_room(6)
 
 
@@ -119,6 +119,16 @@ def test_depth_of_another_lens_is_sampled_anew(tmp_path: Path) -> None:
         column, row = np.floor(xy).astype(int).T
         assert np.quantile(np.abs(original.depth[row, column] - depth), 0.9) < 0.05
         assert (frame.depth == 0).any() and (frame.depth > 0).mean() > 0.3
+
+
+def test_frames_of_a_real_scan_are_written_and_read_back(scanner3d_chair: Path, tmp_path: Path) -> None:
+    chosen = ChosenFrames(open_capture(scanner3d_chair), [0, 12])
+    write_stray(chosen, tmp_path / "scan", progress=False)
+    for frame, original in zip(open_capture(tmp_path / "scan"), chosen, strict=True):
+        np.testing.assert_allclose(frame.camera.pose, original.camera.pose, atol=1e-6)
+        np.testing.assert_allclose(frame.depth, original.depth, atol=5e-4)
+        np.testing.assert_array_equal(frame.confidence, original.confidence)
+        assert psnr(frame.image, original.image) > 40
 
 
 def test_a_folder_in_use_is_refused_and_nothing_is_left_by_a_failure(tmp_path: Path) -> None:
