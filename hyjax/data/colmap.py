@@ -95,7 +95,10 @@ def open_colmap(tree: FileTree) -> Capture:
         remarks.append(
             f"{len(unknown)} of {len(pictures)} pictures are not registered in the model (first: {unknown[0]})"
         )
-    maps = _depth_names(tree, top, chosen, folder)
+    maps = _depth_names(tree, top, chosen)
+    broken = [depth for depth in maps.values() if not looks_whole(tree, depth)]
+    faults += [("depth maps are damaged and left out", depth) for depth in broken]
+    maps = {name: depth for name, depth in maps.items() if depth not in broken}
     shots = [
         _shot(tree, image, name, short, index, maps.get(name))
         for index, ((name, image), short) in enumerate(zip(chosen.items(), short_names(list(chosen))))
@@ -175,12 +178,12 @@ def _pose(image: Any) -> Float[np.ndarray, "4 4"] | None:
     return None if exact is None else np.linalg.inv(exact)
 
 
-def _depth_names(tree: FileTree, top: str, chosen: dict[str, Any], model: str) -> dict[str, str]:
+def _depth_names(tree: FileTree, top: str, chosen: dict[str, Any]) -> dict[str, str]:
     """Depth map by picture: a sensor's, else that of COLMAP's dense reconstruction."""
     for place in (f"{top}{folder}" for folder in DEPTHS):
         stems = {PurePosixPath(name).stem: name for name in tree.below(place, ".png")}
         if found := {n: stems[stem] for n in chosen if (stem := PurePosixPath(n).stem) in stems}:
-            return {name: depth for name, depth in found.items() if looks_whole(tree, depth)}
+            return found
     stereo = {name: f"{top}stereo/depth_maps/{image.name}.geometric.bin" for name, image in chosen.items()}
     return {name: depth for name, depth in stereo.items() if depth in tree}
 

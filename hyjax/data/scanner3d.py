@@ -91,10 +91,8 @@ def _read_moment(
     pose = usable_pose(json_numbers(fields, "cameraPoseARFrame", 16, where, finite=False).reshape(4, 4))
     k = json_numbers(fields, "intrinsics", 9, where)
     lens = lens_of(shape, k[[0, 4, 2, 5]].tolist(), f"{where}: intrinsics", shift=PIXEL_CENTRE)
-    time, exposure = (
-        json_number(fields, "time", where),
-        json_number(fields, "exposureDuration", where, default=np.inf),
-    )
+    time = json_number(fields, "time", where)
+    exposure = json_number(fields, "exposureDuration", where, default=np.inf)
     quality = json_number(fields, "motionQuality", where, default=1.0)
     depth = whole_file(tree, f"depth_{number}.png", "depth maps", faults)
     confidence = whole_file(tree, f"conf_{number}.png", "confidence maps", faults)

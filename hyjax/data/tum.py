@@ -8,8 +8,8 @@
 The three clocks differ: a picture's depth map is the nearest within 20 ms, its pose is interpolated. Depth is
 registered to the pictures as the lens gave them, so both are undistorted. Intrinsics are the published ones of the
 freiburg1, 2 or 3 in the folder's name; these count pixels from the centre of the first one, hence half a pixel is
-added. World z is up in TUM's own sequences, whose poses are a motion capture system's; elsewhere it is the cameras'
-mean up direction.
+added. Frames are called by their place in rgb.txt, as their times tell the date. World z is up in TUM's own
+sequences, whose poses are a motion capture system's; elsewhere it is the cameras' mean up direction.
 
 Tested on files written to the published layout, not on a real capture.
 
@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import counted, looks_whole, short_names, tree_colour, tree_depth, tree_shape
+from hyjax.data.capture_files import counted, looks_whole, tree_colour, tree_depth, tree_shape
 from hyjax.data.file_tree import FileTree
 from hyjax.data.lens import Distortion
 from hyjax.data.posed_lists import ascending, floats, pose_of, table_rows
@@ -81,12 +81,14 @@ def open_tum(tree: FileTree) -> Recording:
     intrinsics, distortion = _camera(tree, covered[0].name, remarks)
     times = np.array([depth.time for depth in depths])
     shots = []
-    for picture, short in zip(covered, short_names([picture.name for picture in covered])):
+    for number, picture in enumerate(pictures):
+        if not trajectory.covers(picture.time):
+            continue
         place = int(np.abs(times - picture.time).argmin()) if depths else -1
         near = depths and abs(times[place] - picture.time) <= TOLERANCE
         shots.append(
             Shot(
-                short,
+                f"{number:06d}",
                 picture.time,
                 trajectory.pose_at(picture.time),
                 intrinsics,
@@ -159,7 +161,7 @@ def _trajectory(tree: FileTree, faults: Reasons) -> Trajectory:
 
 def _sequence(tree: FileTree) -> str | None:
     """Which of TUM's cameras the folder's name tells."""
-    match = re.search(r"freiburg[123]|(?<![a-z0-9])fr[123](?![0-9])", str(tree.path.resolve()).lower())
+    match = re.search(r"freiburg[123]|(?<![a-z0-9])fr[123](?![0-9])", tree.path.resolve().name.lower())
     return None if match is None else f"freiburg{match[0][-1]}"
 
 

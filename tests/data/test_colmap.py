@@ -109,6 +109,15 @@ def test_a_sensors_depth_tells_the_scale(folder: Path, name: str) -> None:
     np.testing.assert_allclose(scaled.extents, [1, 1, 1], atol=1e-5)
 
 
+def test_damaged_depth_maps_leave_their_pictures(folder: Path) -> None:
+    for index in range(small.COUNT):
+        small.save_depth(folder / f"depth/{index}.png", small.depth(index))
+    small.cut(folder / "depth/1.png")
+    capture = open_capture(folder)
+    assert len(capture) == 3 and capture.depth_count == 2 and capture.metric
+    assert "1 depth maps are damaged" in capture.faults[0]
+
+
 def test_depth_with_too_few_points_tells_no_scale(folder: Path) -> None:
     small.save_depth(folder / "depth/0.png", np.zeros(K.shape))
     capture = open_capture(folder)

@@ -56,6 +56,7 @@ def test_a_folder_and_an_archive_are_read_alike(folder: Path) -> None:
         small.check_same(path, tolerance=1e-6)
     capture = open_capture(folder)
     assert capture.sensor == KINECT and capture.metric
+    assert [frame.name for frame in capture] == ["000000", "000001", "000002"]  # not the date
     np.testing.assert_allclose([frame.time for frame in capture], [0, 0.1, 0.2], atol=1e-6)
 
 
