@@ -59,7 +59,7 @@ def test_from_the_command_to_the_page(capture: Path, tmp_path: Path, monkeypatch
     assert is_finished(rows) and len(rows) == 2
     (row,) = of_kind(rows, "fusion")
     assert row["capture"] == "some_room" and row["frames"] == 3 and row["faces"] > 100 and row["seconds"] > 0
-    assert row["settings"] == {"capture": str(capture), "voxel": 0.1} and row["seed"] is None
+    assert row["settings"] == {"capture": str(capture), "voxel": 0.1, "frames": None} and row["seed"] is None
     assert f"| some_room | 3 | {row['faces']} | " in (out / "fusion.md").read_text()
 
     page = tmp_path / "report.html"
