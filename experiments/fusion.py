@@ -38,6 +38,7 @@ class Config(RunConfig):
     frames: int | None = None
     """How many depth maps. Default: those of the capture."""
 
+
 MEMORY = "MiB after a tenth, half, all"
 
 
