@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import OpenImageIO as oiio
 import pytest
 import trimesh
@@ -17,7 +16,6 @@ from reference.seven_scenes_export import export_seven_scenes
 
 from hyjax.cli import main
 from hyjax.data.builtin_room import RoomCapture, load_room
-from hyjax.util.images import read_image
 
 HYJAX = str(Path(sys.executable).with_name("hyjax"))
 POINT = {"kind": "point", "position": [2.2, 2.6, 1.5], "luminous_flux": 2000}
@@ -70,11 +68,15 @@ def spoil(name: str, content: Callable[[Path], bytes]) -> Spoil:
     return apply
 
 
+def strictly(apply: Spoil) -> Spoil:
+    return lambda folder: [*apply(folder), "--strict"]
+
+
 def cut(path: Path) -> bytes:
     return path.read_bytes()[: path.stat().st_size // 2]
 
 
-def truncated_jpeg(folder: Path) -> list[object]:
+def truncated_jpegs(folder: Path) -> list[object]:
     for png in folder.glob("*.color.png"):
         oiio.ImageBuf(str(png)).write(str(png.with_suffix(".jpg")))
         png.unlink()
@@ -105,6 +107,7 @@ def plain(*options: object) -> Spoil:
 
 THIN = "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"
 NAN = "v 0 0 0\nv nan 0 0\nv 1 1 0\nf 1 2 3\n"
+FIRST = "frame-000000.color.png"
 COLOR, POSE = "frame-000001.color.png", "frame-000001.pose.txt"
 
 
@@ -128,8 +131,11 @@ def empty(folder: Path) -> list[object]:
 SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "missing capture": (lambda folder: ["--capture", folder / "none"], ("none", "no such folder")),
     "empty capture": (empty, ("capture", "7-Scenes")),
-    "truncated PNG": (spoil(COLOR.replace("1", "0"), cut), ("frame-000000.color.png", "truncated")),
-    "truncated JPEG": (truncated_jpeg, ("frame-000000.color.jpg", "truncated")),
+    "truncated PNG": (
+        strictly(spoil(COLOR.replace("1", "0"), cut)),
+        ("frame-000000.color.png", "damaged", "--strict"),
+    ),
+    "truncated JPEGs": (truncated_jpegs, ("frame-000000.color.jpg", "none of 2 pictures can be read")),
     "pose not rigid": (spoil(POSE, lambda p: b"2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"), (POSE, "rigid")),
     "intrinsics of another size": (
         spoil("camera-intrinsics.txt", lambda p: b"600 0 320 0 600 240 0 0 1"),
@@ -158,7 +164,7 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
 }
 IN_A_PROCESS = {"missing capture", "truncated PNG", "kappa 0"}
 """As a user's, with all of its start and its end; the others share this process."""
-NEEDS_MESH = {"truncated PNG", "truncated JPEG", "seed", "voxel", "frames past the end", "size gigantic"} | {
+NEEDS_MESH = {"truncated PNG", "truncated JPEGs", "seed", "voxel", "frames past the end", "size gigantic"} | {
     name for name in SPOILT if name.startswith(("light", "schedule", "kappa", "lambda", "factor", "fine"))
 }
 
@@ -203,16 +209,18 @@ def test_an_output_folder_that_cannot_be_made(out: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_damaged_frame_amid_a_run_leaves_whole_files(capture: Path, true_mesh: Path, tmp_path: Path) -> None:
+def test_a_damaged_frame_amid_a_run_is_left_out(capture: Path, true_mesh: Path, tmp_path: Path) -> None:
     options = lights()(capture)  # a file: nothing has to be looked at in order to place them
-    (capture / COLOR).write_bytes(cut(capture / COLOR))
+    content = (capture / COLOR).read_bytes()
+    # Its end is there, so that it is found out only when it is read.
+    (capture / COLOR).write_bytes(content[: len(content) // 2] + content[-20:])
     out = tmp_path / "out"
     done = relight(*options, "--mesh", true_mesh, "--no-shadows", "--out", out)
-    # After what is told of the light of the photos, one line.
-    assert done.returncode == 2 and len(done.stderr.splitlines()) <= 2 and COLOR in done.stderr.splitlines()[-1]
-    assert {entry.name for entry in out.iterdir()} == {"frame-000000.relit.png", "frame-000000.relit.exr"}
-    for entry in out.iterdir():
-        assert np.isfinite(read_image(entry)).all()
+    assert done.returncode == 0 and COLOR in done.stderr and "left out" in done.stderr
+    names = {entry.name for entry in out.iterdir()}
+    assert {"frame-000000.relit.png", "contact_sheet.png", "run.json"} <= names and len(names) == 5
+    done = relight(*options, "--mesh", true_mesh, "--no-shadows", "--strict", "--out", out)
+    assert done.returncode == 2 and COLOR in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.slow

@@ -58,12 +58,12 @@ class SevenScenes(Capture):
         colours = _numbered_colours(tree)
         self._has_depth = _check_companions(tree, colours)
         broken = {number: name for number, name in colours.items() if not looks_whole(tree, name)}
+        first = next(iter(broken.values()), "")
         if broken:
-            first = next(iter(broken.values()))
             self.faults = (f"{len(broken)} of {len(colours)} pictures are damaged and left out (first: {first})",)
         self._colours = {number: name for number, name in colours.items() if number not in broken}
         if not self._colours:
-            raise InputError(f"{tree.path}: none of {len(colours)} pictures can be read")
+            raise InputError(f"{tree.path}: none of {len(colours)} pictures can be read (first: {first})")
         self._poses = [_read_pose(tree, _companion(name, "pose.txt")) for name in self._colours.values()]
         self._numbers = list(self._colours)
         with tree.local(next(iter(self._colours.values()))) as file:
