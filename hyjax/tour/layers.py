@@ -21,11 +21,11 @@ from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import PhotoLight, bounced_light
+from hyjax.light.setup import geometry_key
 from hyjax.light.shading import shade_each
 from hyjax.light.shadow_map import ShadowMap, visibility
 from hyjax.tour.editable_scene import SceneParts
 from hyjax.tour.furniture import Part
-from hyjax.tour.lighting import geometry_key
 from hyjax.tour.picture import Layer
 from hyjax.util.lru_cache import LruCache
 
