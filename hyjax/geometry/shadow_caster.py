@@ -59,7 +59,7 @@ class TexelRays:
 
     def depth(self, caster: RayCaster) -> Float[np.ndarray, "n"]:
         """The texels' distances."""
-        depth: Float[np.ndarray, "n"] = self.lead + caster.cast(self.starts, self.directions).distance
+        depth = np.asarray(self.lead + caster.cast(self.starts, self.directions).distance)
         return depth if self.open is None else np.where(self.open, depth, -np.inf)
 
 
@@ -152,4 +152,5 @@ def _texel_rays(size: int, projection: Projection) -> tuple[np.ndarray, ...]:
     ticks = (2.0 * np.arange(-1, size + 1) + 1.0) / size - 1.0
     u, v = np.meshgrid(ticks, ticks)
     origin, direction = map_rays(jnp.asarray(u), jnp.asarray(v), projection)
-    return tuple(np.stack([np.asarray(c) for c in vector], axis=-1).reshape(-1, 3) for vector in (origin, direction))
+    vectors = (np.stack([np.asarray(c) for c in vector], axis=-1) for vector in (origin, direction))
+    return tuple(vector.reshape(-1, 3) for vector in vectors)

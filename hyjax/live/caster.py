@@ -1,4 +1,4 @@
-"""Ray caster of a mesh in pieces: Embree trees of some pieces each, of which only those are built anew that changed."""
+"""Ray caster of a mesh in pieces: Embree trees of some pieces each; only those that changed are built anew."""
 
 import dataclasses
 import functools
@@ -13,9 +13,11 @@ from jaxtyping import Bool, Float
 from hyjax.geometry.raycast import AT_ONCE, RayCaster
 from hyjax.live.mesh import Piece, Region, joined
 
-FULL = 40_000
+FULL = 20_000
 """Triangles of a tree from which it takes no further region. Many small trees are built sooner, but every ray asks
 each of them."""
+GROWN = 1.5
+"""How much larger than that it may grow."""
 FAR = np.float32(1e37)
 
 
@@ -137,10 +139,15 @@ class LiveCaster(RayCaster):
 def _packed(
     kept: list[tuple[Tree | None, dict[Region, Piece]]], new: dict[Region, Piece], centre: Float[np.ndarray, "3"]
 ) -> LiveCaster | None:
-    """Caster of trees that are as they were, or have these pieces now, and of new pieces, put where there is room."""
+    """Caster of trees that are as they were, or have these pieces now, and of new pieces where there is room."""
     trees: list[Tree | None] = [tree for tree, _ in kept]
     contents = [dict(pieces) for _, pieces in kept]
     sizes = [sum(len(piece.faces) for piece in pieces.values()) for pieces in contents]
+    for number, pieces in enumerate(contents):  # trees that have grown too large give of theirs
+        while trees[number] is None and sizes[number] > GROWN * FULL and len(pieces) > 1:
+            region = max(pieces)
+            new[region] = pieces.pop(region)
+            sizes[number] -= len(new[region].faces)
     for region in sorted(new):
         size = len(new[region].faces)
         # A tree that must be built anyway, before one that need not.

@@ -5,7 +5,7 @@ triangles of the whole. Normals are the gradient of the distance, which no seam 
 """
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import trimesh
@@ -25,17 +25,25 @@ SIDE = REGION * BLOCK
 SPECK = 64.0
 """Square voxels: connected surface of less that ends within its region is dropped, as in `extract_surface`."""
 Region = tuple[int, int, int]
-_NONE = np.zeros((0, 3), np.int64)
+LOCAL_BLOCKS = np.indices((REGION,) * 3).reshape(3, -1).T
+PATIENCE = 0.2
+"""How much more urgent a region becomes each time that others are meshed before it."""
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)  # large odd numbers
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Piece:
-    """Surface in a region, in world coordinates."""
+    """Surface in a region, in world coordinates.
+
+    Attributes:
+        vertices, faces, normals: of its mesh.
+        sums: of each of its blocks, two numbers that are others if any triangle in the block is another.
+    """
 
     vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"]
     normals: Float[np.ndarray, "n 3"]
+    sums: Float[np.ndarray, "b 2"]
 
 
 class LiveMesh:
@@ -43,6 +51,7 @@ class LiveMesh:
 
     Attributes:
         pieces: of the regions that have any surface.
+        waiting: regions that have changed and were not meshed yet, with the urgency of each.
 
     Args:
         volume: whose changes it takes.
@@ -52,24 +61,32 @@ class LiveMesh:
     def __init__(self, volume: LiveVolume, *, clean: bool = True) -> None:
         self._volume, self._clean = volume, clean
         self.pieces: dict[Region, Piece] = {}
+        self.waiting: dict[Region, float] = {}
 
-    def renew(self) -> tuple[list[Region], Float[np.ndarray, "b 3"]]:
-        """Make the pieces anew whose blocks have changed.
+    def renew(self, most: int | None = None) -> tuple[list[Region], Float[np.ndarray, "b 3"]]:
+        """Make pieces anew whose blocks have changed, those that have changed most first.
+
+        Args:
+            most: pieces that are made at once; the rest waits for the next time. None for all.
 
         Returns:
             The regions that were meshed again, and the centres of the blocks in which the surface is another now:
             spheres of `reach` around them hold every triangle that came or went.
         """
-        regions = regions_of(self._volume.take_changes())
-        changed = [_NONE]
+        for region in self.waiting:
+            self.waiting[region] += PATIENCE
+        for region, amount in amounts_of(*self._volume.take_changes()).items():
+            self.waiting[region] = max(self.waiting.get(region, 0.0), amount)
+        regions = sorted(self.waiting, key=lambda region: (-self.waiting[region], region))[:most]
+        centres = [np.zeros((0, 3))]
         for region in regions:
+            del self.waiting[region]
             before, piece = self.pieces.pop(region, None), self._make(region)
             if piece is not None:
                 self.pieces[region] = piece
-            changed.append(self._changed_blocks(before, piece))
-        size = BLOCK * self._volume.voxel
-        blocks = voxel_coordinates(np.unique(voxel_keys(np.concatenate(changed))))
-        return regions, (blocks + 0.5) * size
+            changed = np.any(_sums(before) != _sums(piece), axis=1)
+            centres.append((np.array(region) * REGION + LOCAL_BLOCKS[changed] + 0.5) * (BLOCK * self._volume.voxel))
+        return regions, np.concatenate(centres)
 
     @property
     def reach(self) -> float:
@@ -79,15 +96,6 @@ class LiveMesh:
     def whole(self) -> trimesh.Trimesh:
         """All pieces as one mesh; vertices on the seams are there twice."""
         return joined([self.pieces[region] for region in sorted(self.pieces)])
-
-    def _changed_blocks(self, before: Piece | None, after: Piece | None) -> Int[np.ndarray, "n 3"]:
-        """Blocks that hold the middle of a triangle which only one of two pieces has."""
-        middles = [_middles(piece) for piece in (before, after) if piece is not None]
-        if len(middles) == 2:
-            keys = [_keys(m) for m in middles]
-            middles = [middles[k][~np.isin(keys[k], keys[1 - k])] for k in (0, 1)]
-        blocks = [np.floor(m / (BLOCK * self._volume.voxel)).astype(np.int64) for m in middles]
-        return voxel_coordinates(np.unique(voxel_keys(np.concatenate(blocks)))) if blocks else _NONE
 
     def _make(self, region: Region) -> Piece | None:
         low = np.array(region) * REGION
@@ -108,15 +116,19 @@ class LiveMesh:
             if not len(faces):
                 return None
         normals = gradient_normals(box, vertices + 1.0)
+        sums = block_sums(vertices, faces)
         world = ((vertices + low * float(BLOCK)) * self._volume.voxel).astype(np.float32)
-        return Piece(world, np.ascontiguousarray(faces, np.int32), normals)
+        return Piece(world, np.ascontiguousarray(faces, np.int32), normals, sums)
 
 
-def regions_of(blocks: Int[np.ndarray, "n 3"]) -> list[Region]:
-    """Regions with a cell that has a corner in any of these blocks, sorted."""
+def amounts_of(blocks: Int[np.ndarray, "n 3"], amounts: Float[np.ndarray, "n"]) -> dict[Region, float]:
+    """Regions with a cell that has a corner in any of these blocks, and the largest amount of theirs."""
     corners = np.indices((2, 2, 2)).reshape(3, 8).T
-    touched = (blocks[:, None] - corners[None]).reshape(-1, 3) // REGION
-    return [(x, y, z) for x, y, z in voxel_coordinates(np.unique(voxel_keys(touched))).tolist()]
+    touched = voxel_keys((blocks[:, None] - corners[None]).reshape(-1, 3) // REGION)
+    keys, place = np.unique(touched, return_inverse=True)
+    largest = np.zeros(len(keys))
+    np.maximum.at(largest, place.reshape(-1), np.repeat(amounts, len(corners)))
+    return {(x, y, z): float(a) for (x, y, z), a in zip(voxel_coordinates(keys).tolist(), largest)}
 
 
 def joined(pieces: Sequence[Piece]) -> trimesh.Trimesh:
@@ -185,21 +197,18 @@ def without_specks(
 
 def on_border(vertices: Float[np.ndarray, "n 3"], side: int) -> Bool[np.ndarray, "n"]:
     """Whether vertices, in voxels, lie on the sides of their region."""
-    return ((vertices <= 0.0) | (vertices >= side)).any(axis=1)
+    return np.any((vertices <= 0.0) | (vertices >= side), axis=1)
 
 
-def _middles(piece: Piece) -> Float[np.ndarray, "m 3"]:
-    middles: Float[np.ndarray, "m 3"] = piece.vertices[piece.faces].mean(axis=1, dtype=np.float32)
-    return middles
+def block_sums(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Float[np.ndarray, "b 2"]:
+    """Of each block of a region two sums over the triangles whose middle lies in it, of numbers made of all bits."""
+    middles = vertices[faces].mean(axis=1, dtype=np.float32)
+    x, y, z = np.ascontiguousarray(middles).view(np.uint32).astype(np.uint64).T
+    keys = x * _MIX[0] ^ y * _MIX[1] ^ z * _MIX[2]
+    place = np.clip(middles // BLOCK, 0, REGION - 1).astype(np.int64) @ (REGION * REGION, REGION, 1)
+    halves = ((keys >> np.uint64(32)).astype(np.float64), (keys & np.uint64(0xFFFFFFFF)).astype(np.float64))
+    return np.stack([np.bincount(place, half, minlength=REGION**3) for half in halves], axis=-1)
 
 
-def _keys(points: Float[np.ndarray, "m 3"]) -> Int[np.ndarray, "m"]:
-    """A number for each point that tells it from others by all bits of its coordinates."""
-    x, y, z = np.ascontiguousarray(points).view(np.uint32).astype(np.uint64).T
-    keys: Int[np.ndarray, "m"] = (x * _MIX[0] ^ y * _MIX[1] ^ z * _MIX[2]).view(np.int64)
-    return keys
-
-
-def triangle_count(pieces: Iterable[Piece]) -> int:
-    """Triangles of pieces together."""
-    return sum(len(piece.faces) for piece in pieces)
+def _sums(piece: Piece | None) -> Float[np.ndarray, "b 2"]:
+    return np.zeros((REGION**3, 2)) if piece is None else piece.sums

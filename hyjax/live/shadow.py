@@ -120,7 +120,10 @@ class LiveShadowMaps:
             return None
         key = key, scale
         kept = self._kept.pop(key, None)
-        kept = self._cast_anew(views, surface, scale) if kept is None else self._renewed(kept, views, surface, scale)
+        if kept is None:
+            kept = self._cast_anew(views, surface, scale)
+        else:
+            kept = self._renewed(kept, views, surface, scale)
         self._kept[key] = kept  # the latest last
         while len(self._kept) > MOST_MAPS:
             self._kept.pop(next(iter(self._kept)))
@@ -212,9 +215,5 @@ def _through_cylinders(
     middle = along.mean(axis=0)
     half = np.linalg.norm(along - middle, axis=-1).max(axis=0)
     centres = changes.centres - (changes.centres @ direction)[:, None] * direction
-    squared = (
-        (middle**2).sum(axis=1)[:, None] - 2.0 * middle @ centres.T + (centres**2).sum(axis=1)[None]
-    )
+    squared = (middle**2).sum(axis=1)[:, None] - 2.0 * middle @ centres.T + (centres**2).sum(axis=1)[None]
     return (squared <= (1e-6 + half[:, None] + changes.radius) ** 2).any(axis=1)
-
-

@@ -1,6 +1,6 @@
-"""Volume that forgets: depth maps are averaged as they come, and old evidence gives way where new ones contradict it.
+"""Volume that forgets: depth maps are averaged as they come, and old evidence gives way where they contradict it.
 
-A fusion of finished captures averages all votes alike, so a chair that was looked at for a minute would take another
+A fusion of finished captures averages all votes alike: a chair that was looked at for a minute would take another
 minute to go. Here a voxel's weight is bounded, and a vote of the other sign meets no more than `MEMORY` votes like
 itself. What the mesh was made of is kept beside, so that a change is told from what has stayed.
 
@@ -80,26 +80,31 @@ class LiveVolume(Volume):
         if self.count > self._most:
             self._drop(self.count - round(LEFT * self._most))
 
-    def take_changes(self) -> Int[np.ndarray, "n 3"]:
-        """Coordinates of the blocks that have changed since they were last taken, which are taken with this."""
+    def take_changes(self) -> tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
+        """Blocks that have changed since they were last taken, which are taken with this.
+
+        Returns:
+            Their coordinates, and the largest change in each, as a share of the truncation.
+        """
         slots = np.flatnonzero(self._touched[: self.count])
         self._touched[slots] = False
         weights = self._weights[slots]
         now = self._sums[slots]
         now /= np.maximum(weights, np.float32(1e-12)) * np.float32(self.truncation)
         now[weights <= MIN_WEIGHT] = UNSEEN
-        changed = np.abs(now - self._meshed[slots]).max(axis=1, initial=0.0) > self._tolerance
+        amount = np.abs(now - self._meshed[slots]).max(axis=1, initial=0.0)
+        changed = amount > self._tolerance
         self._meshed[slots[changed]] = now[changed]
-        place = np.zeros(self.count, bool)
-        place[slots[changed]] = True
-        found = voxel_coordinates(self._keys[place[self._slots]])
+        amounts = np.zeros(self.count, np.float32)
+        amounts[slots[changed]] = amount[changed]
+        amounts = amounts[self._slots]
+        found = voxel_coordinates(self._keys[amounts > 0])
         dropped, self._dropped = self._dropped, self._dropped[:0]
-        return np.concatenate([found, dropped]) if len(dropped) else found
+        gone = np.full(len(dropped), np.float32(UNSEEN))
+        return np.concatenate([found, dropped]), np.concatenate([amounts[amounts > 0], gone])
 
-    def distances(
-        self, low: Int[np.ndarray, "3"], size: Int[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "x y z"]:
-        """Distances in a box of blocks, as last taken, as a share of the truncation; `UNSEEN` where there is none."""
+    def distances(self, low: Int[np.ndarray, "3"], size: Int[np.ndarray, "3"]) -> Float[np.ndarray, "x y z"]:
+        """Distances in a box of blocks, as last taken, as a share of the truncation; `UNSEEN` where none is."""
         x, y, z = size
         coordinates = np.indices((x, y, z)).reshape(3, -1).T + low
         keys = voxel_keys(coordinates)
