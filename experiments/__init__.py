@@ -29,5 +29,6 @@ EXPERIMENTS = (
     "fusion",
     "bench_peers",
     "tour_latency",
+    "live",
 )
 """Modules of experiments, in the report's order."""

@@ -78,7 +78,7 @@ class LiveMesh:
         for region, amount in amounts_of(*self._volume.take_changes()).items():
             self.waiting[region] = max(self.waiting.get(region, 0.0), amount)
         regions = sorted(self.waiting, key=lambda region: (-self.waiting[region], region))[:most]
-        centres = [np.zeros((0, 3))]
+        centres: list[Float[np.ndarray, "_ 3"]] = [np.zeros((0, 3))]
         for region in regions:
             del self.waiting[region]
             before, piece = self.pieces.pop(region, None), self._make(region)
@@ -201,7 +201,7 @@ def on_border(vertices: Float[np.ndarray, "n 3"], side: int) -> Bool[np.ndarray,
 
 
 def block_sums(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Float[np.ndarray, "b 2"]:
-    """Of each block of a region two sums over the triangles whose middle lies in it, of numbers made of all bits."""
+    """Two sums for each block of a region, over the triangles with their middle in it, of numbers of all bits."""
     middles = vertices[faces].mean(axis=1, dtype=np.float32)
     x, y, z = np.ascontiguousarray(middles).view(np.uint32).astype(np.uint64).T
     keys = x * _MIX[0] ^ y * _MIX[1] ^ z * _MIX[2]
