@@ -47,6 +47,7 @@ CHAIR = (1.84, 2.28)
 """Where the chair stands that is taken away, on the floor."""
 LAMP = PointLight(np.array([1.3, 3.1, 2.0], np.float32), np.float32(800.0), blackbody(3000.0))
 PICTURE = 256, 192
+GREY = np.full((192, 256, 3), 0.5, np.float32)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,13 +74,13 @@ def walk(mesh: trimesh.Trimesh, width: int, height: int, config: Config) -> dict
     """Frames by the clock, a surface that follows them, and relit frames meanwhile."""
     frames = list(frames_of(mesh, camera_path(round(FPS * config.seconds), width, height)))
     schedule = hyjax.Schedule.preset("hyjax")
-    warm = LiveScene(voxel=config.voxel, size=PICTURE[::-1])  # what is compiled is not timed
+    warm = LiveScene(voxel=config.voxel)  # what is compiled is not timed
     for frame in frames[:3]:
         warm.add(frame)
     warm.update()
     jax.block_until_ready(warm.relight(frames[0], [LAMP], schedule))
 
-    scene, begun = LiveScene(voxel=config.voxel, size=PICTURE[::-1]), time.perf_counter()
+    scene, begun = LiveScene(voxel=config.voxel), time.perf_counter()
     taken: list[tuple[float, dict[str, float], int, int]] = []
 
     def updated(frame: Frame) -> None:
@@ -116,7 +117,7 @@ def walk(mesh: trimesh.Trimesh, width: int, height: int, config: Config) -> dict
 
 def alone(frames: Sequence[Frame], config: Config, schedule: hyjax.Schedule) -> dict[str, list[float]]:
     """Milliseconds of each part with nothing beside it: a renewal after every sixth frame, then a relit picture."""
-    scene = LiveScene(voxel=config.voxel, size=PICTURE[::-1])
+    scene = LiveScene(voxel=config.voxel)
     spent: dict[str, list[float]] = {}
 
     def timed(name: str, call: Any) -> Any:
@@ -178,9 +179,10 @@ def frames_of(mesh: trimesh.Trimesh, cameras: Sequence[Camera], first: int = 0) 
     """Grey pictures with rendered depth, 30 a second."""
     views = RenderedDepths(mesh, cameras)
     for number, camera in enumerate(cameras):
-        grey = np.full((*camera.intrinsics.shape, 3), 0.5, np.float32)
+        picture = Camera(camera.intrinsics.resize(*PICTURE[::-1]), camera.pose)
         at = first + number
-        yield Frame(f"{at:06d}", grey, camera, at / FPS, np.asarray(views[number][0]))
+        depth = np.asarray(views[number][0])
+        yield Frame(f"{at:06d}", GREY, picture, at / FPS, depth, depth_intrinsics=camera.intrinsics)
 
 
 def by_the_clock(frames: Sequence[Frame], begun: float) -> Iterator[Frame]:
@@ -202,7 +204,7 @@ def around_the_chair(count: int, width: int = 256, height: int = 192) -> list[Ca
 
 
 def without_chair(
-    mesh: trimesh.Trimesh, place: tuple[float, float] = CHAIR, radius: float = 0.4
+    mesh: trimesh.Trimesh, place: tuple[float, float] = CHAIR, radius: float = 0.33
 ) -> trimesh.Trimesh:
     """The mesh without what stands free on the floor around a place and is no higher than a chair."""
     parts = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))

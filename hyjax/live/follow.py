@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from hyjax.data.capture import Frame
 from hyjax.live.scene import LiveScene
 
-MOST_WAITING = 6
+MOST_WAITING = 3
 """Frames that may wait to be taken into the volume."""
 _log = logging.getLogger(__name__)
 
