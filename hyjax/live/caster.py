@@ -10,13 +10,12 @@ import trimesh
 from embreex import mesh_construction, rtcore_scene
 from jaxtyping import Bool, Float
 
-from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.raycast import AT_ONCE, RayCaster
 from hyjax.live.mesh import Piece, Region, joined
 
-FULL = 8_000
-"""Triangles of a tree from which it takes no further region."""
-BUNDLE = 4096
-"""Rays that are cast at once, at those trees only that they may meet."""
+FULL = 20_000
+"""Triangles of a tree from which it takes no further region. Many small trees are built sooner, but every ray asks
+each of them."""
 GROWN = 1.5
 """How much larger than that it may grow."""
 FAR = np.float32(1e37)
@@ -31,14 +30,12 @@ class Tree:
         mesh: of them.
         scene: Embree's.
         corners: normals of each triangle's corners, and its own at the end.
-        sphere: around it, centre and radius.
     """
 
     pieces: dict[Region, Piece]
     mesh: trimesh.Trimesh
     scene: Any
     corners: Float[np.ndarray, "m 4 3"]
-    sphere: Float[np.ndarray, "4"]
 
     @classmethod
     def of(cls, pieces: dict[Region, Piece], centre: Float[np.ndarray, "3"]) -> "Tree":
@@ -54,9 +51,7 @@ class Tree:
         normals = np.concatenate([piece.normals for _, piece in sorted(pieces.items())])
         # The first rays would build the tree; now it is done when it is handed on.
         scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), output=True)
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        sphere = np.append(0.5 * (low + high), 0.5 * np.linalg.norm(high - low) + 1e-3)
-        return cls(pieces, mesh, scene, np.concatenate([normals[faces], own[:, None]], axis=1), sphere)
+        return cls(pieces, mesh, scene, np.concatenate([normals[faces], own[:, None]], axis=1))
 
     @property
     def count(self) -> int:
@@ -79,7 +74,6 @@ class LiveCaster(RayCaster):
         self.trees, self._centre = trees, centre
         self._corners = np.concatenate([tree.corners for tree in trees])
         self._starts = np.cumsum([0] + [tree.count for tree in trees])
-        self._spheres = np.stack([tree.sphere for tree in trees])  # around each: centre and radius
 
     @classmethod
     def of(cls, pieces: Mapping[Region, Piece], centre: Float[np.ndarray, "3"]) -> "LiveCaster | None":
@@ -119,30 +113,15 @@ class LiveCaster(RayCaster):
             "u": np.zeros(count, np.float32),
             "v": np.zeros(count, np.float32),
         }
-        for first in range(0, count, BUNDLE):
-            part = slice(first, first + BUNDLE)
-            for number in np.flatnonzero(self._met(starts[part], rays[part])):
-                found = self.trees[number].scene.run(
-                    starts[part], rays[part], dists=result["tfar"][part].copy(), output=True
-                )
+        for first in range(0, count, AT_ONCE):
+            part = slice(first, first + AT_ONCE)
+            for tree, number in zip(self.trees, self._starts):
+                found = tree.scene.run(starts[part], rays[part], dists=result["tfar"][part].copy(), output=True)
                 nearer = found["primID"] >= 0
-                found["primID"] += np.int32(self._starts[number])
+                found["primID"] += np.int32(number)
                 for key, values in result.items():
                     np.copyto(values[part], found[key], where=nearer)
         return result
-
-    def _met(self, starts: Float[np.ndarray, "n 3"], rays: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "t"]:
-        """Which trees a bundle of rays may meet: a cone around it against a sphere around each tree."""
-        apex = starts.mean(axis=0)
-        aside = float(np.sqrt(((starts - apex) ** 2).sum(axis=1).max(initial=0.0)))
-        axis = rays.mean(axis=0)
-        lengths = np.sqrt(np.einsum("nk,nk->n", rays, rays) * max(float(axis @ axis), 1e-20))
-        half = np.arccos(np.clip((rays @ axis / np.maximum(lengths, 1e-20)).min(initial=1.0), -1.0, 1.0)) + 1e-3
-        toward = self._spheres[:, :3] - apex
-        distance, radius = np.linalg.norm(toward, axis=1), self._spheres[:, 3] + aside
-        cosine = toward @ axis / np.maximum(distance * np.linalg.norm(axis), 1e-20)
-        subtended = np.arcsin(np.minimum(radius / np.maximum(distance, 1e-9), 1.0))
-        return (distance <= radius) | (np.arccos(np.clip(cosine, -1.0, 1.0)) <= half + subtended)
 
     def occluded(
         self,
@@ -171,9 +150,8 @@ def _packed(
             sizes[number] -= len(new[region].faces)
     for region in sorted(new):
         size = len(new[region].faces)
-        # A tree that must be built anyway, before one that need not.
-        room = [k for k in range(len(sizes)) if sizes[k] + size <= FULL]
-        chosen = min(room, key=lambda k: (trees[k] is not None, sizes[k]), default=None)
+        room = [k for k in range(len(sizes)) if sizes[k] + size <= FULL and contents[k]]
+        chosen = min(room, key=lambda k: _apart(region, contents[k]), default=None)
         if chosen is None:
             chosen = len(sizes)
             trees.append(None)
@@ -185,3 +163,8 @@ def _packed(
         Tree.of(pieces, centre) if tree is None else tree for tree, pieces in zip(trees, contents) if pieces
     )
     return LiveCaster(made, centre) if made else None
+
+
+def _apart(region: Region, others: Mapping[Region, Piece]) -> float:
+    """Distance from a region to the middle of others, in regions: trees are compact, so that few change at once."""
+    return float(np.linalg.norm(np.mean(list(others), axis=0) - region))
