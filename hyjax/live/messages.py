@@ -1,7 +1,7 @@
 """Messages of live frames, as `hyjax tour --live -` reads them from stdin; `docs/live_frames.md` describes them.
 
-A message is a line of JSON, then the bytes of its parts, whose lengths the line tells. What does not begin a message
-is skipped up to the next line that does, with a line on stderr.
+A message is a line of JSON, then the bytes of its parts, whose lengths the line tells. What does not begin a
+message is skipped up to the next line that does, with a line on stderr.
 """
 
 import io

@@ -118,7 +118,7 @@ def _folder_frame(tree: FileTree, number: int, colour: str) -> Frame:
 def record3d_frames(device: int = 0) -> Iterator[Frame]:
     """Frames of a phone that streams with the app Record3D over USB. **Nobody has tried this with a phone.**
 
-    Written from the package's own demo: https://github.com/marek-simonik/record3d. The axes are taken to be ARKit's.
+    After the package's interface (https://github.com/marek-simonik/record3d). The axes are taken to be ARKit's.
 
     Args:
         device: number of the phone, if several are connected.
