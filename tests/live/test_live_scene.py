@@ -41,7 +41,7 @@ def test_frames_are_relit_as_the_surface_grows(seen: list[Frame]) -> None:
     view = scene.view(seen[-1])
     whole = hyjax.relight(view, scene.shade(view, LIGHTS), view.display, SCHEDULE)
     np.testing.assert_array_equal(whole.image, relit[-1].relit.image)  # type: ignore[union-attr]
-    assert float(view.gbuffer.hit.mean()) > 0.7 and len(scene.mesh.faces) > 1000
+    assert float(view.gbuffer.hit.mean()) > 0.6 and len(scene.mesh.faces) > 1000
     again = list(relight_live(seen, LIGHTS, SCHEDULE, scene=LiveScene(voxel=0.05)))
     np.testing.assert_array_equal(again[-1].relit.image, relit[-1].relit.image)  # type: ignore[union-attr]
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from boxes import frames, looking, room
+from scipy.spatial import cKDTree
 
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
@@ -69,17 +70,11 @@ def test_regions_far_away_are_not_meshed_again(before: list, after: list) -> Non
     assert mesh.renew()[0] == [], "nothing has changed since"
     volume_of(after, volume)
     regions, _ = mesh.renew()
-    assert 0 < len(regions) < len(kept)
+    assert 0 < len(kept.keys() & regions) < len(kept)
     for region, piece in kept.items():
         assert region in regions or mesh.pieces[region] is piece
     far = [region for region in kept if region[0] * 32 * VOXEL >= 1.5]
     assert far and all(mesh.pieces[region] is kept[region] for region in far)
-
-
-def triangles(vertices: np.ndarray, faces: np.ndarray) -> set:
-    """Triangles by their corners, to 10 micrometres, whichever corner comes first."""
-    corners = np.round(vertices[faces] * 1e5).astype(np.int64)
-    return {tuple(sorted(map(tuple, corner))) for corner in corners.tolist()}
 
 
 def test_pieces_have_the_triangles_of_the_whole(before: list, after: list) -> None:
@@ -97,10 +92,11 @@ def test_pieces_have_the_triangles_of_the_whole(before: list, after: list) -> No
     dense = dense.reshape(tuple(8 * size))
     vertices, faces = zero_crossing(np.where(dense < UNSEEN, dense, 1.0).astype(np.float32), dense < UNSEEN)
     whole = mesh.whole()
-    got = triangles(np.asarray(whole.vertices), np.asarray(whole.faces))
-    expected = triangles((vertices + 8 * low) * VOXEL, faces)
-    assert len(got) == len(whole.faces) == len(faces)
-    assert len(got ^ expected) < 0.01 * len(got), "float32 rounds at another place here and there"
+    corners = ((vertices + 8 * low) * VOXEL)[faces]
+    assert len(whole.faces) == len(faces)
+    for k in range(2):  # float32 rounds at another place here and there
+        own, other = (corners.mean(axis=1), whole.triangles_center)[:: 1 - 2 * k]
+        assert cKDTree(own).query(other)[0].max() < 1e-5
 
 
 def test_normals_have_no_seams(before: list) -> None:
@@ -133,7 +129,7 @@ def test_memory_is_bounded(before: list) -> None:
 def test_a_caster_of_trees_sees_what_one_tree_sees(
     before: list, after: list, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(caster_module, "FULL", 3000)
+    monkeypatch.setattr(caster_module, "FULL", 600)
     volume = volume_of(before)
     mesh = LiveMesh(volume)
     mesh.renew()
@@ -158,18 +154,22 @@ def test_a_caster_of_trees_sees_what_one_tree_sees(
     assert second.renewed({}) is None
 
 
-WINDOW = Aperture.facing(
-    np.array([0.0, -2.0, 1.5]), np.array([0.0, 1.0, -0.4]), np.array([0.0, 0.0, 1.0]), 1.5, 1.5
-)
+INWARDS = np.array([0.0, 1.0, -0.4])
+WINDOW = Aperture.facing(np.array([0.0, -2.0, 1.5]), INWARDS, np.array([0.0, 0.0, 1.0]), 1.5, 1.5)
 LIGHTS: dict[str, Light] = {
     "lamp": PointLight(np.array([1.0, -1.0, 1.8], np.float32), np.float32(800.0), WHITE),
-    "bulb": PointLight(np.array([1.0, -1.0, 1.8], np.float32), np.float32(800.0), WHITE, np.float32(0.1)),
+    "bulb": PointLight(np.array([1.0, -1.0, 1.8], np.float32), np.float32(800.0), WHITE, 0.1),
     "spot": SpotLight(
-        np.array([0.5, -1.0, 2.0], np.float32), np.array([-0.3, 0.6, -1.0], np.float32), np.float32(800.0), WHITE
+        np.array([0.5, -1.0, 2.0], np.float32),
+        np.array([-0.3, 0.6, -1.0], np.float32),
+        np.float32(800.0),
+        WHITE,
+        0.4,
+        0.7,
     ),
     "sun": DirectionalLight(np.array([0.3, 0.2, -1.0], np.float32), np.float32(900.0), WHITE),
     "sun through a window": DirectionalLight(
-        np.array([0.1, 0.8, -0.6], np.float32), np.float32(900.0), WHITE, np.float32(0.005), WINDOW
+        np.array([0.1, 0.8, -0.6], np.float32), np.float32(900.0), WHITE, np.asarray(0.005, np.float32), WINDOW
     ),
 }
 
@@ -190,7 +190,8 @@ def test_a_map_renewed_in_part_is_the_map_cast_anew(before: list, after: list, n
     assert second is not None
     surface = LiveSurface(second, 2, ((2, Spheres(centres, mesh.reach)),), bounds)
     renewed = maps(name, light, surface, scale)
-    assert renewed is not None and 0 < maps.cast[0] < maps.cast[1], "in part"
+    assert renewed is not None and 0 < maps.cast[0] <= maps.cast[1]
+    assert name == "sun through a window" or maps.cast[0] < maps.cast[1], "whose rays all pass the box"
     anew = LiveShadowMaps()(name, light, surface, scale)
     assert anew is not None
     np.testing.assert_array_equal(renewed.depth, anew.depth)
