@@ -12,15 +12,16 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from hyjax.data.capture import Frame
-from hyjax.data.capture_files import looks_whole, tree_colour, tree_depth, tree_numbers
+from hyjax.data.capture_files import looks_whole, read_numbers, tree_colour, tree_depth, tree_numbers
 from hyjax.data.file_tree import FileTree, open_tree
 from hyjax.data.frames import spread
 from hyjax.data.kinect import KINECT
-from hyjax.data.recording import from_opengl, rigid
+from hyjax.data.recording import Y_UP, from_opengl, rigid
 from hyjax.data.seven_scenes import FRAME, FRAMES_PER_SECOND
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.live.messages import read_live_frames
 from hyjax.util.errors import InputError
+from hyjax.util.vectors import unit
 
 POLL = 0.1
 """Seconds between two looks at a folder."""
@@ -50,6 +51,20 @@ def live_frames(source: str, *, stop_after: float | None = None) -> Iterator[Fra
     if not Path(source).is_dir():
         raise InputError(f"live: {source}: no such folder; give a folder, '-' for stdin, or 'record3d'")
     return folder_frames(Path(source), stop_after=stop_after)
+
+
+def known_up(source: str) -> Float[np.ndarray, "3"] | None:
+    """Unit vector against gravity that a source knows: a phone's y, a folder's file; None if it knows none.
+
+    Raises:
+        InputError: the folder's `gravity-direction.txt` cannot be used.
+    """
+    if source == "record3d":
+        return Y_UP
+    file = Path(source) / "gravity-direction.txt"
+    if source == "-" or not file.is_file():
+        return None
+    return unit(-read_numbers(file, (3,)))
 
 
 def folder_frames(folder: Path, *, stop_after: float | None = None) -> Iterator[Frame]:

@@ -23,11 +23,11 @@ WHITE = np.ones(3, np.float32)
 MIDDLE, FAR = (0.0, 0.0, 0.2), (2.2, 1.9, 0.2)
 
 
-def volume_of(seen: list, volume: LiveVolume | None = None) -> LiveVolume:
+def volume_of(seen: list, volume: LiveVolume | None = None, max_depth: float = 5.0) -> LiveVolume:
     volume = volume or LiveVolume(VOXEL)
     with make_pool(2) as pool:
         for frame in seen:
-            volume.integrate(frame.depth, frame.camera, 5.0, pool)
+            volume.integrate(frame.depth, frame.camera, max_depth, pool)
     return volume
 
 
@@ -68,7 +68,7 @@ def test_regions_far_away_are_not_meshed_again(before: list, after: list) -> Non
     mesh.renew()
     kept = dict(mesh.pieces)
     assert mesh.renew()[0] == [], "nothing has changed since"
-    volume_of(after, volume)
+    volume_of(after, volume, 2.3)
     regions, _ = mesh.renew()
     assert 0 < len(kept.keys() & regions) < len(kept)
     for region, piece in kept.items():
@@ -135,7 +135,7 @@ def test_a_caster_of_trees_sees_what_one_tree_sees(
     mesh.renew()
     first = LiveCaster.of(mesh.pieces, np.zeros(3))
     assert first is not None and len(first.trees) > 2
-    volume_of(after, volume)
+    volume_of(after, volume, 2.3)
     mesh.renew()
     second = first.renewed(mesh.pieces)
     assert second is not None and any(tree in first.trees for tree in second.trees)
