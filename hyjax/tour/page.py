@@ -112,7 +112,7 @@ class Tour:
         arriving = Arriving(scene, settings.live or "", size=parse_size(settings.scene.size), widest=WIDEST)
         renderer = arriving.first_renderer(guide, settings.out)
         tour = cls(renderer, schedules, settings.out, host=settings.host, port=settings.port)
-        arriving.on_frame = lambda: [viewer.frame_arrived() for viewer in list(tour.viewers.values())]
+        arriving.on_frame = tour._frame_arrived
         tour.arriving = arriving
         return tour
 
@@ -130,6 +130,10 @@ class Tour:
         for viewer in list(self.viewers.values()):
             viewer.close()
         self.server.stop()
+
+    def _frame_arrived(self) -> None:
+        for viewer in list(self.viewers.values()):
+            viewer.frame_arrived()
 
     def _plan_changed(self, redraw: bool) -> None:
         if redraw:
