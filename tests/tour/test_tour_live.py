@@ -64,9 +64,9 @@ def test_pictures_follow_the_surface(tmp_path: Path) -> None:
     assert not fine.draft and not renderer.render(PLAN, view, draft=True).draft, "fine maps are there"
     for frame in after:
         scene.add(frame)
-    while scene.pieces.waiting or scene.update() is not surface:
-        surface = scene.surface
-        assert surface is not None
+    for _ in range(5):
+        surface = scene.update()
+    assert surface is not None and not scene.pieces.waiting
     renderer.follow(surface)
     capture.append(after[-1])
     second = renderer.render(PLAN, view, draft=True)
