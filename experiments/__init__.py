@@ -30,5 +30,6 @@ EXPERIMENTS = (
     "fusion_borders",
     "bench_peers",
     "tour_latency",
+    "live",
 )
 """Modules of experiments, in the report's order."""

@@ -133,6 +133,7 @@ LAYERS: list[set[str]] = [
     {"training"},
     {"device"},
     {"relighting", "tuning"},
+    {"live"},
     {"tour"},
     {"export"},
     {"info"},

@@ -79,7 +79,9 @@ def registered(reading: DepthReading, caster: RayCaster, far: float, first: Pose
     depth = clean_depth(reading.depth, camera, far)
     usable = depth > 0 if reading.confidence is None else (depth > 0) & (reading.confidence >= 1)
     chosen = np.flatnonzero(usable)
-    chosen = chosen[np.linspace(0, len(chosen) - 1, min(POINTS, len(chosen))).astype(int)] if len(chosen) else chosen
+    chosen = (
+        chosen[np.linspace(0, len(chosen) - 1, min(POINTS, len(chosen))).astype(int)] if len(chosen) else chosen
+    )
     local = (Camera(camera.intrinsics, np.eye(4)).rays() * depth[..., None]).reshape(-1, 3)[chosen]
     pose = camera.pose
     for _ in range(ITERATIONS):

@@ -1,14 +1,15 @@
 """Filling shadow maps by ray casting, on the host. Once for a static scene; a light that moves needs a new map."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from hyjax.geometry.raycast import RayCaster
-from hyjax.light.kinds import Aperture, Light
+from hyjax.light.kinds import Light
 from hyjax.light.kinds.shadow_views import Projection, RadialViews, ShadowViews
 from hyjax.light.shadow_map import ShadowMap, map_rays
 from hyjax.util.vectors import orthonormal_frame
@@ -37,77 +38,119 @@ def cast_shadow_maps(
 def _cast(caster: RayCaster, views: ShadowViews | None, scale: float) -> ShadowMap | None:
     if views is None:
         return None
-    size = round((RESOLUTION if views.count == 1 else VIEW_RESOLUTION) * scale)
-    if isinstance(views, RadialViews):
-        return _cast_radial(caster, views, size)
-    if views.aperture is None:
-        return _cast_parallel(caster, views.directions, size)
-    return _cast_through(caster, views.directions, views.aperture, size)
+    layout = MapLayout.of(views, scale, np.asarray(caster.mesh.bounds))
+    return layout.shadow_map(np.stack([layout.rays(view).depth(caster) for view in range(layout.count)]))
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class TexelRays:
+    """Rays through texels of a view of a shadow map.
+
+    Attributes:
+        starts, directions: in world coordinates.
+        lead: distance along the map's rays at which they start.
+        open: whether light starts there at all; None if it does everywhere.
+    """
+
+    starts: Float[np.ndarray, "n 3"]
+    directions: Float[np.ndarray, "n 3"]
+    lead: float | Float[np.ndarray, "n"] = 0.0
+    open: Bool[np.ndarray, "n"] | None = None
+
+    def depth(self, caster: RayCaster) -> Float[np.ndarray, "n"]:
+        """The texels' distances."""
+        depth = np.asarray(self.lead + caster.cast(self.starts, self.directions).distance)
+        return depth if self.open is None else np.where(self.open, depth, -np.inf)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MapLayout:
+    """Where a light's shadow map has its texels, before anything is cast.
+
+    Attributes:
+        views: as the light declares them.
+        size: texels a side, without the gutter.
+        origins, axes, texel, projection: see `ShadowMap`.
+        half: half a parallel view's width, metres; 0 for other views.
+    """
+
+    views: ShadowViews
+    size: int
+    origins: Float[np.ndarray, "v 3"]
+    axes: Float[np.ndarray, "v 3 3"]
+    texel: float
+    projection: Projection
+    half: float = 0.0
+
+    @classmethod
+    def of(cls, views: ShadowViews, scale: float, bounds: Float[np.ndarray, "2 3"]) -> "MapLayout":
+        """Layout for views of a light.
+
+        Args:
+            views: of the light.
+            scale: of the resolution, see `cast_shadow_maps`.
+            bounds: least and largest coordinates of the mesh, which parallel rays without an opening cover.
+        """
+        size = round((RESOLUTION if views.count == 1 else VIEW_RESOLUTION) * scale)
+        if isinstance(views, RadialViews):
+            axes = np.broadcast_to(views.axes, (views.count, 3, 3))
+            return cls(views, size, views.origins, axes, views.extent / size, views.projection)
+        frames = orthonormal_frame(views.directions)
+        if views.aperture is None:
+            half = 0.5 * float(np.linalg.norm(bounds[1] - bounds[0])) * 1.01
+            origins = bounds.mean(axis=0) - half * views.directions
+        else:
+            centre, right, up = (
+                np.asarray(a, np.float64) for a in (views.aperture.center, views.aperture.right, views.aperture.up)
+            )
+            half = 1.02 * float(np.hypot(np.linalg.norm(right), np.linalg.norm(up)))
+            origins = np.broadcast_to(centre, (views.count, 3))
+        axes = frames / np.array([[half], [half], [1.0]])
+        return cls(views, size, origins, axes, 2 * half / size, "orthographic", half)
+
+    @property
+    def count(self) -> int:
+        """Views."""
+        return self.views.count
+
+    def rays(self, view: int, chosen: Int[np.ndarray, "n"] | slice = slice(None)) -> TexelRays:
+        """Rays of a view through all texels, gutter included, row by row; or through the chosen ones."""
+        local_starts, local = _texel_rays(self.size, self.projection)
+        if isinstance(self.views, RadialViews):
+            # Maps of rays that start in one point each. The rows of `axes` are orthogonal: its inverse is its
+            # transpose over their squared lengths.
+            axes, near = self.views.axes, self.views.near
+            directions = local[chosen] @ (axes * np.sum(axes**2, axis=1, keepdims=True) ** -1)
+            return TexelRays(self.origins[view] + near * directions, directions, near)
+        frame = orthonormal_frame(self.views.directions)[view]
+        starts = self.half * (local_starts[chosen] @ frame)
+        directions = np.broadcast_to(frame[2], starts.shape)
+        if self.views.aperture is None:
+            return TexelRays(self.origins[view] + starts, directions)
+        # Rays that start in an opening. Beside the opening no light starts: all is dark.
+        right, up = (np.asarray(a, np.float64) for a in (self.views.aperture.right, self.views.aperture.up))
+        normal = np.cross(right, up)
+        to_opening = -(starts @ normal) / (frame[2] @ normal)
+        starts = starts + to_opening[:, None] * frame[2]
+        inside = (np.abs(starts @ right) <= right @ right) & (np.abs(starts @ up) <= up @ up)
+        return TexelRays(self.origins[view] + starts, directions, to_opening, inside)
+
+    def shadow_map(self, depth: Float[np.ndarray, "v n"]) -> ShadowMap:
+        """Shadow map of these texels' distances."""
+        return ShadowMap(
+            depth=jnp.asarray(depth.reshape(-1, self.size + 2, self.size + 2), jnp.float32),
+            origin=jnp.asarray(self.origins, jnp.float32),
+            axes=jnp.asarray(self.axes, jnp.float32),
+            texel=jnp.float32(self.texel),
+            projection=self.projection,
+        )
+
+
+@functools.lru_cache(maxsize=8)
 def _texel_rays(size: int, projection: Projection) -> tuple[np.ndarray, ...]:
     """Origins and directions of the rays through all texel centres in a view's axes, gutter included."""
     ticks = (2.0 * np.arange(-1, size + 1) + 1.0) / size - 1.0
     u, v = np.meshgrid(ticks, ticks)
     origin, direction = map_rays(jnp.asarray(u), jnp.asarray(v), projection)
-    return tuple(np.stack([np.asarray(c) for c in vector], axis=-1) for vector in (origin, direction))
-
-
-def _cast_radial(caster: RayCaster, views: RadialViews, size: int) -> ShadowMap:
-    """Maps of rays that start in one point each."""
-    origins, axes, near = views.origins, views.axes, views.near
-    _, local = _texel_rays(size, views.projection)
-    # The rows of `axes` are orthogonal: its inverse is its transpose over their squared lengths.
-    directions = (local @ (axes * np.sum(axes**2, axis=1, keepdims=True) ** -1)).reshape(-1, 3)
-    starts = near * directions
-    depth = near + np.stack([caster.cast(origin + starts, directions).distance for origin in origins])
-    axes = np.broadcast_to(axes, (len(origins), 3, 3))
-    return _shadow_map(depth, size, origins, axes, views.extent / size, views.projection)
-
-
-def _cast_parallel(caster: RayCaster, directions: Float[np.ndarray, "v 3"], size: int) -> ShadowMap:
-    """Maps of parallel rays that cover the whole mesh."""
-    centre = caster.mesh.bounds.mean(axis=0)
-    half = 0.5 * float(np.linalg.norm(caster.mesh.extents)) * 1.01
-    local, _ = _texel_rays(size, "orthographic")
-    frames = orthonormal_frame(directions)
-    origins = centre - half * directions
-    depth = []
-    for origin, frame in zip(origins, frames, strict=True):
-        starts = (origin + half * (local @ frame)).reshape(-1, 3)
-        depth.append(caster.cast(starts, np.broadcast_to(frame[2], starts.shape)).distance)
-    axes = frames / np.array([[half], [half], [1.0]])
-    return _shadow_map(np.stack(depth), size, origins, axes, 2 * half / size, "orthographic")
-
-
-def _cast_through(
-    caster: RayCaster, directions: Float[np.ndarray, "v 3"], aperture: Aperture, size: int
-) -> ShadowMap:
-    """Maps of parallel rays that start in an opening. Beside the opening no light starts: all is dark."""
-    centre, right, up = (np.asarray(a, np.float64) for a in (aperture.center, aperture.right, aperture.up))
-    normal, half = np.cross(right, up), 1.02 * float(np.hypot(np.linalg.norm(right), np.linalg.norm(up)))
-    local, _ = _texel_rays(size, "orthographic")
-    frames = orthonormal_frame(directions)
-    depth = []
-    for frame in frames:
-        starts = (half * (local @ frame)).reshape(-1, 3)  # relative to the centre, on a plane across the light
-        to_opening = -(starts @ normal) / (frame[2] @ normal)
-        starts = starts + to_opening[:, None] * frame[2]
-        inside = (np.abs(starts @ right) <= right @ right) & (np.abs(starts @ up) <= up @ up)
-        hit = caster.cast(centre + starts, np.broadcast_to(frame[2], starts.shape)).distance
-        depth.append(np.where(inside, to_opening + hit, -np.inf))
-    axes = frames / np.array([[half], [half], [1.0]])
-    origins = np.broadcast_to(centre, (len(directions), 3))
-    return _shadow_map(np.stack(depth), size, origins, axes, 2 * half / size, "orthographic")
-
-
-def _shadow_map(
-    depth: np.ndarray, size: int, origins: np.ndarray, axes: np.ndarray, texel: float, projection: Projection
-) -> ShadowMap:
-    return ShadowMap(
-        depth=jnp.asarray(depth.reshape(-1, size + 2, size + 2), jnp.float32),
-        origin=jnp.asarray(origins, jnp.float32),
-        axes=jnp.asarray(axes, jnp.float32),
-        texel=jnp.float32(texel),
-        projection=projection,
-    )
+    vectors = (np.stack([np.asarray(c) for c in vector], axis=-1) for vector in (origin, direction))
+    return tuple(vector.reshape(-1, 3) for vector in vectors)

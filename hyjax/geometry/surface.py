@@ -45,7 +45,7 @@ def extract_surface(
     low, high = blocks[solid].min(axis=0) - 1, blocks[solid].max(axis=0) + 2
     inside = ((blocks >= low) & (blocks < high)).all(axis=1)
     volume, mask = _assemble(blocks[inside] - low, distance[inside], observed[inside], high - low)
-    vertices, faces = _marching_cubes(volume, mask)
+    vertices, faces = zero_crossing(volume, mask)
     # PLY and GLB hold float32: round now, so that what is checked here is what will be read back.
     vertices = ((vertices + low * 8.0) * voxel).astype(np.float32)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -79,9 +79,18 @@ def _assemble(
     return volume.reshape(shape), mask.reshape(shape)
 
 
-def _marching_cubes(
+def zero_crossing(
     volume: Float[np.ndarray, "x y z"], mask: Bool[np.ndarray, "x y z"]
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]:
+    """Vertices (in voxels) and faces of a dense signed distance; both arrays are changed in place.
+
+    Args:
+        volume: positive in free space.
+        mask: which voxels were observed; a cell counts if all its eight corners were.
+
+    Raises:
+        InputError: nothing crosses zero.
+    """
     near_zero = np.abs(volume) < OFF_ZERO
     volume[near_zero] = np.where(volume[near_zero] < 0, -OFF_ZERO, OFF_ZERO)
     # skimage asks the mask at the far corner of each cell only; make that corner speak for all eight.

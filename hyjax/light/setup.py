@@ -1,7 +1,7 @@
 """Light set-up: virtual lights, and the light that the frames were taken under."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 
 import jax
 import numpy as np
@@ -52,3 +52,9 @@ def same_setup(a: LightSetup, b: LightSetup) -> bool:
     """Whether two set-ups have the same lights and reference, and keep the same of the photo's light."""
     same = a.reference_lux == b.reference_lux and dict(a.existing) == dict(b.existing)
     return same and same_lights(a.lights, b.lights)
+
+
+def geometry_key(light: Light) -> Hashable:
+    """Key of a light's kind and geometry: equal for lights that differ in strength and colour alone."""
+    geometry = [value for name, value in vars(light).items() if name not in ("color", light.STRENGTH)]
+    return type(light), *(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(geometry))

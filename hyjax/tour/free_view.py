@@ -49,6 +49,10 @@ class FreeView:
         """Whether this plan has been drawn, with this frame's camera marked."""
         return self._plan is plan and self._frame == frame
 
+    def outdate(self) -> None:
+        """The surface has changed: what was drawn is out of date."""
+        self._plan = None
+
     def show(self, visible: bool) -> None:
         """Show or hide what has been drawn."""
         for node in list(self._nodes):

@@ -21,11 +21,11 @@ from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import PhotoLight, bounced_light
+from hyjax.light.setup import geometry_key
 from hyjax.light.shading import shade_each
 from hyjax.light.shadow_map import ShadowMap, visibility
 from hyjax.tour.editable_scene import SceneParts
 from hyjax.tour.furniture import Part
-from hyjax.tour.lighting import geometry_key
 from hyjax.tour.picture import Layer
 from hyjax.util.lru_cache import LruCache
 
@@ -128,7 +128,7 @@ class LayerCache:
         """Shadow map that all parts cast together."""
         geometry, unit, scale = geometry_key(light), light.normalized(), 1.0
         if quality == "draft":
-            unit, scale = _without_radius(unit), DRAFT
+            unit, scale = without_radius(unit), DRAFT
 
         def cast(part: Part, key: Hashable) -> ShadowMap | None:
             caster: Any = CancellableCaster(part, cancelled)
@@ -162,7 +162,7 @@ def mebibytes(result: object) -> float:
     return sum(getattr(array, "nbytes", 0) for array in arrays.values()) / 2**20
 
 
-def _without_radius(light: Light) -> Light:
+def without_radius(light: Light) -> Light:
     """The light, whose shadows become hard if it is a lamp with a radius: one view in the place of eight."""
     if not hasattr(light, "radius"):
         return light

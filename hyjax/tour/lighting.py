@@ -2,9 +2,8 @@
 
 import functools
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
-import jax
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
@@ -109,12 +108,6 @@ def reference_lux(lights: Sequence[Light], exposure: float) -> float:
     """
     ambient = sum(float(getattr(light, light.STRENGTH)) for light in lights if light.UNIFORM)
     return float((2.0 * ambient) ** ADAPTATION * REFERENCE_LUX ** (1.0 - ADAPTATION) * 2.0**-exposure)
-
-
-def geometry_key(light: Light) -> Hashable:
-    """Key of a light's kind and geometry: equal for lights that differ in strength and colour alone."""
-    geometry = [value for name, value in vars(light).items() if name not in ("color", light.STRENGTH)]
-    return type(light), *(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(geometry))
 
 
 def flicker(seconds: float, number: int) -> float:

@@ -12,8 +12,11 @@ from pathlib import Path
 import viser
 
 from hyjax.core.schedule import Schedule
-from hyjax.guide.choose import open_guide
+from hyjax.guide.choose import FrameGuide, open_guide
+from hyjax.live.scene import LiveScene
 from hyjax.scene.scene import Scene
+from hyjax.scene.settings import parse_size
+from hyjax.tour.arriving import Arriving
 from hyjax.tour.controls import Controls
 from hyjax.tour.gizmos import Gizmos
 from hyjax.tour.layers import RenderCancelled
@@ -38,6 +41,7 @@ class Tour:
         session: plan and selection, shared by all viewers.
         viewers: by the number of their browser.
         url: address of the page.
+        arriving: frames that arrive; None unless the tour is live.
 
     Args:
         renderer: renders the pictures.
@@ -61,6 +65,7 @@ class Tour:
         self.queue = RenderQueue(self._render)
         self.session = Session(renderer, schedules, out, self.queue)
         self.viewers: dict[int, Viewer] = {}
+        self.arriving: Arriving | None = None
         self._started = time.monotonic()
         self.server = open_server(host, port)
         self.url = address(host, self.server)
@@ -86,6 +91,9 @@ class Tour:
         settings.check()
         check_port(settings.host, settings.port)
         schedules, guide = settings.open_schedules(), open_guide(settings.guide)
+        if settings.live is not None:
+            make_writable(settings.out)
+            return cls._open_live(settings, schedules, guide)
         named = settings.scene.capture
         capture = None if named is None else settings.scene.open_capture()
         make_writable(settings.out)
@@ -97,6 +105,17 @@ class Tour:
         renderer = Renderer(scene, guide=guide, folder=settings.out, keep_photo_light=settings.keep_photo_light)
         return cls(renderer, schedules, settings.out, host=settings.host, port=settings.port)
 
+    @classmethod
+    def _open_live(cls, settings: TourSettings, schedules: Mapping[str, Schedule], guide: FrameGuide) -> "Tour":
+        """Wait for the first frames, and serve a tour that follows them."""
+        scene = LiveScene()
+        arriving = Arriving(scene, settings.live or "", size=parse_size(settings.scene.size), widest=WIDEST)
+        renderer = arriving.first_renderer(guide, settings.out)
+        tour = cls(renderer, schedules, settings.out, host=settings.host, port=settings.port)
+        arriving.on_frame = tour._frame_arrived
+        tour.arriving = arriving
+        return tour
+
     def warm_up(self) -> None:
         """Compile what the first viewers may ask for, while the queue is empty."""
         viewpoint = Viewpoint(0, "relit", next(iter(self.session.schedules.values())))
@@ -105,10 +124,16 @@ class Tour:
     def stop(self) -> None:
         """Save the plan and end the server."""
         self.session.save()
+        if self.arriving is not None:
+            self.arriving.stop()
         self.queue.stop()
         for viewer in list(self.viewers.values()):
             viewer.close()
         self.server.stop()
+
+    def _frame_arrived(self) -> None:
+        for viewer in list(self.viewers.values()):
+            viewer.frame_arrived()
 
     def _plan_changed(self, redraw: bool) -> None:
         if redraw:

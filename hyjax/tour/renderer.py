@@ -58,6 +58,7 @@ class Renderer:
         scene: the surface, which plans edit.
         surface_area: of floor, walls and ceiling of a box around it, square metres.
         room_light: bounces and the photo's own light; None if that stays in the pictures.
+        live: whether frames arrive, see `hyjax.tour.live`.
 
     Args:
         scene: capture and surface.
@@ -69,6 +70,8 @@ class Renderer:
     Raises:
         InputError: the file that names the photo's sources cannot be used.
     """
+
+    live = False
 
     def __init__(
         self,

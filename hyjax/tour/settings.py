@@ -24,6 +24,10 @@ class TourSettings(Settings):
     """A JSON file, such as tune writes, to choose from beside the named ones."""
     keep_photo_light: bool = False
     """Leave the light that the frames were taken under in the pictures, and bounces out."""
+    live: str | None = None
+    """Follow frames that arrive: a folder in the 7-Scenes layout that grows, '-' for messages on stdin (see
+    docs/live_frames.md), or 'record3d' for a phone with that app on USB (never tried). The photo's own light then
+    stays in the pictures."""
     port: int = 8080
     """Where the page is served."""
     host: str = LOCAL
@@ -42,6 +46,8 @@ class TourSettings(Settings):
         if not 0 <= self.port <= 65535:
             raise InputError(f"port: must lie in 0..65535, got {self.port}")
         self.scene.check()
+        if self.live is not None and (self.scene.capture is not None or self.scene.mesh is not None):
+            raise InputError("live: frames that arrive make their own surface; leave --capture and --mesh out")
         self.open_schedules()
         return self
 

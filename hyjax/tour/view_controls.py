@@ -34,9 +34,12 @@ class ViewControls:
         gui: of the browser.
         schedules: to choose from, by name; the first is the default.
         frames: how many the capture has.
+        live: whether more of them arrive.
     """
 
-    def __init__(self, gui: viser.GuiApi, schedules: Mapping[str, Schedule], frames: int) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, schedules: Mapping[str, Schedule], frames: int, *, live: bool = False
+    ) -> None:
         self._schedules, self._last = schedules, frames - 1
         with gui.add_folder("View", order=-2):
             self.frame_slider: Any = gui.add_slider(
@@ -46,6 +49,7 @@ class ViewControls:
                 "Photo over it", 0.0, 1.0, 0.01, 0.0, hint="Wipe the photo over the relit one, from the left"
             )
             self.play_box = gui.add_checkbox("Play the capture", False)
+            self._follow_box = gui.add_checkbox("Follow", live, visible=live, hint="Always show the newest frame")
             self.back_button = gui.add_button("Back into the picture", visible=False, color="orange")
             self._rate = gui.add_markdown("Compiling the first picture …")
         with gui.add_folder("How it works", expand_by_default=False, order=2):
@@ -66,6 +70,18 @@ class ViewControls:
     @frame.setter
     def frame(self, number: int) -> None:
         self.frame_slider.value = round(clamp_number(number, 0, self._last))
+
+    @property
+    def follow(self) -> bool:
+        """Whether the newest frame is to be shown."""
+        return bool(self._follow_box.value)
+
+    def set_frames(self, count: int) -> None:
+        """Tell how many frames the capture has by now."""
+        self._last = count - 1
+        self.frame_slider.max = max(self._last, 1)
+        if self.frame_slider.value > self._last:
+            self.frame_slider.value = self._last
 
     @property
     def wipe(self) -> float:

@@ -41,6 +41,8 @@ REDRAW_DELAY = 0.5  # seconds after the last change
 DRAWN_RAYS = 7  # rays a side through a rectangle that is drawn
 PLAYING_HZ, FLICKER_HZ = 12.0, 6.0
 JPEG_QUALITY = 88
+LIVE_REDRAW = 2.0
+"""Seconds between two drawings of a mesh that changes: a browser gets all of it each time."""
 _log = logging.getLogger(__name__)
 
 
@@ -69,10 +71,12 @@ class Viewer:
         client.scene.configure_default_lights(enabled=False)
         self._timer: threading.Timer | None = None
         self._closed = False
+        self._redrawn_at = 0.0
         self._used_at = 0.0  # when a control was last used: arrow keys on a slider move the camera too
         self._instruction: Any = None
         self._free_view = FreeView(client.scene, session.renderer, self._thumbnail, self.go)
-        self.controls = ViewControls(client.gui, session.schedules, len(session.renderer.capture))
+        renderer = session.renderer
+        self.controls = ViewControls(client.gui, session.schedules, len(renderer.capture), live=renderer.live)
         self.controls.frame_slider.on_update(self._frame_changed)
         self.controls.wipe_slider.on_update(self._wipe_changed)
         self.controls.back_button.on_click(self._back_clicked)
@@ -133,6 +137,21 @@ class Viewer:
         """Draw the free view anew if it is shown and out of date; not on the thread that serves all browsers."""
         if not self._in_picture and not self._free_view.is_current(self.session.plan, self.frame):
             self._later(REDRAW_DELAY, functools.partial(self._free_view.draw, self._free_state))
+
+    def frame_arrived(self) -> None:
+        """Follow the newest frame, or at least the surface that it has renewed."""
+        count = len(self.session.renderer.capture)
+        self.controls.set_frames(count)
+        if self._closed:
+            return
+        if self._in_picture and self.controls.follow:
+            self.go(count - 1)
+        elif self._in_picture:
+            self.session.queue.request(self.client.client_id)
+        elif time.monotonic() - self._redrawn_at > LIVE_REDRAW:
+            self._redrawn_at = time.monotonic()
+            self._free_view.outdate()
+            self.redraw_soon()
 
     def _free_state(self) -> tuple[TourPlan, int] | None:
         return None if self._in_picture or self._closed else (self.session.plan, self.frame)

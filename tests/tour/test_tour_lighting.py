@@ -11,8 +11,8 @@ pytest.importorskip("astral", reason="needs the extra 'tour'")
 from reference.tour_plans import SURFACE, UP, afternoon, lamps
 
 from hyjax.light.kinds import AmbientLight, DirectionalLight, PointLight, RectLight, SpotLight
-from hyjax.light.setup import LightSetup
-from hyjax.tour.lighting import GLASS, flicker, geometry_key, lights_of, setup_of
+from hyjax.light.setup import LightSetup, geometry_key
+from hyjax.tour.lighting import GLASS, flicker, lights_of, setup_of
 from hyjax.tour.plan import KINDS, TourPlan
 
 

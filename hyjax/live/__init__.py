@@ -1,0 +1,1 @@
+"""Live rooms: frames arrive one by one, and surface, shadows and relit pictures follow."""

@@ -1,0 +1,214 @@
+"""Mesh in pieces: each piece belongs to a region of blocks, and is made anew only when the region has changed.
+
+A region's cells reach one voxel into the regions after it, so that pieces meet without a gap and together have the
+triangles of the whole. Normals are the gradient of the distance, which no seam disturbs.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import trimesh
+from jaxtyping import Bool, Float, Int
+from scipy import sparse
+
+from hyjax.geometry.surface import zero_crossing
+from hyjax.geometry.tsdf import BLOCK
+from hyjax.geometry.voxels import voxel_coordinates, voxel_keys
+from hyjax.live.volume import UNSEEN, LiveVolume
+from hyjax.util.errors import InputError
+from hyjax.util.vectors import SHORTEST, unit
+
+REGION = 4
+"""Blocks along a region's side."""
+SIDE = REGION * BLOCK
+SPECK = 64.0
+"""Square voxels: connected surface of less that ends within its region is dropped, as in `extract_surface`."""
+Region = tuple[int, int, int]
+LOCAL_BLOCKS = np.indices((REGION,) * 3).reshape(3, -1).T
+PATIENCE = 0.2
+"""How much more urgent a region becomes each time that others are meshed before it."""
+_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)  # large odd numbers
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Piece:
+    """Surface in a region, in world coordinates.
+
+    Attributes:
+        vertices, faces, normals: of its mesh.
+        sums: of each of its blocks, two numbers that are others if any triangle in the block is another.
+    """
+
+    vertices: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"]
+    normals: Float[np.ndarray, "n 3"]
+    sums: Float[np.ndarray, "b 2"]
+
+
+class LiveMesh:
+    """Pieces of a volume's surface by region.
+
+    Attributes:
+        pieces: of the regions that have any surface.
+        waiting: regions that have changed and were not meshed yet, with the urgency of each.
+
+    Args:
+        volume: whose changes it takes.
+        clean: whether specks are dropped.
+    """
+
+    def __init__(self, volume: LiveVolume, *, clean: bool = True) -> None:
+        self._volume, self._clean = volume, clean
+        self.pieces: dict[Region, Piece] = {}
+        self.waiting: dict[Region, float] = {}
+
+    def renew(self, most: int | None = None) -> tuple[list[Region], Float[np.ndarray, "b 3"]]:
+        """Make pieces anew whose blocks have changed, those that have changed most first.
+
+        Args:
+            most: pieces that are made at once; the rest waits for the next time. None for all.
+
+        Returns:
+            The regions that were meshed again, and the centres of the blocks in which the surface is another now:
+            spheres of `reach` around them hold every triangle that came or went.
+        """
+        for region in self.waiting:
+            self.waiting[region] += PATIENCE
+        for region, amount in amounts_of(*self._volume.take_changes()).items():
+            self.waiting[region] = max(self.waiting.get(region, 0.0), amount)
+        regions = sorted(self.waiting, key=lambda region: (-self.waiting[region], region))[:most]
+        centres: list[Float[np.ndarray, "_ 3"]] = [np.zeros((0, 3))]
+        for region in regions:
+            del self.waiting[region]
+            before, piece = self.pieces.pop(region, None), self._make(region)
+            if piece is not None:
+                self.pieces[region] = piece
+            changed = np.any(_sums(before) != _sums(piece), axis=1)
+            centres.append((np.array(region) * REGION + LOCAL_BLOCKS[changed] + 0.5) * (BLOCK * self._volume.voxel))
+        return regions, np.concatenate(centres)
+
+    @property
+    def reach(self) -> float:
+        """Metres from a block's centre to the farthest point of a triangle whose middle lies in the block."""
+        return float(np.sqrt(3.0)) * (0.5 * BLOCK + 1.0) * self._volume.voxel
+
+    def whole(self) -> trimesh.Trimesh:
+        """All pieces as one mesh; vertices on the seams are there twice."""
+        return joined([self.pieces[region] for region in sorted(self.pieces)])
+
+    def _make(self, region: Region) -> Piece | None:
+        low = np.array(region) * REGION
+        box = self._volume.distances(low - 1, np.full(3, REGION + 2))
+        # One voxel before the region and two after it: what gradients at its vertices need.
+        start, end = BLOCK - 1, BLOCK + SIDE + 2
+        box = box[start:end, start:end, start:end]
+        inner = box[1:-1, 1:-1, 1:-1]
+        seen = inner < UNSEEN
+        if not (inner < 0).any() or not ((inner > 0) & seen).any():
+            return None
+        try:
+            vertices, faces = zero_crossing(np.where(seen, inner, np.float32(1.0)), seen.copy())
+        except InputError:
+            return None
+        if self._clean:
+            vertices, faces = without_specks(vertices, faces, SIDE)
+            if not len(faces):
+                return None
+        normals = gradient_normals(box, vertices + 1.0)
+        sums = block_sums(vertices, faces)
+        world = ((vertices + low * float(BLOCK)) * self._volume.voxel).astype(np.float32)
+        return Piece(world, np.ascontiguousarray(faces, np.int32), normals, sums)
+
+
+def amounts_of(blocks: Int[np.ndarray, "n 3"], amounts: Float[np.ndarray, "n"]) -> dict[Region, float]:
+    """Regions with a cell that has a corner in any of these blocks, and the largest amount of theirs."""
+    corners = np.indices((2, 2, 2)).reshape(3, 8).T
+    touched = voxel_keys((blocks[:, None] - corners[None]).reshape(-1, 3) // REGION)
+    keys, place = np.unique(touched, return_inverse=True)
+    largest = np.zeros(len(keys))
+    np.maximum.at(largest, place.reshape(-1), np.repeat(amounts, len(corners)))
+    return {(x, y, z): float(a) for (x, y, z), a in zip(voxel_coordinates(keys).tolist(), largest)}
+
+
+def joined(pieces: Sequence[Piece]) -> trimesh.Trimesh:
+    """Pieces one after the other as one mesh."""
+    starts = np.cumsum([0] + [len(piece.vertices) for piece in pieces])
+    empty = np.zeros((0, 3), np.float32)
+    return trimesh.Trimesh(
+        np.concatenate([empty, *(piece.vertices for piece in pieces)]),
+        np.concatenate([empty.astype(np.int64), *(p.faces + s for p, s in zip(pieces, starts))]),
+        vertex_normals=np.concatenate([empty, *(piece.normals for piece in pieces)]),
+        process=False,
+    )
+
+
+def gradient_normals(
+    distance: Float[np.ndarray, "x y z"], points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Unit gradient of the distance at vertices on the edges of its grid, one voxel within it at least.
+
+    Differences are central, and one-sided beside voxels that are `UNSEEN`.
+    """
+    first = np.floor(points).astype(np.int64)
+    part = points - first
+    along = part.argmax(axis=1)
+    share = part[np.arange(len(points)), along].astype(np.float32)[:, None]
+    second = first.copy()
+    second[np.arange(len(points)), along] += share[:, 0] > 0
+    flat, steps = distance.reshape(-1), np.array(distance.strides) // distance.itemsize
+    if not distance.flags.c_contiguous:
+        flat = np.ascontiguousarray(distance).reshape(-1)
+        steps = np.array([distance.shape[1] * distance.shape[2], distance.shape[2], 1])
+    ends = [_gradient(flat, end @ steps, steps) for end in (first, second)]
+    return unit(ends[0] + share * (ends[1] - ends[0]), SHORTEST).astype(np.float32)
+
+
+def _gradient(
+    flat: Float[np.ndarray, "v"], index: Int[np.ndarray, "n"], steps: Int[np.ndarray, "3"]
+) -> Float[np.ndarray, "n 3"]:
+    here = flat[index]
+    parts = []
+    for step in steps:
+        after, before = flat[index + step], flat[index - step]
+        after, before = np.where(after < UNSEEN, after, here), np.where(before < UNSEEN, before, here)
+        parts.append(after - before)
+    return np.stack(parts, axis=-1)
+
+
+def without_specks(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], side: int
+) -> tuple[Float[np.ndarray, "k 3"], Int[np.ndarray, "l 3"]]:
+    """Surface, in voxels, without its connected parts that are small and end within the region."""
+    count = len(vertices)
+    start, end = faces.ravel(), np.roll(faces, 1, axis=1).ravel()
+    graph = sparse.coo_array((np.ones(len(start), bool), (start, end)), shape=(count, count))
+    number, part = sparse.csgraph.connected_components(graph, directed=False)
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.bincount(part[faces[:, 0]], 0.5 * np.linalg.norm(cross, axis=1), minlength=number)
+    outside = np.bincount(part, on_border(vertices, side), minlength=number) > 0
+    kept = (outside | (area >= SPECK))[part]
+    if kept.all():
+        return vertices, faces
+    renumbered = np.cumsum(kept) - 1
+    return vertices[kept], renumbered[faces[kept[faces[:, 0]]]]
+
+
+def on_border(vertices: Float[np.ndarray, "n 3"], side: int) -> Bool[np.ndarray, "n"]:
+    """Whether vertices, in voxels, lie on the sides of their region."""
+    return np.any((vertices <= 0.0) | (vertices >= side), axis=1)
+
+
+def block_sums(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Float[np.ndarray, "b 2"]:
+    """Two sums for each block of a region, over the triangles with their middle in it, of numbers of all bits."""
+    middles = vertices[faces].mean(axis=1, dtype=np.float32)
+    x, y, z = np.ascontiguousarray(middles).view(np.uint32).astype(np.uint64).T
+    keys = x * _MIX[0] ^ y * _MIX[1] ^ z * _MIX[2]
+    place = np.clip(middles // BLOCK, 0, REGION - 1).astype(np.int64) @ (REGION * REGION, REGION, 1)
+    halves = ((keys >> np.uint64(32)).astype(np.float64), (keys & np.uint64(0xFFFFFFFF)).astype(np.float64))
+    return np.stack([np.bincount(place, half, minlength=REGION**3) for half in halves], axis=-1)
+
+
+def _sums(piece: Piece | None) -> Float[np.ndarray, "b 2"]:
+    return np.zeros((REGION**3, 2)) if piece is None else piece.sums

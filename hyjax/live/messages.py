@@ -1,0 +1,143 @@
+"""Messages of live frames, as `hyjax tour --live -` reads them from stdin; `docs/live_frames.md` describes them.
+
+A message is a line of JSON, then the bytes of its parts, whose lengths the line tells. What does not begin a
+message is skipped up to the next line that does, with a line on stderr.
+"""
+
+import io
+import json
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, BinaryIO
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+
+from hyjax.data.capture import Frame
+from hyjax.data.capture_files import read_colour
+from hyjax.data.recording import rigid
+from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.util.errors import InputError
+
+KIND = "hyjax-live-1"
+LONGEST_LINE = 16_384
+LARGEST_PART = 1 << 26
+"""Bytes; a line that tells of more is taken for a damaged one."""
+LARGEST_SIDE = 8192
+QUALITY = 90
+_log = logging.getLogger(__name__)
+
+
+def write_live_frame(stream: BinaryIO, frame: Frame) -> None:
+    """Write a frame as a message: its picture as JPEG, its depth in whole millimetres."""
+    picture = io.BytesIO()
+    Image.fromarray(np.round(np.clip(frame.image, 0.0, 1.0) * 255.0).astype(np.uint8)).save(
+        picture, "JPEG", quality=QUALITY
+    )
+    header: dict[str, Any] = {
+        "kind": KIND,
+        "name": frame.name,
+        "time": float(frame.time),
+        "pose": np.asarray(frame.camera.pose, float).tolist(),
+        "intrinsics": _numbers(frame.camera.intrinsics),
+        "picture_bytes": len(picture.getvalue()),
+    }
+    depth = b""
+    if frame.depth is not None:
+        readings = np.nan_to_num(np.asarray(frame.depth, float), nan=0.0, posinf=0.0, neginf=0.0)
+        depth = np.clip(np.round(1000.0 * readings), 0, 65534).astype("<u2").tobytes()
+        header["depth_intrinsics"] = _numbers(frame.depth_camera.intrinsics)
+        header["depth_bytes"] = len(depth)
+    stream.write(json.dumps(header).encode() + b"\n" + picture.getvalue() + depth)
+    stream.flush()
+
+
+def read_live_frames(stream: BinaryIO) -> Iterator[Frame]:
+    """Frames from messages, until the stream ends; damaged ones are skipped with a line."""
+    skipping = False
+    while line := stream.readline(LONGEST_LINE):
+        header = _header(line)
+        if header is None:
+            if not skipping:
+                _log.warning("live: what is no message is skipped up to the next one")
+            skipping = True
+            continue
+        skipping = False
+        parts = [_exactly(stream, header.get(key, 0)) for key in ("picture_bytes", "depth_bytes")]
+        if any(part is None for part in parts):
+            _log.warning("live: the stream ends within a message")
+            return
+        try:
+            frame = _frame(header, parts[0] or b"", parts[1] or b"")
+        except InputError as error:
+            _log.warning("live: message skipped: %s", error)
+            continue
+        yield frame
+
+
+def _header(line: bytes) -> dict[str, Any] | None:
+    """A message's first line; None if it is none. A damaged part before it may end in its line."""
+    start = line.find(b'{"kind": "' + KIND.encode())
+    try:
+        header = json.loads(line[start:]) if start >= 0 else None
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(header, dict):
+        return None
+    sizes = [header.get(key, 0) for key in ("picture_bytes", "depth_bytes")]
+    return header if all(type(size) is int and 0 <= size <= LARGEST_PART for size in sizes) else None
+
+
+def _exactly(stream: BinaryIO, count: int) -> bytes | None:
+    """So many bytes; None if the stream ends before."""
+    parts = []
+    while count:
+        part = stream.read(count)
+        if not part:
+            return None
+        parts.append(part)
+        count -= len(part)
+    return b"".join(parts)
+
+
+def _frame(header: dict[str, Any], picture: bytes, depth: bytes) -> Frame:
+    name = str(header.get("name", ""))[:80] or "unnamed"
+    try:
+        pose = rigid(np.array(header["pose"], np.float64))
+        seconds = float(header["time"])
+        lens = _intrinsics(header["intrinsics"])
+        depth_lens = _intrinsics(header["depth_intrinsics"]) if depth else None
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{name}: its first line lacks something ({type(error).__name__}: {error})") from None
+    if pose is None or not np.isfinite(seconds):
+        raise InputError(f"{name}: its pose or time is none")
+    image = _picture(picture, name)
+    readings = None
+    if depth_lens is not None:
+        if len(depth) != 2 * depth_lens.width * depth_lens.height:
+            raise InputError(f"{name}: {len(depth)} bytes of depth are not {depth_lens.width}x{depth_lens.height}")
+        stored = np.frombuffer(depth, "<u2").reshape(depth_lens.shape)
+        readings = np.where(stored == 65535, 0, stored).astype(np.float32) * np.float32(0.001)
+    return Frame(name, image, Camera(lens, pose), seconds, readings, depth_lens)
+
+
+def _picture(content: bytes, name: str) -> Float[np.ndarray, "h w 3"]:
+    suffix = ".png" if content.startswith(b"\x89PNG") else ".jpg"
+    with TemporaryDirectory(prefix="hyjax-") as folder:
+        file = Path(folder) / f"picture{suffix}"
+        file.write_bytes(content)
+        return read_colour(file, f"picture of {name}")
+
+
+def _intrinsics(values: dict[str, Any]) -> Intrinsics:
+    width, height = int(values["width"]), int(values["height"])
+    if max(width, height) > LARGEST_SIDE:
+        raise InputError(f"intrinsics: {width}x{height} is larger than {LARGEST_SIDE} a side")
+    return Intrinsics(width, height, *(float(values[key]) for key in ("fx", "fy", "cx", "cy")))
+
+
+def _numbers(k: Intrinsics) -> dict[str, float]:
+    return {"width": k.width, "height": k.height, "fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy}

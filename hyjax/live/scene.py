@@ -1,0 +1,292 @@
+"""Live scene: frames join one by one, and its surface, shadows and relit pictures follow.
+
+    scene = LiveScene()
+    for live in relight_live(frames, lights, hyjax.Schedule.preset("hyjax"), scene=scene):
+        show(live.relit.image)
+
+What a finished capture has and this has not: the photo's own light stays in the pictures, no bounces are added, and
+holes of the surface are not closed before it throws shadows; each of these takes longer than a frame lasts.
+"""
+
+import dataclasses
+import logging
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+
+import jax
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from hyjax.core.schedule import Schedule
+from hyjax.data.capture import Frame
+from hyjax.data.frames import fit
+from hyjax.geometry.camera import Camera, Intrinsics, check_pose
+from hyjax.geometry.depth_map import DepthReading
+from hyjax.light.kinds import Light
+from hyjax.light.setup import LightSetup, geometry_key
+from hyjax.light.shaded import Shaded
+from hyjax.light.shadow_map import ShadowMap
+from hyjax.light.view import View
+from hyjax.live.caster import LiveCaster
+from hyjax.live.mesh import LiveMesh
+from hyjax.live.shadow import HISTORY, LiveShadowMaps, LiveSurface, Spheres
+from hyjax.live.volume import MOST_BLOCKS, LiveVolume, make_pool
+from hyjax.pipeline import Relit, relight
+from hyjax.scene.occluders import SLACK
+from hyjax.scene.scene import view_of
+from hyjax.util.errors import InputError
+
+VOXEL = 0.04
+"""Metres."""
+MAX_DEPTH = 5.0
+"""Metres beyond which readings are left out."""
+DEPTH_WIDTH = 320
+"""Columns of a depth map that are used, about: with voxels of 4 cm more of them tell nothing more."""
+RATE = 5.0
+"""Renewals of the mesh for each second of frames."""
+MOST_REGIONS = 16
+"""Of the mesh, that are made anew at once, those that have changed most; 1.3 m each way with voxels of 4 cm."""
+SHADOW_SCALE = 0.5
+"""Resolution of shadow maps, relative to that of `hyjax relight`."""
+BOUNDS = 1.0
+"""Metres that the surface's bounds are rounded to."""
+SAME_LINE = 100
+"""Frames that are skipped for one reason between two lines about it."""
+_log = logging.getLogger(__name__)
+
+
+class LiveScene:
+    """Surface of a place that grows and changes with its frames, and the light on it.
+
+    `add` and `update` belong to one thread; everything else may be called from any.
+
+    Attributes:
+        surface: as of the last `update`; None before there is any.
+        skipped: frames that were not used, by reason.
+        times: seconds that the parts of the last `update` took.
+
+    Args:
+        voxel: edge in metres.
+        max_depth: metres.
+        size: (height, width) that pictures are relit at; None as they come.
+        shadow_scale: see `SHADOW_SCALE`.
+        most_blocks: see `LiveVolume`.
+        workers: threads that integrate; as many as processors if None.
+
+    Raises:
+        InputError: unusable parameters.
+    """
+
+    def __init__(
+        self,
+        *,
+        voxel: float = VOXEL,
+        max_depth: float = MAX_DEPTH,
+        size: tuple[int, int] | None = None,
+        shadow_scale: float = SHADOW_SCALE,
+        most_blocks: int = MOST_BLOCKS,
+        workers: int | None = None,
+    ) -> None:
+        self.volume = LiveVolume(voxel, most_blocks=most_blocks)
+        self.pieces = LiveMesh(self.volume)
+        self.size, self.max_depth, self._scale = size, max_depth, shadow_scale
+        self.surface: LiveSurface | None = None
+        self.skipped: Counter[str] = Counter()
+        self.times: dict[str, float] = {}
+        self._maps, self._pool, self._last = LiveShadowMaps(SLACK), make_pool(workers), -np.inf
+        self._revision, self._centre = 0, np.zeros(3)
+        self._caster: LiveCaster | None = None
+
+    # ---- frames come in ----
+
+    def add(self, frame: Frame) -> bool:
+        """Take a frame's depth into the volume; false if it was skipped, with a line that says why.
+
+        Frames must come in order of time. One without depth is skipped here, and can be relit all the same.
+        """
+        reason = self._unusable(frame)
+        if reason:
+            self.skip(frame.name, reason)
+            return False
+        self._last = frame.time
+        assert frame.depth is not None
+        reading = thinned(DepthReading(frame.depth, frame.depth_camera, frame.confidence))
+        if not self.volume.count:
+            self._centre = np.asarray(frame.camera.origin, np.float64)
+        try:
+            self.volume.integrate(reading.depth, reading.camera, self.max_depth, self._pool)
+        except InputError as error:
+            self.skip(frame.name, str(error))
+            return False
+        return True
+
+    def skip(self, name: str, reason: str) -> None:
+        """Count a frame that is not used, with a line for the first of each reason and every hundredth after it."""
+        self.skipped[reason] += 1
+        count = self.skipped[reason]
+        if count == 1 or count % SAME_LINE == 0:
+            many = "" if count == 1 else f" ({count} so far)"
+            _log.warning("live: frame %s skipped: %s%s", name, reason, many)
+
+    def _unusable(self, frame: Frame) -> str:
+        if frame.depth is None:
+            return "it has no depth"
+        if not np.isfinite(frame.time) or frame.time <= self._last:
+            return "it does not come after the one before"
+        try:
+            check_pose(frame.camera.pose)
+        except InputError as error:
+            return str(error)
+        if frame.depth.shape != frame.depth_camera.intrinsics.shape:
+            return "its depth map is of another size than its intrinsics"
+        return ""
+
+    # ---- the surface follows ----
+
+    def update(self) -> LiveSurface | None:
+        """Renew mesh and caster where the volume has changed, the largest changes first; `surface` afterwards."""
+        begun = time.perf_counter()
+        regions, centres = self.pieces.renew(MOST_REGIONS)
+        meshed = time.perf_counter()
+        if regions and len(centres):
+            caster = self._caster
+            pieces = self.pieces.pieces
+            caster = LiveCaster.of(pieces, self._centre) if caster is None else caster.renewed(pieces)
+            self._caster = caster
+            if caster is not None:
+                self.surface = self._next(caster, Spheres(centres, self.pieces.reach))
+        self.times = {"mesh": meshed - begun, "caster": time.perf_counter() - meshed}
+        return self.surface
+
+    def _next(self, caster: LiveCaster, changes: Spheres) -> LiveSurface:
+        self._revision += 1
+        before = () if self.surface is None else self.surface.changes
+        bounds = caster.bounds
+        rounded = np.stack([np.floor(bounds[0] / BOUNDS), np.ceil(bounds[1] / BOUNDS)]) * BOUNDS
+        return LiveSurface(caster, self._revision, (*before, (self._revision, changes))[-HISTORY:], rounded)
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """Surface as a mesh.
+
+        Raises:
+            InputError: there is none yet.
+        """
+        return self._now().caster.mesh
+
+    # ---- pictures are relit ----
+
+    def view(self, frame: Frame) -> View:
+        """View of any frame, on the surface as it is now.
+
+        Raises:
+            InputError: there is none yet.
+        """
+        fitted = fit(frame, self.size)
+        return view_of(fitted, self._now().caster.gbuffer(fitted.camera))
+
+    def shadow_maps(self, lights: LightSetup | Sequence[Light]) -> tuple[ShadowMap | None, ...]:
+        """Shadow maps of lights, of which only what has changed is cast.
+
+        Raises:
+            InputError: there is no surface yet.
+        """
+        surface = self._now()
+        return tuple(
+            self._maps(geometry_key(light), light, surface, self._scale) for light in LightSetup.of(lights).lights
+        )
+
+    def shade(self, view: View, lights: LightSetup | Sequence[Light]) -> Shaded:
+        """Light on what a view sees. The light that the frames were taken under stays in them.
+
+        Raises:
+            InputError: there is no surface yet, or the set-up keeps sources of the photo.
+        """
+        setup = LightSetup.of(lights)
+        setup.check_existing(divided=False)
+        return view.shade(setup, shadow_maps=self.shadow_maps(setup))
+
+    def relight(self, frame: Frame, lights: LightSetup | Sequence[Light], schedule: Schedule) -> Relit:
+        """Relit picture of any frame, with the RGB guide.
+
+        Raises:
+            InputError: there is no surface yet, or the set-up or the schedule cannot be used.
+        """
+        view = self.view(frame)
+        return relight(view, self.shade(view, lights), view.display, schedule)
+
+    def _now(self) -> LiveSurface:
+        if self.surface is None:
+            raise InputError("live: there is no surface yet; it comes with the first frames that have depth")
+        return self.surface
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LiveFrame:
+    """A frame, relit as it came.
+
+    Attributes:
+        frame: as it came.
+        relit: stages of its relit picture; None while there is no surface.
+        revision: of the surface that it was relit on.
+    """
+
+    frame: Frame
+    relit: Relit | None
+    revision: int
+
+
+def relight_live(
+    frames: Iterable[Frame],
+    lights: LightSetup | Sequence[Light],
+    schedule: Schedule,
+    *,
+    scene: LiveScene | None = None,
+    rate: float = RATE,
+) -> Iterator[LiveFrame]:
+    """Each frame, relit on the surface that is known by then.
+
+    All in the caller's thread and by the frames' own times, so that the same frames give the same pictures. For
+    frames that do not wait see `hyjax.live.follow.Follower`.
+
+    Args:
+        frames: in order of time.
+        lights: that they are relit with.
+        schedule: of the diffusion.
+        scene: that the frames join; a new one if None.
+        rate: renewals of the surface for each second of frames.
+
+    Raises:
+        InputError: lights or schedule cannot be used.
+    """
+    scene = LiveScene() if scene is None else scene
+    renewed = -np.inf
+    for frame in frames:
+        if scene.add(frame) and frame.time - renewed >= 1.0 / rate - 1e-6:
+            scene.update()
+            renewed = frame.time
+        if scene.surface is None:
+            yield LiveFrame(frame, None, 0)
+        else:
+            relit = scene.relight(frame, lights, schedule)
+            yield LiveFrame(frame, jax.block_until_ready(relit), scene.surface.revision)
+
+
+def thinned(reading: DepthReading) -> DepthReading:
+    """Every n-th pixel of a depth map that has more columns than are used; mixing depths would invent surfaces."""
+    step = max(1, reading.depth.shape[1] // DEPTH_WIDTH)
+    if step == 1:
+        return reading
+    first = step // 2
+
+    def take(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "k l"]:
+        return np.ascontiguousarray(values[first::step, first::step])
+
+    depth = take(reading.depth)
+    k = reading.camera.intrinsics
+    cx, cy = ((c - first - 0.5) / step + 0.5 for c in (k.cx, k.cy))
+    intrinsics = Intrinsics(depth.shape[1], depth.shape[0], k.fx / step, k.fy / step, cx, cy)
+    confidence = None if reading.confidence is None else take(reading.confidence)
+    return DepthReading(depth, Camera(intrinsics, reading.camera.pose), confidence)

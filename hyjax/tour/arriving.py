@@ -1,0 +1,99 @@
+"""Frames that arrive for a live tour: from their source into the surface, the capture and the renderer."""
+
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.data.capture import Frame
+from hyjax.data.recording import mean_up
+from hyjax.guide.choose import FrameGuide
+from hyjax.live.follow import Follower
+from hyjax.live.scene import LiveScene
+from hyjax.live.source import known_up, live_frames
+from hyjax.tour.live import LiveCapture, LiveRenderer
+from hyjax.util.errors import InputError
+
+FIRST_FRAMES = 15
+"""That are waited for before the page is served, if they come within `FIRST_SECONDS`."""
+FIRST_SECONDS = 5.0
+
+
+class Arriving:
+    """Frames on their way into a tour.
+
+    Attributes:
+        on_frame: called after a frame has renewed the surface and joined the capture.
+
+    Args:
+        scene: that the frames join.
+        source: see `live_frames`, or the frames themselves.
+        size: (height, width) that is worked at; None as they come, but no wider than `widest`.
+        widest: pixels.
+
+    Raises:
+        InputError: there is no such source.
+    """
+
+    def __init__(
+        self, scene: LiveScene, source: str | Iterable[Frame], *, size: tuple[int, int] | None, widest: int
+    ) -> None:
+        self.on_frame: Callable[[], object] = lambda: None
+        self._scene, self._size, self._widest = scene, size, widest
+        self._up = known_up(source) if isinstance(source, str) else None
+        self._early: list[Frame] = []
+        self._renderer: LiveRenderer | None = None
+        frames = live_frames(source) if isinstance(source, str) else source
+        # A folder keeps what it has; a stream does not wait.
+        self._follower = Follower(scene, frames, self._arrived, drop=source in ("-", "record3d")).start()
+
+    def first_renderer(self, guide: FrameGuide, folder: Path) -> LiveRenderer:
+        """Renderer of the first frames, once they have a surface.
+
+        Raises:
+            InputError: the frames end before there is any.
+        """
+        begun = None
+        while True:
+            done = self._follower.wait(0.02)
+            if self._scene.surface is not None:
+                begun = time.monotonic() if begun is None else begun
+                if done or (
+                    len(self._early)
+                    and (self._follower.frames >= FIRST_FRAMES or time.monotonic() - begun > FIRST_SECONDS)
+                ):
+                    break
+            elif done:
+                reasons = "; ".join(f"{count} frames: {reason}" for reason, count in self._scene.skipped.items())
+                raise InputError(f"live: the frames ended before there was a surface {reasons}".rstrip())
+        early, surface = list(self._early), self._scene.surface
+        assert surface is not None
+        up: Float[np.ndarray, 3] = (
+            mean_up([frame.camera.pose for frame in early], "live") if self._up is None else self._up
+        )
+        capture = LiveCapture(up)
+        for frame in early[-1:]:
+            capture.append(frame)
+        height, width = early[-1].camera.intrinsics.shape
+        size = self._size
+        if size is None and width > self._widest:
+            size = round(height * self._widest / width), self._widest
+        self._renderer = LiveRenderer(capture, surface, size=size, guide=guide, folder=folder)
+        return self._renderer
+
+    def stop(self) -> None:
+        """Take no more frames."""
+        self._follower.stop()
+
+    def _arrived(self, frame: Frame) -> None:
+        renderer, surface = self._renderer, self._scene.surface
+        if renderer is None or surface is None:
+            self._early = [*self._early[-FIRST_FRAMES:], frame]
+            return
+        assert isinstance(renderer.capture, LiveCapture)
+        renderer.follow(surface)
+        if renderer.capture.append(frame):
+            renderer.forget_frames()
+        self.on_frame()
