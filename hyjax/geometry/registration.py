@@ -1,11 +1,11 @@
 """Registration of depth maps to the surface that they make together: poses without the drift of a phone's tracking.
 
 Frame to model, as in KinectFusion: depth maps are fused, each is moved to fit the surface (point to plane, points
-matched along the camera's rays), they are fused again, and so on. What all have moved together is taken back, so that
-the world stays where it was.
+matched along the camera's rays), they are fused again, and so on. What all have moved together is taken back, so
+that the world stays where it was.
 
-Sources: Newcombe et al., "KinectFusion", ISMAR 2011 (frame to model, projective association); Chen & Medioni, "Object
-modelling by registration of multiple range images", IVC 1992 (point to plane).
+Sources: Newcombe et al., "KinectFusion", ISMAR 2011 (frame to model, projective association); Chen & Medioni,
+"Object modelling by registration of multiple range images", IVC 1992 (point to plane).
 """
 
 from collections.abc import Callable, Sequence

@@ -13,11 +13,12 @@ from jaxtyping import Float, UInt8
 
 from hyjax.data.capture import Frame
 from hyjax.data.capture_files import looks_whole, read_numbers, tree_colour, tree_depth, tree_numbers
-from hyjax.data.file_tree import FileTree, open_tree
+from hyjax.data.file_tree import FileTree
 from hyjax.data.frames import spread
 from hyjax.data.kinect import KINECT
 from hyjax.data.recording import Y_UP, from_opengl, rigid
 from hyjax.data.seven_scenes import FRAME, FRAMES_PER_SECOND
+from hyjax.data.trees import open_tree
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.live.messages import read_live_frames
 from hyjax.util.errors import InputError
