@@ -45,8 +45,8 @@ from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
 
-PICTURE = re.compile(r"(?:rgb|rgbd)/(\d+)\.jpe?g")
-DEPTH = re.compile(r"(?:depth/(\d+)\.exr|rgbd/(\d+)\.depth)")
+PICTURE = re.compile(r"(?:rgb|rgbd)/(\d{1,9})\.jpe?g")
+DEPTH = re.compile(r"(?:depth/(\d{1,9})\.exr|rgbd/(\d{1,9})\.depth)")
 FRAMES_PER_SECOND = 30.0
 """Where the file does not tell."""
 MOST_READINGS = 1 << 22

@@ -27,7 +27,7 @@ from hyjax.geometry.depth_map import DepthReading
 from hyjax.util.errors import InputError
 from hyjax.util.images import picture_shape
 
-FRAME = re.compile(r"frame-(\d+)\.color\.(?:jpe?g|png)")
+FRAME = re.compile(r"frame-(\d{1,15})\.color\.(?:jpe?g|png)")
 FRAMES_PER_SECOND = 30.0
 _log = logging.getLogger(__name__)
 
