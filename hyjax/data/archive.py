@@ -100,15 +100,22 @@ def _check_entry(path: Path, entry: zipfile.ZipInfo) -> None:
     """Raise `InputError` for an entry that no capture has."""
     name = entry.filename
     parts = PurePosixPath(name.replace("\\", "/")).parts
-    if not name or "\0" in entry.orig_filename or name.startswith(("/", "\\")) or ".." in parts or ":" in name.partition("/")[0]:
+    if (
+        not name
+        or "\0" in entry.orig_filename
+        or name.startswith(("/", "\\"))
+        or ".." in parts
+        or ":" in name.partition("/")[0]
+    ):
         raise InputError(f"{path}: refused, it holds a file named {name[:60]!r}, which leads out of the archive")
     if stat.S_ISLNK(entry.external_attr >> 16):
         raise InputError(f"{path}: refused, it holds a link, {name[:60]!r}")
     if entry.flag_bits & 1:
         raise InputError(f"{path}: {name[:60]!r} is encrypted; unpack the archive and give its folder")
     if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # the others unpack without a bound
-        kind = zipfile.compressor_names.get(entry.compress_type, "an unknown method")
-        raise InputError(f"{path}: {name[:60]!r} is packed by {kind}; read are stored and deflate, pack it anew")
+        raise InputError(
+            f"{path}: {name[:60]!r} is packed by method {entry.compress_type}; pack it anew, by deflate"
+        )
     ratio = entry.file_size / max(entry.compress_size, 1)
     if entry.file_size > LARGEST_FILE or (entry.file_size > HARMLESS and ratio > LARGEST_RATIO):
         raise InputError(

@@ -53,7 +53,7 @@ class SevenScenes(Capture):
     """Frames in number order; gaps in the numbering are fine."""
 
     def __init__(self, tree: FileTree) -> None:
-        self.name = tree.path.resolve().name
+        self.name = tree.path.resolve().stem if tree.path.is_file() else tree.path.resolve().name
         self._tree = tree
         colours = _numbered_colours(tree)
         self._has_depth = _check_companions(tree, colours)

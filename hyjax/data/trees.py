@@ -25,9 +25,13 @@ def open_tree(path: Path) -> FileTree:
         InputError: there is nothing at this path, or an archive that is damaged or not safe to open.
     """
     path = Path(path)
-    if os.path.isdir(path):  # unlike Path's own, false for names that no file can have
+    try:
+        is_folder, is_file = path.is_dir(), path.is_file()
+    except OSError:  # a name that no file can have
+        is_folder = is_file = False
+    if is_folder:
         return Folder(path)
-    if not os.path.isfile(path):
+    if not is_file:
         raise InputError(f"{path}: no such folder; give the folder or the archive of a capture")
     if path.suffix.lower() in ARCHIVES:
         return Archive(path)
@@ -98,10 +102,11 @@ def _walk(root: Path) -> Iterator[str]:
         for entry in entries:
             if entry.name in IGNORED:
                 continue
-            if os.path.isdir(entry.path):
-                left.append((f"{top}{entry.name}/", (*above, real)))
-            elif os.path.isfile(entry.path):  # no pipe, device or dangling link
-                yield top + entry.name
+            with contextlib.suppress(OSError):  # a link that leads nowhere
+                if entry.is_dir():
+                    left.append((f"{top}{entry.name}/", (*above, real)))
+                elif entry.is_file():  # no pipe or device
+                    yield top + entry.name
 
 
 class SingleFile(Folder):

@@ -106,7 +106,7 @@ def _fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[st
     plan = plan_fusion(capture, fusion)
 
     def make() -> trimesh.Trimesh:
-        checkpoint = cache_folder() / f"fusion-{digest([capture.fingerprint, repr(plan)])}.npz"
+        checkpoint = cache_folder() / f"fusion-{digest([str(VERSION), capture.fingerprint, repr(plan)])}.npz"
         return fuse_capture(capture, plan, checkpoint=checkpoint, progress=progress)
 
     return str(plan), kept(repr(plan), capture, make)
@@ -122,8 +122,12 @@ def _captured_or_fused(capture: Capture, fusion: FusionSettings, progress: bool)
         _log.warning("%s; its depth maps are fused instead", error)
         return _judged(capture, *_fused(capture, fusion, progress))
     of_own = coverage_of(capture, own[1], fusion.confidence)
-    if of_own.covered < ENOUGH:
-        fused = _fused(capture, fusion, progress)
+    if of_own.measured and of_own.covered < ENOUGH:
+        try:
+            fused = _fused(capture, fusion, progress)
+        except InputError as error:
+            _log.warning("%s; taking the %s", error, own[0])
+            return own
         of_fused = coverage_of(capture, fused[1], fusion.confidence)
         if of_fused.covered > of_own.covered + CLEARLY:
             _log.warning(
