@@ -39,6 +39,12 @@ class Archive(FileTree):
             raise InputError(f"{path}: holds {len(entries)} files; at most {MOST_FILES} are read")
         for entry in entries:
             _check_entry(path, entry)
+        total, packed = sum(entry.file_size for entry in entries), path.stat().st_size
+        if total > HARMLESS + LARGEST_RATIO * packed:
+            raise InputError(
+                f"{path}: refused, its files unpack to {total / 2**20:.0f} MiB, it has {packed / 2**20:.3g} MiB; "
+                "unpack it yourself if you trust it"
+            )
         names = [entry.filename for entry in entries if not set(PurePosixPath(entry.filename).parts) & {*IGNORED}]
         super().__init__(path, names)
         if len(self._known) < len(names):
@@ -59,8 +65,9 @@ class Archive(FileTree):
         if name not in self:
             raise InputError(f"{self.where(name)}: no such file")
         try:
-            with self._lock:
-                return self._zip.read(name)
+            # With a count, zipfile unpacks no more than the size that was checked; without, all that is packed.
+            with self._lock, self._zip.open(name) as packed:
+                return packed.read(self.size(name))
         except Exception as error:  # BadZipFile, OSError, zlib.error, lzma.LZMAError, …
             raise InputError(f"{self.where(name)}: damaged in the archive ({error})") from None
 
@@ -93,12 +100,22 @@ def _check_entry(path: Path, entry: zipfile.ZipInfo) -> None:
     """Raise `InputError` for an entry that no capture has."""
     name = entry.filename
     parts = PurePosixPath(name.replace("\\", "/")).parts
-    if not name or "\0" in entry.orig_filename or name.startswith(("/", "\\")) or ".." in parts or ":" in parts[0]:
+    if (
+        not name
+        or "\0" in entry.orig_filename
+        or name.startswith(("/", "\\"))
+        or ".." in parts
+        or ":" in name.partition("/")[0]
+    ):
         raise InputError(f"{path}: refused, it holds a file named {name[:60]!r}, which leads out of the archive")
     if stat.S_ISLNK(entry.external_attr >> 16):
         raise InputError(f"{path}: refused, it holds a link, {name[:60]!r}")
     if entry.flag_bits & 1:
         raise InputError(f"{path}: {name[:60]!r} is encrypted; unpack the archive and give its folder")
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # the others unpack without a bound
+        raise InputError(
+            f"{path}: {name[:60]!r} is packed by method {entry.compress_type}; pack it anew, by deflate"
+        )
     ratio = entry.file_size / max(entry.compress_size, 1)
     if entry.file_size > LARGEST_FILE or (entry.file_size > HARMLESS and ratio > LARGEST_RATIO):
         raise InputError(

@@ -21,7 +21,6 @@ Source: Baruch et al., "ARKitScenes: a diverse real-world dataset for 3D indoor 
 RGB-D data", NeurIPS Datasets and Benchmarks 2021, and the data pages of its repository.
 """
 
-import csv
 import dataclasses
 import itertools
 import logging
@@ -33,12 +32,14 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.arkit_intrinsics import NAME_TOLERANCE, read_intrinsics
+from hyjax.data.arkit_laser import laser_folder
 from hyjax.data.capture import Capture, CaptureFormat, Frame
 from hyjax.data.capture_files import TimedFile, TimedFiles, fingerprint, read_colour, timed_files
 from hyjax.data.orientation import turn_frame, turns_upright
 from hyjax.data.phone_captures import confidence_from_levels
 from hyjax.data.trajectory import Trajectory, read_trajectory
 from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_depth, read_labels
@@ -72,10 +73,7 @@ OLDER = _Layout("color.traj", ("wide",), "color_intrinsics", "depth_densified", 
 CONFIDENCE = "confidence"
 DEPTH_TOLERANCE = 1 / 60
 """Seconds between a picture and the depth map that goes with it; depth comes sixty times a second."""
-SPLITS = ("raw_train_val_splits.csv", "metadata.csv")
-"""Tables of video and visit: the repository's, and the one that the downloader leaves beside the scans."""
 TIMED_BY_VIDEO = re.compile(r"(\d+)_")
-LASER = "laser_scanner_point_clouds"
 _log = logging.getLogger(__name__)
 
 
@@ -156,7 +154,7 @@ class ArkitScenes(Capture):
         self.name = video[1] if video else scan.name
         mesh = scan / f"{self.name}_3dod_mesh.ply"
         self.mesh_file = mesh if mesh.is_file() else None
-        self.laser_folder = _laser_folder(scan, self.name)
+        self.laser_folder = laser_folder(scan, self.name)
 
     @property
     def fingerprint(self) -> str:
@@ -184,6 +182,24 @@ class ArkitScenes(Capture):
         camera = Camera(intrinsics, self._poses[index])
         frame = Frame(shot.picture.stem, image, camera, time, depth, lens, confidence)
         return turn_frame(frame, self.quarter_turns)
+
+    def camera(self, index: int) -> Camera:
+        """See `Capture`."""
+        lens = read_intrinsics(self._frames[index].intrinsics)
+        return Camera(lens, self._poses[index]).turned(self.quarter_turns)
+
+    @property
+    def depth_count(self) -> int:
+        """See `Capture`."""
+        return len(self) if self._frames[0].depth is not None else 0
+
+    def depth_reading(self, index: int) -> DepthReading:
+        """See `Capture`."""
+        files = self._frames[index].depth
+        if files is None:
+            raise InputError(f"{self.name}: has no depth")
+        depth, lens, confidence = _read_depth(files)
+        return DepthReading(depth, Camera(lens, self._poses[index]), confidence)
 
 
 def _is_scan(path: Path) -> bool:
@@ -310,27 +326,6 @@ def _check_size(file: Path, pixels: np.ndarray, shape: tuple[int, ...], other: P
             f"{file}: is {pixels.shape[1]}x{pixels.shape[0]} but {other.parent.name}/{other.name} is for "
             f"{shape[1]}x{shape[0]}; the two must have one size"
         )
-
-
-def _laser_folder(scan: Path, video: str) -> Path | None:
-    """The laser scans of the venue: in the scan's own folder, or where the downloader puts them."""
-    if any((scan / LASER).glob("*.ply")):
-        return scan / LASER
-    above = list(scan.parents)[:4]
-    visits = (_visit(folder / name, video) for folder in above for name in SPLITS)
-    visit = next(filter(None, visits), None)
-    folders = (folder / LASER / visit for folder in above if visit is not None)
-    return next((folder for folder in folders if folder.is_dir()), None)
-
-
-def _visit(table: Path, video: str) -> str | None:
-    """The visit in which a video was made, from a table with columns video_id and visit_id."""
-    if not table.is_file():
-        return None
-    with table.open(newline="", encoding="utf-8", errors="replace") as file:
-        rows = [row for row in csv.DictReader(file) if row.get("video_id") == video]
-    visit = (rows[0].get("visit_id") or "") if rows else ""
-    return visit.removesuffix(".0") or None  # pandas writes a column with gaps as floats
 
 
 FORMAT = CaptureFormat(

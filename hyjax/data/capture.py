@@ -120,7 +120,16 @@ class Capture(abc.ABC):
     @property
     def depth_count(self) -> int:
         """Number of depth maps, which may be more than the frames: see `depth_reading`."""
-        return len(self) if self[0].depth is not None else 0
+        for index in range(len(self)):
+            try:
+                return len(self) if self[index].depth is not None else 0
+            except InputError:  # a damaged frame; the next one tells as well
+                continue
+        return 0
+
+    def depth_position(self, index: int) -> float:
+        """Where among the depth maps a frame was taken, in time: between two of them it is a fraction."""
+        return float(index)
 
     def depth_reading(self, index: int) -> DepthReading:
         """A depth map by its position among `depth_count`, as it was measured; no picture is read for it.
@@ -157,7 +166,20 @@ class Capture(abc.ABC):
 
     def scan_input(self) -> "tuple[PosedDepths, ScanConfig | None]":
         """Depth maps and scanner for `hyjax.geometry.scan.simulate_scan`: the capture's own, the default one."""
-        return self, None
+        return self if self.depth_count == len(self) else _DepthMaps(self), None
+
+
+class _DepthMaps:
+    """The depth maps of a capture that has not one of each frame."""
+
+    def __init__(self, capture: Capture) -> None:
+        self._capture = capture
+
+    def __len__(self) -> int:
+        return self._capture.depth_count
+
+    def __getitem__(self, index: int) -> DepthReading:
+        return self._capture.depth_reading(index)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,6 +204,8 @@ class ChosenFrames(Capture):
 
     def __init__(self, capture: Capture, indices: Sequence[int]) -> None:
         self.name, self.up, self.sensor = capture.name, capture.up, capture.sensor
+        self.metric, self.depth_in_units = capture.metric, capture.depth_in_units
+        self.format, self.strict = capture.format, capture.strict
         self._capture, self.indices = capture, list(indices)
 
     @property
@@ -194,3 +218,7 @@ class ChosenFrames(Capture):
 
     def __getitem__(self, index: int) -> Frame:
         return self._capture[self.indices[index]]
+
+    def camera(self, index: int) -> Camera:
+        """See `Capture`."""
+        return self._capture.camera(self.indices[index])

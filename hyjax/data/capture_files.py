@@ -106,7 +106,10 @@ def looks_whole(tree: FileTree, name: str) -> bool:
     suffix = f".{name.rpartition('.')[2].lower()}".replace(".jpeg", ".jpg")
     if suffix not in marks:
         return tree.size(name) > 0
-    head, tail = tree.ends(name, 64)
+    try:
+        head, tail = tree.ends(name, 64)
+    except InputError:  # damaged in its archive, or not ours to read
+        return False
     return head.startswith(marks[suffix][0]) and marks[suffix][1] in tail
 
 
@@ -126,8 +129,8 @@ def bytes_colour(content: bytes, suffix: str, where: str) -> Float[np.ndarray, "
 
 def by_number(name: str) -> tuple[tuple[int, int, str], ...]:
     """Key to sort names by: the numbers in them as numbers, so that 10 comes after 9."""
-    parts = re.split(r"(\d+)", name)
-    return tuple((0, int(p), "") if p.isascii() and p.isdigit() else (1, 0, p) for p in parts)
+    parts = re.split(r"0*(\d+)", name, flags=re.ASCII)
+    return tuple((0, len(p), p) if p.isascii() and p.isdigit() else (1, 0, p) for p in parts)
 
 
 def short_names(files: Sequence[str]) -> list[str]:

@@ -4,7 +4,8 @@
     sparse/0/, sparse/, colmap/sparse/0/ or top: cameras, images and points3D as .bin or .txt
     dense/ or dense/0/                   undistorted pictures, their model, `stereo/depth_maps/*.geometric.bin` and
                                          `meshed-*.ply`: preferred where depth maps are in it
-    depth/ or depths/                    16-bit millimetres of a sensor, named after the pictures; not of COLMAP
+    depth/ or depths/                    16-bit millimetres of a sensor, named after the pictures, in folders as
+                                         they are where names alone do not tell; not of COLMAP
 
 Camera axes are ours, pixel coordinates have the centre of the first pixel at 0.5 as here. The unit is not
 metres: a sensor's depth tells it, as the median ratio to the depth of the sparse points; otherwise `--scale` does.
@@ -96,7 +97,7 @@ def open_colmap(tree: FileTree) -> Capture:
             f"{len(unknown)} of {len(pictures)} pictures are not registered in the model (first: {unknown[0]})"
         )
     maps = _depth_names(tree, top, chosen)
-    broken = [depth for depth in maps.values() if not looks_whole(tree, depth)]
+    broken = {depth: None for depth in maps.values() if not looks_whole(tree, depth)}
     faults += [("depth maps are damaged and left out", depth) for depth in broken]
     maps = {name: depth for name, depth in maps.items() if depth not in broken}
     shots = [
@@ -181,9 +182,12 @@ def _pose(image: Any) -> Float[np.ndarray, "4 4"] | None:
 def _depth_names(tree: FileTree, top: str, chosen: dict[str, Any]) -> dict[str, str]:
     """Depth map by picture: a sensor's, else that of COLMAP's dense reconstruction."""
     for place in (f"{top}{folder}" for folder in DEPTHS):
-        stems = {PurePosixPath(name).stem: name for name in tree.below(place, ".png")}
-        if found := {n: stems[stem] for n in chosen if (stem := PurePosixPath(n).stem) in stems}:
+        paths = {n: f"{place}/{PurePosixPath(image.name).with_suffix('.png')}" for n, image in chosen.items()}
+        if found := {name: depth for name, depth in paths.items() if depth in tree}:
             return found
+        flat = {name: f"{place}/{PurePosixPath(name).stem}.png" for name in chosen}
+        if len(set(flat.values())) == len(flat) and any(depth in tree for depth in flat.values()):
+            return {name: depth for name, depth in flat.items() if depth in tree}
     stereo = {name: f"{top}stereo/depth_maps/{image.name}.geometric.bin" for name, image in chosen.items()}
     return {name: depth for name, depth in stereo.items() if depth in tree}
 
@@ -231,7 +235,10 @@ def _scale(model: Any, chosen: dict[str, Any], shots: list[Shot]) -> tuple[float
         seen = [p.point3D_id for p in image.points2D if p.has_point3D() and model.exists_point3D(p.point3D_id)]
         if not seen or shot.depth is None:
             continue
-        depth, _ = shot.depth()
+        try:
+            depth, _ = shot.depth()
+        except InputError:  # damaged within; whoever reads it is told
+            continue
         points = np.array([model.points3D[number].xyz for number in seen])
         pixel, far = Camera(shot.intrinsics.resize(*depth.shape), shot.pose).project(points)
         with np.errstate(invalid="ignore"):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 from hyjax.data.capture import Capture, ChosenFrames, Frame
+from hyjax.geometry.camera import Camera
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 from hyjax.util.settings import Settings
@@ -55,7 +56,6 @@ class SelectedFrames(ChosenFrames):
 
     def __init__(self, capture: Capture, indices: list[int], size: tuple[int, int] | None) -> None:
         super().__init__(capture, indices)
-        self.metric, self.depth_in_units = capture.metric, capture.depth_in_units
         self._size = size
 
     @property
@@ -72,6 +72,10 @@ class SelectedFrames(ChosenFrames):
         lens = None if frame.depth is None else frame.depth_camera.intrinsics
         fitted = fit(frame, self._size)
         return dataclasses.replace(fitted, depth=frame.depth, depth_intrinsics=lens, confidence=frame.confidence)
+
+    def camera(self, index: int) -> Camera:
+        """See `Capture`."""
+        return super().camera(index) if self._size is None else self[index].camera
 
     def mesh(self) -> "trimesh.Trimesh | None":
         """See `Capture`."""
@@ -102,8 +106,7 @@ def convert(settings: ConvertSettings) -> int:
 
     capture = open_capture(settings.capture, not settings.quiet, scale=settings.scale, strict=settings.strict)
     chosen = SelectedFrames(capture, select_frames(settings.frames, len(capture)), size)
-    writer(chosen, out, not settings.quiet)
-    return len(chosen)
+    return writer(chosen, out, not settings.quiet)
 
 
 def relight_command(settings: ConvertSettings) -> str:
@@ -114,7 +117,7 @@ def relight_command(settings: ConvertSettings) -> str:
     return shlex.join(words)
 
 
-def _writer(layout: Layout) -> Callable[[Capture, Path, bool], None]:
+def _writer(layout: Layout) -> Callable[[Capture, Path, bool], int]:
     if layout == "arkit":
         from hyjax.data.write_arkit import write_arkit
 

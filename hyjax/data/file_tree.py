@@ -15,6 +15,8 @@ from typing import BinaryIO
 from hyjax.util.errors import InputError
 
 IGNORED = ("__MACOSX", ".DS_Store", "Thumbs.db")
+LARGEST_TEXT = 1 << 28
+"""Bytes; poses and intrinsics of a hundred thousand frames have less."""
 
 
 class FileTree(abc.ABC):
@@ -111,8 +113,10 @@ class FileTree(abc.ABC):
         """A text file.
 
         Raises:
-            InputError: it cannot be read, or is no UTF-8.
+            InputError: it cannot be read, is no UTF-8, or is larger than any capture's.
         """
+        if name in self and self.size(name) > LARGEST_TEXT:
+            raise InputError(f"{self.where(name)}: has over {LARGEST_TEXT >> 20} MiB; too large for its kind")
         try:
             return self.read(name).decode("utf-8-sig")
         except UnicodeDecodeError:
@@ -172,4 +176,5 @@ class _Subtree(FileTree):
 
 
 def digest_of(top: str, lines: Iterable[str]) -> str:
-    return hashlib.sha256("\n".join([top, *lines]).encode()).hexdigest()
+    """A key of some lines; names that are not UTF-8 may be in them."""
+    return hashlib.sha256("\n".join([top, *lines]).encode(errors="surrogateescape")).hexdigest()

@@ -65,6 +65,10 @@ class RegisteredKinect(Capture):
         """See `Capture`."""
         return self._capture.depth_count
 
+    def depth_position(self, index: int) -> float:
+        """See `Capture`."""
+        return self._capture.depth_position(index)
+
     def depth_reading(self, index: int) -> DepthReading:
         """As the depth camera measured it."""
         return self._capture.depth_reading(index)

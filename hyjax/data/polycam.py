@@ -59,8 +59,9 @@ def open_polycam(tree: FileTree) -> Recording:
     cameras = tree.below(CORRECTED if corrected else RAW, ".json")
     names = [camera.rpartition("/")[2].removesuffix(".json") for camera in cameras]
     if corrected:
+        known = set(names)
         for camera in tree.below(RAW, ".json"):
-            if camera.rpartition("/")[2].removesuffix(".json") not in names:
+            if camera.rpartition("/")[2].removesuffix(".json") not in known:
                 remarks.add("keyframes were not corrected by the app and are left out", camera)
     images = "keyframes/corrected_images" if corrected else "keyframes/images"
     has_corrected_depth = corrected and bool(tree.below("keyframes/corrected_depth", ".png"))

@@ -30,6 +30,7 @@ from hyjax.data.capture import CaptureFormat
 from hyjax.data.capture_files import tree_colour
 from hyjax.data.file_tree import FileTree
 from hyjax.data.json_fields import json_count, json_list, json_number, json_numbers, json_object, number_list
+from hyjax.data.lzfse_blocks import unpacked_size
 from hyjax.data.phone_captures import (
     Tally,
     confidence_from_levels,
@@ -45,8 +46,8 @@ from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
 
-PICTURE = re.compile(r"(?:rgb|rgbd)/(\d+)\.jpe?g")
-DEPTH = re.compile(r"(?:depth/(\d+)\.exr|rgbd/(\d+)\.depth)")
+PICTURE = re.compile(r"(?:rgb|rgbd)/(\d{1,9})\.jpe?g")
+DEPTH = re.compile(r"(?:depth/(\d{1,9})\.exr|rgbd/(\d{1,9})\.depth)")
 FRAMES_PER_SECOND = 30.0
 """Where the file does not tell."""
 MOST_READINGS = 1 << 22
@@ -210,8 +211,12 @@ def _unpacked(
     if tree.size(name) > most * np.dtype(kind).itemsize + SLACK:
         raise InputError(f"{tree.where(name)}: larger than a depth map can be that is compressed")
     values: np.ndarray
+    content = tree.read(name)
+    size = unpacked_size(content)
+    if size is None or size > most * np.dtype(kind).itemsize:
+        raise InputError(f"{tree.where(name)}: damaged (is no LZFSE, or unpacks to more than a depth map has)")
     try:
-        values = np.frombuffer(lzfse.decompress(tree.read(name)), kind)
+        values = np.frombuffer(lzfse.decompress(content), kind)
     except (lzfse.error, ValueError, MemoryError):
         raise InputError(f"{tree.where(name)}: damaged (cannot be decompressed by LZFSE)") from None
     if shape is None:

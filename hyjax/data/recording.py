@@ -95,6 +95,7 @@ class Recording(Capture):
         self._tree, self._mesh_name = tree, mesh
         self._pictures = [shot for shot in shots if shot.picture is not None]
         self._depths = [shot for shot in shots if shot.depth is not None]
+        self._depth_times = np.array([shot.time for shot in self._depths])
         if not self._pictures:
             because = f" ({'; '.join(faults)})" if faults else ""
             raise InputError(f"{tree.path}: none of {len(shots)} frames has a picture that can be read{because}")
@@ -150,6 +151,10 @@ class Recording(Capture):
     def depth_count(self) -> int:
         """See `Capture`."""
         return len(self._depths)
+
+    def depth_position(self, index: int) -> float:
+        """See `Capture`."""
+        return float(np.interp(self._pictures[index].time, self._depth_times, np.arange(len(self._depths))))
 
     def depth_reading(self, index: int) -> DepthReading:
         """See `Capture`."""

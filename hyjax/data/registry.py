@@ -40,6 +40,10 @@ CAPTURE_FORMATS = [
     redwood.FORMAT,
 ]
 """The formats of captures; the one that recognises a folder reads it."""
+DEEPEST = 16
+"""Folders in folders that a capture may lie in."""
+LOOKED_INTO = 100
+"""Folders that are looked into to say which one is a capture."""
 _log = logging.getLogger(__name__)
 
 
@@ -93,7 +97,8 @@ def open_capture(
             raise InputError(f"{path}: {fault} (--strict)")
         _log.warning("%s: %s", path, fault)
     if scale is not None:
-        capture = ScaledCapture(capture, scale)
+        unscaled = capture.unscaled if isinstance(capture, ScaledCapture) else capture
+        capture = ScaledCapture(unscaled, scale)
     elif not capture.metric:
         _log.warning("%s: its unit is not known, it is taken for metres; give --scale, metres in one unit", path)
     capture.format, capture.strict = entry.name, strict
@@ -106,7 +111,9 @@ def detect_format(tree: FileTree) -> tuple[FileTree, CaptureFormat]:
     Raises:
         InputError: no format fits, or two do.
     """
-    while len(tree.folders()) == 1 and not tree.below("") and not _fitting(tree):
+    for _ in range(DEEPEST):
+        if len(tree.folders()) != 1 or tree.below("") or _fitting(tree):
+            break
         tree = tree.subtree(tree.folders()[0])
     fitting = _fitting(tree)
     if len(fitting) == 1:
@@ -114,7 +121,7 @@ def detect_format(tree: FileTree) -> tuple[FileTree, CaptureFormat]:
     if fitting:
         names = " and ".join(f"{entry.name} ({entry.signs})" for entry in fitting)
         raise InputError(f"{tree.path}: looks like {names}; move the files of one of them elsewhere")
-    for folder in tree.folders():
+    for folder in tree.folders()[:LOOKED_INTO]:
         if inner := _fitting(tree.subtree(folder)):
             raise InputError(f"{tree.path}: not a capture, but {folder}/ in it is ({inner[0].name}); give that")
     raise InputError(f"{tree.path}: not a known capture layout; known are: {known_formats()}")

@@ -1,6 +1,8 @@
 """Captures whose poses are in a unit of their own, brought to metres."""
 
 import dataclasses
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -18,52 +20,66 @@ class ScaledCapture(Capture):
     Args:
         capture: in units of its own. A sensor's depth is metric as it is; see `Capture.depth_in_units`.
         scale: metres in one unit.
+
+    Attributes:
+        unscaled: the capture as it is.
     """
 
     def __init__(self, capture: Capture, scale: float) -> None:
-        self._capture, self._scale = capture, scale
+        self.unscaled, self._scale = capture, scale
         self.name, self.up, self.sensor = capture.name, capture.up, capture.sensor
         self.faults, self.remarks, self.mesh_file = capture.faults, capture.remarks, capture.mesh_file
+        self.format, self.strict = capture.format, capture.strict
+        self.anchors = {name: _scaled_anchor(anchor, scale) for name, anchor in capture.anchors.items()}
         self._of_depth = scale if capture.depth_in_units else 1.0
 
     @property
     def fingerprint(self) -> str:
         """See `Capture`."""
-        return digest([self._capture.fingerprint, repr(self._scale)])
+        return digest([self.unscaled.fingerprint, repr(self._scale)])
 
     def __len__(self) -> int:
-        return len(self._capture)
+        return len(self.unscaled)
 
     def __getitem__(self, index: int) -> Frame:
-        frame = self._capture[index]
+        frame = self.unscaled[index]
         depth = None if frame.depth is None else frame.depth * np.float32(self._of_depth)
         return dataclasses.replace(frame, camera=self._scaled(frame.camera), depth=depth)
 
     def camera(self, index: int) -> Camera:
         """See `Capture`."""
-        return self._scaled(self._capture.camera(index))
+        return self._scaled(self.unscaled.camera(index))
 
     @property
     def depth_count(self) -> int:
         """See `Capture`."""
-        return self._capture.depth_count
+        return self.unscaled.depth_count
+
+    def depth_position(self, index: int) -> float:
+        """See `Capture`."""
+        return self.unscaled.depth_position(index)
 
     def depth_reading(self, index: int) -> DepthReading:
         """See `Capture`."""
-        depth, camera, confidence = self._capture.depth_reading(index)
+        depth, camera, confidence = self.unscaled.depth_reading(index)
         return DepthReading(depth * np.float32(self._of_depth), self._scaled(camera), confidence)
 
     def mesh(self) -> trimesh.Trimesh | None:
         """See `Capture`."""
-        mesh = self._capture.mesh()
+        mesh = self.unscaled.mesh()
         return None if mesh is None else mesh.apply_scale(self._scale)
 
     @property
     def has_mesh(self) -> bool:
         """See `Capture`."""
-        return self._capture.has_mesh
+        return self.unscaled.has_mesh
 
     def _scaled(self, camera: Camera) -> Camera:
         pose: Float[np.ndarray, "4 4"] = camera.pose.copy()
         pose[:3, 3] *= self._scale
         return Camera(camera.intrinsics, pose)
+
+
+def _scaled_anchor(anchor: Mapping[str, Any], scale: float) -> dict[str, Any]:
+    """A place for a light; what it has are lengths and points, and one direction."""
+    return {key: value if key == "normal" else np.multiply(value, scale).tolist() for key, value in anchor.items()}

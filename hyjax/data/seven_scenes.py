@@ -27,7 +27,7 @@ from hyjax.geometry.depth_map import DepthReading
 from hyjax.util.errors import InputError
 from hyjax.util.images import picture_shape
 
-FRAME = re.compile(r"frame-(\d+)\.color\.(?:jpe?g|png)")
+FRAME = re.compile(r"frame-(\d{1,15})\.color\.(?:jpe?g|png)")
 FRAMES_PER_SECOND = 30.0
 _log = logging.getLogger(__name__)
 
@@ -53,7 +53,7 @@ class SevenScenes(Capture):
     """Frames in number order; gaps in the numbering are fine."""
 
     def __init__(self, tree: FileTree) -> None:
-        self.name = tree.path.resolve().name
+        self.name = tree.path.resolve().stem if tree.path.is_file() else tree.path.resolve().name
         self._tree = tree
         colours = _numbered_colours(tree)
         self._has_depth = _check_companions(tree, colours)

@@ -1,11 +1,12 @@
 """File trees of what a path names: a folder, an archive, or a single file."""
 
 import contextlib
+import itertools
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from hyjax.data.archive import ARCHIVES, Archive
+from hyjax.data.archive import ARCHIVES, MOST_FILES, Archive
 from hyjax.data.file_tree import IGNORED, FileTree, digest_of
 from hyjax.util.errors import InputError
 
@@ -24,9 +25,13 @@ def open_tree(path: Path) -> FileTree:
         InputError: there is nothing at this path, or an archive that is damaged or not safe to open.
     """
     path = Path(path)
-    if path.is_dir():
+    try:
+        is_folder, is_file = path.is_dir(), path.is_file()
+    except OSError:  # a name that no file can have
+        is_folder = is_file = False
+    if is_folder:
         return Folder(path)
-    if not path.is_file():
+    if not is_file:
         raise InputError(f"{path}: no such folder; give the folder or the archive of a capture")
     if path.suffix.lower() in ARCHIVES:
         return Archive(path)
@@ -34,11 +39,14 @@ def open_tree(path: Path) -> FileTree:
 
 
 class Folder(FileTree):
-    """A folder on disk. Links below it are followed; the user has put them there."""
+    """A folder on disk. Links below it are followed, to folders too; the user has put them there."""
 
     def __init__(self, path: Path) -> None:
         self._root = path.resolve()
-        super().__init__(path, _walk(self._root))
+        names = list(itertools.islice(_walk(self._root), MOST_FILES + 1))
+        if len(names) > MOST_FILES:
+            raise InputError(f"{path}: holds over {MOST_FILES} files; give the folder of one capture")
+        super().__init__(path, names)
 
     @property
     def folder(self) -> Path:
@@ -69,7 +77,10 @@ class Folder(FileTree):
             raise InputError(f"{self.where(name)}: cannot read ({error.strerror})") from None
 
     def size(self, name: str) -> int:
-        return self._file(name).stat().st_size
+        try:
+            return self._file(name).stat().st_size
+        except OSError as error:
+            raise InputError(f"{self.where(name)}: cannot read ({error.strerror})") from None
 
     def fingerprint(self) -> str:
         entries = ((name, (self._root / name).stat()) for name in self.names)
@@ -77,12 +88,25 @@ class Folder(FileTree):
 
 
 def _walk(root: Path) -> Iterator[str]:
-    for folder, folders, files in os.walk(root, followlinks=False):
-        folders[:] = sorted(name for name in folders if name not in IGNORED)
-        for name in files:
-            file = Path(folder) / name
-            if name not in IGNORED and file.is_file():  # no pipe, device or dangling link
-                yield file.relative_to(root).as_posix()
+    """Names of the files below a folder. A link to a folder above it, which would never end, is left out."""
+    left: list[tuple[str, tuple[str, ...]]] = [("", ())]
+    while left:
+        top, above = left.pop()
+        real = os.path.realpath(root / top)
+        try:
+            entries = [] if real in above else sorted(os.scandir(root / top), key=lambda entry: entry.name)
+        except OSError as error:
+            if not top:
+                raise InputError(f"{root}: cannot read ({error.strerror})") from None
+            continue
+        for entry in entries:
+            if entry.name in IGNORED:
+                continue
+            with contextlib.suppress(OSError):  # a link that leads nowhere
+                if entry.is_dir():
+                    left.append((f"{top}{entry.name}/", (*above, real)))
+                elif entry.is_file():  # no pipe or device
+                    yield top + entry.name
 
 
 class SingleFile(Folder):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.recording import Z_UP
-from hyjax.data.writers import each_frame
+from hyjax.data.writers import each_frame, turned_up
 from hyjax.geometry.camera import Intrinsics
 from hyjax.geometry.mesh import save_mesh
 from hyjax.util.files import new_folder, write_text
@@ -22,7 +22,7 @@ STEP = 0.001
 """Seconds by which frames are apart at least: file names have three decimals."""
 
 
-def write_arkit(capture: Capture, out: Path, progress: bool = True) -> None:
+def write_arkit(capture: Capture, out: Path, progress: bool = True) -> int:
     """Write a capture as a raw scan of ARKitScenes, the device's mesh included.
 
     The world is turned so that up is z. Depth keeps its size and lens, confidences become low, medium and high.
@@ -34,16 +34,21 @@ def write_arkit(capture: Capture, out: Path, progress: bool = True) -> None:
         out: folder, which must not be there or be empty; it appears whole or not at all.
         progress: show a bar on stderr.
 
+    Returns:
+        The number of frames, without those that are damaged.
+
     Raises:
-        InputError: `out` is in use or cannot be written, or a frame cannot be read.
+        InputError: `out` is in use or cannot be written, or no frame can be read.
     """
-    turn = z_up(capture.up)
+    turn = turned_up(capture.up, Z_UP)
     poses: list[tuple[str, Float[np.ndarray, "4 4"]]] = []
     last, has_depth = -STEP, False
     with new_folder(out) as folder:
         for name in FOLDERS:
             (folder / name).mkdir()
-        for _, frame in each_frame(capture, progress):
+        count = 0
+        for number, frame in each_frame(capture, progress):
+            count = number + 1
             last = max(round(frame.time, 3), round(last + STEP, 3))
             time = f"{last:.3f}"
             poses.append((time, turn @ frame.camera.pose))
@@ -64,14 +69,7 @@ def write_arkit(capture: Capture, out: Path, progress: bool = True) -> None:
         if mesh is not None:
             turned = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).apply_transform(turn)
             save_mesh(folder / f"{VIDEO}_3dod_mesh.ply", turned)
-
-
-def z_up(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
-    """The rotation of the world, by the least angle, after which up is z."""
-    turn = np.eye(4)
-    if not np.allclose(up, Z_UP, atol=1e-9):
-        turn[:3, :3] = Rotation.align_vectors([Z_UP], [up])[0].as_matrix()
-    return turn
+    return count
 
 
 def _row(time: str, pose: Float[np.ndarray, "4 4"]) -> str:

@@ -7,19 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenImageIO as oiio
-from jaxtyping import Float, UInt8, UInt16
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.phone_captures import PIXEL_CENTRE
 from hyjax.data.recording import Y_UP
 from hyjax.data.stray import LENS, MATRIX, NEEDED, ODOMETRY, VIDEO
 from hyjax.data.video_frames import REC_709, import_av
-from hyjax.geometry.camera import Intrinsics
+from hyjax.data.writers import each_frame, seen_through, turned_up
 from hyjax.util.errors import InputError
 from hyjax.util.files import new_folder, write_text
+from hyjax.util.images import write_depth, write_labels
 
 ENCODERS = ("libx264", "libx265", "hevc", "h264")
 """Video encoders, the first that FFmpeg has is taken."""
@@ -27,10 +26,9 @@ QUALITY = {"crf": "6", "x265-params": "log-level=none"}
 """Constant rate factor: losses are below what 8 bits show on most pixels."""
 KEY_EVERY = 15
 LIMITED_RANGE = 1
-MOST_MILLIMETRES = 65534
 
 
-def write_stray(capture: Capture, out: Path, progress: bool = True) -> None:
+def write_stray(capture: Capture, out: Path, progress: bool = True) -> int:
     """Write a capture as a Stray Scanner recording: its frames, with depth and confidence where they have any.
 
     The world is turned so that up is y. Exposures and the device's mesh are not kept, nor depth maps that no frame
@@ -41,20 +39,21 @@ def write_stray(capture: Capture, out: Path, progress: bool = True) -> None:
         out: folder, which must not be there or be empty; it appears whole or not at all.
         progress: show a bar on stderr.
 
+    Returns:
+        The number of frames, without those that are damaged.
+
     Raises:
-        InputError: `out` is in use, `av` is not installed, pictures differ in size, or a frame cannot be read.
+        InputError: `out` is in use, `av` is not installed, pictures differ in size, or no frame can be read.
     """
     av = import_av("writing rgb.mp4")
-    turn = _y_up(capture.up)
+    turn = turned_up(capture.up, Y_UP)
     rows: list[list[float]] = []
     with new_folder(out) as folder:
         (folder / "depth").mkdir()
         (folder / "confidence").mkdir()
 
         def pictures() -> Iterator[Float[np.ndarray, "h w 3"]]:
-            frames = (capture[index] for index in range(len(capture)))
-            bar = tqdm(frames, "writing", len(capture), unit="frame", leave=False, disable=not progress)
-            for number, frame in enumerate(bar):
+            for number, frame in each_frame(capture, progress):
                 _write_depth(folder, number, frame)
                 rows.append(_row(frame, turn))
                 yield frame.image
@@ -67,14 +66,7 @@ def write_stray(capture: Capture, out: Path, progress: bool = True) -> None:
         write_text(folder / ODOMETRY, "\n".join([", ".join((*NEEDED, *LENS)), *lines]) + "\n")
         fx, fy, cx, cy = rows[-1][-4:]
         write_text(folder / MATRIX, f"{fx!r}, 0.0, {cx!r}\n0.0, {fy!r}, {cy!r}\n0.0, 0.0, 1.0\n")
-
-
-def _y_up(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
-    """Turns the world so that `up` becomes y."""
-    turn = np.eye(4)
-    if not np.allclose(up, Y_UP, atol=1e-9):
-        turn[:3, :3] = Rotation.align_vectors([Y_UP], [up])[0].as_matrix()
-    return turn
+    return len(rows)
 
 
 def _row(frame: Frame, turn: Float[np.ndarray, "4 4"]) -> list[float]:
@@ -122,46 +114,9 @@ def _encoder(av: Any) -> str:
 def _write_depth(folder: Path, number: int, frame: Frame) -> None:
     if frame.depth is None:
         return
-    depth, confidence = frame.depth, frame.confidence
-    lens = frame.camera.intrinsics.resize(*depth.shape)
-    if not _alike(lens, frame.depth_camera.intrinsics):
-        depth = _seen_through(lens, frame.depth_camera.intrinsics, depth)
-        if confidence is not None:
-            confidence = _seen_through(lens, frame.depth_camera.intrinsics, confidence)
-    millimetres = np.round(np.nan_to_num(depth) * 1000.0)
-    millimetres = np.where(millimetres > MOST_MILLIMETRES, 0, np.maximum(millimetres, 0)).astype(np.uint16)
-    _write_grey(folder / "depth" / f"{number:06d}.png", millimetres)
-    if confidence is not None:
+    source, lens = frame.depth_camera.intrinsics, frame.camera.intrinsics.resize(*frame.depth.shape)
+    write_depth(folder / f"depth/{number:06d}.png", seen_through(frame.depth, source, lens, nearest=True))
+    if frame.confidence is not None:
+        confidence = seen_through(frame.confidence, source, lens, nearest=True)
         levels = np.round(np.clip(confidence, 0.0, 1.0) * 2.0).astype(np.uint8)
-        _write_grey(folder / "confidence" / f"{number:06d}.png", levels)
-
-
-def _alike(one: Intrinsics, other: Intrinsics) -> bool:
-    """Whether every reading lands within a quarter of a pixel."""
-    corners = [
-        [(x - k.cx) / k.fx, (y - k.cy) / k.fy] for k in (one, other) for x, y in ((0, 0), (k.width, k.height))
-    ]
-    apart = np.abs(np.subtract(corners[:2], corners[2:])) * (one.fx, one.fy)
-    return bool(apart.max() < 0.25)
-
-
-def _seen_through(
-    lens: Intrinsics, source: Intrinsics, values: Float[np.ndarray, "h w"]
-) -> Float[np.ndarray, "h w"]:
-    """Readings of one lens as another at the same place sees them, each the nearest; 0 beyond the border."""
-    x = (np.arange(lens.width) + 0.5 - lens.cx) / lens.fx * source.fx + source.cx
-    y = (np.arange(lens.height) + 0.5 - lens.cy) / lens.fy * source.fy + source.cy
-    inside = ((y >= 0) & (y < source.height))[:, None] & ((x >= 0) & (x < source.width))[None, :]
-    rows = np.clip(np.floor(y).astype(int), 0, source.height - 1)
-    columns = np.clip(np.floor(x).astype(int), 0, source.width - 1)
-    return np.where(inside, values[np.ix_(rows, columns)], 0.0)
-
-
-def _write_grey(path: Path, pixels: UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]) -> None:
-    target = oiio.ImageOutput.create(str(path))
-    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 1, str(pixels.dtype))
-    if target is None or not target.open(str(path), spec):
-        raise InputError(f"{path}: cannot write ({oiio.geterror()})")
-    written = target.write_image(np.ascontiguousarray(pixels[..., None]))
-    if not (target.close() and written):
-        raise InputError(f"{path}: cannot write ({target.geterror()})")
+        write_labels(folder / f"confidence/{number:06d}.png", levels)

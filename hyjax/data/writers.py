@@ -5,6 +5,7 @@ in a `Capture`, so they reach no file.
 """
 
 import json
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,19 +13,22 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
+from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.recording import to_opengl
 from hyjax.geometry.camera import Intrinsics
 from hyjax.geometry.mesh import save_mesh
+from hyjax.util.errors import InputError
 from hyjax.util.files import new_folder, write_text
 from hyjax.util.images import write_depth, write_png
 
 MESH = "mesh.ply"
+_log = logging.getLogger(__name__)
 
 
-def write_7scenes(capture: Capture, out: Path, progress: bool = True) -> None:
+def write_7scenes(capture: Capture, out: Path, progress: bool = True) -> int:
     """Write a capture in the 7-Scenes layout: pictures as PNG, depth registered to them, one lens for all.
 
     Pictures of another lens than the first frame's are sampled anew; so is depth that is not registered. Where some
@@ -36,13 +40,18 @@ def write_7scenes(capture: Capture, out: Path, progress: bool = True) -> None:
         out: folder, which must not be there or be empty; it appears whole or not at all.
         progress: show a bar on stderr.
 
+    Returns:
+        The number of frames, without those that are damaged.
+
     Raises:
-        InputError: `out` is in use or cannot be written, or a frame cannot be read.
+        InputError: `out` is in use or cannot be written, or no frame can be read.
     """
-    lens = capture[0].camera.intrinsics
+    lens: Intrinsics | None = None
     without: list[str] = []
+    count = 0
     with new_folder(out) as folder:
         for number, frame in each_frame(capture, progress):
+            lens, count = lens or frame.camera.intrinsics, number + 1
             name = f"frame-{number:06d}"
             image = seen_through(frame.image, frame.camera.intrinsics, lens)
             write_png(folder / f"{name}.color.png", image)
@@ -51,15 +60,17 @@ def write_7scenes(capture: Capture, out: Path, progress: bool = True) -> None:
                 without.append(name)
             else:
                 write_depth(folder / f"{name}.depth.png", registered_depth(frame, lens))
-        if len(without) < len(capture):
+        assert lens is not None  # of the first frame
+        if len(without) < count:
             for name in without:
                 write_depth(folder / f"{name}.depth.png", np.zeros(lens.shape, np.float32))
         write_text(folder / "camera-intrinsics.txt", rows(lens.matrix))
         write_text(folder / "gravity-direction.txt", rows(-np.asarray(capture.up)[None]))
         write_mesh(capture, folder / MESH)
+    return count
 
 
-def write_nerfstudio(capture: Capture, out: Path, progress: bool = True) -> None:
+def write_nerfstudio(capture: Capture, out: Path, progress: bool = True) -> int:
     """Write a capture as nerfstudio's: `transforms.json`, pictures as PNG, depth in millimetres.
 
     Every frame has its own intrinsics. Depth keeps its size, but is sampled anew where its lens is not the
@@ -71,8 +82,11 @@ def write_nerfstudio(capture: Capture, out: Path, progress: bool = True) -> None
         out: folder, which must not be there or be empty; it appears whole or not at all.
         progress: show a bar on stderr.
 
+    Returns:
+        The number of frames, without those that are damaged.
+
     Raises:
-        InputError: `out` is in use or cannot be written, or a frame cannot be read.
+        InputError: `out` is in use or cannot be written, or no frame can be read.
     """
     entries = []
     with new_folder(out) as folder:
@@ -104,12 +118,36 @@ def write_nerfstudio(capture: Capture, out: Path, progress: bool = True) -> None
         }
         write_text(folder / "transforms.json", json.dumps(content, indent=1) + "\n")
         write_mesh(capture, folder / MESH)
+    return len(entries)
 
 
 def each_frame(capture: Capture, progress: bool) -> Iterator[tuple[int, Frame]]:
-    """The frames of a capture with their positions, and a bar on stderr."""
-    for number in tqdm(range(len(capture)), "writing", unit="frame", leave=False, disable=not progress):
-        yield number, capture[number]
+    """The frames of a capture, counted from 0, and a bar on stderr. Damaged ones are left out with a line.
+
+    Raises:
+        InputError: a frame is damaged and the capture is strict, or all are.
+    """
+    number = 0
+    for index in tqdm(range(len(capture)), "writing", unit="frame", leave=False, disable=not progress):
+        try:
+            frame = capture[index]
+        except InputError as error:
+            if capture.strict:
+                raise
+            _log.warning("%s; this frame is left out", error)
+            continue
+        yield number, frame
+        number += 1
+    if not number:
+        raise InputError(f"{capture.name}: none of the chosen frames can be read")
+
+
+def turned_up(up: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+    """The rotation of the world, by the least angle, after which `up` is an axis."""
+    turn = np.eye(4)
+    if not np.allclose(up, axis, atol=1e-9):
+        turn[:3, :3] = Rotation.align_vectors([axis], [up])[0].as_matrix()
+    return turn
 
 
 def rows(numbers: Float[np.ndarray, "h w"]) -> str:

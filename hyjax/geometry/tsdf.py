@@ -11,6 +11,7 @@ running weighted mean, carving of free space); Nießner et al., "Real-time 3D re
 hashing", SIGGRAPH Asia 2013 (sparse blocks); weights after Newcombe et al., "KinectFusion", ISMAR 2011.
 """
 
+import itertools
 import logging
 import os
 import time
@@ -73,8 +74,8 @@ def fuse(
         max_depth: metres.
         min_weight: least weight of a voxel; 1 is one view head-on from 1 m, 1/9 one from 3 m.
         progress: show a bar on stderr.
-        checkpoint: file to keep what has been fused in, every half minute; a later call with the same frames (which
-            then have a method `start(first)`) goes on from it, and removes it in the end.
+        checkpoint: file to keep what has been fused in, every half minute; a later call with the same frames
+            goes on from it, and removes it in the end. Frames that are `Restartable` are not read again for it.
 
     Raises:
         InputError: unusable parameters, a depth map of another size than its camera, no readings at all, or a
@@ -87,7 +88,7 @@ def fuse(
         )
     volume, done = load_volume(checkpoint, voxel, truncation)
     total = len(frames) if isinstance(frames, Sized) else None
-    left = frames.start(done) if done and isinstance(frames, Restartable) else frames
+    left = frames.start(done) if isinstance(frames, Restartable) else itertools.islice(frames, done, None)
     saved = time.monotonic()
     bar = tqdm(posed_depths(left), "fusing", total, initial=done, disable=not progress, unit="frame")
     with ThreadPoolExecutor(os.cpu_count()) as pool:

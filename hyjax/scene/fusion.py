@@ -10,6 +10,7 @@ import trimesh
 
 from hyjax.data.capture import Capture
 from hyjax.data.frames import spread
+from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.coverage import Coverage
 from hyjax.geometry.depth_map import NEAR, DepthReading
 from hyjax.geometry.raycast import RayCaster
@@ -32,6 +33,8 @@ SAMPLED = 12
 """Depth maps that are looked at to choose, and to judge the result."""
 LITTLE = 0.8
 """Coverage below which a line says so."""
+NOTHING = DepthReading(np.zeros((1, 1), np.float32), Camera(Intrinsics(1, 1, 1.0, 1.0, 0.5, 0.5), np.eye(4)))
+"""A depth map without readings, in place of a damaged one."""
 _log = logging.getLogger(__name__)
 
 
@@ -58,7 +61,7 @@ class FusionPlan:
 
 
 class Readings:
-    """Chosen depth maps of a capture, read when asked for; damaged ones are left out with a line, once each.
+    """Chosen depth maps of a capture, read when asked for; damaged ones are left out with a line.
 
     Args:
         capture: with depth.
@@ -86,8 +89,7 @@ class Readings:
             if self._capture.strict:
                 raise
             _log.warning("%s; left out of the fusion", error)
-            camera = self._capture.camera(0)
-            return DepthReading(np.zeros(camera.intrinsics.shape, np.float32), camera)
+            return NOTHING
         if confidence is not None:
             depth = np.where(confidence >= self._confidence, depth, np.float32(0.0))
         return DepthReading(depth, camera, confidence)
@@ -158,7 +160,9 @@ def coverage_of(capture: Capture, mesh: trimesh.Trimesh | None, confidence: floa
 
 def tell_coverage(capture: Capture, description: str, coverage: Coverage) -> None:
     """A line where a mesh has little of what was measured, or lies elsewhere."""
-    if coverage.hit < 0.05:
+    if not coverage.measured:
+        _log.warning("%s: its depth maps have no readings, so the %s cannot be judged", capture.name, description)
+    elif coverage.hit < 0.05:
         _log.warning(
             "%s: the %s is met by %.0f %% of what has depth; are mesh and poses in the same axes and units?",
             capture.name,

@@ -1,10 +1,12 @@
 """Settings of the fusion of depth maps."""
 
 import dataclasses
+from typing import Literal
 
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
 
+Align = Literal["auto", "yes", "no"]
 MAX_FUSED_FRAMES = 150
 """Depth maps that a fusion takes, unless it is told otherwise."""
 NEAREST = 0.1
@@ -26,6 +28,9 @@ class FusionSettings(Settings):
     """Least weight of a voxel; 1 is one view head-on from one metre. Default: 0.1, less for few or far views."""
     fuse_frames: int = MAX_FUSED_FRAMES
     """Fuse at most so many depth maps, spread over the capture; 0 for all. One that was stopped goes on."""
+    align: Align = "auto"
+    """Align the poses by the depth maps before they are fused: yes, no, or auto, for a phone's LiDAR only. They
+    stay as they are where held-out depth is not covered better."""
 
     def check(self) -> "FusionSettings":
         """These settings, if they can be used.

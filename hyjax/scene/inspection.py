@@ -14,7 +14,7 @@ from hyjax.data.capture import Capture
 from hyjax.data.frames import spread
 from hyjax.geometry.coverage import Coverage
 from hyjax.geometry.depth_map import NEAR, SLACK
-from hyjax.scene.fusion import LITTLE, coverage_of, plan_fusion
+from hyjax.scene.fusion import LITTLE, Readings, coverage_of, plan_fusion
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.util.errors import InputError
 
@@ -128,11 +128,17 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
         doubts.append(str(error))
     coverage = depth_size = quantiles = None
     if capture.depth_count:
-        readings = [capture.depth_reading(index) for index in spread(range(capture.depth_count), LOOKED_AT)]
-        depth = np.concatenate([reading.depth.ravel() for reading in readings])
+        depths = []
+        for index in spread(range(capture.depth_count), LOOKED_AT):
+            try:
+                depths.append(capture.depth_reading(index).depth)
+            except InputError as error:
+                if str(error) not in doubts:  # a picture with its depth may be one file
+                    doubts.append(str(error))
+        depth = np.concatenate([np.zeros(0), *(one.ravel() for one in depths)])
         depth = depth[np.isfinite(depth) & (depth > NEAR)]
-        depth_size = readings[0].depth.shape[1], readings[0].depth.shape[0]
         if len(depth):
+            depth_size = depths[0].shape[1], depths[0].shape[0]
             low, middle, high = (float(q) for q in np.quantile(depth, (0.01, 0.5, 0.99)))
             quantiles = low, middle, high
             coverage = coverage_of(capture, mesh)
@@ -191,16 +197,15 @@ def points_from_above(
     capture = inspection.capture
     x, y = horizontal_axes(capture.up)
     points = np.zeros((0, 3))
-    if capture.depth_count:
-        plan = plan_fusion(capture, FusionSettings())
-        found = []
-        for index in spread(range(capture.depth_count), LOOKED_AT):
-            depth, camera, confidence = capture.depth_reading(index)
-            near = (depth > NEAR) & (depth < plan.far)
-            if confidence is not None:
-                near &= confidence > 0.5
-            found.append(camera.unproject(depth)[near])
-        points = np.concatenate(found)
+    if inspection.quantiles is not None:
+        settings = FusionSettings()
+        plan = plan_fusion(capture, settings)
+        points = np.concatenate(
+            [
+                camera.unproject(depth)[(depth > NEAR) & (depth < plan.far)]
+                for depth, camera, _ in Readings(capture, spread(plan.indices, LOOKED_AT), settings.confidence)
+            ]
+        )
     elif inspection.mesh is not None:
         points = np.asarray(inspection.mesh.vertices)
     points = points[:: max(1, len(points) // most)]

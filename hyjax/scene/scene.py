@@ -22,11 +22,12 @@ from hyjax.light.setup import LightSetup, same_lights
 from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
+from hyjax.scene.alignment import AlignedCapture, aligned
 from hyjax.scene.light_setups import LightAnchors, check_setup_name, named_setup, survey_capture
 from hyjax.scene.occluders import SLACK, complete, fine_detail
 from hyjax.scene.photo_light import ScenePhotoLight
 from hyjax.scene.settings import Occluders, SceneSettings, parse_size
-from hyjax.scene.surfaces import surface_of
+from hyjax.scene.surfaces import surface_of, will_fuse
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
 
@@ -105,6 +106,8 @@ class Scene:
             with clock("capture"):
                 capture = settings.open_capture(progress=progress)
         with clock("mesh"):
+            if will_fuse(capture, settings.mesh, settings.fusion):
+                capture = aligned(capture, settings.fusion, progress)
             source, mesh = surface_of(
                 capture,
                 settings.mesh,
@@ -113,6 +116,9 @@ class Scene:
                 repair=settings.repair_mesh,
                 progress=progress,
             )
+
+            if isinstance(capture, AlignedCapture):
+                source += f", poses aligned ({1000 * float(np.median(capture.moved)):.0f} mm, median)"
 
             def detail() -> trimesh.Trimesh | None:
                 made = "fused" if source.startswith("fused") else settings.mesh

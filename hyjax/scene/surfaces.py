@@ -95,6 +95,18 @@ def surface_of(
     return description, kept(description, capture, make)
 
 
+def will_fuse(capture: Capture, mesh: str | None, fusion: FusionSettings) -> bool:
+    """Whether `surface_of` would fuse depth maps, or would compare their fusion with the device's mesh."""
+    if not capture.depth_count or (mesh is None and capture.reference() is not None):
+        return False
+    if mesh is not None or not capture.has_mesh:
+        return mesh in (None, "fused")
+    try:
+        return coverage_of(capture, _captured(capture)[1], fusion.confidence).covered < ENOUGH
+    except InputError:
+        return True
+
+
 def _captured(capture: Capture) -> tuple[str, trimesh.Trimesh]:
     mesh, file = capture.mesh(), capture.mesh_file
     assert mesh is not None
@@ -106,7 +118,7 @@ def _fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[st
     plan = plan_fusion(capture, fusion)
 
     def make() -> trimesh.Trimesh:
-        checkpoint = cache_folder() / f"fusion-{digest([capture.fingerprint, repr(plan)])}.npz"
+        checkpoint = cache_folder() / f"fusion-{digest([str(VERSION), capture.fingerprint, repr(plan)])}.npz"
         return fuse_capture(capture, plan, checkpoint=checkpoint, progress=progress)
 
     return str(plan), kept(repr(plan), capture, make)
@@ -122,8 +134,12 @@ def _captured_or_fused(capture: Capture, fusion: FusionSettings, progress: bool)
         _log.warning("%s; its depth maps are fused instead", error)
         return _judged(capture, *_fused(capture, fusion, progress))
     of_own = coverage_of(capture, own[1], fusion.confidence)
-    if of_own.covered < ENOUGH:
-        fused = _fused(capture, fusion, progress)
+    if of_own.measured and of_own.covered < ENOUGH:
+        try:
+            fused = _fused(capture, fusion, progress)
+        except InputError as error:
+            _log.warning("%s; taking the %s", error, own[0])
+            return own
         of_fused = coverage_of(capture, fused[1], fusion.confidence)
         if of_fused.covered > of_own.covered + CLEARLY:
             _log.warning(

@@ -9,6 +9,9 @@ from jaxtyping import Float, UInt8
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
 
+MOST_PIXELS = 1 << 28
+"""Of a picture; a small file may announce any number of them."""
+
 
 def read_image(path: Path, where: str | None = None) -> Float[np.ndarray, "h w c"]:
     """Read a picture as float32 with its channels as stored; integer formats are scaled to [0, 1].
@@ -71,6 +74,10 @@ def _open(path: Path, where: str) -> oiio.ImageInput:
     source = oiio.ImageInput.open(str(path))
     if source is None:
         raise InputError(f"{where}: not a readable picture ({_first_line(oiio.geterror())})")
+    width, height = source.spec().width, source.spec().height
+    if width * height > MOST_PIXELS:
+        source.close()
+        raise InputError(f"{where}: {width}x{height} pixels; at most {MOST_PIXELS >> 20} million are read")
     return source
 
 

@@ -386,6 +386,21 @@ def test_damaged_and_unequal_pictures_are_named(scan: Path) -> None:
     refuses(scan, f"confidence/{FIRST}.png", "40x30", "80x60")
 
 
+def test_cameras_and_depth_are_told_without_a_picture(scan: Path) -> None:
+    whole = list(open_arkit_scenes(scan))
+    for picture in (scan / "vga_wide").iterdir():
+        picture.write_bytes(b"")
+    capture = open_arkit_scenes(scan)
+    assert capture.depth_count == 2
+    for index, frame in enumerate(whole):
+        np.testing.assert_allclose(capture.camera(index).pose, frame.camera.pose)
+        assert capture.camera(index).intrinsics == frame.camera.intrinsics and frame.depth is not None
+        reading = capture.depth_reading(index)
+        turned = np.rot90(reading.depth, -capture.quarter_turns)
+        np.testing.assert_array_equal(turned, frame.depth)
+        assert reading.camera.turned(capture.quarter_turns).intrinsics == frame.depth_camera.intrinsics
+
+
 def test_empty_folders(scan: Path) -> None:
     for file in (scan / "vga_wide").iterdir():
         file.unlink()

@@ -118,6 +118,36 @@ def test_damaged_depth_maps_leave_their_pictures(folder: Path) -> None:
     assert "1 depth maps are damaged" in capture.faults[0]
 
 
+def test_a_given_scale_is_taken_instead_of_the_found_one(folder: Path) -> None:
+    for index in range(small.COUNT):
+        small.save_depth(folder / f"depth/{index}.png", small.depth(index))
+    found, given = open_capture(folder), open_capture(folder, scale=3 * UNIT)
+    np.testing.assert_allclose(given.camera(0).origin, 3 * found.camera(0).origin, rtol=0.01)
+    np.testing.assert_array_equal(given.depth_reading(0).depth, found.depth_reading(0).depth)
+
+
+def test_a_depth_map_that_is_damaged_within_does_not_hide_the_scale(folder: Path) -> None:
+    for index in range(small.COUNT):
+        small.save_depth(folder / f"depth/{index}.png", small.depth(index))
+    small.save_picture(folder / "depth/1.png", small.picture(1))  # a picture where depth should be
+    assert open_capture(folder).metric
+
+
+def test_depth_maps_of_two_cameras_are_told_apart(tmp_path: Path) -> None:
+    folder = write(tmp_path / "two", names="left/", binary=False)
+    listing = folder / "sparse/0/images.txt"
+    listing.write_text(listing.read_text().replace("left/1.jpg", "right/0.jpg"))
+    (folder / "images/right").mkdir()
+    (folder / "images/left/1.jpg").rename(folder / "images/right/0.jpg")
+    small.save_depth(folder / "depth/0.png", small.depth(0))
+    assert open_capture(folder).depth_count == 0  # which of the two it is of cannot be told
+    small.save_depth(folder / "depth/right/0.png", small.depth(1))
+    capture = open_capture(folder)
+    assert capture.depth_count == 1 and [frame.name for frame in capture][-1] == "images_right_0.jpg"
+    assert capture[2].depth is not None
+    np.testing.assert_allclose(capture[2].depth, small.depth(1), atol=1e-6)
+
+
 def test_depth_with_too_few_points_tells_no_scale(folder: Path) -> None:
     small.save_depth(folder / "depth/0.png", np.zeros(K.shape))
     capture = open_capture(folder)

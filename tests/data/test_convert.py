@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +19,16 @@ from hyjax.data import builtin_room
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.convert import ConvertSettings, SelectedFrames, convert
 from hyjax.data.registry import open_capture
-from hyjax.data.write_arkit import write_arkit, z_up
-from hyjax.data.writers import seen_through, write_7scenes, write_nerfstudio
+from hyjax.data.write_arkit import write_arkit
+from hyjax.data.write_stray import write_stray
+from hyjax.data.writers import seen_through, turned_up, write_7scenes, write_nerfstudio
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.util.errors import InputError
 
 DEPTH_LENS = Intrinsics(32, 24, 30.0, 29.0, 15.5, 12.5)
 """Of depth that is registered to `small.LENS` but half as large."""
 WRITERS = {"7scenes": write_7scenes, "nerfstudio": write_nerfstudio, "arkit": write_arkit}
+ALL_WRITERS = WRITERS | ({"stray": write_stray} if find_spec("av") else {})
 
 
 class Source(Capture):
@@ -147,7 +150,7 @@ def test_worlds_are_turned_for_layouts_with_z_up(tmp_path: Path) -> None:
     source = Turned()
     write_arkit(source, tmp_path / "out", False)
     capture = open_capture(tmp_path / "out")
-    turn = z_up(source.up)
+    turn = turned_up(source.up, small.UP)
     np.testing.assert_allclose(turn[:3, :3] @ source.up, small.UP, atol=1e-9)
     for frame, original in zip(capture, source):
         np.testing.assert_allclose(frame.camera.pose, turn @ original.camera.pose, atol=1e-6)
@@ -158,7 +161,9 @@ def test_worlds_are_turned_for_layouts_with_z_up(tmp_path: Path) -> None:
 
 
 def test_up_that_is_down_is_turned_too() -> None:
-    np.testing.assert_allclose(z_up(np.array([0.0, 0, -1]))[:3, :3] @ [0, 0, -1], small.UP, atol=1e-9)
+    np.testing.assert_allclose(
+        turned_up(np.array([0.0, 0, -1]), small.UP)[:3, :3] @ [0, 0, -1], small.UP, atol=1e-9
+    )
 
 
 def test_readings_of_no_confidence_are_left_out_where_there_is_no_place_for_it(tmp_path: Path) -> None:
@@ -222,17 +227,39 @@ def test_an_output_folder_that_is_in_use_is_refused(tmp_path: Path) -> None:
     assert (tmp_path / "out/keep.txt").read_text() == "mine"
 
 
-def test_a_failure_leaves_nothing_behind(tmp_path: Path) -> None:
-    class Damaged(Source):
-        def __getitem__(self, index: int) -> Frame:
-            if index == 2:
-                raise InputError("frame 2: damaged")
-            return super().__getitem__(index)
+class Damaged(Source):
+    """A frame cannot be read."""
 
-    for layout, writer in WRITERS.items():
-        with pytest.raises(InputError, match="frame 2"):
-            writer(Damaged(), tmp_path / layout, False)
+    broken: tuple[int, ...] = (0,)
+
+    def __getitem__(self, index: int) -> Frame:
+        if index in self.broken:
+            raise InputError(f"frame {index}: damaged")
+        return super().__getitem__(index)
+
+
+def test_a_failure_leaves_nothing_behind(tmp_path: Path) -> None:
+    strict, nothing = Damaged(), Damaged()
+    strict.strict, nothing.broken = True, (0, 1, 2)
+    for layout, writer in ALL_WRITERS.items():
+        with pytest.raises(InputError, match="frame 0"):
+            writer(strict, tmp_path / layout, False)
+        with pytest.raises(InputError, match="source: none of the chosen frames can be read"):
+            writer(nothing, tmp_path / layout, False)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("layout", ALL_WRITERS)
+def test_damaged_frames_are_left_out_with_a_line(
+    layout: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert ALL_WRITERS[layout](Damaged(), tmp_path / "out", False) == 2
+    assert caplog.messages == ["frame 0: damaged; this frame is left out"]
+    capture = open_capture(tmp_path / "out", strict=True)
+    assert len(capture) == capture.depth_count == 2
+    np.testing.assert_allclose(
+        [f.image.mean() for f in capture], [small.picture(k).mean() for k in (1, 2)], atol=0.02
+    )
 
 
 def test_selected_frames_keep_mesh_and_size() -> None:

@@ -1,11 +1,17 @@
 """Files of captures, in folders and in archives. An archive from a stranger can lead nowhere else."""
 
+import contextlib
+import os
 import stat
+import tracemalloc
 import zipfile
 from pathlib import Path
 
 import pytest
 
+from hyjax.data import file_tree, trees
+from hyjax.data.capture_files import by_number
+from hyjax.data.registry import open_capture
 from hyjax.data.trees import open_tree
 from hyjax.util.errors import InputError
 
@@ -89,6 +95,79 @@ def test_bombs_are_refused_before_they_are_unpacked(tmp_path: Path) -> None:
         open_tree(_archive_with(tmp_path / "bad.zip", "bomb", bytes(1 << 26)))
 
 
+def test_what_is_packed_behind_a_files_size_is_never_unpacked(tmp_path: Path) -> None:
+    path = _archive_with(tmp_path / "bad.zip", "bomb", bytes(1 << 26))
+    content = path.read_bytes()
+    path.write_bytes(content.replace((1 << 26).to_bytes(4, "little"), (10).to_bytes(4, "little")))
+    tree = open_tree(path)
+    tracemalloc.start()
+    with contextlib.suppress(InputError):  # its checksum is another one
+        tree.read("bomb")
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 1 << 22
+
+
+def test_many_small_bombs_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bad.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for number in range(4):
+            file.writestr(f"{number}.jpg", bytes(1 << 24))
+    with pytest.raises(InputError, match=r"refused, its files unpack to 64 MiB"):
+        open_tree(path)
+
+
+def test_packings_without_a_bound_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bad.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as file:
+        file.writestr("a.txt", b"one")
+    with pytest.raises(InputError, match=r"'a\.txt' is packed by method 14"):
+        open_tree(path)
+
+
+@pytest.mark.parametrize("name", [".", "./."])
+def test_files_without_a_name_are_no_crash(tmp_path: Path, name: str) -> None:
+    open_tree(_archive_with(tmp_path / "odd.zip", name))
+
+
+def test_linked_folders_are_followed_but_not_in_circles(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "b.txt").write_bytes(b"two")
+    (folder / "linked").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere" / "back").symlink_to(folder)
+    assert open_tree(folder).names == tuple(sorted([*FILES, "linked/b.txt"]))
+
+
+def test_names_that_are_no_utf8_have_a_fingerprint(folder: Path) -> None:
+    (folder / os.fsdecode(b"\xff.txt")).write_bytes(b"")
+    assert len(open_tree(folder).fingerprint()) == 64
+
+
+def test_a_folder_of_everything_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trees, "MOST_FILES", 3)
+    with pytest.raises(InputError, match="holds over 3 files; give the folder of one capture"):
+        open_tree(folder)
+
+
+def test_text_that_is_too_large_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(file_tree, "LARGEST_TEXT", 2)
+    with pytest.raises(InputError, match=r"a\.txt: has over"):
+        open_tree(folder).text("a.txt")
+
+
+def test_numbers_of_any_length_are_sorted() -> None:
+    names = ["a" + "1" * 9000, "a10", "a9", "a009"]
+    assert sorted(names, key=by_number) == ["a9", "a009", "a10", names[0]]
+
+
+def test_folders_in_folders_without_end_are_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "deep.zip"
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("a/" * 3000 + "rgb.txt", b"")
+    with pytest.raises(InputError, match="not a known capture layout"):
+        open_capture(path)
+
+
 def test_a_file_twice_is_refused(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="Duplicate name"):
         path = _archive_with(tmp_path / "bad.zip", "a.txt")
@@ -112,3 +191,5 @@ def test_damaged_archives_are_one_line(archive: Path) -> None:
 def test_nothing_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
         open_tree(tmp_path / "none")
+    with pytest.raises(InputError, match="no such folder"):
+        open_tree(tmp_path / ("n" * 300))

@@ -1,6 +1,7 @@
 """Record3D's exports, on small recordings written to their layouts."""
 
 import json
+import struct
 import sys
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from reference.phone_layouts import UP, agree, arkit_pose, box_room, edit_json, 
 from scipy.spatial.transform import Rotation
 
 from hyjax.data.capture import Capture
+from hyjax.data.lzfse_blocks import unpacked_size
 from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera
 from hyjax.util.errors import InputError
@@ -107,6 +109,29 @@ def test_damaged_depth_is_named(unpacked: Path) -> None:
     refuses(unpacked, "rgbd/1.depth", "need 48x36")
     (unpacked / "rgbd" / "1.depth").write_bytes(lzfse.compress(bytes(1 << 26)))  # a bomb
     refuses(unpacked, "rgbd/1.depth", "larger than a depth map can be")
+
+
+def test_small_bombs_are_not_unpacked(unpacked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bomb = lzfse.compress(bytes(1 << 20))
+    (unpacked / "rgbd" / "1.depth").write_bytes(bomb)
+    monkeypatch.setattr(lzfse, "decompress", lambda content: pytest.fail("unpacked"))
+    with pytest.raises(InputError, match="unpacks to more than a depth map has"):
+        open_capture(unpacked).depth_reading(1)
+
+
+@pytest.mark.parametrize("size", [0, 1, 10, 5000, 1 << 17, 1 << 22])
+def test_what_lzfse_unpacks_to_is_known_before(size: int) -> None:
+    rng = np.random.default_rng(0)
+    for content in (
+        bytes(size),
+        rng.bytes(size),
+        np.round(rng.normal(2, 0.5, size // 4), 2).astype("<f4").tobytes(),
+    ):
+        packed = lzfse.compress(content)
+        assert unpacked_size(packed) == len(content)
+        assert unpacked_size(packed[:-4]) is None and unpacked_size(b"bvx9" + packed) is None
+    blocks = (b"bvx2" + struct.pack("<I3Q", 1, 0, 0, 0)) * 9  # of no length, and too many
+    assert unpacked_size(blocks + b"bvx$") is None
 
 
 def test_without_lzfse_one_line_says_what_to_install(unpacked: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,9 +1,12 @@
 """Fusion of a capture: what follows from its sensor and place, damaged depth maps, interruptions."""
 
+import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.registry import open_capture
@@ -12,7 +15,7 @@ from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.depth_sensor import KINECT, PHONE_LIDAR, UNKNOWN, DepthSensor
 from hyjax.geometry.mesh import submesh
-from hyjax.scene.fusion import coverage_of, fuse_capture, plan_fusion, tell_coverage
+from hyjax.scene.fusion import Readings, coverage_of, fuse_capture, plan_fusion, tell_coverage
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.surfaces import surface_of
 from hyjax.util.errors import InputError
@@ -139,6 +142,21 @@ def test_a_fusion_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.M
     np.testing.assert_array_equal(again.faces, whole.faces)
 
 
+def test_frames_in_a_checkpoint_are_not_fused_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tsdf, "SAVE_EVERY", -1.0)
+    checkpoint, frames = tmp_path / "fusion.npz", list(Walls(2.0, KINECT, count=6))
+
+    def stopped() -> Iterator[Frame]:
+        yield from frames[:4]
+        raise InputError("stopped")
+
+    with pytest.raises(InputError, match="stopped"):
+        tsdf.fuse(stopped(), 0.03, progress=False, checkpoint=checkpoint)
+    whole = tsdf.fuse(frames, 0.03, min_weight=0.3, progress=False)
+    again = tsdf.fuse(iter(frames), 0.03, min_weight=0.3, progress=False, checkpoint=checkpoint)
+    np.testing.assert_array_equal(again.vertices, whole.vertices)
+
+
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"x" * 999])
 def test_a_damaged_checkpoint_is_told_and_made_anew(
     tmp_path: Path, content: bytes, caplog: pytest.LogCaptureFixture
@@ -164,6 +182,63 @@ def test_little_coverage_and_other_axes_are_told(caplog: pytest.LogCaptureFixtur
     aside.apply_translation([0, 100, 0])
     tell_coverage(capture, "mesh", coverage_of(capture, aside))
     assert "same axes and units?" in caplog.text
+
+
+class WithMesh(Walls):
+    """A device's mesh that has half of the wall."""
+
+    has_mesh = True
+
+    def mesh(self) -> trimesh.Trimesh:
+        return trimesh.creation.box((0.1, 4, 2), transform=trimesh.transformations.translation_matrix((2, 0, -1)))
+
+
+@pytest.mark.parametrize(
+    ("distance", "fusion"), [(0.0, FusionSettings()), (2.0, FusionSettings(voxel=1e-5, depth_range=4.0))]
+)
+def test_the_devices_mesh_stays_where_its_depth_cannot_be_fused(
+    distance: float, fusion: FusionSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HYJAX_CACHE", str(tmp_path))
+    assert surface_of(WithMesh(distance), fusion=fusion, progress=False)[0] == "captured mesh"
+
+
+def test_a_first_frame_that_is_damaged_hides_no_depth() -> None:
+    capture = Walls(2.0)
+    capture.broken = 0
+    assert capture.depth_count == 8
+    broken = Broken(2.0)
+    assert broken.depth_count == 0 and not plan_readings(broken)
+
+
+class Broken(Walls):
+    """All frames are damaged, and so cameras cannot be told."""
+
+    def __getitem__(self, index: int) -> Frame:
+        raise InputError("damaged")
+
+    camera = Capture.camera
+
+
+def plan_readings(capture: Capture) -> bool:
+    return any(reading.depth.any() for reading in Readings(capture, range(3), 0.5))
+
+
+def test_depth_maps_without_a_picture_are_scanned_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Mixed(Walls):
+        """Every other frame has no depth, and there are other depth maps."""
+
+        depth_count = 9
+
+        def __getitem__(self, index: int) -> Frame:
+            frame = super().__getitem__(index)
+            return dataclasses.replace(frame, depth=None, confidence=None) if index % 2 else frame
+
+        def depth_reading(self, index: int) -> DepthReading:
+            return Capture.depth_reading(self, 2 * (index // 3))
+
+    monkeypatch.setenv("HYJAX_CACHE", str(tmp_path))
+    assert len(surface_of(Mixed(2.0), "scan", progress=False)[1].faces) > 10
 
 
 def test_depth_without_a_reading_is_refused() -> None:

@@ -1,0 +1,117 @@
+"""Alignment of a capture: a phone's drift is taken out where held-out depth says so."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from hyjax.data.capture import Capture, Frame
+from hyjax.data.registry import open_capture
+from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.geometry.depth_sensor import KINECT, PHONE_LIDAR
+from hyjax.geometry.raycast import RayCaster
+from hyjax.scene import alignment
+from hyjax.scene.alignment import AlignedCapture, aligned
+from hyjax.scene.fusion import coverage_of, fuse_capture, plan_fusion
+from hyjax.scene.fusion_settings import FusionSettings
+
+LENS = Intrinsics(96, 72, 80.0, 80.0, 48.0, 36.0)
+UP = np.array([0.0, 0.0, 1.0])
+
+
+class Drifting(Capture):
+    """A walk in a corner of a room; the told poses drift away from the true ones by `metres`."""
+
+    name, up, fingerprint, sensor = "walk", UP, "", PHONE_LIDAR
+
+    def __init__(self, metres: float, count: int = 16) -> None:
+        room = trimesh.creation.box((4, 4, 3)).subdivide()
+        room.invert()
+        box = trimesh.creation.box((0.5, 0.5, 1.2))
+        box.apply_translation([1.1, 0.9, -0.9])
+        self._caster, self._metres, self._count = RayCaster(trimesh.util.concatenate([room, box])), metres, count
+        self.fingerprint = f"{metres} {count}"
+
+    def __len__(self) -> int:
+        return self._count
+
+    def true(self, index: int) -> Camera:
+        turn = index / (self._count - 1)
+        return Camera(LENS, look_at(np.array([turn - 1.0, -0.8, 0.2]), np.array([1.5, 0.5 + turn / 2, -0.8]), UP))
+
+    def camera(self, index: int) -> Camera:
+        pose = self.true(index).pose.copy()
+        pose[:3, 3] += self._metres * np.array([1.0, -0.6, 0.3]) * (index / (self._count - 1) - 0.5)
+        return Camera(LENS, pose)
+
+    def __getitem__(self, index: int) -> Frame:
+        if not 0 <= index < self._count:
+            raise IndexError
+        depth = np.asarray(self._caster.gbuffer(self.true(index)).depth)
+        picture = np.full((*LENS.shape, 3), 0.5, np.float32)
+        return Frame(f"{index}", picture, self.camera(index), index / 10, depth)
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def covered(capture: Capture) -> float:
+    return coverage_of(
+        capture, fuse_capture(capture, plan_fusion(capture, FusionSettings()), progress=False)
+    ).covered
+
+
+def test_drift_is_taken_out(cache: Path) -> None:
+    capture = Drifting(0.12)
+    found = aligned(capture, FusionSettings(), progress=False)
+    assert isinstance(found, AlignedCapture) and covered(found) > covered(capture) + 0.005
+    steps = [np.linalg.norm(c.camera(15).origin - c.camera(0).origin) for c in (capture, found)]
+    true = np.linalg.norm(capture.true(15).origin - capture.true(0).origin)
+    assert abs(steps[1] - true) < 0.5 * abs(steps[0] - true)
+    assert found.fingerprint != capture.fingerprint and 0.005 < np.median(found.moved) < 0.1
+    for index in (0, 7):
+        np.testing.assert_allclose(found[index].camera.pose, found.camera(index).pose)
+        np.testing.assert_allclose(found.depth_reading(index).camera.pose, found.camera(index).pose)
+    (file,) = cache.glob("alignment-*.npz")
+    stamp = file.stat().st_mtime_ns
+    again = aligned(capture, FusionSettings(), progress=False)
+    assert file.stat().st_mtime_ns == stamp and again.fingerprint == found.fingerprint
+
+
+def test_poses_without_drift_stay() -> None:
+    capture = Drifting(0.0)
+    assert aligned(capture, FusionSettings(), progress=False) is capture
+
+
+def test_only_phones_are_aligned_unless_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    nothing = {"corrections": np.zeros((0, 4, 4))}
+    monkeypatch.setattr(alignment, "_align", lambda capture, *_: asked.append(capture.sensor.name) or nothing)
+    capture = Drifting(0.1)
+    assert aligned(capture, FusionSettings(align="no"), progress=False) is capture and not asked
+    capture.sensor = KINECT
+    assert aligned(capture, FusionSettings(), progress=False) is capture and not asked
+    assert aligned(capture, FusionSettings(align="yes"), progress=False) is capture and asked == ["Kinect"]
+    few = Drifting(0.1, count=4)
+    assert aligned(few, FusionSettings(align="yes"), progress=False) is few and len(asked) == 1
+
+
+def test_corrections_are_interpolated_between_depth_maps() -> None:
+    capture, corrections = Drifting(0.1), np.tile(np.eye(4), (3, 1, 1))
+    corrections[:, 0, 3] = 0.0, 0.04, 0.1
+    found = AlignedCapture(capture, np.array([0, 5, 10]), corrections)
+    moved = [(found.camera(k).origin - capture.camera(k).origin)[0] for k in (0, 2, 5, 10, 15)]
+    np.testing.assert_allclose(moved, [0.0, 0.016, 0.04, 0.1, 0.1], atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_real_scan_is_fused_better(scanner3d_chair: Path) -> None:
+    capture = open_capture(scanner3d_chair)
+    found = aligned(capture, FusionSettings(), progress=False)
+    assert isinstance(found, AlignedCapture) and len(found) == 24 and found.depth_count == 70
+    assert covered(found) > covered(capture) + 0.02
+    assert 0.01 < np.median(found.moved) < 0.1
