@@ -11,8 +11,9 @@ Open3D's `VoxelBlockGrid` takes part where the package open3d is installed (it i
 
 A phone's poses drift: in one row more the fused maps are registered to each other and the judges to their surface.
 
-Expect: aligned poses are worth more than all else. Weights by confidence erode less than none; a band of three voxels in place of four bloats less. Open3D is
-given the same readings, those of no confidence taken out, with the same range and band.
+Expect: aligned poses are worth more than all else. Weights by confidence erode less than none; a band of three
+voxels in place of four bloats less. Open3D is given the same readings, those of no confidence taken out, with the
+same range and band.
 """
 
 import dataclasses
