@@ -1,6 +1,7 @@
 """Pictures in and out through OpenImageIO. Every write goes to a temporary name first and is then renamed."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
@@ -73,7 +74,7 @@ def _open(path: Path, where: str) -> oiio.ImageInput:
         raise InputError(f"{where}: damaged or truncated picture (its end is missing)")
     source = oiio.ImageInput.open(str(path))
     if source is None:
-        raise InputError(f"{where}: not a readable picture ({_first_line(oiio.geterror())})")
+        raise InputError(f"{where}: not a readable picture ({_first_line(_error(oiio))})")
     width, height = source.spec().width, source.spec().height
     if width * height > MOST_PIXELS:
         source.close()
@@ -90,7 +91,7 @@ def _read(path: Path, where: str | None, kind: str, only: str | None = None) -> 
         raise InputError(f"{where}: stored as {stored}, must be {only}")
     try:
         pixels = source.read_image(kind)
-        error = source.geterror()
+        error = _error(source)
     finally:
         source.close()
     # A truncated JPEG is padded with grey and only reported as an error, so the error decides, not the pixels.
@@ -145,12 +146,20 @@ def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str]
     with atomic_write(path) as temporary:
         target = oiio.ImageOutput.create(str(temporary))
         if target is None or not target.open(str(temporary), spec):
-            raise InputError(f"{path}: cannot write ({_first_line(oiio.geterror())})")
+            raise InputError(f"{path}: cannot write ({_first_line(_error(oiio))})")
         written = target.write_image(np.ascontiguousarray(pixels))
         closed = target.close()  # where a full disk shows
-        error = target.geterror()
+        error = _error(target)
         if not (written and closed):
             raise InputError(f"{path}: cannot write ({_first_line(error)})")
+
+
+def _error(where: Any) -> str:
+    """What OpenImageIO, or a file of it, complains of; it may quote a damaged file's bytes."""
+    try:
+        return str(where.geterror())
+    except UnicodeDecodeError:
+        return "damaged"
 
 
 def _first_line(text: str) -> str:

@@ -190,7 +190,7 @@ class WithMesh(Walls):
     has_mesh = True
 
     def mesh(self) -> trimesh.Trimesh:
-        return trimesh.creation.box((0.1, 4, 2), transform=trimesh.transformations.translation_matrix((2, 0, -1)))
+        return trimesh.creation.box((0.1, 4, 2), transform=trimesh.transformations.translation_matrix((2, 0, 1)))
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,13 @@
 """Pictures in and out: what is kept, what is refused, what is left behind."""
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from hyjax.util import images
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_depth, read_image, resize, write_exr, write_png
 
@@ -126,6 +128,26 @@ def test_garbage_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -
         path.write_bytes(b"not a picture at all " * 100)
         refuses(path)
     assert capfd.readouterr().err == ""
+
+
+def test_bytes_that_are_no_text_in_a_message_are_one_line(tmp_path: Path, picture: np.ndarray) -> None:
+    path = tmp_path / "a.exr"
+    write_exr(path, picture)
+    for at in range(8, 330):
+        content = bytearray(path.read_bytes())
+        content[at] = 0xF9
+        (tmp_path / "b.exr").write_bytes(content)
+        with contextlib.suppress(InputError):
+            read_image(tmp_path / "b.exr")
+
+
+def test_a_giant_picture_is_refused_by_its_header(
+    tmp_path: Path, picture: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_png(tmp_path / "a.png", picture)
+    monkeypatch.setattr(images, "MOST_PIXELS", 8)
+    with pytest.raises(InputError, match=r"a\.png: \d+x\d+ pixels; at most"):
+        read_image(tmp_path / "a.png")
 
 
 def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
