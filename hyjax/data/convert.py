@@ -1,6 +1,7 @@
 """Captures written in another layout: `hyjax convert`."""
 
 import dataclasses
+import logging
 import shlex
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ from hyjax.util.sizes import parse_size
 if TYPE_CHECKING:
     import trimesh
 
+_log = logging.getLogger(__name__)
 Layout = Literal["7scenes", "nerfstudio", "arkit", "stray"]
 
 
@@ -105,6 +107,10 @@ def convert(settings: ConvertSettings) -> int:
     from hyjax.data.registry import open_capture
 
     capture = open_capture(settings.capture, not settings.quiet, scale=settings.scale, strict=settings.strict)
+    if capture.depth_count > len(capture):
+        _log.warning(
+            "%s: depth maps without a picture have no place in a %s layout; left out", capture.name, settings.to
+        )
     chosen = SelectedFrames(capture, select_frames(settings.frames, len(capture)), size)
     return writer(chosen, out, not settings.quiet)
 

@@ -98,7 +98,8 @@ class Recording(Capture):
         self._depth_times = np.array([shot.time for shot in self._depths])
         if not self._pictures:
             because = f" ({'; '.join(faults)})" if faults else ""
-            raise InputError(f"{tree.path}: none of {len(shots)} frames has a picture that can be read{because}")
+            what = f"none of {len(shots)} frames has a picture that can be read" if shots else "no frame is usable"
+            raise InputError(f"{tree.path}: {what}{because}")
         if len({shot.name for shot in self._pictures}) < len(self._pictures):
             raise InputError(f"{tree.path}: two frames have one name")
         for shot in shots:

@@ -16,6 +16,7 @@ from hyjax.geometry.coverage import Coverage
 from hyjax.geometry.depth_map import NEAR, SLACK
 from hyjax.scene.fusion import LITTLE, Readings, coverage_of, plan_fusion
 from hyjax.scene.fusion_settings import FusionSettings
+from hyjax.scene.surfaces import ENOUGH
 from hyjax.util.errors import InputError
 
 LOOKED_AT = 12
@@ -90,6 +91,8 @@ class Inspection:
                     f"{self.coverage.distance:.3g} m (median); the mesh has {100 * self.coverage.covered:.0f} % of "
                     "what has depth",
                 )
+                if self.coverage.covered < ENOUGH:
+                    yield "note", "relighting fuses the depth too, and takes that if it has clearly more"
         for remark in capture.remarks:
             yield "note", remark
         for doubt in self.doubts:

@@ -26,7 +26,7 @@ class SceneSettings(Settings):
     mesh: str | None = None
     """PLY, OBJ or GLB file in the capture's world coordinates; or 'captured' (came with the capture), 'scan'
     (simulated headset scan), 'fused' (from depth maps), 'true' (built-in room only). Default: scan for the built-in
-    room; captured for a capture that has one, else fused."""
+    room; captured for a capture that has one, unless the fusion of its depth has clearly more; else fused."""
     size: str | None = None
     """Work at this size: 512 (square) or 640x480 (width x height), of the largest centred part of that shape.
     Default: as captured."""
@@ -41,7 +41,7 @@ class SceneSettings(Settings):
     scale: float | None = None
     """Metres in one unit of the capture's poses, for a capture that does not know it (COLMAP)."""
     strict: bool = False
-    """Stop at the first damaged picture of a capture instead of leaving it out with a line."""
+    """Stop at the first damaged picture, pose or mesh of a capture instead of leaving it out with a line."""
 
     def options(self) -> dict[str, Any]:
         """Options by name, those of the fusion among them."""

@@ -131,6 +131,8 @@ def _captured_or_fused(capture: Capture, fusion: FusionSettings, progress: bool)
     try:
         own = _captured(capture)
     except InputError as error:
+        if capture.strict:
+            raise InputError(f"{error} (--strict)") from None
         _log.warning("%s; its depth maps are fused instead", error)
         return _judged(capture, *_fused(capture, fusion, progress))
     of_own = coverage_of(capture, own[1], fusion.confidence)

@@ -11,6 +11,7 @@ import pytest
 import small_capture as small
 import trimesh
 from jaxtyping import Float
+from reference.phone_layouts import box_room, write_scanner3d
 from scipy.spatial.transform import Rotation
 from test_nerfstudio import write as write_source
 
@@ -271,3 +272,9 @@ def test_selected_frames_keep_mesh_and_size() -> None:
 def test_seeing_through_the_same_lens_changes_nothing() -> None:
     image = small.picture(0)
     assert seen_through(image, small.LENS, small.LENS) is image
+
+
+def test_depth_without_a_picture_is_told_to_be_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    scan = write_scanner3d(tmp_path / "scan", box_room(4), picture_every=3)
+    assert convert(ConvertSettings(capture=scan, to="nerfstudio", out=tmp_path / "out", quiet=True)) == 2
+    assert "depth maps without a picture" in caplog.text

@@ -69,6 +69,12 @@ def test_poses_that_are_none_are_left_out_and_counted(folder: Path) -> None:
         open_capture(folder, strict=True)
 
 
+def test_without_any_pose_that_line_says_why(folder: Path) -> None:
+    for moment in folder.glob("frame_*.json"):
+        edit_json(moment, cameraPoseARFrame=[float("nan")] * 16)
+    refuses(folder, "no frame is usable", "4 poses are none")
+
+
 def test_a_damaged_picture_is_left_out_and_its_depth_is_used(folder: Path) -> None:
     picture = folder / "frame_00001.jpg"
     picture.write_bytes(picture.read_bytes()[:-300])

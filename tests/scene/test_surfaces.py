@@ -225,3 +225,19 @@ def test_fusing_a_wall_gives_the_wall(cache: Path) -> None:
     assert np.abs(mesh.vertices[:, 0] - 2.0).max() < 0.03
     assert np.ptp(mesh.vertices[:, 1]) > 1.5
     assert same(mesh, get(Wall(), fusion=FusionSettings(voxel=0.05)))
+
+
+def test_a_device_mesh_in_other_units_is_replaced_by_the_fusion_but_not_when_strict(
+    cache: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Scaled(Wall):
+        has_mesh = True
+
+        def mesh(self) -> trimesh.Trimesh:
+            return trimesh.creation.box((5000, 4000, 3000))
+
+    wall = Scaled()
+    assert surface_of(wall, progress=False)[0].startswith("fused") and "must be in metres" in caplog.text
+    wall.strict = True
+    with pytest.raises(InputError, match=r"must be in metres.*--strict"):
+        surface_of(wall, progress=False)
