@@ -12,7 +12,7 @@ from typing import Annotated
 
 import tyro
 
-from hyjax.data.convert import ConvertSettings
+from hyjax.data.convert_settings import ConvertSettings
 from hyjax.device.serve import ServeSettings
 from hyjax.export.settings import ExportSettings
 from hyjax.info import InfoSettings

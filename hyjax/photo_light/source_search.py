@@ -37,6 +37,8 @@ MOST_SATURATED = 0.5
 """Share of all pixels: where more are burnt out, the frames say nothing about windows."""
 SMALLEST = 0.15
 """Square metres of a window."""
+LONGEST = 10
+"""Long side over short side of a window; what is longer is a sunlit strip of ground."""
 
 
 def search_sources(
@@ -168,7 +170,8 @@ def _rectangles(
         area = part[inside].size * CELL**2
         if area < SMALLEST or part[inside].mean() < 0.6 or burnt[inside].mean() < 0.25:
             continue
-        if min(spans[1] - spans[0], spans[3] - spans[2]) * CELL < 0.25:
+        sides = sorted((spans[1] - spans[0], spans[3] - spans[2]))
+        if sides[0] * CELL < 0.25 or sides[1] > LONGEST * sides[0]:
             continue
         if hole[inside].mean() < 0.3 and not _stands_out(part, brightness, area):
             continue

@@ -33,7 +33,7 @@ WIDTH = 800
 """Pixels of their longer side, at most."""
 PANE_FRAMES, PANE_WIDTH = 12, 320
 """Frames that panes are looked at in, and pixels of their longer side."""
-VERSION = 9
+VERSION = 10
 """Of sources and estimate. Add one whenever either comes out differently."""
 _log = logging.getLogger(__name__)
 

@@ -18,7 +18,8 @@ from test_nerfstudio import write as write_source
 from hyjax.cli import main
 from hyjax.data import builtin_room
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.convert import ConvertSettings, SelectedFrames, convert
+from hyjax.data.convert import SelectedFrames, convert
+from hyjax.data.convert_settings import ConvertSettings
 from hyjax.data.registry import open_capture
 from hyjax.data.write_arkit import write_arkit
 from hyjax.data.write_stray import write_stray
