@@ -166,7 +166,7 @@ class Capture(abc.ABC):
 
     def scan_input(self) -> "tuple[PosedDepths, ScanConfig | None]":
         """Depth maps and scanner for `hyjax.geometry.scan.simulate_scan`: the capture's own, the default one."""
-        return self if self.depth_count == len(self) else _DepthMaps(self), None
+        return self if self.depth_count in (0, len(self)) else _DepthMaps(self), None
 
 
 class _DepthMaps:

@@ -36,6 +36,7 @@ from hyjax.data.phone_captures import (
 )
 from hyjax.data.recording import Y_UP, Recording, Shot, from_opengl
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
+from hyjax.util.errors import InputError
 
 RAW, CORRECTED = "keyframes/cameras", "keyframes/corrected_cameras"
 CONFIDENCE_LEVELS = (0, 54, 255)
@@ -52,7 +53,7 @@ def open_polycam(tree: FileTree) -> Recording:
     Keyframes that the app has not corrected are left out of a scan that it has.
 
     Raises:
-        InputError: no keyframe has a picture and a pose, or a camera's file lacks what is needed.
+        InputError: no keyframe has a picture and a pose, or no camera's file has what is needed.
     """
     faults, remarks = Tally(), Tally()
     corrected = bool(tree.below(CORRECTED, ".json") and tree.below("keyframes/corrected_images"))
@@ -66,11 +67,19 @@ def open_polycam(tree: FileTree) -> Recording:
     images = "keyframes/corrected_images" if corrected else "keyframes/images"
     has_corrected_depth = corrected and bool(tree.below("keyframes/corrected_depth", ".png"))
     depths = "keyframes/corrected_depth" if has_corrected_depth else "keyframes/depth"
-    shots = []
+    shots: list[Shot] = []
+    first: InputError | None = None
     for index, (camera, name) in enumerate(zip(cameras, names)):
-        shot = _read_keyframe(tree, camera, name, index, images, depths, faults, remarks)
+        try:
+            shot = _read_keyframe(tree, camera, name, index, images, depths, faults, remarks)
+        except InputError as error:
+            first = first or error
+            faults.add("frames cannot be used and are left out", str(error))
+            continue
         if shot is not None:
             shots.append(shot)
+    if first is not None and not shots:
+        raise first
     return Recording(
         tree,
         in_order_of_time(shots, remarks),

@@ -34,6 +34,7 @@ from hyjax.data.phone_captures import (
 )
 from hyjax.data.recording import Y_UP, Recording, Shot, from_opengl
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
+from hyjax.util.errors import InputError
 
 MOMENT = re.compile(r"frame_(\d+)\.json")
 MESH = "export.obj"
@@ -52,7 +53,7 @@ def open_scanner3d(tree: FileTree) -> Recording:
     Moments without a picture give their depth to fusion alone.
 
     Raises:
-        InputError: no moment has a picture and a pose, or a JSON file lacks what is needed.
+        InputError: no moment has a picture and a pose, or no JSON file has what is needed.
     """
     faults, remarks = Tally(), Tally()
     moments = {match[1]: name for name in tree.below("") if (match := MOMENT.fullmatch(name))}
@@ -63,10 +64,18 @@ def open_scanner3d(tree: FileTree) -> Recording:
     }
     shots: list[Shot] = []
     shape = shape_of_pictures(tree, list(pictures.values()))
+    first: InputError | None = None
     for number, name in moments.items():
-        shot = _read_moment(tree, name, number, pictures.get(number), shape, faults, remarks)
+        try:
+            shot = _read_moment(tree, name, number, pictures.get(number), shape, faults, remarks)
+        except InputError as error:
+            first = first or error
+            faults.add("frames cannot be used and are left out", str(error))
+            continue
         if shot is not None:
             shots.append(shot)
+    if first is not None and not shots:
+        raise first
     return Recording(
         tree,
         in_order_of_time(shots, remarks),

@@ -25,11 +25,17 @@ def cameras(folder: Path) -> list[Path]:
     return sorted((folder / "keyframes" / "cameras").glob("*.json"))
 
 
-def refuses(folder: Path, *parts: str) -> None:
+def refuses(folder: Path, *parts: str, strict: bool = False) -> None:
     with pytest.raises(InputError) as caught:
-        list(open_capture(folder))
+        list(open_capture(folder, strict=strict))
     message = str(caught.value)
     assert "\n" not in message and all(part in message for part in parts), message
+
+
+def leaves_out(folder: Path, *parts: str) -> None:
+    """One frame is left out, with a line that holds all `parts`; `--strict` refuses it."""
+    assert len(open_capture(folder)) == len(FRAMES) - 1
+    refuses(folder, "1 frames cannot be used and are left out", *parts, strict=True)
 
 
 @pytest.mark.parametrize("quarters", [0, 1, 3])
@@ -102,7 +108,7 @@ def test_without_time_stamps_the_names_tell_the_time(folder: Path) -> None:
 )
 def test_bad_content_names_file_and_key(folder: Path, key: str, value: object) -> None:
     edit_json(cameras(folder)[2], **{key: value})
-    refuses(folder, cameras(folder)[2].name, key)
+    leaves_out(folder, cameras(folder)[2].name, key)
 
 
 def test_pictures_of_another_size_are_refused(folder: Path) -> None:

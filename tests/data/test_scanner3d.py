@@ -24,11 +24,17 @@ def folder(tmp_path: Path) -> Path:
     return write_scanner3d(tmp_path / "scan", FRAMES)
 
 
-def refuses(folder: Path, *parts: str) -> None:
+def refuses(folder: Path, *parts: str, strict: bool = False) -> None:
     with pytest.raises(InputError) as caught:
-        list(open_capture(folder))
+        list(open_capture(folder, strict=strict))
     message = str(caught.value)
     assert "\n" not in message and all(part in message for part in parts), message
+
+
+def leaves_out(folder: Path, *parts: str) -> None:
+    """One frame is left out, with a line that holds all `parts`; `--strict` refuses it."""
+    assert len(open_capture(folder)) == len(FRAMES) - 1
+    refuses(folder, "1 frames cannot be used and are left out", *parts, strict=True)
 
 
 @pytest.mark.parametrize("quarters", range(4))
@@ -126,18 +132,18 @@ def test_place_and_date_reach_nothing(folder: Path) -> None:
 )
 def test_bad_content_names_file_and_key(folder: Path, key: str, value: object) -> None:
     edit_json(folder / "frame_00002.json", **{key: value})
-    refuses(folder, "frame_00002.json", key)
+    leaves_out(folder, "frame_00002.json", key)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", "[" * 5000, '{"time": ' + "9" * 5000 + "}", "\0"])
 def test_what_is_no_json_is_named(folder: Path, text: str) -> None:
     (folder / "frame_00002.json").write_text(text)
-    refuses(folder, "frame_00002.json")
+    leaves_out(folder, "frame_00002.json")
 
 
 def test_intrinsics_of_another_picture_size_are_refused(folder: Path) -> None:
     edit_json(folder / "frame_00002.json", intrinsics=[1447, 0, 966, 0, 1447, 691, 0, 0, 1])
-    refuses(folder, "frame_00002.json", "do not belong to 96x72 pictures")
+    leaves_out(folder, "frame_00002.json", "do not belong to 96x72 pictures")
 
 
 def test_without_any_picture(folder: Path) -> None:
