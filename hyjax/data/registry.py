@@ -24,6 +24,7 @@ from hyjax.data.capture import Capture, CaptureFormat
 from hyjax.data.file_tree import FileTree
 from hyjax.data.scaled import ScaledCapture
 from hyjax.data.trees import open_tree
+from hyjax.geometry.depth_sensor import PHONE_LIDAR, UNKNOWN
 from hyjax.util.errors import InputError
 
 CAPTURE_FORMATS = [
@@ -44,6 +45,8 @@ DEEPEST = 16
 """Folders in folders that a capture may lie in."""
 LOOKED_INTO = 100
 """Folders that are looked into to say which one is a capture."""
+PHONE_SHAPE = [192, 256]
+"""Of a phone's depth maps, by which they are known in layouts that name no sensor."""
 _log = logging.getLogger(__name__)
 
 
@@ -102,7 +105,17 @@ def open_capture(
     elif not capture.metric:
         _log.warning("%s: its unit is not known, it is taken for metres; give --scale, metres in one unit", path)
     capture.format, capture.strict = entry.name, strict
+    if capture.sensor == UNKNOWN and _depth_shape(capture) == PHONE_SHAPE:
+        capture.sensor = PHONE_LIDAR
     return capture
+
+
+def _depth_shape(capture: Capture) -> list[int] | None:
+    """Short and long side of the first depth map; None without one that can be read."""
+    try:
+        return sorted(capture.depth_reading(0).depth.shape) if capture.depth_count else None
+    except InputError:
+        return None
 
 
 def detect_format(tree: FileTree) -> tuple[FileTree, CaptureFormat]:

@@ -14,6 +14,7 @@ from hyjax.data.builtin_room import RoomCapture
 from hyjax.data.capture import Capture, CaptureFormat, ChosenFrames, Frame
 from hyjax.data.registry import known_formats, open_capture, register_format
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.mesh import save_mesh
 from hyjax.scene.light_setups import survey_capture
 from hyjax.scene.scene import Scene
@@ -112,3 +113,12 @@ def test_without_a_folder_the_built_in_room_is_opened(monkeypatch: pytest.Monkey
     assert isinstance(room, RoomCapture) and room.reference() is not None and room.mesh() is None
     depths, scanner = room.scan_input()
     assert scanner is not None and len(depths) == scanner.frames
+
+
+def test_a_phones_depth_is_known_by_its_size(album: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Layouts such as nerfstudio's name no sensor."""
+    for shape, sensor in (((192, 256), "phone LiDAR"), ((256, 192), "phone LiDAR"), ((480, 640), "depth camera")):
+        reading = DepthReading(np.ones(shape, np.float32), Camera(LENS, np.eye(4)))
+        monkeypatch.setattr(Album, "depth_count", 1)
+        monkeypatch.setattr(Album, "depth_reading", lambda self, index, reading=reading: reading)
+        assert open_capture(album).sensor.name == sensor
