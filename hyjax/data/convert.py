@@ -89,9 +89,10 @@ def convert(settings: ConvertSettings) -> int:
 
 
 def relight_command(settings: ConvertSettings) -> str:
-    """The command that relights what was written."""
+    """The command that relights what was written: from its depth, or else with the device's mesh."""
     words = ["hyjax", "relight", "--capture", str(settings.out)]
-    if (settings.out / "mesh.ply").is_file():
+    has_depth = (settings.out / "depth").is_dir() or any(settings.out.glob("*.depth.png"))
+    if not has_depth and (settings.out / "mesh.ply").is_file():
         words += ["--mesh", str(settings.out / "mesh.ply")]
     return shlex.join(words)
 
