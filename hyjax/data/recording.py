@@ -93,6 +93,7 @@ class Recording(Capture):
     ) -> None:
         self.name = name or (tree.path.resolve().stem if tree.path.is_file() else tree.path.resolve().name)
         self._tree, self._mesh_name = tree, mesh
+        self._mesh: trimesh.Trimesh | None = None
         self._pictures = [shot for shot in shots if shot.picture is not None]
         self._depths = [shot for shot in shots if shot.depth is not None]
         self._depth_times = np.array([shot.time for shot in self._depths])
@@ -164,10 +165,10 @@ class Recording(Capture):
         return DepthReading(depth, Camera(lens, shot.pose), confidence)
 
     def mesh(self) -> trimesh.Trimesh | None:
-        """See `Capture`."""
-        if self._mesh_name is None:
-            return None
-        return load_mesh(Path(self._mesh_name), repair=True, content=self._tree.read(self._mesh_name))
+        """See `Capture`; read once."""
+        if self._mesh is None and self._mesh_name is not None:
+            self._mesh = load_mesh(Path(self._mesh_name), repair=True, content=self._tree.read(self._mesh_name))
+        return self._mesh
 
 
 def _read_depth(

@@ -67,7 +67,7 @@ class ScaledCapture(Capture):
     def mesh(self) -> trimesh.Trimesh | None:
         """See `Capture`."""
         mesh = self.unscaled.mesh()
-        return None if mesh is None else mesh.apply_scale(self._scale)
+        return None if mesh is None else mesh.copy().apply_scale(self._scale)
 
     @property
     def has_mesh(self) -> bool:
