@@ -20,7 +20,7 @@ GROWN = 1.5
 """How much larger than that it may grow."""
 FAR = np.float32(1e37)
 AT_ONCE = 1 << 12
-"""Rays that Embree is given at once: it keeps all of Python waiting meanwhile, also the thread that renews the mesh."""
+"""Rays that Embree is given at once: meanwhile it keeps all of Python waiting, also the mesh."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -135,9 +135,7 @@ class LiveMesh:
         normals = gradient_normals(cut.distance, cut.vertices + 1.0)
         first = np.array(region) * float(SIDE)
         world = ((cut.vertices + first) * self._volume.voxel).astype(np.float32)
-        return Piece(
-            world, np.ascontiguousarray(cut.faces, np.int32), normals, block_sums(cut.vertices, cut.faces)
-        )
+        return Piece(world, np.ascontiguousarray(cut.faces, np.int32), normals, block_sums(cut.vertices, cut.faces))
 
 
 def amounts_of(blocks: Int[np.ndarray, "n 3"], amounts: Float[np.ndarray, "n"]) -> dict[Region, float]:
@@ -227,8 +225,7 @@ def _without_specks(
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.bincount(part[faces[:, 0]], 0.5 * np.linalg.norm(cross, axis=1), minlength=number)
     outside = np.bincount(part, on_border(vertices, side), minlength=number) > 0
-    kept: Bool[np.ndarray, "n"] = (outside | (area >= SPECK))[part]
-    return kept
+    return np.asarray((outside | (area >= SPECK))[part])
 
 
 def on_border(vertices: Float[np.ndarray, "n 3"], side: int) -> Bool[np.ndarray, "n"]:
