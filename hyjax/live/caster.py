@@ -10,7 +10,7 @@ import trimesh
 from embreex import mesh_construction, rtcore_scene
 from jaxtyping import Bool, Float
 
-from hyjax.geometry.raycast import AT_ONCE, RayCaster
+from hyjax.geometry.raycast import RayCaster
 from hyjax.live.mesh import Piece, Region, joined
 
 FULL = 20_000
@@ -19,6 +19,8 @@ each of them."""
 GROWN = 1.5
 """How much larger than that it may grow."""
 FAR = np.float32(1e37)
+AT_ONCE = 1 << 12
+"""Rays that Embree is given at once: meanwhile it keeps all of Python waiting, also the mesh."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -27,31 +29,30 @@ class Tree:
 
     Attributes:
         pieces: by region.
-        mesh: of them.
         scene: Embree's.
         corners: normals of each triangle's corners, and its own at the end.
     """
 
     pieces: dict[Region, Piece]
-    mesh: trimesh.Trimesh
     scene: Any
     corners: Float[np.ndarray, "m 4 3"]
 
     @classmethod
     def of(cls, pieces: dict[Region, Piece], centre: Float[np.ndarray, "3"]) -> "Tree":
         """Tree of pieces, moved to a centre."""
-        mesh = joined([pieces[region] for region in sorted(pieces)])
-        faces = np.ascontiguousarray(mesh.faces, np.int32)
-        vertices = np.ascontiguousarray(mesh.vertices - centre, np.float32)
+        ordered = [piece for _, piece in sorted(pieces.items())]
+        starts = np.cumsum([0] + [len(piece.vertices) for piece in ordered])
+        faces = np.concatenate([piece.faces + np.int32(start) for piece, start in zip(ordered, starts)])
+        vertices = np.concatenate([piece.vertices for piece in ordered]) - centre.astype(np.float32)
         scene = rtcore_scene.EmbreeScene(robust=True)
         mesh_construction.TriangleMesh(scene, vertices, faces)
         corner = vertices[faces]
         own = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         own /= np.maximum(np.linalg.norm(own, axis=1, keepdims=True), np.float32(1e-20))
-        normals = np.concatenate([piece.normals for _, piece in sorted(pieces.items())])
+        normals = np.concatenate([piece.normals for piece in ordered])
         # The first rays would build the tree; now it is done when it is handed on.
         scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), output=True)
-        return cls(pieces, mesh, scene, np.concatenate([normals[faces], own[:, None]], axis=1))
+        return cls(pieces, scene, np.concatenate([normals[faces], own[:, None]], axis=1))
 
     @property
     def count(self) -> int:

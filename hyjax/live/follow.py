@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable
 from hyjax.data.capture import Frame
 from hyjax.live.scene import LiveScene
 
-MOST_WAITING = 3
-"""Frames that may wait to be taken into the volume."""
+MOST_WAITING = 2
+"""Frames that may wait to be taken into the volume: of thirty a second ten are enough for the surface."""
 _log = logging.getLogger(__name__)
 
 

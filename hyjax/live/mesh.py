@@ -5,7 +5,7 @@ triangles of the whole. Normals are the gradient of the distance, which no seam 
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import trimesh
@@ -46,6 +46,20 @@ class Piece:
     sums: Float[np.ndarray, "b 2"]
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Cut:
+    """Zero crossing in a region, in voxels from its corner.
+
+    Attributes:
+        vertices, faces: of its mesh.
+        distance: with a voxel before the region and two after it.
+    """
+
+    vertices: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"]
+    distance: Float[np.ndarray, "x y z"]
+
+
 class LiveMesh:
     """Pieces of a volume's surface by region.
 
@@ -79,9 +93,13 @@ class LiveMesh:
             self.waiting[region] = max(self.waiting.get(region, 0.0), amount)
         regions = sorted(self.waiting, key=lambda region: (-self.waiting[region], region))[:most]
         centres: list[Float[np.ndarray, "_ 3"]] = [np.zeros((0, 3))]
+        cuts = {region: cut for region in regions if (cut := self._cut(region)) is not None}
+        if self._clean:
+            cuts = without_specks(cuts, SIDE)
         for region in regions:
             del self.waiting[region]
-            before, piece = self.pieces.pop(region, None), self._make(region)
+            before = self.pieces.pop(region, None)
+            piece = self._piece(region, cuts[region]) if region in cuts else None
             if piece is not None:
                 self.pieces[region] = piece
             changed = np.any(_sums(before) != _sums(piece), axis=1)
@@ -97,7 +115,7 @@ class LiveMesh:
         """All pieces as one mesh; vertices on the seams are there twice."""
         return joined([self.pieces[region] for region in sorted(self.pieces)])
 
-    def _make(self, region: Region) -> Piece | None:
+    def _cut(self, region: Region) -> "Cut | None":
         low = np.array(region) * REGION
         box = self._volume.distances(low - 1, np.full(3, REGION + 2))
         # One voxel before the region and two after it: what gradients at its vertices need.
@@ -111,14 +129,13 @@ class LiveMesh:
             vertices, faces = zero_crossing(np.where(seen, inner, np.float32(1.0)), seen.copy())
         except InputError:
             return None
-        if self._clean:
-            vertices, faces = without_specks(vertices, faces, SIDE)
-            if not len(faces):
-                return None
-        normals = gradient_normals(box, vertices + 1.0)
-        sums = block_sums(vertices, faces)
-        world = ((vertices + low * float(BLOCK)) * self._volume.voxel).astype(np.float32)
-        return Piece(world, np.ascontiguousarray(faces, np.int32), normals, sums)
+        return Cut(vertices, faces, box)
+
+    def _piece(self, region: Region, cut: "Cut") -> Piece:
+        normals = gradient_normals(cut.distance, cut.vertices + 1.0)
+        first = np.array(region) * float(SIDE)
+        world = ((cut.vertices + first) * self._volume.voxel).astype(np.float32)
+        return Piece(world, np.ascontiguousarray(cut.faces, np.int32), normals, block_sums(cut.vertices, cut.faces))
 
 
 def amounts_of(blocks: Int[np.ndarray, "n 3"], amounts: Float[np.ndarray, "n"]) -> dict[Region, float]:
@@ -176,10 +193,30 @@ def _gradient(
     return np.stack(parts, axis=-1)
 
 
-def without_specks(
+def without_specks(cuts: Mapping[Region, Cut], side: int) -> dict[Region, Cut]:
+    """Cuts without their connected parts that are small and end within their region, and without empty ones."""
+    if not cuts:
+        return {}
+    # All at once: one graph of many pieces is looked through much sooner than many graphs.
+    starts = np.cumsum([0] + [len(cut.vertices) for cut in cuts.values()])
+    vertices = np.concatenate([cut.vertices for cut in cuts.values()])
+    faces = np.concatenate([cut.faces + start for cut, start in zip(cuts.values(), starts)])
+    kept = _without_specks(vertices, faces, side)
+    found = {}
+    for (region, cut), start, end in zip(cuts.items(), starts[:-1], starts[1:], strict=True):
+        here = kept[start:end]
+        if here.all():
+            found[region] = cut
+        elif here.any():
+            renumbered = np.cumsum(here) - 1
+            left = renumbered[cut.faces[here[cut.faces[:, 0]]]]
+            found[region] = dataclasses.replace(cut, vertices=cut.vertices[here], faces=left)
+    return found
+
+
+def _without_specks(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], side: int
-) -> tuple[Float[np.ndarray, "k 3"], Int[np.ndarray, "l 3"]]:
-    """Surface, in voxels, without its connected parts that are small and end within the region."""
+) -> Bool[np.ndarray, "n"]:
     count = len(vertices)
     start, end = faces.ravel(), np.roll(faces, 1, axis=1).ravel()
     graph = sparse.coo_array((np.ones(len(start), bool), (start, end)), shape=(count, count))
@@ -188,11 +225,7 @@ def without_specks(
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.bincount(part[faces[:, 0]], 0.5 * np.linalg.norm(cross, axis=1), minlength=number)
     outside = np.bincount(part, on_border(vertices, side), minlength=number) > 0
-    kept = (outside | (area >= SPECK))[part]
-    if kept.all():
-        return vertices, faces
-    renumbered = np.cumsum(kept) - 1
-    return vertices[kept], renumbered[faces[kept[faces[:, 0]]]]
+    return np.asarray((outside | (area >= SPECK))[part])
 
 
 def on_border(vertices: Float[np.ndarray, "n 3"], side: int) -> Bool[np.ndarray, "n"]:

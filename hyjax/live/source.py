@@ -26,7 +26,7 @@ from hyjax.util.vectors import unit
 
 POLL = 0.1
 """Seconds between two looks at a folder."""
-MOST_NEW = 30
+MOST_NEW = 10
 """Frames that are taken from one look; of more, so many are taken that are spread over them."""
 MOST_AT_START = 150
 """The same for what lies there at the start."""

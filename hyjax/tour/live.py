@@ -5,13 +5,14 @@ photo's own light stays in the pictures, as its estimate takes longer than a sur
 """
 
 import dataclasses
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Generator, Hashable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Float
+from msgspec.structs import replace
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit
@@ -24,8 +25,10 @@ from hyjax.live.shadow import LiveShadowMaps, LiveSurface
 from hyjax.scene.occluders import SLACK
 from hyjax.tour.editable_scene import AS_SCANNED, EditableScene, SceneParts
 from hyjax.tour.layers import DRAFT, LayerCache, Quality, mebibytes, without_radius
-from hyjax.tour.plan import TourPlan
+from hyjax.tour.placement import place_lamp
+from hyjax.tour.plan import LampKind, TourPlan
 from hyjax.tour.renderer import FRAMES_MIB, Renderer
+from hyjax.tour.viewpoint import Viewpoint
 from hyjax.util.lru_cache import LruCache
 
 MOST_KEPT = 240
@@ -150,6 +153,13 @@ class LiveRenderer(Renderer):
         self._layers.surface, self.scene = surface, scene
         a, b, c = caster.mesh.extents
         self.surface_area = 2.0 * float(a * b + b * c + c * a)
+
+    def warm_up(self, plan: TourPlan, viewpoint: Viewpoint) -> Generator[None]:
+        """Compile the lamps, with coarse shadows: fine ones would be out of date at once."""
+        origin = self.camera(viewpoint.frame).origin
+        for kind in get_args(LampKind):
+            self.render(replace(plan, lamps=(place_lamp(kind, origin, self.up),)), viewpoint, draft=True)
+            yield
 
     def forget_frames(self) -> None:
         """Forget all that is known of frames by their numbers, which are other ones now."""

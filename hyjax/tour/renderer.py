@@ -46,6 +46,8 @@ from hyjax.util.lru_cache import LruCache
 
 FRAMES_MIB = 128
 ALBEDO = 0.6  # of the mesh in the free view, whose true colours are unknown
+VERTICES = 1 << 14
+"""Of which a live mesh's number is made a multiple."""
 AFTERNOON, BEARING = 16.0, 240.0
 
 
@@ -191,7 +193,13 @@ class Renderer:
         """The surface as the plan arranges it, its vertices coloured by the light that falls on them."""
         mesh, parts = self.scene.apply_to_mesh(plan), self.scene.apply(plan)
         setup = setup_of(plan, self.up, self.surface_area)
-        vertices, normals = (jnp.asarray(x, jnp.float32)[None] for x in (mesh.vertices, mesh.vertex_normals))
+        count = len(mesh.vertices)
+        # A mesh that changes has another number of vertices each time, which would compile all again.
+        more = -count % VERTICES if self.live else 0
+        vertices, normals = (
+            jnp.asarray(np.pad(x, ((0, more), (0, 0)), mode="edge"), jnp.float32)[None]
+            for x in (mesh.vertices, mesh.vertex_normals)
+        )
         ones = jnp.ones(vertices.shape[:2])
         gbuffer = GBuffer(vertices, normals, ones, ones > 0)
         channels = []
@@ -200,7 +208,7 @@ class Renderer:
         for light, quality in zip(lights, qualities, strict=True):
             illuminance, visible = self._layers.shade(light, gbuffer, parts, quality)
             channels.append(getattr(light, light.STRENGTH) * illuminance * visible)
-        lux = colored(jnp.stack(channels, axis=-1), lights)
+        lux = colored(jnp.stack(channels, axis=-1), lights)[:, :count]
         if self.room_light is not None:
             own = dataclasses.replace(setup, lights=lights)
             lux += bounced_at_vertices(self.room_light.surface_light(own, qualities, parts), parts)

@@ -23,6 +23,7 @@ from experiments import (
     guide_worth,
     kappa_sweep,
     kinect_registration,
+    live,
     reference_quality,
     shadow_overlap,
     stage_times,
@@ -330,6 +331,18 @@ def test_truth(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     ]
     with pytest.raises(InputError, match="frames: must be between 1 and photos"):
         truth.main(dataclasses.replace(config, frames=4))
+
+
+@pytest.mark.slow
+def test_live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "SIZES", ((64, 48),))
+    removal = live.removal
+    monkeypatch.setattr(live, "removal", lambda mesh, voxel: removal(mesh, voxel, seconds=0.4))
+    rows = rows_of(live.main, live.Config(seconds=1.0, voxel=0.08, out=tmp_path))
+    (walk,) = of_kind(rows, "walk")
+    assert walk["updates"] > 0 and walk["pictures"] > 0 and walk["faces"] > 1000
+    assert walk["taken"] + walk["dropped"] == live.FPS
+    assert {row["since"] < 0 for row in of_kind(rows, "removal")} == {True, False}
 
 
 @pytest.mark.slow
