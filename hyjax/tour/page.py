@@ -8,15 +8,14 @@ import contextlib
 import time
 from collections.abc import Hashable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import viser
 
 from hyjax.core.schedule import Schedule
 from hyjax.guide.choose import FrameGuide, open_guide
-from hyjax.live.scene import LiveScene
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import parse_size
-from hyjax.tour.arriving import Arriving
 from hyjax.tour.controls import Controls
 from hyjax.tour.gizmos import Gizmos
 from hyjax.tour.layers import RenderCancelled
@@ -29,6 +28,9 @@ from hyjax.tour.viewer import Viewer
 from hyjax.tour.viewpoint import Viewpoint
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable
+
+if TYPE_CHECKING:
+    from hyjax.tour.arriving import Arriving
 
 WIDEST = 640
 """Pixels of the pictures, unless another size is given."""
@@ -108,6 +110,9 @@ class Tour:
     @classmethod
     def _open_live(cls, settings: TourSettings, schedules: Mapping[str, Schedule], guide: FrameGuide) -> "Tour":
         """Wait for the first frames, and serve a tour that follows them."""
+        from hyjax.live.scene import LiveScene
+        from hyjax.tour.arriving import Arriving
+
         scene = LiveScene()
         arriving = Arriving(scene, settings.live or "", size=parse_size(settings.scene.size), widest=WIDEST)
         renderer = arriving.first_renderer(guide, settings.out)

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 from jaxtyping import Float
 
 from hyjax.util.errors import InputError
@@ -74,6 +73,8 @@ def _encode(picture: Float[np.ndarray, "h w 3"], kind: str, width: int) -> bytes
         if kind == "png":
             write_png(path, pixels)
         else:
+            import OpenImageIO as oiio  # here: see `hyjax.util.images`
+
             buffer = oiio.ImageBuf(np.ascontiguousarray(pixels))
             buffer.specmod().attribute("Compression", f"jpeg:{QUALITY}")
             buffer.specmod().attribute("jpeg:subsampling", "4:4:4")

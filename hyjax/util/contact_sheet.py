@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 from jaxtyping import Float
 
 from hyjax.util.images import resize, write_png
@@ -51,6 +50,8 @@ def write_contact_sheet(
 def _write_texts(
     sheet: Float[np.ndarray, "h w 3"], texts: list[tuple[int, int, str]]
 ) -> Float[np.ndarray, "h w 3"]:
+    import OpenImageIO as oiio  # here: see `hyjax.util.images`
+
     buffer = oiio.ImageBuf(np.ascontiguousarray(sheet))
     for x, y, text in texts:
         # An OpenImageIO built without fonts leaves the sheet unlabelled, which is no reason to lose the sheet.

@@ -1,10 +1,12 @@
-"""Pictures in and out through OpenImageIO. Every write goes to a temporary name first and is then renamed."""
+"""Pictures in and out through OpenImageIO. Every write goes to a temporary name first and is then renamed.
+
+OpenImageIO is imported where it is used: kept in a module that outlives it at exit, it complains on stderr.
+"""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenImageIO as oiio
 from jaxtyping import Float, UInt8
 
 from hyjax.util.errors import InputError
@@ -66,7 +68,9 @@ def read_depth(path: Path, unit: float = 0.001, where: str | None = None) -> Flo
     return np.where(raw[..., 0] == 65535, 0.0, depth).astype(np.float32)
 
 
-def _open(path: Path, where: str) -> oiio.ImageInput:
+def _open(path: Path, where: str) -> Any:
+    import OpenImageIO as oiio
+
     if not path.is_file():
         raise InputError(f"{where}: no such file")
     # libpng complains on stderr by itself, beside our one line. A PNG that was cut off has lost its last chunk.
@@ -140,6 +144,8 @@ def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str]
     if pixels.ndim == 2:
         pixels = pixels[..., None]
     height, width, channels = pixels.shape
+    import OpenImageIO as oiio
+
     spec = oiio.ImageSpec(width, height, channels, kind)
     for name, value in attributes.items():
         spec.attribute(name, value)
@@ -171,6 +177,8 @@ def resize(pixels: Float[np.ndarray, "h w c"], height: int, width: int) -> Float
     """Resample with edges aligned to edges, as `Intrinsics.resize` assumes (OpenImageIO's default filter)."""
     if pixels.shape[:2] == (height, width):
         return pixels
+    import OpenImageIO as oiio
+
     source = oiio.ImageBuf(np.ascontiguousarray(pixels, dtype=np.float32))
     target = oiio.ImageBufAlgo.resize(source, roi=oiio.ROI(0, width, 0, height, 0, 1, 0, pixels.shape[2]))
     return np.asarray(target.get_pixels(oiio.FLOAT)).reshape(height, width, -1)

@@ -167,7 +167,7 @@ def test_distortion_is_undone(folder: Path, model: str) -> None:
         ({"frames": {}}, "frames"),
         ({"frames": [1]}, "frames"),
         ({"frames": [{"file_path": 3}]}, "file_path"),
-        ({"frames": []}, "picture"),
+        ({"frames": []}, "no frame"),
         ({"frames": [{"file_path": "images/frame_0.jpg"}]}, "transform_matrix"),
         ({"frames": [{"file_path": "images/frame_0.jpg", "transform_matrix": [[1, "2"]]}]}, "transform_matrix"),
         ({"up": [0, 0, 0]}, "up"),
