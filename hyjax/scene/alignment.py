@@ -47,7 +47,7 @@ def aligned(capture: Capture, settings: FusionSettings, progress: bool = True) -
         progress: show bars on stderr.
     """
     wanted = settings.align == "yes" or (settings.align == "auto" and capture.sensor == PHONE_LIDAR)
-    if not wanted or capture.depth_count < FEWEST:
+    if not wanted or isinstance(capture, AlignedCapture) or capture.depth_count < FEWEST:
         return capture
     most = min(settings.fuse_frames or MAX_FUSED_FRAMES, MAX_FUSED_FRAMES)
     try:

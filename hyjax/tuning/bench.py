@@ -11,6 +11,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture
 from hyjax.guide.choose import RGB, FrameGuide
 from hyjax.light.setup import LightSetup
+from hyjax.scene.alignment import aligned
 from hyjax.scene.scene import Scene, view_of
 from hyjax.scene.surfaces import rough_mesh
 from hyjax.tuning.cases import Case, raw_filter, refined_filter
@@ -114,6 +115,8 @@ def open_bench(
     if target is None:
         with_depth = "fused" if capture.reference() is None else "true"
         target = CONVERGED if not capture.depth_count else with_depth
+    if target == "fused":  # whose poses both scenes must have
+        capture = aligned(capture, scene_settings.fusion, progress)
     rough = dataclasses.replace(scene_settings, mesh=scene_settings.mesh or rough_mesh(capture))
     scene, accurate = Scene.open(rough, capture=capture, progress=progress), None
     if target != CONVERGED:
