@@ -5,7 +5,6 @@ import json
 import os
 import re
 import tempfile
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -141,18 +140,36 @@ def short_names(files: Sequence[str]) -> list[str]:
     return [file.strip("/").replace("/", "_") for file in files]
 
 
-def counted(reasons: Iterable[tuple[str, str]]) -> list[str]:
-    """Lines such as `3 pictures are damaged (first: 000012.jpg)`, one a reason.
+class Tally:
+    """Things that were noticed in a capture, counted by what they are.
 
-    Args:
-        reasons: (what is said after the number, which one), such as `("pictures are damaged", "000012.jpg")`.
+    Example:
+        >>> tally = Tally()
+        >>> for name in ("3.jpg", "7.jpg"):
+        ...     tally.add("pictures are damaged", name)
+        >>> tally.lines()
+        ['2 pictures are damaged (first: 3.jpg)']
     """
-    count: Counter[str] = Counter()
-    first: dict[str, str] = {}
+
+    def __init__(self) -> None:
+        self._found: dict[str, tuple[int, str]] = {}
+
+    def add(self, what: str, name: str) -> None:
+        """Count one, which is called `name`."""
+        count, first = self._found.get(what, (0, name))
+        self._found[what] = count + 1, first
+
+    def lines(self) -> list[str]:
+        """A line for each kind of thing, in the order in which they were first seen."""
+        return [f"{count} {what} (first: {first})" for what, (count, first) in self._found.items()]
+
+
+def counted(reasons: Iterable[tuple[str, str]]) -> list[str]:
+    """Lines of a `Tally` of (what is said after the number, which one)."""
+    tally = Tally()
     for reason, name in reasons:
-        count[reason] += 1
-        first.setdefault(reason, name)
-    return [f"{number} {reason} (first: {first[reason]})" for reason, number in count.items()]
+        tally.add(reason, name)
+    return tally.lines()
 
 
 class TimedFile(NamedTuple):

@@ -1,18 +1,17 @@
 """What readers of phone captures share: depth with confidence, poses from quaternions, counts of what is wrong."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from hyjax.data.capture_files import looks_whole, tree_depth, tree_labels
+from hyjax.data.capture_files import Tally, looks_whole, tree_depth, tree_labels, tree_shape
 from hyjax.data.file_tree import FileTree
 from hyjax.data.recording import DepthAndConfidence, Shot, rigid
 from hyjax.geometry.camera import Intrinsics
 from hyjax.util.errors import InputError
-from hyjax.util.images import picture_shape
 
 ARKIT_LEVELS = (0, 1, 2)
 """ARKit's confidence levels: low, medium, high."""
@@ -21,30 +20,6 @@ FARTHEST = 1e5
 PIXEL_CENTRE = 0.5
 """What our principal point has more than ARKit's, whose pixel centres are at whole numbers: ARKit's own projection
 matrices, which 3D Scanner App keeps beside the intrinsics, agree with these to 0.001 pixels if it is added."""
-
-
-class Tally:
-    """Things that were noticed in a capture, counted by what they are.
-
-    Example:
-        >>> tally = Tally()
-        >>> for name in ("3.jpg", "7.jpg"):
-        ...     tally.add("pictures are damaged", name)
-        >>> tally.lines()
-        ['2 pictures are damaged (first: 3.jpg)']
-    """
-
-    def __init__(self) -> None:
-        self._found: dict[str, tuple[int, str]] = {}
-
-    def add(self, what: str, name: str) -> None:
-        """Count one, which is called `name`."""
-        count, first = self._found.get(what, (0, name))
-        self._found[what] = count + 1, first
-
-    def lines(self) -> list[str]:
-        """A line for each kind of thing, in the order in which they were first seen."""
-        return [f"{count} {what} (first: {first})" for what, (count, first) in self._found.items()]
 
 
 def usable_pose(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
@@ -131,8 +106,7 @@ def shape_of_pictures(tree: FileTree, names: Sequence[str]) -> tuple[int, int]:
     """
     if not names:
         raise InputError(f"{tree.path}: has no pictures that can be read")
-    with tree.local(names[0]) as path:
-        return picture_shape(path, tree.where(names[0]))
+    return tree_shape(tree, names[0])
 
 
 def in_order_of_time(shots: Sequence[Shot], remarks: Tally) -> list[Shot]:
@@ -141,3 +115,29 @@ def in_order_of_time(shots: Sequence[Shot], remarks: Tally) -> list[Shot]:
         if after.time < before.time:
             remarks.add("times go back, frames are taken in order of time", after.name)
     return sorted(shots, key=lambda shot: shot.time)
+
+
+def usable_shots(reads: Iterable[Callable[[], Shot | None]], faults: Tally) -> list[Shot]:
+    """Shots of the frames that can be used; the others are counted in `faults`.
+
+    Args:
+        reads: each reads one frame; None for one that has been counted already.
+        faults: of the capture.
+
+    Raises:
+        InputError: not one can be used; the first one's.
+    """
+    shots: list[Shot] = []
+    first: InputError | None = None
+    for read in reads:
+        try:
+            shot = read()
+        except InputError as error:
+            first = first or error
+            faults.add("frames cannot be used and are left out", str(error))
+            continue
+        if shot is not None:
+            shots.append(shot)
+    if first is not None and not shots:
+        raise first
+    return shots

@@ -22,21 +22,20 @@ import functools
 import numpy as np
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import tree_colour
+from hyjax.data.capture_files import Tally, tree_colour
 from hyjax.data.file_tree import FileTree
 from hyjax.data.json_fields import json_count, json_number, json_object
 from hyjax.data.phone_captures import (
     PIXEL_CENTRE,
-    Tally,
     in_order_of_time,
     lens_of,
     lidar_depth,
     usable_pose,
+    usable_shots,
     whole_file,
 )
 from hyjax.data.recording import Y_UP, Recording, Shot, from_opengl
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
-from hyjax.util.errors import InputError
 
 RAW, CORRECTED = "keyframes/cameras", "keyframes/corrected_cameras"
 CONFIDENCE_LEVELS = (0, 54, 255)
@@ -67,19 +66,11 @@ def open_polycam(tree: FileTree) -> Recording:
     images = "keyframes/corrected_images" if corrected else "keyframes/images"
     has_corrected_depth = corrected and bool(tree.below("keyframes/corrected_depth", ".png"))
     depths = "keyframes/corrected_depth" if has_corrected_depth else "keyframes/depth"
-    shots: list[Shot] = []
-    first: InputError | None = None
-    for index, (camera, name) in enumerate(zip(cameras, names)):
-        try:
-            shot = _read_keyframe(tree, camera, name, index, images, depths, faults, remarks)
-        except InputError as error:
-            first = first or error
-            faults.add("frames cannot be used and are left out", str(error))
-            continue
-        if shot is not None:
-            shots.append(shot)
-    if first is not None and not shots:
-        raise first
+    reads = (
+        functools.partial(_read_keyframe, tree, camera, name, index, images, depths, faults, remarks)
+        for index, (camera, name) in enumerate(zip(cameras, names))
+    )
+    shots = usable_shots(reads, faults)
     return Recording(
         tree,
         in_order_of_time(shots, remarks),

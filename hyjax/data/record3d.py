@@ -27,12 +27,11 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import tree_colour
+from hyjax.data.capture_files import Tally, tree_colour
 from hyjax.data.file_tree import FileTree
 from hyjax.data.json_fields import json_count, json_list, json_number, json_numbers, json_object, number_list
 from hyjax.data.lzfse_blocks import unpacked_size
 from hyjax.data.phone_captures import (
-    Tally,
     confidence_from_levels,
     in_order_of_time,
     lens_of,

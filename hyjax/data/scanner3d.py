@@ -19,22 +19,21 @@ import re
 import numpy as np
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import tree_colour
+from hyjax.data.capture_files import Tally, tree_colour
 from hyjax.data.file_tree import FileTree
 from hyjax.data.json_fields import json_number, json_numbers, json_object
 from hyjax.data.phone_captures import (
     PIXEL_CENTRE,
-    Tally,
     in_order_of_time,
     lens_of,
     lidar_depth,
     shape_of_pictures,
     usable_pose,
+    usable_shots,
     whole_file,
 )
 from hyjax.data.recording import Y_UP, Recording, Shot, from_opengl
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
-from hyjax.util.errors import InputError
 
 MOMENT = re.compile(r"frame_(\d+)\.json")
 MESH = "export.obj"
@@ -62,20 +61,12 @@ def open_scanner3d(tree: FileTree) -> Recording:
         for number in moments
         if (picture := whole_file(tree, f"frame_{number}.jpg", "pictures", faults)) is not None
     }
-    shots: list[Shot] = []
     shape = shape_of_pictures(tree, list(pictures.values()))
-    first: InputError | None = None
-    for number, name in moments.items():
-        try:
-            shot = _read_moment(tree, name, number, pictures.get(number), shape, faults, remarks)
-        except InputError as error:
-            first = first or error
-            faults.add("frames cannot be used and are left out", str(error))
-            continue
-        if shot is not None:
-            shots.append(shot)
-    if first is not None and not shots:
-        raise first
+    reads = (
+        functools.partial(_read_moment, tree, name, number, pictures.get(number), shape, faults, remarks)
+        for number, name in moments.items()
+    )
+    shots = usable_shots(reads, faults)
     return Recording(
         tree,
         in_order_of_time(shots, remarks),

@@ -24,11 +24,10 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import parse_numbers
+from hyjax.data.capture_files import Tally, parse_numbers
 from hyjax.data.file_tree import FileTree
 from hyjax.data.phone_captures import (
     PIXEL_CENTRE,
-    Tally,
     in_order_of_time,
     lens_of,
     lidar_depth,

@@ -33,6 +33,8 @@ SAMPLED = 12
 """Depth maps that are looked at to choose, and to judge the result."""
 LITTLE = 0.8
 """Coverage below which a line says so."""
+ELSEWHERE = 0.05
+"""Share of what has depth that meets a mesh, below which the mesh lies elsewhere."""
 NOTHING = DepthReading(np.zeros((1, 1), np.float32), Camera(Intrinsics(1, 1, 1.0, 1.0, 0.5, 0.5), np.eye(4)))
 """A depth map without readings, in place of a damaged one."""
 _log = logging.getLogger(__name__)
@@ -162,7 +164,7 @@ def tell_coverage(capture: Capture, description: str, coverage: Coverage) -> Non
     """A line where a mesh has little of what was measured, or lies elsewhere."""
     if not coverage.measured:
         _log.warning("%s: its depth maps have no readings, so the %s cannot be judged", capture.name, description)
-    elif coverage.hit < 0.05:
+    elif coverage.hit < ELSEWHERE:
         _log.warning(
             "%s: the %s is met by %.0f %% of what has depth; are mesh and poses in the same axes and units?",
             capture.name,

@@ -14,7 +14,7 @@ from hyjax.data.capture import Capture
 from hyjax.data.frames import spread
 from hyjax.geometry.coverage import Coverage
 from hyjax.geometry.depth_map import NEAR, SLACK
-from hyjax.scene.fusion import LITTLE, Readings, coverage_of, plan_fusion
+from hyjax.scene.fusion import ELSEWHERE, LITTLE, Readings, coverage_of, plan_fusion
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.surfaces import ENOUGH
 from hyjax.util.errors import InputError
@@ -170,7 +170,7 @@ def _doubts(
         yield f"the mesh spans {max(mesh.extents):.3g} m; is it in metres?"
     if mesh is None or coverage is None:
         return
-    if coverage.hit < 0.05:
+    if coverage.hit < ELSEWHERE:
         yield f"the mesh is met by {100 * coverage.hit:.0f} % of what has depth; same axes and units?"
     elif coverage.distance > SLACK[0] + 2 * SLACK[1]:
         yield f"mesh and depth lie {coverage.distance:.3g} m apart (median); are both in the same axes and units?"
