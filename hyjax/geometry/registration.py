@@ -28,7 +28,7 @@ ITERATIONS = 6
 GATE = 0.1
 """Metres between a reading and the surface beyond which they do not belong together."""
 NOISE = 0.02
-"""Metres off the surface at which a reading has half its weight (Geman and McClure's, one power less)."""
+"""Metres off the surface at which a reading has half its weight (Cauchy's weight)."""
 DAMPING = 1e-5
 """Keeps directions along which nothing is known (a floor's own) from running away; per match, m²."""
 FARTHEST, MOST_TURNED = 0.15, 0.1
