@@ -9,6 +9,7 @@ import functools
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 import viser
 import viser.transforms
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from hyjax.geometry.camera import Camera
 from hyjax.tour.free_view import FreeView
@@ -36,6 +37,7 @@ INSTRUCTION_SECONDS = 8.0
 ORBIT_DISTANCE = 1.0  # metres ahead: dragging looks around, and does not fly through the floor
 LEAVE_DISTANCE, LEAVE_ANGLE = 0.02, 0.01  # metres and radians of camera motion that leave the picture
 SETTLE_SECONDS = 1.0  # that a browser may take to put its camera where it was told to
+RECENT_PICTURES = 32  # whose cameras a browser may still be on its way to
 KEY_SECONDS = 0.6  # after a key
 REDRAW_DELAY = 0.5  # seconds after the last change
 DRAWN_RAYS = 7  # rays a side through a rectangle that is drawn
@@ -66,7 +68,8 @@ class Viewer:
         self.notices = Notices(client, on_refusal)
         self.tool: str | None = None
         self.rendered: RenderedFrame | None = None
-        self._in_picture, self._moved_at = True, 0.0
+        self._in_picture, self._arrived, self._moved_at = False, False, 0.0
+        self._origins: deque[Float[np.ndarray, 3]] = deque(maxlen=RECENT_PICTURES)
         self._aspect = safe_aspect(client.camera)
         client.scene.configure_default_lights(enabled=False)
         self._timer: threading.Timer | None = None
@@ -225,7 +228,10 @@ class Viewer:
         camera = self.session.renderer.camera(self.frame)
         _, _, angle = background_size(camera, self._aspect)
         self._moved_at = time.monotonic()
-        self._in_picture = True
+        if not self._in_picture:
+            self._in_picture, self._arrived = True, False
+            self._origins.clear()
+        self._origins.append(camera.origin)
         with self.client.atomic():
             self.client.camera.wxyz = quaternion(camera.pose)
             self.client.camera.position = camera.origin
@@ -244,11 +250,14 @@ class Viewer:
         pose = self.session.renderer.camera(self.frame).pose
         forward = viser.transforms.SO3(camera.wxyz).as_matrix()[:, 2]
         near = np.linalg.norm(camera.position - pose[:3, 3]) < LEAVE_DISTANCE
+        # While pictures follow each other fast it never settles, but only a visitor takes it elsewhere.
+        elsewhere = np.linalg.norm(camera.position - np.array(self._origins), axis=1).min() > LEAVE_DISTANCE
+        self._arrived |= not elsewhere
         if near and forward @ pose[:3, 2] > np.cos(LEAVE_ANGLE):
             self._moved_at = 0.0
         elif time.monotonic() - self._used_at < KEY_SECONDS:
             self._enter()
-        elif time.monotonic() - self._moved_at > SETTLE_SECONDS:
+        elif (elsewhere and self._arrived) or time.monotonic() - self._moved_at > SETTLE_SECONDS:
             self._leave_picture()
 
     def _leave_picture(self) -> None:
