@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.cascade import cascade
+from hyjax.core.pyramid import level_shape
 from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.core.schedule import Schedule
 from hyjax.light.color import to_display, to_linear
@@ -133,22 +134,25 @@ def relight_stages(
     if mode == "paper" and (shaded.surface_fields or shaded.emission is not None):
         raise InputError("relight: mode 'paper' keeps the photo's own light; shade with keep_photo_light=True")
     size, hit, lit = view.frame.shape[:2], view.gbuffer.hit.shape, shaded.illuminance.shape
-    if not size == hit == lit[:2] == guide.shape[:2]:
+    samples = level_shape((size[0], size[1]), shaded.sampling)
+    if not size == hit == guide.shape[:2] or lit[:2] != samples:
         raise InputError(
             f"relight: frame {size}, G-buffer {hit}, shading {lit[:2]} and guide {guide.shape[:2]} must be of one "
-            "size"
+            "size" + (f", the shading {shaded.sampling} times smaller" if shaded.sampling > 1 else "")
         )
+    if mode == "paper" and shaded.sampling > 1:
+        raise InputError("relight: mode 'paper' takes the light of every pixel; shade with sampling=1")
     if (
         shaded.visibility.shape != lit
         or shaded.colors.shape != (lit[2], 3)
-        or shaded.confidence.shape != (*size, 1)
+        or shaded.confidence.shape != (*samples, 1)
     ):
         raise InputError(
             f"relight: visibility {shaded.visibility.shape}, colours {shaded.colors.shape} and confidence "
             f"{shaded.confidence.shape} do not fit the illuminance {lit}"
         )
     if shadow_schedule is None:
-        shadow_schedule = Schedule.preset("shadow" if mode == "paper" else "hyjax-scan-shadow")
+        shadow_schedule = default_shadow_schedule(mode)
     for used in (schedule, shadow_schedule):
         used.check(dtype=shaded.illuminance.dtype)
     known = view.gbuffer.hit if mode == "paper" else shaded.confidence > 0
@@ -173,6 +177,11 @@ def relight_stages(
     yield "composite", composite_linear(view.frame, shaded, illuminance, visibility)
 
 
+def default_shadow_schedule(mode: Mode) -> Schedule:
+    """Cascade for the visibility of a scan where none is given."""
+    return Schedule.preset("shadow" if mode == "paper" else "hyjax-scan-shadow")
+
+
 def refine_illuminance(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w c"]:
     """Illuminance of each light after the cascade: holes filled, borders moved to the guide's.
 
@@ -182,13 +191,14 @@ def refine_illuminance(shaded: Shaded, guide: Float[Array, "h w f"], schedule: S
     channels = shaded.illuminance
     if shaded.surface_fields:
         channels = jnp.concatenate([channels, *shaded.surface_fields], axis=-1)
-    return cascade_known(channels, shaded.confidence, guide, schedule)
+    return cascade_known(channels, shaded.confidence, guide, schedule, sampling=shaded.sampling)
 
 
 def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w l"]:
     """Visibility of each light after the shadow pass, filled where the mesh or the light leaves it unknown."""
     known = (shaded.illuminance > 0) & (shaded.confidence > 0)
-    return shadow_pass(fill_visibility(shaded.visibility, known, guide), guide, schedule)
+    filled = fill_visibility(shaded.visibility, known, guide, sampling=shaded.sampling)
+    return shadow_pass(filled, guide, schedule, sampling=shaded.sampling)
 
 
 @jax.jit
@@ -217,7 +227,10 @@ def composite_linear(
             (direct * visibility, fields),
         )
     )
-    raw, raw_shadowed = (_divide(each, shaded, shaded.surface_fields) for each in (raw, raw_shadowed))
+    raw, raw_shadowed = (
+        _repeated(_divide(each, shaded, shaded.surface_fields), shaded.sampling, frame.shape)
+        for each in (raw, raw_shadowed)
+    )
     unshadowed, relight_filter = (_divide(each, shaded, fields) for each in (unshadowed, light))
     anything = jnp.any(shaded.confidence > 0)
     unshadowed, relight_filter = (jnp.where(anything, f, shaded.ambient) for f in (unshadowed, relight_filter))
@@ -228,6 +241,12 @@ def composite_linear(
         shining = source.sent + source.reflectance * light
         unrefined, image = (each + source.weight * (shining - each) for each in (unrefined, image))
     return Relit(raw, unshadowed, visible, relight_filter, unrefined, image)
+
+
+def _repeated(samples: Float[Array, "sh sw 3"], sampling: int, shape: tuple[int, ...]) -> Float[Array, "h w 3"]:
+    """Each sample for its whole block of pixels."""
+    whole = jnp.repeat(jnp.repeat(samples, sampling, axis=0), sampling, axis=1) if sampling > 1 else samples
+    return whole[: shape[0], : shape[1]]
 
 
 def _fields(channels: Float[Array, "h w c"]) -> list[Float[Array, "h w 3"]]:

@@ -1,5 +1,8 @@
 """Coarse-to-fine diffusion (Eq. 4)."""
 
+import functools
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -11,8 +14,13 @@ from hyjax.core.stencil import CoarseEdges
 from hyjax.core.upsampling import guided_upsample
 from hyjax.util.errors import InputError
 
+LEAST_SAMPLES = 2
+"""Samples along each side of a cell that a picture may enter by."""
 
-def cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w c"]:
+
+def cascade(
+    y: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule, *, sampling: int = 1
+) -> Float[Array, "h w c"]:
     """Diffuse coarse to fine under a guide (Eq. 4).
 
     The picture enters at the coarsest level as cell means and leaves the finest level by interpolation; each level
@@ -29,27 +37,58 @@ def cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Sc
         y: the filter to repair, any number of channels.
         guide: features of the frame, same height and width.
         schedule: levels with their steps, λ and κ.
+        sampling: `y` has a value for each block of so many by so many pixels of the guide. See `largest_sampling`.
 
     Returns:
         The repaired filter, full size (S of Eq. 4).
 
     Raises:
-        InputError: sizes of `y` and `guide` differ, or the schedule cannot be run (see `Schedule.check`).
+        InputError: sizes of `y` and `guide` differ, the schedule cannot be run (see `Schedule.check`), or it takes
+            the filter at a level that is finer than the sampling.
     """
     schedule.check(dtype=y.dtype)
-    if y.ndim != 3 or guide.ndim != 3 or y.shape[:2] != guide.shape[:2]:
+    if y.ndim != 3 or guide.ndim != 3 or y.shape[:2] != level_shape((guide.shape[0], guide.shape[1]), sampling):
+        same = "same H x W" if sampling == 1 else f"the filter {sampling} times smaller"
+        raise InputError(f"cascade: filter {y.shape} and guide {guide.shape} must both be H x W x channels, {same}")
+    if bad := [factor for factor in entries(schedule) if factor % sampling]:
         raise InputError(
-            f"cascade: filter {y.shape} and guide {guide.shape} must both be H x W x channels, same H x W"
+            f"cascade: schedule {schedule.name} takes the filter at factor {bad[-1]}, which is no multiple of the "
+            f"sampling {sampling}"
         )
     if not (jnp.issubdtype(y.dtype, jnp.floating) and jnp.issubdtype(guide.dtype, jnp.floating)):
         raise InputError(f"cascade: filter and guide must be floating point, got {y.dtype} and {guide.dtype}")
-    return _cascade(y, guide, schedule)
+    return _cascade(y, guide, schedule, sampling=sampling)
 
 
-@jax.jit
-def _cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w c"]:
-    full, factors = (y.shape[0], y.shape[1]), [level.factor for level in schedule.levels]
-    means, guides = cell_pyramid(y, factors), cell_pyramid(guide, [*factors, 1])
+def entries(schedule: Schedule) -> Sequence[int]:
+    """Factors of the levels that the picture enters a cascade at: the coarsest, and all that hold on to it.
+
+    >>> entries(Schedule.preset("hyjax")), entries(Schedule.preset("paper-50"))
+    ([16, 8, 4], [16])
+    """
+    return [level.factor for k, level in enumerate(schedule.levels) if k == 0 or level.fidelity is not None]
+
+
+def largest_sampling(schedules: Sequence[Schedule], most: int) -> int:
+    """The largest sampling up to `most` that leaves four samples at least to each cell that a picture enters by.
+
+    >>> largest_sampling([Schedule.preset("hyjax"), Schedule.preset("hyjax-scan-shadow")], 2)
+    2
+    >>> largest_sampling([Schedule.preset("hyjax"), Schedule.preset("hyjax-shadow")], 2)
+    1
+    """
+    factors = [factor for schedule in schedules for factor in entries(schedule)]
+    return max(k for k in range(1, max(most, 1) + 1) if k == 1 or not any(f % (LEAST_SAMPLES * k) for f in factors))
+
+
+@functools.partial(jax.jit, static_argnames="sampling")
+def _cascade(
+    y: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule, *, sampling: int
+) -> Float[Array, "h w c"]:
+    full, factors = (guide.shape[0], guide.shape[1]), [level.factor for level in schedule.levels]
+    sampled = cell_pyramid(y, [factor // sampling for factor in entries(schedule)])
+    means = {sampling * factor: cells for factor, cells in sampled.items()}
+    guides = cell_pyramid(guide, [*factors, 1])
     coarser, kappa = factors[0], schedule.levels[0].kappa
     state = means[coarser]
 
@@ -64,7 +103,7 @@ def _cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: S
 
     for level, edges in zip(schedule.levels, level_edges(guide, schedule), strict=True):
         state = upsample_to(state, level.factor)
-        source = means[level.factor]
+        source = means.get(level.factor)
         state = diffuse(state, edges, level.step_sizes, fidelity=level.fidelity, source=source)
         coarser, kappa = level.factor, level.kappa
     return upsample_to(state, 1)

@@ -1,5 +1,8 @@
 """The cascade where something is unknown or doubtful, and the shadow pass."""
 
+import dataclasses
+import functools
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -13,12 +16,14 @@ from hyjax.util.geometry import TINY
 HOLE_FLOOR = 1e-3
 
 
-@jax.jit
+@functools.partial(jax.jit, static_argnames="sampling")
 def cascade_known(
-    y: Float[Array, "h w c"],
-    confidence: Float[Array, "h w k"] | Bool[Array, "h w k"],
+    y: Float[Array, "sh sw c"],
+    confidence: Float[Array, "sh sw k"] | Bool[Array, "sh sw k"],
     guide: Float[Array, "h w f"],
     schedule: Schedule,
+    *,
+    sampling: int = 1,
 ) -> Float[Array, "h w c"]:
     """`cascade` that weights values by their confidence.
 
@@ -38,6 +43,7 @@ def cascade_known(
         guide: see `cascade`.
         schedule: see `cascade`. Its fidelity holds (w y, w) alike: confident pixels keep their value, unknown
             ones have none to keep.
+        sampling: see `cascade`.
 
     Source: Knutsson and Westin, *Normalized and differential convolution*, CVPR 1993.
     """
@@ -48,12 +54,12 @@ def cascade_known(
     weight = jnp.where(usable & jnp.isfinite(weight) & (weight > 0), jnp.minimum(weight, 1.0), 0.0)
     weighted = jnp.concatenate([jnp.where(weight > 0, y, 0.0) * weight, weight], axis=-1)
     # Summed over the coarsest cells, which the cascade needs anyhow: XLA's CPU backend is slow to sum over pixels.
-    factor = schedule.levels[0].factor
+    factor = schedule.levels[0].factor // sampling
     pixels = jnp.asarray(cell_pixels((y.shape[0], y.shape[1]), factor), jnp.float32)
     # In single precision at least: a sum over a picture overflows half precision.
     total = jnp.sum((downsample(weighted, factor) * pixels).astype(jnp.promote_types(y.dtype, jnp.float32)), (0, 1))
     mean = (total[:channels] / jnp.maximum(total[channels:], TINY)).astype(y.dtype)
-    diffused = cascade(weighted, guide, schedule)
+    diffused = cascade(weighted, guide, schedule, sampling=sampling)
     reached = diffused[..., channels:]
     floor = jnp.maximum(HOLE_FLOOR * (1.0 - reached), 0.0)  # nothing where everything is known
     divisor = reached + floor
@@ -68,9 +74,9 @@ def _all_channels(x: Bool[Array, "h w c"]) -> Bool[Array, "h w 1"]:
     return together
 
 
-@jax.jit
+@functools.partial(jax.jit, static_argnames="sampling")
 def shadow_pass(
-    raw: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule
+    raw: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule, *, sampling: int = 1
 ) -> Float[Array, "h w c"]:
     """Refine visibility by few steps at high resolution, which softens shadows and keeps their shape.
 
@@ -85,14 +91,15 @@ def shadow_pass(
         raw: visibility, in [0, 1].
         guide: as for `cascade`.
         schedule: few steps at factor 1 or 2, such as `Schedule.preset("shadow")`.
+        sampling: see `cascade`.
     """
-    return cascade(raw, guide, schedule)
+    return cascade(raw, guide, schedule, sampling=sampling)
 
 
-@jax.jit
+@functools.partial(jax.jit, static_argnames="sampling")
 def fill_visibility(
-    raw: Float[Array, "h w l"], known: Bool[Array, "h w l"], guide: Float[Array, "h w f"]
-) -> Float[Array, "h w l"]:
+    raw: Float[Array, "sh sw l"], known: Bool[Array, "sh sw l"], guide: Float[Array, "h w f"], *, sampling: int = 1
+) -> Float[Array, "sh sw l"]:
     """Visibility where the mesh does not tell it, from the surroundings, by the preset `hyjax`.
 
     Nothing is known in holes, nor of a light on surfaces turned away from it. What lies there in truth may well be
@@ -107,6 +114,10 @@ def fill_visibility(
         raw: visibility, a channel for each light.
         known: where it means anything.
         guide: as for `cascade`.
+        sampling: see `cascade`; the result has the samples of `raw`.
     """
-    known = known & jnp.isfinite(raw)
-    return jnp.where(known, raw, cascade_known(raw, known, guide, Schedule.preset("hyjax")))
+    known, schedule = known & jnp.isfinite(raw), Schedule.preset("hyjax")
+    if sampling > 1:  # the same levels, over the means of the guide
+        levels = tuple(dataclasses.replace(level, factor=level.factor // sampling) for level in schedule.levels)
+        schedule, guide = dataclasses.replace(schedule, levels=levels), downsample(guide, sampling)
+    return jnp.where(known, raw, cascade_known(raw, known, guide, schedule))

@@ -10,11 +10,12 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.util.geometry import cross, dot, unit
+from hyjax.util.tracing import concrete
 
 PANE_REFLECTANCE, LAMP_REFLECTANCE = 0.04, 0.6
 PANE_SHARE = 0.4
@@ -28,6 +29,8 @@ DARK, BRIGHT = 0.1, 0.3
 """Linear values of the photo between which a pixel of a source becomes one that shines."""
 BURNT, WHITE = 0.75, 0.95
 """Likewise of a lamp."""
+EDGE = 0.05
+"""Metres that the soft border of a source may reach beyond it."""
 
 
 @jax.tree_util.register_dataclass
@@ -119,6 +122,38 @@ def radiant_filter(
         elif emitter.kind == "sky":
             sent[: len(panes)] += emitter.strength * color
     return sent / reference_lux
+
+
+def may_show(
+    emitters: Emitters,
+    size: tuple[int, int],
+    pose: Float[ArrayLike, "4 4"],
+    intrinsics: Float[ArrayLike, "3 3"],
+) -> bool:
+    """Whether a camera can have a pane or a lamp in its picture at all; true where that is known only when traced.
+
+    Args:
+        emitters: of the place.
+        size: height and width of the picture.
+        pose, intrinsics: see `source_pixels`.
+    """
+    known = [concrete(x) for x in (emitters.panes, emitters.lamps, pose, intrinsics)]
+    if any(x is None for x in known):
+        return True
+    panes, lamps, pose, k = (np.asarray(x, np.float64) for x in known)
+    h, w = size
+    # Inward normals of the four sides of what the camera sees, in its own axes.
+    sides = np.array(
+        [[k[0, 0], 0, k[0, 2]], [-k[0, 0], 0, w - k[0, 2]], [0, k[1, 1], k[1, 2]], [0, -k[1, 1], h - k[1, 2]]]
+    )
+    sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+    signs = np.array([(1, a, b) for a in (-1, 1) for b in (-1, 1)])
+    corners = np.einsum("sk,nkd->nsd", signs, panes)
+    for points, radius in [(pane, EDGE) for pane in corners] + [(p[None, :3], 1.5 * p[3] + EDGE) for p in lamps]:
+        inside = (points - pose[:3, 3]) @ pose[:3, :3] @ sides.T > -radius
+        if inside.any(axis=0).all():
+            return True
+    return False
 
 
 @jax.jit

@@ -1,8 +1,11 @@
 """G-buffer: the surface points that a camera sees, where geometry (host, NumPy) meets light (device, JAX)."""
 
 import dataclasses
+import functools
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 
@@ -26,3 +29,22 @@ class GBuffer:
     hit: Bool[Array, "h w"]
     face: Int[Array, "h w"] | None = None
     barycentric: Float[Array, "h w 3"] | None = None
+
+
+@functools.partial(jax.jit, static_argnames="sampling")
+def sample_pixels(gbuffer: GBuffer, sampling: int) -> GBuffer:
+    """Samples of a G-buffer: one pixel of each block of `sampling` × `sampling`.
+
+    Which one changes from block to block, so that `sampling`² blocks have samples in all rows and in all columns:
+    their mean is that of an evenly spread pattern, about the blocks' common centre.
+
+    Source: Keller and Heidrich, *Interleaved sampling*, 2001.
+    """
+    if sampling == 1:
+        return gbuffer
+    (h, w), k = gbuffer.hit.shape, sampling
+    i, j = np.indices((-(-h // k), -(-w // k)))
+    row, column = np.minimum(k * i + j % k, h - 1), np.minimum(k * j + k - 1 - i % k, w - 1)
+    # A row of numbers is gathered at once: XLA's CPU backend is slow to gather them one by one.
+    pixel = jnp.asarray(row * w + column)
+    return jax.tree.map(lambda x: x.reshape(h * w, *x.shape[2:])[pixel], gbuffer)

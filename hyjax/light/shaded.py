@@ -30,6 +30,7 @@ class Shaded:
         bounced: lux that the lights throw on the surface by way of others, with their colours; None for none.
         photo_light: light that the frame was taken under, relative to its mean; None if it is taken to be even.
         emission: pixels that shine by themselves; None if there are none.
+        sampling: the light is that of one pixel in each block of so many by so many (static); emission is whole.
     """
 
     illuminance: Float[Array, "h w l"]
@@ -41,6 +42,7 @@ class Shaded:
     bounced: Float[Array, "h w 3"] | None = None
     photo_light: Float[Array, "h w 3"] | None = None
     emission: Emission | None = None
+    sampling: int = dataclasses.field(default=1, metadata={"static": True})
 
     @property
     def surface_fields(self) -> tuple[Float[Array, "h w 3"], ...]:
@@ -56,6 +58,7 @@ class Shaded:
         hit: Bool[Array, "h w"],
         *,
         confidence: Float[Array, "h w 1"] | None = None,
+        sampling: int = 1,
     ) -> "Shaded":
         """Light of a set-up, however it was computed.
 
@@ -65,6 +68,7 @@ class Shaded:
             visibility: what shadows leave of it.
             hit: where the mesh has a surface.
             confidence: how far the shading can be trusted; 1 by default. In holes it is 0, whatever it says.
+            sampling: see `Shaded`.
 
         Raises:
             InputError: no lights, or shapes that do not fit.
@@ -80,7 +84,7 @@ class Shaded:
         if confidence is not None and confidence.shape != (*hit.shape, 1):
             raise InputError(f"shaded: confidence is {confidence.shape}, must be {(*hit.shape, 1)}")
         known, colors, ambient = _complete(hit, confidence, setup.lights, setup.reference_lux)
-        return cls(illuminance, visibility, colors, known, setup.reference_lux, ambient)
+        return cls(illuminance, visibility, colors, known, setup.reference_lux, ambient, sampling=sampling)
 
 
 @jax.jit

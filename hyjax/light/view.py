@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.light.color import to_linear
-from hyjax.light.emission import emission
-from hyjax.light.gbuffer import GBuffer
+from hyjax.light.emission import emission, may_show
+from hyjax.light.gbuffer import GBuffer, sample_pixels
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight, add_surface_light
 from hyjax.light.setup import LightSetup
@@ -70,6 +70,7 @@ class View:
         shadow_maps: Sequence[ShadowMap | None] | None = None,
         confidence: Float[Array, "h w 1"] | None = None,
         surface_light: SurfaceLight | None = None,
+        sampling: int = 1,
     ) -> Shaded:
         """Light of a set-up on the visible surface.
 
@@ -78,12 +79,19 @@ class View:
             shadow_maps: one for each light (None: casts no shadow); None for no shadows at all.
             confidence: how far the shading of each pixel can be trusted; 1 by default, 0 in holes.
             surface_light: photo's own light and bounces, see `Scene.surface_light`; None for even light and none.
+            sampling: light is evaluated at one pixel in each block of so many by so many, and there by as many of a
+                soft light's shadow views; see `hyjax.core.cascade.largest_sampling`.
 
         Raises:
-            InputError: no lights, another number of shadow maps than lights, or a confidence of another size.
+            InputError: no lights, another number of shadow maps than lights, or a confidence of another size
+                than the light's.
         """
         *_, (_, shaded) = self.shade_stages(
-            lights, shadow_maps=shadow_maps, confidence=confidence, surface_light=surface_light
+            lights,
+            shadow_maps=shadow_maps,
+            confidence=confidence,
+            surface_light=surface_light,
+            sampling=sampling,
         )
         return shaded
 
@@ -94,6 +102,7 @@ class View:
         shadow_maps: Sequence[ShadowMap | None] | None = None,
         confidence: Float[Array, "h w 1"] | None = None,
         surface_light: SurfaceLight | None = None,
+        sampling: int = 1,
     ) -> Iterator[tuple[str, Any]]:
         """`shade` stage by stage: each stage's name with its result, the last one `Shaded`."""
         setup = LightSetup.of(lights)
@@ -103,11 +112,12 @@ class View:
             raise InputError(
                 f"shade: {len(maps)} shadow maps for {len(setup.lights)} lights; give one each, or None"
             )
-        illuminance = shade_each(self.gbuffer, setup.lights)
+        seen = sample_pixels(self.gbuffer, sampling)
+        illuminance = shade_each(seen, setup.lights)
         yield "shading", illuminance
-        visibility = visibilities(self.gbuffer, setup.lights, maps)
+        visibility = visibilities(seen, setup.lights, maps, interleave=sampling)
         yield "visibility", visibility
-        shaded = Shaded.of(setup, illuminance, visibility, self.gbuffer.hit, confidence=confidence)
+        shaded = Shaded.of(setup, illuminance, visibility, seen.hit, confidence=confidence, sampling=sampling)
         if surface_light is not None:
             shaded = self.add_surface_light(shaded, surface_light, setup.lights)
         yield "shaded", shaded
@@ -123,8 +133,11 @@ class View:
         Raises:
             InputError: the G-buffer does not tell its triangles.
         """
-        shaded = add_surface_light(shaded, light, self.gbuffer, lights)
+        shaded = add_surface_light(shaded, light, sample_pixels(self.gbuffer, shaded.sampling), lights)
         if light.emitters is None or self.pose is None or self.intrinsics is None:
+            return shaded
+        h, w = self.gbuffer.hit.shape
+        if not may_show(light.emitters, (h, w), self.pose, self.intrinsics):
             return shaded
         camera = jnp.asarray(self.pose, jnp.float32), jnp.asarray(self.intrinsics, jnp.float32)
         emitting = emission(light.emitters, self.frame, self.gbuffer, *camera)

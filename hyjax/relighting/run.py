@@ -25,14 +25,13 @@ from hyjax.guide.choose import FrameGuide, open_guide
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light, kind_name
 from hyjax.light.setup import LightSetup
-from hyjax.light.shaded import Shaded
-from hyjax.light.view import View
 from hyjax.pipeline import Relit, relight_stages
+from hyjax.relighting.frame_shader import FrameShader
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
-from hyjax.scene.blender import BlenderRenderer, blender_python
+from hyjax.scene.blender import blender_python
 from hyjax.scene.fusion_settings import FusionSettings
-from hyjax.scene.scene import Scene, view_of
+from hyjax.scene.scene import Scene
 from hyjax.util.clock import StageClock, Stopwatch
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.environment import environment, peak_memory_mib
@@ -117,7 +116,7 @@ def relight_capture(
         if settings.renderer == "webgpu":
             frames = _relight_on_device(scene, chosen, setup, settings, schedule, guide, clock, device)
         else:
-            shader = _Shader(scene, setup, settings, clock, stack)
+            shader = FrameShader(scene, setup, settings, schedule, clock, stack)
             frames = _relight_frames(scene, chosen, shader, settings, schedule, guide, clock)
         summary = _write_frames(frames, len(chosen), settings, clock)
     if not summary.written:
@@ -161,64 +160,10 @@ def readable(scene: Scene, index: int) -> Frame | None:
         return None
 
 
-class _Shader:
-    """Light on each frame: by shadow maps, on every device that takes frames, or by Blender.
-
-    Attributes:
-        devices: that frames go to in turns.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        setup: LightSetup,
-        settings: RelightSettings,
-        clock: StageClock,
-        stack: ExitStack,
-    ) -> None:
-        self.setup, self._clock, self._blender = setup, clock, None
-        maps = None
-        if settings.renderer == "blender":
-            with clock("blender start"):
-                blender = BlenderRenderer(scene.mesh, setup.lights, shadows=settings.shadows)
-                self._blender = stack.enter_context(blender)
-        elif settings.shadows:
-            with clock("shadow maps"):
-                maps = scene.shadow_maps(setup, occluders=settings.shadow_occluders)
-        surface_light = None
-        if settings.divides_photo_light:
-            with clock("photo light"):
-                surface_light = jax.block_until_ready(
-                    scene.surface_light(setup, shadows=settings.shadows, occluders=settings.shadow_occluders)
-                )
-        # Blender, and what frames leave to the next, there is once.
-        once = settings.video or settings.renderer == "blender"
-        self.devices = jax.local_devices()[: 1 if once else None]
-        self._lights = [(setup, maps, surface_light)]
-        if len(self.devices) > 1:
-            copies = [jax.device_put((setup.lights, maps, surface_light), device) for device in self.devices]
-            self._lights = [(dataclasses.replace(setup, lights=lights), *rest) for lights, *rest in copies]
-
-    def __call__(self, number: int, frame: Frame, gbuffer: GBuffer) -> tuple[View, Shaded]:
-        """View of a frame, the `number`-th of the run, and the light on it."""
-        view = view_of(frame, gbuffer)
-        setup, maps, light = self._lights[number % len(self._lights)]
-        if self._blender is not None:
-            with self._clock("blender"):
-                rendering = self._blender.render(frame.camera)
-            view, shaded = rendering.shade(view, self.setup)
-            if light is not None:
-                shaded = view.add_surface_light(shaded, light, setup.lights)
-            return view, shaded
-        if len(self.devices) > 1:
-            view = jax.device_put(view, self.devices[number % len(self.devices)])
-        return view, self._clock.follow(view.shade_stages(setup, shadow_maps=maps, surface_light=light))
-
-
 def _relight_frames(
     scene: Scene,
     chosen: Sequence[int],
-    shader: _Shader,
+    shader: FrameShader,
     settings: RelightSettings,
     schedule: Schedule,
     guide: FrameGuide,

@@ -11,6 +11,7 @@ from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
 
 Renderer = Literal["shadow_map", "blender", "webgpu"]
+MOST_SAMPLING = 16
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,6 +44,9 @@ class RelightSettings(Settings):
     renderer: Renderer = "shadow_map"
     """What shades the mesh: shadow_map; blender: Cycles, which traces every shadow and takes its time; or webgpu:
     whole frames on a graphics processor, by the shaders of an exported page."""
+    sampling: int = 2
+    """Shade one pixel in each block of so many by so many, where the schedule averages over blocks anyway: 2 shades
+    a quarter of them, 1 all."""
     save_filters: bool = False
     """Also write each frame's raw and refined filter."""
     save_visibility: bool = False
@@ -63,6 +67,8 @@ class RelightSettings(Settings):
             raise InputError("video: the paper's mode has no memory of earlier frames; leave one of the two out")
         if self.renderer == "webgpu" and (self.video or self.paper_mode):
             raise InputError("renderer: webgpu does neither video nor the paper's mode; leave them out")
+        if not 1 <= self.sampling <= MOST_SAMPLING:
+            raise InputError(f"sampling: must be between 1 and {MOST_SAMPLING}, got {self.sampling}")
         self.open_schedule()
         check_lights_name(self.lights)
         self.scene.check()

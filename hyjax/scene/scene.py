@@ -229,6 +229,7 @@ class Scene:
         shadows: bool = True,
         keep_photo_light: bool = False,
         occluders: Occluders = "completed",
+        sampling: int = 1,
     ) -> Shaded:
         """Light on what a view sees.
 
@@ -238,6 +239,7 @@ class Scene:
             shadows: whether lights cast shadows.
             keep_photo_light: whether to leave the light that the frames were taken under, and bounces out.
             occluders: what throws them.
+            sampling: see `View.shade`.
 
         Raises:
             InputError: no such set-up, or it keeps sources of a photo whose light is kept whole.
@@ -248,7 +250,7 @@ class Scene:
         if not keep_photo_light:
             light = self.surface_light(setup, shadows=shadows, occluders=occluders)
         maps = self.shadow_maps(setup, occluders=occluders) if shadows else None
-        return view.shade(setup, shadow_maps=maps, surface_light=light)
+        return view.shade(setup, shadow_maps=maps, surface_light=light, sampling=sampling)
 
     @functools.cached_property
     def photo_light(self) -> ScenePhotoLight:

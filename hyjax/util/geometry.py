@@ -7,6 +7,7 @@ it and runs faster.
 from collections.abc import Sequence
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 TINY = 1e-12
@@ -34,3 +35,25 @@ def cross(a: Float[Array, "*s 3"], b: Float[Array, "*s 3"]) -> Float[Array, "*s 
 def unit(a: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
     """The vector divided by its length, which must not be zero."""
     return a / jnp.sqrt(dot(a, a))[..., None]
+
+
+def angle(sine: Float[Array, "*s"], cosine: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """Angle in [0, π] by its sine ≥ 0 and its cosine, which may be scaled alike; 0 where both are 0.
+
+    >>> [round(float(angle(jnp.sin(x), jnp.cos(x))), 6) for x in jnp.array([0.0, 0.5, 3.0])]
+    [0.0, 0.5, 3.0]
+
+    In single precision by Cephes' polynomial (Moshier, *Methods and Programs for Mathematical Functions*, 1989),
+    whose error is of a unit or two in the last place: `jnp.arctan2` takes ten times longer on a CPU.
+    """
+    if sine.dtype != jnp.float32:
+        return jnp.arctan2(sine, cosine)
+    flat = jnp.abs(cosine)
+    low, high = jnp.minimum(sine, flat), jnp.maximum(sine, flat)
+    turned = low > 0.41421357 * high  # tan(π/8): the slope's angle is taken from π/4
+    x = jnp.where(turned, low - high, low) / jnp.maximum(jnp.where(turned, low + high, high), TINY**3)
+    z = x * x
+    slope = x + x * z * (((8.05374449538e-2 * z - 1.38776856032e-1) * z + 1.99777106478e-1) * z - 3.33329491539e-1)
+    slope = slope + jnp.where(turned, 0.25 * np.pi, 0.0)
+    slope = jnp.where(sine > flat, 0.5 * np.pi - slope, slope)
+    return jnp.where(cosine < 0, np.pi - slope, slope)

@@ -5,7 +5,7 @@ import functools
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hyjax.util.geometry import TINY, cross, dot
+from hyjax.util.geometry import TINY, angle, cross, dot
 
 
 def polygon_form_factor(corners: list[Float[Array, "*s 3"]], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
@@ -52,4 +52,4 @@ def _edge_integral(
     b = jnp.where(valid[..., None], b, jnp.array([0.0, 1.0, 0.0], b.dtype))
     normal = cross(a, b)
     sine = jnp.sqrt(dot(normal, normal) + TINY**2)
-    return jnp.arctan2(sine, dot(a, b)) * dot(normal, n) / sine
+    return angle(sine, dot(a, b)) * dot(normal, n) / sine

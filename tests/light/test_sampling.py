@@ -1,0 +1,184 @@
+"""Light at some pixels only: what a cascade takes in by blocks is the same from their samples."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hyjax
+from hyjax.core.cascade import cascade, entries, largest_sampling
+from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
+from hyjax.core.schedule import PRESETS, Schedule
+from hyjax.light.emission import Emitters, may_show, source_pixels
+from hyjax.light.gbuffer import GBuffer, sample_pixels
+from hyjax.light.kinds import PointLight, RectLight
+from hyjax.light.shadow_map import ShadowMap, visibility
+from hyjax.util.errors import InputError
+from hyjax.util.geometry import angle
+
+SIZES = st.sampled_from([(16, 24), (17, 9), (33, 30)])
+SEEDS = st.integers(0, 2**31)
+
+
+def random(seed: int, *shape: int) -> np.ndarray:
+    return np.random.default_rng(seed).random(shape, np.float32)
+
+
+def repeat(x: Any, k: int) -> np.ndarray:
+    return np.repeat(np.repeat(np.asarray(x), k, axis=0), k, axis=1)
+
+
+def gbuffer_of(position: np.ndarray, normal: np.ndarray, hit: np.ndarray) -> GBuffer:
+    depth = np.where(hit, 1.0 + position[..., 2], 0.0).astype(np.float32)
+    return GBuffer(*(jnp.asarray(x) for x in (position, normal, depth, hit)))
+
+
+@pytest.mark.parametrize("name", ["hyjax", "hyjax-scan-shadow", "paper-50"])
+@settings(deadline=None, max_examples=6)
+@given(blocks=st.sampled_from([(8, 12), (9, 5)]), seed=SEEDS)
+def test_a_picture_of_blocks_is_told_by_one_pixel_of_each(name: str, blocks: tuple[int, int], seed: int) -> None:
+    schedule, k = Schedule.preset(name), 2
+    y, guide = random(seed, *blocks, 2), random(seed + 1, k * blocks[0], k * blocks[1], 3)
+    known = random(seed + 2, *blocks, 1) > 0.3
+    whole = cascade(jnp.asarray(repeat(y, k)), jnp.asarray(guide), schedule)
+    assert np.allclose(cascade(jnp.asarray(y), jnp.asarray(guide), schedule, sampling=k), whole, atol=2e-6)
+    whole = cascade_known(jnp.asarray(repeat(y, k)), jnp.asarray(repeat(known, k)), jnp.asarray(guide), schedule)
+    sampled = cascade_known(jnp.asarray(y), jnp.asarray(known), jnp.asarray(guide), schedule, sampling=k)
+    assert np.allclose(sampled, whole, atol=2e-5)
+    whole = shadow_pass(jnp.asarray(repeat(y, k)), jnp.asarray(guide), schedule)
+    assert np.allclose(shadow_pass(jnp.asarray(y), jnp.asarray(guide), schedule, sampling=k), whole, atol=2e-6)
+
+
+@settings(deadline=None, max_examples=10)
+@given(size=SIZES, seed=SEEDS)
+def test_filling_keeps_what_is_known(size: tuple[int, int], seed: int) -> None:
+    h, w = size
+    raw, guide = random(seed, -(-h // 2), -(-w // 2), 2), random(seed + 1, h, w, 3)
+    known = random(seed + 2, *raw.shape) > 0.5
+    filled = np.asarray(fill_visibility(jnp.asarray(raw), jnp.asarray(known), jnp.asarray(guide), sampling=2))
+    assert np.array_equal(filled[known], raw[known])
+    assert filled.min() >= 0.0 and filled.max() <= raw.max() + 1e-5
+
+
+def test_a_schedule_says_how_sparse_its_picture_may_be() -> None:
+    ours, shadow = Schedule.preset("hyjax"), Schedule.preset("hyjax-scan-shadow")
+    assert entries(ours) == [16, 8, 4] and entries(shadow) == [4]
+    assert [largest_sampling([ours, shadow], most) for most in (1, 2, 4, 9)] == [1, 2, 2, 2]
+    assert largest_sampling([Schedule.preset("paper-50")], 16) == 8
+    for name in PRESETS:
+        assert largest_sampling([Schedule.preset(name)], 1) == 1
+    with pytest.raises(InputError, match=r"factor 1, which is no multiple of the sampling 2"):
+        cascade(jnp.ones((4, 4, 1)), jnp.ones((8, 8, 3)), Schedule.preset("hyjax-shadow"), sampling=2)
+    with pytest.raises(InputError, match="the filter 2 times smaller"):
+        cascade(jnp.ones((8, 8, 1)), jnp.ones((8, 8, 3)), ours, sampling=2)
+
+
+@settings(deadline=None, max_examples=15)
+@given(size=SIZES, k=st.integers(1, 4))
+def test_samples_lie_in_their_blocks_and_spread_evenly(size: tuple[int, int], k: int) -> None:
+    h, w = size
+    rows, columns = np.indices(size)
+    position = np.stack([rows, columns, np.zeros(size)], axis=-1).astype(np.float32)
+    sampled = sample_pixels(gbuffer_of(position, position, np.ones(size, bool)), k)
+    row, column = np.moveaxis(np.asarray(sampled.position[..., :2]), -1, 0)
+    i, j = np.indices(row.shape)
+    assert row.shape == (-(-h // k), -(-w // k))
+    assert (np.minimum(row // k, i) == i).all() and (column // k == j).all()
+    if h >= k * k and w >= k * k:
+        assert len(np.unique(row[:k, :k])) == len(np.unique(column[:k, :k])) == k * k
+
+
+@settings(deadline=None, max_examples=8)
+@given(seed=SEEDS, kind=st.sampled_from(["point", "rect"]))
+def test_interleaved_views_add_up(seed: int, kind: str) -> None:
+    """Where the pixels of a block are alike, their shares of the views make all views."""
+    count, size, shape = 8, 18, (6, 10)
+    position, normal = random(seed, *shape, 3) * 2 - 1, random(seed + 1, *shape, 3) * 2 - 1
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    lamp: Any = PointLight(np.zeros(3), 100.0, np.ones(3), radius=0.1)
+    if kind == "rect":
+        lamp = RectLight(np.array([0, 0, -2.0]), np.array([0.5, 0, 0]), np.array([0, 0.5, 0]), 100.0, np.ones(3))
+    views = lamp.shadow_views()
+    shadow_map = ShadowMap(
+        jnp.asarray(random(seed + 2, views.count, size, size) * 3),
+        jnp.asarray(views.origins, jnp.float32),
+        jnp.asarray(np.broadcast_to(views.axes, (views.count, 3, 3)), jnp.float32),
+        jnp.float32(views.extent / (size - 2)),
+        views.projection,
+    )
+    assert views.count % 4 == 0 and views.count >= count
+    hit = random(seed + 3, *shape) > 0.2
+    plain = np.asarray(visibility(gbuffer_of(position, normal, hit), lamp, shadow_map))
+    blocks = gbuffer_of(repeat(position, 2), repeat(normal, 2), repeat(hit, 2))
+    assert np.allclose(visibility(blocks, lamp, shadow_map, interleave=2), repeat(plain, 2), atol=1e-5)
+    assert np.array_equal(
+        visibility(blocks, lamp, shadow_map, interleave=5), visibility(blocks, lamp, shadow_map)
+    ), "views that make no equal shares are all asked"
+
+
+def test_a_relit_frame_hardly_changes() -> None:
+    """Quarter of the pixels, quarter of the views: what a smooth room shows stays."""
+    from hyjax.data.builtin_room import load_room
+
+    room = load_room(n_frames=2, width=160, height=120, quality=0.25, progress=False)
+    scene = hyjax.Scene(room, room.reference())
+    view, schedule = scene.view(0), Schedule.preset("hyjax")
+    pictures = []
+    for sampling in (1, 2):
+        shaded = scene.shade(view, "noon-window", sampling=sampling)
+        assert shaded.illuminance.shape[:2] == (120 // sampling, 160 // sampling)
+        relit = hyjax.relight(view, shaded, view.display, schedule)
+        assert relit.unrefined.shape == relit.shading.shape == view.frame.shape
+        pictures.append(np.asarray(hyjax.to_display(relit.image)))
+    difference = pictures[0] - pictures[1]
+    assert 0 < np.sqrt((difference**2).mean()) < 0.01
+    with pytest.raises(InputError, match="sampling=1"):
+        sparse = scene.shade(view, "noon-window", keep_photo_light=True, sampling=2)
+        hyjax.relight(view, sparse, view.display, schedule, mode="paper")
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=SEEDS)
+def test_sources_that_cannot_show_do_not(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    pose = np.eye(4, dtype=np.float32)
+    pose[:3, :3], pose[:3, 3] = turn * np.sign(np.linalg.det(turn)), rng.normal(size=3)
+    h, w = 12, 16
+    intrinsics = np.array([[14, 0, rng.uniform(4, 12)], [0, 14, rng.uniform(3, 9)], [0, 0, 1]], np.float32)
+    panes = np.concatenate([rng.normal(size=(1, 1, 3)) * 2, rng.normal(size=(1, 2, 3)) * 0.5], axis=1)
+    panes[:, 2] -= panes[:, 1] * np.sum(panes[:, 1] * panes[:, 2]) / np.sum(panes[:, 1] ** 2)
+    lamps = np.concatenate([rng.normal(size=(1, 3)) * 2, rng.uniform(0.05, 0.3, (1, 1))], axis=1)
+    arrays = [panes, lamps, np.ones((2, 3)), np.zeros((2, 3)), np.ones(3), np.ones((1, 3))]
+    emitters = Emitters(*(jnp.asarray(a, jnp.float32) for a in arrays))
+    nothing = GBuffer(
+        jnp.zeros((h, w, 3)), jnp.zeros((h, w, 3)), jnp.zeros((h, w)), jnp.zeros((h, w), bool)
+    )  # nothing stands before the sources
+    camera = jnp.asarray(pose), jnp.asarray(intrinsics)
+    shown = bool((source_pixels(emitters, jnp.ones((h, w, 3)), nothing, *camera).weight > 0).any())
+    assert may_show(emitters, (h, w), pose, intrinsics) or not shown
+
+
+def test_a_source_behind_the_camera_cannot_show() -> None:
+    pane = jnp.array([[[0.0, 0.0, -3.0], [0.5, 0.0, 0.0], [0.0, 0.5, 0.0]]])
+    rest = jnp.zeros((0, 4)), jnp.ones((1, 3)), jnp.zeros((1, 3)), jnp.ones(3), jnp.ones((1, 3))
+    intrinsics = np.array([[10.0, 0, 5], [0, 10, 5], [0, 0, 1]])
+    assert not may_show(Emitters(pane, *rest), (10, 10), np.eye(4), intrinsics)
+    assert may_show(Emitters(-pane, *rest), (10, 10), np.eye(4), intrinsics)
+    assert jax.jit(lambda pose: jnp.float32(may_show(Emitters(pane, *rest), (10, 10), pose, intrinsics)))(np.eye(4))
+
+
+@settings(deadline=None, max_examples=50)
+@given(turn=st.floats(0.0, np.pi), scale=st.floats(1e-6, 1e6))
+def test_angle(turn: float, scale: float) -> None:
+    sine, cosine = np.float32(scale * np.sin(turn)), np.float32(scale * np.cos(turn))
+    sine = max(sine, np.float32(0.0))
+    expected = np.arctan2(np.float64(sine), np.float64(cosine))
+    assert abs(float(angle(jnp.float32(sine), jnp.float32(cosine))) - expected) < 5e-7
+    slope = jax.grad(lambda x: angle(jnp.sin(x), jnp.cos(x)))(jnp.float32(np.clip(turn, 0.01, 3.13)))
+    assert abs(float(slope) - 1.0) < 1e-4
+    assert float(angle(jnp.float32(0.0), jnp.float32(0.0))) == 0.0
