@@ -1,0 +1,330 @@
+"""Whole frames a second: every frame with its own camera, from the picture in memory to the relit picture's bytes.
+
+    python -m experiments.frame_rate [--cores 1] [--capture PATH] [--guard] [--out results/frame_rate]
+
+A frame is what `hyjax relight` makes of it: G-buffer, shading and shadows of the set-up's lights, the photo's light
+divided out, bounces, both cascades, the picture. Frames are read and brought to size before; the capture's cameras
+come round again and again, and nothing of a frame is kept for the next. As many frames are at work at a time as
+there are cores. *CPU* is time of all cores together, which other work on the machine changes less than the rate.
+
+- *Rate*: at 512 x 512, by sampling (see `RelightSettings.sampling`), on the scan and on finer meshes.
+- *Size*: 256² to 2048². Time a pixel at the largest size over that at the smallest should not be above 1.5.
+- *Long* (`--long 20000`): rate and memory after a tenth, a half and all frames.
+- *Quality* (`--rooms NAME ...`): PSNR against the true pictures of rooms (`experiments.truth`), by sampling.
+
+Takes three minutes on two cores without the last two. `--guard` makes the process fail where a ratio within the run
+is beyond its limit.
+"""
+
+import dataclasses
+import itertools
+import os
+import resource
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import jax
+import numpy as np
+import trimesh
+from matplotlib.figure import Figure
+
+import hyjax
+from experiments.blocks import Block, Plot, Table
+from experiments.command import RunConfig, Start, experiment, run
+from experiments.plotting import new_figure
+from experiments.records import Results, Row, machine, of_kind
+from experiments.truth_bench import TruthBench
+from experiments.truth_camera import Exposed, fit_gains
+from hyjax.core.schedule import Schedule
+from hyjax.data.capture import Frame
+from hyjax.data.frames import fit, spread
+from hyjax.metrics import psnr
+from hyjax.pipeline import relight_stages
+from hyjax.relighting.frame_shader import FrameShader
+from hyjax.relighting.settings import RelightSettings
+from hyjax.scene.scene import Scene
+from hyjax.scene.settings import SceneSettings
+from hyjax.tour.picture import to_bytes
+from hyjax.util.clock import StageClock, Stopwatch
+from hyjax.util.environment import cores
+from hyjax.util.errors import InputError
+from hyjax.util.prefetch import prefetch
+
+SETUPS = ("evening-lamps", "two-colors", "golden-hour", "night-moon")
+WARM_UP = 4
+LONG_PARTS = (0.1, 0.5, 1.0)
+MOST_DIVIDED = 1_000_000
+"""Triangles up to which the photo's light is estimated: beyond, rays between all vertices would take minutes."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Config(RunConfig):
+    capture: Path | None = None
+    """By default the built-in room with its simulated scan."""
+    lights: str = "noon-window"
+    """A named set-up, or a file of lights."""
+    frames: int = 120
+    """Whole frames for each row."""
+    samplings: tuple[int, ...] = (2, 1)
+    triangles: tuple[int, ...] = (200_000, 2_000_000)
+    """Of finer meshes: the scan, subdivided until it has as many."""
+    sizes: tuple[int, ...] = (256, 512, 1024, 2048)
+    """Side lengths of square pictures."""
+    long: int = 0
+    """Frames of one long run."""
+    rooms: tuple[str, ...] = ()
+    """Rooms of known truth to judge the samplings in, see `experiments.truth`."""
+    cores: int | None = None
+    """How many cores to run on; by default all that this process may use."""
+    guard: bool = False
+    """End with status 1 where a ratio is beyond its limit."""
+
+
+class WholeFrames:
+    """Relighting of frames of one size on one mesh.
+
+    Attributes:
+        clock: milliseconds by stage.
+
+    Args:
+        scene: whose frames they are.
+        config: lights and options.
+        size: pixels a side.
+        sampling, keep_photo_light: see `RelightSettings`.
+    """
+
+    def __init__(
+        self, scene: Scene, config: Config, size: int, sampling: int, *, keep_photo_light: bool = False
+    ) -> None:
+        settings = RelightSettings(lights=config.lights, sampling=sampling, keep_photo_light=keep_photo_light)
+        self.clock, self._scene, self._schedule = StageClock(), scene, settings.open_schedule()
+        setup = scene.lights(config.lights, at_photo_sources=not keep_photo_light)
+        self._shader = FrameShader(scene, setup, settings, self._schedule, StageClock(), ExitStack())
+        chosen = spread(range(len(scene)), 24)
+        self._frames = [fit(scene.capture[index], (size, size)) for index in chosen]
+
+    def picture(self, numbered: tuple[int, Frame]) -> float:
+        """Bytes of a relit frame; the seconds that they took."""
+        (number, frame), watch = numbered, Stopwatch()
+        with self.clock("G-buffer"):
+            gbuffer = jax.block_until_ready(self._scene.gbuffer(frame.camera))
+        with self.clock("light"):
+            view, shaded = self._shader(number, frame, gbuffer)
+        relit = self.clock.follow(relight_stages(view, shaded, view.display, self._schedule))
+        with self.clock("bytes"):
+            to_bytes(hyjax.to_display(relit.image))
+        return watch.seconds
+
+    def rate(self, count: int) -> dict[str, float]:
+        """Rate, latency and CPU time of so many frames."""
+        list(self._run(WARM_UP))
+        self.clock = StageClock()
+        watch, cpu = Stopwatch(), time.process_time()
+        waits = 1e3 * np.array(list(self._run(count)))
+        return {
+            "fps": count / watch.seconds,
+            "cpu_ms": 1e3 * (time.process_time() - cpu) / count,
+            "median_ms": float(np.median(waits)),
+            "p95_ms": float(np.percentile(waits, 95)),
+        }
+
+    def long(self, count: int) -> Iterator[dict[str, float]]:
+        """Rate since the last mark and memory, at each of `LONG_PARTS`."""
+        list(self._run(WARM_UP))
+        watch, done = Stopwatch(), 0
+        marks = [max(1, round(part * count)) for part in LONG_PARTS]
+        for number, _ in enumerate(self._run(count), 1):
+            if number in marks:
+                yield {"frames": number, "fps": (number - done) / watch.seconds, "memory_mib": memory_mib()}
+                watch, done = Stopwatch(), number
+
+    def _run(self, count: int) -> Iterator[float]:
+        numbered = enumerate(itertools.islice(itertools.cycle(self._frames), count))
+        return prefetch(self.picture, numbered, cores(), threads=cores())
+
+
+def memory_mib() -> float:
+    """Of this process, now."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+@experiment("Whole frames a second")
+def main(config: Config, start: Start) -> str | None:
+    check(config)
+    scene = Scene.open(SceneSettings(config.capture), progress=True)
+    results = start()
+    results.add(
+        kind="conditions", cores=cores(), capture=scene.capture.name, mesh=scene.source, faces=len(scene.mesh.faces)
+    )
+    for sampling in config.samplings:
+        add_rate(results, scene, config, sampling)
+    for faces in config.triangles:
+        add_rate(results, finer(scene, faces), config, config.samplings[0])
+    for size in config.sizes:
+        frames = WholeFrames(scene, config, size, config.samplings[0])
+        count = max(8, min(config.frames, round(config.frames * (512 / size) ** 2)))
+        results.add(kind="size", size=size, **frames.rate(count))
+    if config.long:
+        for mark in WholeFrames(scene, config, 512, config.samplings[0]).long(config.long):
+            results.add(kind="long", **mark)
+    for room in config.rooms:
+        add_quality(results, room, config.samplings)
+    broken = [what for what, _, _, holds in guard(results.rows) if not holds] if config.guard else []
+    return f"beyond its limit: {'; '.join(broken)}" if broken else None
+
+
+def check(config: Config) -> None:
+    if config.frames < 2 or not config.samplings:
+        raise InputError("frames: need at least 2, with one sampling or more")
+    if bad := [size for size in config.sizes if size < 32]:
+        raise InputError(f"sizes: a picture must be at least 32 pixels wide, got {bad[0]}")
+    if config.cores is not None:
+        if not hasattr(os, "sched_setaffinity"):
+            raise InputError("cores: this system cannot bind a process to some of its cores; leave it out")
+        available = sorted(os.sched_getaffinity(0))
+        if not 1 <= config.cores <= len(available):
+            raise InputError(f"cores: this process may use 1 to {len(available)}, got {config.cores}")
+        os.sched_setaffinity(0, available[: config.cores])  # before XLA starts its threads
+
+
+def finer(scene: Scene, faces: int) -> Scene:
+    """The scene on its mesh subdivided; light of vertices is estimated for it anew, shadows are thrown by it."""
+    mesh: trimesh.Trimesh = scene.mesh
+    while len(mesh.faces) < faces:
+        mesh = mesh.subdivide()
+    return Scene(scene.capture, mesh, exact=True)
+
+
+def add_rate(results: Results, scene: Scene, config: Config, sampling: int) -> None:
+    divided = len(scene.mesh.faces) <= MOST_DIVIDED
+    frames = WholeFrames(scene, config, 512, sampling, keep_photo_light=not divided)
+    found = frames.rate(config.frames)
+    stages = {name: time["median_ms"] for name, time in frames.clock.summary().items() if "median_ms" in time}
+    faces = len(scene.mesh.faces)
+    results.add(kind="rate", faces=faces, sampling=sampling, divided=divided, stages=stages, **found)
+
+
+def add_quality(results: Results, room: str, samplings: Sequence[int]) -> None:
+    bench = TruthBench(room, 12, (320, 240), 1.0)
+    schedule = Schedule.preset("hyjax")
+    for setup in SETUPS:
+        for index in spread(range(12), 6):
+            truth, view = bench.capture.truth(bench.scene.lights(setup), [index])[0], bench.scene.view(index)
+            for sampling in samplings:
+                shaded = bench.scene.shade(view, setup, sampling=sampling)
+                exposed = Exposed(np.asarray(hyjax.relight(view, shaded, view.display, schedule).image))
+                fitted = exposed.display(fit_gains(exposed, truth))
+                scores = {"raw": float(psnr(exposed.display(), truth)), "fitted": float(psnr(fitted, truth))}
+                results.add(kind="quality", room=room, setup=setup, index=index, sampling=sampling, **scores)
+
+
+def guard(rows: Sequence[Row]) -> list[tuple[str, float, float, bool]]:
+    """Ratios within the run: what, ratio, limit, whether it holds. What was not measured does not hold."""
+    nan = float("nan")
+    rates = of_kind(rows, "rate")
+    scan = {row["sampling"]: row["cpu_ms"] for row in rates if row["faces"] == min(r["faces"] for r in rates)}
+    pixels = {row["size"]: row["cpu_ms"] / row["size"] ** 2 for row in of_kind(rows, "size")}
+    stages = rates[0]["stages"] if rates else {}
+    slowest = max((time for name, time in stages.items() if name != "G-buffer"), default=nan)
+    ratios = [
+        ("CPU of a frame, sampling 2 / 1", scan.get(2, nan) / scan.get(1, nan), 0.75),
+        ("G-buffer / the slowest other stage", stages.get("G-buffer", nan) / slowest, 2.0),
+        (
+            "CPU a pixel, largest / smallest picture",
+            pixels[max(pixels)] / pixels[min(pixels)] if pixels else nan,
+            1.5,
+        ),
+    ]
+    quality = of_kind(rows, "quality")
+    if quality:
+        ratios.append(("dB lost by sampling", -min(differences(quality).values(), default=0.0), 0.1))
+    return [(what, ratio, limit, ratio <= limit) for what, ratio, limit in ratios]
+
+
+def differences(quality: Sequence[Row]) -> dict[tuple[int, str], float]:
+    """Mean difference in dB of each sampling above 1 to sampling 1, raw and fitted."""
+    scores = {(row["room"], row["setup"], row["index"], row["sampling"]): row for row in quality}
+    found: dict[tuple[int, str], list[float]] = {}
+    for (*picture, sampling), row in scores.items():
+        if sampling > 1 and (whole := scores.get((*picture, 1))) is not None:
+            for fit_name in ("raw", "fitted"):
+                found.setdefault((sampling, fit_name), []).append(row[fit_name] - whole[fit_name])
+    return {key: float(np.mean(values)) for key, values in found.items()}
+
+
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Tables and figure from the rows."""
+    conditions, rates = of_kind(rows, "conditions"), of_kind(rows, "rate")
+    if not conditions or not rates:
+        return ["Nothing has been timed yet."]
+    where = f"{machine(conditions[0])}, {conditions[0]['cores']} used"
+    header = ["triangles", "sampling", "frames/s", "CPU ms a frame", "frame ms", "p95"]
+    timed = lambda row: [f"{row[key]:.1f}" for key in ("fps", "cpu_ms", "median_ms", "p95_ms")]  # noqa: E731
+    shown: list[Block] = [
+        Table(
+            f"Whole frames of 512 x 512, {conditions[0]['capture']} ({conditions[0]['mesh']}); {where}. "
+            "*: the photo's light is not divided out.",
+            header,
+            [
+                [f"{row['faces']}{'' if row['divided'] else '*'}", str(row["sampling"]), *timed(row)]
+                for row in rates
+            ],
+            names=2,
+        ),
+        Table(
+            "Stages of a frame while others are at work, median ms.",
+            ["triangles, sampling", *rates[0]["stages"]],
+            [
+                [
+                    f"{row['faces']}, {row['sampling']}",
+                    *(f"{row['stages'].get(s, 0):.1f}" for s in rates[0]["stages"]),
+                ]
+                for row in rates
+            ],
+        ),
+        Plot(
+            main.name, "Milliseconds of every stage: light at a quarter of the pixels, and at all.", figure(rates)
+        ),
+    ]
+    if sizes := of_kind(rows, "size"):
+        lines = [[f"{row['size']}²", *timed(row), f"{1e6 * row['cpu_ms'] / row['size'] ** 2:.1f}"] for row in sizes]
+        shown.append(Table("By size.", ["size", *header[2:], "CPU ns a pixel"], lines))
+    if long := of_kind(rows, "long"):
+        lines = [[str(row["frames"]), f"{row['fps']:.1f}", f"{row['memory_mib']:.0f}"] for row in long]
+        shown.append(Table("One long run.", ["frames", "frames/s since the line above", "MiB"], lines))
+    if quality := of_kind(rows, "quality"):
+        lines = [[str(k), fit_name, f"{value:+.3f}"] for (k, fit_name), value in differences(quality).items()]
+        rooms = len({row["room"] for row in quality})
+        shown.append(
+            Table(
+                f"PSNR against true pictures less that of sampling 1, dB: mean of {rooms} rooms under "
+                f"{len(SETUPS)} set-ups.",
+                ["sampling", "picture", "difference"],
+                lines,
+                names=2,
+            )
+        )
+    lines = [[what, f"{ratio:.2f}", f"{limit:g}", "yes" if ok else "no"] for what, ratio, limit, ok in guard(rows)]
+    return [*shown, Table("Guard.", ["ratio", "found", "limit", "holds"], lines)]
+
+
+def figure(rates: Sequence[Row]) -> Figure:
+    """Stages of each row, beside each other."""
+    fig = new_figure(7, 3.5)
+    axes = fig.subplots()
+    names = list(rates[0]["stages"])
+    for k, row in enumerate(rates):
+        places = np.arange(len(names)) + 0.8 * (k - 0.5 * (len(rates) - 1)) / len(rates)
+        label = f"{row['faces']} triangles, sampling {row['sampling']}"
+        axes.bar(places, [row["stages"].get(name, 0.0) for name in names], 0.8 / len(rates), label=label)
+    axes.set_xticks(range(len(names)), names, rotation=20)
+    axes.set_ylabel("milliseconds")
+    axes.legend()
+    return fig
+
+
+if __name__ == "__main__":
+    run(main)
