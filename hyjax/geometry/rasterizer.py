@@ -25,7 +25,7 @@ ALIGNMENT = 64
 """Bytes; `jax.device_put` takes over the memory of arrays that are aligned so, where it can."""
 BANDS = 2
 """Bands of rows for each thread: the rows are not equally full."""
-NO_LIMIT, NO_FACES = np.empty((0, 0), np.float32), np.empty((0, 0), np.int32)
+NO_FACES = np.empty((0, 0), np.int32)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,9 +39,8 @@ class RasterView:
             `hyjax.geometry.raster_kernels.project`.
         spans: first and last column that belong to each piece in each row.
         norm: length of each pixel's ray, from the origin to where w is 1.
+        limit: keys of the distances at which rays begin (see `hyjax.geometry.raster_kernels`), −∞ where none does.
         parallel: whether rays are; they run along the third axis.
-        limit: keys of the distances at which rays begin (see `hyjax.geometry.raster_kernels`), −∞ where none does;
-            not needed for G-buffers.
     """
 
     axes: Float[np.ndarray, "3 3"]
@@ -49,8 +48,8 @@ class RasterView:
     pieces: Float[np.ndarray, "p 3 3"]
     spans: Int[np.ndarray, "p 2 h"]
     norm: Float[np.ndarray, "h w"]
+    limit: Float[np.ndarray, "h w"]
     parallel: bool = False
-    limit: Float[np.ndarray, "h w"] = dataclasses.field(default_factory=lambda: NO_LIMIT)
 
     def of_moved(self, pose: Float[np.ndarray, "4 4"]) -> "RasterView":
         """The view for a mesh that stands in the world by a rigid pose."""
@@ -124,7 +123,7 @@ class Rasterizer:
             rows = part.start, part.stop
             keys[part], face[part] = 0.0, -1
             raster_kernels.draw(
-                seen, self.vertices, self.triangles, *view.arguments, points, sides, view.spans, rows, NO_LIMIT,
+                seen, self.vertices, self.triangles, *view.arguments, points, sides, view.spans, rows, view.limit,
                 (keys, face),
             )  # fmt: skip
             surface_kernel.surface(
@@ -146,8 +145,15 @@ def camera_view(camera: Camera) -> RasterView:
     """View of a camera; distances are depths, along its axis."""
     k = camera.intrinsics
     piece = k.matrix - np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
-    norm = np.broadcast_to(np.float32(1.0), k.shape)
-    return RasterView(np.linalg.inv(camera.pose[:3, :3]), camera.origin, piece[None], whole_spans(*k.shape), norm)
+    norm, limit = constant(k.shape, 1.0), constant(k.shape, np.inf)
+    axes, spans = np.linalg.inv(camera.pose[:3, :3]), whole_spans(*k.shape)
+    return RasterView(axes, camera.origin, piece[None], spans, norm, limit)
+
+
+@functools.lru_cache(maxsize=8)
+def constant(shape: tuple[int, int], value: float) -> Float[np.ndarray, "h w"]:
+    """An array of one value, not to be changed."""
+    return np.full(shape, value, np.float32)
 
 
 def camera_rays(camera: Camera) -> Float[np.ndarray, "4 3"]:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from hyjax.geometry.rasterizer import RasterView, share_out
+from hyjax.geometry.rasterizer import RasterView, constant, share_out
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Light
 from hyjax.light.kinds.shadow_views import Projection, RadialViews, ShadowViews
@@ -141,10 +141,10 @@ class MapLayout:
         axes, origin = self.axes[view], self.origins[view]
         if isinstance(self.views, RadialViews):
             near = np.float32(self.views.near)
-            limit = norm / near if near > 0 else np.full_like(norm, np.inf)
-            return RasterView(axes, origin, pieces, spans, norm, limit=limit)
+            limit = norm / near if near > 0 else constant(norm.shape, np.inf)
+            return RasterView(axes, origin, pieces, spans, norm, limit)
         if self.views.aperture is None:
-            return RasterView(axes, origin, pieces, spans, norm, True, np.zeros_like(norm))
+            return RasterView(axes, origin, pieces, spans, norm, constant(norm.shape, 0.0), True)
         # Rays start in an opening. How far from the plane's points it lies, and whether there at all, is affine.
         right, up = (np.asarray(a, np.float64) for a in (self.views.aperture.right, self.views.aperture.up))
         normal = np.cross(right, up)
@@ -160,7 +160,7 @@ class MapLayout:
         inside = np.abs(along(right) + lead * (frame[2] @ right)) <= right @ right
         inside &= np.abs(along(up) + lead * (frame[2] @ up)) <= up @ up
         limit = np.where(inside, -lead, -np.inf).astype(np.float32)
-        return RasterView(axes, origin, pieces, spans, norm, True, limit)
+        return RasterView(axes, origin, pieces, spans, norm, limit, True)
 
     def cast(self, caster: RayCaster) -> ShadowMap:
         """Shadow map of a mesh; several views are drawn at once."""

@@ -19,7 +19,7 @@ def compiled(*signature: str) -> Callable[[Callable[..., Any]], Callable[..., An
 
     Args:
         signature: types of its arguments, so that it is compiled at once and once; none for a function that only
-            others of these call.
+            others of these call, which is compiled and kept as part of them.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -27,6 +27,8 @@ def compiled(*signature: str) -> Callable[[Callable[..., Any]], Callable[..., An
         options: Any = {"nogil": True, "error_model": "numpy"}
         before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
         try:
+            if not signature:
+                return numba.njit(**options)(function)
             return numba.njit(*signature, cache=True, **options)(function)
         except Exception as error:  # A damaged file shows itself in a dozen ways, a folder that is full in others.
             _log.warning("%s: no use to keep %s in (%s)", folder, function.__name__, error)
