@@ -86,7 +86,7 @@ def walk(mesh: trimesh.Trimesh, width: int, height: int, config: Config) -> dict
     taken: list[tuple[float, dict[str, float], int, int]] = []
 
     def updated(frame: Frame) -> None:
-        faces = 0 if scene.surface is None else sum(tree.count for tree in scene.surface.caster.trees)  # type: ignore[attr-defined]
+        faces = 0 if scene.surface is None else len(scene.surface.caster.rasterizer.triangles)
         taken.append((time.perf_counter() - begun, scene.times, len(scene.pieces.waiting), faces))
 
     follower = Follower(scene, by_the_clock(frames, begun), updated).start()

@@ -1,18 +1,19 @@
-"""Ray casting on the host with Embree: mesh + camera → `GBuffer`."""
+"""Meshes asked for what rays meet, by Embree, and for what cameras see, by the rasteriser. On the host."""
 
 import dataclasses
+import functools
+import threading
+from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import trimesh
 from embreex import mesh_construction, rtcore_scene
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from hyjax.geometry.camera import Camera
+from hyjax.geometry.rasterizer import Rasterizer, RasterView
 from hyjax.light.gbuffer import GBuffer
-from hyjax.util.geometry import dot
 
 # A few float32 steps off the ray, towards no axis and no diagonal: 3 µm at a metre.
 NUDGE = 3e-6 * np.array([0.61, 0.53, 0.59], dtype=np.float32)
@@ -41,21 +42,34 @@ class Hits:
 
 
 class RayCaster:
-    """A mesh in an Embree tree. Built once, asked many times.
+    """A mesh to be asked, from any thread, what rays meet and what cameras see.
 
-    Embree's robust mode is on: its edge tests are watertight, so that rays through a shared edge of two
-    triangles never slip between them. Embree computes in float32, so the mesh is moved to its centre first.
+    Single rays go to Embree, whose tree is built when the first one comes. Embree's robust mode is on: its edge
+    tests are watertight, so that rays through a shared edge of two triangles never slip between them. Embree
+    computes in float32, so the mesh is moved to its centre first. Pictures and shadow maps are rasterised.
     """
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
         self.mesh = mesh
+        self.rasterizer = Rasterizer(mesh.vertices, mesh.faces)
         self._centre = mesh.bounds.mean(axis=0)
-        self._scene = rtcore_scene.EmbreeScene(robust=True)
-        vertices = np.ascontiguousarray(mesh.vertices - self._centre, dtype=np.float32)
-        mesh_construction.TriangleMesh(self._scene, vertices, np.ascontiguousarray(mesh.faces, dtype=np.int32))
-        corners = np.asarray(mesh.vertex_normals, dtype=np.float32)[mesh.faces]
-        faces = np.asarray(mesh.face_normals, dtype=np.float32)
-        self._corners = np.concatenate([corners, faces[:, None]], axis=1)  # of each triangle; its own at the end
+        self._lock = threading.Lock()
+        self._built: Any = None
+
+    @property
+    def _scene(self) -> Any:
+        with self._lock:
+            if self._built is None:
+                built = rtcore_scene.EmbreeScene(robust=True)
+                vertices = (self.rasterizer.vertices - self._centre).astype(np.float32)
+                mesh_construction.TriangleMesh(built, vertices, self.rasterizer.triangles)
+                self._built = built
+            return self._built
+
+    @functools.cached_property
+    def normals(self) -> Float[np.ndarray, "n 3"]:
+        """Of the vertices."""
+        return np.ascontiguousarray(self.mesh.vertex_normals, np.float32)
 
     def _float32(
         self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
@@ -121,43 +135,15 @@ class RayCaster:
 
     def interpolated_normals(self, hits: Hits) -> Float[np.ndarray, "n 3"]:
         """Unit vertex normals interpolated at the hits; zero for a miss."""
-        normal = np.einsum("nk,nkd->nd", hits.barycentric, self._corners[hits.face, :3])
+        corners = self.normals[self.rasterizer.triangles[hits.face]]
+        normal = np.einsum("nk,nkd->nd", hits.barycentric, corners)
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
         return np.where(hits.hit[:, None] & (length > 0), normal / np.maximum(length, 1e-20), 0.0)
 
     def gbuffer(self, camera: Camera) -> GBuffer:
         """G-buffer of the mesh in `camera`. Normals are interpolated from the vertices and face the camera."""
-        shape = camera.intrinsics.shape
-        rays = camera.rays().astype(np.float32)
-        hits = self.cast(camera.origin, rays.reshape(-1, 3), shape)
-        normals = self._corners[hits.face].reshape(*shape, 4, 3)  # NumPy gathers rows many times faster than XLA
-        grid = (part.reshape(*shape, -1) for part in (hits.distance, hits.barycentric, hits.hit))
-        seen = _gbuffer(jnp.asarray(camera.origin, jnp.float32), rays, *grid, normals)
-        face = jnp.asarray(hits.face.reshape(shape), jnp.int32)
-        barycentric = jnp.asarray(hits.barycentric.reshape(*shape, 3), jnp.float32)
-        return dataclasses.replace(seen, face=face, barycentric=barycentric)
+        return self.rasterizer.gbuffer(camera, self.normals)
 
-
-@jax.jit
-def _gbuffer(
-    origin: Float[Array, "3"],
-    rays: Float[Array, "h w 3"],
-    distance: Float[Array, "h w 1"],
-    barycentric: Float[Array, "h w 3"],
-    hit: Bool[Array, "h w 1"],
-    normals: Float[Array, "h w 4 3"],
-) -> GBuffer:
-    """From rays of unit depth, where they met the mesh, and the normals of three corners and the triangle there."""
-    # Directions have unit depth, so that Embree's ray parameter is the depth itself.
-    depth = jnp.where(hit, distance, 0.0)
-    position = jnp.where(hit, origin[None, None] + rays * depth, 0.0)
-    first, second, third = (barycentric[..., k : k + 1] * normals[..., k, :] for k in range(3))
-    normal = first + second + third
-    length = jnp.sqrt(dot(normal, normal))[..., None]
-    # The triangle decides which side is seen. Near a silhouette an interpolated normal may lean a little away
-    # from the camera in all honesty; turned round it would be lit from the wrong side.
-    face = normals[..., 3, :]
-    turned = (dot(face, rays) > 0) != (dot(face, normal) < 0)
-    normal = jnp.where(turned[..., None], -normal, normal)
-    normal = jnp.where(hit & (length > 0), normal / jnp.maximum(length, 1e-20), 0.0)
-    return GBuffer(position, normal, depth[..., 0], hit[..., 0])
+    def distances(self, view: RasterView) -> Float[np.ndarray, "h w"]:
+        """Distances of the nearest surface in a view, see `Rasterizer`."""
+        return self.rasterizer.distances(view)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from hyjax.geometry.rasterizer import RasterView, constant, share_out
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Light
 from hyjax.light.kinds.shadow_views import Projection, RadialViews, ShadowViews
@@ -38,8 +39,7 @@ def cast_shadow_maps(
 def _cast(caster: RayCaster, views: ShadowViews | None, scale: float) -> ShadowMap | None:
     if views is None:
         return None
-    layout = MapLayout.of(views, scale, np.asarray(caster.mesh.bounds))
-    return layout.shadow_map(np.stack([layout.rays(view).depth(caster) for view in range(layout.count)]))
+    return MapLayout.of(views, scale, np.asarray(caster.mesh.bounds)).cast(caster)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -135,6 +135,48 @@ class MapLayout:
         inside = (np.abs(starts @ right) <= right @ right) & (np.abs(starts @ up) <= up @ up)
         return TexelRays(self.origins[view] + starts, directions, to_opening, inside)
 
+    def raster_view(self, view: int) -> RasterView:
+        """View whose rays are `rays`; the gutter of an octahedral map stays empty."""
+        pieces, spans, norm = _raster_map(self.size, self.projection)
+        axes, origin = self.axes[view], self.origins[view]
+        if isinstance(self.views, RadialViews):
+            near = np.float32(self.views.near)
+            limit = norm / near if near > 0 else constant(norm.shape, np.inf)
+            return RasterView(axes, origin, pieces, spans, norm, limit)
+        if self.views.aperture is None:
+            return RasterView(axes, origin, pieces, spans, norm, constant(norm.shape, 0.0), True)
+        # Rays start in an opening. How far from the plane's points it lies, and whether there at all, is affine.
+        right, up = (np.asarray(a, np.float64) for a in (self.views.aperture.right, self.views.aperture.up))
+        normal = np.cross(right, up)
+        frame = orthonormal_frame(self.views.directions[view])
+        ticks = self.half * _ticks(self.size)
+
+        def along(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "s s"]:
+            """Coordinate of the starts, once moved along the rays into the opening's plane."""
+            slope = frame @ vector
+            return (slope[0] * ticks)[None] + (slope[1] * ticks)[:, None]
+
+        lead = along(normal) / -(frame[2] @ normal)
+        inside = np.abs(along(right) + lead * (frame[2] @ right)) <= right @ right
+        inside &= np.abs(along(up) + lead * (frame[2] @ up)) <= up @ up
+        limit = np.where(inside, -lead, -np.inf).astype(np.float32)
+        return RasterView(axes, origin, pieces, spans, norm, limit, True)
+
+    def cast(self, caster: RayCaster) -> ShadowMap:
+        """Shadow map of a mesh; several views are drawn at once."""
+
+        def draw(part: slice) -> None:
+            for view in range(part.start, part.stop):
+                depth[view] = caster.distances(self.raster_view(view))
+
+        side = self.size + 2
+        depth = np.empty((self.count, side, side), np.float32)
+        share_out(draw, self.count, self.count)
+        if self.projection == "octahedral":  # beyond an edge it continues on the same edge, mirrored
+            depth[:, :, 0], depth[:, :, -1] = depth[:, ::-1, 1], depth[:, ::-1, -2]
+            depth[:, 0], depth[:, -1] = depth[:, 1, ::-1], depth[:, -2, ::-1]
+        return self.shadow_map(depth)
+
     def shadow_map(self, depth: Float[np.ndarray, "v n"]) -> ShadowMap:
         """Shadow map of these texels' distances."""
         return ShadowMap(
@@ -146,11 +188,55 @@ class MapLayout:
         )
 
 
+def _ticks(size: int) -> Float[np.ndarray, "s"]:
+    """Map coordinates of texel centres along a side, gutter included."""
+    return (2.0 * np.arange(-1, size + 1) + 1.0) / size - 1.0
+
+
 @functools.lru_cache(maxsize=8)
 def _texel_rays(size: int, projection: Projection) -> tuple[np.ndarray, ...]:
     """Origins and directions of the rays through all texel centres in a view's axes, gutter included."""
-    ticks = (2.0 * np.arange(-1, size + 1) + 1.0) / size - 1.0
-    u, v = np.meshgrid(ticks, ticks)
+    u, v = np.meshgrid(_ticks(size), _ticks(size))
     origin, direction = map_rays(jnp.asarray(u), jnp.asarray(v), projection)
     vectors = (np.stack([np.asarray(c) for c in vector], axis=-1) for vector in (origin, direction))
     return tuple(vector.reshape(-1, 3) for vector in vectors)
+
+
+@functools.lru_cache(maxsize=8)
+def _raster_map(size: int, projection: Projection) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pieces, spans and norm, as in `RasterView`, of a view in axes that `map_rays` is in.
+
+    In each quadrant or octant, where |x| + |y| + |z| is a sum of three coordinates with fixed signs, a map of
+    directions is projective.
+    """
+    side = size + 2
+    ticks = 2 * np.arange(-1, size + 1) + 1 - size  # times the size: exact
+    u, v = np.meshgrid(ticks, ticks)
+    norm = np.ones((side, side), np.float32)
+    if projection in ("perspective", "orthographic"):
+        number, local = np.zeros((side, side), int), np.eye(3)[None]
+    else:
+        _, direction = _texel_rays(size, projection)
+        if projection == "hemisphere":
+            number = (u + v < 0) + 2 * (u - v < 0)
+            local = np.stack([[[1, 1, 0], [1, -1, 0], [x, y, 1]] for y in (1, -1) for x in (1, -1)])
+            x, y = 0.5 * (u + v) / size, 0.5 * (u - v) / size
+            vectors = np.stack([x, y, 1.0 - np.abs(x) - np.abs(y)], axis=-1)
+            norm = np.linalg.norm(vectors, axis=-1)
+        else:
+            number = (u < 0) + 2 * (v < 0) + 4 * (np.abs(u) + np.abs(v) > size)
+            number[[0, -1]] = number[:, [0, -1]] = -1
+            local = np.stack(
+                [
+                    [[1, 0, -x * (z < 0)], [0, 1, -y * (z < 0)], [x, y, z]]
+                    for z in (1, -1)
+                    for y in (1, -1)
+                    for x in (1, -1)
+                ]
+            )
+            norm = 1.0 / np.abs(direction).sum(axis=-1).reshape(side, side)
+    texels = np.array([[0.5 * size, 0, 0.5 * size + 0.5], [0, 0.5 * size, 0.5 * size + 0.5], [0, 0, 1]])
+    belongs = number == np.arange(len(local))[:, None, None]
+    first, last = belongs.argmax(axis=-1), side - 1 - belongs[..., ::-1].argmax(axis=-1)
+    last = np.where(belongs.any(axis=-1), last, -1)
+    return texels @ local, np.stack([first, last], axis=1).astype(np.int32), norm.astype(np.float32)

@@ -25,10 +25,8 @@ SIDE = REGION * BLOCK
 SPECK = 64.0
 """Square voxels: connected surface of less that ends within its region is dropped, as in `extract_surface`."""
 Region = tuple[int, int, int]
-LOCAL_BLOCKS = np.indices((REGION,) * 3).reshape(3, -1).T
 PATIENCE = 0.2
 """How much more urgent a region becomes each time that others are meshed before it."""
-_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)  # large odd numbers
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -37,13 +35,19 @@ class Piece:
 
     Attributes:
         vertices, faces, normals: of its mesh.
-        sums: of each of its blocks, two numbers that are others if any triangle in the block is another.
     """
 
     vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"]
     normals: Float[np.ndarray, "n 3"]
-    sums: Float[np.ndarray, "b 2"]
+
+    def is_same(self, other: "Piece | None") -> bool:
+        """Whether another piece has the same triangles."""
+        return (
+            other is not None
+            and np.array_equal(self.vertices, other.vertices)
+            and np.array_equal(self.faces, other.faces)
+        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -77,22 +81,21 @@ class LiveMesh:
         self.pieces: dict[Region, Piece] = {}
         self.waiting: dict[Region, float] = {}
 
-    def renew(self, most: int | None = None) -> tuple[list[Region], Float[np.ndarray, "b 3"]]:
+    def renew(self, most: int | None = None) -> tuple[list[Region], list[Region]]:
         """Make pieces anew whose blocks have changed, those that have changed most first.
 
         Args:
             most: pieces that are made at once; the rest waits for the next time. None for all.
 
         Returns:
-            The regions that were meshed again, and the centres of the blocks in which the surface is another now:
-            spheres of `reach` around them hold every triangle that came or went.
+            The regions that were meshed again, and those of them whose surface is another now.
         """
         for region in self.waiting:
             self.waiting[region] += PATIENCE
         for region, amount in amounts_of(*self._volume.take_changes()).items():
             self.waiting[region] = max(self.waiting.get(region, 0.0), amount)
         regions = sorted(self.waiting, key=lambda region: (-self.waiting[region], region))[:most]
-        centres: list[Float[np.ndarray, "_ 3"]] = [np.zeros((0, 3))]
+        changed: list[Region] = []
         cuts = {region: cut for region in regions if (cut := self._cut(region)) is not None}
         if self._clean:
             cuts = without_specks(cuts, SIDE)
@@ -102,14 +105,9 @@ class LiveMesh:
             piece = self._piece(region, cuts[region]) if region in cuts else None
             if piece is not None:
                 self.pieces[region] = piece
-            changed = np.any(_sums(before) != _sums(piece), axis=1)
-            centres.append((np.array(region) * REGION + LOCAL_BLOCKS[changed] + 0.5) * (BLOCK * self._volume.voxel))
-        return regions, np.concatenate(centres)
-
-    @property
-    def reach(self) -> float:
-        """Metres from a block's centre to the farthest point of a triangle whose middle lies in the block."""
-        return float(np.sqrt(3.0)) * (0.5 * BLOCK + 1.0) * self._volume.voxel
+            if not (before is None if piece is None else piece.is_same(before)):
+                changed.append(region)
+        return regions, changed
 
     def whole(self) -> trimesh.Trimesh:
         """All pieces as one mesh; vertices on the seams are there twice."""
@@ -135,7 +133,7 @@ class LiveMesh:
         normals = gradient_normals(cut.distance, cut.vertices + 1.0)
         first = np.array(region) * float(SIDE)
         world = ((cut.vertices + first) * self._volume.voxel).astype(np.float32)
-        return Piece(world, np.ascontiguousarray(cut.faces, np.int32), normals, block_sums(cut.vertices, cut.faces))
+        return Piece(world, np.ascontiguousarray(cut.faces, np.int32), normals)
 
 
 def amounts_of(blocks: Int[np.ndarray, "n 3"], amounts: Float[np.ndarray, "n"]) -> dict[Region, float]:
@@ -231,17 +229,3 @@ def _without_specks(
 def on_border(vertices: Float[np.ndarray, "n 3"], side: int) -> Bool[np.ndarray, "n"]:
     """Whether vertices, in voxels, lie on the sides of their region."""
     return np.any((vertices <= 0.0) | (vertices >= side), axis=1)
-
-
-def block_sums(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Float[np.ndarray, "b 2"]:
-    """Two sums for each block of a region, over the triangles with their middle in it, of numbers of all bits."""
-    middles = vertices[faces].mean(axis=1, dtype=np.float32)
-    x, y, z = np.ascontiguousarray(middles).view(np.uint32).astype(np.uint64).T
-    keys = x * _MIX[0] ^ y * _MIX[1] ^ z * _MIX[2]
-    place = np.clip(middles // BLOCK, 0, REGION - 1).astype(np.int64) @ (REGION * REGION, REGION, 1)
-    halves = ((keys >> np.uint64(32)).astype(np.float64), (keys & np.uint64(0xFFFFFFFF)).astype(np.float64))
-    return np.stack([np.bincount(place, half, minlength=REGION**3) for half in halves], axis=-1)
-
-
-def _sums(piece: Piece | None) -> Float[np.ndarray, "b 2"]:
-    return np.zeros((REGION**3, 2)) if piece is None else piece.sums

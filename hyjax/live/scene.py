@@ -31,7 +31,7 @@ from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.live.caster import LiveCaster
 from hyjax.live.mesh import LiveMesh
-from hyjax.live.shadow import HISTORY, LiveShadowMaps, LiveSurface, Spheres
+from hyjax.live.shadow import LiveShadowMaps, LiveSurface
 from hyjax.live.volume import MOST_BLOCKS, LiveVolume, make_pool
 from hyjax.pipeline import Relit, relight
 from hyjax.scene.occluders import SLACK
@@ -96,8 +96,7 @@ class LiveScene:
         self.skipped: Counter[str] = Counter()
         self.times: dict[str, float] = {}
         self._maps, self._pool, self._last = LiveShadowMaps(SLACK), make_pool(workers), -np.inf
-        self._revision, self._centre = 0, np.zeros(3)
-        self._caster: LiveCaster | None = None
+        self._revision = 0
 
     # ---- frames come in ----
 
@@ -113,8 +112,6 @@ class LiveScene:
         self._last = frame.time
         assert frame.depth is not None
         reading = thinned(DepthReading(frame.depth, frame.depth_camera, frame.confidence))
-        if not self.volume.count:
-            self._centre = np.asarray(frame.camera.origin, np.float64)
         try:
             self.volume.integrate(reading.depth, reading.camera, self.max_depth, self._pool)
         except InputError as error:
@@ -148,24 +145,16 @@ class LiveScene:
     def update(self) -> LiveSurface | None:
         """Renew mesh and caster where the volume has changed, the largest changes first; `surface` afterwards."""
         begun = time.perf_counter()
-        regions, centres = self.pieces.renew(MOST_REGIONS)
+        _, changed = self.pieces.renew(MOST_REGIONS)
         meshed = time.perf_counter()
-        if regions and len(centres):
-            caster = self._caster
-            pieces = self.pieces.pieces
-            caster = LiveCaster.of(pieces, self._centre) if caster is None else caster.renewed(pieces)
-            self._caster = caster
-            if caster is not None:
-                self.surface = self._next(caster, Spheres(centres, self.pieces.reach))
+        if changed and self.pieces.pieces:
+            self._revision += 1
+            caster = LiveCaster(self.pieces.pieces)
+            low, high = caster.bounds
+            rounded = np.stack([np.floor(low / BOUNDS), np.ceil(high / BOUNDS)]) * BOUNDS
+            self.surface = LiveSurface(caster, self._revision, rounded)
         self.times = {"mesh": meshed - begun, "caster": time.perf_counter() - meshed}
         return self.surface
-
-    def _next(self, caster: LiveCaster, changes: Spheres) -> LiveSurface:
-        self._revision += 1
-        before = () if self.surface is None else self.surface.changes
-        bounds = caster.bounds
-        rounded = np.stack([np.floor(bounds[0] / BOUNDS), np.ceil(bounds[1] / BOUNDS)]) * BOUNDS
-        return LiveSurface(caster, self._revision, (*before, (self._revision, changes))[-HISTORY:], rounded)
 
     @property
     def mesh(self) -> trimesh.Trimesh:
@@ -188,7 +177,7 @@ class LiveScene:
         return view_of(fitted, self._now().caster.gbuffer(fitted.camera))
 
     def shadow_maps(self, lights: LightSetup | Sequence[Light]) -> tuple[ShadowMap | None, ...]:
-        """Shadow maps of lights, of which only what has changed is cast.
+        """Shadow maps of lights, drawn where the surface has changed since they were asked for last.
 
         Raises:
             InputError: there is no surface yet.

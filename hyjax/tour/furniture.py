@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy import sparse
 
 from hyjax.geometry.camera import Camera
+from hyjax.geometry.rasterizer import RasterView
 from hyjax.geometry.raycast import Hits, RayCaster
 from hyjax.light.gbuffer import GBuffer
 from hyjax.tour.placement import compass
@@ -104,30 +105,16 @@ class Part:
     def moved(self) -> bool:
         return not np.array_equal(self.pose, np.eye(4))
 
-    def cast(
-        self,
-        origins: Float[np.ndarray, "n 3"],
-        directions: Float[np.ndarray, "n 3"],
-        grid: tuple[int, int] | None = None,
-    ) -> Hits:
+    def cast(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
         """`RayCaster.cast`, with rays and hits in the room's coordinates."""
-        return self._cast(self.caster, origins, directions, grid)
-
-    def cast_at_occluders(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
-        """`cast` at what throws this part's shadows."""
-        return self._cast(self.occluders or self.caster, origins, directions, None)
-
-    def _cast(
-        self,
-        caster: RayCaster,
-        origins: Float[np.ndarray, "n 3"],
-        directions: Float[np.ndarray, "n 3"],
-        grid: tuple[int, int] | None,
-    ) -> Hits:
         if not self.moved:
-            return caster.cast(origins, directions, grid)
+            return self.caster.cast(origins, directions)
         turn, shift = self.pose[:3, :3], self.pose[:3, 3]
-        return caster.cast((origins - shift) @ turn, directions @ turn, grid)
+        return self.caster.cast((origins - shift) @ turn, directions @ turn)
+
+    def distances(self, view: RasterView) -> Float[np.ndarray, "h w"]:
+        """`RayCaster.distances` of what throws this part's shadows."""
+        return (self.occluders or self.caster).distances(view.of_moved(self.pose) if self.moved else view)
 
     def gbuffer(self, camera: Camera) -> GBuffer:
         """Surface points of this part alone that a camera sees; `face` counts the whole room's triangles."""

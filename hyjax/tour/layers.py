@@ -16,7 +16,7 @@ import trimesh
 from jaxtyping import Array, Float
 
 from hyjax.data.capture import Frame
-from hyjax.geometry.raycast import Hits
+from hyjax.geometry.rasterizer import RasterView
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
@@ -150,10 +150,10 @@ class CancellableCaster:
     def mesh(self) -> trimesh.Trimesh:
         return self.part.mesh
 
-    def cast(self, *rays: Any) -> Hits:
+    def distances(self, view: RasterView) -> Float[np.ndarray, "h w"]:
         if self.cancelled():
             raise RenderCancelled
-        return self.part.cast_at_occluders(*rays)
+        return self.part.distances(view)
 
 
 def mebibytes(result: object) -> float:

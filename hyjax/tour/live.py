@@ -80,7 +80,7 @@ class LiveEditableScene(EditableScene):
 
 
 class LiveLayers(LayerCache):
-    """Layers whose shadow maps are renewed in part, as long as no furniture has been moved.
+    """Layers whose shadow maps are drawn again with the surface, as long as no furniture has been moved.
 
     Attributes:
         surface: as it is now.
