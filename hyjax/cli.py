@@ -6,19 +6,19 @@ import logging
 import os
 import sys
 import warnings
-from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+import hyjax
 from hyjax.data.convert_settings import ConvertSettings
 from hyjax.device.serve import ServeSettings
 from hyjax.export.settings import ExportSettings
 from hyjax.info import InfoSettings
 from hyjax.relighting.settings import RelightSettings
 from hyjax.tour.settings import TourSettings
-from hyjax.training.settings import PAPER, TrainSettings
+from hyjax.training.settings import TrainSettings, paper_settings
 from hyjax.tuning.settings import TuneSettings
 from hyjax.util.errors import InputError
 from hyjax.util.interrupts import defer_interrupts, exit_now
@@ -62,7 +62,7 @@ Command = (
 def parse() -> Command:
     """The command line. Exits with status 2 if it is none."""
     # The defaults of `train`, and what its help says they are.
-    recipe = PAPER if "--paper" in sys.argv else TrainSettings()
+    recipe = paper_settings() if "--paper" in sys.argv else TrainSettings()
     commands = (
         Annotated[RelightSettings, tyro.conf.subcommand("relight")]
         | Annotated[TuneSettings, tyro.conf.subcommand("tune", default=TuneSettings(out=Path("tuned")))]
@@ -101,7 +101,7 @@ def main() -> None:
     logging.basicConfig(level=logging.WARNING, format="hyjax: %(message)s")
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     if sys.argv[1:] == ["--version"]:
-        print(f"hyjax {metadata.version('hyjax')}")
+        print(f"hyjax {hyjax.__version__}")
         return
     defer_interrupts()
     try:
