@@ -285,10 +285,12 @@ def _keep_compiled() -> None:
 
     from hyjax.util.cache import cache_folder
     from hyjax.util.files import make_writable
+    from hyjax.util.programs import keep_programs
 
     with contextlib.suppress(InputError):  # an unwritable cache folder costs time only
         compiled = cache_folder() / "compiled"
         make_writable(compiled)
+        keep_programs(compiled)
         jax.config.update("jax_compilation_cache_dir", str(compiled))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         # Half-written by a process that was killed, or that writes it just now: compiled anew.

@@ -137,7 +137,14 @@ LAYERS: list[set[str]] = [
 LAYER = {module: level for level, row in enumerate(LAYERS) for module in row}
 PURE = {"core", "light", "pipeline", "video"}
 JAX_ONLY = {"jax", "jaxtyping", "numpy"}  # and the standard library: what the pure layers may import
-PURE_UTIL = {"errors", "geometry", "vectors", "tracing", "environment"}  # of util, what the pure layers may import
+PURE_UTIL = {
+    "errors",
+    "geometry",
+    "vectors",
+    "tracing",
+    "environment",
+    "programs",
+}  # of util, what the pure layers may import
 BESIDES = {
     "core.solver": {"jaxopt"}
 }  # its implicit derivatives; when it is asked to solve, as the import stays light

@@ -1,6 +1,5 @@
 """Coarse-to-fine diffusion (Eq. 4)."""
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -10,6 +9,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.core.stencil import CoarseEdges
 from hyjax.core.upsampling import guided_upsample
 from hyjax.util.errors import InputError
+from hyjax.util.programs import Program
 
 
 def cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w c"]:
@@ -46,7 +46,7 @@ def cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Sc
     return _cascade(y, guide, schedule)
 
 
-@jax.jit
+@Program
 def _cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w c"]:
     full, factors = (y.shape[0], y.shape[1]), [level.factor for level in schedule.levels]
     means, guides = cell_pyramid(y, factors), cell_pyramid(guide, [*factors, 1])

@@ -1,6 +1,5 @@
 """The cascade where something is unknown or doubtful, and the shadow pass."""
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -8,12 +7,13 @@ from hyjax.core.cascade import cascade
 from hyjax.core.pyramid import cell_pixels, downsample
 from hyjax.core.schedule import Schedule
 from hyjax.util.geometry import TINY
+from hyjax.util.programs import Program
 
 # Weight below which a hole counts as too far from any surface to be filled from its surroundings.
 HOLE_FLOOR = 1e-3
 
 
-@jax.jit
+@Program
 def cascade_known(
     y: Float[Array, "h w c"],
     confidence: Float[Array, "h w k"] | Bool[Array, "h w k"],
@@ -68,7 +68,7 @@ def _all_channels(x: Bool[Array, "h w c"]) -> Bool[Array, "h w 1"]:
     return together
 
 
-@jax.jit
+@Program
 def shadow_pass(
     raw: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule
 ) -> Float[Array, "h w c"]:
@@ -89,7 +89,7 @@ def shadow_pass(
     return cascade(raw, guide, schedule)
 
 
-@jax.jit
+@Program
 def fill_visibility(
     raw: Float[Array, "h w l"], known: Bool[Array, "h w l"], guide: Float[Array, "h w f"]
 ) -> Float[Array, "h w l"]:

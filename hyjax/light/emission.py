@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.util.geometry import cross, dot, unit
+from hyjax.util.programs import Program
 
 PANE_REFLECTANCE, LAMP_REFLECTANCE = 0.04, 0.6
 PANE_SHARE = 0.4
@@ -121,7 +122,7 @@ def radiant_filter(
     return sent / reference_lux
 
 
-@jax.jit
+@Program
 def emission(
     emitters: Emitters,
     frame: Float[Array, "h w 3"],
