@@ -1,6 +1,5 @@
 """The commands. Thin: everything here is one call into the package."""
 
-import contextlib
 import dataclasses
 import logging
 import os
@@ -281,21 +280,10 @@ def run_convert(settings: ConvertSettings) -> None:
 
 def _keep_compiled() -> None:
     """Keep what XLA compiles in the cache folder."""
-    import jax
+    from hyjax.util.compiled_cache import keep_compiled
 
-    from hyjax.util.cache import cache_folder
-    from hyjax.util.files import make_writable
-    from hyjax.util.programs import keep_programs
-
-    with contextlib.suppress(InputError):  # an unwritable cache folder costs time only
-        compiled = cache_folder() / "compiled"
-        make_writable(compiled)
-        keep_programs(compiled)
-        jax.config.update("jax_compilation_cache_dir", str(compiled))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        # Half-written by a process that was killed, or that writes it just now: compiled anew.
-        warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
-        warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
+    keep_compiled()
+    warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
 
 
 if __name__ == "__main__":
