@@ -24,6 +24,7 @@ EXPERIMENTS = (
     "tuning_race",
     "stage_times",
     "frame_rate",
+    "first_picture",
     "device_roofline",
     "guide_speed",
     "export_formats",

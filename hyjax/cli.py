@@ -1,24 +1,23 @@
 """The commands. Thin: everything here is one call into the package."""
 
-import contextlib
 import dataclasses
 import logging
 import os
 import sys
 import warnings
-from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+import hyjax
 from hyjax.data.convert_settings import ConvertSettings
 from hyjax.device.serve import ServeSettings
 from hyjax.export.settings import ExportSettings
 from hyjax.info import InfoSettings
 from hyjax.relighting.settings import RelightSettings
 from hyjax.tour.settings import TourSettings
-from hyjax.training.settings import PAPER, TrainSettings
+from hyjax.training.settings import TrainSettings, paper_settings
 from hyjax.tuning.settings import TuneSettings
 from hyjax.util.errors import InputError
 from hyjax.util.interrupts import defer_interrupts, exit_now
@@ -62,7 +61,7 @@ Command = (
 def parse() -> Command:
     """The command line. Exits with status 2 if it is none."""
     # The defaults of `train`, and what its help says they are.
-    recipe = PAPER if "--paper" in sys.argv else TrainSettings()
+    recipe = paper_settings() if "--paper" in sys.argv else TrainSettings()
     commands = (
         Annotated[RelightSettings, tyro.conf.subcommand("relight")]
         | Annotated[TuneSettings, tyro.conf.subcommand("tune", default=TuneSettings(out=Path("tuned")))]
@@ -101,7 +100,7 @@ def main() -> None:
     logging.basicConfig(level=logging.WARNING, format="hyjax: %(message)s")
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     if sys.argv[1:] == ["--version"]:
-        print(f"hyjax {metadata.version('hyjax')}")
+        print(f"hyjax {hyjax.__version__}")
         return
     defer_interrupts()
     try:
@@ -140,7 +139,7 @@ def run_relight(settings: RelightSettings) -> None:
     # Heavy imports wait until the command line is known to be right.
     from hyjax.relighting.run import relight_capture
 
-    _keep_compiled()
+    _keep_for_later()
     run = relight_capture(settings)
     if run["frames_without_surface"]:
         names = ", ".join(run["frames_without_surface"])
@@ -154,7 +153,7 @@ def run_tune(settings: TuneSettings) -> None:
     from hyjax.tuning.report import summary
     from hyjax.tuning.tune import tune, write_request
 
-    _keep_compiled()
+    _keep_for_later()
     if (path := settings.target_device.request) is not None:
         request = write_request(settings, path)
         print(f"{len(request.schedules)} schedules to time at {request.workload}: {path}")
@@ -186,7 +185,7 @@ def run_train(command: Train) -> None:
         jax.distributed.initialize(command.coordinator, command.hosts, command.host)
     from hyjax.training.run import train
 
-    _keep_compiled()
+    _keep_for_later()
     called = shlex.join(["hyjax", *sys.argv[1:]])
     if not command.quiet:
         print(
@@ -219,7 +218,7 @@ def run_tour(settings: TourSettings) -> None:
         raise InputError(f"tour: needs the package {error.name}; install it with: pip install '.[tour]'") from None
     from hyjax.tour.page import Tour
 
-    _keep_compiled()
+    _keep_for_later()
     tour = Tour.open(settings)
     if not settings.is_local:
         print(
@@ -239,7 +238,7 @@ def run_tour(settings: TourSettings) -> None:
 def run_export(settings: ExportSettings) -> None:
     """`hyjax export`."""
     settings.check()
-    _keep_compiled()
+    _keep_for_later()
     if settings.to == "web":
         from hyjax.export.web import export_web
 
@@ -279,21 +278,15 @@ def run_convert(settings: ConvertSettings) -> None:
     print(f"{count} frame{'s' * (count != 1)} in {settings.out}; relight with: {relight_command(settings)}")
 
 
-def _keep_compiled() -> None:
-    """Keep what XLA compiles in the cache folder."""
-    import jax
+def _keep_for_later() -> None:
+    """Keep memory for the next frame, and what XLA compiles for the next start."""
+    from hyjax.util.memory import keep_freed_memory
 
-    from hyjax.util.cache import cache_folder
-    from hyjax.util.files import make_writable
+    keep_freed_memory()  # before the first thread
+    from hyjax.util.compiled_cache import keep_compiled
 
-    with contextlib.suppress(InputError):  # an unwritable cache folder costs time only
-        compiled = cache_folder() / "compiled"
-        make_writable(compiled)
-        jax.config.update("jax_compilation_cache_dir", str(compiled))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        # Half-written by a process that was killed, or that writes it just now: compiled anew.
-        warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
-        warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
+    keep_compiled()
+    warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
 
 
 if __name__ == "__main__":

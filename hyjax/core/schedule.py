@@ -14,17 +14,17 @@ from jax.typing import DTypeLike
 from jaxtyping import ArrayLike, Float
 
 from hyjax.core.diffusion import Norm, check_fidelity, check_kappa, check_step_sizes
+from hyjax.core.step_size import DEFAULT_LAM
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.tracing import concrete
 
 Pooling = Literal["edges", "guide"]
 Upsampling = Literal["bilinear", "guide"]
 
-# Metzger's step size. The paper names neither λ nor κ; these κ are for display-encoded RGB guides in [0, 1] and
+# The paper names no κ; these are for display-encoded RGB guides in [0, 1] and
 # norm l2: with pooled edges by experiments/kappa_sweep.py (best for our mode 0.005 to 0.02, the paper's 0.05 to
 # 0.2). κ, α and steps of our presets were chosen together, by hand, on tuning frames of 7-Scenes' kitchen (five of
 # its first three quarters) and of the built-in room (seed 0): a flat optimum; experiments/beyond.py looks along κ.
-DEFAULT_LAM = 0.24
 DEFAULT_KAPPA = 0.02
 PAPER_KAPPA = 0.05
 GUIDED_KAPPA = 0.05

@@ -4,8 +4,6 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from hyjax.util.errors import InputError, did_you_mean
 
 
@@ -19,6 +17,8 @@ def read_plain(path: Path, kind: str) -> Any:
     Raises:
         InputError: no such file, or neither YAML nor JSON.
     """
+    import yaml
+
     try:
         return yaml.safe_load(path.read_text(encoding="utf-8"))  # JSON is a part of YAML
     except OSError:

@@ -2,12 +2,16 @@
 
 import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 
-from hyjax.device.server import LOCAL, LOCAL_NAMES, Folder, Server
 from hyjax.util.errors import InputError
+from hyjax.util.hosts import LOCAL, LOCAL_NAMES
 from hyjax.util.settings import Settings
+
+if TYPE_CHECKING:
+    from hyjax.device.server import Server
 
 INDEX = "index.html"
 
@@ -30,12 +34,14 @@ class ServeSettings(Settings):
         return self.host in LOCAL_NAMES
 
 
-def open_folder(settings: ServeSettings) -> Server:
+def open_folder(settings: ServeSettings) -> "Server":
     """A server of a folder.
 
     Raises:
         InputError: no such folder, none with a page, or it cannot be listened at the address.
     """
+    from hyjax.device.server import Folder, Server
+
     folder = settings.folder
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")

@@ -16,9 +16,8 @@ from urllib.parse import unquote, urlsplit
 
 from hyjax.device.certificate import qr_code, tls_context
 from hyjax.util.errors import InputError
+from hyjax.util.hosts import LOCAL, LOCAL_NAMES
 
-LOCAL = "127.0.0.1"
-LOCAL_NAMES = (LOCAL, "localhost", "::1")
 ANY = ("0.0.0.0", "::")
 MOST_BODY = 1 << 20
 """Bytes that a request may bring."""

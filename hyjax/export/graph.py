@@ -136,8 +136,11 @@ def cascade_graph(
     ports = tuple(Port(name, examples[name].shape, text) for name, text in meaning.items() if name in examples)
 
     def repair(*inputs: Array) -> Array:
-        y, *confidence, features = inputs
-        return cascade_known(y, *confidence, features, schedule) if known else cascade(y, features, schedule)
+        if known:
+            y, confidence, features = inputs
+            return cascade_known(y, confidence, features, schedule)
+        y, features = inputs
+        return cascade(y, features, schedule)
 
     return Graph(
         name="cascade" if known else "plain_cascade",

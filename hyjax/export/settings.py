@@ -2,13 +2,15 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from hyjax.core.schedule import Schedule
 from hyjax.relighting.settings import open_schedule
 from hyjax.scene.settings import SceneSettings, check_lights_name, parse_size
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
+
+if TYPE_CHECKING:
+    from hyjax.core.schedule import Schedule
 
 Target = Literal["web", "bench", "stablehlo", "iree", "onnx", "litert", "coreml"]
 What = Literal["cascade", "plain-cascade", "guide"]
@@ -81,7 +83,7 @@ class ExportSettings(Settings):
         height, width = parse_size(self.scene.size or DEFAULT_SIZE) or (0, 0)
         return height, width
 
-    def open_schedule(self) -> Schedule:
+    def open_schedule(self) -> "Schedule":
         """Schedule by name or from a file.
 
         Raises:

@@ -15,6 +15,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.util.geometry import cross, dot, unit
+from hyjax.util.programs import Program
 from hyjax.util.tracing import concrete
 
 PANE_REFLECTANCE, LAMP_REFLECTANCE = 0.04, 0.6
@@ -143,9 +144,8 @@ def may_show(
     panes, lamps, pose, k = (np.asarray(x, np.float64) for x in known)
     h, w = size
     # Inward normals of the four sides of what the camera sees, in its own axes.
-    sides = np.array(
-        [[k[0, 0], 0, k[0, 2]], [-k[0, 0], 0, w - k[0, 2]], [0, k[1, 1], k[1, 2]], [0, -k[1, 1], h - k[1, 2]]]
-    )
+    (fx, _, cx), (_, fy, cy) = k[:2]
+    sides = np.array([[fx, 0, cx], [-fx, 0, w - cx], [0, fy, cy], [0, -fy, h - cy]])
     sides /= np.linalg.norm(sides, axis=1, keepdims=True)
     signs = np.array([(1, a, b) for a in (-1, 1) for b in (-1, 1)])
     corners = np.einsum("sk,nkd->nsd", signs, panes)
@@ -156,7 +156,7 @@ def may_show(
     return False
 
 
-@jax.jit
+@Program
 def emission(
     emitters: Emitters,
     frame: Float[Array, "h w 3"],

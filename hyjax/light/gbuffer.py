@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from hyjax.util.programs import Program
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -31,8 +33,8 @@ class GBuffer:
     barycentric: Float[Array, "h w 3"] | None = None
 
 
-@functools.partial(jax.jit, static_argnames="sampling")
-def sample_pixels(gbuffer: GBuffer, sampling: int) -> GBuffer:
+@functools.partial(Program, static="sampling")
+def sample_pixels(gbuffer: GBuffer, *, sampling: int) -> GBuffer:
     """Samples of a G-buffer: one pixel of each block of `sampling` × `sampling`.
 
     Which one changes from block to block, so that `sampling`² blocks have samples in all rows and in all columns:

@@ -11,6 +11,7 @@ from hyjax.light.emission import Emission
 from hyjax.light.kinds import Light
 from hyjax.light.setup import LightSetup
 from hyjax.util.errors import InputError
+from hyjax.util.programs import Program
 
 
 @jax.tree_util.register_dataclass
@@ -87,7 +88,7 @@ class Shaded:
         return cls(illuminance, visibility, colors, known, setup.reference_lux, ambient, sampling=sampling)
 
 
-@jax.jit
+@Program
 def _complete(
     hit: Bool[Array, "h w"],
     confidence: Float[Array, "h w 1"] | None,

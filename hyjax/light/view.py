@@ -112,7 +112,7 @@ class View:
             raise InputError(
                 f"shade: {len(maps)} shadow maps for {len(setup.lights)} lights; give one each, or None"
             )
-        seen = sample_pixels(self.gbuffer, sampling)
+        seen = sample_pixels(self.gbuffer, sampling=sampling)
         illuminance = shade_each(seen, setup.lights)
         yield "shading", illuminance
         visibility = visibilities(seen, setup.lights, maps, interleave=sampling)
@@ -133,7 +133,7 @@ class View:
         Raises:
             InputError: the G-buffer does not tell its triangles.
         """
-        shaded = add_surface_light(shaded, light, sample_pixels(self.gbuffer, shaded.sampling), lights)
+        shaded = add_surface_light(shaded, light, sample_pixels(self.gbuffer, sampling=shaded.sampling), lights)
         if light.emitters is None or self.pose is None or self.intrinsics is None:
             return shaded
         h, w = self.gbuffer.hit.shape

@@ -3,6 +3,7 @@
 Metrics take display values in [0, 1], work under `jit`, `grad` and `vmap`, and check values unless jax is tracing.
 """
 
+from hyjax.metrics import losses
 from hyjax.metrics.lpips import lpips, lpips_distance, lpips_distance_map, lpips_features, lpips_map
 from hyjax.metrics.psnr import decibels, psnr, squared_error_map
 from hyjax.metrics.registry import METRICS, Metric, plain_metrics, register_metric
@@ -15,6 +16,7 @@ __all__ = [
     "Metric",
     "decibels",
     "load_lpips",
+    "losses",
     "lpips",
     "lpips_distance",
     "lpips_distance_map",

@@ -15,7 +15,6 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-import jaxopt
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -86,6 +85,8 @@ def _difference(values: Float[Array, "n c"], pairs: Int[Array, "m 2"]) -> Float[
 def fit_sources(problem: FitProblem) -> Float[np.ndarray, "k 3"]:
     """Strengths θ of the unknown sources, by L-BFGS-B within bounds (Byrd et al. 1995)."""
     start = jnp.full((problem.basis.shape[1], 3), START, jnp.float32)
+    import jaxopt
+
     solver = jaxopt.ScipyBoundedMinimize(fun=loss, method="L-BFGS-B", maxiter=ITERATIONS, tol=1e-7)
     bounds = jnp.full_like(start, LOWEST), jnp.full_like(start, HIGHEST)
     return np.exp(np.asarray(solver.run(start, bounds, problem).params, np.float64))

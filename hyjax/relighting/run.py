@@ -19,8 +19,6 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.data.frames import select_frames
 from hyjax.data.light_file import write_lights
-from hyjax.device.renderer import DeviceRenderer
-from hyjax.device.webgpu import open_device
 from hyjax.guide.choose import FrameGuide, open_guide
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light, kind_name
@@ -85,7 +83,11 @@ def relight_capture(
     schedule, guide = schedule or settings.open_schedule(), guide or open_guide(settings.guide)
     if settings.renderer == "blender":
         blender_python()
-    device = open_device() if settings.renderer == "webgpu" else None
+    device = None
+    if settings.renderer == "webgpu":
+        from hyjax.device.webgpu import open_device
+
+        device = open_device()
     clock, progress, out = StageClock(), not settings.quiet, settings.out
     if scene is None:
         if settings.scene.capture is None:
@@ -214,6 +216,8 @@ def _relight_on_device(
     device: Any,
 ) -> Generator[tuple[Frame, Relit | None]]:
     """Frames with their relit pictures by WebGPU, in order; None for one that sees no surface."""
+    from hyjax.device.renderer import DeviceRenderer
+
     renderer: DeviceRenderer | None = None
     for index in chosen:
         with clock("read"):

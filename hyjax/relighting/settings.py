@@ -2,13 +2,15 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from hyjax.core.schedule import PAPER_KAPPA, Schedule
-from hyjax.pipeline import Mode
 from hyjax.scene.settings import Occluders, SceneSettings, check_lights_name
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
+
+if TYPE_CHECKING:
+    from hyjax.core.schedule import Schedule
+    from hyjax.pipeline import Mode
 
 Renderer = Literal["shadow_map", "blender", "webgpu"]
 MOST_SAMPLING = 16
@@ -85,16 +87,18 @@ class RelightSettings(Settings):
         return not self.paper_mode and not self.keep_photo_light
 
     @property
-    def mode(self) -> Mode:
+    def mode(self) -> "Mode":
         """Mode of the pipeline."""
         return "paper" if self.paper_mode else "linear"
 
-    def open_schedule(self) -> Schedule:
+    def open_schedule(self) -> "Schedule":
         """Schedule by name or from a file.
 
         Raises:
             InputError: no such schedule, a file that cannot be used, or a κ beside a file's own.
         """
+        from hyjax.core.schedule import PAPER_KAPPA
+
         text = self.schedule or ("paper-80" if self.paper_mode else "hyjax")
         papers = self.paper_mode and self.kappa is None and not is_schedule_file(text)
         return open_schedule(text, PAPER_KAPPA if papers else self.kappa)
@@ -119,12 +123,14 @@ def is_schedule_file(text: str) -> bool:
     return Path(text).suffix.lower() == ".json"
 
 
-def open_schedule(text: str, kappa: float | None = None) -> Schedule:
+def open_schedule(text: str, kappa: float | None = None) -> "Schedule":
     """Schedule by name or from a file.
 
     Raises:
         InputError: no such schedule, a file that cannot be used, or a κ beside a file's own.
     """
+    from hyjax.core.schedule import Schedule
+
     if not is_schedule_file(text):
         return Schedule.preset(text, kappa=kappa)
     if kappa is not None:
@@ -132,12 +138,14 @@ def open_schedule(text: str, kappa: float | None = None) -> Schedule:
     return read_schedule(Path(text))
 
 
-def read_schedule(path: Path) -> Schedule:
+def read_schedule(path: Path) -> "Schedule":
     """Schedule from a JSON file, such as `hyjax tune` writes.
 
     Raises:
         InputError: it cannot be read, or holds no schedule.
     """
+    from hyjax.core.schedule import Schedule
+
     try:
         return Schedule.from_json(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:

@@ -4,7 +4,6 @@ import dataclasses
 import logging
 from collections.abc import Sequence
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,8 +11,10 @@ from jaxtyping import Bool, Float
 from hyjax.data.frames import spread
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
+from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, RectLight
 from hyjax.light.setup import LightSetup
+from hyjax.light.shading import shade_each
 from hyjax.util.errors import InputError
 
 BRIGHTEST, BRIGHTEST_IN_SUN = 1.5, 3.0
@@ -77,8 +78,10 @@ class SeenSurface:
 
     def lux(self, light: Light) -> Float[np.ndarray, "n"]:
         """Illuminance of a light on the points, with shadows; times the strongest channel of its colour."""
-        lux = np.asarray(jax.vmap(light.illuminance_at)(jnp.asarray(self.points), jnp.asarray(self.normals)))
-        every = np.ones(len(lux), bool)
+        place, facing = (jnp.asarray(each[None], jnp.float32) for each in (self.points, self.normals))
+        every = np.ones(len(self.points), bool)
+        points = GBuffer(place, facing, jnp.asarray(every[None], jnp.float32), jnp.asarray(every[None]))
+        lux = np.asarray(shade_each(points, (light,)))[0, :, 0]
         if isinstance(light, DirectionalLight) and light.aperture is not None:
             free = self.reached_through(light.aperture, np.asarray(light.direction, float))
         elif isinstance(light, PointLight):

@@ -4,8 +4,6 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.util.settings import Settings
 from hyjax.util.sizes import parse_size
@@ -75,6 +73,8 @@ class SceneSettings(Settings):
 
 def check_lights_name(lights: str) -> None:
     """Raise `InputError` unless this is a named set-up or a lights file that can be read."""
+    import numpy as np
+
     from hyjax.data.light_file import is_light_file, read_lights
     from hyjax.scene.light_setups import check_setup_name
 

@@ -170,8 +170,9 @@ def kept(description: str, capture: Capture, make: Callable[[], trimesh.Trimesh]
     if file.is_file():
         try:
             return load_mesh(file)
-        except InputError:
-            file.unlink(missing_ok=True)  # damaged: made again below
+        except InputError as error:
+            _log.warning("%s; it is made again", error)
+            file.unlink(missing_ok=True)
     made = make()
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -23,11 +23,12 @@ from hyjax.tour.render_queue import RenderQueue
 from hyjax.tour.renderer import Renderer
 from hyjax.tour.server import address, check_port, open_server
 from hyjax.tour.session import Session
-from hyjax.tour.settings import LOCAL, TourSettings
+from hyjax.tour.settings import TourSettings
 from hyjax.tour.viewer import Viewer
 from hyjax.tour.viewpoint import Viewpoint
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable
+from hyjax.util.hosts import LOCAL
 
 if TYPE_CHECKING:
     from hyjax.tour.arriving import Arriving

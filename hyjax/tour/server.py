@@ -9,8 +9,8 @@ from urllib.parse import urlsplit
 
 import viser
 
-from hyjax.tour.settings import LOCAL
 from hyjax.util.errors import InputError
+from hyjax.util.hosts import LOCAL
 
 
 def open_server(host: str, port: int) -> viser.ViserServer:

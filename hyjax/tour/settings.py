@@ -2,14 +2,16 @@
 
 import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from hyjax.core.schedule import PRESETS, Schedule
 from hyjax.relighting.settings import read_schedule
 from hyjax.scene.settings import SceneSettings
 from hyjax.util.errors import InputError
+from hyjax.util.hosts import LOCAL
 from hyjax.util.settings import Settings
 
-LOCAL = "127.0.0.1"
+if TYPE_CHECKING:
+    from hyjax.core.schedule import Schedule
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,12 +58,14 @@ class TourSettings(Settings):
         """Whether only this machine can reach the page."""
         return self.host in (LOCAL, "localhost")
 
-    def open_schedules(self) -> dict[str, Schedule]:
+    def open_schedules(self) -> dict[str, "Schedule"]:
         """Schedules to choose from, by name; the default first.
 
         Raises:
             InputError: the file cannot be read, or holds no schedule.
         """
+        from hyjax.core.schedule import PRESETS, Schedule
+
         presets = {name: Schedule.preset(name) for name in PRESETS if not name.endswith("shadow")}
         if self.schedule is None:
             return presets

@@ -1,12 +1,12 @@
 """Settings of a training run. The command line takes its options and their help from here.
 
-The defaults train on two CPU cores; `PAPER` is the paper's recipe."""
+The defaults train on two CPU cores; `paper_settings` are the paper's recipe."""
 
 import dataclasses
 import math
 from typing import Any, Literal
 
-from hyjax.core.schedule import DEFAULT_LAM, PRESETS
+from hyjax.core.step_size import DEFAULT_LAM
 from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
 
@@ -77,6 +77,8 @@ class TrainSettings(Settings):
 
     def check(self) -> "TrainSettings":
         """Return these settings, or raise `InputError` naming the first that cannot be."""
+        from hyjax.core.schedule import PRESETS
+
         if self.schedule not in PRESETS:
             raise InputError(f"schedule: no preset {self.schedule!r}; there are {', '.join(PRESETS)}")
         if not self.pairs:
@@ -127,18 +129,19 @@ class TrainSettings(Settings):
         return {k: list(v) if isinstance(v, tuple) else v for k, v in dataclasses.asdict(self).items()}
 
 
-PAPER = TrainSettings(
-    size=512,
-    batch=8,
-    iterations=12_000,
-    factors=(32,),
-    through="steps",
-    steps_without_gradient=20_000,
-    steps_with_gradient=512,
-    shading_weight=0.0,
-    border_weight=0.0,
-    learning_rate=1e-4,
-    decay_every=1000,
-    clip=0.01,
-)
-"""The paper's training section; it does not say how often the learning rate is stepped down."""
+def paper_settings() -> TrainSettings:
+    """The paper's training section; it does not say how often the learning rate is stepped down."""
+    return TrainSettings(
+        size=512,
+        batch=8,
+        iterations=12_000,
+        factors=(32,),
+        through="steps",
+        steps_without_gradient=20_000,
+        steps_with_gradient=512,
+        shading_weight=0.0,
+        border_weight=0.0,
+        learning_rate=1e-4,
+        decay_every=1000,
+        clip=0.01,
+    )

@@ -21,7 +21,8 @@ import optax
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from hyjax.core.schedule import DEFAULT_LAM, GUIDED_FIDELITY, GUIDED_KAPPA, Schedule
+from hyjax.core.schedule import GUIDED_FIDELITY, GUIDED_KAPPA, Schedule
+from hyjax.core.step_size import DEFAULT_LAM
 from hyjax.guide.choose import FrameGuide
 from hyjax.guide.convolution import convolve
 from hyjax.guide.inference import Guide

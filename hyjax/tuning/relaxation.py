@@ -28,8 +28,9 @@ from jaxtyping import Array, Bool, Float
 from hyjax.core.diffusion import diffuse, edge_stopping, guide_distance
 from hyjax.core.pyramid import downsample
 from hyjax.core.refine import HOLE_FLOOR
-from hyjax.core.schedule import DEFAULT_LAM, GUIDED_FIDELITY, GUIDED_KAPPA, Level, Schedule
+from hyjax.core.schedule import GUIDED_FIDELITY, GUIDED_KAPPA, Level, Schedule
 from hyjax.core.stencil import Edges
+from hyjax.core.step_size import DEFAULT_LAM
 from hyjax.core.upsampling import guided_upsample
 from hyjax.light.shading import mix_channels
 from hyjax.metrics.losses import display_loss, display_unclipped

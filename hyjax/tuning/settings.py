@@ -2,13 +2,15 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from hyjax.device.server import LOCAL
 from hyjax.scene.settings import SceneSettings, check_lights_name
-from hyjax.tuning.result import Budget
 from hyjax.util.errors import InputError
+from hyjax.util.hosts import LOCAL
 from hyjax.util.settings import Settings
+
+if TYPE_CHECKING:
+    from hyjax.tuning.result import Budget
 
 BudgetStage = Literal["cascade", "frame"]
 CONVERGED = "converged"
@@ -118,7 +120,7 @@ class TuneSettings(Settings):
             check_mesh_name(self.target)
         return self
 
-    def budgets(self) -> list[Budget]:
+    def budgets(self) -> list["Budget"]:
         """Time budgets, frame rates first, without repetitions.
 
         Raises:

@@ -1,10 +1,10 @@
 """Settings objects whose types are checked where they are made: in Python as by the command line."""
 
+import dataclasses
+import types
 import typing
 from pathlib import Path
 from typing import Any, Literal
-
-import typeguard
 
 from hyjax.util.errors import InputError, did_you_mean
 
@@ -23,17 +23,36 @@ class Settings:
                 known = [str(word) for word in typing.get_args(hint)]
                 guess = did_you_mean(str(value), known)
                 raise InputError(f"{name}: {value!r} is unknown{guess}; use one of {', '.join(known)}")
-            try:
-                typeguard.check_type(value, hint)
-            except typeguard.TypeCheckError:
+            # Most fields have their default, or are plainly of their type: typeguard takes a while to load.
+            default = value is getattr(type(self), name, dataclasses.MISSING)
+            if not (default or _is_plain(value, hint) or _is_of_type(value, hint)):
                 wanted = str(getattr(hint, "__name__", hint) if isinstance(hint, type) else hint)
                 wanted = wanted.replace("pathlib._local.", "").replace("pathlib.", "").replace("typing.", "")
-                raise InputError(f"{name.replace('_', ' ')}: must be {wanted}, got {value!r:.80}") from None
+                raise InputError(f"{name.replace('_', ' ')}: must be {wanted}, got {value!r:.80}")
             object.__setattr__(self, name, value)
 
 
+def _kinds(hint: Any) -> set[Any]:
+    """A type, and what it is a union of."""
+    return {hint, *typing.get_args(hint)} if typing.get_origin(hint) in (None, types.UnionType) else {hint}
+
+
+def _is_plain(value: Any, hint: Any) -> bool:
+    return isinstance(value, tuple(kind for kind in _kinds(hint) if isinstance(kind, type)))
+
+
+def _is_of_type(value: Any, hint: Any) -> bool:
+    import typeguard
+
+    try:
+        typeguard.check_type(value, hint)
+    except typeguard.TypeCheckError:
+        return False
+    return True
+
+
 def _converted(value: Any, hint: Any) -> Any:
-    kinds = {hint, *typing.get_args(hint)}
+    kinds = _kinds(hint)
     if isinstance(value, str) and Path in kinds:
         return Path(value)
     if isinstance(value, Path) and str in kinds:

@@ -19,6 +19,7 @@ from experiments import (
     conductances,
     device_roofline,
     export_formats,
+    first_picture,
     flicker,
     guide_worth,
     kappa_sweep,
@@ -181,6 +182,14 @@ def test_kinect_registration(room: RoomCapture, tmp_path: Path) -> None:
     contrast = {row["name"]: row["contrast"] for row in found}
     assert contrast["hyjax.data.kinect"][1] > 1.2 * contrast["as recorded"][1]
     assert contrast["fitted to the first"][0] > 0.8 * contrast["hyjax.data.kinect"][0]
+
+
+@pytest.mark.slow
+def test_first_picture(tmp_path: Path) -> None:
+    config = first_picture.Config(repeats=1, cold=1, size="64", out=tmp_path)
+    rows = rows_of(first_picture.main, config, "first_picture.png")
+    assert {row["start"] for row in of_kind(rows, "stages")} == {first_picture.COLD, first_picture.SECOND}
+    assert all(row["seconds"] > 0 and row["cpu_seconds"] > 0 for row in of_kind(rows, "start"))
 
 
 @pytest.mark.slow

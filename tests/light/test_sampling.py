@@ -83,7 +83,7 @@ def test_samples_lie_in_their_blocks_and_spread_evenly(size: tuple[int, int], k:
     h, w = size
     rows, columns = np.indices(size)
     position = np.stack([rows, columns, np.zeros(size)], axis=-1).astype(np.float32)
-    sampled = sample_pixels(gbuffer_of(position, position, np.ones(size, bool)), k)
+    sampled = sample_pixels(gbuffer_of(position, position, np.ones(size, bool)), sampling=k)
     row, column = np.moveaxis(np.asarray(sampled.position[..., :2]), -1, 0)
     i, j = np.indices(row.shape)
     assert row.shape == (-(-h // k), -(-w // k))

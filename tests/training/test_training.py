@@ -25,7 +25,7 @@ from hyjax.pairs.loader import Batch
 from hyjax.training.checkpoints import Checkpoints
 from hyjax.training.objective import batch_losses, border_loss, schedule_of, total
 from hyjax.training.run import train
-from hyjax.training.settings import PAPER, TrainSettings
+from hyjax.training.settings import TrainSettings, paper_settings
 from hyjax.training.state import Updater
 from hyjax.training.targets import Sample
 from hyjax.training.validation import Validation, sample_of
@@ -304,8 +304,8 @@ def test_the_command_trains_and_compares_with_the_rgb_guide(
 def test_the_papers_recipe_is_only_a_default(monkeypatch: pytest.MonkeyPatch) -> None:
     for given, expected in (
         ([], TrainSettings()),
-        (["--paper"], PAPER),
-        (["--paper", "--size", "64"], dataclasses.replace(PAPER, size=64)),
+        (["--paper"], paper_settings()),
+        (["--paper", "--size", "64"], dataclasses.replace(paper_settings(), size=64)),
     ):
         monkeypatch.setattr(sys, "argv", ["hyjax", "train", *given])
         command = parse()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hyjax.training.log import TrainingLog
-from hyjax.training.settings import PAPER, TrainSettings
+from hyjax.training.settings import TrainSettings, paper_settings
 from hyjax.util.errors import InputError
 
 SETTINGS = TrainSettings(iterations=10)
@@ -22,7 +22,7 @@ def run_of(folder: Path, iterations: int, settings: TrainSettings = SETTINGS) ->
 
 
 def test_the_papers_recipe_is_what_its_training_section_says() -> None:
-    recipe = PAPER.check()
+    recipe = paper_settings().check()
     assert (recipe.size, recipe.batch, recipe.iterations, recipe.factors) == (512, 8, 12_000, (32,))
     assert (recipe.steps_without_gradient, recipe.steps_with_gradient) == (20_000, 512)
     assert (recipe.learning_rate, recipe.decay, recipe.clip, recipe.through) == (1e-4, 0.9, 0.01, "steps")

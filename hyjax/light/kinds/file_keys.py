@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Union
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
@@ -70,11 +69,11 @@ def direction(vector: Triple, name: str = "direction") -> Float[np.ndarray, "3"]
     Raises:
         InputError: the zero vector; the message calls it by its name.
     """
-    single = jnp.asarray(vector, jnp.float32)
-    length = float(jnp.linalg.norm(single))
+    single = np.asarray(vector, np.float32)
+    length = np.linalg.norm(single)
     if length == 0:
         raise InputError(f"{name!r} must not be the zero vector")
-    return np.asarray(single / length)
+    return single / length
 
 
 def plain(value: Float[ArrayLike, "*s"]) -> Any:

@@ -1,0 +1,120 @@
+"""Seconds until `hyjax` shows anything: its help, and the first picture with and without a filled cache folder.
+
+    python -m experiments.first_picture [--repeats 5] [--cold 2] [--out results/first_picture]
+
+Takes about two minutes on two idle cores. Every command is a process of its own, timed from its start to its end; the
+commands take turns. A cold start has an empty cache folder, in which the room is made, its light estimated and
+everything compiled; the second start finds that folder. Files are in the system's cache in both.
+
+Expect: help in a third of a second; imports take most of a second start.
+"""
+
+import dataclasses
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+
+from matplotlib.figure import Figure
+
+from experiments.blocks import Block, Plot, Table
+from experiments.command import RunConfig, Start, experiment, run
+from experiments.plotting import new_figure
+from experiments.records import Row, machine, of_kind
+from hyjax.util.clock import Stopwatch
+from hyjax.util.errors import InputError
+
+IMPORTS = "import jax", "import hyjax.relighting.run"
+COLD, SECOND = "relight, cold", "relight, second start"
+
+
+@dataclasses.dataclass(frozen=True)
+class Config(RunConfig):
+    repeats: int = 5
+    cold: int = 2
+    """Starts with an empty cache folder."""
+    size: str = "640x480"
+
+
+@experiment("How long the first picture takes")
+def main(config: Config, start: Start) -> None:
+    if config.repeats < 1 or config.cold < 1:
+        raise InputError("repeats, cold: must be at least 1")
+    results = start()
+    with tempfile.TemporaryDirectory() as temporary:
+        cache, out = Path(temporary), Path(temporary) / "out"
+        relight = ["relight", "--frames", "0", "--quiet", "--size", config.size, "--out", str(out)]
+        calls = {f"hyjax {option}": ["-m", "hyjax.cli", option] for option in ("--version", "--help")}
+        calls |= {program: ["-c", program] for program in IMPORTS}
+        for number in range(config.cold):
+            results.add(**timed(COLD, ["-m", "hyjax.cli", *relight], cache / str(number)))
+        results.add(**stages(COLD, out))
+        for _ in range(config.repeats):
+            for name, arguments in (calls | {SECOND: ["-m", "hyjax.cli", *relight]}).items():
+                results.add(**timed(name, arguments, cache / "0"))
+        results.add(**stages(SECOND, out))
+
+
+def timed(name: str, arguments: Sequence[str], cache: Path) -> Row:
+    """Row of a process of Python: seconds from start to end, of all cores, and the machine's load before."""
+    before, load, watch = resource.getrusage(resource.RUSAGE_CHILDREN), os.getloadavg()[0], Stopwatch()
+    done = subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, env=os.environ | {"HYJAX_CACHE": str(cache)}
+    )
+    seconds, after = watch.seconds, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode:
+        raise InputError(f"{name}: failed: {done.stderr.strip().splitlines()[-1]}")
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {"kind": "start", "start": name, "seconds": seconds, "cpu_seconds": used, "load": load}
+
+
+def stages(name: str, out: Path) -> Row:
+    """Row of the stages that the last run recorded."""
+    record = json.loads((out / "run.json").read_text(encoding="utf-8"))["milliseconds"]
+    return {"kind": "stages", "start": name, "first_ms": {stage: ms["first_ms"] for stage, ms in record.items()}}
+
+
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Table of the starts with their figure, and table of the stages."""
+    starts = of_kind(rows, "start")
+    if not starts:
+        return ["Nothing has been started yet."]
+    names = list(dict.fromkeys(row["start"] for row in starts))
+    found: list[Block] = []
+    lines = []
+    for name in names:
+        own = [row for row in starts if row["start"] == name]
+        seconds, used = (sorted(row[key] for row in own) for key in ("seconds", "cpu_seconds"))
+        lines.append([name, f"{median(seconds):.2f}", f"{seconds[0]:.2f}", f"{median(used):.2f}", str(len(own))])
+    load = (
+        f"load before a start: {min(row['load'] for row in starts):.1f} to {max(row['load'] for row in starts):.1f}"
+    )
+    header = ["start", "median s", "fastest s", "median CPU s", "starts"]
+    found.append(Table(f"{machine(starts[0])}; {load}.", header, lines))
+    found.append(Plot(main.name, "Seconds of each start (dots) and their median (bar).", figure(names, starts)))
+    timed_stages = {row["start"]: row["first_ms"] for row in of_kind(rows, "stages")}
+    if timed_stages:
+        every = list(dict.fromkeys(stage for own in timed_stages.values() for stage in own))
+        table = [[stage, *(f"{own.get(stage, 0):.0f}" for own in timed_stages.values())] for stage in every]
+        found.append(Table("Milliseconds by stage, of the last start each.", ["stage", *timed_stages], table))
+    return found
+
+
+def figure(names: Sequence[str], starts: Sequence[Row]) -> Figure:
+    """Median seconds of every start, each start as a dot."""
+    fig = new_figure(7, 2.5)
+    axes = fig.subplots()
+    axes.barh(names, [median(row["seconds"] for row in starts if row["start"] == name) for name in names])
+    axes.plot([row["seconds"] for row in starts], [row["start"] for row in starts], "k.")
+    axes.invert_yaxis()
+    axes.set(xlabel="seconds")
+    return fig
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,51 @@
+"""Compiled programs in the cache folder: JAX's own cache of them, and `hyjax.util.programs`."""
+
+import contextlib
+import functools
+import glob
+import logging
+import re
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from hyjax.util.cache import cache_folder
+from hyjax.util.errors import InputError
+from hyjax.util.files import make_writable
+from hyjax.util.programs import keep_programs
+
+DAMAGED = re.compile("Error reading persistent compilation cache entry for '(.+?)'")
+_log = logging.getLogger(__name__)
+
+
+def keep_compiled() -> None:
+    """From now on keep what XLA compiles in the cache folder; one that cannot be written costs time only."""
+    with contextlib.suppress(InputError):
+        folder = cache_folder() / "compiled"
+        make_writable(folder)
+        keep_programs(folder)
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        # Another process may be writing the same program just now.
+        warnings.filterwarnings("ignore", "Error writing persistent compilation cache")
+        warnings.filterwarnings("always", DAMAGED.pattern)
+        warnings.showwarning = functools.partial(_show, folder, set(), warnings.showwarning)
+
+
+def _show(
+    folder: Path, told: set[Path], show: Callable[..., None], message: Warning | str, *rest: Any, **options: Any
+) -> None:
+    """A warning; of all of JAX's about damage, one line. It leaves damaged files where they are: they go here."""
+    damaged = DAMAGED.match(str(message))
+    if damaged is None:
+        show(message, *rest, **options)
+        return
+    if folder not in told:
+        told.add(folder)
+        _log.warning("%s: programs in it are damaged, they are compiled again", folder)
+    for file in folder.glob(f"{glob.escape(damaged[1])}-*"):
+        with contextlib.suppress(OSError):
+            file.unlink()

@@ -1,0 +1,159 @@
+"""Programs of JAX that are kept in a folder: traced, lowered and compiled once for a machine, later only read.
+
+Nothing is kept unless `keep_programs` was called, as the commands do. A program is found by its function, the tree
+and shapes of its arguments, the source of the package, JAX, the machine and the settings of both, so that one made
+elsewhere, or by another version, is not found. As JAX's own cache of compiled programs, the folder must be one that
+only its owner can write to.
+"""
+
+import functools
+import hashlib
+import logging
+import math
+import os
+import pickle
+import platform
+import secrets
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Generic, ParamSpec, TypeVar
+
+import jax
+import numpy as np
+from jax.experimental import serialize_executable
+
+P = ParamSpec("P")
+T = TypeVar("T", covariant=True)
+SOURCES = ("core", "light", "util", "pipeline.py")
+"""What a kept program may be made of: the pure layers."""
+LEAST_SECONDS = "jax_persistent_cache_min_compile_time_secs"
+_log = logging.getLogger(__name__)
+_folder: Path | None = None
+_lock = threading.Lock()
+
+
+def keep_programs(folder: Path | None) -> None:
+    """From now on keep programs in a folder; None for none."""
+    global _folder
+    _folder = folder
+
+
+class Program(Generic[P, T]):
+    """A function as `jax.jit` makes it, whose compiled programs are kept.
+
+    To be used as a decorator, on functions of the pure layers. Arguments whose class is not this package's, such as
+    a kind of light of someone else, have code that is not known here: their programs are not kept.
+
+    Args:
+        function: of arrays, or pytrees of them.
+        static: name of a keyword argument that programs are made for each value of.
+    """
+
+    def __init__(self, function: Callable[P, T], static: str | None = None) -> None:
+        functools.update_wrapper(self, function)
+        self._name = f"{function.__module__}.{function.__qualname__}".removeprefix("hyjax.")
+        self._function, self._static = function, static
+        self._jitted = jax.jit(function, static_argnames=static)
+        self._ready: dict[Any, Callable[..., T]] = {}
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
+        if _folder is None:
+            return self._jitted(*args, **kwargs)
+        arrays = {name: value for name, value in kwargs.items() if name != self._static}
+        leaves, tree = jax.tree.flatten((args, arrays))
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return self._jitted(*args, **kwargs)
+        static = kwargs.get(self._static or "")
+        key = static, tree, *((np.shape(leaf), jax.numpy.result_type(leaf)) for leaf in leaves)
+        if key not in self._ready:
+            self._ready[key] = self._program(key, args, arrays)
+        return self._ready[key](*args, **arrays)
+
+    def lower(self, *args: P.args, **kwargs: P.kwargs) -> jax.stages.Lowered:
+        """As of what `jax.jit` returns."""
+        return self._jitted.lower(*args, **kwargs)
+
+    def _program(self, key: tuple[Any, ...], args: Any, kwargs: Any) -> Callable[..., T]:
+        static, tree, *shapes = key
+        given = {} if static is None or self._static is None else {self._static: static}
+        function = functools.partial(self._function, **given)
+        if _folder is None or len(jax.local_devices()) > 1 or not all(map(_is_known, _node_types(tree))):
+            return functools.partial(self._jitted, **given)
+        told = repr(
+            (self._name, static, str(tree), [(shape, str(dtype)) for shape, dtype in shapes], _surroundings())
+        )
+        file = _folder / f"{self._name}-{hashlib.sha256(told.encode()).hexdigest()[:32]}.program"
+        if file.is_file():
+            try:
+                return _read(file, tree)
+            except Exception as error:  # Damage shows itself in a dozen ways; all mean the same.
+                _log.warning("%s: damaged (%s), it is made again", file, error)
+        compiled = _compile_anew(function, self._name, args, kwargs)
+        try:
+            _write(file, compiled)
+        except Exception as error:  # of JAX, for what cannot be serialised, or of a full disk: costs time only
+            _log.info("%s: not kept (%s)", file, error)
+        return compiled
+
+
+def _compile_anew(function: Callable[..., Any], name: str, args: Any, kwargs: Any) -> jax.stages.Compiled:
+    """Compile past JAX's own cache: what XLA has read for a CPU it cannot write again."""
+
+    def unknown(*args: Any, **kwargs: Any) -> Any:
+        return function(*args, **kwargs)
+
+    unknown.__name__ = f"{name}_{secrets.token_hex(8)}"  # in the key of JAX's cache
+    with _lock:
+        least = getattr(jax.config, LEAST_SECONDS)
+        jax.config.update(LEAST_SECONDS, math.inf)
+        try:
+            return jax.jit(unknown).lower(*args, **kwargs).compile()
+        finally:
+            jax.config.update(LEAST_SECONDS, least)
+
+
+def _read(file: Path, tree: Any) -> Callable[..., Any]:
+    content = file.read_bytes()
+    if hashlib.sha256(content[32:]).digest() != content[:32]:
+        raise ValueError("its checksum is wrong")
+    payload, out_tree = pickle.loads(content[32:])
+    return serialize_executable.deserialize_and_load(payload, tree, out_tree)
+
+
+def _write(file: Path, compiled: jax.stages.Compiled) -> None:
+    from hyjax.util.files import atomic_write
+
+    payload, _, out_tree = serialize_executable.serialize(compiled)
+    content = pickle.dumps((payload, out_tree))
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(file) as part:
+        part.write_bytes(hashlib.sha256(content).digest() + content)
+
+
+def _node_types(tree: Any) -> Iterator[type]:
+    data = tree.node_data()
+    if data is not None:
+        yield data[0]
+    for child in tree.children():
+        yield from _node_types(child)
+
+
+def _is_known(node: type) -> bool:
+    return node.__module__.split(".")[0] in ("builtins", "hyjax")
+
+
+@functools.cache
+def _surroundings() -> tuple[str, ...]:
+    """All that a compiled program depends on beside its function and its arguments."""
+    package, sources = Path(__file__).parents[1], hashlib.sha256()
+    for place in SOURCES:
+        for file in sorted((package / place).rglob("*.py")) or [package / place]:
+            sources.update(file.read_bytes())
+    device, cpuinfo = jax.devices()[0], Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
+    features = sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
+    options = sorted(f"{k}={v}" for k, v in os.environ.items() if k.startswith(("XLA_", "JAX_")))
+    options += [str(getattr(jax.config, name)) for name in ("jax_enable_x64", "jax_default_matmul_precision")]
+    machine = platform.machine(), device.platform, device.device_kind, device.client.platform_version, *features
+    return sources.hexdigest(), jax.__version__, jax.lib.__version__, str(os.cpu_count()), *machine, *options

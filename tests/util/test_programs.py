@@ -1,0 +1,122 @@
+"""Kept programs: read in another process, the same result, and made anew where they are damaged."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hyjax.light.kinds import AmbientLight, PointLight, pytree
+from hyjax.light.setup import LightSetup
+from hyjax.util import programs
+from hyjax.util.programs import Program
+
+RUN = """
+import logging, sys
+logging.basicConfig(level=logging.WARNING, format="hyjax: %(message)s")
+import jax, jax.numpy as jnp
+import hyjax
+from hyjax.util.compiled_cache import keep_compiled
+keep_compiled()
+points = jnp.linspace(0.0, 1.0, 300).reshape(10, 10, 3)
+gbuffer = hyjax.GBuffer(points, points, points[..., 0], points[..., 0] > 0.1)
+white = jnp.ones(3)
+lights = (hyjax.PointLight(jnp.array([1.0, 1.0, 2.0]), 800.0, white, radius=0.1), hyjax.AmbientLight(60.0, white))
+light = hyjax.shade_each(gbuffer, lights)
+other = jnp.tanh(light).sum()  # by JAX's own cache
+print(float(light.sum()), float(other))
+"""
+
+
+def run(cache: Path) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"HYJAX_CACHE": str(cache)}
+    return subprocess.run(
+        [sys.executable, "-c", RUN], capture_output=True, text=True, check=True, timeout=300, env=environment
+    )
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A cache folder with programs, and what was printed."""
+    cache = tmp_path_factory.mktemp("cache")
+    return cache, run(cache).stdout
+
+
+def stored(cache: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in (cache / "compiled").iterdir() if "-atime" not in file.name}
+
+
+def test_a_second_process_reads_what_the_first_one_made(first: tuple[Path, str]) -> None:
+    cache, printed = first
+    before = stored(cache)
+    assert any(name.startswith("light.shading.shade_each-") for name in before)
+    again = run(cache)
+    assert again.stdout == printed and again.stderr == "" and stored(cache) == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damage", ["truncated", "garbled", "flipped"])
+def test_damaged_files_are_made_anew_with_a_line(first: tuple[Path, str], damage: str) -> None:
+    cache, printed = first
+    damaged = [cache / "compiled" / name for name in stored(cache) if "shade_each" in name or "tanh" in name]
+    assert sorted(file.suffix for file in damaged) == ["", ".program"]  # JAX's and ours
+    for file in damaged:
+        whole = file.read_bytes()
+        middle = len(whole) // 2
+        flipped = whole[:middle] + bytes([whole[middle] ^ 0xFF]) + whole[middle + 1 :]
+        file.write_bytes({"truncated": whole[:middle], "garbled": bytes(len(whole)), "flipped": flipped}[damage])
+    again = run(cache)
+    assert again.stdout == printed
+    assert again.stderr.count("\n") == 2 and again.stderr.count("damaged") == 2  # one for each kind of file
+    healed = run(cache)
+    assert healed.stdout == printed and healed.stderr == ""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(programs, "_folder", tmp_path)
+    return tmp_path
+
+
+def scaled(x: jax.Array, factor: float) -> jax.Array:
+    return factor * x
+
+
+def test_a_program_is_the_function(folder: Path) -> None:
+    program = Program(scaled)
+    x = jnp.arange(3.0)
+    np.testing.assert_array_equal(program(x, 2.0), 2.0 * x)
+    np.testing.assert_array_equal(program(x, factor=3.0), 3.0 * x)
+    np.testing.assert_array_equal(Program(scaled)(x, 4.0), 4.0 * x)  # read from the folder
+    assert float(jax.grad(lambda factor: program(x, factor).sum())(1.0)) == 3.0
+    np.testing.assert_array_equal(jax.vmap(program, (0, None))(x, 2.0), 2.0 * x)
+    assert program(jnp.arange(3), 2).dtype == jnp.int32
+    assert len(list(folder.iterdir())) == 3
+
+
+def test_trees_and_their_fixed_parts_tell_programs_apart(folder: Path) -> None:
+    first = Program(lambda tree: jax.tree.leaves(tree)[0] + len(tree))
+    assert int(first({"a": jnp.int32(1)})) == 2 and int(first({"a": jnp.int32(1), "b": jnp.int32(5)})) == 3
+    lights = AmbientLight(1.0, (1.0, 1.0, 1.0)), PointLight((0.0, 0.0, 0.0), 1.0, (1.0, 1.0, 1.0))
+    for light in lights:
+        Program(lambda light: light.color)(LightSetup((light,)).lights[0])
+    assert len(list(folder.iterdir())) == 4
+
+
+def test_code_from_outside_is_not_kept(folder: Path) -> None:
+    @pytree
+    class Torch(AmbientLight):
+        """A kind of light whose code may change from one run to the next."""
+
+    assert np.allclose(Program(lambda light: light.color)(Torch(1.0, (1.0, 1.0, 1.0))), 1.0)
+    assert not list(folder.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_costs_time_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(programs, "_folder", tmp_path / "file")
+    np.testing.assert_array_equal(Program(scaled)(jnp.ones(2), 2.0), [2.0, 2.0])
