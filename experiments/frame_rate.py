@@ -50,6 +50,7 @@ from hyjax.tour.picture import to_bytes
 from hyjax.util.clock import StageClock, Stopwatch
 from hyjax.util.environment import cores
 from hyjax.util.errors import InputError
+from hyjax.util.memory import keep_freed_memory
 from hyjax.util.prefetch import prefetch
 
 SETUPS = ("evening-lamps", "two-colors", "golden-hour", "night-moon")
@@ -154,6 +155,7 @@ def memory_mib() -> float:
 @experiment("Whole frames a second")
 def main(config: Config, start: Start) -> str | None:
     check(config)
+    keep_freed_memory()
     scene = Scene.open(SceneSettings(config.capture), progress=True)
     results = start()
     results.add(
@@ -227,6 +229,7 @@ def guard(rows: Sequence[Row]) -> list[tuple[str, float, float, bool]]:
     rates = of_kind(rows, "rate")
     scan = {row["sampling"]: row["cpu_ms"] for row in rates if row["faces"] == min(r["faces"] for r in rates)}
     pixels = {row["size"]: row["cpu_ms"] / row["size"] ** 2 for row in of_kind(rows, "size")}
+    growth = pixels[max(pixels)] / pixels[min(pixels)] if pixels else nan
     stages = rates[0]["stages"] if rates else {}
     slowest = max((time for name, time in stages.items() if name != "G-buffer"), default=nan)
     ratios = [
@@ -238,8 +241,7 @@ def guard(rows: Sequence[Row]) -> list[tuple[str, float, float, bool]]:
             1.5,
         ),
     ]
-    quality = of_kind(rows, "quality")
-    if quality:
+    if quality := of_kind(rows, "quality"):
         ratios.append(("dB lost by sampling", -min(differences(quality).values(), default=0.0), 0.1))
     return [(what, ratio, limit, ratio <= limit) for what, ratio, limit in ratios]
 
@@ -262,32 +264,30 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         return ["Nothing has been timed yet."]
     where = f"{machine(conditions[0])}, {conditions[0]['cores']} used"
     header = ["triangles", "sampling", "frames/s", "CPU ms a frame", "frame ms", "p95"]
-    timed = lambda row: [f"{row[key]:.1f}" for key in ("fps", "cpu_ms", "median_ms", "p95_ms")]  # noqa: E731
+    names = list(rates[0]["stages"])
+
+    def timed(row: Row) -> list[str]:
+        return [f"{row[key]:.1f}" for key in ("fps", "cpu_ms", "median_ms", "p95_ms")]
+
+    faces = [f"{row['faces']}{'' if row['divided'] else '*'}" for row in rates]
     shown: list[Block] = [
         Table(
             f"Whole frames of 512 x 512, {conditions[0]['capture']} ({conditions[0]['mesh']}); {where}. "
             "*: the photo's light is not divided out.",
             header,
-            [
-                [f"{row['faces']}{'' if row['divided'] else '*'}", str(row["sampling"]), *timed(row)]
-                for row in rates
-            ],
+            [[count, str(row["sampling"]), *timed(row)] for count, row in zip(faces, rates)],
             names=2,
         ),
         Table(
             "Stages of a frame while others are at work, median ms.",
-            ["triangles, sampling", *rates[0]["stages"]],
+            ["triangles", "sampling", *names],
             [
-                [
-                    f"{row['faces']}, {row['sampling']}",
-                    *(f"{row['stages'].get(s, 0):.1f}" for s in rates[0]["stages"]),
-                ]
-                for row in rates
+                [count, str(row["sampling"]), *(f"{row['stages'].get(name, 0):.1f}" for name in names)]
+                for count, row in zip(faces, rates)
             ],
+            names=2,
         ),
-        Plot(
-            main.name, "Milliseconds of every stage: light at a quarter of the pixels, and at all.", figure(rates)
-        ),
+        Plot(main.name, "Milliseconds of every stage, by sampling and mesh.", figure(rates)),
     ]
     if sizes := of_kind(rows, "size"):
         lines = [[f"{row['size']}²", *timed(row), f"{1e6 * row['cpu_ms'] / row['size'] ** 2:.1f}"] for row in sizes]

@@ -13,8 +13,8 @@ def keep_freed_memory() -> bool:
     """Whether memory that is freed stays with the process from now on, so that the next frame finds it.
 
     glibc hands large arrays back to the system and asks for new pages for each, which the system clears one by one:
-    half of the time of a frame of 2048 x 2048 pixels. Kept are as many as were ever in use at once. Only with glibc,
-    and not where the environment sets up its allocator. Before the first thread is started.
+    half of the time of a cascade of 2048 x 2048 pixels. As much is kept as was ever in use at once. To be called
+    before the first thread starts. It does nothing without glibc, or where the environment sets up its allocator.
     """
     if not sys.platform.startswith("linux") or any(
         name == "GLIBC_TUNABLES" or name.startswith("MALLOC_") for name in os.environ
@@ -25,4 +25,5 @@ def keep_freed_memory() -> bool:
     except (OSError, AttributeError):  # another C library
         return False
     wanted = ((M_MMAP_MAX, 0), (M_TRIM_THRESHOLD, NEVER), (M_ARENA_MAX, 1))
-    return all([mallopt(name, value) == 1 for name, value in wanted])
+    done = [mallopt(name, value) == 1 for name, value in wanted]
+    return all(done)
