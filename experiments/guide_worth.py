@@ -29,8 +29,7 @@ from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
 from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
-from hyjax.guide.choose import RGB, open_guide
-from hyjax.guide.reduced import ReducedGuide
+from hyjax.guide.choose import RGB, ReducedGuide, open_guide
 from hyjax.metrics import psnr
 
 LIGHTS = "two-colors"

@@ -31,7 +31,7 @@ def convolve(x: Picture, kernel: Kernel, stride: int = 1) -> Picture:
 
 
 def _convolve_pairs(x: Picture, kernel: Kernel) -> Picture:
-    """Two neighbours of a row as one pixel with twice the outputs: a third more products, in two thirds of the time.
+    """Two neighbours of a row as one pixel with twice the outputs: a third more products in two thirds of the time.
 
     XLA's CPU convolution copies what each pixel sees for a matrix product, and few outputs do not repay the copies.
     """

@@ -1,4 +1,4 @@
-"""Guides from trained networks: all that weights alone decide is worked out once, the rest is one compiled function."""
+"""Guides from trained networks: what weights alone decide is done once, the rest is one compiled function."""
 
 import functools
 import hashlib
@@ -23,8 +23,8 @@ from hyjax.util.errors import InputError
 def fold(network: GuideNetwork, *, kappa: float = DEFAULT_KAPPA) -> GuideNetwork:
     """The same network for inference: without batch norms, and with `DEFAULT_KAPPA` as the κ of its features.
 
-    The last layer's bias is left out too: guides are compared with themselves, pixel by pixel, so that what is added
-    to all of a feature changes nothing, and adding it would write the largest array of the network twice.
+    The last layer's bias is left out: only differences of features between pixels count, so it changes nothing, and
+    adding it would write the network's largest array twice.
 
     Args:
         network: with the statistics to be used; left as it is.

@@ -15,7 +15,7 @@ from hyjax.guide.layers import KAIMING_UNIFORM, ConvNorm
 DECODER_CHANNELS = (256, 128, 64, 32, 16)
 """After each doubling of the size, down to full size; the last ones, if an encoder halves less often."""
 PARITIES_FROM = 32 * 32
-"""Pixels from which `convolve_upsampled` saves more than adding up its kernels costs, where that is not done yet."""
+"""Pixels from which `convolve_upsampled` saves more than adding up its kernels costs, unless folded."""
 
 
 class DecoderBlock(nnx.Module):

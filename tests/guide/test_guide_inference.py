@@ -11,8 +11,10 @@ from flax import nnx
 from test_guide_weights import Toy
 
 from hyjax.core.diffusion import conductance
+from hyjax.core.pyramid import downsample
 from hyjax.core.schedule import DEFAULT_KAPPA
 from hyjax.guide import ENCODERS, Guide, GuideNetwork, load_guide, normalise, save_guide
+from hyjax.guide.choose import ReducedGuide, open_guide
 from hyjax.guide.convolution import convolve
 from hyjax.guide.inference import fold
 from hyjax.guide.layers import ConvNorm
@@ -75,6 +77,34 @@ def test_features_are_the_trunk_through_the_last_layer(network: GuideNetwork) ->
     guide = Guide(network)
     trunk = guide.trunk(picture())
     np.testing.assert_allclose(guide.features(picture()), convolve(trunk[None], guide.kernel)[0], atol=1e-6)
+
+
+def test_a_reduced_guide_is_that_of_the_frame_at_half_its_size(network: GuideNetwork) -> None:
+    """Of odd sizes too."""
+    guide = Guide(network, name="toy", fingerprint="1")
+    reduced = ReducedGuide(guide)
+    assert (reduced.name, reduced.fingerprint) == ("toy-half", "1-half")
+    small = guide.features(picture())
+    features = reduced.features(jnp.repeat(jnp.repeat(picture(), 2, axis=0), 2, axis=1))
+    np.testing.assert_allclose(downsample(features, 2)[1:-1, 1:-1], bilinear_mean(small), atol=1e-5)
+    assert reduced.features(picture(17, 31)).shape == (17, 31, 5)
+
+
+def bilinear_mean(cells: jax.Array) -> jax.Array:
+    """Means over the inner cells of what is bilinear between their centres."""
+    for axis in (0, 1):
+        n = cells.shape[axis]
+        before, own, after = (jax.lax.slice_in_dim(cells, k, n - 2 + k, axis=axis) for k in range(3))
+        cells = (before + 6 * own + after) / 8
+    return cells
+
+
+def test_shipped_guides_by_name() -> None:
+    small, half = open_guide("small"), open_guide("small-half")
+    assert half.name == "small-half" and isinstance(half, ReducedGuide) and half.guide.name == "small"
+    assert half.fingerprint == f"{small.fingerprint}-half"
+    with pytest.raises(InputError, match="small-hal: no such file.* one of rgb, small, small-half"):
+        open_guide("small-hal")
 
 
 def test_it_is_a_pure_function(network: GuideNetwork) -> None:
