@@ -78,7 +78,8 @@ def open_guide(name: str = "rgb") -> FrameGuide:
     """A guide by name.
 
     Args:
-        name: `rgb`, the name of shipped weights (`small`; `small-half` at half the frame's size), or a safetensors file that `hyjax train` wrote.
+        name: `rgb`, the name of shipped weights (`small`; `small-half` at half the frame's size), or a safetensors
+            file that `hyjax train` wrote.
 
     Raises:
         InputError: there is no such guide, or its file cannot be used.
