@@ -42,7 +42,7 @@ import numpy as np
 import hyjax
 from experiments import peers
 from experiments.command import RunConfig, Start, experiment, run
-from experiments.guide_speed import same_networks, torch_calls
+from experiments.guide_speed import last_bias, same_networks, torch_calls
 from experiments.peers_report import COMPILED, COPY, FLOOR, OURS, PLAIN, TORCH, guard
 from experiments.peers_report import blocks as blocks
 from experiments.records import Results
@@ -286,7 +286,7 @@ def time_guides(config: Config, results: Results) -> None:
             calls |= torch_calls(theirs, normalised)
             if (session := peers.onnx_session(theirs, normalised, cores())) is not None:
                 calls["ONNX Runtime"] = session
-            features = np.moveaxis(np.asarray(calls[OURS]()), -1, 0)
+            features = np.moveaxis(np.asarray(calls[OURS]() + last_bias(network)), -1, 0)
             difference = furthest(calls[TORCH]()[0], features) / np.abs(features).max()
             results.add(kind="agreement", what=f"guide at {size}²", difference=difference)
         for who, time in measured(calls, config).items():

@@ -29,7 +29,7 @@ from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
 from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
-from hyjax.guide.choose import RGB, open_guide
+from hyjax.guide.choose import RGB, ReducedGuide, open_guide
 from hyjax.metrics import psnr
 
 LIGHTS = "two-colors"
@@ -55,6 +55,7 @@ class Config(BenchConfig):
 @experiment("What a guide is worth")
 def main(config: Config, start: Start) -> None:
     schedule, learned = Schedule.preset(config.schedule), open_guide(config.guide)
+    reduced = ReducedGuide(learned)
     capture, results = config.start(start)
     first_held = len(capture) - max(1, len(capture) // 4)
     splits = {
@@ -79,6 +80,7 @@ def main(config: Config, start: Start) -> None:
                     NONE: jnp.zeros((*view.display.shape[:2], 1)),
                     RGB.name: view.display,
                     learned.name: learned.features(view.display),
+                    reduced.name: reduced.features(view.display),
                     SURFACE: surface_features(view),
                 }
                 for name, features in guides.items():

@@ -6,10 +6,13 @@ from typing import Protocol
 
 from jaxtyping import Array, Float
 
+from hyjax.core.pyramid import downsample, upsample
 from hyjax.util.errors import InputError, did_you_mean
 
 SHIPPED = ("small",)
 """Networks whose weights come with the package."""
+HALF = "-half"
+"""Ending of the name of a shipped network at half the frame's size, see `ReducedGuide`."""
 
 
 class FrameGuide(Protocol):
@@ -46,11 +49,37 @@ class RgbGuide:
 RGB = RgbGuide()
 
 
+@dataclasses.dataclass(frozen=True)
+class ReducedGuide:
+    """A guide of the frame at half its size, bilinear in between: a network in a quarter of the time.
+
+    Attributes:
+        guide: what computes the features.
+    """
+
+    guide: FrameGuide
+
+    @property
+    def name(self) -> str:
+        """The guide's, with `HALF`."""
+        return f"{self.guide.name}{HALF}"
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with the guide's."""
+        return f"{self.guide.fingerprint}{HALF}"
+
+    def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
+        """Features of a frame, see `FrameGuide.features`."""
+        return upsample(self.guide.features(downsample(display, 2)), 2, (display.shape[0], display.shape[1]))
+
+
 def open_guide(name: str = "rgb") -> FrameGuide:
     """A guide by name.
 
     Args:
-        name: `rgb`, the name of shipped weights (`small`), or a safetensors file that `hyjax train` wrote.
+        name: `rgb`, the name of shipped weights (`small`; `small-half` at half the frame's size), or a safetensors
+            file that `hyjax train` wrote.
 
     Raises:
         InputError: there is no such guide, or its file cannot be used.
@@ -59,10 +88,12 @@ def open_guide(name: str = "rgb") -> FrameGuide:
         return RGB
     from hyjax.guide.inference import load_guide  # with flax, which the RGB guide does without
 
-    if name in SHIPPED:
-        return load_guide(Path(__file__).with_name("trained") / f"{name}.safetensors", name)
+    shipped = name.removesuffix(HALF)
+    if shipped in SHIPPED:
+        guide = load_guide(Path(__file__).with_name("trained") / f"{shipped}.safetensors", shipped)
+        return guide if shipped == name else ReducedGuide(guide)
     if not Path(name).is_file():
-        known = (RGB.name, *SHIPPED)
+        known = (RGB.name, *SHIPPED, *(name + HALF for name in SHIPPED))
         raise InputError(
             f"guide: {name}: no such file{did_you_mean(name, known)}; give a safetensors file, or one of "
             f"{', '.join(known)}"

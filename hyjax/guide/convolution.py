@@ -5,6 +5,7 @@ a picture of H pixels at stride 2 becomes one of ⌈H/2⌉, with the same pixels
 """
 
 import functools
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,11 @@ from jaxtyping import Array, Float
 
 Picture = Float[Array, "b h w c"]
 Kernel = Float[Array, "k k i o"]
+Pair = tuple[int, int]
+
+
+NARROW = 16
+"""Outputs up to which `convolve` computes two pixels at once."""
 
 
 def convolve(x: Picture, kernel: Kernel, stride: int = 1) -> Picture:
@@ -19,9 +25,25 @@ def convolve(x: Picture, kernel: Kernel, stride: int = 1) -> Picture:
     if kernel.shape[0] == 1:
         return x[:, ::stride, ::stride] @ kernel[0, 0]
     pad = kernel.shape[0] // 2
-    return jax.lax.conv_general_dilated(
-        x, kernel, (stride, stride), [(pad, pad)] * 2, dimension_numbers=("NHWC", "HWIO", "NHWC")
-    )
+    if stride == 1 and kernel.shape[-1] <= NARROW and x.shape[2] % 2 == 0:
+        return _convolve_pairs(x, kernel)
+    return _convolve(x, kernel, (stride, stride), ((pad, pad), (pad, pad)))
+
+
+def _convolve_pairs(x: Picture, kernel: Kernel) -> Picture:
+    """Two neighbours of a row as one pixel with twice the outputs: a third more products in two thirds of the time.
+
+    XLA's CPU convolution copies what each pixel sees for a matrix product, and few outputs do not repay the copies.
+    """
+    width, outputs = kernel.shape[0], kernel.shape[-1]
+    pad = width // 2
+    pair = [jnp.pad(kernel, ((0, 0), (b, 1 - b), (0, 0), (0, 0))) for b in (0, 1)]
+    y = _convolve(x, jnp.concatenate(pair, -1), (1, 2), ((pad, pad), (pad, pad)))
+    return y.reshape(*x.shape[:3], outputs)
+
+
+def _convolve(x: Picture, kernel: Float[Array, "j k i o"], strides: Pair, pads: tuple[Pair, Pair]) -> Picture:
+    return jax.lax.conv_general_dilated(x, kernel, strides, pads, dimension_numbers=("NHWC", "HWIO", "NHWC"))
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
@@ -69,29 +91,38 @@ def _padded(x: Picture, pad: int) -> Picture:
     return jnp.pad(x, ((0, 0), (pad, pad), (pad, pad), (0, 0)))
 
 
-def convolve_upsampled(x: Picture, kernel: Float[Array, "3 3 i o"]) -> Picture:
+def convolve_upsampled(x: Picture, kernels: Sequence[Float[Array, "2 2 i o"]]) -> Picture:
     """`convolve` after `upsample` to twice the size, with 4/9 of the products.
+
+    Args:
+        x: the small picture.
+        kernels: `parity_kernels` of the convolution's.
+    """
+    batch, height, width, _ = x.shape
+    outputs = kernels[0].shape[-1]
+    parts = [
+        _convolve(x, kernel, (1, 1), ((1 - a, a), (1 - b, b)))
+        for kernel, (a, b) in zip(kernels, PARITIES, strict=True)
+    ]
+    # Interleaved along one axis after the other: Core ML has no arrays of six axes.
+    rows = [
+        jnp.stack(columns, axis=3).reshape(batch, height, 2 * width, outputs) for columns in (parts[:2], parts[2:])
+    ]
+    return jnp.stack(rows, axis=2).reshape(batch, 2 * height, 2 * width, outputs)
+
+
+PARITIES = ((0, 0), (0, 1), (1, 0), (1, 1))
+"""Of row and column."""
+
+
+def parity_kernels(kernel: Float[Array, "3 3 i o"]) -> list[Float[Array, "2 2 i o"]]:
+    """What a convolution after `upsample` does with the small picture, for pixels of each of `PARITIES`.
 
     Output pixel 2y + a sees only two rows of the small picture, y − 1 and y if a = 0, y and y + 1 if a = 1, and the
     same of columns: a 2×2 convolution for each of the four parities, of kernels with the taps added up that fall on
     the same pixel.
     """
-    batch, height, width, _ = x.shape
-    rows = []
-    for a in (0, 1):
-        columns = [
-            jax.lax.conv_general_dilated(
-                x,
-                _parity(_parity(kernel, a).swapaxes(0, 1), b).swapaxes(0, 1),
-                (1, 1),
-                ((1 - a, a), (1 - b, b)),
-                dimension_numbers=("NHWC", "HWIO", "NHWC"),
-            )
-            for b in (0, 1)
-        ]
-        # Interleaved along one axis after the other: Core ML has no arrays of six axes.
-        rows.append(jnp.stack(columns, axis=3).reshape(batch, height, 2 * width, kernel.shape[-1]))
-    return jnp.stack(rows, axis=2).reshape(batch, 2 * height, 2 * width, kernel.shape[-1])
+    return [_parity(_parity(kernel, a).swapaxes(0, 1), b).swapaxes(0, 1) for a, b in PARITIES]
 
 
 def _parity(kernel: Float[Array, "3 k i o"], parity: int) -> Float[Array, "2 k i o"]:

@@ -1,4 +1,4 @@
-"""Guides from trained networks: batch norms folded into the convolutions, one compiled function."""
+"""Guides from trained networks: what weights alone decide is done once, the rest is one compiled function."""
 
 import functools
 import hashlib
@@ -23,6 +23,9 @@ from hyjax.util.errors import InputError
 def fold(network: GuideNetwork, *, kappa: float = DEFAULT_KAPPA) -> GuideNetwork:
     """The same network for inference: without batch norms, and with `DEFAULT_KAPPA` as the κ of its features.
 
+    The last layer's bias is left out: only differences of features between pixels count, so it changes nothing, and
+    adding it would write the network's largest array twice.
+
     Args:
         network: with the statistics to be used; left as it is.
         kappa: κ that goes with its features. Features and κ scale alike, so they are divided out in the last layer.
@@ -31,9 +34,11 @@ def fold(network: GuideNetwork, *, kappa: float = DEFAULT_KAPPA) -> GuideNetwork
     for _, module in nnx.iter_modules(folded):
         if isinstance(module, ConvNorm):
             module.fold()
-    for head in folded.segmentation_head:
-        for variable in jax.tree.leaves(nnx.state(head), is_leaf=lambda leaf: isinstance(leaf, nnx.Variable)):
-            variable.set_value(variable[...] * (DEFAULT_KAPPA / kappa))
+    for block in folded.decoder.blocks:
+        block.fold()
+    (head,) = folded.segmentation_head
+    head.kernel.set_value(head.kernel[...] * (DEFAULT_KAPPA / kappa))
+    head.bias = None
     return folded
 
 
@@ -44,7 +49,7 @@ class Guide:
         name: what tables call it.
         fingerprint: changes with the weights.
         metadata: of the file with the weights.
-        network: with batch norms folded away.
+        network: for inference, see `fold`.
     """
 
     def __init__(
@@ -64,7 +69,7 @@ class Guide:
         self._graph, self._state = nnx.split(self.network)
 
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
-        """Guide features of a frame, of which `DEFAULT_KAPPA` is a sensible κ.
+        """Guide features of a frame, of which `DEFAULT_KAPPA` is a sensible κ; each but for a constant.
 
         Args:
             display: display-encoded, in [0, 1], of any size.
@@ -82,7 +87,7 @@ class Guide:
 
     @property
     def kernel(self) -> Float[Array, "k k t f"]:
-        """Of the last layer: `features` are `trunk` convolved with it, but for a constant."""
+        """Of the last layer: `features` are `trunk` convolved with it."""
         return self.network.segmentation_head[0].kernel[...]
 
     def with_kernel(self, kernel: Float[Array, "k k t f"]) -> "Guide":

@@ -9,17 +9,23 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from flax import nnx
 
-from hyjax.guide.convolution import Picture, convolve, convolve_upsampled, upsample
+from hyjax.guide.convolution import Picture, convolve, convolve_upsampled, parity_kernels, upsample
 from hyjax.guide.layers import KAIMING_UNIFORM, ConvNorm
 
 DECODER_CHANNELS = (256, 128, 64, 32, 16)
 """After each doubling of the size, down to full size; the last ones, if an encoder halves less often."""
 PARITIES_FROM = 32 * 32
-"""Pixels from which `convolve_upsampled` saves more than adding up its kernels costs."""
+"""Pixels from which `convolve_upsampled` saves more than adding up its kernels costs, unless folded."""
 
 
 class DecoderBlock(nnx.Module):
-    """Doubles the size, joins the encoder's map of that size, and convolves twice."""
+    """Doubles the size, joins the encoder's map of that size, and convolves twice.
+
+    Attributes:
+        conv1: first convolution, of both together.
+        conv2: second convolution.
+        parities: once folded, `parity_kernels` of the first one's part for the doubled map.
+    """
 
     def __init__(self, inputs: int, skipped: int, outputs: int, *, rngs: nnx.Rngs) -> None:
         def layer(name: str, before: int) -> ConvNorm:
@@ -28,10 +34,17 @@ class DecoderBlock(nnx.Module):
 
         self.conv1 = layer("conv1", inputs + skipped)
         self.conv2 = layer("conv2", outputs)
+        self.parities: nnx.List = nnx.List()
+        self.inputs = inputs
+
+    def fold(self) -> None:
+        """Add up the kernels for every parity once, after the batch norms were folded."""
+        kernel = self.conv1.conv.kernel[...][:, :, : self.inputs]
+        self.parities = nnx.List([nnx.Param(parity) for parity in parity_kernels(kernel)])
 
     def __call__(self, x: Picture, skip: Picture | None, height: int, width: int) -> Picture:
         doubled = (height, width) == (2 * x.shape[1], 2 * x.shape[2])
-        if doubled and x.shape[1] * x.shape[2] >= PARITIES_FROM:
+        if doubled and (self.parities or x.shape[1] * x.shape[2] >= PARITIES_FROM):
             return self.conv2(self._convolve_parities(x, skip))
         x = upsample(x, height, width)
         return self.conv2(self.conv1(x if skip is None else jnp.concatenate([x, skip], -1)))
@@ -39,9 +52,10 @@ class DecoderBlock(nnx.Module):
     def _convolve_parities(self, x: Picture, skip: Picture | None) -> Picture:
         conv = self.conv1.conv
         kernel = conv.kernel[...]
-        y = convolve_upsampled(x, kernel[:, :, : x.shape[-1]])
+        folded = [parity[...] for parity in self.parities]
+        y = convolve_upsampled(x, folded or parity_kernels(kernel[:, :, : self.inputs]))
         if skip is not None:
-            y = y + convolve(skip, kernel[:, :, x.shape[-1] :])
+            y = y + convolve(skip, kernel[:, :, self.inputs :])
         return self.conv1.activate(conv.add_bias(y))
 
 

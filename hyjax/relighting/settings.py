@@ -30,8 +30,8 @@ class RelightSettings(Settings):
     kappa: float | None = None
     """Edge sensitivity of a named schedule. Default: 0.05 for hyjax and in paper mode, 0.02 for the others."""
     guide: str = "rgb"
-    """What guides the diffusion: rgb is the frame itself, small the network that comes with hyjax; or a safetensors
-    file that train or tune wrote."""
+    """What guides the diffusion: rgb is the frame itself, small the network that comes with hyjax, small-half that
+    network at half the frame's size; or a safetensors file that train or tune wrote."""
     paper_mode: bool = False
     """Exactly the paper: multiply display values, leave holes in the mesh black."""
     keep_photo_light: bool = False

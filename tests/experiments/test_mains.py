@@ -134,7 +134,7 @@ def test_guide_worth(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     config = guide_worth.Config(capture=scan, frames=1, size=SIZE, out=tmp_path)
     scores = of_kind(rows_of(guide_worth.main, config, "guide_worth.png"), "score")
     held = [row for row in scores if row["split"] == "held-out"]
-    guides = {guide_worth.NONE, "rgb", "small", guide_worth.SURFACE}
+    guides = {guide_worth.NONE, "rgb", "small", "small-half", guide_worth.SURFACE}
     assert len(held) == len(guides) * len(METHODS) and {row["guide"] for row in held} == guides
     assert len({row["psnr"] for row in held if row["method"] == METHODS["linear"]}) == len(guides)
 

@@ -1,4 +1,4 @@
-"""Guides for inference: batch norms and κ folded in, any size of picture, files that make no guide."""
+"""Guides for inference: batch norms, parities and κ folded in, any size of picture, files that make no guide."""
 
 from pathlib import Path
 
@@ -11,8 +11,10 @@ from flax import nnx
 from test_guide_weights import Toy
 
 from hyjax.core.diffusion import conductance
+from hyjax.core.pyramid import downsample
 from hyjax.core.schedule import DEFAULT_KAPPA
 from hyjax.guide import ENCODERS, Guide, GuideNetwork, load_guide, normalise, save_guide
+from hyjax.guide.choose import ReducedGuide, open_guide
 from hyjax.guide.convolution import convolve
 from hyjax.guide.inference import fold
 from hyjax.guide.layers import ConvNorm
@@ -43,12 +45,15 @@ def picture(height: int = 20, width: int = 24) -> jax.Array:
     return jnp.asarray(np.random.default_rng(1).random((height, width, 3), np.float32))
 
 
-def test_folding_changes_no_feature(network: GuideNetwork) -> None:
+@pytest.mark.parametrize("size", [(20, 24), (32, 64)])
+def test_folding_changes_features_by_a_constant(network: GuideNetwork, size: tuple[int, int]) -> None:
     folded = fold(network, kappa=2 * DEFAULT_KAPPA)
     assert not [m for _, m in nnx.iter_modules(folded) if isinstance(m, nnx.BatchNorm)]
     assert [m for _, m in nnx.iter_modules(network) if isinstance(m, nnx.BatchNorm)], "the original was changed"
-    images = normalise(picture())[None]
-    np.testing.assert_allclose(2 * folded(images), network(images), rtol=1e-4, atol=1e-5)
+    images = normalise(picture(*size))[None]
+    bias = network.segmentation_head[0].bias[...]
+    assert float(jnp.abs(bias).min()) > 0.1
+    np.testing.assert_allclose(2 * folded(images) + bias, network(images), rtol=1e-4, atol=1e-5)
 
 
 def test_kappa_is_folded_in(network: GuideNetwork, tmp_path: Path) -> None:
@@ -71,9 +76,35 @@ def test_any_size(network: GuideNetwork, size: tuple[int, int]) -> None:
 def test_features_are_the_trunk_through_the_last_layer(network: GuideNetwork) -> None:
     guide = Guide(network)
     trunk = guide.trunk(picture())
-    again = convolve(trunk[None], guide.kernel)[0]
-    difference = guide.features(picture()) - again
-    np.testing.assert_allclose(difference, jnp.broadcast_to(difference[0, 0], difference.shape), atol=1e-6)
+    np.testing.assert_allclose(guide.features(picture()), convolve(trunk[None], guide.kernel)[0], atol=1e-6)
+
+
+def test_a_reduced_guide_is_that_of_the_frame_at_half_its_size(network: GuideNetwork) -> None:
+    """Of odd sizes too."""
+    guide = Guide(network, name="toy", fingerprint="1")
+    reduced = ReducedGuide(guide)
+    assert (reduced.name, reduced.fingerprint) == ("toy-half", "1-half")
+    small = guide.features(picture())
+    features = reduced.features(jnp.repeat(jnp.repeat(picture(), 2, axis=0), 2, axis=1))
+    np.testing.assert_allclose(downsample(features, 2)[1:-1, 1:-1], bilinear_mean(small), atol=1e-5)
+    assert reduced.features(picture(17, 31)).shape == (17, 31, 5)
+
+
+def bilinear_mean(cells: jax.Array) -> jax.Array:
+    """Means over the inner cells of what is bilinear between their centres."""
+    for axis in (0, 1):
+        n = cells.shape[axis]
+        before, own, after = (jax.lax.slice_in_dim(cells, k, n - 2 + k, axis=axis) for k in range(3))
+        cells = (before + 6 * own + after) / 8
+    return cells
+
+
+def test_shipped_guides_by_name() -> None:
+    small, half = open_guide("small"), open_guide("small-half")
+    assert half.name == "small-half" and isinstance(half, ReducedGuide) and half.guide.name == "small"
+    assert half.fingerprint == f"{small.fingerprint}-half"
+    with pytest.raises(InputError, match="one of rgb, small, small-half"):
+        open_guide("small-hal")
 
 
 def test_it_is_a_pure_function(network: GuideNetwork) -> None:
