@@ -235,11 +235,7 @@ def guard(rows: Sequence[Row]) -> list[tuple[str, float, float, bool]]:
     ratios = [
         ("CPU of a frame, sampling 2 / 1", scan.get(2, nan) / scan.get(1, nan), 0.75),
         ("G-buffer / the slowest other stage", stages.get("G-buffer", nan) / slowest, 2.0),
-        (
-            "CPU a pixel, largest / smallest picture",
-            pixels[max(pixels)] / pixels[min(pixels)] if pixels else nan,
-            1.5,
-        ),
+        ("CPU a pixel, largest / smallest picture", growth, 1.5),
     ]
     if quality := of_kind(rows, "quality"):
         ratios.append(("dB lost by sampling", -min(differences(quality).values(), default=0.0), 0.1))

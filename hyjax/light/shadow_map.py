@@ -149,6 +149,8 @@ def visibility(
 
     zero = jnp.zeros_like(place[0])
     (lit, weight), _ = jax.lax.scan(add_view, (zero, zero), (depth, origin, axes))
+    # A loop of one turn would be merged with what follows, and looked up anew for each pixel of a block.
+    lit, weight = jax.lax.optimization_barrier((lit, weight))
     lit, weight = (_from_groups(part, cell, (h, w)) for part in (lit, weight))
     lit = light.mask_visibility(lit, gbuffer.position)
     return jnp.where(gbuffer.hit & (weight > 0), lit / jnp.where(weight > 0, weight, 1.0), 1.0)
