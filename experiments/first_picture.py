@@ -2,9 +2,9 @@
 
     python -m experiments.first_picture [--repeats 5] [--cold 2] [--out results/first_picture]
 
-Takes about two minutes on two idle cores. Every command is a process of its own, timed from its start to its end; the
-commands take turns. A cold start has an empty cache folder, in which the room is made, its light estimated and
-everything compiled; the second start finds that folder. Files are in the system's cache in both.
+Takes about two minutes on two idle cores. Every command is a process of its own, timed from its start to its end;
+the commands take turns. A cold start has an empty cache folder, in which the room is made, its light estimated and
+everything compiled; the second start finds that folder. The programs' files are in the system's cache in both.
 
 Expect: help in a third of a second; imports take most of a second start.
 """
