@@ -4,7 +4,7 @@
 
 Takes about two minutes on two idle cores. Every command is a process of its own, timed from its start to its end;
 the commands take turns. A cold start has an empty cache folder, in which the room is made, its light estimated and
-everything compiled; the second start finds that folder. Files are in the system's cache in both.
+everything compiled; the second start finds that folder. The programs' files are in the system's cache in both.
 
 Expect: help in a third of a second; imports take most of a second start.
 """

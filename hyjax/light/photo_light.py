@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from hyjax.light.emission import Emitters
@@ -127,8 +128,8 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
     Raises:
         InputError: the G-buffer does not tell its triangles.
     """
-    uniform = [each.UNIFORM for each in lights]
-    return _add(shaded, light, on_triangles(gbuffer), jnp.asarray(uniform) & (not all(uniform)))
+    uniform = np.array([each.UNIFORM for each in lights])
+    return _add(shaded, light, on_triangles(gbuffer), jnp.asarray(uniform & (not uniform.all())))
 
 
 @Program

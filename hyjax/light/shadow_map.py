@@ -149,8 +149,6 @@ def visibility(
 
     zero = jnp.zeros_like(place[0])
     (lit, weight), _ = jax.lax.scan(add_view, (zero, zero), (depth, origin, axes))
-    # A loop of one turn would be merged with what follows, and looked up anew for each pixel of a block.
-    lit, weight = jax.lax.optimization_barrier((lit, weight))
     lit, weight = (_from_groups(part, cell, (h, w)) for part in (lit, weight))
     lit = light.mask_visibility(lit, gbuffer.position)
     return jnp.where(gbuffer.hit & (weight > 0), lit / jnp.where(weight > 0, weight, 1.0), 1.0)
@@ -168,7 +166,7 @@ def _in_groups(x: Float[Array, "3 h w"], cell: int) -> Float[Array, "3 g n"]:
 def _from_groups(x: Float[Array, "g n"], cell: int, shape: tuple[int, int]) -> Float[Array, "h w"]:
     """Sums over the groups, for every pixel of its block."""
     rows, columns = (-(-n // cell) for n in shape)
-    total = functools.reduce(jnp.add, x).reshape(rows, columns)
+    total = jnp.sum(x, axis=0).reshape(rows, columns)
     whole = jnp.repeat(jnp.repeat(total, cell, axis=0), cell, axis=1) if cell > 1 else total
     return whole[: shape[0], : shape[1]]
 

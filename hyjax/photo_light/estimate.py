@@ -218,8 +218,9 @@ def _albedo(
 
 
 def _transport(caster: RayCaster, hits: np.ndarray, position: np.ndarray, normal: np.ndarray) -> Transport:
-    faces, count = jnp.asarray(caster.mesh.faces, jnp.int32), len(caster.mesh.vertices)
-    place, facing = (jnp.asarray(a, jnp.float32) for a in (position, normal))
+    # Converted by NumPy: every conversion of JAX's is a program of its own.
+    faces, count = jnp.asarray(np.asarray(caster.mesh.faces, np.int32)), len(caster.mesh.vertices)
+    place, facing = (jnp.asarray(np.asarray(a, np.float32)) for a in (position, normal))
     return Transport(jnp.asarray(hits), faces, place, facing, count)
 
 

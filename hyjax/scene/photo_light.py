@@ -101,9 +101,11 @@ class ScenePhotoLight:
         last = self._last
         if last is not None and last[1] is shadow_maps and same_setup(last[0], setup):
             return last[2]
-        photo, kept = self.estimate.light, jnp.asarray(self.kept(setup.existing), jnp.float32)
+        photo, kept = self.estimate.light, self.kept(setup.existing)
         bounced = bounced_light(photo, setup.lights, shadow_maps)
-        bounced += setup.reference_lux * jnp.einsum("sc,svc->vc", kept, photo.sources)
+        if kept.any():
+            left = setup.reference_lux * kept
+            bounced += jnp.einsum("sc,svc->vc", jnp.asarray(left, jnp.float32), photo.sources)
         emitters = self.emitters(setup)
         light = SurfaceLight(photo.illuminance, bounced, photo.transport.faces, emitters)
         self._last = setup, shadow_maps, light
@@ -144,7 +146,7 @@ class ScenePhotoLight:
         bulbs = np.array([(*lamp.position, lamp.radius) for lamp in lamps]).reshape(-1, 4)
         sent = radiant_filter(setup.lights, panes, bulbs, float(setup.reference_lux))
         kept = self.kept(setup.existing)[: len(sent)]  # windows, then lamps, as the sources are
-        own, round_, light, left = (jnp.asarray(a, jnp.float32) for a in (panes, bulbs, sent, kept))
+        own, round_, light, left = (jnp.asarray(np.asarray(a, np.float32)) for a in (panes, bulbs, sent, kept))
         return Emitters(own, round_, light, left, self.estimate.light.mean, jnp.asarray(self._stored[1]))
 
     @functools.cached_property

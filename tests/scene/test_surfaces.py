@@ -145,13 +145,17 @@ def test_the_rooms_fused_surface_follows_its_frames(cache: Path, made: Made, roo
 
 
 @pytest.mark.parametrize("damage", ["empty", "truncated", "garbage"])
-def test_a_damaged_cache_is_made_again(cache: Path, made: Made, damage: str) -> None:
+def test_a_damaged_cache_is_made_again_with_a_line(
+    cache: Path, made: Made, damage: str, caplog: pytest.LogCaptureFixture
+) -> None:
     get(Wall())
     (file,) = cache.glob("*.ply")
     content = file.read_bytes()
     file.write_bytes({"empty": b"", "truncated": content[: len(content) // 2], "garbage": b"ply?" * 99}[damage])
     again = get(Wall())
     assert len(made) == 2 and len(again.faces) == 80
+    (line,) = (record.getMessage() for record in caplog.records if "made again" in record.getMessage())
+    assert file.name in line and "\n" not in line
     assert same(again, get(Wall())) and len(made) == 2
 
 
