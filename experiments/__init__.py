@@ -23,6 +23,7 @@ EXPERIMENTS = (
     "tuning_optimum",
     "tuning_race",
     "stage_times",
+    "gbuffer_methods",
     "device_roofline",
     "guide_speed",
     "export_formats",

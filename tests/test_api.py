@@ -288,6 +288,7 @@ def test_import_is_light(module: str) -> None:
         "flax",
         "trimesh",
         "embreex",
+        "numba",
         "OpenImageIO",
         "skimage",
         "tyro",
