@@ -74,9 +74,7 @@ def main(config: Config, start: Start) -> None:
         rays, drawn = by_ray(), np.asarray(draw())
         with np.errstate(invalid="ignore"):
             same = (rays == drawn) | (np.abs(rays - drawn) <= WRONG * np.abs(rays))
-        taken = take_turns({"rasteriser": ways["rasteriser"]}, config.repeats) | take_turns(
-            {"rays": ways["rays"]}, 1
-        )
+        taken = take_turns({"rasteriser": draw}, config.repeats) | take_turns({"rays": by_ray}, 1)
         for method, times in taken.items():
             place = {"light": name, "views": layout.count, "size": layout.size}
             results.add(kind="shadow", method=method, **place, **times, differ=float((~same).mean()))
