@@ -11,9 +11,9 @@ needs a tree; beyond that its time grows with the triangles, theirs hardly. Pict
 every edge.
 """
 
+import contextlib
 import dataclasses
 import functools
-import importlib.util
 import statistics
 import time
 from collections.abc import Callable, Sequence
@@ -104,7 +104,7 @@ def gbuffer_ways(mesh: trimesh.Trimesh, camera: Camera) -> dict[str, Callable[[]
         f"rasteriser, {cores()} threads": lambda: drawn(cores()),
         "Embree at half size, nearest": upsampled,
     }
-    if importlib.util.find_spec("open3d"):
+    with contextlib.suppress(ImportError):  # not installed, or without all it needs
         ways["Embree (Open3D), every ray"] = by_open3d(mesh, camera)
     return ways
 
