@@ -25,6 +25,7 @@ EXPERIMENTS = (
     "stage_times",
     "frame_rate",
     "first_picture",
+    "gbuffer_methods",
     "device_roofline",
     "guide_speed",
     "export_formats",

@@ -304,6 +304,7 @@ def test_a_pure_function_loads_jax_alone() -> None:
         "flax",
         "trimesh",
         "embreex",
+        "numba",
         "OpenImageIO",
         "skimage",
         "tyro",

@@ -106,7 +106,6 @@ def _draw_triangle(
     corner: np.ndarray,
     number: int,
     spans: np.ndarray,
-    rows: tuple[int, int],
     limit: np.ndarray,
     buffers: tuple[np.ndarray, np.ndarray],
 ) -> None:
@@ -121,11 +120,11 @@ def _draw_triangle(
     else:
         left, right = _bounds(corner, 0)
         top, bottom = _bounds(corner, 1)
-    width = keys.shape[1]
-    if not (left <= width - 1 and right >= 0.0 and top <= rows[1] - 1 and bottom >= rows[0]):
+    height, width = keys.shape
+    if not (left <= width - 1 and right >= 0.0 and top <= height - 1 and bottom >= 0.0):
         return
     start, stop = int(np.ceil(max(left, 0.0))), int(np.floor(min(right, width - 1.0)))
-    begin, end = int(np.ceil(max(top, float(rows[0])))), int(np.floor(min(bottom, rows[1] - 1.0)))
+    begin, end = int(np.ceil(max(top, 0.0))), int(np.floor(min(bottom, height - 1.0)))
     if start > stop or begin > end:
         return
     a0, b0, c0 = y1 * w2 - w1 * y2, w1 * x2 - x1 * w2, x1 * y2 - y1 * x2
@@ -228,7 +227,7 @@ def select(
 
 @compiled(
     "void(i4[::1], f8[:,::1], i4[:,::1], f8[:,::1], f8[:,:,::1], b1, f8[:,::1], u1[::1], i4[:,:,::1], "
-    "UniTuple(i8, 2), f4[:,::1], Tuple((f4[:,::1], i4[:,::1])))"
+    "f4[:,::1], Tuple((f4[:,::1], i4[:,::1])))"
 )
 def draw(
     chosen: np.ndarray,
@@ -240,18 +239,16 @@ def draw(
     points: np.ndarray,
     sides: np.ndarray,
     spans: np.ndarray,
-    rows: tuple[int, int],
     limit: np.ndarray,
     buffers: tuple[np.ndarray, np.ndarray],
 ) -> None:
-    """Triangles into some rows of buffers; where two are equally near, the one that comes first.
+    """Triangles into buffers; where two are equally near, the one that comes first.
 
     Args:
         chosen: numbers of the triangles.
         vertices, view, pieces, parallel, points, sides: see `project`.
         triangles: (m, 3), numbers of vertices.
         spans: (p, 2, h), first and last column of each piece in each row.
-        rows: the first, and the one after the last.
         limit: (h, w), keys must be smaller; not looked at where triangles' numbers are asked for.
         buffers: (h, w) of keys, and of the nearest triangles' numbers; the latter empty if they are not asked for.
     """
@@ -272,7 +269,7 @@ def draw(
                     continue
                 for i in range(3):
                     _place(_local(vertices[triangles[number, i]], view), pieces[piece], parallel, corner[i])
-            _draw_triangle(corner, number, spans[piece], rows, limit, buffers)
+            _draw_triangle(corner, number, spans[piece], limit, buffers)
 
 
 @compiled("void(f4[:,::1], f4[:,::1], f4[:,::1], b1)")
@@ -294,3 +291,20 @@ def distances(keys: np.ndarray, norm: np.ndarray, limit: np.ndarray, parallel: b
                 keys[row, column] = norm[row, column] / keys[row, column]
             else:
                 keys[row, column] = np.inf
+
+
+@compiled("void(f4[:,:,::1], i4[:,:,::1], i8, i8)")
+def merge(keys: np.ndarray, faces: np.ndarray, first: int, last: int) -> None:
+    """The nearest of several buffers in rows from `first` to `last`, into the first one; −1 where none has any.
+
+    Args:
+        keys, faces: (b, h, w), see `draw`; of views whose rays spread out.
+        first, last: rows.
+    """
+    for row in range(first, last):
+        for column in range(keys.shape[2]):
+            best, face = np.float32(0.0), np.int32(-1)
+            for buffer in range(len(keys)):
+                if keys[buffer, row, column] > best:
+                    best, face = keys[buffer, row, column], faces[buffer, row, column]
+            faces[0, row, column] = face

@@ -24,7 +24,7 @@ T = TypeVar("T")
 ALIGNMENT = 64
 """Bytes; `jax.device_put` takes over the memory of arrays that are aligned so, where it can."""
 BANDS = 2
-"""Bands of rows for each thread: the rows are not equally full."""
+"""Bands of rows for each thread, whose surface points are made: rows are not equally full."""
 NO_FACES = np.empty((0, 0), np.int32)
 
 
@@ -86,8 +86,8 @@ class Rasterizer:
         keys = np.full(shape, -np.inf if view.parallel else 0.0, np.float32)
         raster_kernels.project(self.vertices, *view.arguments, points, sides, 0, len(points))
         count = raster_kernels.select(self.triangles, points, sides, mask, 0, len(chosen), shape, chosen)
-        mesh, rows = (chosen[:count], self.vertices, self.triangles), (0, shape[0])
-        raster_kernels.draw(*mesh, *view.arguments, points, sides, view.spans, rows, view.limit, (keys, NO_FACES))
+        mesh = chosen[:count], self.vertices, self.triangles
+        raster_kernels.draw(*mesh, *view.arguments, points, sides, view.spans, view.limit, (keys, NO_FACES))
         raster_kernels.distances(keys, view.norm, view.limit, view.parallel)
         return keys
 
@@ -103,13 +103,14 @@ class Rasterizer:
         view, rays = camera_view(camera), camera_rays(camera)
         height, width = view.norm.shape
         points, sides, chosen = self._scratch()
-        position, normal, barycentric, depth, face, hit, keys = _aligned(
+        buffers = cores()  # each thread draws some of the triangles
+        position, normal, barycentric, depth, hit, faces = _aligned(
             *[((height, width, 3), np.float32)] * 3,
             ((height, width), np.float32),
-            ((height, width), np.int32),
             ((height, width), np.bool_),
-            ((height, width), np.float32),
+            ((buffers, height, width), np.int32),
         )
+        keys = np.zeros((buffers, height, width), np.float32)
 
         def project(part: slice) -> None:
             raster_kernels.project(self.vertices, *view.arguments, points, sides, part.start, part.stop)
@@ -119,22 +120,22 @@ class Rasterizer:
             count = raster_kernels.select(self.triangles, points, sides, 0, *limits, (height, width), chosen)
             return chosen[part.start : part.start + count]
 
-        def draw(part: slice) -> None:
-            rows = part.start, part.stop
-            keys[part], face[part] = 0.0, -1
-            raster_kernels.draw(
-                seen, self.vertices, self.triangles, *view.arguments, points, sides, view.spans, rows, view.limit,
-                (keys, face),
-            )  # fmt: skip
-            surface_kernel.surface(
-                self.vertices, self.triangles, normals, points, rays, face, rows, position, normal, depth, hit,
-                barycentric,
-            )  # fmt: skip
+        def draw(buffer: int) -> None:
+            own = seen[len(seen) * buffer // buffers : len(seen) * (buffer + 1) // buffers]
+            mesh, into = (own, self.vertices, self.triangles), (keys[buffer], faces[buffer])
+            raster_kernels.draw(*mesh, *view.arguments, points, sides, view.spans, view.limit, into)
 
-        share_out(project, len(points), 1)
-        seen = np.concatenate(share_out(select, len(chosen), 1))
-        share_out(draw, height, BANDS)
-        return GBuffer(*(jax.device_put(part) for part in (position, normal, depth, hit, face, barycentric)))
+        def finish(part: slice) -> None:
+            raster_kernels.merge(keys, faces, part.start, part.stop)
+            rows, mesh = (part.start, part.stop), (self.vertices, self.triangles, normals)
+            made = position, normal, depth, hit, barycentric
+            surface_kernel.surface(*mesh, points, rays, faces[0], rows, *made)
+
+        share_out(project, len(points), cores())
+        seen = np.concatenate(share_out(select, len(chosen), cores()))
+        share_out(lambda part: draw(part.start), buffers, buffers)
+        share_out(finish, height, BANDS * cores())
+        return GBuffer(*(jax.device_put(part) for part in (position, normal, depth, hit, faces[0], barycentric)))
 
     def _scratch(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         count = len(self.vertices)
@@ -168,20 +169,20 @@ def whole_spans(height: int, width: int) -> Int[np.ndarray, "1 2 h"]:
     return np.stack([np.zeros(height, np.int32), np.full(height, width - 1, np.int32)])[None]
 
 
-def share_out(work: Callable[[slice], T], count: int, each: int) -> list[T]:
-    """Work on parts of a range, shared among all cores, so many parts for each.
+def share_out(work: Callable[[slice], T], count: int, parts: int) -> list[T]:
+    """Work on parts of a range, shared among all cores.
 
     Args:
         work: on a part; must let go of Python for cores to work at once.
         count: length of the range.
-        each: parts for a core.
+        parts: how many; no more than there are numbers.
 
     Returns:
         Results, in the parts' order.
     """
-    edges = np.linspace(0, count, min(each * cores(), max(count, 1)) + 1).astype(int)
-    parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
-    return list(map(work, parts) if cores() == 1 else threads().map(work, parts))
+    edges = np.linspace(0, count, min(parts, max(count, 1)) + 1).astype(int)
+    each = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+    return list(map(work, each) if cores() == 1 else threads().map(work, each))
 
 
 @functools.lru_cache(maxsize=1)

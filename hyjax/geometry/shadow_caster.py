@@ -1,4 +1,4 @@
-"""Filling shadow maps by ray casting, on the host. Once for a static scene; a light that moves needs a new map."""
+"""Filling shadow maps, on the host. Once for a static scene; a light that moves needs a new map."""
 
 import dataclasses
 import functools
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from hyjax.geometry.rasterizer import RasterView, constant, share_out
 from hyjax.geometry.raycast import RayCaster
@@ -113,17 +113,17 @@ class MapLayout:
         """Views."""
         return self.views.count
 
-    def rays(self, view: int, chosen: Int[np.ndarray, "n"] | slice = slice(None)) -> TexelRays:
-        """Rays of a view through all texels, gutter included, row by row; or through the chosen ones."""
+    def rays(self, view: int) -> TexelRays:
+        """Rays of a view through all texels, gutter included, row by row: the reference for what `cast` draws."""
         local_starts, local = _texel_rays(self.size, self.projection)
         if isinstance(self.views, RadialViews):
             # Maps of rays that start in one point each. The rows of `axes` are orthogonal: its inverse is its
             # transpose over their squared lengths.
             axes, near = self.views.axes, self.views.near
-            directions = local[chosen] @ (axes * np.sum(axes**2, axis=1, keepdims=True) ** -1)
+            directions = local @ (axes * np.sum(axes**2, axis=1, keepdims=True) ** -1)
             return TexelRays(self.origins[view] + near * directions, directions, near)
         frame = orthonormal_frame(self.views.directions)[view]
-        starts = self.half * (local_starts[chosen] @ frame)
+        starts = self.half * (local_starts @ frame)
         directions = np.broadcast_to(frame[2], starts.shape)
         if self.views.aperture is None:
             return TexelRays(self.origins[view] + starts, directions)

@@ -202,6 +202,7 @@ def test_a_tree_is_built_once_and_by_the_first_ray(monkeypatch: pytest.MonkeyPat
     assert len(built) == 1
 
 
+@pytest.mark.slow
 def test_a_damaged_or_refused_cache_of_kernels_costs_only_time(tmp_path: Path) -> None:
     code = """if True:
         import numpy as np
