@@ -123,7 +123,8 @@ def relight_stages(
     mode: Mode = "linear",
     refined_photo_light: Float[Array, "h w 3"] | None = None,
 ) -> Iterator[tuple[str, Any]]:
-    """`relight` stage by stage: each stage's name with its result, the last one ("composite", `Relit`).
+    """`relight` stage by stage: each stage's name with its result. The picture, linear, comes with "composite", and
+    last with "comparison" the whole `Relit`, which whoever wants the picture alone need not ask for.
 
     To time, look at or stop between the stages. Arguments and errors are those of `relight`; one comes on top:
     `refined_photo_light`, the photo's light after the cascade, for who relights a frame again and again.
@@ -175,7 +176,9 @@ def relight_stages(
     if temporal_filter is not None:
         illuminance, visibility = temporal_filter(illuminance, visibility)
         yield "temporal filter", (illuminance, visibility)
-    yield "composite", composite_linear(view.frame, shaded, illuminance, visibility)
+    relight_filter, image = relit_picture(view.frame, shaded, illuminance, visibility)
+    yield "composite", image
+    yield "comparison", _compared(view.frame, shaded, illuminance, visibility, relight_filter, image)
 
 
 def default_shadow_schedule(mode: Mode) -> Schedule:
@@ -202,14 +205,13 @@ def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Sc
     return shadow_pass(filled, guide, schedule, sampling=shaded.sampling)
 
 
-@Program
 def composite_linear(
     frame: Float[Array, "h w 3"],
     shaded: Shaded,
     illuminance: Float[Array, "h w c"],
     visibility: Float[Array, "h w l"],
 ) -> Relit:
-    """Relit picture in linear light (Eq. 1).
+    """Relit picture in linear light (Eq. 1), with what it came from.
 
     Args:
         frame: camera picture, linear.
@@ -217,42 +219,74 @@ def composite_linear(
         illuminance: see `refine_illuminance`.
         visibility: see `refine_visibility`.
     """
+    relight_filter, image = relit_picture(frame, shaded, illuminance, visibility)
+    return _compared(frame, shaded, illuminance, visibility, relight_filter, image)
+
+
+@Program
+def relit_picture(
+    frame: Float[Array, "h w 3"],
+    shaded: Shaded,
+    illuminance: Float[Array, "h w c"],
+    visibility: Float[Array, "h w l"],
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
+    """Relight filter and relit picture, linear; arguments as of `composite_linear`."""
+    direct, fields = _split(illuminance, shaded)
+    light = _light(direct * visibility, shaded, fields)
+    relight_filter = _or_ambient(_divide(light, shaded, fields), shaded)
+    return relight_filter, _with_emission(composite(relight_filter, frame), light, shaded)
+
+
+@Program
+def _compared(
+    frame: Float[Array, "h w 3"],
+    shaded: Shaded,
+    illuminance: Float[Array, "h w c"],
+    visibility: Float[Array, "h w l"],
+    relight_filter: Float[Array, "h w 3"],
+    image: Float[Array, "h w 3"],
+) -> Relit:
+    """All stages of a relit frame."""
+    samples = (
+        _divide(_light(channels, shaded, shaded.surface_fields), shaded, shaded.surface_fields)
+        for channels in (shaded.illuminance, shaded.illuminance * shaded.visibility)
+    )
+    raw, raw_shadowed = (_repeated(each, shaded.sampling, frame.shape) for each in samples)
+    direct, fields = _split(illuminance, shaded)
+    refined = _or_ambient(_divide(_light(direct, shaded, fields), shaded, fields), shaded)
+    visible, unrefined = _ratio(relight_filter, refined), composite(raw_shadowed, frame)
+    unrefined = _with_emission(unrefined, _light(direct * visibility, shaded, fields), shaded)
+    return Relit(raw, refined, visible, relight_filter, unrefined, image)
+
+
+def _split(
+    illuminance: Float[Array, "h w c"], shaded: Shaded
+) -> tuple[Float[Array, "h w l"], list[Float[Array, "h w 3"]]]:
+    """Channels of the lights, and fields of three channels each."""
     count = shaded.illuminance.shape[-1]
-    direct, fields = illuminance[..., :count], _fields(illuminance[..., count:])
-    raw, raw_shadowed, unshadowed, light = (
-        _light(channels, shaded, others)
-        for channels, others in (
-            (shaded.illuminance, shaded.surface_fields),
-            (shaded.illuminance * shaded.visibility, shaded.surface_fields),
-            (direct, fields),
-            (direct * visibility, fields),
-        )
-    )
-    raw, raw_shadowed = (
-        _repeated(_divide(each, shaded, shaded.surface_fields), shaded.sampling, frame.shape)
-        for each in (raw, raw_shadowed)
-    )
-    unshadowed, relight_filter = (_divide(each, shaded, fields) for each in (unshadowed, light))
-    anything = jnp.any(shaded.confidence > 0)
-    unshadowed, relight_filter = (jnp.where(anything, f, shaded.ambient) for f in (unshadowed, relight_filter))
-    visible = _ratio(relight_filter, unshadowed)
-    unrefined, image = composite(raw_shadowed, frame), composite(relight_filter, frame)
-    if shaded.emission is not None:
-        source = shaded.emission
-        shining = source.sent + source.reflectance * light
-        unrefined, image = (each + source.weight * (shining - each) for each in (unrefined, image))
-    return Relit(raw, unshadowed, visible, relight_filter, unrefined, image)
+    rest = illuminance[..., count:]
+    return illuminance[..., :count], jnp.split(rest, rest.shape[-1] // 3, axis=-1) if rest.shape[-1] else []
+
+
+def _or_ambient(relight_filter: Float[Array, "h w 3"], shaded: Shaded) -> Float[Array, "h w 3"]:
+    """The filter; the ambient lights' where nothing of the frame is known."""
+    return jnp.where(jnp.any(shaded.confidence > 0), relight_filter, shaded.ambient)
+
+
+def _with_emission(
+    picture: Float[Array, "h w 3"], light: Float[Array, "h w 3"], shaded: Shaded
+) -> Float[Array, "h w 3"]:
+    """The picture with what shines by itself, and reflects light."""
+    source = shaded.emission
+    if source is None:
+        return picture
+    return picture + source.weight * (source.sent + source.reflectance * light - picture)
 
 
 def _repeated(samples: Float[Array, "sh sw 3"], sampling: int, shape: tuple[int, ...]) -> Float[Array, "h w 3"]:
     """Each sample for its whole block of pixels."""
     whole = jnp.repeat(jnp.repeat(samples, sampling, axis=0), sampling, axis=1) if sampling > 1 else samples
     return whole[: shape[0], : shape[1]]
-
-
-def _fields(channels: Float[Array, "h w c"]) -> list[Float[Array, "h w 3"]]:
-    """Fields of three channels each."""
-    return jnp.split(channels, channels.shape[-1] // 3, axis=-1) if channels.shape[-1] else []
 
 
 def _light(
@@ -280,7 +314,9 @@ def _paper_stages(
     yield "cascade", refined
     visible = shadow_pass(_ratio(raw_shadowed, raw), guide, shadow_schedule)
     yield "shadow pass", visible
-    yield "composite", _composite_display(view.frame, raw, raw_shadowed, refined, visible)
+    relit = _composite_display(view.frame, raw, raw_shadowed, refined, visible)
+    yield "composite", relit.image
+    yield "comparison", relit
 
 
 @jax.jit

@@ -5,7 +5,7 @@ An image called `linear` holds amounts of light, one called `display` holds what
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, UInt8
 
 from hyjax.util.programs import Program
 
@@ -27,6 +27,12 @@ def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
     power = 1.055 * jnp.clip(linear, 0.0031308, 1.0) ** (1.0 / 2.4) - 0.055
     # `where` and not `maximum`, whose gradient at a tie is half: black pixels keep the slope of the light they get.
     return jnp.where(linear < 0.0, 0.0, jnp.where(linear <= 0.0031308, linear * 12.92, power))
+
+
+@Program
+def to_bytes(linear: Float[Array, "*s"]) -> UInt8[Array, "*s"]:
+    """Linear light → display-encoded bytes, as a file or a screen takes them."""
+    return jnp.round(255.0 * to_display(linear)).astype(jnp.uint8)
 
 
 def luminance(linear: Float[Array, "*s 3"]) -> Float[Array, "*s"]:

@@ -119,7 +119,7 @@ class View:
         yield "visibility", visibility
         shaded = Shaded.of(setup, illuminance, visibility, seen.hit, confidence=confidence, sampling=sampling)
         if surface_light is not None:
-            shaded = self.add_surface_light(shaded, surface_light, setup.lights)
+            shaded = self._add_surface_light(shaded, surface_light, setup.lights, seen)
         yield "shaded", shaded
 
     def add_surface_light(self, shaded: Shaded, light: SurfaceLight, lights: Sequence[Light]) -> Shaded:
@@ -133,7 +133,13 @@ class View:
         Raises:
             InputError: the G-buffer does not tell its triangles.
         """
-        shaded = add_surface_light(shaded, light, sample_pixels(self.gbuffer, sampling=shaded.sampling), lights)
+        return self._add_surface_light(shaded, light, lights, sample_pixels(self.gbuffer, sampling=shaded.sampling))
+
+    def _add_surface_light(
+        self, shaded: Shaded, light: SurfaceLight, lights: Sequence[Light], seen: GBuffer
+    ) -> Shaded:
+        """`add_surface_light` with the surface at the samples."""
+        shaded = add_surface_light(shaded, light, seen, lights)
         if light.emitters is None or self.pose is None or self.intrinsics is None:
             return shaded
         h, w = self.gbuffer.hit.shape

@@ -17,6 +17,10 @@ from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.blender import BlenderRenderer
 from hyjax.scene.scene import Scene, view_of
 from hyjax.util.clock import StageClock
+from hyjax.util.environment import cores
+
+MOST_AT_ONCE = 4
+"""Frames on one processor: each takes memory."""
 
 
 class FrameShader:
@@ -24,6 +28,7 @@ class FrameShader:
 
     Attributes:
         devices: that frames go to in turns.
+        at_once: how many frames may be relit at a time.
     """
 
     def __init__(
@@ -57,6 +62,9 @@ class FrameShader:
         # Blender, and what frames leave to the next, there is once.
         once = settings.video or settings.renderer == "blender"
         self.devices = jax.local_devices()[: 1 if once else None]
+        # Small stages run on one core each, so that frames share the cores of a processor best.
+        several = not once and self.devices[0].platform == "cpu"
+        self.at_once = max(len(self.devices), min(cores(), MOST_AT_ONCE) if several else 1)
         self._lights = [(setup, maps, surface_light)]
         if len(self.devices) > 1:
             copies = [jax.device_put((setup.lights, maps, surface_light), device) for device in self.devices]

@@ -58,8 +58,9 @@ def relight_capture(
 
     While the device relights a frame, the next ones are read and their rays cast, and the last ones encoded and
     written: the stages' milliseconds in `run.json` overlap, and `frames_per_second` (after the first `WARM_UP`) is
-    what comes out. These threads do not see JAX's context managers that stand around the call. Where there are
-    several devices, frames go to them in turns, unless each needs the one before it (`video`).
+    what comes out. These threads do not see JAX's context managers that stand around the call. On a processor
+    several frames are relit at a time, and where there are several devices, frames go to them in turns, unless each
+    needs the one before it (`video`).
 
     Every file appears whole or not at all, so that an interrupted run leaves nothing half-written.
 
@@ -197,11 +198,10 @@ def _relight_frames(
 
     with ExitStack() as running:
         cast_ahead = enumerate(filter(None, running.enter_context(contextlib.closing(prefetch(cast, chosen)))))
-        count = len(shader.devices)
-        if count == 1:
+        if shader.at_once == 1:
             yield from map(relight_frame, cast_ahead)
             return
-        relit = prefetch(relight_frame, cast_ahead, count, threads=count)
+        relit = prefetch(relight_frame, cast_ahead, shader.at_once, threads=shader.at_once)
         yield from running.enter_context(contextlib.closing(relit))
 
 

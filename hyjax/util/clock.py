@@ -43,14 +43,16 @@ class StageClock:
         yield
         self.seconds.setdefault(stage, []).append(time.perf_counter() - start)
 
-    def follow(self, stages: Iterator[tuple[str, T]]) -> T:
-        """Run a generator of (stage, result) to its end, time each stage, and return the last result."""
+    def follow(self, stages: Iterator[tuple[str, T]], until: str | None = None) -> T:
+        """Last result of a generator of (stage, result), run to its end or to a stage; each is timed."""
         start = time.perf_counter()
         for stage, result in stages:
             jax.block_until_ready(result)
             now = time.perf_counter()
             self.seconds.setdefault(stage, []).append(now - start)
             start = now
+            if stage == until:
+                break
         return result
 
     def summary(self) -> dict[str, dict[str, float | int]]:
