@@ -75,6 +75,8 @@ class Config(RunConfig):
     """Side lengths of square pictures."""
     long: int = 0
     """Frames of one long run."""
+    long_size: int = 512
+    """Its pixels a side."""
     rooms: tuple[str, ...] = ()
     """Rooms of known truth to judge the samplings in, see `experiments.truth`."""
     cores: int | None = None
@@ -171,7 +173,7 @@ def main(config: Config, start: Start) -> str | None:
         count = max(8, min(config.frames, round(config.frames * (512 / size) ** 2)))
         results.add(kind="size", size=size, **frames.rate(count))
     if config.long:
-        for mark in WholeFrames(scene, config, 512, config.samplings[0]).long(config.long):
+        for mark in WholeFrames(scene, config, config.long_size, config.samplings[0]).long(config.long):
             results.add(kind="long", **mark)
     for room in config.rooms:
         add_quality(results, room, config.samplings)
@@ -194,10 +196,11 @@ def check(config: Config) -> None:
 
 
 def finer(scene: Scene, faces: int) -> Scene:
-    """The scene on its mesh subdivided; light of vertices is estimated for it anew, shadows are thrown by it."""
+    """The scene on its mesh, of which as many triangles are divided as are wanted; it throws its shadows itself."""
     mesh: trimesh.Trimesh = scene.mesh
     while len(mesh.faces) < faces:
-        mesh = mesh.subdivide()
+        divided = min(len(mesh.faces), -(-(faces - len(mesh.faces)) // 3))
+        mesh = mesh.subdivide(face_index=np.arange(divided))
     return Scene(scene.capture, mesh, exact=True)
 
 

@@ -6,11 +6,14 @@ Takes about a minute on two cores (more the first time, when the built-in room i
 The first call contains the compilation, with no cache to help it; the rest are timed one by one, waiting for each
 result.
 
+Light is evaluated at a quarter of the pixels, as `hyjax relight` does it (`--sampling 1` for all).
+
 Expect: the visibility of soft lights and the G-buffer are the dearest; a cascade costs about what its steps and
 conductances cost when they are measured alone.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,8 +26,10 @@ from experiments.blocks import Block, Plot, Table
 from experiments.command import RunConfig, Start, experiment, run
 from experiments.plotting import new_figure
 from experiments.records import Row, machine, of_kind
+from hyjax.core.cascade import largest_sampling
 from hyjax.data.frames import select_frames
 from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.gbuffer import sample_pixels
 from hyjax.scene.scene import Scene, view_of
 from hyjax.scene.settings import SceneSettings
 from hyjax.tuning.calibration import check_repeats
@@ -40,6 +45,8 @@ class Config(RunConfig):
     lights: str = "noon-window"
     """A named set-up."""
     frame: int = 0
+    sampling: int = 2
+    """See `hyjax.relighting.settings.RelightSettings`."""
     repeats: int = 30
 
 
@@ -53,33 +60,42 @@ def main(config: Config, start: Start) -> None:
     lights, maps = setup.lights, scene.shadow_maps(setup)
     view = view_of(frame, scene.gbuffer(frame.camera))
     gbuffer, linear, guide = view.gbuffer, view.frame, view.display
-    each = hyjax.shade_each(gbuffer, lights)
-    seen = hyjax.visibilities(gbuffer, lights, maps)
-    shading = hyjax.shade(gbuffer, lights)
-    filled = hyjax.fill_visibility(seen, each > 0, guide)
-    names = "paper-50", "paper-80", "hyjax", "hyjax-shadow"
+    names = "paper-50", "paper-80", "hyjax", "hyjax-scan-shadow"
     paper_50, paper_80, ours, shadow = (hyjax.Schedule.preset(name) for name in names)
+    k = largest_sampling([ours, shadow], config.sampling)
+    samples = sample_pixels(gbuffer, sampling=k)
+    each = hyjax.shade_each(samples, lights)
+    looked_up = functools.partial(hyjax.visibilities, interleave=k)
+    fill, refine = (functools.partial(f, sampling=k) for f in (hyjax.fill_visibility, hyjax.shadow_pass))
+    seen = looked_up(samples, lights, maps)
+    shading = hyjax.shade(gbuffer, lights)
+    filled = fill(seen, each > 0, guide)
+
+    def shadows() -> Any:
+        return refine(fill(looked_up(samples, lights, maps), each > 0, guide), guide, shadow)
 
     stages: list[tuple[str, Callable[..., Any], tuple[Any, ...], int]] = [
         ("G-buffer (host)", caster.gbuffer, (frame.camera,), config.repeats),
         ("shadow maps (host, once per scene)", cast_shadow_maps, (caster, lights), 3),
-        ("shading", hyjax.shade_each, (gbuffer, lights), config.repeats),
-        ("visibility (map look-ups)", hyjax.visibilities, (gbuffer, lights, maps), config.repeats),
+        ("shading", hyjax.shade_each, (samples, lights), config.repeats),
+        ("visibility (map look-ups)", looked_up, (samples, lights, maps), config.repeats),
         (CONDUCTANCES, jax.jit(hyjax.level_edges), (guide, paper_50), config.repeats),
         ("cascade paper-50", hyjax.cascade, (shading, guide, paper_50), config.repeats),
         ("cascade paper-80", hyjax.cascade, (shading, guide, paper_80), config.repeats),
         ("cascade hyjax", hyjax.cascade, (shading, guide, ours), config.repeats),
-        ("fill of unseen visibility", hyjax.fill_visibility, (seen, each > 0, guide), config.repeats),
-        ("shadow pass", hyjax.shadow_pass, (filled, guide, shadow), config.repeats),
+        ("fill of unseen visibility", fill, (seen, each > 0, guide), config.repeats),
+        ("shadow pass", refine, (filled, guide, shadow), config.repeats),
+        ("visibility, fill and shadow pass", shadows, (), config.repeats),
         ("composite", hyjax.composite, (shading, linear), config.repeats),
     ]
     for schedule in (paper_80, ours):
-        args = view, setup, schedule, maps
+        args = view, setup, schedule, maps, largest_sampling([schedule, shadow], k)
         stages.append((f"frame on the device, {schedule.name}", _frame, args, config.repeats))
     results.add(
         kind="scene",
         mesh=scene.source,
         faces=len(scene.mesh.faces),
+        sampling=k,
         lights=[type(light).__name__ for light in lights],
     )
     for name, function, args, repeats in stages:
@@ -89,8 +105,8 @@ def main(config: Config, start: Start) -> None:
         results.add(kind="part", part=name, **time)
 
 
-def _frame(view: hyjax.View, setup: hyjax.LightSetup, schedule: hyjax.Schedule, maps: Any) -> hyjax.Relit:
-    return hyjax.relight(view, view.shade(setup, shadow_maps=maps), view.display, schedule)
+def _frame(view: hyjax.View, setup: hyjax.LightSetup, schedule: hyjax.Schedule, maps: Any, k: int) -> hyjax.Relit:
+    return hyjax.relight(view, view.shade(setup, shadow_maps=maps, sampling=k), view.display, schedule)
 
 
 def alone(y: Any, guide: Any, schedule: hyjax.Schedule, repeats: int) -> dict[str, dict[str, Any]]:
@@ -124,7 +140,8 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         name = "steps and upsampling of paper-50, each alone, plus conductances"
         lines.append([name, "", f"{together:.2f}", ""])
     conditions = [
-        f"512 x 512, {scene['mesh']} ({scene['faces']} triangles), {', '.join(scene['lights'])}; {machine(scene)}"
+        f"512 x 512, {scene['mesh']} ({scene['faces']} triangles), sampling {scene.get('sampling', 1)}, "
+        f"{', '.join(scene['lights'])}; {machine(scene)}"
         for scene in of_kind(rows, "scene")
     ] + [f"peak memory {row['peak_memory_mib']} MiB" for row in of_kind(rows, "finished")]
     return [
