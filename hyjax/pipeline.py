@@ -123,8 +123,11 @@ def relight_stages(
     mode: Mode = "linear",
     refined_photo_light: Float[Array, "h w 3"] | None = None,
 ) -> Iterator[tuple[str, Any]]:
-    """`relight` stage by stage: each stage's name with its result. The picture, linear, comes with "composite", and
-    last with "comparison" the whole `Relit`, which whoever wants the picture alone need not ask for.
+    """`relight` stage by stage: each stage's name with its result.
+
+    "composite" comes with the picture, linear, and last "comparison" with all of `Relit`: whoever wants the picture
+    alone need not ask for that.
+
 
     To time, look at or stop between the stages. Arguments and errors are those of `relight`; one comes on top:
     `refined_photo_light`, the photo's light after the cascade, for who relights a frame again and again.
