@@ -16,7 +16,7 @@ the same is measured first, and part of the guard.
   distance to that of the accurate surface, on frames held out. Each filters (w y, w) as ours does; its strength and
   reach are chosen on tuning frames, by PSNR. Ours are presets, of which nothing is chosen here.
 - *Guide*: the small network, ours, in torch and in ONNX Runtime.
-- *Frame*: the G-buffer of a mesh of 200 000 triangles and more, and a frame from its G-buffer to its picture.
+- *Frame*: the G-buffer of a mesh of 200 000 triangles and more, and a frame from its G-buffer, and whole, to the bytes of its picture.
 
 `--cores 1` binds everything to one core. `--guard` makes the process fail where a ratio within the run is beyond
 its limit, or could not be measured; the limits are those for `--cores 1`. Takes some minutes on two cores, which
@@ -46,14 +46,17 @@ from experiments.guide_speed import last_bias, same_networks, torch_calls
 from experiments.peers_report import COMPILED, COPY, FLOOR, OURS, PLAIN, TORCH, guard
 from experiments.peers_report import blocks as blocks
 from experiments.records import Results
+from hyjax.core.cascade import largest_sampling
 from hyjax.core.diffusion import _steps
 from hyjax.core.refine import HOLE_FLOOR
 from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.guide import Guide, normalise
+from hyjax.light.color import to_bytes
 from hyjax.light.shading import mix_channels
-from hyjax.pipeline import refine_illuminance
+from hyjax.pipeline import default_shadow_schedule, refine_illuminance, relight_stages
+from hyjax.scene.scene import view_of
 from hyjax.tuning.bench import Workbench, open_bench
 from hyjax.tuning.calibration import check_repeats
 from hyjax.tuning.cases import Case, filter_colors, raw_filter, refined_filter, scores
@@ -305,14 +308,20 @@ def time_frames(config: Config, results: Results, bench: Workbench) -> None:
         for faces, caster in casters.items()
     }
     maps = scene.shadow_maps(bench.lights, occluders="surface")
-    view = scene.view(0)
+    schedule = Schedule.preset("hyjax")
+    sampling = largest_sampling([schedule, default_shadow_schedule("linear")], 2)
 
-    def relit(shadow_maps: Any) -> Any:
-        shaded = view.shade(bench.lights, shadow_maps=shadow_maps)
-        return hyjax.relight(view, shaded, view.display, Schedule.preset("hyjax")).image
+    def relit(caster: RayCaster | None, shadow_maps: Any) -> Any:
+        view = given if caster is None else view_of(frame, caster.gbuffer(frame.camera))
+        shaded = view.shade(bench.lights, shadow_maps=shadow_maps, sampling=sampling)
+        stages = dict(itertools.islice(relight_stages(view, shaded, view.display, schedule), 3))
+        return to_bytes(stages["composite"])
 
-    calls["frame with shadows, from its G-buffer"] = functools.partial(relit, maps)
-    calls["frame without shadows, from its G-buffer"] = functools.partial(relit, None)
+    given = scene.view(0)
+    calls["frame with shadows, from its G-buffer"] = functools.partial(relit, None, maps)
+    calls["frame without shadows, from its G-buffer"] = functools.partial(relit, None, None)
+    for faces, caster in casters.items():
+        calls[f"whole frame with shadows, {faces} triangles"] = functools.partial(relit, caster, maps)
     for what, time in measured(calls, config).items():
         results.add(kind="frame", what=what, **time)
 

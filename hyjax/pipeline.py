@@ -128,7 +128,6 @@ def relight_stages(
     "composite" comes with the picture, linear, and last "comparison" with all of `Relit`: whoever wants the picture
     alone need not ask for that.
 
-
     To time, look at or stop between the stages. Arguments and errors are those of `relight`; one comes on top:
     `refined_photo_light`, the photo's light after the cascade, for who relights a frame again and again.
     """

@@ -1,0 +1,64 @@
+"""Whole frames a second: a small run, the guard, and the difference that sampling makes."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from experiments import frame_rate
+from experiments.records import Row, of_kind
+from hyjax.util.errors import InputError
+
+
+@pytest.mark.slow
+def test_a_small_run(tmp_path: Path) -> None:
+    config = frame_rate.Config(frames=4, triangles=(30_000,), sizes=(64, 128), long=10, long_size=64, out=tmp_path)
+    rows = frame_rate.main(config)
+    rates = of_kind(rows, "rate")
+    assert [(row["sampling"], row["divided"]) for row in rates] == [(2, True), (1, True), (2, True)]
+    assert rates[-1]["faces"] >= 30_000 > rates[0]["faces"]
+    assert all(row["fps"] > 0 and row["cpu_ms"] > 0 for row in (*rates, *of_kind(rows, "size")))
+    assert [row["frames"] for row in of_kind(rows, "long")] == [1, 5, 10]
+    assert {"G-buffer", "light", "cascade", "shadow pass", "composite", "bytes"} == set(rates[0]["stages"])
+    assert (tmp_path / "frame_rate.png").is_file()
+
+
+def rate(sampling: int, cpu_ms: float, gbuffer: float = 1.0) -> Row:
+    stages = {"G-buffer": gbuffer, "light": 10.0}
+    return {"kind": "rate", "faces": 9, "sampling": sampling, "divided": True, "cpu_ms": cpu_ms, "stages": stages}
+
+
+def quality(sampling: int, raw: float, **other: Any) -> Row:
+    picture = {"room": "a", "setup": "b", "index": 0} | other
+    return {"kind": "quality", "sampling": sampling, "raw": raw, "fitted": raw + 1.0, **picture}
+
+
+def holds(rows: list[Row]) -> dict[str, bool]:
+    return {what.split(",")[0].split(" /")[0]: ok for what, _, _, ok in frame_rate.guard(rows)}
+
+
+def test_the_guard_tells_what_got_slower_or_worse() -> None:
+    sizes = [{"kind": "size", "size": size, "cpu_ms": 1e-4 * size**2} for size in (64, 128)]
+    good = [rate(2, 40.0), rate(1, 100.0), *sizes, quality(1, 30.0), quality(2, 29.95)]
+    assert all(holds(good).values()) and len(holds(good)) == 4
+    assert not holds([rate(2, 90.0), *good[1:]])["CPU of a frame"]
+    assert not holds([rate(2, 40.0, gbuffer=30.0), *good[1:]])["G-buffer"]
+    slow = {"kind": "size", "size": 256, "cpu_ms": 1e-4 * 256**2 * 1.6}
+    assert not holds([*good, slow])["CPU a pixel"]
+    assert not holds([*good, quality(1, 30.0, index=1), quality(2, 29.7, index=1)])["dB lost by sampling"]
+    assert not any(holds([]).values()), "what was not measured does not hold"
+
+
+def test_differences_are_of_the_same_picture() -> None:
+    rows = [quality(1, 30.0), quality(2, 29.0), quality(1, 20.0, room="c"), quality(2, 22.0, room="c")]
+    rows.append(quality(2, 5.0, room="not judged whole"))
+    assert frame_rate.differences(rows) == {(2, "raw"): 0.5, (2, "fitted"): 0.5}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"frames": 1}, "at least 2"), ({"sizes": (16,)}, "at least 32 pixels"), ({"cores": 0}, "may use 1 to")],
+)
+def test_bad_options(options: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        frame_rate.main(frame_rate.Config(out=tmp_path, **options))
