@@ -16,7 +16,8 @@ the same is measured first, and part of the guard.
   distance to that of the accurate surface, on frames held out. Each filters (w y, w) as ours does; its strength and
   reach are chosen on tuning frames, by PSNR. Ours are presets, of which nothing is chosen here.
 - *Guide*: the small network, ours, in torch and in ONNX Runtime.
-- *Frame*: the G-buffer of a mesh of 200 000 triangles and more, and a frame from its G-buffer, and whole, to the bytes of its picture.
+- *Frame*: the G-buffer of a mesh of 200 000 triangles and more; a frame from its G-buffer, and whole, to the bytes
+  of its picture.
 
 `--cores 1` binds everything to one core. `--guard` makes the process fail where a ratio within the run is beyond
 its limit, or could not be measured; the limits are those for `--cores 1`. Takes some minutes on two cores, which
