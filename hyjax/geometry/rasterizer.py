@@ -23,6 +23,8 @@ from hyjax.util.environment import cores
 T = TypeVar("T")
 ALIGNMENT = 64
 """Bytes; `jax.device_put` takes over the memory of arrays that are aligned so, where it can."""
+MOST_BUFFERS = 8
+"""Threads that draw one picture: each has a picture of its own, and all are merged."""
 BANDS = 2
 """Bands of rows for each thread, whose surface points are made: rows are not equally full."""
 NO_FACES = np.empty((0, 0), np.int32)
@@ -103,14 +105,10 @@ class Rasterizer:
         view, rays = camera_view(camera), camera_rays(camera)
         height, width = view.norm.shape
         points, sides, chosen = self._scratch()
-        buffers = cores()  # each thread draws some of the triangles
-        position, normal, barycentric, depth, hit, faces = _aligned(
-            *[((height, width, 3), np.float32)] * 3,
-            ((height, width), np.float32),
-            ((height, width), np.bool_),
-            ((buffers, height, width), np.int32),
-        )
-        keys = np.zeros((buffers, height, width), np.float32)
+        buffers = min(cores(), MOST_BUFFERS)  # each thread draws some of the triangles
+        position, normal, barycentric = (_aligned((height, width, 3), np.float32) for _ in range(3))
+        depth, hit = _aligned((height, width), np.float32), _aligned((height, width), np.bool_)
+        faces, keys = np.empty((buffers, height, width), np.int32), np.zeros((buffers, height, width), np.float32)
 
         def project(part: slice) -> None:
             raster_kernels.project(self.vertices, *view.arguments, points, sides, part.start, part.stop)
@@ -135,7 +133,8 @@ class Rasterizer:
         seen = np.concatenate(share_out(select, len(chosen), cores()))
         share_out(lambda part: draw(part.start), buffers, buffers)
         share_out(finish, height, BANDS * cores())
-        return GBuffer(*(jax.device_put(part) for part in (position, normal, depth, hit, faces[0], barycentric)))
+        face = faces[0].copy()  # what is kept of a picture keeps no more than itself in memory
+        return GBuffer(*(jax.device_put(part) for part in (position, normal, depth, hit, face, barycentric)))
 
     def _scratch(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         count = len(self.vertices)
@@ -195,13 +194,9 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=threads.cache_clear)
 
 
-def _aligned(*wanted: tuple[tuple[int, ...], Any]) -> list[np.ndarray]:
-    """Arrays in one piece of memory, which the system hands out sooner than many."""
-    sizes = [int(np.prod(shape)) * np.dtype(kind).itemsize for shape, kind in wanted]
-    starts = np.cumsum([0] + [-(-size // ALIGNMENT) * ALIGNMENT for size in sizes])
-    memory = np.empty(starts[-1] + ALIGNMENT, np.uint8)
-    memory = memory[-memory.ctypes.data % ALIGNMENT :]
-    return [
-        memory[start : start + size].view(kind).reshape(shape)
-        for (shape, kind), start, size in zip(wanted, starts, sizes)
-    ]
+def _aligned(shape: tuple[int, ...], kind: Any) -> np.ndarray:
+    """An array that JAX takes over as it is, with memory of its own: whoever keeps it keeps nothing else."""
+    size = int(np.prod(shape)) * np.dtype(kind).itemsize
+    memory = np.empty(size + ALIGNMENT, np.uint8)
+    start = -memory.ctypes.data % ALIGNMENT
+    return memory[start : start + size].view(kind).reshape(shape)

@@ -229,3 +229,14 @@ def test_a_damaged_or_refused_cache_of_kernels_costs_only_time(tmp_path: Path) -
     assert drawn(tmp_path) == whole
     (tmp_path / "file").write_text("no folder")
     assert drawn(tmp_path / "file") == whole
+
+
+def test_whoever_keeps_depth_keeps_nothing_else() -> None:
+    """Arrays of a G-buffer share no memory: depth maps of a walk may be kept by the hundred."""
+    mesh = trimesh.creation.icosphere(2)
+    seen = RayCaster(mesh).gbuffer(Camera(Intrinsics(64, 48, 50.0, 50.0, 32.0, 24.0), np.eye(4)))
+    for part in (seen.position, seen.normal, seen.depth, seen.hit, seen.face):
+        owner = np.asarray(part)
+        while isinstance(owner.base, np.ndarray):
+            owner = owner.base
+        assert owner.nbytes < 1.1 * np.asarray(part).nbytes + 128
