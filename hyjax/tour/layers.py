@@ -31,6 +31,8 @@ from hyjax.util.lru_cache import LruCache
 
 DRAFT = 0.5
 """Resolution of shadow maps while something is being dragged, relative to that of `hyjax relight`."""
+DRAFT_VIEWS = 4
+"""Of a light without a radius, such as a window."""
 MAPS_MIB, LAYERS_MIB, BOUNCES_MIB = 512, 192, 96
 Quality = Literal["draft", "fine"]
 
@@ -129,14 +131,14 @@ class LayerCache:
         self, light: Light, parts: SceneParts, quality: Quality, cancelled: Callable[[], bool]
     ) -> ShadowMap | None:
         """Shadow map that all parts cast together."""
-        geometry, unit, scale = geometry_key(light), light.normalized(), 1.0
+        geometry, unit, scale, most = geometry_key(light), light.normalized(), 1.0, None
         if quality == "draft":
-            unit, scale = without_radius(unit), DRAFT
+            unit, scale, most = without_radius(unit), DRAFT, DRAFT_VIEWS
 
         def cast(part: Part, key: Hashable) -> ShadowMap | None:
             caster: Any = CancellableCaster(part.draft if quality == "draft" else part, cancelled)
             return self._maps(
-                (geometry, key, quality), lambda: cast_shadow_maps(caster, [unit], scale, part.slack)[0]
+                (geometry, key, quality), lambda: cast_shadow_maps(caster, [unit], scale, part.slack, most)[0]
             )
 
         return _merge_maps([cast(part, key) for part, key in zip(parts.parts, parts.keys, strict=True)])

@@ -107,9 +107,9 @@ def cast(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """What shadow maps are cast of: a part of the room, and lights."""
     found: list[Any] = []
 
-    def counted(caster: Any, lights: Any, scale: float = 1.0, slack: float | None = None) -> Any:
+    def counted(caster: Any, lights: Any, *args: Any) -> Any:
         found.append((caster, lights))
-        return cast_shadow_maps(caster, lights, scale, slack)
+        return cast_shadow_maps(caster, lights, *args)
 
     monkeypatch.setattr(layers_module, "cast_shadow_maps", counted)
     return found
@@ -172,6 +172,17 @@ def test_a_draft_is_coarse_where_something_moved_and_says_so(renderer: Renderer,
     fine = renderer.render(replace(plan, lamps=(lamp,)), VIEW)
     assert draft.draft and not fine.draft
     assert np.abs(draft.linear - fine.linear).mean() < 0.02
+
+
+def test_while_something_is_dragged_fine_detail_throws_no_shadows(plan: TourPlan, cast: list[Any]) -> None:
+    scene = Scene(BoxCapture(), box_room(), detail=lambda: box_room().subdivide())
+    renderer, faces = Renderer(scene, keep_photo_light=True), []
+    for draft in (True, False):
+        renderer.render(replace(plan, windows=()), VIEW, draft=draft)
+        faces.append({len(caster.part.occluders.mesh.faces) for caster, (light,) in cast if not light.UNIFORM})
+        cast.clear()
+    closed = len(complete(box_room()).faces)
+    assert faces == [{closed}, {closed + 4 * len(box_room().faces)}]
 
 
 @pytest.mark.parametrize("shown", ["photo", "raw filter", "refined filter", "visibility", "conductances", "holes"])
