@@ -121,15 +121,13 @@ def relight_stages(
     shadow_schedule: Schedule | None = None,
     temporal_filter: TemporalFilter | None = None,
     mode: Mode = "linear",
-    refined_photo_light: Float[Array, "h w 3"] | None = None,
 ) -> Iterator[tuple[str, Any]]:
     """`relight` stage by stage: each stage's name with its result.
 
     "composite" comes with the picture, linear, and last "comparison" with all of `Relit`: whoever wants the picture
     alone need not ask for that.
 
-    To time, look at or stop between the stages. Arguments and errors are those of `relight`; one comes on top:
-    `refined_photo_light`, the photo's light after the cascade, for who relights a frame again and again.
+    To time, look at or stop between the stages. Arguments and errors are those of `relight`.
     """
     if mode not in get_args(Mode):
         raise InputError(f"mode: {mode!r} is unknown; use one of {', '.join(get_args(Mode))}")
@@ -167,11 +165,7 @@ def relight_stages(
     if mode == "paper":
         yield from _paper_stages(view, shaded, guide, schedule, shadow_schedule)
         return
-    if refined_photo_light is None:
-        illuminance = refine_illuminance(shaded, guide, schedule)
-    else:
-        rest = refine_illuminance(dataclasses.replace(shaded, photo_light=None), guide, schedule)
-        illuminance = jnp.concatenate([rest, refined_photo_light], axis=-1)
+    illuminance = refine_illuminance(shaded, guide, schedule)
     yield "cascade", illuminance
     visibility = refine_visibility(shaded, guide, shadow_schedule)
     yield "shadow pass", visibility

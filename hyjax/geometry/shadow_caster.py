@@ -20,7 +20,11 @@ VIEW_RESOLUTION = 512  # of each view, where there are several
 
 
 def cast_shadow_maps(
-    caster: RayCaster, lights: Sequence[Light], scale: float = 1.0, slack: float | None = None
+    caster: RayCaster,
+    lights: Sequence[Light],
+    scale: float = 1.0,
+    slack: float | None = None,
+    most_views: int | None = None,
 ) -> tuple[ShadowMap | None, ...]:
     """Shadow maps of all lights; None for a light that casts no shadow.
 
@@ -29,16 +33,18 @@ def cast_shadow_maps(
         lights: any kinds.
         scale: of the resolution (1 means 1024² for a light without extent, 4 to 32 times 512² for one with).
         slack: see `ShadowMap`.
+        most_views: of each light, at most; None for all that it has.
     """
-    maps = tuple(_cast(caster, light.shadow_views(), scale) for light in lights)
+    maps = tuple(_cast(caster, light.shadow_views(), scale, most_views) for light in lights)
     if slack is None:
         return maps
     return tuple(m if m is None else dataclasses.replace(m, slack=jnp.float32(slack)) for m in maps)
 
 
-def _cast(caster: RayCaster, views: ShadowViews | None, scale: float) -> ShadowMap | None:
+def _cast(caster: RayCaster, views: ShadowViews | None, scale: float, most_views: int | None) -> ShadowMap | None:
     if views is None:
         return None
+    views = views if most_views is None else views.thinned(most_views)
     return MapLayout.of(views, scale, np.asarray(caster.mesh.bounds)).cast(caster)
 
 

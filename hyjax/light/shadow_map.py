@@ -13,6 +13,7 @@ needs no special case at the border.
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Sequence
 
 import jax
@@ -33,6 +34,10 @@ NORMAL_OFFSET = 2.0
 DEPTH_BIAS = 1.0
 # Of a surface with slack: its error counts along a ray for no more than the inverse of this cosine.
 LEAST_COSINE = 0.35
+LEAST_VIEWS = 4
+"""Of a light that each pixel looks up itself, where pixels share them."""
+ALIKE, ALONG = 0.8, 0.3
+"""Cosine between normals, and sine between a normal's plane and the way to another point, of one surface."""
 
 
 @functools.partial(
@@ -123,8 +128,9 @@ def visibility(
         gbuffer: what the camera sees.
         light: the light that the map was made for.
         shadow_map: None for a light that casts no shadow.
-        interleave: each pixel of a block of so many by so many looks up its share of the views, and all of the
-            block take the answer of all views together. For what averages over blocks anyway.
+        interleave: each pixel of a block of so many by so many looks up its share of the views, and takes on what
+            the block's other pixels found on the same surface. For what averages over blocks anyway, and for lights
+            of many views alone: others are looked up whole.
 
     Returns:
         1 lit, 0 in full shadow; 1 where nothing is known: where the camera's ray missed the mesh, and on surfaces
@@ -136,8 +142,9 @@ def visibility(
         return jnp.ones_like(gbuffer.depth)
     count = shadow_map.depth.shape[0]
     # Groups of pixels, and as many of views: a common divisor, so that all groups are of one size.
-    groups = interleave**2 if count % interleave**2 == 0 else 1
-    cell, (h, w) = interleave if groups > 1 else 1, gbuffer.depth.shape
+    shared = count % interleave**2 == 0 and count >= LEAST_VIEWS * interleave**2
+    cell, (h, w) = interleave if shared else 1, gbuffer.depth.shape
+    groups = cell**2
     # Component by component: interleaved they keep the CPU's vector units from being used.
     place, facing = (_in_groups(jnp.moveaxis(v, -1, 0), cell) for v in (gbuffer.position, gbuffer.normal))
     views = (shadow_map.depth, shadow_map.origin, shadow_map.axes)
@@ -149,9 +156,29 @@ def visibility(
 
     zero = jnp.zeros_like(place[0])
     (lit, weight), _ = jax.lax.scan(add_view, (zero, zero), (depth, origin, axes))
-    lit, weight = (_from_groups(part, cell, (h, w)) for part in (lit, weight))
+    lit, weight = (_from_groups(part, cell, (h, w)) for part in _shared((lit, weight), place, facing))
     lit = light.mask_visibility(lit, gbuffer.position)
     return jnp.where(gbuffer.hit & (weight > 0), lit / jnp.where(weight > 0, weight, 1.0), 1.0)
+
+
+def _shared(
+    sums: tuple[Float[Array, "g n"], Float[Array, "g n"]],
+    place: Float[Array, "3 g n"],
+    facing: Float[Array, "3 g n"],
+) -> list[Float[Array, "g n"]]:
+    """Sums over all pixels of a block that lie on the same surface, for each of its pixels."""
+    groups = place.shape[1]
+    totals = [[own[k] for k in range(groups)] for own in sums]
+    for i, j in itertools.combinations(range(groups), 2):
+        away = place[:, j] - place[:, i]
+        near = ALONG * jnp.sqrt(inner(away, away))
+        same = inner(facing[:, i], facing[:, j]) > ALIKE
+        for k in (i, j):
+            same &= jnp.abs(inner(away, facing[:, k])) <= near
+        for own, total in zip(sums, totals):
+            total[i] += jnp.where(same, own[j], 0.0)
+            total[j] += jnp.where(same, own[i], 0.0)
+    return [jnp.stack(total) for total in totals]
 
 
 def _in_groups(x: Float[Array, "3 h w"], cell: int) -> Float[Array, "3 g n"]:
@@ -164,11 +191,10 @@ def _in_groups(x: Float[Array, "3 h w"], cell: int) -> Float[Array, "3 g n"]:
 
 
 def _from_groups(x: Float[Array, "g n"], cell: int, shape: tuple[int, int]) -> Float[Array, "h w"]:
-    """Sums over the groups, for every pixel of its block."""
+    """Inverse of `_in_groups` for one component."""
     rows, columns = (-(-n // cell) for n in shape)
-    total = jnp.sum(x, axis=0).reshape(rows, columns)
-    whole = jnp.repeat(jnp.repeat(total, cell, axis=0), cell, axis=1) if cell > 1 else total
-    return whole[: shape[0], : shape[1]]
+    blocks = x.reshape(cell, cell, rows, columns).transpose(2, 0, 3, 1)
+    return blocks.reshape(rows * cell, columns * cell)[: shape[0], : shape[1]]
 
 
 def _view_visibility(

@@ -44,18 +44,22 @@ class LiveShadowMaps:
         self._kept: dict[Hashable, tuple[int, ShadowMap]] = {}
         self._lock = threading.Lock()
 
-    def __call__(self, key: Hashable, light: Light, surface: LiveSurface, scale: float = 1.0) -> ShadowMap | None:
+    def __call__(
+        self, key: Hashable, light: Light, surface: LiveSurface, scale: float = 1.0, most_views: int | None = None
+    ) -> ShadowMap | None:
         """Shadow map of a light on a surface; None if it casts no shadow.
 
         Args:
             key: of the light's geometry.
             light: any kind.
             surface: as it is now, or was when the picture was begun that the map is for.
-            scale: of the resolution, see `cast_shadow_maps`.
+            scale, most_views: see `cast_shadow_maps`.
         """
         views = light.shadow_views()
         if views is None:
             return None
+        if most_views is not None:
+            views = views.thinned(most_views)
         key = key, scale
         with self._lock:
             kept = self._kept.pop(key, None)

@@ -89,7 +89,10 @@ class EditableScene:
         else:
             left, rest, scanned = np.ones(len(self.mesh.faces), bool), self.caster, AS_SCANNED[1]
         thrower = self._thrower(("rest", scanned), rest)
-        parts = [Part(rest, np.eye(4), self.mesh, thrower, self._slack, np.flatnonzero(left))]
+        # What is finer than the scan makes most of the work of a shadow map.
+        detailed = self._slack is not None and thrower is not None and thrower is self._occluders
+        coarse = self._closed(("rest", scanned), rest) if detailed else None
+        parts = [Part(rest, np.eye(4), self.mesh, thrower, self._slack, np.flatnonzero(left), coarse)]
         keys: list[Hashable] = [("rest", scanned)]
         pieces: list[int | None] = [None]
         for number, piece in enumerate(plan.pieces):
@@ -108,7 +111,11 @@ class EditableScene:
         """What throws the shadows of a part."""
         if self._slack is None or caster is self.caster:
             return self._occluders
-        return self._parts(("thrower", name), lambda: RayCaster(complete(caster.mesh)))
+        return self._closed(name, caster)
+
+    def _closed(self, name: Hashable, caster: RayCaster) -> RayCaster:
+        """The surface of a part, its holes closed."""
+        return self._parts(("closed", name), lambda: RayCaster(complete(caster.mesh)))
 
     def apply_to_mesh(self, plan: TourPlan) -> trimesh.Trimesh:
         """The whole surface as the plan arranges it."""

@@ -90,8 +90,8 @@ class Part:
     """A rigid part of the room: its surface as it was scanned, and where it is now (4×4).
 
     Shadow maps take it as a `RayCaster`: `mesh` is the whole room's, as it says what a map must cover. Shadows are
-    thrown by `occluders`, if there are any, in the surface's place, and looked up with `slack`. `scanned` numbers
-    its triangles among the whole room's; None if it was brought in.
+    thrown by `occluders`, if there are any, in the surface's place, and looked up with `slack`; `coarse` ones do
+    for a draft. `scanned` numbers its triangles among the whole room's; None if it was brought in.
     """
 
     caster: RayCaster
@@ -100,6 +100,7 @@ class Part:
     occluders: RayCaster | None = None
     slack: float | None = None
     scanned: Int[np.ndarray, "m"] | None = None
+    coarse: RayCaster | None = None
 
     @property
     def moved(self) -> bool:
@@ -111,6 +112,11 @@ class Part:
             return self.caster.cast(origins, directions)
         turn, shift = self.pose[:3, :3], self.pose[:3, 3]
         return self.caster.cast((origins - shift) @ turn, directions @ turn)
+
+    @property
+    def draft(self) -> "Part":
+        """The part, whose coarse occluders throw its shadows if it has any."""
+        return self if self.coarse is None else dataclasses.replace(self, occluders=self.coarse)
 
     def distances(self, view: RasterView) -> Float[np.ndarray, "h w"]:
         """`RayCaster.distances` of what throws this part's shadows."""

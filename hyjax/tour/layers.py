@@ -29,8 +29,10 @@ from hyjax.tour.furniture import Part
 from hyjax.tour.picture import Layer
 from hyjax.util.lru_cache import LruCache
 
-DRAFT = 0.25
+DRAFT = 0.5
 """Resolution of shadow maps while something is being dragged, relative to that of `hyjax relight`."""
+DRAFT_VIEWS = 4
+"""Of a light without a radius, such as a window."""
 MAPS_MIB, LAYERS_MIB, BOUNCES_MIB = 512, 192, 96
 Quality = Literal["draft", "fine"]
 
@@ -50,18 +52,21 @@ class LayerCache:
         self,
         light: Light,
         frame: int,
-        gbuffer: GBuffer,
+        samples: GBuffer,
         parts: SceneParts,
         quality: Quality,
         cancelled: Callable[[], bool],
+        *,
+        sampling: int,
     ) -> Layer:
-        """`shade` a frame, from the cache if it is there."""
-        key = quality, geometry_key(light), frame, parts.keys
-        return self._layers(key, lambda: self.shade(light, gbuffer, parts, quality, cancelled))
+        """`shade` samples of a frame, from the cache if they are there."""
+        key = quality, geometry_key(light), frame, parts.keys, sampling
+        return self._layers(key, lambda: self.shade(light, samples, parts, quality, cancelled))
 
-    def is_fine(self, light: Light, frame: int, parts: SceneParts) -> bool:
+    def is_fine(self, light: Light, frame: int, parts: SceneParts, *, sampling: int) -> bool:
         """Whether a light in a frame needs no shadow map to be cast for quality `fine`."""
-        return ("fine", geometry_key(light), frame, parts.keys) in self._layers or self.has_maps(light, parts)
+        key = "fine", geometry_key(light), frame, parts.keys, sampling
+        return key in self._layers or self.has_maps(light, parts)
 
     def has_maps(self, light: Light, parts: SceneParts) -> bool:
         """Whether a light's fine shadow maps are there."""
@@ -126,14 +131,14 @@ class LayerCache:
         self, light: Light, parts: SceneParts, quality: Quality, cancelled: Callable[[], bool]
     ) -> ShadowMap | None:
         """Shadow map that all parts cast together."""
-        geometry, unit, scale = geometry_key(light), light.normalized(), 1.0
+        geometry, unit, scale, most = geometry_key(light), light.normalized(), 1.0, None
         if quality == "draft":
-            unit, scale = without_radius(unit), DRAFT
+            unit, scale, most = without_radius(unit), DRAFT, DRAFT_VIEWS
 
         def cast(part: Part, key: Hashable) -> ShadowMap | None:
-            caster: Any = CancellableCaster(part, cancelled)
+            caster: Any = CancellableCaster(part.draft if quality == "draft" else part, cancelled)
             return self._maps(
-                (geometry, key, quality), lambda: cast_shadow_maps(caster, [unit], scale, part.slack)[0]
+                (geometry, key, quality), lambda: cast_shadow_maps(caster, [unit], scale, part.slack, most)[0]
             )
 
         return _merge_maps([cast(part, key) for part, key in zip(parts.parts, parts.keys, strict=True)])
@@ -163,10 +168,9 @@ def mebibytes(result: object) -> float:
 
 
 def without_radius(light: Light) -> Light:
-    """The light, whose shadows become hard if it is a lamp with a radius: one view in the place of eight."""
-    if not hasattr(light, "radius"):
-        return light
-    return dataclasses.replace(light, radius=np.asarray(0.0, np.float32))  # type: ignore[type-var]
+    """The light, with hard shadows if it is a lamp or a sun with a radius: one view in the place of many."""
+    none = {name: np.asarray(0.0, np.float32) for name in ("radius", "angular_radius") if hasattr(light, name)}
+    return dataclasses.replace(light, **none)  # type: ignore[type-var]
 
 
 def _merge_maps(maps: list[ShadowMap | None]) -> ShadowMap | None:

@@ -24,7 +24,7 @@ from hyjax.light.shadow_map import ShadowMap
 from hyjax.live.shadow import LiveShadowMaps, LiveSurface
 from hyjax.scene.occluders import SLACK
 from hyjax.tour.editable_scene import AS_SCANNED, EditableScene, SceneParts
-from hyjax.tour.layers import DRAFT, LayerCache, Quality, mebibytes, without_radius
+from hyjax.tour.layers import DRAFT, DRAFT_VIEWS, LayerCache, Quality, mebibytes, without_radius
 from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import LampKind, TourPlan
 from hyjax.tour.renderer import FRAMES_MIB, Renderer
@@ -105,7 +105,7 @@ class LiveLayers(LayerCache):
             return super()._shadow_map(light, parts, quality, cancelled)
         geometry, unit, surface = geometry_key(light), light.normalized(), self.surface
         if quality == "draft":
-            return self._live((geometry, quality), without_radius(unit), surface, DRAFT)
+            return self._live((geometry, quality), without_radius(unit), surface, DRAFT, DRAFT_VIEWS)
         made = self._live((geometry, quality), unit, surface)
         self._fine = {**dict(list(self._fine.items())[-64:]), geometry: surface.revision}
         return made

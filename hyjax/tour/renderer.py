@@ -20,17 +20,17 @@ from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera
 from hyjax.guide.choose import RGB, FrameGuide
 from hyjax.light.color import to_display, to_linear
-from hyjax.light.gbuffer import GBuffer
+from hyjax.light.gbuffer import GBuffer, sample_pixels
 from hyjax.light.shading import colored
 from hyjax.light.view import View
-from hyjax.pipeline import relight_stages
+from hyjax.pipeline import refine_illuminance, refine_visibility
 from hyjax.scene.light_setups import survey_capture
 from hyjax.scene.scene import Scene
 from hyjax.tour.editable_scene import EditableScene, SceneParts
 from hyjax.tour.furniture import Part, merge_gbuffers
 from hyjax.tour.layers import LayerCache, Quality, mebibytes
 from hyjax.tour.lighting import flicker, setup_of
-from hyjax.tour.picture import DeviceFrame, RenderedFrame, display_picture, stack_layers, to_bytes
+from hyjax.tour.picture import DeviceFrame, RenderedFrame, compose, stack_layers, to_bytes
 from hyjax.tour.placement import as_point, north_for_bearing, place_lamp
 from hyjax.tour.plan import LampKind, TourPlan, Window
 from hyjax.tour.room_light import (
@@ -40,7 +40,7 @@ from hyjax.tour.room_light import (
     bounced_at_vertices,
     direct_lights,
 )
-from hyjax.tour.viewpoint import Viewpoint
+from hyjax.tour.viewpoint import SHADOWS, Viewpoint
 from hyjax.util.clock import StageClock
 from hyjax.util.lru_cache import LruCache
 
@@ -149,34 +149,43 @@ class Renderer:
             pixels = self._frames(("device", index), lambda: jax.block_until_ready(self._device_frame(frame)))
         with clock("surface"):
             parts = self.scene.apply(plan)
-            gbuffer = jax.block_until_ready(self._gbuffer(index, frame, parts))
+            gbuffer = self._gbuffer(index, frame, parts)
+            sampling, samples = viewpoint.sampling, self._samples(viewpoint, gbuffer, parts)
+            jax.block_until_ready((gbuffer, samples))
         with clock("light"):
             lights = setup.lights if self.room_light is None else direct_lights(setup.lights)
-            coarse = [draft and not self._layers.is_fine(light, index, parts) for light in lights]
+            coarse = [
+                draft and not self._layers.is_fine(light, index, parts, sampling=sampling) for light in lights
+            ]
             qualities: list[Quality] = ["draft" if rough else "fine" for rough in coarse]
             layers = [
-                self._layers.layer(light, index, gbuffer, parts, quality, cancelled)
+                self._layers.layer(light, index, samples, parts, quality, cancelled, sampling=sampling)
                 for light, quality in zip(lights, qualities, strict=True)
             ]
             jax.block_until_ready(layers)
         view = View(pixels.linear, pixels.display, gbuffer)
         setup = dataclasses.replace(setup, lights=lights)
-        shaded = stack_layers(setup, layers, gbuffer.hit)
-        refined = None
+        shaded = stack_layers(setup, layers, samples.hit, sampling=sampling)
+        photo_light: tuple[Float[Array, "h w 3"], ...] = ()
         if self.room_light is not None:
             with clock("bounces"):
                 light = self.room_light.surface_light(setup, qualities, parts, cancelled)
-                photographed = self._photographed(index, frame, pixels)
-                shaded = jax.block_until_ready(add_room_light(shaded, light, photographed, pixels.linear, gbuffer))
-                refined = self._refined_photo_light(viewpoint, photographed, pixels)
-        relit = clock.follow(
-            relight_stages(view, shaded, pixels.guide, viewpoint.schedule, refined_photo_light=refined)
-        )
-        with clock("show"):
-            picture = to_bytes(display_picture(viewpoint, relit, view, pixels.guide))
+                photographed = self._photographed(viewpoint, frame, pixels)
+                shaded = jax.block_until_ready(add_room_light(shaded, light, photographed, pixels.linear, samples))
+                photo_light = (self._refined_photo_light(viewpoint, photographed, pixels),)
+        guide, schedule = pixels.guide, viewpoint.schedule
+        with clock("cascade"):
+            fresh = dataclasses.replace(shaded, photo_light=None)
+            illuminance = jax.block_until_ready(refine_illuminance(fresh, guide, schedule))
+        with clock("shadow pass"):
+            visible = jax.block_until_ready(refine_visibility(shaded, guide, SHADOWS))
+        with clock("composite"):
+            fields = illuminance, *photo_light
+            picture, linear = compose(viewpoint.shown, view, shaded, guide, schedule, fields, visible)
+            picture, linear = np.asarray(picture), np.asarray(linear)
             photo = self._frames(("photo", index), lambda: to_bytes(frame.image))
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
-        return RenderedFrame(picture, photo, np.asarray(relit.image), frame, times, any(coarse))
+        return RenderedFrame(picture, photo, linear, frame, times, any(coarse))
 
     def warm_up(self, plan: TourPlan, viewpoint: Viewpoint) -> Generator[None]:
         """Compile what viewers are likely to ask for, a little each step: lamps, the moon, the mesh."""
@@ -220,15 +229,16 @@ class Renderer:
         display = jnp.asarray(frame.image)
         return DeviceFrame(to_linear(display), display, self.guide.features(display))
 
-    def _photographed(self, index: int, frame: Frame, pixels: DeviceFrame) -> PhotographedFrame:
+    def _photographed(self, viewpoint: Viewpoint, frame: Frame, pixels: DeviceFrame) -> PhotographedFrame:
         """What a frame was lit by, whatever the plan has moved since."""
+        index, sampling = viewpoint.frame, viewpoint.sampling
 
         def make() -> PhotographedFrame:
             assert self.room_light is not None
             gbuffer = self._gbuffer(index, frame, self.scene.apply(TourPlan()))
-            return self.room_light.photographed(frame.camera, pixels.linear, gbuffer)
+            return self.room_light.photographed(frame.camera, pixels.linear, gbuffer, sampling=sampling)
 
-        return self._frames(("photographed", index), make)
+        return self._frames(("photographed", index, sampling), make)
 
     def _refined_photo_light(
         self, viewpoint: Viewpoint, photographed: PhotographedFrame, pixels: DeviceFrame
@@ -237,6 +247,10 @@ class Renderer:
         return self._frames(
             key, lambda: jax.block_until_ready(photographed.refined(pixels.guide, viewpoint.schedule))
         )
+
+    def _samples(self, viewpoint: Viewpoint, gbuffer: GBuffer, parts: SceneParts) -> GBuffer:
+        key = "samples", viewpoint.frame, viewpoint.sampling, parts.keys
+        return self._frames(key, lambda: sample_pixels(gbuffer, sampling=viewpoint.sampling))
 
     def _gbuffer(self, index: int, frame: Frame, parts: SceneParts) -> GBuffer:
         def cast(part: Part, key: Hashable) -> GBuffer:

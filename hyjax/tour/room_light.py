@@ -15,7 +15,7 @@ from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import Schedule
 from hyjax.geometry.camera import Camera
 from hyjax.light.emission import SourcePixels, shine, source_pixels
-from hyjax.light.gbuffer import GBuffer
+from hyjax.light.gbuffer import GBuffer, sample_pixels
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import PhotoLight, SurfaceLight, on_pixels
 from hyjax.light.setup import LightSetup
@@ -40,18 +40,20 @@ class PhotographedFrame:
     """Light in a frame as it was taken.
 
     Attributes:
-        photo_light: on the surface that the frame shows, relative to its mean; 1 in holes.
+        photo_light: on samples of the surface that the frame shows, relative to its mean; 1 in holes.
         known: 1 where there is a surface.
         sources: panes and lamps in it; None if the room has none.
+        sampling: see `Shaded` (static).
     """
 
-    photo_light: Float[Array, "h w 3"]
-    known: Float[Array, "h w 1"]
+    photo_light: Float[Array, "sh sw 3"]
+    known: Float[Array, "sh sw 1"]
     sources: SourcePixels | None
+    sampling: int = dataclasses.field(metadata={"static": True})
 
     def refined(self, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w 3"]:
         """The photo's light after the cascade."""
-        return cascade_known(self.photo_light, self.known, guide, schedule)
+        return cascade_known(self.photo_light, self.known, guide, schedule, sampling=self.sampling)
 
 
 class RoomLight:
@@ -129,21 +131,25 @@ class RoomLight:
         emitters = self._photo.emitters(setup)
         return SurfaceLight(self._light.illuminance, bounced, self._light.transport.faces, emitters)
 
-    def photographed(self, camera: Camera, frame: Float[Array, "h w 3"], gbuffer: GBuffer) -> PhotographedFrame:
+    def photographed(
+        self, camera: Camera, frame: Float[Array, "h w 3"], gbuffer: GBuffer, *, sampling: int = 1
+    ) -> PhotographedFrame:
         """Light in a frame as it was taken.
 
         Args:
             camera: of the frame.
             frame: linear.
             gbuffer: the room as it was scanned.
+            sampling: see `PhotographedFrame`.
         """
-        light, hit = self._light, gbuffer.hit[..., None]
-        photo_light = jnp.where(hit, on_pixels(light.illuminance, light.transport.faces, gbuffer), 1.0)
+        light, samples = self._light, sample_pixels(gbuffer, sampling=sampling)
+        hit = samples.hit[..., None]
+        photo_light = jnp.where(hit, on_pixels(light.illuminance, light.transport.faces, samples), 1.0)
         emitters, sources = self._photo.emitters(LightSetup(())), None
         if emitters is not None:
             pose, matrix = (jnp.asarray(m, jnp.float32) for m in (camera.pose, camera.intrinsics.matrix))
             sources = source_pixels(emitters, frame, gbuffer, pose, matrix)
-        return jax.block_until_ready(PhotographedFrame(photo_light, hit.astype(jnp.float32), sources))
+        return jax.block_until_ready(PhotographedFrame(photo_light, hit.astype(jnp.float32), sources, sampling))
 
     def _points_of(self, parts: SceneParts, quality: Quality) -> Callable[[], PhotoLight]:
         """Maker of the transport with its points where the furniture is now; what they see stays as scanned."""
@@ -176,7 +182,7 @@ def add_room_light(
     light: SurfaceLight,
     photographed: PhotographedFrame,
     frame: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
+    samples: GBuffer,
 ) -> Shaded:
     """Shaded surface with bounces, with the light that its frame was taken under, and with what shines by itself.
 
@@ -184,12 +190,12 @@ def add_room_light(
         shaded: direct light.
         light: on the vertices.
         photographed, frame: the photo, which shows furniture where it was.
-        gbuffer: the room as it is now.
+        samples: of the room as it is now, as many as were shaded.
     """
     shining = None
     if light.emitters is not None and photographed.sources is not None:
         shining = shine(light.emitters, photographed.sources, frame)
-    bounced = on_pixels(light.bounced, light.faces, gbuffer)
+    bounced = on_pixels(light.bounced, light.faces, samples)
     return dataclasses.replace(shaded, bounced=bounced, photo_light=photographed.photo_light, emission=shining)
 
 

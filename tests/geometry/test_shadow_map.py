@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hyjax import Aperture, DirectionalLight, GBuffer, PointLight, visibility
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.kinds.shadow_views import ParallelViews, RadialViews
 from hyjax.light.shadow_map import map_coordinates, map_rays
 
 unit_range = st.floats(-0.999, 0.999)
@@ -78,3 +79,14 @@ def test_within_its_clearance_a_lamp_throws_no_shadow() -> None:
         lamp = PointLight(vec([0.0, 0, 0]), vec(100.0), vec([1.0, 1, 1]), clearance=clearance)
         (shadow_map,) = cast_shadow_maps(RayCaster(shade), [lamp], 0.1)
         assert np.asarray(visibility(point, lamp, shadow_map)).item() == lit
+
+
+@given(st.integers(1, 40), st.integers(1, 40))
+def test_thinned_views_are_some_of_all(count: int, most: int) -> None:
+    """As many as asked for at most, evenly spread over their order."""
+    numbers = np.arange(3.0 * count).reshape(count, 3)
+    radial = RadialViews(numbers, np.eye(3), "octahedral", 1.0).thinned(most)
+    assert 1 <= radial.count <= most and radial.count >= min(count, most) / 2
+    steps = np.diff(radial.origins[:, 0])
+    assert (steps == 3.0 * -(-count // most)).all()
+    np.testing.assert_array_equal(ParallelViews(numbers).thinned(most).directions, radial.origins)

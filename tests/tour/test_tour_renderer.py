@@ -19,8 +19,10 @@ from hyjax.data.frames import fit
 from hyjax.data.light_file import read_lights, write_lights
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.color import to_display
 from hyjax.light.kinds import DirectionalLight, PointLight
 from hyjax.light.view import View
+from hyjax.metrics.psnr import psnr
 from hyjax.pipeline import relight
 from hyjax.scene.occluders import SLACK, complete
 from hyjax.scene.scene import Scene
@@ -32,7 +34,7 @@ from hyjax.tour.plan import Piece, TourPlan, Window
 from hyjax.tour.renderer import Renderer
 from hyjax.tour.viewpoint import Viewpoint
 
-HYJAX = Schedule.preset("hyjax")
+HYJAX, ALL_PIXELS = Schedule.preset("hyjax"), Schedule.preset("naive-50")
 VIEW = Viewpoint(0, "relit", HYJAX)
 
 
@@ -66,9 +68,12 @@ def seed_of(renderer: Renderer, plan: TourPlan) -> Piece:
 def test_a_picture_is_what_relight_makes_of_its_lights(
     renderer: Renderer, keeping: Renderer, plan: TourPlan, tmp_path: Path, keep_photo_light: bool
 ) -> None:
+    """The same where every pixel is shaded, and not told from it by eye where one of four is."""
     renderer = keeping if keep_photo_light else renderer
     plan = plan if keep_photo_light else replace(plan, existing={"ceiling": 0.4})
-    rendered = renderer.render(plan, VIEW)
+    every, sampled = Viewpoint(0, "relit", ALL_PIXELS), VIEW
+    assert (every.sampling, sampled.sampling) == (1, 2)
+    rendered = renderer.render(plan, every)
     file = tmp_path / "lights.json"
     write_lights(file, setup_of(plan, UP, renderer.surface_area))
     setup, frame = read_lights(file, UP), renderer.frame(0)
@@ -81,9 +86,13 @@ def test_a_picture_is_what_relight_makes_of_its_lights(
     light = None
     if not keep_photo_light:
         light = Scene(BoxCapture(), box_room()).photo_light.surface_light(setup, maps)
-    whole = relight(view, view.shade(setup, shadow_maps=maps, surface_light=light), display, HYJAX)
+    shaded = view.shade(setup, shadow_maps=maps, surface_light=light)
     assert not rendered.draft
-    np.testing.assert_allclose(rendered.linear, whole.image, rtol=2e-4, atol=2e-5)
+    np.testing.assert_allclose(
+        rendered.linear, relight(view, shaded, display, ALL_PIXELS).image, rtol=2e-4, atol=2e-5
+    )
+    shown = renderer.render(plan, sampled).picture / 255.0
+    assert psnr(shown, to_display(relight(view, shaded, display, HYJAX).image)) > 40.0  # of 64 x 48 pixels
 
 
 def test_the_hour_changes_the_picture_and_a_lamp_lights_it(renderer: Renderer, plan: TourPlan) -> None:
@@ -98,9 +107,9 @@ def cast(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """What shadow maps are cast of: a part of the room, and lights."""
     found: list[Any] = []
 
-    def counted(caster: Any, lights: Any, scale: float = 1.0, slack: float | None = None) -> Any:
+    def counted(caster: Any, lights: Any, *args: Any) -> Any:
         found.append((caster, lights))
-        return cast_shadow_maps(caster, lights, scale, slack)
+        return cast_shadow_maps(caster, lights, *args)
 
     monkeypatch.setattr(layers_module, "cast_shadow_maps", counted)
     return found
@@ -163,6 +172,17 @@ def test_a_draft_is_coarse_where_something_moved_and_says_so(renderer: Renderer,
     fine = renderer.render(replace(plan, lamps=(lamp,)), VIEW)
     assert draft.draft and not fine.draft
     assert np.abs(draft.linear - fine.linear).mean() < 0.02
+
+
+def test_while_something_is_dragged_fine_detail_throws_no_shadows(plan: TourPlan, cast: list[Any]) -> None:
+    scene = Scene(BoxCapture(), box_room(), detail=lambda: box_room().subdivide())
+    renderer, faces = Renderer(scene, keep_photo_light=True), []
+    for draft in (True, False):
+        renderer.render(replace(plan, windows=()), VIEW, draft=draft)
+        faces.append({len(caster.part.occluders.mesh.faces) for caster, (light,) in cast if not light.UNIFORM})
+        cast.clear()
+    closed = len(complete(box_room()).faces)
+    assert faces == [{closed}, {closed + 4 * len(box_room().faces)}]
 
 
 @pytest.mark.parametrize("shown", ["photo", "raw filter", "refined filter", "visibility", "conductances", "holes"])

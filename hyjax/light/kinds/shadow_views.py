@@ -34,6 +34,10 @@ class RadialViews:
     def count(self) -> int:
         return len(self.origins)
 
+    def thinned(self, most: int) -> "RadialViews":
+        """As many of the views at most, spread over all of them."""
+        return dataclasses.replace(self, origins=self.origins[:: -(-self.count // most)])
+
 
 @dataclasses.dataclass(frozen=True)
 class ParallelViews:
@@ -50,6 +54,10 @@ class ParallelViews:
     @property
     def count(self) -> int:
         return len(self.directions)
+
+    def thinned(self, most: int) -> "ParallelViews":
+        """As many of the views at most, spread over all of them."""
+        return dataclasses.replace(self, directions=self.directions[:: -(-self.count // most)])
 
 
 ShadowViews = RadialViews | ParallelViews
