@@ -13,7 +13,6 @@ needs no special case at the border.
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Sequence
 
 import jax
@@ -167,18 +166,27 @@ def _shared(
     facing: Float[Array, "3 g n"],
 ) -> list[Float[Array, "g n"]]:
     """Sums over all pixels of a block that lie on the same surface, for each of its pixels."""
-    groups = place.shape[1]
-    totals = [[own[k] for k in range(groups)] for own in sums]
-    for i, j in itertools.combinations(range(groups), 2):
-        away = place[:, j] - place[:, i]
-        near = ALONG * jnp.sqrt(inner(away, away))
-        same = inner(facing[:, i], facing[:, j]) > ALIKE
-        for k in (i, j):
-            same &= jnp.abs(inner(away, facing[:, k])) <= near
-        for own, total in zip(sums, totals):
-            total[i] += jnp.where(same, own[j], 0.0)
-            total[j] += jnp.where(same, own[i], 0.0)
-    return [jnp.stack(total) for total in totals]
+    groups = range(place.shape[1])
+    pairs = [(i, j) for i in groups for j in groups if i < j]
+    if not pairs:
+        return list(sums)
+    same = jnp.stack([_same_surface(place[:, i], place[:, j], facing[:, i], facing[:, j]) for i, j in pairs])
+    same = jax.lax.optimization_barrier(same)  # else found anew for each sum
+    number = {pair: k for k, pair in enumerate(pairs)} | {(j, i): k for k, (i, j) in enumerate(pairs)}
+    return [
+        jnp.stack([sum((same[number[k, j]] * own[j] for j in groups if j != k), own[k]) for k in groups])
+        for own in sums
+    ]
+
+
+def _same_surface(
+    a: Float[Array, "3 n"], b: Float[Array, "3 n"], normal_a: Float[Array, "3 n"], normal_b: Float[Array, "3 n"]
+) -> Float[Array, "n"]:
+    """1 where two points with their normals lie on one surface, else 0."""
+    away = b - a
+    near = ALONG * jnp.sqrt(inner(away, away))
+    flat = (jnp.abs(inner(away, normal_a)) <= near) & (jnp.abs(inner(away, normal_b)) <= near)
+    return (flat & (inner(normal_a, normal_b) > ALIKE)).astype(a.dtype)
 
 
 def _in_groups(x: Float[Array, "3 h w"], cell: int) -> Float[Array, "3 g n"]:
