@@ -219,7 +219,7 @@ def _albedo(
 
 def _transport(caster: RayCaster, hits: np.ndarray, position: np.ndarray, normal: np.ndarray) -> Transport:
     # Converted by NumPy: every conversion of JAX's is a program of its own.
-    faces, count = jnp.asarray(np.asarray(caster.mesh.faces, np.int32)), len(caster.mesh.vertices)
+    faces, count = jnp.asarray(np.asarray(caster.arrays.faces, np.int32)), len(caster.arrays.vertices)
     place, facing = (jnp.asarray(np.asarray(a, np.float32)) for a in (position, normal))
     return Transport(jnp.asarray(hits), faces, place, facing, count)
 

@@ -1,5 +1,6 @@
 """The folder of files that can be computed again, and arrays in it."""
 
+import contextlib
 import logging
 import os
 from collections.abc import Callable, Mapping
@@ -42,7 +43,9 @@ def cached_arrays(
         try:
             # Opened here, since np.load leaves a damaged file open.
             with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-                return parse({name: stored[name] for name in stored.files})
+                found = parse({name: stored[name] for name in stored.files})
+            touch(file)
+            return found
         except Exception as error:  # Damage shows itself in a dozen ways; all mean the same.
             _log.warning("%s: damaged (%s), it is made again", file, error)
     arrays = make()
@@ -55,3 +58,19 @@ def cached_arrays(
             _refused.add(file.parent)
             _log.warning("%s: cannot keep this for the next time (%s)", file, error)
     return parse(arrays)
+
+
+def touch(file: Path) -> None:
+    """Note that a file has been used, for `remove_oldest`."""
+    with contextlib.suppress(OSError):  # of a folder that is only read
+        os.utime(file)
+
+
+def remove_oldest(folder: Path, pattern: str, most: int) -> None:
+    """Remove the files that were used longest ago, until the others have no more than so many bytes."""
+    with contextlib.suppress(OSError):  # another process may remove the same
+        kept = 0
+        for status, file in sorted(((f.stat(), f) for f in folder.glob(pattern)), key=lambda x: -x[0].st_mtime):
+            kept += status.st_size
+            if kept > most:
+                file.unlink(missing_ok=True)
