@@ -17,6 +17,7 @@ from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.cascade import cascade
@@ -156,9 +157,8 @@ def relight_stages(
         shadow_schedule = default_shadow_schedule(mode)
     for used in (schedule, shadow_schedule):
         used.check(dtype=shaded.illuminance.dtype)
-    known = view.gbuffer.hit if mode == "paper" else shaded.confidence > 0
-    anything = concrete(jnp.any(known))
-    if anything is not None and not anything:
+    known = concrete(view.gbuffer.hit if mode == "paper" else shaded.confidence)
+    if known is not None and not (np.asarray(known) > 0).any():
         left = "the relit frame is black" if mode == "paper" else "only ambient light is used"
         warnings.warn(f"relight: nothing of the frame is known; {left}", stacklevel=3)
     if mode == "paper":

@@ -129,7 +129,7 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
         InputError: the G-buffer does not tell its triangles.
     """
     uniform = np.array([each.UNIFORM for each in lights])
-    return _add(shaded, light, on_triangles(gbuffer), jnp.asarray(uniform & (not uniform.all())))
+    return _add(shaded, light, on_triangles(gbuffer), jax.device_put(uniform & (not uniform.all())))
 
 
 @Program

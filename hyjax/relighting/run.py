@@ -187,7 +187,7 @@ def _relight_frames(
 
     def relight_frame(numbered: tuple[int, tuple[Frame, GBuffer]]) -> tuple[Frame, Relit | None]:
         number, (frame, gbuffer) = numbered
-        if not bool(gbuffer.hit.any()):
+        if not np.asarray(gbuffer.hit).any():
             return frame, None
         view, shaded = shader(number, frame, gbuffer)
         with clock("guide"):

@@ -97,7 +97,7 @@ class SeenSurface:
             free = ~self._blocked(every, 0.97 * (np.asarray(light.center, float) - self.points))
         else:
             free = every
-        return np.where(free, lux, 0.0) * float(np.max(light.color))
+        return np.where(free, lux, 0.0) * float(np.asarray(light.color).max())
 
     def _blocked(self, chosen: Bool[np.ndarray, "n"], to: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m"]:
         start = self.points[chosen] + OFFSET * self.normals[chosen]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -149,8 +150,8 @@ class ScenePhotoLight:
         bulbs = np.array([(*lamp.position, lamp.radius) for lamp in lamps]).reshape(-1, 4)
         sent = radiant_filter(setup.lights, panes, bulbs, float(setup.reference_lux))
         kept = self.kept(setup.existing)[: len(sent)]  # windows, then lamps, as the sources are
-        own, round_, light, left = (jnp.asarray(np.asarray(a, np.float32)) for a in (panes, bulbs, sent, kept))
-        return Emitters(own, round_, light, left, self.estimate.light.mean, jnp.asarray(self._stored[1]))
+        own, round_, light, left = (jax.device_put(np.asarray(a, np.float32)) for a in (panes, bulbs, sent, kept))
+        return Emitters(own, round_, light, left, self.estimate.light.mean, jax.device_put(self._stored[1]))
 
     @functools.cached_property
     def _key(self) -> str:

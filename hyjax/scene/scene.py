@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from hyjax.data.capture import Capture, Frame
@@ -299,4 +298,4 @@ def view_of(frame: Frame, gbuffer: GBuffer) -> View:
     pose, intrinsics = (
         np.asarray(matrix, np.float32) for matrix in (frame.camera.pose, frame.camera.intrinsics.matrix)
     )
-    return View.of(jnp.asarray(frame.image), gbuffer, pose=pose, intrinsics=intrinsics)
+    return View.of(jax.device_put(frame.image), gbuffer, pose=pose, intrinsics=intrinsics)
