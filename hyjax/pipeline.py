@@ -31,7 +31,7 @@ from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
 from hyjax.light.view import View
 from hyjax.util.errors import InputError
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 from hyjax.util.tracing import concrete
 
 Mode = Literal["linear", "paper"]
@@ -202,7 +202,7 @@ def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Sc
     return shadow_pass(filled, guide, schedule, sampling=shaded.sampling)
 
 
-@Program
+@KeptFunction
 def composite_linear(
     frame: Float[Array, "h w 3"],
     shaded: Shaded,

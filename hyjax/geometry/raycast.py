@@ -169,7 +169,8 @@ class RayCaster:
         away = (np.einsum("nk,nk->n", flat, rays) > 0) != (np.einsum("nk,nk->n", flat, normal) < 0)
         depth = np.where(hit, hits.distance, 0.0)
         position = np.where(hit[:, None], camera.origin + depth[:, None] * rays, 0.0)
-        fields = position, np.where(away[:, None], -normal, normal), hits.barycentric
+        weights = np.where(hit[:, None], np.maximum(hits.barycentric, 0.0), 0.0)
+        fields = position, np.where(away[:, None], -normal, normal), weights
         points, normals, weights = (field.astype(np.float32).reshape(*shape, 3) for field in fields)
         others = depth.astype(np.float32), hit, hits.face.astype(np.int32)
         planes = (field.reshape(shape) for field in others)

@@ -23,7 +23,7 @@ from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.kinds.shadow_views import Projection
 from hyjax.util.geometry import inner
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 
 Vector = tuple[Array, Array, Array]  # by components: see `hyjax.util.geometry` for why
 
@@ -111,7 +111,7 @@ def _fold(x: Array, y: Array) -> tuple[Array, Array]:
     return (1.0 - jnp.abs(y)) * jnp.where(x < 0, -1.0, 1.0), (1.0 - jnp.abs(x)) * jnp.where(y < 0, -1.0, 1.0)
 
 
-@functools.partial(Program, static="interleave")
+@functools.partial(KeptFunction, static="interleave")
 def visibility(
     gbuffer: GBuffer, light: Light, shadow_map: ShadowMap | None, *, interleave: int = 1
 ) -> Float[Array, "h w"]:
