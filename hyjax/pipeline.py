@@ -18,7 +18,7 @@ from typing import Any, Literal, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hyjax.core.cascade import cascade
 from hyjax.core.pyramid import level_shape
@@ -191,15 +191,25 @@ def refine_illuminance(shaded: Shaded, guide: Float[Array, "h w f"], schedule: S
     """
     channels = shaded.illuminance
     if shaded.surface_fields:
-        channels = jnp.concatenate([channels, *shaded.surface_fields], axis=-1)
+        channels = _joined(channels, *shaded.surface_fields)
     return cascade_known(channels, shaded.confidence, guide, schedule, sampling=shaded.sampling)
 
 
 def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w l"]:
     """Visibility of each light after the shadow pass, filled where the mesh or the light leaves it unknown."""
-    known = (shaded.illuminance > 0) & (shaded.confidence > 0)
+    known = _lit(shaded.illuminance, shaded.confidence)
     filled = fill_visibility(shaded.visibility, known, guide, sampling=shaded.sampling)
     return shadow_pass(filled, guide, schedule, sampling=shaded.sampling)
+
+
+@KeptFunction
+def _joined(*channels: Float[Array, "h w c"]) -> Float[Array, "h w d"]:
+    return jnp.concatenate(channels, axis=-1)
+
+
+@KeptFunction
+def _lit(illuminance: Float[Array, "h w l"], confidence: Float[Array, "h w 1"]) -> Bool[Array, "h w l"]:
+    return (illuminance > 0) & (confidence > 0)
 
 
 @KeptFunction

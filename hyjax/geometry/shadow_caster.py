@@ -15,7 +15,7 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Light
 from hyjax.light.kinds.shadow_views import Projection, RadialViews, ShadowViews
 from hyjax.light.shadow_map import ShadowMap, map_rays
-from hyjax.util.cache import cached_arrays, remove_oldest
+from hyjax.util.cache import cached_arrays, remove_oldest, touch
 from hyjax.util.files import digest
 from hyjax.util.vectors import orthonormal_frame
 
@@ -62,7 +62,9 @@ def _cast(caster: RayCaster, views: ShadowViews | None, scale: float, folder: Pa
     file = folder / f"{digest([str(VERSION), caster.arrays.key, layout.key])}.npz"
     found = file.is_file()
     depth = cached_arrays(file, lambda arrays: arrays["depth"], lambda: {"depth": layout.distances(caster)})
-    if not found:
+    if found:
+        touch(file)
+    else:
         remove_oldest(folder, "*.npz", MOST_BYTES)
     return layout.shadow_map(depth)
 

@@ -224,4 +224,9 @@ def visibilities(
     """`visibility` of each light, a channel for each."""
     pairs = zip(lights, shadow_maps, strict=True)
     each = [visibility(gbuffer, light, shadow_map, interleave=interleave) for light, shadow_map in pairs]
+    return _stacked(each)
+
+
+@KeptFunction
+def _stacked(each: Sequence[Float[Array, "h w"]]) -> Float[Array, "h w l"]:
     return jnp.stack(each, axis=-1)

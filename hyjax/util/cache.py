@@ -43,9 +43,7 @@ def cached_arrays(
         try:
             # Opened here, since np.load leaves a damaged file open.
             with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-                found = parse({name: stored[name] for name in stored.files})
-            touch(file)
-            return found
+                return parse({name: stored[name] for name in stored.files})
         except Exception as error:  # Damage shows itself in a dozen ways; all mean the same.
             _log.warning("%s: damaged (%s), it is made again", file, error)
     arrays = make()
