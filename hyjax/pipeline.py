@@ -203,7 +203,7 @@ def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Sc
 
 
 @KeptFunction
-def _joined(*channels: Float[Array, "h w c"]) -> Float[Array, "h w d"]:
+def _joined(*channels: Float[Array, "h w _"]) -> Float[Array, "h w _"]:
     return jnp.concatenate(channels, axis=-1)
 
 
