@@ -11,7 +11,7 @@ throws on itself, pixel by pixel: where both surfaces are seen within `NEAR` of 
 - *by frame*: mean overlap of frames in which a shadow covers `LEAST` of what is counted.
 
 Shadows are thrown by the bare *surface*, by the surface with its small holes *closed*, and by that *completed* from
-depth maps (see `hyjax.scene.occluders`). A room is `room:SEED:scan_config()` (the built-in one) or `random:SEED:NUMBER`.
+depth maps (see `hyjax.scene.occluders`). A room is `room:SEED:SCAN` (the built-in one) or `random:SEED:NUMBER`.
 Takes about a minute for each room. Seed 0 of the built-in room and random room 0:0 were chosen on.
 
 Expect: closing holes helps a little, depth maps help most.
@@ -59,7 +59,7 @@ SCANNED = 64  # views of a random room that its scan is made from
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Config(RunConfig):
     rooms: tuple[str, ...] = ("room:0:0", "random:0:0", "room:0:2", "room:1:1", "random:1:0", "random:2:1")
-    """Rooms: room:SEED:scan_config() or random:SEED:NUMBER."""
+    """Rooms: room:SEED:SCAN or random:SEED:NUMBER."""
     frames: int = 5
     """How many of each."""
     size: int = 384
@@ -95,7 +95,7 @@ def open_place(room: str, config: Config) -> Place:
     """
     kind, *numbers = room.split(":")
     if kind not in ("room", "random") or len(numbers) != 2 or not all(n.isdecimal() for n in numbers):
-        raise InputError(f"rooms: {room!r} must be room:SEED:scan_config() or random:SEED:NUMBER")
+        raise InputError(f"rooms: {room!r} must be room:SEED:SCAN or random:SEED:NUMBER")
     first, second = map(int, numbers)
     if kind == "room":
         capture = load_room(first)
