@@ -31,7 +31,7 @@ from experiments.blocks import Block, Table
 from experiments.command import RunConfig, Start, experiment, run
 from experiments.records import Row
 from hyjax.core.schedule import Schedule
-from hyjax.data.builtin_room import SCAN, UP, load_room
+from hyjax.data.builtin_room import UP, load_room, scan_config
 from hyjax.data.frames import spread
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
@@ -113,7 +113,7 @@ def open_place(room: str, config: Config) -> Place:
 
     cameras, true = [camera(k, 9, 192) for k in range(SCANNED)], lit.room.furnished.mesh
     depths = RenderedDepths(true, cameras)
-    rough, detail = simulate_scan(depths, SCAN), finer(depths, SCAN)
+    rough, detail = simulate_scan(depths, scan_config()), finer(depths, scan_config())
     pictures = [
         (np.asarray(photograph(lit, k, config.size).image, np.float32), camera(k, 2, config.size))
         for k in range(config.frames)

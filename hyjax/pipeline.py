@@ -17,7 +17,8 @@ from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hyjax.core.cascade import cascade
 from hyjax.core.pyramid import level_shape
@@ -30,7 +31,7 @@ from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
 from hyjax.light.view import View
 from hyjax.util.errors import InputError
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 from hyjax.util.tracing import concrete
 
 Mode = Literal["linear", "paper"]
@@ -157,9 +158,8 @@ def relight_stages(
         shadow_schedule = default_shadow_schedule(mode)
     for used in (schedule, shadow_schedule):
         used.check(dtype=shaded.illuminance.dtype)
-    known = view.gbuffer.hit if mode == "paper" else shaded.confidence > 0
-    anything = concrete(jnp.any(known))
-    if anything is not None and not anything:
+    known = concrete(view.gbuffer.hit if mode == "paper" else shaded.confidence)
+    if known is not None and not (np.asarray(known) > 0).any():
         left = "the relit frame is black" if mode == "paper" else "only ambient light is used"
         warnings.warn(f"relight: nothing of the frame is known; {left}", stacklevel=3)
     if mode == "paper":
@@ -190,15 +190,25 @@ def refine_illuminance(shaded: Shaded, guide: Float[Array, "h w f"], schedule: S
     """
     channels = shaded.illuminance
     if shaded.surface_fields:
-        channels = jnp.concatenate([channels, *shaded.surface_fields], axis=-1)
+        channels = _joined(channels, *shaded.surface_fields)
     return cascade_known(channels, shaded.confidence, guide, schedule, sampling=shaded.sampling)
 
 
 def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w l"]:
     """Visibility of each light after the shadow pass, filled where the mesh or the light leaves it unknown."""
-    known = (shaded.illuminance > 0) & (shaded.confidence > 0)
+    known = _lit(shaded.illuminance, shaded.confidence)
     filled = fill_visibility(shaded.visibility, known, guide, sampling=shaded.sampling)
     return shadow_pass(filled, guide, schedule, sampling=shaded.sampling)
+
+
+@KeptFunction
+def _joined(*channels: Float[Array, "h w _"]) -> Float[Array, "h w _"]:
+    return jnp.concatenate(channels, axis=-1)
+
+
+@KeptFunction
+def _lit(illuminance: Float[Array, "h w l"], confidence: Float[Array, "h w 1"]) -> Bool[Array, "h w l"]:
+    return (illuminance > 0) & (confidence > 0)
 
 
 def composite_linear(
@@ -219,7 +229,7 @@ def composite_linear(
     return _compared(frame, shaded, illuminance, visibility, relight_filter, image)
 
 
-@Program
+@KeptFunction
 def relit_picture(
     frame: Float[Array, "h w 3"],
     shaded: Shaded,
@@ -233,7 +243,7 @@ def relit_picture(
     return relight_filter, _with_emission(composite(relight_filter, frame), light, shaded)
 
 
-@Program
+@KeptFunction
 def _compared(
     frame: Float[Array, "h w 3"],
     shaded: Shaded,

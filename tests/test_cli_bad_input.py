@@ -172,7 +172,7 @@ NEEDS_MESH = {"truncated PNG", "truncated JPEGs", "seed", "voxel", "frames past 
 @pytest.fixture
 def relight_here(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Done]:
     """`hyjax relight` in this process, which has everything imported, with its own log handlers."""
-    monkeypatch.setattr("hyjax.cli._keep_compiled", lambda: None)
+    monkeypatch.setattr("hyjax.cli._keep_for_later", lambda: None)
     monkeypatch.setattr("hyjax.cli.defer_interrupts", lambda: None)
     monkeypatch.setattr(logging.getLogger(), "handlers", [])
 

@@ -12,7 +12,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.core.stencil import CoarseEdges
 from hyjax.core.upsampling import guided_upsample
 from hyjax.util.errors import InputError
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 
 LEAST_SAMPLES = 2
 """Samples along each side of a cell that a picture may enter by."""
@@ -81,7 +81,7 @@ def largest_sampling(schedules: Sequence[Schedule], most: int) -> int:
     return max(k for k in range(1, max(most, 1) + 1) if k == 1 or not any(f % (LEAST_SAMPLES * k) for f in factors))
 
 
-@functools.partial(Program, static="sampling")
+@functools.partial(KeptFunction, static="sampling")
 def _cascade(
     y: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule, *, sampling: int
 ) -> Float[Array, "h w c"]:

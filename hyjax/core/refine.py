@@ -10,13 +10,13 @@ from hyjax.core.cascade import cascade
 from hyjax.core.pyramid import cell_pixels, downsample
 from hyjax.core.schedule import Schedule
 from hyjax.util.geometry import TINY
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 
 # Weight below which a hole counts as too far from any surface to be filled from its surroundings.
 HOLE_FLOOR = 1e-3
 
 
-@functools.partial(Program, static="sampling")
+@functools.partial(KeptFunction, static="sampling")
 def cascade_known(
     y: Float[Array, "sh sw c"],
     confidence: Float[Array, "sh sw k"] | Bool[Array, "sh sw k"],
@@ -74,7 +74,7 @@ def _all_channels(x: Bool[Array, "h w c"]) -> Bool[Array, "h w 1"]:
     return together
 
 
-@functools.partial(Program, static="sampling")
+@functools.partial(KeptFunction, static="sampling")
 def shadow_pass(
     raw: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule, *, sampling: int = 1
 ) -> Float[Array, "h w c"]:
@@ -96,7 +96,7 @@ def shadow_pass(
     return cascade(raw, guide, schedule, sampling=sampling)
 
 
-@functools.partial(Program, static="sampling")
+@functools.partial(KeptFunction, static="sampling")
 def fill_visibility(
     raw: Float[Array, "sh sw l"], known: Bool[Array, "sh sw l"], guide: Float[Array, "h w f"], *, sampling: int = 1
 ) -> Float[Array, "sh sw l"]:

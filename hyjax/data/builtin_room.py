@@ -4,19 +4,21 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, UInt8
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics
-from hyjax.geometry.scan import RenderedDepths, ScanConfig
-from hyjax.synthetic.room import camera_path, make_room, render_room
-from hyjax.synthetic.room.path import camera_path as path_through_room
+from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.errors import InputError
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from hyjax.geometry.scan import RenderedDepths, ScanConfig
 
 VERSION = 6
 """Of what `hyjax.synthetic.room` makes. Add one whenever its geometry or its pictures change."""
@@ -24,9 +26,6 @@ FRAME_RATE = 2.0
 """Pictures a second: the walk takes twelve seconds."""
 
 UP = np.array([0.0, 0.0, 1.0])
-SCAN = ScanConfig(
-    frames=64, width=160, max_depth=6.0, noise=0.004, min_weight=0.05, missing=0.03, grazing_cosine=0.15
-)
 
 
 class RoomCapture(Capture):
@@ -39,11 +38,11 @@ class RoomCapture(Capture):
         images: UInt8[np.ndarray, "n h w 3"],
         depth: Float[np.ndarray, "n h w"],
         cameras: list[Camera],
-        mesh: trimesh.Trimesh,
+        mesh: "trimesh.Trimesh | MeshArrays",
         anchors: Mapping[str, Mapping[str, Any]],
     ) -> None:
         self.up = UP
-        self._surface = mesh
+        self._surface = MeshArrays.of(mesh)
         self.anchors = anchors
         self._images = images
         self._depth = depth
@@ -56,13 +55,22 @@ class RoomCapture(Capture):
         parts = (self._surface.vertices, self._images[:: max(1, len(self) // 4)], self._depth.shape, poses)
         return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
 
-    def reference(self) -> trimesh.Trimesh:
+    def reference(self) -> "trimesh.Trimesh":
         """The true surface in metres."""
-        return self._surface
+        return self._surface.mesh
 
-    def scan_input(self) -> tuple[RenderedDepths, ScanConfig]:
+    @property
+    def has_reference(self) -> bool:
+        """True."""
+        return True
+
+    def scan_input(self) -> "tuple[RenderedDepths, ScanConfig]":
         """Depth along a walk of its own: a headset covers more of a room than the pictures do, more than once."""
-        return RenderedDepths(self._surface, path_through_room(SCAN.frames, 256, 192)), SCAN
+        from hyjax.geometry.scan import RenderedDepths
+        from hyjax.synthetic.room.path import camera_path
+
+        config = scan_config()
+        return RenderedDepths(self._surface.mesh, camera_path(config.frames, 256, 192)), config
 
     def __len__(self) -> int:
         return len(self._cameras)
@@ -76,6 +84,15 @@ class RoomCapture(Capture):
             time=number / FRAME_RATE,
             depth=self._depth[number].copy(),
         )
+
+
+def scan_config() -> "ScanConfig":
+    """Scanner of the room's simulated scan."""
+    from hyjax.geometry.scan import ScanConfig  # slow to load
+
+    return ScanConfig(
+        frames=64, width=160, max_depth=6.0, noise=0.004, min_weight=0.05, missing=0.03, grazing_cosine=0.15
+    )
 
 
 def load_room(
@@ -108,6 +125,8 @@ def load_room(
 
 
 def _render(seed: int, n_frames: int, width: int, height: int, quality: float, progress: bool) -> Arrays:
+    from hyjax.synthetic.room import camera_path, make_room, render_room
+
     room = make_room(seed)
     cameras = camera_path(room, n_frames, width, height)
     frames = render_room(room, cameras, quality, progress)
@@ -130,6 +149,6 @@ def _capture(arrays: Arrays) -> RoomCapture:
         arrays["images"],
         arrays["depth"],
         [Camera(intrinsics, pose) for pose in arrays["poses"]],
-        trimesh.Trimesh(arrays["vertices"], arrays["faces"], process=False),
+        MeshArrays(arrays["vertices"], arrays["faces"]),
         json.loads(str(arrays["anchors"])),
     )

@@ -164,6 +164,11 @@ class Capture(abc.ABC):
         """The true surface in world coordinates; None where it is not known, as of any real place."""
         return None
 
+    @property
+    def has_reference(self) -> bool:
+        """Whether the true surface is known."""
+        return self.reference() is not None
+
     def scan_input(self) -> "tuple[PosedDepths, ScanConfig | None]":
         """Depth maps and scanner for `hyjax.geometry.scan.simulate_scan`: the capture's own, the default one."""
         return self if self.depth_count in (0, len(self)) else _DepthMaps(self), None

@@ -11,7 +11,6 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from scipy import ndimage
 
 from hyjax.geometry.camera import Intrinsics
 from hyjax.util.errors import InputError
@@ -87,6 +86,8 @@ def undistorted(
         inside = (rows >= 0) & (rows < k.height) & (columns >= 0) & (columns < k.width)
         taken = image[np.clip(rows, 0, k.height - 1), np.clip(columns, 0, k.width - 1)]
         return np.where(inside.reshape(*inside.shape, *(1,) * (image.ndim - 2)), taken, image.dtype.type(0))
+    from scipy import ndimage  # SciPy is slow to load
+
     layers = [
         ndimage.map_coordinates(image[..., channel], where, order=1, mode="nearest")
         for channel in range(image.shape[2])

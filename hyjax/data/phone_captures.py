@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from hyjax.data.capture_files import Tally, looks_whole, tree_depth, tree_labels, tree_shape
 from hyjax.data.file_tree import FileTree
@@ -35,6 +34,8 @@ def pose_from_quaternion(
     if not np.all(np.isfinite((*quaternion, *position))) or abs(np.linalg.norm(quaternion) - 1.0) > 0.01:
         return None
     pose = np.eye(4)
+    from scipy.spatial.transform import Rotation  # SciPy is slow to load
+
     pose[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
     pose[:3, 3] = position
     return usable_pose(pose)

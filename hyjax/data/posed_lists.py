@@ -2,7 +2,6 @@
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from hyjax.data.file_tree import FileTree
 from hyjax.util.errors import InputError
@@ -38,6 +37,8 @@ def pose_of(
     if not np.all(np.isfinite(position)) or not abs(length - 1.0) < 0.01:
         return None
     pose = np.eye(4)
+    from scipy.spatial.transform import Rotation  # SciPy is slow to load
+
     pose[:3, :3] = Rotation.from_quat(quaternion / length).as_matrix()
     pose[:3, 3] = position
     return pose

@@ -7,9 +7,9 @@ undone, sizes are checked, pictures are turned upright, shots without a picture 
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 
 from hyjax.data.capture import Capture, Frame
@@ -19,8 +19,10 @@ from hyjax.data.orientation import turn_frame, turns_upright
 from hyjax.geometry.camera import Camera, Intrinsics, check_pose
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.depth_sensor import UNKNOWN, DepthSensor
-from hyjax.geometry.mesh import load_mesh
 from hyjax.util.errors import InputError
+
+if TYPE_CHECKING:
+    import trimesh
 
 Y_UP, Z_UP = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -164,9 +166,11 @@ class Recording(Capture):
         depth, confidence, lens = _read_depth(shot)
         return DepthReading(depth, Camera(lens, shot.pose), confidence)
 
-    def mesh(self) -> trimesh.Trimesh | None:
+    def mesh(self) -> "trimesh.Trimesh | None":
         """See `Capture`; read once."""
         if self._mesh is None and self._mesh_name is not None:
+            from hyjax.geometry.mesh import load_mesh  # trimesh is slow to load
+
             self._mesh = load_mesh(Path(self._mesh_name), repair=True, content=self._tree.read(self._mesh_name))
         return self._mesh
 

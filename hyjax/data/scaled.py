@@ -2,16 +2,18 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.util.files import digest
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 class ScaledCapture(Capture):
@@ -64,7 +66,7 @@ class ScaledCapture(Capture):
         depth, camera, confidence = self.unscaled.depth_reading(index)
         return DepthReading(depth * np.float32(self._of_depth), self._scaled(camera), confidence)
 
-    def mesh(self) -> trimesh.Trimesh | None:
+    def mesh(self) -> "trimesh.Trimesh | None":
         """See `Capture`."""
         mesh = self.unscaled.mesh()
         return None if mesh is None else mesh.copy().apply_scale(self._scale)

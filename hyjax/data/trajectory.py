@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation, Slerp
 
 from hyjax.util.errors import InputError
 
@@ -49,6 +48,8 @@ class Trajectory:
         self.times = times
         self._where = where
         self._positions = poses[:, :3, 3]
+        from scipy.spatial.transform import Rotation, Slerp  # SciPy is slow to load
+
         self._rotations = Slerp(times, Rotation.from_matrix(poses[:, :3, :3]))
 
     def covers(self, time: float) -> bool:
@@ -97,6 +98,8 @@ def read_trajectory(path: Path) -> Trajectory:
     rows = np.array([_row(path, number, line) for number, line in enumerate(lines, start=1)])
     if np.abs(rows[:, 1:4]).max() > LARGEST_TURN:
         raise InputError(f"{path}: turns by {np.abs(rows[:, 1:4]).max():.3g} radians; need rows of {COLUMNS}")
+    from scipy.spatial.transform import Rotation
+
     to_world = Rotation.from_rotvec(rows[:, 1:4]).inv()
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, :3] = to_world.as_matrix()

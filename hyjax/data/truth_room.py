@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from hyjax.data.builtin_room import SCAN, RoomCapture
+from hyjax.data.builtin_room import RoomCapture, scan_config
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.scan import RenderedDepths, ScanConfig
 from hyjax.light.setup import LightSetup
@@ -48,7 +48,7 @@ class TruthCapture(RoomCapture):
         """Depth along a walk of its own: a headset covers more of a room than the pictures do, more than once."""
         focal = 525.0 * 256 / 640
         cameras = [Camera(Intrinsics(256, 192, focal, focal, 128.0, 96.0), pose) for pose in self._scan_poses]
-        return RenderedDepths(self._surface, cameras), SCAN
+        return RenderedDepths(self._surface.mesh, cameras), scan_config()
 
     @functools.cached_property
     def room(self) -> TruthRoom:
@@ -113,7 +113,7 @@ def _photograph(room: TruthRoom, folder: Path, n_frames: int, width: int, height
         "images": np.stack([np.round(image * 255).astype(np.uint8) for image, _ in frames]),
         "depth": np.stack([depth for _, depth in frames]),
         "poses": np.stack([camera.pose for camera in cameras]),
-        "scan_poses": np.stack([camera.pose for camera in room.walks.scan(SCAN.frames, 256, 192)]),
+        "scan_poses": np.stack([camera.pose for camera in room.walks.scan(scan_config().frames, 256, 192)]),
         "intrinsics": np.array([k.fx, k.fy, k.cx, k.cy]),
         "vertices": np.asarray(room.mesh.vertices),
         "faces": np.asarray(room.mesh.faces),

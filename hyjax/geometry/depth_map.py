@@ -5,7 +5,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import ndimage
 
 from hyjax.geometry.camera import Camera
 from hyjax.util.errors import InputError
@@ -74,6 +73,8 @@ def clean_depth(depth: Float[np.ndarray, "h w"], camera: Camera, max_depth: floa
     """Depth with 0 for everything that is not one surface's reading: invalid, out of range, or beside a jump."""
     usable = np.isfinite(depth) & (depth > NEAR) & (depth < max_depth)
     depth = np.where(usable, depth, 0.0).astype(np.float32)
+    from scipy import ndimage  # SciPy is slow to load
+
     farthest = ndimage.maximum_filter(depth, 3)
     nearest = ndimage.minimum_filter(np.where(usable, depth, np.float32(np.inf)), 3)
     # Two pixels apart across the 3×3 window; one part in twenty is left to the noise of the sensor.

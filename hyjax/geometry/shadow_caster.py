@@ -3,7 +3,9 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
+from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,10 +15,18 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Light
 from hyjax.light.kinds.shadow_views import Projection, RadialViews, ShadowViews
 from hyjax.light.shadow_map import ShadowMap, map_rays
+from hyjax.util.cache import cached_arrays, remove_oldest, touch
+from hyjax.util.files import digest
 from hyjax.util.vectors import orthonormal_frame
 
 RESOLUTION = 1024  # texels a side of a map with one view
 VIEW_RESOLUTION = 512  # of each view, where there are several
+
+
+VERSION = 1
+"""Of what is drawn. Add one whenever it comes out differently."""
+MOST_BYTES = 400_000_000
+"""Of shadow maps that are kept in a folder: some twenty soft lights."""
 
 
 def cast_shadow_maps(
@@ -25,6 +35,8 @@ def cast_shadow_maps(
     scale: float = 1.0,
     slack: float | None = None,
     most_views: int | None = None,
+    *,
+    folder: Path | None = None,
 ) -> tuple[ShadowMap | None, ...]:
     """Shadow maps of all lights; None for a light that casts no shadow.
 
@@ -34,18 +46,34 @@ def cast_shadow_maps(
         scale: of the resolution (1 means 1024² for a light without extent, 4 to 32 times 512² for one with).
         slack: see `ShadowMap`.
         most_views: of each light, at most; None for all that it has.
+        folder: to keep maps in, under mesh and light, and to find them in again; None to draw them anew.
     """
-    maps = tuple(_cast(caster, light.shadow_views(), scale, most_views) for light in lights)
+    thinned = (_thinned(light.shadow_views(), most_views) for light in lights)
+    maps = tuple(_cast(caster, views, scale, folder) for views in thinned)
     if slack is None:
         return maps
-    return tuple(m if m is None else dataclasses.replace(m, slack=jnp.float32(slack)) for m in maps)
+    error = jax.device_put(np.float32(slack))
+    return tuple(m if m is None else dataclasses.replace(m, slack=error) for m in maps)
 
 
-def _cast(caster: RayCaster, views: ShadowViews | None, scale: float, most_views: int | None) -> ShadowMap | None:
+def _thinned(views: ShadowViews | None, most: int | None) -> ShadowViews | None:
+    return views if views is None or most is None else views.thinned(most)
+
+
+def _cast(caster: RayCaster, views: ShadowViews | None, scale: float, folder: Path | None) -> ShadowMap | None:
     if views is None:
         return None
-    views = views if most_views is None else views.thinned(most_views)
-    return MapLayout.of(views, scale, np.asarray(caster.mesh.bounds)).cast(caster)
+    layout = MapLayout.of(views, scale, caster.bounds)
+    if folder is None:
+        return layout.cast(caster)
+    file = folder / f"{digest([str(VERSION), caster.arrays.key, layout.key])}.npz"
+    found = file.is_file()
+    depth = cached_arrays(file, lambda arrays: arrays["depth"], lambda: {"depth": layout.distances(caster)})
+    if found:
+        touch(file)
+    else:
+        remove_oldest(folder, "*.npz", MOST_BYTES)
+    return layout.shadow_map(depth)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -168,8 +196,23 @@ class MapLayout:
         limit = np.where(inside, -lead, -np.inf).astype(np.float32)
         return RasterView(axes, origin, pieces, spans, norm, limit, True)
 
+    @property
+    def key(self) -> str:
+        """Key of all that decides on the rays."""
+        views, arrays = self.views, [self.origins, self.axes]
+        if isinstance(views, RadialViews):
+            arrays.append(np.array(views.near))
+        elif views.aperture is not None:
+            arrays += [np.asarray(v) for v in (views.aperture.center, views.aperture.right, views.aperture.up)]
+        numbers = [np.ascontiguousarray(each, np.float64).tobytes().hex() for each in arrays]
+        return digest([self.projection, str(self.size), *numbers])
+
     def cast(self, caster: RayCaster) -> ShadowMap:
-        """Shadow map of a mesh; several views are drawn at once."""
+        """Shadow map of a mesh."""
+        return self.shadow_map(self.distances(caster))
+
+    def distances(self, caster: RayCaster) -> Float[np.ndarray, "v s s"]:
+        """Distances of the texels to a mesh, gutter included; several views are drawn at once."""
 
         def draw(part: slice) -> None:
             for view in range(part.start, part.stop):
@@ -181,17 +224,15 @@ class MapLayout:
         if self.projection == "octahedral":  # beyond an edge it continues on the same edge, mirrored
             depth[:, :, 0], depth[:, :, -1] = depth[:, ::-1, 1], depth[:, ::-1, -2]
             depth[:, 0], depth[:, -1] = depth[:, 1, ::-1], depth[:, -2, ::-1]
-        return self.shadow_map(depth)
+        return depth
 
     def shadow_map(self, depth: Float[np.ndarray, "v n"]) -> ShadowMap:
         """Shadow map of these texels' distances."""
-        return ShadowMap(
-            depth=jnp.asarray(depth.reshape(-1, self.size + 2, self.size + 2), jnp.float32),
-            origin=jnp.asarray(self.origins, jnp.float32),
-            axes=jnp.asarray(self.axes, jnp.float32),
-            texel=jnp.float32(self.texel),
-            projection=self.projection,
-        )
+        # Converted by NumPy: every conversion of JAX's is a program of its own.
+        texels = depth.reshape(-1, self.size + 2, self.size + 2)
+        arrays = (np.asarray(each, np.float32) for each in (texels, self.origins, self.axes, self.texel))
+        distance, origin, axes, texel = map(jax.device_put, arrays)
+        return ShadowMap(distance, origin, axes, texel, self.projection)
 
 
 def _ticks(size: int) -> Float[np.ndarray, "s"]:

@@ -2,15 +2,18 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture
 from hyjax.util.vectors import orthonormal_frame
+
+if TYPE_CHECKING:
+    import trimesh
 
 RAYS, FEWEST_RAYS, MOST_RAYS_IN_ALL = 256, 32, 16_000_000
 """Rays of a point; fewer where a scan has so many points that all their rays would take too long."""
@@ -66,7 +69,7 @@ class Box:
         return distance, (wall * CELLS + cell[n, (axis + 1) % 3]) * CELLS + cell[n, (axis + 2) % 3]
 
 
-def wall_axes(mesh: trimesh.Trimesh, up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+def wall_axes(mesh: "trimesh.Trimesh", up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Axes of a scan: two of them along most of its walls, the last one `up`."""
     frame = orthonormal_frame(up)
     x, y, z = (np.asarray(mesh.face_normals) @ frame.T).T

@@ -7,13 +7,13 @@ An image called `linear` holds amounts of light, one called `display` holds what
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, UInt8
 
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 
 # Luminance of linear Rec. 709 red, green and blue.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
-@Program
+@KeptFunction
 def to_linear(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Display-encoded values in [0, 1] → linear light in [0, 1]."""
     # Both branches are evaluated and differentiated: the power sees only values from its own side.
@@ -21,7 +21,7 @@ def to_linear(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
     return jnp.where(display <= 0.04045, display / 12.92, power)
 
 
-@Program
+@KeptFunction
 def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Linear light → display-encoded values in [0, 1]; anything brighter than 1 is clipped to white."""
     power = 1.055 * jnp.clip(linear, 0.0031308, 1.0) ** (1.0 / 2.4) - 0.055
@@ -29,7 +29,7 @@ def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
     return jnp.where(linear < 0.0, 0.0, jnp.where(linear <= 0.0031308, linear * 12.92, power))
 
 
-@Program
+@KeptFunction
 def to_bytes(linear: Float[Array, "*s"]) -> UInt8[Array, "*s"]:
     """Linear light → display-encoded bytes, as a file or a screen takes them."""
     return jnp.round(255.0 * to_display(linear)).astype(jnp.uint8)
@@ -40,7 +40,7 @@ def luminance(linear: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
     return sum(weight * linear[..., k] for k, weight in enumerate(LUMINANCE))  # type: ignore[return-value]
 
 
-@Program
+@KeptFunction
 def blackbody(kelvin: Float[ArrayLike, ""]) -> Float[Array, "3"]:
     """Linear RGB of luminance 1 with the hue of a black body; for 1667 to 25000 K.
 

@@ -15,7 +15,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.util.geometry import cross, dot, unit
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 from hyjax.util.tracing import concrete
 
 PANE_REFLECTANCE, LAMP_REFLECTANCE = 0.04, 0.6
@@ -156,7 +156,7 @@ def may_show(
     return False
 
 
-@Program
+@KeptFunction
 def emission(
     emitters: Emitters,
     frame: Float[Array, "h w 3"],

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 
 
 @jax.tree_util.register_dataclass
@@ -33,7 +33,7 @@ class GBuffer:
     barycentric: Float[Array, "h w 3"] | None = None
 
 
-@functools.partial(Program, static="sampling")
+@functools.partial(KeptFunction, static="sampling")
 def sample_pixels(gbuffer: GBuffer, *, sampling: int) -> GBuffer:
     """Samples of a G-buffer: one pixel of each block of `sampling` × `sampling`.
 

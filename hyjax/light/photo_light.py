@@ -25,7 +25,7 @@ from hyjax.light.shading import mix_channels, shade_each
 from hyjax.light.shadow_map import ShadowMap, visibilities
 from hyjax.light.transport import Transport, bounce
 from hyjax.util.errors import InputError
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 
 LEAST_PHOTO_LIGHT = 0.05
 """Share of the photo's mean light below which its noise would be amplified more than twentyfold."""
@@ -82,7 +82,7 @@ def bounced_light(
     return _bounced(photo, own, maps)
 
 
-@Program
+@KeptFunction
 def _bounced(
     photo: PhotoLight, lights: Sequence[Light], shadow_maps: Sequence[ShadowMap | None]
 ) -> Float[Array, "v 3"]:
@@ -129,10 +129,10 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
         InputError: the G-buffer does not tell its triangles.
     """
     uniform = np.array([each.UNIFORM for each in lights])
-    return _add(shaded, light, on_triangles(gbuffer), jnp.asarray(uniform & (not uniform.all())))
+    return _add(shaded, light, on_triangles(gbuffer), jax.device_put(uniform & (not uniform.all())))
 
 
-@Program
+@KeptFunction
 def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, left_out: Bool[Array, "l"]) -> Shaded:
     illuminance = jnp.where(left_out, 0.0, shaded.illuminance)
     bounced = on_pixels(light.bounced, light.faces, gbuffer)

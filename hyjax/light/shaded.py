@@ -11,7 +11,7 @@ from hyjax.light.emission import Emission
 from hyjax.light.kinds import Light
 from hyjax.light.setup import LightSetup
 from hyjax.util.errors import InputError
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 
 
 @jax.tree_util.register_dataclass
@@ -88,7 +88,7 @@ class Shaded:
         return cls(illuminance, visibility, colors, known, setup.reference_lux, ambient, sampling=sampling)
 
 
-@Program
+@KeptFunction
 def _complete(
     hit: Bool[Array, "h w"],
     confidence: Float[Array, "h w 1"] | None,

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.util.errors import InputError
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 
 
 def shade(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w 3"]:
@@ -33,7 +33,7 @@ def shade(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w 3"]:
     return colored(shade_each(gbuffer, lights), lights)
 
 
-@Program
+@KeptFunction
 def shade_each(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w l"]:
     """Illuminance from each light by itself, before its colour; see `shade`.
 
@@ -44,7 +44,7 @@ def shade_each(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w l
     return jnp.stack(each, axis=-1)
 
 
-@Program
+@KeptFunction
 def colored(each: Float[Array, "h w l"], lights: Sequence[Light]) -> Float[Array, "h w 3"]:
     """Sum of one channel for each light, times the lights' colours."""
     return mix_channels(each, [light.color for light in lights])

@@ -23,7 +23,7 @@ from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.kinds.shadow_views import Projection
 from hyjax.util.geometry import inner
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 
 Vector = tuple[Array, Array, Array]  # by components: see `hyjax.util.geometry` for why
 
@@ -115,7 +115,7 @@ def _fold(x: Array, y: Array) -> tuple[Array, Array]:
     return (1.0 - jnp.abs(y)) * jnp.where(x < 0, -1.0, 1.0), (1.0 - jnp.abs(x)) * jnp.where(y < 0, -1.0, 1.0)
 
 
-@functools.partial(Program, static="interleave")
+@functools.partial(KeptFunction, static="interleave")
 def visibility(
     gbuffer: GBuffer, light: Light, shadow_map: ShadowMap | None, *, interleave: int = 1
 ) -> Float[Array, "h w"]:
@@ -258,4 +258,9 @@ def visibilities(
     """`visibility` of each light, a channel for each."""
     pairs = zip(lights, shadow_maps, strict=True)
     each = [visibility(gbuffer, light, shadow_map, interleave=interleave) for light, shadow_map in pairs]
+    return _stacked(each)
+
+
+@KeptFunction
+def _stacked(each: Sequence[Float[Array, "h w"]]) -> Float[Array, "h w l"]:
     return jnp.stack(each, axis=-1)

@@ -5,9 +5,9 @@ import threading
 from collections.abc import Mapping
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 
+from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.geometry.rasterizer import Rasterizer
 from hyjax.geometry.raycast import RayCaster
 from hyjax.live.mesh import Piece, Region, joined
@@ -29,9 +29,9 @@ class LiveCaster(RayCaster):
         self._lock, self._built = threading.Lock(), None
 
     @functools.cached_property
-    def mesh(self) -> trimesh.Trimesh:  # type: ignore[override]
+    def arrays(self) -> MeshArrays:  # type: ignore[override]
         """All pieces as one mesh, whose faces are numbered as hits are."""
-        return joined(self._pieces)
+        return MeshArrays.of(joined(self._pieces))
 
     @functools.cached_property
     def normals(self) -> Float[np.ndarray, "n 3"]:

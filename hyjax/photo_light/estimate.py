@@ -132,7 +132,7 @@ def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
     """Estimate from the arrays that `estimate_arrays` made."""
     transport = _transport(caster, arrays["hits"], arrays["position"], arrays["normal"])
     parts = ("illuminance", "sources", "mean", "albedo")
-    illuminance, shares, mean, albedo = (jnp.asarray(arrays[name]) for name in parts)
+    illuminance, shares, mean, albedo = (jax.device_put(arrays[name]) for name in parts)
     names = tuple(str(name) for name in arrays["names"])
     flatness = tuple(float(x) for x in arrays["flatness"])
     light = PhotoLight(illuminance, shares, mean, albedo, transport)
@@ -219,9 +219,9 @@ def _albedo(
 
 def _transport(caster: RayCaster, hits: np.ndarray, position: np.ndarray, normal: np.ndarray) -> Transport:
     # Converted by NumPy: every conversion of JAX's is a program of its own.
-    faces, count = jnp.asarray(np.asarray(caster.mesh.faces, np.int32)), len(caster.mesh.vertices)
-    place, facing = (jnp.asarray(np.asarray(a, np.float32)) for a in (position, normal))
-    return Transport(jnp.asarray(hits), faces, place, facing, count)
+    parts = (np.asarray(a, np.float32) for a in (position, normal))
+    faces, place, facing = map(jax.device_put, (np.asarray(caster.arrays.faces, np.int32), *parts))
+    return Transport(jax.device_put(hits), faces, place, facing, len(caster.arrays.vertices))
 
 
 def _direct_by_source(

@@ -2,7 +2,6 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 
 NEAREST, FARTHEST = 0.1, 1.5
 """Metres between the two: short pairs tell little of light that changes slowly."""
@@ -33,6 +32,8 @@ def coplanar_pairs(
     away -= np.einsum("nk,nk->n", away, n)[:, None] * n
     away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
     target = position[first] + away * rng.uniform(NEAREST, FARTHEST, len(n))[:, None]
+    from scipy.spatial import cKDTree  # SciPy is slow to load
+
     astray, nearest = cKDTree(position[candidates]).query(target)
     second = candidates[nearest]
     off = np.abs(np.einsum("nk,nk->n", position[second] - position[first], n))

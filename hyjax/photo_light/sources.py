@@ -24,7 +24,6 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
 
 from hyjax.data.capture import Frame
 from hyjax.data.hand_written import check_keys, read_plain
@@ -249,6 +248,8 @@ def _check_place(where: str, window: PhotoWindow, caster: RayCaster, eyes: Float
     """Raise `InputError` if a window stands off the walls, or looks out of the room."""
     mesh = caster.mesh
     rim = np.concatenate([window.corners, 0.5 * (window.corners + np.roll(window.corners, 1, axis=0))])
+    from scipy.spatial import cKDTree  # SciPy is slow to load
+
     away = cKDTree(_surface_points(mesh)).query(rim)[0]
     low, high = mesh.bounds
     inside = bool(((window.center > low - REACH) & (window.center < high + REACH)).all())

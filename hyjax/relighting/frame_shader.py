@@ -14,7 +14,6 @@ from hyjax.light.shaded import Shaded
 from hyjax.light.view import View
 from hyjax.pipeline import default_shadow_schedule
 from hyjax.relighting.settings import RelightSettings
-from hyjax.scene.blender import BlenderRenderer
 from hyjax.scene.scene import Scene, view_of
 from hyjax.util.clock import StageClock
 from hyjax.util.environment import cores
@@ -47,6 +46,8 @@ class FrameShader:
         )
         maps = None
         if settings.renderer == "blender":
+            from hyjax.scene.blender import BlenderRenderer  # trimesh is slow to load
+
             with clock("blender start"):
                 blender = BlenderRenderer(scene.mesh, setup.lights, shadows=settings.shadows)
                 self._blender = stack.enter_context(blender)

@@ -49,8 +49,8 @@ def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, 
     dim = 1.0 if paper else max(1.0, float(np.percentile(np.asarray(relit.refined), 98)))
     return [
         frame.image,
-        _shown(relit.shading / dim, encoded=paper),
-        _shown(relit.refined / dim, encoded=paper),
+        _shown(np.asarray(relit.shading) / np.float32(dim), encoded=paper),
+        _shown(np.asarray(relit.refined) / np.float32(dim), encoded=paper),
         _shown(relit.visibility, encoded=True),
         _shown(relit.unrefined),
         _shown(relit.image),

@@ -27,7 +27,6 @@ from hyjax.pipeline import Relit, relight_stages
 from hyjax.relighting.frame_shader import FrameShader
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
-from hyjax.scene.blender import blender_python
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.scene import Scene
 from hyjax.util.clock import StageClock, Stopwatch
@@ -42,6 +41,8 @@ _log = logging.getLogger(__name__)
 SHEET_ROWS = 12
 ANOTHERS = ("seed", "repair_mesh", "size", "scale", "strict", *(f.name for f in dataclasses.fields(FusionSettings)))
 """Settings of a scene that was opened before."""
+FEW = 3
+"""Frames that take less time by rays than the rasteriser takes to load."""
 WARM_UP = DEPTH + 2
 """Frames that do not count for frames per second: the first compiles, and others are read meanwhile."""
 
@@ -83,6 +84,8 @@ def relight_capture(
     record = settings.record() | ({} if schedule is None else {"schedule": schedule.name, "kappa": None})
     schedule, guide = schedule or settings.open_schedule(), guide or open_guide(settings.guide)
     if settings.renderer == "blender":
+        from hyjax.scene.blender import blender_python
+
         blender_python()
     device = None
     if settings.renderer == "webgpu":
@@ -134,7 +137,7 @@ def relight_capture(
     run = {
         "frames": summary.written,
         "frames_without_surface": summary.skipped,
-        "mesh_faces": len(scene.mesh.faces),
+        "mesh_faces": len(scene.caster.arrays.faces),
         "size": summary.size,
         "mode": settings.mode,
         "video": settings.video,
@@ -181,11 +184,11 @@ def _relight_frames(
         if frame is None:
             return None
         with clock("g-buffer"):
-            return frame, jax.block_until_ready(scene.gbuffer(frame.camera))
+            return frame, jax.block_until_ready(scene.gbuffer(frame.camera, rays=len(chosen) <= FEW))
 
     def relight_frame(numbered: tuple[int, tuple[Frame, GBuffer]]) -> tuple[Frame, Relit | None]:
         number, (frame, gbuffer) = numbered
-        if not bool(gbuffer.hit.any()):
+        if not np.asarray(gbuffer.hit).any():
             return frame, None
         view, shaded = shader(number, frame, gbuffer)
         with clock("guide"):

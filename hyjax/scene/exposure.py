@@ -4,7 +4,7 @@ import dataclasses
 import logging
 from collections.abc import Sequence
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -51,7 +51,7 @@ class SeenSurface:
             rays = Camera(small, camera.pose).rays().reshape(-1, 3)
             hits = caster.cast(camera.origin, rays)
             points.append(camera.origin + rays[hits.hit] * hits.distance[hits.hit, None])
-            normal = np.asarray(caster.mesh.face_normals)[hits.face[hits.hit]]
+            normal = caster.arrays.face_normals[hits.face[hits.hit]]
             away = np.einsum("nk,nk->n", normal, rays[hits.hit]) > 0
             normals.append(np.where(away[:, None], -normal, normal))
         surface = np.concatenate(points)
@@ -76,12 +76,16 @@ class SeenSurface:
         lit[lit] = ~self._blocked(lit, -travel[None] * np.maximum(t[lit] - OFFSET, 0.0)[:, None])
         return lit
 
-    def lux(self, light: Light) -> Float[np.ndarray, "n"]:
-        """Illuminance of a light on the points, with shadows; times the strongest channel of its colour."""
-        place, facing = (jnp.asarray(each[None], jnp.float32) for each in (self.points, self.normals))
+    def lux(self, lights: Sequence[Light]) -> Float[np.ndarray, "n l"]:
+        """Illuminance of lights on the points, with shadows; times the strongest channels of their colours."""
+        every = np.ones((1, len(self.points)), bool)
+        place, facing = (np.asarray(each[None], np.float32) for each in (self.points, self.normals))
+        points = GBuffer(*map(jax.device_put, (place, facing, every.astype(np.float32), every)))
+        lux = np.asarray(shade_each(points, tuple(lights)))[0]
+        return np.stack([self._reached(light, lux[:, k]) for k, light in enumerate(lights)], axis=-1)
+
+    def _reached(self, light: Light, lux: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         every = np.ones(len(self.points), bool)
-        points = GBuffer(place, facing, jnp.asarray(every[None], jnp.float32), jnp.asarray(every[None]))
-        lux = np.asarray(shade_each(points, (light,)))[0, :, 0]
         if isinstance(light, DirectionalLight) and light.aperture is not None:
             free = self.reached_through(light.aperture, np.asarray(light.direction, float))
         elif isinstance(light, PointLight):
@@ -93,27 +97,29 @@ class SeenSurface:
             free = ~self._blocked(every, 0.97 * (np.asarray(light.center, float) - self.points))
         else:
             free = every
-        return np.where(free, lux, 0.0) * float(np.max(light.color))
+        return np.where(free, lux, 0.0) * float(np.asarray(light.color).max())
 
     def _blocked(self, chosen: Bool[np.ndarray, "n"], to: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m"]:
         start = self.points[chosen] + OFFSET * self.normals[chosen]
         return self.caster.occluded(start, to, 1.0)
 
 
-def exposed(setup: LightSetup, seen: SeenSurface) -> float:
-    """Reference illuminance of a set-up: its own, or more where its lights would burn the pictures out."""
-    shade, every = np.zeros(len(seen.points)), np.zeros(len(seen.points))
-    for light in setup.lights:
-        lux = seen.lux(light)
-        every += lux
-        shade += 0.0 if isinstance(light, DirectionalLight) else lux
-    least = [np.quantile(lux, 0.95) / most for lux, most in ((shade, BRIGHTEST), (every, BRIGHTEST_IN_SUN))]
+def exposed(setup: LightSetup, lux: Float[np.ndarray, "n l"]) -> float:
+    """Reference illuminance of a set-up: its own, or more where its lights would burn the pictures out.
+
+    Args:
+        setup: lights with their usual reference.
+        lux: of each light on what is seen.
+    """
+    shaded = [not isinstance(light, DirectionalLight) for light in setup.lights]
+    shade, every = lux[:, shaded].sum(axis=1), lux.sum(axis=1)
+    least = [np.quantile(each, 0.95) / most for each, most in ((shade, BRIGHTEST), (every, BRIGHTEST_IN_SUN))]
     return max(float(setup.reference_lux), *map(float, least))
 
 
-def warn_of_missing(setup: LightSetup, seen: SeenSurface, name: str) -> None:
+def warn_of_missing(setup: LightSetup, lux: Float[np.ndarray, "n l"], name: str) -> None:
     """Say so where a light of a set-up reaches nothing that the cameras see."""
     for number, light in enumerate(setup.lights):
-        if not light.UNIFORM and float(seen.lux(light).max()) <= 0:
+        if not light.UNIFORM and float(lux[:, number].max()) <= 0:
             kind = type(light).__name__
             _log.warning("%s: light %d (%s) reaches no surface that the cameras see", name, number, kind)

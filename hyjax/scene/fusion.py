@@ -13,6 +13,7 @@ from hyjax.data.frames import spread
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.coverage import Coverage
 from hyjax.geometry.depth_map import NEAR, DepthReading
+from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.tsdf import fuse
 from hyjax.scene.fusion_settings import FusionSettings
@@ -154,7 +155,7 @@ def fuse_capture(
     )
 
 
-def coverage_of(capture: Capture, mesh: trimesh.Trimesh | None, confidence: float = 0.5) -> Coverage:
+def coverage_of(capture: Capture, mesh: trimesh.Trimesh | MeshArrays | None, confidence: float = 0.5) -> Coverage:
     """How much of what a capture's depth maps measured a mesh has; a few of them are looked at."""
     indices = spread(range(capture.depth_count), SAMPLED)
     return Coverage.of(None if mesh is None else RayCaster(mesh), Readings(capture, indices, confidence))

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -177,10 +176,12 @@ def named_setup(name: str, anchors: LightAnchors) -> LightSetup:
     """
     check_setup_name(name)
     setup = SETUPS[name](anchors)
+    lux = anchors.seen.lux(setup.lights)
     if name not in BENCHMARKS:
-        setup = dataclasses.replace(setup, reference_lux=exposed(setup, anchors.seen))
-    warn_of_missing(setup, anchors.seen, name)
-    lights = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), setup.lights)
+        setup = dataclasses.replace(setup, reference_lux=exposed(setup, lux))
+    warn_of_missing(setup, lux, name)
+    # Converted by NumPy: every conversion of JAX's is a program of its own.
+    lights = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), setup.lights))
     return LightSetup(lights, setup.reference_lux)
 
 

@@ -7,18 +7,23 @@ where there are any, and with small holes closed. What it throws on itself for b
 """
 
 import logging
+from typing import TYPE_CHECKING
 
-import trimesh
+import numpy as np
 
 from hyjax.data.capture import Capture
-from hyjax.geometry.hole_closing import close_holes
-from hyjax.geometry.scan import ScanConfig, simulate_sensors
-from hyjax.geometry.tsdf import fuse
-from hyjax.scene.fusion import fuse_capture, plan_fusion
+from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.surfaces import kept
+from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.errors import InputError
+from hyjax.util.files import digest
 
+if TYPE_CHECKING:
+    import trimesh
+
+VERSION = 1
+"""Of how a mesh is completed. Add one whenever it comes out differently."""
 GAP = 0.5
 """Metres: the longest edge that closes a hole."""
 VOXEL = 0.03
@@ -28,8 +33,12 @@ SLACK = 0.03
 _log = logging.getLogger(__name__)
 
 
-def complete(mesh: trimesh.Trimesh, detail: trimesh.Trimesh | None = None) -> trimesh.Trimesh:
+def complete(mesh: "trimesh.Trimesh", detail: "trimesh.Trimesh | MeshArrays | None" = None) -> "trimesh.Trimesh":
     """Occluders of a scan: its surface with small holes closed, and a finer surface of the same place."""
+    import trimesh
+
+    from hyjax.geometry.hole_closing import close_holes
+
     closed = close_holes(mesh, GAP)
     if detail is None:
         return closed
@@ -38,9 +47,18 @@ def complete(mesh: trimesh.Trimesh, detail: trimesh.Trimesh | None = None) -> tr
     return whole
 
 
-def fine_detail(
-    capture: Capture, source: str | None, seed: int = 0, progress: bool = True
-) -> trimesh.Trimesh | None:
+def completed(mesh: MeshArrays, detail: MeshArrays | None = None) -> MeshArrays:
+    """`complete`, kept in the cache folder under what goes into it."""
+
+    def make() -> Arrays:
+        whole = complete(mesh.mesh, detail)
+        return {"vertices": np.asarray(whole.vertices), "faces": np.asarray(whole.faces, np.int32)}
+
+    key = digest([str(VERSION), str(GAP), mesh.key, "" if detail is None else detail.key])
+    return cached_arrays(cache_folder() / f"occluders-{key}.npz", MeshArrays.stored, make)
+
+
+def fine_detail(capture: Capture, source: str | None, seed: int = 0, progress: bool = True) -> MeshArrays | None:
     """Finer surface of a captured place from the depth maps that its mesh was made of; None where there is none.
 
     Args:
@@ -50,7 +68,7 @@ def fine_detail(
         progress: show a bar on stderr.
     """
     if source is None:
-        source = "scan" if capture.reference() is not None else "captured"
+        source = "scan" if capture.has_reference else "captured"
     if source not in ("scan", "captured") or not (source == "scan" or capture.has_mesh):
         return None
     if not capture.depth_count:
@@ -58,6 +76,8 @@ def fine_detail(
     try:
         if source == "scan":
             return kept(f"detail of scan {seed}, {VOXEL:g} m", capture, lambda: _of_scan(capture, seed, progress))
+        from hyjax.scene.fusion import fuse_capture, plan_fusion  # slow to load
+
         plan = plan_fusion(capture, FusionSettings(voxel=VOXEL))
         return kept(repr(plan), capture, lambda: fuse_capture(capture, plan, progress=progress))
     except InputError as error:
@@ -65,7 +85,10 @@ def fine_detail(
         return None
 
 
-def _of_scan(capture: Capture, seed: int, progress: bool) -> trimesh.Trimesh:
+def _of_scan(capture: Capture, seed: int, progress: bool) -> "trimesh.Trimesh":
+    from hyjax.geometry.scan import ScanConfig, simulate_sensors
+    from hyjax.geometry.tsdf import fuse
+
     frames, given = capture.scan_input()
     config = given or ScanConfig()
     views = simulate_sensors(frames, config, seed)

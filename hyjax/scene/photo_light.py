@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -21,7 +22,6 @@ from hyjax.light.setup import LightSetup, same_setup
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate
 from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
-from hyjax.photo_light.source_search import find_photo_sources
 from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.errors import InputError, did_you_mean
@@ -71,12 +71,16 @@ class ScenePhotoLight:
         Raises:
             InputError: the file that names them cannot be used.
         """
-        return cached_arrays(
-            cache_folder() / f"photo-sources-v{VERSION}-{self._key}.npz",
-            sources_from_arrays,
-            lambda: sources_to_arrays(
+
+        def found() -> Arrays:
+            from hyjax.photo_light.source_search import find_photo_sources  # slow to load
+
+            return sources_to_arrays(
                 find_photo_sources(self._capture, self._caster, self._frames, file=self._sources_file)
-            ),
+            )
+
+        return cached_arrays(
+            cache_folder() / f"photo-sources-v{VERSION}-{self._key}.npz", sources_from_arrays, found
         )
 
     @functools.cached_property
@@ -146,21 +150,19 @@ class ScenePhotoLight:
         bulbs = np.array([(*lamp.position, lamp.radius) for lamp in lamps]).reshape(-1, 4)
         sent = radiant_filter(setup.lights, panes, bulbs, float(setup.reference_lux))
         kept = self.kept(setup.existing)[: len(sent)]  # windows, then lamps, as the sources are
-        own, round_, light, left = (jnp.asarray(np.asarray(a, np.float32)) for a in (panes, bulbs, sent, kept))
-        return Emitters(own, round_, light, left, self.estimate.light.mean, jnp.asarray(self._stored[1]))
+        own, round_, light, left = (jax.device_put(np.asarray(a, np.float32)) for a in (panes, bulbs, sent, kept))
+        return Emitters(own, round_, light, left, self.estimate.light.mean, jax.device_put(self._stored[1]))
 
     @functools.cached_property
     def _key(self) -> str:
         """Key of all that decides on the sources and the light. No frame is read for it."""
-        capture, mesh = self._capture, self._caster.mesh
-        surface = (np.ascontiguousarray(part).tobytes() for part in (mesh.vertices, mesh.faces))
+        capture = self._capture
         anchors = sorted(
             (name, sorted((key, np.asarray(value).tolist()) for key, value in place.items()))
             for name, place in capture.anchors.items()
         )
         known = [repr(np.asarray(capture.up).tolist()), repr(anchors), _content(self._sources_file)]
-        hashed = hashlib.sha256(b"".join(surface)).hexdigest()
-        return digest([capture.fingerprint, str(self._size), hashed, *known])
+        return digest([capture.fingerprint, str(self._size), self._caster.arrays.key, *known])
 
     @functools.cached_property
     def _stored(self) -> tuple[Estimate, Float[np.ndarray, "n 3"]]:

@@ -3,16 +3,16 @@
 import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-import trimesh
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit
 from hyjax.data.light_file import is_light_file, read_lights
 from hyjax.geometry.camera import Camera
+from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.gbuffer import GBuffer
@@ -22,14 +22,17 @@ from hyjax.light.setup import LightSetup, same_lights
 from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
-from hyjax.scene.alignment import AlignedCapture, aligned
 from hyjax.scene.light_setups import LightAnchors, check_setup_name, named_setup, survey_capture
-from hyjax.scene.occluders import SLACK, complete, fine_detail
+from hyjax.scene.occluders import SLACK, completed, fine_detail
 from hyjax.scene.photo_light import ScenePhotoLight
 from hyjax.scene.settings import Occluders, SceneSettings, parse_size
-from hyjax.scene.surfaces import surface_of, will_fuse
+from hyjax.scene.surfaces import surface_arrays, will_fuse
+from hyjax.util.cache import cache_folder
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
+
+if TYPE_CHECKING:
+    import trimesh
 
 UNIT_TOLERANCE = 1e-3
 
@@ -61,12 +64,12 @@ class Scene:
     def __init__(
         self,
         capture: Capture,
-        mesh: trimesh.Trimesh,
+        mesh: "trimesh.Trimesh | MeshArrays",
         *,
         size: tuple[int, int] | None = None,
         source: str = "mesh",
         exact: bool = False,
-        detail: Callable[[], trimesh.Trimesh | None] = lambda: None,
+        detail: "Callable[[], trimesh.Trimesh | MeshArrays | None]" = lambda: None,
         photo_sources: Path | None = None,
         progress: bool = False,
     ) -> None:
@@ -106,9 +109,11 @@ class Scene:
             with clock("capture"):
                 capture = settings.open_capture(progress=progress)
         with clock("mesh"):
-            if will_fuse(capture, settings.mesh, settings.fusion):
+            if fuses := will_fuse(capture, settings.mesh, settings.fusion):
+                from hyjax.scene.alignment import AlignedCapture, aligned  # slow to load
+
                 capture = aligned(capture, settings.fusion, progress)
-            source, mesh = surface_of(
+            source, mesh = surface_arrays(
                 capture,
                 settings.mesh,
                 fusion=settings.fusion,
@@ -116,11 +121,10 @@ class Scene:
                 repair=settings.repair_mesh,
                 progress=progress,
             )
-
-            if isinstance(capture, AlignedCapture):
+            if fuses and isinstance(capture, AlignedCapture):
                 source += f", poses aligned ({1000 * float(np.median(capture.moved)):.0f} mm, median)"
 
-            def detail() -> trimesh.Trimesh | None:
+            def detail() -> MeshArrays | None:
                 made = "fused" if source.startswith("fused") else settings.mesh
                 return fine_detail(capture, made, settings.seed, progress)
 
@@ -139,7 +143,7 @@ class Scene:
         return len(self.capture)
 
     @property
-    def mesh(self) -> trimesh.Trimesh:
+    def mesh(self) -> "trimesh.Trimesh":
         """The surface."""
         return self.caster.mesh
 
@@ -153,9 +157,9 @@ class Scene:
             raise InputError(f"frame {index}: the capture has frames 0 to {len(self) - 1}")
         return fit(self.capture[index], self.size)
 
-    def gbuffer(self, camera: Camera) -> GBuffer:
-        """Surface points seen by a camera."""
-        return self.caster.gbuffer(camera)
+    def gbuffer(self, camera: Camera, *, rays: bool = False) -> GBuffer:
+        """Surface points seen by a camera; by single rays, if so, which is sooner for a picture or two."""
+        return self.caster.gbuffer_by_rays(camera) if rays else self.caster.gbuffer(camera)
 
     def view(self, index: int) -> View:
         """View of a frame: its picture, and the surface in it.
@@ -195,7 +199,10 @@ class Scene:
     def occluders(self) -> RayCaster:
         """The mesh that throws shadows: the surface, completed."""
         if self._completed is None:
-            self._completed = RayCaster(complete(self.mesh, self._detail()))
+            detail = self._detail()
+            self._completed = RayCaster(
+                completed(self.caster.arrays, None if detail is None else MeshArrays.of(detail))
+            )
         return self._completed
 
     @property
@@ -214,10 +221,8 @@ class Scene:
         """
         own, last = LightSetup.of(lights).lights, self._maps.get(occluders)
         if last is None or not same_lights(last[0], own):
-            if occluders == "completed":
-                maps = cast_shadow_maps(self.occluders, own, slack=self.slack)
-            else:
-                maps = cast_shadow_maps(self.caster, own)
+            caster, slack = (self.occluders, self.slack) if occluders == "completed" else (self.caster, None)
+            maps = cast_shadow_maps(caster, own, slack=slack, folder=cache_folder() / "shadow-maps")
             self._maps[occluders] = last = own, jax.block_until_ready(maps)
         return last[1]
 
@@ -293,4 +298,4 @@ def view_of(frame: Frame, gbuffer: GBuffer) -> View:
     pose, intrinsics = (
         np.asarray(matrix, np.float32) for matrix in (frame.camera.pose, frame.camera.intrinsics.matrix)
     )
-    return View.of(jnp.asarray(frame.image), gbuffer, pose=pose, intrinsics=intrinsics)
+    return View.of(jax.device_put(frame.image), gbuffer, pose=pose, intrinsics=intrinsics)

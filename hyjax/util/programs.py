@@ -7,6 +7,7 @@ only its owner can write to.
 """
 
 import functools
+import glob
 import hashlib
 import logging
 import math
@@ -23,13 +24,19 @@ import jax
 import numpy as np
 from jax.experimental import serialize_executable
 
+from hyjax.util.cache import remove_oldest, touch
+from hyjax.util.files import atomic_write
+
 P = ParamSpec("P")
 T = TypeVar("T", covariant=True)
 SOURCES = ("core", "light", "util", "pipeline.py")
 """What a kept program may be made of: the pure layers."""
+MOST_BYTES = 300_000_000
+"""Of kept programs, some four million a size of picture; those that were used longest ago go first."""
 LEAST_SECONDS = "jax_persistent_cache_min_compile_time_secs"
 _log = logging.getLogger(__name__)
 _folder: Path | None = None
+_told = False
 _lock = threading.Lock()
 
 
@@ -39,7 +46,7 @@ def keep_programs(folder: Path | None) -> None:
     _folder = folder
 
 
-class Program(Generic[P, T]):
+class KeptFunction(Generic[P, T]):
     """A function as `jax.jit` makes it, whose compiled programs are kept.
 
     To be used as a decorator, on functions of the pure layers. Arguments whose class is not this package's, such as
@@ -80,18 +87,22 @@ class Program(Generic[P, T]):
         function = functools.partial(self._function, **given)
         if _folder is None or len(jax.local_devices()) > 1 or not all(map(_is_known, _node_types(tree))):
             return functools.partial(self._jitted, **given)
-        told = repr(
-            (self._name, static, str(tree), [(shape, str(dtype)) for shape, dtype in shapes], _surroundings())
-        )
-        file = _folder / f"{self._name}-{hashlib.sha256(told.encode()).hexdigest()[:32]}.program"
+        told = repr((static, str(tree), [(shape, str(dtype)) for shape, dtype in shapes]))
+        here = f"{self._name}-{_surroundings()}"
+        file = _folder / f"{here}-{hashlib.sha256(told.encode()).hexdigest()[:24]}.program"
         if file.is_file():
             try:
-                return _read(file, tree)
+                program = _read(file, tree)
+                touch(file)
+                return program
             except Exception as error:  # Damage shows itself in a dozen ways; all mean the same.
                 _log.warning("%s: damaged (%s), it is made again", file, error)
+        else:
+            _tell_of_others(_folder, self._name, here)
         compiled = _compile_anew(function, self._name, args, kwargs)
         try:
             _write(file, compiled)
+            remove_oldest(_folder, "*.program", MOST_BYTES)
         except Exception as error:  # of JAX, for what cannot be serialised, or of a full disk: costs time only
             _log.info("%s: not kept (%s)", file, error)
         return compiled
@@ -122,8 +133,6 @@ def _read(file: Path, tree: Any) -> Callable[..., Any]:
 
 
 def _write(file: Path, compiled: jax.stages.Compiled) -> None:
-    from hyjax.util.files import atomic_write
-
     payload, _, out_tree = serialize_executable.serialize(compiled)
     content = pickle.dumps((payload, out_tree))
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -143,9 +152,18 @@ def _is_known(node: type) -> bool:
     return node.__module__.split(".")[0] in ("builtins", "hyjax")
 
 
+def _tell_of_others(folder: Path, name: str, here: str) -> None:
+    """One line, once, where a function has programs of elsewhere in the folder and none of here."""
+    global _told
+    kept = [file.name for file in folder.glob(f"{glob.escape(name)}-*.program")]
+    if not _told and kept and not any(each.startswith(f"{here}-") for each in kept):
+        _told = True
+        _log.warning("%s: programs in it are of another version or machine, they are made anew", folder)
+
+
 @functools.cache
-def _surroundings() -> tuple[str, ...]:
-    """All that a compiled program depends on beside its function and its arguments."""
+def _surroundings() -> str:
+    """Key of all that a compiled program depends on beside its function and its arguments."""
     package, sources = Path(__file__).parents[1], hashlib.sha256()
     for place in SOURCES:
         for file in sorted((package / place).rglob("*.py")) or [package / place]:
@@ -156,4 +174,5 @@ def _surroundings() -> tuple[str, ...]:
     options = sorted(f"{k}={v}" for k, v in os.environ.items() if k.startswith(("XLA_", "JAX_")))
     options += [str(getattr(jax.config, name)) for name in ("jax_enable_x64", "jax_default_matmul_precision")]
     machine = platform.machine(), device.platform, device.device_kind, device.client.platform_version, *features
-    return sources.hexdigest(), jax.__version__, jax.lib.__version__, str(os.cpu_count()), *machine, *options
+    versions = sources.hexdigest(), jax.__version__, jax.lib.__version__, str(os.cpu_count())
+    return hashlib.sha256(repr((*versions, *machine, *options)).encode()).hexdigest()[:12]

@@ -21,7 +21,7 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.mesh import save_mesh
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.tsdf import fuse
-from hyjax.scene import surfaces
+from hyjax.scene import fusion
 from hyjax.scene.surfaces import surface_of
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image, write_png
@@ -286,7 +286,7 @@ def test_a_captured_mesh_is_repaired(scan: Path) -> None:
 
 def test_without_a_mesh_the_asset_is_named(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(surfaces, "fuse_capture", lambda *_, **__: BOX)
+    monkeypatch.setattr(fusion, "fuse_capture", lambda *_, **__: BOX)
     (scan / f"{VIDEO}_3dod_mesh.ply").unlink()
     capture = open_arkit_scenes(scan)
     assert capture.mesh_file is None

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.rasterizer import Rasterizer, camera_view
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import MapLayout
+from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
 
 seeds = st.integers(0, 2**31)
@@ -66,14 +68,15 @@ def beside_edges(mesh: trimesh.Trimesh, camera: Camera, pixels: float) -> np.nda
     return np.ptp(found, axis=0) > 0
 
 
-@given(seeds, st.sampled_from([0.0, 1000.0]))
-@settings(max_examples=30)
-def test_pictures_are_those_of_rays(seed: int, away: float) -> None:
+@given(seeds, st.sampled_from([0.0, 1000.0]), st.sampled_from([RayCaster.gbuffer, RayCaster.gbuffer_by_rays]))
+@settings(max_examples=40)
+def test_pictures_are_those_of_rays(seed: int, away: float, method: Callable[..., GBuffer]) -> None:
     rng = np.random.default_rng(seed)
     centre = np.full(3, away)
     mesh, camera = clutter(rng, centre), camera_in(rng, centre)
     caster = RayCaster(mesh)
-    seen = {name: np.asarray(getattr(caster.gbuffer(camera), name)) for name in FIELDS}
+    gbuffer = method(caster, camera)
+    seen = {name: np.asarray(getattr(gbuffer, name)) for name in FIELDS}
     rays = camera.rays()
     hits = caster.cast(camera.origin, rays.reshape(-1, 3))
     # Float32 of a ray of Embree and of a mesh far from the origin is what these compare to.

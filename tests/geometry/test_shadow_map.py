@@ -1,7 +1,12 @@
 """The squares of directions that shadow maps are."""
 
+import dataclasses
 import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,9 +14,10 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyjax import Aperture, DirectionalLight, GBuffer, PointLight, visibility
+from hyjax import AmbientLight, Aperture, DirectionalLight, GBuffer, PointLight, visibility
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.kinds import Light
 from hyjax.light.kinds.shadow_views import ParallelViews, RadialViews
 from hyjax.light.shadow_map import map_coordinates, map_rays
 
@@ -90,3 +96,38 @@ def test_thinned_views_are_some_of_all(count: int, most: int) -> None:
     steps = np.diff(radial.origins[:, 0])
     assert (steps == 3.0 * -(-count // most)).all()
     np.testing.assert_array_equal(ParallelViews(numbers).thinned(most).directions, radial.origins)
+
+
+def test_kept_maps_are_found_by_mesh_and_light(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[int] = []
+    monkeypatch.setattr(RayCaster, "distances", counted(RayCaster.distances, drawn))
+    box = trimesh.creation.box((4.0, 4.0, 4.0))
+    window = Aperture(jnp.array([0.0, 0, 1]), jnp.array([0.0, 1, 0]), jnp.array([0.0, 0, 0.5]))
+    lights: list[Light] = [
+        PointLight(jnp.zeros(3), 9.0, jnp.ones(3)),
+        PointLight(jnp.zeros(3), 9.0, jnp.ones(3), clearance=0.5),
+        PointLight(jnp.ones(3), 9.0, jnp.ones(3)),
+        DirectionalLight(jnp.array([1.0, 0, -1]), 9.0, jnp.ones(3)),
+        DirectionalLight(jnp.array([1.0, 0, -1]), 9.0, jnp.ones(3), aperture=window),
+        AmbientLight(9.0, jnp.ones(3)),
+    ]
+    anew = cast_shadow_maps(RayCaster(box), lights, 0.05, 0.03)
+    made = cast_shadow_maps(RayCaster(box), lights, 0.05, 0.03, folder=tmp_path)
+    drawn.clear()
+    found = cast_shadow_maps(RayCaster(box), lights, 0.05, 0.03, folder=tmp_path)
+    assert not drawn and len(list(tmp_path.iterdir())) == 5  # of all but the ambient light
+    for one, other, third in zip(jax.tree.leaves(anew), jax.tree.leaves(made), jax.tree.leaves(found), strict=True):
+        np.testing.assert_array_equal(one, other)
+        np.testing.assert_array_equal(one, third)
+    cast_shadow_maps(RayCaster(box), [dataclasses.replace(lights[0], luminous_flux=1.0)], 0.05, folder=tmp_path)
+    assert not drawn  # another strength throws the same shadows
+    cast_shadow_maps(RayCaster(trimesh.creation.box((4.0, 4.0, 5.0))), lights[:1], 0.05, folder=tmp_path)
+    assert drawn
+
+
+def counted(function: Callable[..., Any], calls: list[int]) -> Callable[..., Any]:
+    def call(*arguments: Any) -> Any:
+        calls.append(1)
+        return function(*arguments)
+
+    return call

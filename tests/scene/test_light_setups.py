@@ -169,9 +169,9 @@ def test_unknown_names_and_unseen_meshes_are_refused(box: RayCaster) -> None:
 def test_the_sun_turns_to_what_is_seen_and_lamps_do_not_burn_out(box: RayCaster) -> None:
     stage = survey(box, BOX_CAMERAS, UP)
     (sun,) = [x for x in named_setup("golden-hour", stage).lights if isinstance(x, DirectionalLight)]
-    assert stage.seen.lux(sun).max() > 0
+    assert stage.seen.lux([sun]).max() > 0
     evening = named_setup("evening-lamps", stage)
-    lux = sum(stage.seen.lux(light) for light in evening.lights)
+    lux = stage.seen.lux(evening.lights).sum(axis=1)
     assert np.quantile(lux, 0.95) < 1.6 * float(evening.reference_lux)
 
 
@@ -183,7 +183,7 @@ def test_the_papers_set_ups_keep_their_exposure(box: RayCaster) -> None:
 def test_a_light_that_misses_the_view_is_told(box: RayCaster, caplog: pytest.LogCaptureFixture) -> None:
     stage = survey(box, BOX_CAMERAS, UP)
     behind = PointLight(np.array([0.0, 30.0, 1.0]), 900.0, np.ones(3))
-    warn_of_missing(LightSetup((behind,), 100.0), stage.seen, "mine")
+    warn_of_missing(LightSetup((behind,), 100.0), stage.seen.lux([behind]), "mine")
     assert [record.getMessage() for record in caplog.records] == [
         "mine: light 0 (PointLight) reaches no surface that the cameras see"
     ]

@@ -133,7 +133,7 @@ def test_frames_are_checked_before_the_mesh_is_made(tmp_path: Path, monkeypatch:
     def made(*_: Any, **__: Any) -> None:
         raise AssertionError("the mesh was made")
 
-    monkeypatch.setattr(scene_module, "surface_of", made)
+    monkeypatch.setattr(scene_module, "surface_arrays", made)
     settings = RelightSettings(SceneSettings(tmp_path), frames="7", out=tmp_path / "out", quiet=True)
     with pytest.raises(InputError, match="past the end; the capture has frames 0 to 1"):
         relight_capture(settings)

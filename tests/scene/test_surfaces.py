@@ -11,9 +11,10 @@ import trimesh
 from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.registry import open_capture
+from hyjax.geometry import scan
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.mesh import save_mesh
-from hyjax.scene import surfaces
+from hyjax.scene import fusion
 from hyjax.scene.fusion import FusionPlan
 from hyjax.scene.fusion_settings import MAX_FUSED_FRAMES, FusionSettings
 from hyjax.scene.surfaces import surface_of
@@ -66,8 +67,8 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Made:
             calls[-1] = f"fuse {len(plan.indices)} at {plan.voxel}"
         return trimesh.creation.icosphere(1, radius=1.0 + 0.1 * len(calls))
 
-    monkeypatch.setattr(surfaces, "fuse_capture", lambda *a, **_: stub("fuse", *a))
-    monkeypatch.setattr(surfaces, "simulate_scan", lambda *a, **_: stub(f"scan {a[2]}", *a))
+    monkeypatch.setattr(fusion, "fuse_capture", lambda *a, **_: stub("fuse", *a))
+    monkeypatch.setattr(scan, "simulate_scan", lambda *a, **_: stub(f"scan {a[2]}", *a))
     return calls
 
 
@@ -88,7 +89,7 @@ def test_made_once_and_read_after_that(cache: Path, made: Made) -> None:
     first, second = get(Wall()), get(Wall())
     assert made == ["fuse 3 at 0.03"] and same(first, second)
     (file,) = [entry for entry in cache.iterdir() if entry.is_file()]
-    assert file.suffix == ".ply" and not file.name.startswith(".")
+    assert file.suffix == ".npz" and not file.name.startswith(".")
 
 
 def test_the_key_holds_all_that_the_surface_depends_on(cache: Path, made: Made) -> None:
@@ -149,9 +150,9 @@ def test_a_damaged_cache_is_made_again_with_a_line(
     cache: Path, made: Made, damage: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     get(Wall())
-    (file,) = cache.glob("*.ply")
+    (file,) = cache.glob("*.npz")
     content = file.read_bytes()
-    file.write_bytes({"empty": b"", "truncated": content[: len(content) // 2], "garbage": b"ply?" * 99}[damage])
+    file.write_bytes({"empty": b"", "truncated": content[: len(content) // 2], "garbage": b"npz?" * 99}[damage])
     again = get(Wall())
     assert len(made) == 2 and len(again.faces) == 80
     (line,) = (record.getMessage() for record in caplog.records if "made again" in record.getMessage())

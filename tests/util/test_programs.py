@@ -13,7 +13,7 @@ import pytest
 from hyjax.light.kinds import AmbientLight, PointLight, pytree
 from hyjax.light.setup import LightSetup
 from hyjax.util import programs
-from hyjax.util.programs import Program
+from hyjax.util.programs import KeptFunction
 
 RUN = """
 import logging, sys
@@ -87,11 +87,11 @@ def scaled(x: jax.Array, factor: float) -> jax.Array:
 
 
 def test_a_program_is_the_function(folder: Path) -> None:
-    program = Program(scaled)
+    program = KeptFunction(scaled)
     x = jnp.arange(3.0)
     np.testing.assert_array_equal(program(x, 2.0), 2.0 * x)
     np.testing.assert_array_equal(program(x, factor=3.0), 3.0 * x)
-    np.testing.assert_array_equal(Program(scaled)(x, 4.0), 4.0 * x)  # read from the folder
+    np.testing.assert_array_equal(KeptFunction(scaled)(x, 4.0), 4.0 * x)  # read from the folder
     assert float(jax.grad(lambda factor: program(x, factor).sum())(1.0)) == 3.0
     np.testing.assert_array_equal(jax.vmap(program, (0, None))(x, 2.0), 2.0 * x)
     assert program(jnp.arange(3), 2).dtype == jnp.int32
@@ -99,12 +99,33 @@ def test_a_program_is_the_function(folder: Path) -> None:
 
 
 def test_trees_and_their_fixed_parts_tell_programs_apart(folder: Path) -> None:
-    first = Program(lambda tree: jax.tree.leaves(tree)[0] + len(tree))
+    first = KeptFunction(lambda tree: jax.tree.leaves(tree)[0] + len(tree))
     assert int(first({"a": jnp.int32(1)})) == 2 and int(first({"a": jnp.int32(1), "b": jnp.int32(5)})) == 3
     lights = AmbientLight(1.0, (1.0, 1.0, 1.0)), PointLight((0.0, 0.0, 0.0), 1.0, (1.0, 1.0, 1.0))
     for light in lights:
-        Program(lambda light: light.color)(LightSetup((light,)).lights[0])
+        KeptFunction(lambda light: light.color)(LightSetup((light,)).lights[0])
     assert len(list(folder.iterdir())) == 4
+
+
+def test_programs_of_another_version_are_made_anew_with_one_line(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    KeptFunction(scaled)(jnp.ones(2), 2.0)
+    KeptFunction(scaled)(jnp.ones(3), 2.0)
+    assert not caplog.records  # another shape is no other version
+    monkeypatch.setattr(programs, "_surroundings", lambda: "another")
+    monkeypatch.setattr(programs, "_told", False)
+    for size in (2, 3):
+        KeptFunction(scaled)(jnp.ones(size), 2.0)
+    (line,) = (record.getMessage() for record in caplog.records)
+    assert line == f"{folder}: programs in it are of another version or machine, they are made anew"
+    assert len(list(folder.iterdir())) == 4
+
+
+def test_the_folder_has_a_bound(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(programs, "MOST_BYTES", 0)
+    np.testing.assert_array_equal(KeptFunction(scaled)(jnp.ones(2), 2.0), [2.0, 2.0])
+    assert not list(folder.iterdir())
 
 
 def test_code_from_outside_is_not_kept(folder: Path) -> None:
@@ -112,11 +133,11 @@ def test_code_from_outside_is_not_kept(folder: Path) -> None:
     class Torch(AmbientLight):
         """A kind of light whose code may change from one run to the next."""
 
-    assert np.allclose(Program(lambda light: light.color)(Torch(1.0, (1.0, 1.0, 1.0))), 1.0)
+    assert np.allclose(KeptFunction(lambda light: light.color)(Torch(1.0, (1.0, 1.0, 1.0))), 1.0)
     assert not list(folder.iterdir())
 
 
 def test_a_folder_that_cannot_be_written_costs_time_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(programs, "_folder", tmp_path / "file")
-    np.testing.assert_array_equal(Program(scaled)(jnp.ones(2), 2.0), [2.0, 2.0])
+    np.testing.assert_array_equal(KeptFunction(scaled)(jnp.ones(2), 2.0), [2.0, 2.0])
