@@ -24,9 +24,10 @@ from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera
 from hyjax.guide.choose import RGB, FrameGuide, open_guide
 from hyjax.light.gbuffer import GBuffer
+from hyjax.light.relit import Relit
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.metrics import LpipsWeights
-from hyjax.pipeline import Mode, Relit, TemporalFilter
+from hyjax.pipeline import Mode, TemporalFilter
 from hyjax.relighting.settings import Renderer
 from hyjax.scene.blender import BlenderRenderer
 from hyjax.scene.scene import Scene

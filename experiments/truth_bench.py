@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.truth_room import TruthCapture, load_truth_room
-from hyjax.light.photo_light import SurfaceLight, bounced_light
+from hyjax.light.photo_light import LEAST_PHOTO_LIGHT, SurfaceLight, bounced_light
 from hyjax.light.setup import LightSetup
 from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate
-from hyjax.pipeline import LEAST_PHOTO_LIGHT
 from hyjax.scene.photo_light import VERSION
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings

@@ -13,11 +13,12 @@ from experiments.truth_bench import TruthBench
 from experiments.truth_camera import Exposed, camera_response, exposed_light
 from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
-from hyjax.light.photo_light import SurfaceLight
+from hyjax.light.photo_light import LEAST_PHOTO_LIGHT, SurfaceLight
+from hyjax.light.relit import Relit, composite_linear
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
 from hyjax.light.view import View
-from hyjax.pipeline import LEAST_PHOTO_LIGHT, Relit, composite_linear, refine_visibility, relight
+from hyjax.pipeline import refine_visibility, relight
 
 PHOTO, BARE, MEAN, PAPER = "untouched photo", "bare mesh", "mean colour", "paper's method"
 OPENCV, TODAY = "OpenCV's global smoother", "hyjax 0.1"

@@ -43,7 +43,7 @@ from .light.shadow_map import visibilities as visibilities
 from .light.shadow_map import visibility as visibility
 from .light.view import View as View
 from .metrics import losses as losses
-from .pipeline import Relit as Relit
+from .light.relit import Relit as Relit
 from .pipeline import relight as relight
 from .pipeline import relight_stages as relight_stages
 from .relighting.run import relight_capture as relight_capture

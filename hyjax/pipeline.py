@@ -10,9 +10,8 @@ both on from its surroundings; so does the visibility of a light on surfaces tur
 well be lit or shadowed as their neighbours are.
 """
 
-import dataclasses
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any, Literal, get_args
 
 import jax
@@ -24,9 +23,8 @@ from hyjax.core.cascade import cascade
 from hyjax.core.pyramid import level_shape
 from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.core.schedule import Schedule
-from hyjax.light.color import to_display, to_linear
-from hyjax.light.compositing import composite
-from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
+from hyjax.light.color import to_display
+from hyjax.light.relit import Relit, compared, composite_display, ratio, relit_picture
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
 from hyjax.light.view import View
@@ -38,28 +36,6 @@ Mode = Literal["linear", "paper"]
 TemporalFilter = Callable[
     [Float[Array, "h w c"], Float[Array, "h w l"]], tuple[Float[Array, "h w c"], Float[Array, "h w l"]]
 ]
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True, eq=False)
-class Relit:
-    """Stages of a relit frame. Filters are linear in mode `linear`, display-encoded in mode `paper`.
-
-    Attributes:
-        shading: raw relight filter R without shadows; zero where the mesh has no surface.
-        refined: the filter after the cascade, without shadows.
-        visibility: what the refined shadows leave of it, in [0, 1].
-        relight_filter: refined filter with refined shadows: what the frame is multiplied with.
-        unrefined: the frame times the raw filter with its raw shadows, to compare with; linear.
-        image: the relit frame; linear.
-    """
-
-    shading: Float[Array, "h w 3"]
-    refined: Float[Array, "h w 3"]
-    visibility: Float[Array, "h w 3"]
-    relight_filter: Float[Array, "h w 3"]
-    unrefined: Float[Array, "h w 3"]
-    image: Float[Array, "h w 3"]
 
 
 def relight(
@@ -174,7 +150,7 @@ def relight_stages(
         yield "temporal filter", (illuminance, visibility)
     relight_filter, image = relit_picture(view.frame, shaded, illuminance, visibility)
     yield "composite", image
-    yield "comparison", _compared(view.frame, shaded, illuminance, visibility, relight_filter, image)
+    yield "comparison", compared(view.frame, shaded, illuminance, visibility, relight_filter, image)
 
 
 def default_shadow_schedule(mode: Mode) -> Schedule:
@@ -211,105 +187,6 @@ def _lit(illuminance: Float[Array, "h w l"], confidence: Float[Array, "h w 1"]) 
     return (illuminance > 0) & (confidence > 0)
 
 
-def composite_linear(
-    frame: Float[Array, "h w 3"],
-    shaded: Shaded,
-    illuminance: Float[Array, "h w c"],
-    visibility: Float[Array, "h w l"],
-) -> Relit:
-    """Relit picture in linear light (Eq. 1), with what it came from.
-
-    Args:
-        frame: camera picture, linear.
-        shaded: light before the refinement.
-        illuminance: see `refine_illuminance`.
-        visibility: see `refine_visibility`.
-    """
-    relight_filter, image = relit_picture(frame, shaded, illuminance, visibility)
-    return _compared(frame, shaded, illuminance, visibility, relight_filter, image)
-
-
-@KeptFunction
-def relit_picture(
-    frame: Float[Array, "h w 3"],
-    shaded: Shaded,
-    illuminance: Float[Array, "h w c"],
-    visibility: Float[Array, "h w l"],
-) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
-    """Relight filter and relit picture, linear; arguments as of `composite_linear`."""
-    direct, fields = _split(illuminance, shaded)
-    light = _light(direct * visibility, shaded, fields)
-    relight_filter = _or_ambient(_divide(light, shaded, fields), shaded)
-    return relight_filter, _with_emission(composite(relight_filter, frame), light, shaded)
-
-
-@KeptFunction
-def _compared(
-    frame: Float[Array, "h w 3"],
-    shaded: Shaded,
-    illuminance: Float[Array, "h w c"],
-    visibility: Float[Array, "h w l"],
-    relight_filter: Float[Array, "h w 3"],
-    image: Float[Array, "h w 3"],
-) -> Relit:
-    """All stages of a relit frame."""
-    samples = (
-        _divide(_light(channels, shaded, shaded.surface_fields), shaded, shaded.surface_fields)
-        for channels in (shaded.illuminance, shaded.illuminance * shaded.visibility)
-    )
-    raw, raw_shadowed = (_repeated(each, shaded.sampling, frame.shape) for each in samples)
-    direct, fields = _split(illuminance, shaded)
-    refined = _or_ambient(_divide(_light(direct, shaded, fields), shaded, fields), shaded)
-    visible, unrefined = _ratio(relight_filter, refined), composite(raw_shadowed, frame)
-    unrefined = _with_emission(unrefined, _light(direct * visibility, shaded, fields), shaded)
-    return Relit(raw, refined, visible, relight_filter, unrefined, image)
-
-
-def _split(
-    illuminance: Float[Array, "h w c"], shaded: Shaded
-) -> tuple[Float[Array, "h w l"], list[Float[Array, "h w 3"]]]:
-    """Channels of the lights, and fields of three channels each."""
-    count = shaded.illuminance.shape[-1]
-    rest = illuminance[..., count:]
-    return illuminance[..., :count], jnp.split(rest, rest.shape[-1] // 3, axis=-1) if rest.shape[-1] else []
-
-
-def _or_ambient(relight_filter: Float[Array, "h w 3"], shaded: Shaded) -> Float[Array, "h w 3"]:
-    """The filter; the ambient lights' where nothing of the frame is known."""
-    return jnp.where(jnp.any(shaded.confidence > 0), relight_filter, shaded.ambient)
-
-
-def _with_emission(
-    picture: Float[Array, "h w 3"], light: Float[Array, "h w 3"], shaded: Shaded
-) -> Float[Array, "h w 3"]:
-    """The picture with what shines by itself, and reflects light."""
-    source = shaded.emission
-    if source is None:
-        return picture
-    return picture + source.weight * (source.sent + source.reflectance * light - picture)
-
-
-def _repeated(samples: Float[Array, "sh sw 3"], sampling: int, shape: tuple[int, ...]) -> Float[Array, "h w 3"]:
-    """Each sample for its whole block of pixels."""
-    whole = jnp.repeat(jnp.repeat(samples, sampling, axis=0), sampling, axis=1) if sampling > 1 else samples
-    return whole[: shape[0], : shape[1]]
-
-
-def _light(
-    channels: Float[Array, "h w l"], shaded: Shaded, fields: Sequence[Float[Array, "h w 3"]]
-) -> Float[Array, "h w 3"]:
-    """New light, direct and bounced, over the reference illuminance."""
-    light = mix_channels(channels, shaded.colors)
-    return (light if shaded.bounced is None else light + fields[0]) / shaded.reference_lux
-
-
-def _divide(
-    light: Float[Array, "h w 3"], shaded: Shaded, fields: Sequence[Float[Array, "h w 3"]]
-) -> Float[Array, "h w 3"]:
-    """Relight filter: new light over the light of the photo."""
-    return light if shaded.photo_light is None else light / jnp.maximum(fields[-1], LEAST_PHOTO_LIGHT)
-
-
 def _paper_stages(
     view: View, shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule, shadow_schedule: Schedule
 ) -> Iterator[tuple[str, Any]]:
@@ -318,9 +195,9 @@ def _paper_stages(
     raw_shadowed = _rendered(shaded.illuminance * shaded.visibility, shaded.colors, shaded.reference_lux)
     refined = cascade(raw, guide, schedule)
     yield "cascade", refined
-    visible = shadow_pass(_ratio(raw_shadowed, raw), guide, shadow_schedule)
+    visible = shadow_pass(ratio(raw_shadowed, raw), guide, shadow_schedule)
     yield "shadow pass", visible
-    relit = _composite_display(view.frame, raw, raw_shadowed, refined, visible)
+    relit = composite_display(view.frame, raw, raw_shadowed, refined, visible)
     yield "composite", relit.image
     yield "comparison", relit
 
@@ -330,22 +207,3 @@ def _rendered(
     illuminance: Float[Array, "h w l"], colors: Float[Array, "l 3"], reference_lux: Float[ArrayLike, ""]
 ) -> Float[Array, "h w 3"]:
     return to_display(mix_channels(illuminance, colors) / reference_lux)
-
-
-@jax.jit
-def _composite_display(
-    frame: Float[Array, "h w 3"],
-    raw: Float[Array, "h w 3"],
-    raw_shadowed: Float[Array, "h w 3"],
-    refined: Float[Array, "h w 3"],
-    visible: Float[Array, "h w 3"],
-) -> Relit:
-    display, relight_filter = to_display(frame), refined * visible
-    unrefined, image = (to_linear(composite(f, display)) for f in (raw_shadowed, relight_filter))
-    return Relit(raw, refined, visible, relight_filter, unrefined, image)
-
-
-@jax.jit
-def _ratio(part: Float[Array, "h w 3"], whole: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
-    """Share of `whole` in `part`, in [0, 1]; 1 where the whole is nothing."""
-    return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 1.0)

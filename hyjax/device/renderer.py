@@ -16,9 +16,9 @@ from hyjax.device.webgpu import Engine, open_device
 from hyjax.geometry.camera import Camera
 from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters
+from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import ambient_filter
-from hyjax.pipeline import Relit
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import Occluders
 from hyjax.util.errors import InputError

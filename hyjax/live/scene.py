@@ -25,6 +25,7 @@ from hyjax.data.frames import fit
 from hyjax.geometry.camera import Camera, Intrinsics, check_pose
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.light.kinds import Light
+from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup, geometry_key
 from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
@@ -33,7 +34,7 @@ from hyjax.live.caster import LiveCaster
 from hyjax.live.mesh import LiveMesh
 from hyjax.live.shadow import LiveShadowMaps, LiveSurface
 from hyjax.live.volume import MOST_BLOCKS, LiveVolume, make_pool
-from hyjax.pipeline import Relit, relight
+from hyjax.pipeline import relight
 from hyjax.scene.occluders import SLACK
 from hyjax.scene.scene import view_of
 from hyjax.util.errors import InputError

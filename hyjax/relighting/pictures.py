@@ -8,7 +8,8 @@ from jaxtyping import Array, Float
 
 from hyjax.data.capture import Frame
 from hyjax.light.color import to_display, to_linear
-from hyjax.pipeline import Mode, Relit
+from hyjax.light.relit import Relit
+from hyjax.pipeline import Mode
 from hyjax.relighting.settings import RelightSettings
 from hyjax.util.clock import StageClock
 from hyjax.util.images import write_exr, write_png

@@ -22,8 +22,9 @@ from hyjax.data.light_file import write_lights
 from hyjax.guide.choose import FrameGuide, open_guide
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light, kind_name
+from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
-from hyjax.pipeline import Relit, relight_stages
+from hyjax.pipeline import relight_stages
 from hyjax.relighting.frame_shader import FrameShader
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings

@@ -13,10 +13,10 @@ from hyjax.core.diffusion import conductance
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.light.color import to_display
+from hyjax.light.relit import composite_linear
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.light.view import View
-from hyjax.pipeline import composite_linear
 from hyjax.tour.viewpoint import Shown
 
 CHANNELS = 2

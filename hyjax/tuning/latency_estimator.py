@@ -8,10 +8,11 @@ import jax
 import jax.numpy as jnp
 
 from hyjax.core.schedule import Schedule, guided_schedule
+from hyjax.light.relit import composite_linear
 from hyjax.light.shading import shade_each
 from hyjax.light.shadow_map import visibilities
 from hyjax.light.view import View
-from hyjax.pipeline import composite_linear, refine_visibility, relight
+from hyjax.pipeline import refine_visibility, relight
 from hyjax.tuning import calibration
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.cases import Case

@@ -1,0 +1,163 @@
+"""Relit picture: the frame times its refined filter (Eq. 1), and the stages that it is compared with."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hyjax.light.color import to_display, to_linear
+from hyjax.light.compositing import composite
+from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
+from hyjax.light.shaded import Shaded
+from hyjax.light.shading import mix_channels
+from hyjax.util.programs import KeptFunction
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Relit:
+    """Stages of a relit frame. Filters are linear in mode `linear`, display-encoded in mode `paper`.
+
+    Attributes:
+        shading: raw relight filter R without shadows; zero where the mesh has no surface.
+        refined: the filter after the cascade, without shadows.
+        visibility: what the refined shadows leave of it, in [0, 1].
+        relight_filter: refined filter with refined shadows: what the frame is multiplied with.
+        unrefined: the frame times the raw filter with its raw shadows, to compare with; linear.
+        image: the relit frame; linear.
+    """
+
+    shading: Float[Array, "h w 3"]
+    refined: Float[Array, "h w 3"]
+    visibility: Float[Array, "h w 3"]
+    relight_filter: Float[Array, "h w 3"]
+    unrefined: Float[Array, "h w 3"]
+    image: Float[Array, "h w 3"]
+
+
+def composite_linear(
+    frame: Float[Array, "h w 3"],
+    shaded: Shaded,
+    illuminance: Float[Array, "h w c"],
+    visibility: Float[Array, "h w l"],
+) -> Relit:
+    """Relit picture in linear light (Eq. 1), with what it came from.
+
+    Args:
+        frame: camera picture, linear.
+        shaded: light before the refinement.
+        illuminance: see `refine_illuminance`.
+        visibility: see `refine_visibility`.
+    """
+    relight_filter, image = relit_picture(frame, shaded, illuminance, visibility)
+    return compared(frame, shaded, illuminance, visibility, relight_filter, image)
+
+
+@KeptFunction
+def relit_picture(
+    frame: Float[Array, "h w 3"],
+    shaded: Shaded,
+    illuminance: Float[Array, "h w c"],
+    visibility: Float[Array, "h w l"],
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
+    """Relight filter and relit picture, linear; arguments as of `composite_linear`."""
+    direct, fields = _split(illuminance, shaded)
+    light = _light(direct * visibility, shaded, fields)
+    relight_filter = _or_ambient(_divide(light, shaded, fields), shaded)
+    return relight_filter, _with_emission(composite(relight_filter, frame), light, shaded)
+
+
+@KeptFunction
+def compared(
+    frame: Float[Array, "h w 3"],
+    shaded: Shaded,
+    illuminance: Float[Array, "h w c"],
+    visibility: Float[Array, "h w l"],
+    relight_filter: Float[Array, "h w 3"],
+    image: Float[Array, "h w 3"],
+) -> Relit:
+    """All stages of a relit frame, from its picture; arguments as of `composite_linear` and `relit_picture`."""
+    samples = (
+        _divide(_light(channels, shaded, shaded.surface_fields), shaded, shaded.surface_fields)
+        for channels in (shaded.illuminance, shaded.illuminance * shaded.visibility)
+    )
+    raw, raw_shadowed = (_repeated(each, shaded.sampling, frame.shape) for each in samples)
+    direct, fields = _split(illuminance, shaded)
+    refined = _or_ambient(_divide(_light(direct, shaded, fields), shaded, fields), shaded)
+    visible, unrefined = ratio(relight_filter, refined), composite(raw_shadowed, frame)
+    unrefined = _with_emission(unrefined, _light(direct * visibility, shaded, fields), shaded)
+    return Relit(raw, refined, visible, relight_filter, unrefined, image)
+
+
+def _split(
+    illuminance: Float[Array, "h w c"], shaded: Shaded
+) -> tuple[Float[Array, "h w l"], list[Float[Array, "h w 3"]]]:
+    """Channels of the lights, and fields of three channels each."""
+    count = shaded.illuminance.shape[-1]
+    rest = illuminance[..., count:]
+    return illuminance[..., :count], jnp.split(rest, rest.shape[-1] // 3, axis=-1) if rest.shape[-1] else []
+
+
+def _or_ambient(relight_filter: Float[Array, "h w 3"], shaded: Shaded) -> Float[Array, "h w 3"]:
+    """The filter; the ambient lights' where nothing of the frame is known."""
+    return jnp.where(jnp.any(shaded.confidence > 0), relight_filter, shaded.ambient)
+
+
+def _with_emission(
+    picture: Float[Array, "h w 3"], light: Float[Array, "h w 3"], shaded: Shaded
+) -> Float[Array, "h w 3"]:
+    """The picture with what shines by itself, and reflects light."""
+    source = shaded.emission
+    if source is None:
+        return picture
+    return picture + source.weight * (source.sent + source.reflectance * light - picture)
+
+
+def _repeated(samples: Float[Array, "sh sw 3"], sampling: int, shape: tuple[int, ...]) -> Float[Array, "h w 3"]:
+    """Each sample for its whole block of pixels."""
+    whole = jnp.repeat(jnp.repeat(samples, sampling, axis=0), sampling, axis=1) if sampling > 1 else samples
+    return whole[: shape[0], : shape[1]]
+
+
+def _light(
+    channels: Float[Array, "h w l"], shaded: Shaded, fields: Sequence[Float[Array, "h w 3"]]
+) -> Float[Array, "h w 3"]:
+    """New light, direct and bounced, over the reference illuminance."""
+    light = mix_channels(channels, shaded.colors)
+    return (light if shaded.bounced is None else light + fields[0]) / shaded.reference_lux
+
+
+def _divide(
+    light: Float[Array, "h w 3"], shaded: Shaded, fields: Sequence[Float[Array, "h w 3"]]
+) -> Float[Array, "h w 3"]:
+    """Relight filter: new light over the light of the photo."""
+    return light if shaded.photo_light is None else light / jnp.maximum(fields[-1], LEAST_PHOTO_LIGHT)
+
+
+@jax.jit
+def composite_display(
+    frame: Float[Array, "h w 3"],
+    raw: Float[Array, "h w 3"],
+    raw_shadowed: Float[Array, "h w 3"],
+    refined: Float[Array, "h w 3"],
+    visible: Float[Array, "h w 3"],
+) -> Relit:
+    """Relit picture of display values, as the paper multiplies them.
+
+    Args:
+        frame: camera picture, linear.
+        raw, raw_shadowed: filter before the refinement, without and with shadows; display-encoded like all filters.
+        refined: filter after the cascade.
+        visible: what the refined shadows leave of it.
+    """
+    display, relight_filter = to_display(frame), refined * visible
+    unrefined, image = (to_linear(composite(f, display)) for f in (raw_shadowed, relight_filter))
+    return Relit(raw, refined, visible, relight_filter, unrefined, image)
+
+
+@jax.jit
+def ratio(part: Float[Array, "h w 3"], whole: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
+    """Share of `whole` in `part`, in [0, 1]; 1 where the whole is nothing."""
+    return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 1.0)
