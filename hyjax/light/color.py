@@ -5,7 +5,7 @@ An image called `linear` holds amounts of light, one called `display` holds what
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float, UInt8
+from jaxtyping import Array, ArrayLike, Float, Int, UInt8
 
 from hyjax.util.programs import KeptFunction
 
@@ -41,7 +41,7 @@ def luminance(linear: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
 
 
 @KeptFunction
-def blackbody(kelvin: Float[ArrayLike, ""]) -> Float[Array, "3"]:
+def blackbody(kelvin: Float[ArrayLike, ""] | Int[ArrayLike, ""]) -> Float[Array, "3"]:
     """Linear RGB of luminance 1 with the hue of a black body; for 1667 to 25000 K.
 
     Chromaticity by the cubic approximation of Kim et al. (US patent 7024034), as tabulated in *Planckian locus*;

@@ -136,7 +136,7 @@ def test_a_missing_package_is_named() -> None:
 
 
 def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("hyjax.cli._keep_compiled", lambda: None)
+    monkeypatch.setattr("hyjax.cli._keep_for_later", lambda: None)
     monkeypatch.setattr("hyjax.cli.defer_interrupts", lambda: None)
     command = ["hyjax", "export", "--to", "stablehlo", "--size", "24x16", "--quiet", "--out", str(tmp_path)]
     monkeypatch.setattr("sys.argv", command)

@@ -153,12 +153,12 @@ def test_another_seed_is_another_room(room: Room) -> None:
 
 def test_cache_round_trip(capture: RoomCapture, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The second load reads the file: rendering is made impossible."""
-    import hyjax.data.builtin_room as module
+    import hyjax.synthetic.room as module
 
     def refuse(*_: object) -> None:
         raise AssertionError("rendered again")
 
-    monkeypatch.setattr(module, "make_room", refuse)
+    monkeypatch.setattr(module, "render_room", refuse)
     again = load_room(0, cache_dir=folder, **TINY)
     assert same_frames(capture, again)
     np.testing.assert_array_equal(capture.reference().vertices, again.reference().vertices)

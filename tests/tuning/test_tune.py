@@ -489,7 +489,7 @@ def test_the_command_hands_its_options_on(monkeypatch: pytest.MonkeyPatch, capsy
         raise InputError("enough")
 
     monkeypatch.setattr("hyjax.tuning.tune.tune", fake)
-    monkeypatch.setattr("hyjax.cli._keep_compiled", lambda: None)
+    monkeypatch.setattr("hyjax.cli._keep_for_later", lambda: None)
     line = "tune --fps 60 30 --budget-ms 2.5 --stage frame --size 48x32 --frames 0:3 --seed 4 --no-extra --resume"
     monkeypatch.setattr(sys, "argv", ["hyjax", *line.split()])
     with pytest.raises(SystemExit) as exit_:

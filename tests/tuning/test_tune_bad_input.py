@@ -47,7 +47,7 @@ def quick(given: Path) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         steady_clock(patch)
         patch.setenv("HYJAX_CACHE", str(given / "cache"))
-        patch.setattr(cli, "_keep_compiled", lambda: None)
+        patch.setattr(cli, "_keep_for_later", lambda: None)
         tiny = Effort(sampled=1, relaxed=1, iterations=1, rounded=1, polished=0, polishing=1, descents=0)
         patch.setattr(run, "Effort", lambda: tiny)
         patch.setattr(run, "write_pareto_plot", lambda *_: None)  # slow to draw, and test_tune looks at it
