@@ -33,6 +33,7 @@ from .light.kinds import PointLight as PointLight
 from .light.kinds import RectLight as RectLight
 from .light.kinds import SkyLight as SkyLight
 from .light.kinds import SpotLight as SpotLight
+from .light.relit import Relit as Relit
 from .light.setup import LightSetup as LightSetup
 from .light.shaded import Shaded as Shaded
 from .light.shading import colored as colored
@@ -43,7 +44,6 @@ from .light.shadow_map import visibilities as visibilities
 from .light.shadow_map import visibility as visibility
 from .light.view import View as View
 from .metrics import losses as losses
-from .light.relit import Relit as Relit
 from .pipeline import relight as relight
 from .pipeline import relight_stages as relight_stages
 from .relighting.run import relight_capture as relight_capture
