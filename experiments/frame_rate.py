@@ -108,6 +108,8 @@ class WholeFrames:
         self.clock, self._scene, self._schedule = StageClock(), scene, settings.open_schedule()
         setup = scene.lights(config.lights, at_photo_sources=not keep_photo_light)
         self._shader = FrameShader(scene, setup, settings, self._schedule, StageClock(), ExitStack())
+        if self._shader.sampling != sampling:
+            raise InputError(f"samplings: schedule {self._schedule.name} allows {self._shader.sampling} at most")
         chosen = spread(range(len(scene)), 24)
         self._frames = [fit(scene.capture[index], (size, size)) for index in chosen]
 
@@ -185,8 +187,10 @@ def main(config: Config, start: Start) -> str | None:
 
 
 def check(config: Config) -> None:
-    if config.frames < 2 or not config.samplings:
-        raise InputError("frames: need at least 2, with one sampling or more")
+    if config.frames < 2 or config.long < 0 or not config.samplings:
+        raise InputError("frames: need at least 2, with one sampling or more, and a long run of none or more")
+    if bad := [number for number in (*config.samplings, *config.triangles) if number < 1]:
+        raise InputError(f"samplings, triangles: must be at least 1, got {bad[0]}")
     if bad := [size for size in config.sizes if size < 32]:
         raise InputError(f"sizes: a picture must be at least 32 pixels wide, got {bad[0]}")
     if config.cores is not None:

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from hyjax.core.cascade import cascade
+from hyjax.core.cascade import FILLING, cascade, check_sampling
 from hyjax.core.pyramid import level_shape
 from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.core.schedule import Schedule
@@ -113,14 +113,17 @@ def relight_stages(
     if mode == "paper" and (shaded.surface_fields or shaded.emission is not None):
         raise InputError("relight: mode 'paper' keeps the photo's own light; shade with keep_photo_light=True")
     size, hit, lit = view.frame.shape[:2], view.gbuffer.hit.shape, shaded.illuminance.shape
+    if mode == "paper" and shaded.sampling > 1:
+        raise InputError("relight: mode 'paper' takes the light of every pixel; shade with sampling=1")
+    if shaded.sampling > 1:
+        shadows = shadow_schedule or default_shadow_schedule(mode)
+        check_sampling([schedule, shadows, Schedule.preset(FILLING)], shaded.sampling)
     samples = level_shape((size[0], size[1]), shaded.sampling)
     if not size == hit == guide.shape[:2] or lit[:2] != samples:
         raise InputError(
             f"relight: frame {size}, G-buffer {hit}, shading {lit[:2]} and guide {guide.shape[:2]} must be of one "
             "size" + (f", the shading {shaded.sampling} times smaller" if shaded.sampling > 1 else "")
         )
-    if mode == "paper" and shaded.sampling > 1:
-        raise InputError("relight: mode 'paper' takes the light of every pixel; shade with sampling=1")
     if (
         shaded.visibility.shape != lit
         or shaded.colors.shape != (lit[2], 3)

@@ -4,6 +4,7 @@ import functools
 from collections.abc import Sequence
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.core.diffusion import diffuse, edge_stopping, guide_distance
@@ -14,6 +15,8 @@ from hyjax.core.upsampling import guided_upsample
 from hyjax.util.errors import InputError
 from hyjax.util.programs import KeptFunction
 
+FILLING = "hyjax"
+"""Preset that unseen visibility is filled by, see `hyjax.core.refine.fill_visibility`."""
 LEAST_SAMPLES = 2
 """Samples along each side of a cell that a picture may enter by."""
 
@@ -47,14 +50,10 @@ def cascade(
             the filter at a level that is finer than the sampling.
     """
     schedule.check(dtype=y.dtype)
+    check_sampling([schedule], sampling)
     if y.ndim != 3 or guide.ndim != 3 or y.shape[:2] != level_shape((guide.shape[0], guide.shape[1]), sampling):
         same = "same H x W" if sampling == 1 else f"the filter {sampling} times smaller"
         raise InputError(f"cascade: filter {y.shape} and guide {guide.shape} must both be H x W x channels, {same}")
-    if bad := [factor for factor in entries(schedule) if factor % sampling]:
-        raise InputError(
-            f"cascade: schedule {schedule.name} takes the filter at factor {bad[-1]}, which is no multiple of the "
-            f"sampling {sampling}"
-        )
     if not (jnp.issubdtype(y.dtype, jnp.floating) and jnp.issubdtype(guide.dtype, jnp.floating)):
         raise InputError(f"cascade: filter and guide must be floating point, got {y.dtype} and {guide.dtype}")
     return _cascade(y, guide, schedule, sampling=sampling)
@@ -69,15 +68,34 @@ def entries(schedule: Schedule) -> Sequence[int]:
     return [level.factor for k, level in enumerate(schedule.levels) if k == 0 or level.fidelity is not None]
 
 
+def check_sampling(schedules: Sequence[Schedule], sampling: int) -> None:
+    """Raise `InputError` unless pictures of a sampling can enter cascades of these schedules.
+
+    >>> check_sampling([Schedule.preset("hyjax")], 3)
+    Traceback (most recent call last):
+    hyjax.util.errors.InputError: sampling: ...
+    """
+    if isinstance(sampling, bool) or not isinstance(sampling, int | np.integer) or sampling < 1:
+        raise InputError(f"sampling: must be a whole number of 1 or more, got {sampling!r}")
+    for schedule in schedules:
+        if bad := [factor for factor in entries(schedule) if factor % sampling]:
+            raise InputError(
+                f"sampling: schedule {schedule.name} takes the light at factor {bad[-1]}, which is no multiple of "
+                f"{sampling}; use sampling 1, or another schedule"
+            )
+
+
 def largest_sampling(schedules: Sequence[Schedule], most: int) -> int:
     """The largest sampling up to `most` that leaves four samples at least to each cell that a picture enters by.
+
+    That holds for the schedules and for the filling of unseen visibility.
 
     >>> largest_sampling([Schedule.preset("hyjax"), Schedule.preset("hyjax-scan-shadow")], 2)
     2
     >>> largest_sampling([Schedule.preset("hyjax"), Schedule.preset("hyjax-shadow")], 2)
     1
     """
-    factors = [factor for schedule in schedules for factor in entries(schedule)]
+    factors = [factor for schedule in (*schedules, Schedule.preset(FILLING)) for factor in entries(schedule)]
     return max(k for k in range(1, max(most, 1) + 1) if k == 1 or not any(f % (LEAST_SAMPLES * k) for f in factors))
 
 

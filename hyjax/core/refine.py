@@ -6,7 +6,7 @@ import functools
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from hyjax.core.cascade import cascade
+from hyjax.core.cascade import FILLING, cascade, check_sampling
 from hyjax.core.pyramid import cell_pixels, downsample
 from hyjax.core.schedule import Schedule
 from hyjax.util.geometry import TINY
@@ -47,6 +47,7 @@ def cascade_known(
 
     Source: Knutsson and Westin, *Normalized and differential convolution*, CVPR 1993.
     """
+    check_sampling([schedule], sampling)
     weight, channels = confidence.astype(y.dtype), y.shape[-1]
     usable = jnp.isfinite(y)
     if weight.shape[-1] == 1:
@@ -116,7 +117,8 @@ def fill_visibility(
         guide: as for `cascade`.
         sampling: see `cascade`; the result has the samples of `raw`.
     """
-    known, schedule = known & jnp.isfinite(raw), Schedule.preset("hyjax")
+    known, schedule = known & jnp.isfinite(raw), Schedule.preset(FILLING)
+    check_sampling([schedule], sampling)
     if sampling > 1:  # the same levels, over the means of the guide
         levels = tuple(dataclasses.replace(level, factor=level.factor // sampling) for level in schedule.levels)
         schedule, guide = dataclasses.replace(schedule, levels=levels), downsample(guide, sampling)

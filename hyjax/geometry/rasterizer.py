@@ -19,12 +19,15 @@ from jaxtyping import Float, Int
 from hyjax.geometry.camera import Camera
 from hyjax.light.gbuffer import GBuffer
 from hyjax.util.environment import cores
+from hyjax.util.errors import InputError
 
 T = TypeVar("T")
 ALIGNMENT = 64
 """Bytes; `jax.device_put` takes over the memory of arrays that are aligned so, where it can."""
 MOST_BUFFERS = 8
 """Threads that draw one picture: each has a picture of its own, and all are merged."""
+MOST_PIXELS = 1 << 24
+"""Of all these pictures together: 128 MiB. A picture larger than that is drawn by one thread."""
 BANDS = 2
 """Bands of rows for each thread, whose surface points are made: rows are not equally full."""
 NO_FACES = np.empty((0, 0), np.int32)
@@ -68,13 +71,21 @@ class Rasterizer:
     """A mesh to be drawn.
 
     Args:
-        vertices: world metres.
+        vertices: world metres; copied, like the triangles.
         triangles: numbers of vertices.
+
+    Raises:
+        InputError: a triangle names a vertex that there is not.
     """
 
     def __init__(self, vertices: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "m 3"]) -> None:
-        self.vertices = np.ascontiguousarray(vertices, np.float64)
-        self.triangles = np.ascontiguousarray(triangles, np.int32)
+        self.vertices = np.array(vertices, np.float64, order="C")
+        self.triangles = np.array(triangles, np.int32, order="C").reshape(-1, 3)
+        if self.triangles.size and not 0 <= self.triangles.min() <= self.triangles.max() < len(self.vertices):
+            raise InputError(
+                f"mesh: triangles name vertices {self.triangles.min()} to {self.triangles.max()}; there are 0 to "
+                f"{len(self.vertices) - 1}"
+            )
 
     def distances(self, view: RasterView) -> Float[np.ndarray, "h w"]:
         """Distance of the nearest surface along each ray, by one thread; infinite for a miss.
@@ -105,7 +116,9 @@ class Rasterizer:
         view, rays = camera_view(camera), camera_rays(camera)
         height, width = view.norm.shape
         points, sides, chosen = self._scratch()
-        buffers = min(cores(), MOST_BUFFERS)  # each thread draws some of the triangles
+        # Each thread draws some of the triangles into a picture of its own.
+        buffers = max(1, min(cores(), MOST_BUFFERS, MOST_PIXELS // (height * width)))
+        normals = np.ascontiguousarray(normals, np.float32)
         position, normal, barycentric = (_aligned((height, width, 3), np.float32) for _ in range(3))
         depth, hit = _aligned((height, width), np.float32), _aligned((height, width), np.bool_)
         faces, keys = np.empty((buffers, height, width), np.int32), np.zeros((buffers, height, width), np.float32)

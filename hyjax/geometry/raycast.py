@@ -14,6 +14,7 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.geometry.rasterizer import Rasterizer, RasterView
 from hyjax.light.gbuffer import GBuffer
+from hyjax.util.errors import InputError
 
 if TYPE_CHECKING:
     import trimesh
@@ -55,6 +56,8 @@ class RayCaster:
     def __init__(self, mesh: "trimesh.Trimesh | MeshArrays") -> None:
         self.arrays = MeshArrays.of(mesh)
         self.rasterizer = Rasterizer(self.arrays.vertices, self.arrays.faces)
+        if not len(self.arrays.faces):
+            raise InputError("mesh: it has no triangles")
         self._centre = self.bounds.mean(axis=0)
         self._lock = threading.Lock()
         self._built: Any = None

@@ -125,7 +125,7 @@ class MapLayout:
             scale: of the resolution, see `cast_shadow_maps`.
             bounds: least and largest coordinates of the mesh, which parallel rays without an opening cover.
         """
-        size = round((RESOLUTION if views.count == 1 else VIEW_RESOLUTION) * scale)
+        size = max(1, round((RESOLUTION if views.count == 1 else VIEW_RESOLUTION) * scale))
         if isinstance(views, RadialViews):
             axes = np.broadcast_to(views.axes, (views.count, 3, 3))
             return cls(views, size, views.origins, axes, views.extent / size, views.projection)
@@ -220,6 +220,7 @@ class MapLayout:
 
         side = self.size + 2
         depth = np.empty((self.count, side, side), np.float32)
+        self.raster_view(0)  # what all views have in common is made once
         share_out(draw, self.count, self.count)
         if self.projection == "octahedral":  # beyond an edge it continues on the same edge, mirrored
             depth[:, :, 0], depth[:, :, -1] = depth[:, ::-1, 1], depth[:, ::-1, -2]

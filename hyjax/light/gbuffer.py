@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from hyjax.util.errors import InputError
 from hyjax.util.programs import KeptFunction
 
 
@@ -40,8 +41,13 @@ def sample_pixels(gbuffer: GBuffer, *, sampling: int) -> GBuffer:
     Which one changes from block to block, so that `sampling`² blocks have samples in all rows and in all columns:
     their mean is that of an evenly spread pattern, about the blocks' common centre.
 
+    Raises:
+        InputError: `sampling` is less than 1.
+
     Source: Keller and Heidrich, *Interleaved sampling*, 2001.
     """
+    if sampling < 1:
+        raise InputError(f"sampling: must be a whole number of 1 or more, got {sampling}")
     if sampling == 1:
         return gbuffer
     (h, w), k = gbuffer.hit.shape, sampling

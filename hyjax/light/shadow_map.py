@@ -4,7 +4,7 @@ A shadow map holds distances from a light to the nearest surface, over a square 
 A surface point is lit if it is no farther than the map says. A light with an extent has a map for each of several
 of its points, and the answers are averaged: that makes the penumbra.
 
-The maps are filled by ray casting on the host (`hyjax.geometry.shadow_caster`), once for a static scene.
+The maps are drawn on the host (`hyjax.geometry.shadow_caster`), once for a static scene.
 Looking them up is JAX. Both sides use `map_rays` and `map_coordinates` below, each the other's inverse.
 
 Map coordinates (u, v) run over [-1, 1]²; maps carry one texel of gutter on each side, so that bilinear filtering
@@ -151,11 +151,16 @@ def visibility(
 
     def add_view(total: tuple[Array, Array], view: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], None]:
         lit, weight = _view_visibility(place, facing, light, shadow_map, *view)
-        return (total[0] + lit * weight, total[1] + weight), None
+        sums = total[0] + lit * weight, total[1] + weight
+        return (sums[0].astype(place.dtype), sums[1].astype(place.dtype)), None
 
     zero = jnp.zeros_like(place[0])
-    (lit, weight), _ = jax.lax.scan(add_view, (zero, zero), (depth, origin, axes))
-    lit, weight = (_from_groups(part, cell, (h, w)) for part in _shared((lit, weight), place, facing))
+    own, _ = jax.lax.scan(add_view, (zero, zero), (depth, origin, axes))
+    lit, weight = _shared(own, place, facing)
+    if groups > 1:  # what none of its views can tell, a pixel takes from all of its block
+        told, totals = weight > 0, [jnp.sum(part, axis=0) for part in own]
+        lit, weight = (jnp.where(told, x, total) for x, total in zip((lit, weight), totals))
+    lit, weight = (_from_groups(part, cell, (h, w)) for part in (lit, weight))
     lit = light.mask_visibility(lit, gbuffer.position)
     return jnp.where(gbuffer.hit & (weight > 0), lit / jnp.where(weight > 0, weight, 1.0), 1.0)
 

@@ -77,10 +77,10 @@ class View:
         Args:
             lights: a set-up, or lights under the usual reference.
             shadow_maps: one for each light (None: casts no shadow); None for no shadows at all.
-            confidence: how far the shading of each pixel can be trusted; 1 by default, 0 in holes.
+            confidence: how far the shading can be trusted, of each sample; 1 by default, 0 in holes.
             surface_light: photo's own light and bounces, see `Scene.surface_light`; None for even light and none.
-            sampling: light is evaluated at one pixel in each block of so many by so many, and there by as many of a
-                soft light's shadow views; see `hyjax.core.cascade.largest_sampling`.
+            sampling: light is evaluated at one pixel in each block of so many by so many, and the shadow views of a
+                soft light with many are shared among such blocks; see `hyjax.core.cascade.largest_sampling`.
 
         Raises:
             InputError: no lights, another number of shadow maps than lights, or a confidence of another size

@@ -60,7 +60,7 @@ class LiveShadowMaps:
             return None
         if most_views is not None:
             views = views.thinned(most_views)
-        key = key, scale
+        key = key, scale, most_views
         with self._lock:
             kept = self._kept.pop(key, None)
             if kept is None or kept[0] < surface.revision:

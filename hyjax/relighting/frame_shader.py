@@ -28,6 +28,7 @@ class FrameShader:
     Attributes:
         devices: that frames go to in turns.
         at_once: how many frames may be relit at a time.
+        sampling: as the schedules allow it, see `RelightSettings`.
     """
 
     def __init__(
@@ -40,8 +41,8 @@ class FrameShader:
         stack: ExitStack,
     ) -> None:
         self.setup, self._clock, self._blender = setup, clock, None
-        linear = settings.mode == "linear"
-        self._sampling = (
+        linear = settings.mode == "linear" and settings.renderer == "shadow_map"
+        self.sampling = (
             largest_sampling([schedule, default_shadow_schedule("linear")], settings.sampling) if linear else 1
         )
         maps = None
@@ -85,5 +86,5 @@ class FrameShader:
         if len(self.devices) > 1:
             view = jax.device_put(view, self.devices[number % len(self.devices)])
         return view, self._clock.follow(
-            view.shade_stages(setup, shadow_maps=maps, surface_light=light, sampling=self._sampling)
+            view.shade_stages(setup, shadow_maps=maps, surface_light=light, sampling=self.sampling)
         )

@@ -58,9 +58,9 @@ def relight_capture(
 ) -> dict[str, Any]:
     """Relight frames of a capture and write pictures, a contact sheet, the lights and `run.json`.
 
-    While the device relights a frame, the next ones are read and their rays cast, and the last ones encoded and
-    written: the stages' milliseconds in `run.json` overlap, and `frames_per_second` (after the first `WARM_UP`) is
-    what comes out. These threads do not see JAX's context managers that stand around the call. On a processor
+    While the device relights a frame, the next ones are read and drawn into G-buffers, and the last ones encoded
+    and written: the stages' milliseconds in `run.json` overlap, and `frames_per_second` (after the first `WARM_UP`)
+    is what comes out. These threads do not see JAX's context managers that stand around the call. On a processor
     several frames are relit at a time, and where there are several devices, frames go to them in turns, unless each
     needs the one before it (`video`).
 
@@ -124,6 +124,7 @@ def relight_capture(
             frames = _relight_on_device(scene, chosen, setup, settings, schedule, guide, clock, device)
         else:
             shader = FrameShader(scene, setup, settings, schedule, clock, stack)
+            record["sampling"] = shader.sampling  # as the schedule allows it
             frames = _relight_frames(scene, chosen, shader, settings, schedule, guide, clock)
         summary = _write_frames(frames, len(chosen), settings, clock)
     if not summary.written:

@@ -48,7 +48,7 @@ class RelightSettings(Settings):
     whole frames on a graphics processor, by the shaders of an exported page."""
     sampling: int = 2
     """Shade one pixel in each block of so many by so many, where the schedule averages over blocks anyway: 2 shades
-    a quarter of them, 1 all."""
+    a quarter of them, 1 all. Paper mode, blender and webgpu shade all."""
     save_filters: bool = False
     """Also write each frame's raw and refined filter."""
     save_visibility: bool = False

@@ -243,12 +243,14 @@ class Renderer:
     def _refined_photo_light(
         self, viewpoint: Viewpoint, photographed: PhotographedFrame, pixels: DeviceFrame
     ) -> Float[Array, "h w 3"]:
-        key = "photo light", viewpoint.frame, viewpoint.schedule.to_json()
+        key = "photo light", viewpoint.frame, viewpoint.sampling, viewpoint.schedule.to_json()
         return self._frames(
             key, lambda: jax.block_until_ready(photographed.refined(pixels.guide, viewpoint.schedule))
         )
 
     def _samples(self, viewpoint: Viewpoint, gbuffer: GBuffer, parts: SceneParts) -> GBuffer:
+        if viewpoint.sampling == 1:
+            return gbuffer
         key = "samples", viewpoint.frame, viewpoint.sampling, parts.keys
         return self._frames(key, lambda: sample_pixels(gbuffer, sampling=viewpoint.sampling))
 

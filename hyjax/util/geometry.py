@@ -6,6 +6,7 @@ it and runs faster.
 
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -37,6 +38,7 @@ def unit(a: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
     return a / jnp.sqrt(dot(a, a))[..., None]
 
 
+@jax.custom_jvp
 def angle(sine: Float[Array, "*s"], cosine: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Angle in [0, π] by its sine ≥ 0 and its cosine, which may be scaled alike; 0 where both are 0.
 
@@ -57,3 +59,10 @@ def angle(sine: Float[Array, "*s"], cosine: Float[Array, "*s"]) -> Float[Array, 
     slope = slope + jnp.where(turned, 0.25 * np.pi, 0.0)
     slope = jnp.where(sine > flat, 0.5 * np.pi - slope, slope)
     return jnp.where(cosine < 0, np.pi - slope, slope)
+
+
+@angle.defjvp
+def _angle_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+    (sine, cosine), (of_sine, of_cosine) = primals, tangents
+    squared = jnp.maximum(sine * sine + cosine * cosine, TINY**3)
+    return angle(sine, cosine), (cosine * of_sine - sine * of_cosine) / squared

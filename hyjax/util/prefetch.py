@@ -1,6 +1,6 @@
 """Threads that prefetch and write while the device works.
 
-Threads do, since reading, encoding and XLA let go of Python while they run, and ray casting does from time to time.
+Threads do, since reading, encoding, the rasteriser and XLA let go of Python while they run.
 """
 
 import collections

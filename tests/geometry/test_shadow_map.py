@@ -14,11 +14,10 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyjax import AmbientLight, Aperture, DirectionalLight, GBuffer, PointLight, visibility
+from hyjax import AmbientLight, Aperture, DirectionalLight, GBuffer, PointLight, RectLight, SkyLight, visibility
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.kinds import Light
-from hyjax.light.kinds.shadow_views import ParallelViews, RadialViews
 from hyjax.light.shadow_map import map_coordinates, map_rays
 
 unit_range = st.floats(-0.999, 0.999)
@@ -87,15 +86,18 @@ def test_within_its_clearance_a_lamp_throws_no_shadow() -> None:
         assert np.asarray(visibility(point, lamp, shadow_map)).item() == lit
 
 
-@given(st.integers(1, 40), st.integers(1, 40))
-def test_thinned_views_are_some_of_all(count: int, most: int) -> None:
-    """As many as asked for at most, evenly spread over their order."""
-    numbers = np.arange(3.0 * count).reshape(count, 3)
-    radial = RadialViews(numbers, np.eye(3), "octahedral", 1.0).thinned(most)
-    assert 1 <= radial.count <= most and radial.count >= min(count, most) / 2
-    steps = np.diff(radial.origins[:, 0])
-    assert (steps == 3.0 * -(-count // most)).all()
-    np.testing.assert_array_equal(ParallelViews(numbers).thinned(most).directions, radial.origins)
+@pytest.mark.parametrize("most", [4, 8])
+@pytest.mark.parametrize("kind", ["window", "sky"])
+def test_thinned_views_are_spread_as_all_are(kind: str, most: int) -> None:
+    """A window's are not on one line, a sky's not on one side."""
+    window = RectLight(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), 1.0, np.ones(3)).shadow_views()
+    sky = SkyLight(np.array([0.0, 0.0, 1.0]), 1.0, np.ones(3)).shadow_views()
+    every = window.origins if kind == "window" else sky.directions
+    some = window.thinned(most).origins if kind == "window" else sky.thinned(most).directions
+    assert len(some) == most and len(np.unique(some, axis=0)) == most
+    assert np.abs(some.mean(axis=0) - every.mean(axis=0)).max() < 0.25
+    assert (some.std(axis=0)[:2] > 0.5 * every.std(axis=0)[:2]).all()
+    assert len(window.thinned(99).origins) == window.count
 
 
 def test_kept_maps_are_found_by_mesh_and_light(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

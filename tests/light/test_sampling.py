@@ -1,12 +1,13 @@
 """Light at some pixels only: what a cascade takes in by blocks is the same from their samples."""
 
+import dataclasses
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import hyjax
@@ -68,10 +69,13 @@ def test_a_schedule_says_how_sparse_its_picture_may_be() -> None:
     ours, shadow = Schedule.preset("hyjax"), Schedule.preset("hyjax-scan-shadow")
     assert entries(ours) == [16, 8, 4] and entries(shadow) == [4]
     assert [largest_sampling([ours, shadow], most) for most in (1, 2, 4, 9)] == [1, 2, 2, 2]
-    assert largest_sampling([Schedule.preset("paper-50")], 16) == 8
+    assert largest_sampling([Schedule.preset("paper-50")], 16) == 2, "for the filling of unseen visibility"
+    for bad in (0, -1, 2.0, True):
+        with pytest.raises(InputError, match="whole number of 1 or more"):
+            cascade(jnp.ones((4, 4, 1)), jnp.ones((8, 8, 3)), ours, sampling=bad)  # type: ignore[arg-type]
     for name in PRESETS:
         assert largest_sampling([Schedule.preset(name)], 1) == 1
-    with pytest.raises(InputError, match=r"factor 1, which is no multiple of the sampling 2"):
+    with pytest.raises(InputError, match=r"at factor 1, which is no multiple of 2"):
         cascade(jnp.ones((4, 4, 1)), jnp.ones((8, 8, 3)), Schedule.preset("hyjax-shadow"), sampling=2)
     with pytest.raises(InputError, match="the filter 2 times smaller"):
         cascade(jnp.ones((8, 8, 1)), jnp.ones((8, 8, 3)), ours, sampling=2)
@@ -118,6 +122,57 @@ def test_interleaved_views_add_up(seed: int, kind: str) -> None:
     assert np.array_equal(
         visibility(blocks, lamp, shadow_map, interleave=5), visibility(blocks, lamp, shadow_map)
     ), "views that make no equal shares are all asked"
+
+
+def window_map(seed: int) -> tuple[RectLight, ShadowMap]:
+    """A window of 16 views, with a random map."""
+    lamp = RectLight(np.array([0, 0, -2.0]), np.array([0.5, 0, 0]), np.array([0, 0.5, 0]), 100.0, np.ones(3))
+    views, size = lamp.shadow_views(), 18
+    return lamp, ShadowMap(
+        jnp.asarray(random(seed, views.count, size, size) * 5),
+        jnp.asarray(views.origins, jnp.float32),
+        jnp.asarray(np.broadcast_to(views.axes, (views.count, 3, 3)), jnp.float32),
+        jnp.float32(views.extent / (size - 2)),
+        views.projection,
+    )
+
+
+def test_views_are_shared_on_one_surface_alone() -> None:
+    """Blocks across the edge of two walls: each side has the views of its own two pixels."""
+    lamp, whole = window_map(3)
+    sides = [
+        (np.array([-0.3, 0.1, 1.0]), np.array([0.0, 0.0, -1.0])),
+        (np.array([0.3, 0.1, 1.0]), np.array([-0.9, 0.0, -0.4359])),
+    ]
+    position = np.stack([place for place, _ in sides])[None].repeat(2, axis=0).astype(np.float32)
+    normal = np.stack([facing for _, facing in sides])[None].repeat(2, axis=0).astype(np.float32)
+    hit = np.ones((2, 2), bool)
+    found = np.asarray(visibility(gbuffer_of(position, normal, hit), lamp, whole, interleave=2))
+    for column, groups in enumerate([(0, 2), (1, 3)]):
+        own = [k for k in range(16) if k % 4 in groups]
+        views = (x[jnp.array(own)] for x in (whole.depth, whole.origin, whole.axes))
+        part = ShadowMap(*views, whole.texel, whole.projection)
+        alone = gbuffer_of(position[:1, column : column + 1], normal[:1, column : column + 1], hit[:1, :1])
+        assert np.allclose(found[:, column], np.asarray(visibility(alone, lamp, part))[0, 0], atol=1e-5)
+    assert abs(found[0, 0] - found[0, 1]) > 0.01
+
+
+@settings(deadline=None, max_examples=10)
+@given(seed=SEEDS, size=st.sampled_from([(6, 8), (7, 5)]))
+def test_what_all_views_say_is_dark_is_not_lit(seed: int, size: tuple[int, int]) -> None:
+    """A map that shadows everything: no pixel is lit for having looked up views that see it from behind."""
+    lamp, whole = window_map(seed)
+    dark = dataclasses.replace(whole, depth=jnp.full_like(whole.depth, -np.inf))
+    position, normal = random(seed, *size, 3) * 2 - 1, random(seed + 1, *size, 3) * 2 - 1
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    surface = gbuffer_of(position, normal, np.ones(size, bool))
+    plain = np.asarray(visibility(surface, lamp, dark))
+    shared = np.asarray(visibility(surface, lamp, dark, interleave=2))
+    blocks = [(i, j) for i in range(0, size[0], 2) for j in range(0, size[1], 2)]
+    for i, j in blocks:
+        block = np.s_[i : i + 2, j : j + 2]
+        if plain[block].max() == 0.0:
+            assert shared[block].max() == 0.0
 
 
 def test_a_relit_frame_hardly_changes() -> None:
@@ -173,6 +228,8 @@ def test_a_source_behind_the_camera_cannot_show() -> None:
 
 
 @settings(deadline=None, max_examples=50)
+@example(turn=np.pi / 4, scale=np.sqrt(2.0))
+@example(turn=3 * np.pi / 4, scale=1.0)
 @given(turn=st.floats(0.0, np.pi), scale=st.floats(1e-6, 1e6))
 def test_angle(turn: float, scale: float) -> None:
     sine, cosine = np.float32(scale * np.sin(turn)), np.float32(scale * np.cos(turn))

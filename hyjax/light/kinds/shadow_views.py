@@ -5,7 +5,7 @@ import math
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 Projection = Literal["octahedral", "hemisphere", "perspective", "orthographic"]
 SPHERE, HEMISPHERE = math.sqrt(4 * math.pi), math.sqrt(2 * math.pi)
@@ -35,8 +35,8 @@ class RadialViews:
         return len(self.origins)
 
     def thinned(self, most: int) -> "RadialViews":
-        """As many of the views at most, spread over all of them."""
-        return dataclasses.replace(self, origins=self.origins[:: -(-self.count // most)])
+        """As many of the views at most, spread as all of them are."""
+        return dataclasses.replace(self, origins=self.origins[even_subset(self.origins, most)])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,8 +56,33 @@ class ParallelViews:
         return len(self.directions)
 
     def thinned(self, most: int) -> "ParallelViews":
-        """As many of the views at most, spread over all of them."""
-        return dataclasses.replace(self, directions=self.directions[:: -(-self.count // most)])
+        """As many of the views at most, spread as all of them are."""
+        return dataclasses.replace(self, directions=self.directions[even_subset(self.directions, most)])
+
+
+def even_subset(points: Float[np.ndarray, "n 3"], most: int) -> Int[np.ndarray, "m"]:
+    """Numbers of points, at most so many, whose mean and covariance are nearest to those of all.
+
+    Tried are arithmetic progressions, wrapped round at the end, from the first point: in low-discrepancy sequences
+    some are spread evenly, and others clump.
+
+    >>> even_subset(np.eye(3)[[0, 1, 0, 1]], 2).tolist()
+    [0, 1]
+    """
+    count = len(points)
+    if most >= count:
+        return np.arange(count)
+    points = points - points.mean(axis=0)
+    spread = points.T @ points / count
+    tried = [np.arange(max(most, 1)) * step % count for step in range(1, count)]
+
+    def badness(chosen: Int[np.ndarray, "m"]) -> float:
+        some = points[chosen]
+        off = some.mean(axis=0)
+        twice = len(np.unique(chosen)) < len(chosen)
+        return float(np.sum(off**2) + np.linalg.norm(some.T @ some / len(some) - spread)) + (1e9 if twice else 0.0)
+
+    return min(tried, key=badness)
 
 
 ShadowViews = RadialViews | ParallelViews
