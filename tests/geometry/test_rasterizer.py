@@ -20,6 +20,7 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import MapLayout
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
+from hyjax.util.errors import InputError
 
 seeds = st.integers(0, 2**31)
 WHITE = np.ones(3, np.float32)
@@ -243,3 +244,23 @@ def test_whoever_keeps_depth_keeps_nothing_else() -> None:
         while isinstance(owner.base, np.ndarray):
             owner = owner.base
         assert owner.nbytes < 1.1 * np.asarray(part).nbytes + 128
+
+
+def test_a_mesh_is_checked_and_copied() -> None:
+    sphere, camera = trimesh.creation.icosphere(2), Camera(Intrinsics(32, 24, 25.0, 25.0, 16.0, 12.0), np.eye(4))
+    vertices, faces = np.array(sphere.vertices), np.array(sphere.faces)
+    for bad in (-1, len(vertices)):
+        wrong = faces.copy()
+        wrong[3, 1] = bad
+        with pytest.raises(InputError, match="triangles name vertices"):
+            Rasterizer(vertices, wrong)
+    with pytest.raises(InputError, match="no triangles"):
+        RayCaster(trimesh.Trimesh())
+    for part in (vertices, faces):
+        part.flags.writeable = False
+    drawn = Rasterizer(vertices, faces)
+    vertices.flags.writeable = True
+    normals = np.array(sphere.vertex_normals)
+    before = np.asarray(drawn.gbuffer(camera, normals).depth)
+    vertices[:] += 100.0
+    assert np.array_equal(drawn.gbuffer(camera, normals).depth, before) and (before > 0).any()
