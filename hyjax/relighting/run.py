@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import functools
+import itertools
 import json
 import logging
 from collections.abc import Generator, Sequence
@@ -203,9 +204,9 @@ def _relight_frames(
 
     with ExitStack() as running:
         cast_ahead = enumerate(filter(None, running.enter_context(contextlib.closing(prefetch(cast, chosen)))))
-        if shader.at_once == 1:
-            yield from map(relight_frame, cast_ahead)
-            return
+        # The first alone: several at once would each compile what it compiles.
+        alone = 1 if shader.at_once > 1 else None
+        yield from map(relight_frame, itertools.islice(cast_ahead, alone))
         relit = prefetch(relight_frame, cast_ahead, shader.at_once, threads=shader.at_once)
         yield from running.enter_context(contextlib.closing(relit))
 

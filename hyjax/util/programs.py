@@ -63,6 +63,7 @@ class KeptFunction(Generic[P, T]):
         self._function, self._static = function, static
         self._jitted = jax.jit(function, static_argnames=static)
         self._ready: dict[Any, Callable[..., T]] = {}
+        self._making = threading.Lock()
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
         if _folder is None:
@@ -74,7 +75,9 @@ class KeptFunction(Generic[P, T]):
         static = kwargs.get(self._static or "")
         key = static, tree, *((np.shape(leaf), jax.numpy.result_type(leaf)) for leaf in leaves)
         if key not in self._ready:
-            self._ready[key] = self._program(key, args, arrays)
+            with self._making:  # threads that ask for the same wait for it
+                if key not in self._ready:
+                    self._ready[key] = self._program(key, args, arrays)
         return self._ready[key](*args, **arrays)
 
     def lower(self, *args: P.args, **kwargs: P.kwargs) -> jax.stages.Lowered:

@@ -320,7 +320,8 @@ def test_a_constant_filter_costs_more_than_a_noisy_one_with_holes() -> None:
 def test_a_constant_filter_is_not_rewarded_in_the_room() -> None:
     room = load_room(n_frames=6, width=160, height=120, quality=0.25, progress=False)
     rough, accurate = (RayCaster(surface_of(room, mesh, progress=False)[1]) for mesh in ("scan", "true"))
-    setup = named_setup("two-colors", survey_capture(accurate, room))
+    with jax.numpy_rank_promotion("allow"):
+        setup = named_setup("two-colors", survey_capture(accurate, room))
     lights, lux = setup.lights, setup.reference_lux
     for index in (0, 3, 5):
         view = fit(room[index], (256, 256))
