@@ -79,7 +79,7 @@ def test_the_page_follows_a_folder(chromium: Any, tmp_path: Path) -> None:
         after = page.picture()
         assert np.abs(after - before).mean() > 3, "another place"
 
-        page.drag((300, 250), (420, 310))
+        page.drag((500, 200), (400, 260))  # right of the notices that a new page shows
         page.page.get_by_role("button", name="Back into the picture").wait_for()
         until(lambda: page.picture().std() > 5)
         page.press("Back into the picture")
