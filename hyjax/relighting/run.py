@@ -120,12 +120,13 @@ def relight_capture(
         record["lights"] = str(lights) if isinstance(lights, str | Path) else "lights.json"
     for stale in ("run.json", "lights.json", "contact_sheet.png"):
         remove(out / stale)  # of an earlier run, whose pictures are about to be replaced
+    sampling = 1
     with ExitStack() as stack:
         if settings.renderer == "webgpu":
             frames = _relight_on_device(scene, chosen, setup, settings, schedule, guide, clock, device)
         else:
             shader = FrameShader(scene, setup, settings, schedule, clock, stack)
-            record["sampling"] = shader.sampling  # as the schedule allows it
+            sampling = shader.sampling  # as the schedule allows it
             frames = _relight_frames(scene, chosen, shader, settings, schedule, guide, clock)
         summary = _write_frames(frames, len(chosen), settings, clock)
     if not summary.written:
@@ -146,6 +147,7 @@ def relight_capture(
         "video": settings.video,
         "guide": guide.name,
         "renderer": settings.renderer,
+        "sampling": sampling,
         "schedule": json.loads(schedule.to_json()),
         "reference_lux": setup.reference_lux,
         "photo_light": scene.photo_light.record() if settings.divides_photo_light else None,

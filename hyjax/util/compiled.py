@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numba as typed_numba
@@ -10,6 +11,8 @@ from hyjax.util.cache import cache_folder
 
 numba: Any = typed_numba  # whose types do not know its settings
 _log = logging.getLogger(__name__)
+_told: set[Path] = set()
+"""Folders that could not be used; each is told once."""
 
 
 def compiled(*signature: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -31,7 +34,9 @@ def compiled(*signature: str) -> Callable[[Callable[..., Any]], Callable[..., An
                 return numba.njit(**options)(function)
             return numba.njit(*signature, cache=True, **options)(function)
         except Exception as error:  # A damaged file shows itself in a dozen ways, a folder that is full in others.
-            _log.warning("%s: no use to keep %s in (%s)", folder, function.__name__, error)
+            if folder not in _told:
+                _told.add(folder)
+                _log.warning("%s: the compiled rasteriser cannot be kept there (%s)", folder, error)
             return numba.njit(*signature, **options)(function)
         finally:
             config.CACHE_DIR = before

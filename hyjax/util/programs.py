@@ -161,7 +161,7 @@ def _tell_of_others(folder: Path, name: str, here: str) -> None:
     kept = [file.name for file in folder.glob(f"{glob.escape(name)}-*.program")]
     if not _told and kept and not any(each.startswith(f"{here}-") for each in kept):
         _told = True
-        _log.warning("%s: programs in it are of another version or machine, they are made anew", folder)
+        _log.warning("%s: programs in it are of another version, source or machine, and are made anew", folder)
 
 
 @functools.cache

@@ -64,6 +64,8 @@ def test_damaged_files_are_made_anew_with_a_line(first: tuple[Path, str], damage
     cache, printed = first
     damaged = [cache / "compiled" / name for name in stored(cache) if "shade_each" in name or "tanh" in name]
     assert sorted(file.suffix for file in damaged) == ["", ".program"]  # JAX's and ours
+    if damage == "flipped":  # a single byte shows itself by the checksum alone, which JAX's files need not have
+        damaged = [file for file in damaged if file.suffix]
     for file in damaged:
         whole = file.read_bytes()
         middle = len(whole) // 2
@@ -71,7 +73,7 @@ def test_damaged_files_are_made_anew_with_a_line(first: tuple[Path, str], damage
         file.write_bytes({"truncated": whole[:middle], "garbled": bytes(len(whole)), "flipped": flipped}[damage])
     again = run(cache)
     assert again.stdout == printed
-    assert again.stderr.count("\n") == 2 and again.stderr.count("damaged") == 2  # one for each kind of file
+    assert again.stderr.count("\n") == again.stderr.count("damaged") == len(damaged)  # one for each kind of file
     healed = run(cache)
     assert healed.stdout == printed and healed.stderr == ""
 
@@ -118,7 +120,7 @@ def test_programs_of_another_version_are_made_anew_with_one_line(
     for size in (2, 3):
         KeptFunction(scaled)(jnp.ones(size), 2.0)
     (line,) = (record.getMessage() for record in caplog.records)
-    assert line == f"{folder}: programs in it are of another version or machine, they are made anew"
+    assert line == f"{folder}: programs in it are of another version, source or machine, and are made anew"
     assert len(list(folder.iterdir())) == 4
 
 
