@@ -31,7 +31,6 @@ time.
 import dataclasses
 import functools
 import itertools
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -42,7 +41,7 @@ import numpy as np
 
 import hyjax
 from experiments import peers
-from experiments.command import RunConfig, Start, experiment, run
+from experiments.command import RunConfig, Start, bind_to_cores, experiment, run
 from experiments.guide_speed import last_bias, same_networks, torch_calls
 from experiments.peers_report import COMPILED, COPY, FLOOR, OURS, PLAIN, TORCH, guard
 from experiments.peers_report import blocks as blocks
@@ -54,7 +53,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.guide import Guide, normalise
-from hyjax.light.color import to_bytes
+from hyjax.light.color import to_display_bytes
 from hyjax.light.shading import mix_channels
 from hyjax.pipeline import default_shadow_schedule, refine_illuminance, relight_stages
 from hyjax.scene.scene import view_of
@@ -98,12 +97,7 @@ def main(config: Config, start: Start) -> str | None:
     if bad := [size for size in config.sizes if size < 64]:
         raise InputError(f"sizes: a picture must be at least 64 pixels wide, got {bad[0]}")
     if config.cores is not None:
-        if not hasattr(os, "sched_setaffinity"):
-            raise InputError("cores: this system cannot bind a process to some of its cores; leave it out")
-        available = sorted(os.sched_getaffinity(0))
-        if not 1 <= config.cores <= len(available):
-            raise InputError(f"cores: this process may use 1 to {len(available)}, got {config.cores}")
-        os.sched_setaffinity(0, available[: config.cores])  # before XLA and torch start their threads
+        bind_to_cores(config.cores)
     torch = peers.optional("torch")
     if torch is not None:
         torch.set_num_threads(cores())
@@ -316,7 +310,7 @@ def time_frames(config: Config, results: Results, bench: Workbench) -> None:
         view = given if caster is None else view_of(frame, caster.gbuffer(frame.camera))
         shaded = view.shade(bench.lights, shadow_maps=shadow_maps, sampling=sampling)
         stages = dict(itertools.islice(relight_stages(view, shaded, view.display, schedule), 3))
-        return to_bytes(stages["composite"])
+        return to_display_bytes(stages["composite"])
 
     given = scene.view(0)
     calls["frame with shadows, from its G-buffer"] = functools.partial(relit, None, maps)

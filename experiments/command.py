@@ -16,6 +16,7 @@ The line in `experiments.EXPERIMENTS` puts it into the report.
 import dataclasses
 import functools
 import inspect
+import os
 import sys
 import typing
 from collections.abc import Callable, Sequence
@@ -39,6 +40,20 @@ class RunConfig:
 
     out: Path | None = None
     """Folder for the results. Default: results/EXPERIMENT, with many captures results/EXPERIMENT/CAPTURE."""
+
+
+def bind_to_cores(count: int) -> None:
+    """Bind this process to so many of its cores; before XLA and torch start their threads.
+
+    Raises:
+        InputError: this system cannot do it, or there are not as many.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        raise InputError("cores: this system cannot bind a process to some of its cores; leave it out")
+    available = sorted(os.sched_getaffinity(0))
+    if not 1 <= count <= len(available):
+        raise InputError(f"cores: this process may use 1 to {len(available)}, got {count}")
+    os.sched_setaffinity(0, available[:count])
 
 
 class Experiment:

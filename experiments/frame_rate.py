@@ -21,7 +21,6 @@ the same PSNR, to a hundredth of a decibel, as with light at every pixel.
 
 import dataclasses
 import itertools
-import os
 import resource
 import time
 from collections.abc import Iterator, Sequence
@@ -35,7 +34,7 @@ from matplotlib.figure import Figure
 
 import hyjax
 from experiments.blocks import Block, Plot, Table
-from experiments.command import RunConfig, Start, experiment, run
+from experiments.command import RunConfig, Start, bind_to_cores, experiment, run
 from experiments.plotting import new_figure
 from experiments.records import Results, Row, machine, of_kind
 from experiments.truth_bench import TruthBench
@@ -43,7 +42,7 @@ from experiments.truth_camera import Exposed, fit_gains
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.data.frames import fit, spread
-from hyjax.light.color import to_bytes
+from hyjax.light.color import to_display_bytes
 from hyjax.metrics import psnr
 from hyjax.pipeline import relight_stages
 from hyjax.relighting.frame_shader import FrameShader
@@ -123,7 +122,7 @@ class WholeFrames:
         stages = relight_stages(view, shaded, view.display, self._schedule)
         image = self.clock.follow(stages, until="composite")
         with self.clock("bytes"):
-            np.asarray(to_bytes(image))
+            np.asarray(to_display_bytes(image))
         return watch.seconds
 
     def rate(self, count: int) -> dict[str, float]:
@@ -194,12 +193,7 @@ def check(config: Config) -> None:
     if bad := [size for size in config.sizes if size < 32]:
         raise InputError(f"sizes: a picture must be at least 32 pixels wide, got {bad[0]}")
     if config.cores is not None:
-        if not hasattr(os, "sched_setaffinity"):
-            raise InputError("cores: this system cannot bind a process to some of its cores; leave it out")
-        available = sorted(os.sched_getaffinity(0))
-        if not 1 <= config.cores <= len(available):
-            raise InputError(f"cores: this process may use 1 to {len(available)}, got {config.cores}")
-        os.sched_setaffinity(0, available[: config.cores])  # before XLA starts its threads
+        bind_to_cores(config.cores)
 
 
 def finer(scene: Scene, faces: int) -> Scene:

@@ -133,9 +133,9 @@ def alone(frames: Sequence[Frame], config: Config, schedule: hyjax.Schedule) -> 
         if number % 6 == 5:
             scene.update()
             spent.setdefault("mesh, changed regions", []).append(1e3 * scene.times["mesh"])
-            spent.setdefault("caster, changed trees", []).append(1e3 * scene.times["caster"])
+            spent.setdefault("caster", []).append(1e3 * scene.times["caster"])
             view = timed("surface in the picture", lambda frame=frame: scene.view(frame))
-            maps = timed("shadow map, changed texels", lambda: scene.shadow_maps([LAMP]))
+            maps = timed("shadow map", lambda: scene.shadow_maps([LAMP]))
             shaded = timed("light", lambda view=view, maps=maps: view.shade([LAMP], shadow_maps=maps))
             timed("diffusion", lambda v=view, s=shaded: hyjax.relight(v, s, v.display, schedule))
     return {name: statistics(values) for name, values in spent.items()}

@@ -30,7 +30,7 @@ def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
 
 
 @KeptFunction
-def to_bytes(linear: Float[Array, "*s"]) -> UInt8[Array, "*s"]:
+def to_display_bytes(linear: Float[Array, "*s"]) -> UInt8[Array, "*s"]:
     """Linear light → display-encoded bytes, as a file or a screen takes them."""
     return jnp.round(255.0 * to_display(linear)).astype(jnp.uint8)
 
