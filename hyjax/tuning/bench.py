@@ -110,7 +110,7 @@ def open_bench(
         InputError: any of these cannot be used.
     """
     scene, accurate = open_scenes(settings.scene, settings.target, capture=capture, progress=not settings.quiet)
-    return Workbench(scene, accurate, (accurate or scene).lights(settings.lights), guide)
+    return Workbench(scene, accurate, (accurate or scene).lights(settings.set_ups()[0]), guide)
 
 
 def open_scenes(

@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float
 
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
-from hyjax.data.frames import spread
 from hyjax.data.truth_room import TruthCapture, load_truth_room
 from hyjax.light.color import to_display
 from hyjax.light.setup import LightSetup
@@ -18,17 +17,15 @@ from hyjax.pipeline import relight
 from hyjax.relighting.frame_relighter import FrameRelighter
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
-from hyjax.synthetic.truth import CHOOSE, REPORT
 from hyjax.tuning.bench import open_scenes
-from hyjax.util.errors import InputError, did_you_mean
+from hyjax.tuning.frame.rooms import check_room
+from hyjax.tuning.settings import ROOM_PHOTOS
+from hyjax.util.errors import InputError
 from hyjax.util.sizes import parse_size
 
 ROOM = "room:"
 """Beginning of the name of a room of known truth."""
-ROOM_PHOTOS = 12
 ROOM_SIZE = "320x240"
-SETUPS = ("evening-lamps", "two-colors", "golden-hour", "night-moon")
-"""Light set-ups that frames are tuned under by default."""
 KEPT_MAPS = 6
 """Sets of shadow maps that are kept of a scene."""
 
@@ -107,22 +104,6 @@ def with_photo_light(configuration: Configuration) -> Configuration:
     return dataclasses.replace(configuration, light=light)
 
 
-def check_room(name: str) -> str:
-    """Name of a room of known truth, or `InputError` if there is none of this name."""
-    known = (*CHOOSE, *REPORT)
-    kind, *parts = name.split("-")
-    numbers = parts[:2] if kind == "random" else parts
-    form = (kind == "builtin" and len(parts) == 1) or (
-        kind == "random" and len(parts) == 3 and parts[2] in ("day", "lamps", "both")
-    )
-    if not form or not all(part.isdigit() for part in numbers):
-        raise InputError(
-            f"rooms: no room {name!r}{did_you_mean(name, known)}; there are builtin-SEED and "
-            f"random-SEED-NUMBER-day, -lamps or -both, such as {', '.join(known[:3])}"
-        )
-    return name
-
-
 def open_room(name: str, size: str | None = None) -> TuningScene:
     """Room of known truth; photographed on first use, which takes a minute, and kept in the cache folder.
 
@@ -149,25 +130,24 @@ def open_tuning_scene(source: str, size: str | None = None) -> TuningScene:
     return TuningScene(source, scene, accurate)
 
 
-def spread_cases(
-    scenes: Sequence[TuningScene], lights: Sequence[str], frames: int, seed: int
-) -> list[tuple[int, str, int]]:
+def spread_cases(frames: Sequence[Sequence[int]], lights: Sequence[str], seed: int) -> list[tuple[int, str, int]]:
     """Cases in the order of mini-batches: (scene, set-up, frame), such that each few have many scenes and set-ups.
 
+    >>> spread_cases([[0, 5], [3]], ["noon-window"], 0)
+    [(0, 'noon-window', 0), (1, 'noon-window', 3), (0, 'noon-window', 5)]
+
     Args:
-        scenes: that frames are from.
+        frames: of each scene, under each set-up.
         lights: set-ups.
-        frames: of each scene under each set-up.
         seed: of the order.
     """
     rng = np.random.default_rng(seed)
-    chosen = [spread(range(len(scene)), frames) for scene in scenes]
     cases: list[tuple[int, str, int]] = []
-    for number in range(max(len(each) for each in chosen)):
+    for number in range(max(len(own) for own in frames)):
         for turn in range(len(lights)):
-            for place, own in enumerate(chosen):
+            for place, own in enumerate(frames):
                 if number < len(own):
                     light = lights[(turn + place) % len(lights)]
-                    cases.append((place, light, own[(number + 3 * turn) % len(own)]))
-    rounds = [cases[k : k + len(scenes)] for k in range(0, len(cases), len(scenes))]
+                    cases.append((place, light, own[(number + turn) % len(own)]))
+    rounds = [cases[k : k + len(frames)] for k in range(0, len(cases), len(frames))]
     return [case for k in rng.permutation(len(rounds)) for case in rounds[k]]
