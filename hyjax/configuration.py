@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,7 +14,7 @@ from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.pipeline import Mode
 from hyjax.util.errors import InputError, did_you_mean
 
-FORMAT = 1
+_log = logging.getLogger(__name__)
 SUFFIX = ".json"
 DEFAULT = "default"
 FOLDER = Path(__file__).with_name("configurations")
@@ -185,6 +187,27 @@ class Configuration:
         if self.mode == "paper" and (self.scale != 1 or self.light.photo_light != "kept"):
             raise InputError(f"{where}: mode 'paper' keeps the photo's light and works at full size (scale 1)")
         return self
+
+    def tell_unused(self, where: str, used: Sequence[str]) -> list[str]:
+        """A line in the log on choices that are not the default's and that something does not follow; their names.
+
+        Args:
+            where: what does not follow them.
+            used: names of the choices that it follows; `guide` stands for its name and size.
+        """
+        default, unused = Configuration(), []
+        for part in ("light", "shadows"):
+            own, usual = getattr(self, part), getattr(default, part)
+            fields = own.__struct_fields__
+            unused += [f for f in fields if f not in used and getattr(own, f) != getattr(usual, f)]
+        for name in ("schedule", "shadow_schedule"):
+            own, usual = (json.loads(getattr(each, name).to_json()) | {"name": ""} for each in (self, default))
+            unused += [name] * (name not in used and own != usual)
+        unused += ["guide"] * ("guide" not in used and self.guide.name != default.guide.name)
+        unused += ["scale"] * ("scale" not in used and self.scale != 1)
+        if unused:
+            _log.warning("%s: does not follow %s of configuration %s", where, ", ".join(unused), self.name)
+        return unused
 
     def to_json(self) -> str:
         """The configuration as JSON text; `from_json` reads it."""

@@ -38,6 +38,7 @@ class DeviceRenderer:
         keep_photo_light: whether to leave the photo's own light in the picture, and bounces out.
         occluders: what throws shadows.
         resolutions: texels a side of shadow maps with one view, and of each of several.
+        photo_exponent: of E_old / K, see `hyjax.configuration.LightOptions`.
         precision: of pictures between passes.
         device: see `open_device`.
 
@@ -58,11 +59,15 @@ class DeviceRenderer:
         keep_photo_light: bool = False,
         occluders: Occluders = "completed",
         resolutions: tuple[int, int] = (1024, 512),
+        photo_exponent: float = 1.0,
         precision: Precision = "f32",
         device: Any = None,
     ) -> None:
         self.arrays = scene_arrays(
-            scene, keep_photo_light=keep_photo_light, surface_occluders=occluders == "surface"
+            scene,
+            keep_photo_light=keep_photo_light,
+            surface_occluders=occluders == "surface",
+            photo_exponent=photo_exponent,
         )
         self.setup, self._divides, self._features = setup, not keep_photo_light, features
         caster = scene.caster if occluders == "surface" else scene.occluders

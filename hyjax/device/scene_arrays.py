@@ -48,7 +48,12 @@ class SceneArrays:
 
 
 def scene_arrays(
-    scene: Scene, *, keep_photo_light: bool = False, rays: int | None = None, surface_occluders: bool = False
+    scene: Scene,
+    *,
+    keep_photo_light: bool = False,
+    rays: int | None = None,
+    surface_occluders: bool = False,
+    photo_exponent: float = 1.0,
 ) -> SceneArrays:
     """Arrays of a scene.
 
@@ -57,9 +62,12 @@ def scene_arrays(
         keep_photo_light: whether the light of the photos stays in the pictures, and bounces are left out.
         rays: of each point, evenly chosen among those of the light transport; all by default.
         surface_occluders: whether the bare mesh throws the shadows.
+        photo_exponent: of E_old / K, see `hyjax.configuration.LightOptions`.
     """
     mesh = scene.mesh
     photo = None if keep_photo_light else scene.photo_light.estimate.light
+    if photo is not None and photo_exponent != 1.0:
+        photo = dataclasses.replace(photo, illuminance=photo.illuminance**photo_exponent)
     fields, hits, sources, mean = _even(mesh) if photo is None else _photo(mesh, photo, rays)
     thrower = mesh if surface_occluders else scene.occluders.mesh
     occluders = tree_order(np.asarray(thrower.vertices, np.float32), np.asarray(thrower.faces))

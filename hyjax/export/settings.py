@@ -10,6 +10,7 @@ from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
 
 if TYPE_CHECKING:
+    from hyjax.configuration import Configuration
     from hyjax.core.schedule import Schedule
 
 Target = Literal["web", "bench", "stablehlo", "iree", "onnx", "litert", "coreml"]
@@ -37,8 +38,11 @@ class ExportSettings(Settings):
     lights: str = "evening-lamps"
     """Of a page: noon-window, golden-hour, evening-lamps, night-moon, center-point, two-colors, or a YAML or JSON
     file."""
-    schedule: str = "hyjax"
-    """hyjax, paper-50, paper-80, naive-50, naive-1000, or a JSON file, such as `hyjax tune` writes."""
+    configuration: str | None = None
+    """quality, balanced, fast, or a JSON file that tune wrote; see relight. What a page cannot follow is told. A
+    file for a runtime takes the schedule from it."""
+    schedule: str | None = None
+    """hyjax (the default), paper-50, paper-80, naive-50, naive-1000, or a JSON file of one, such as tune writes."""
     kappa: float | None = None
     """Edge sensitivity of a named schedule. Default: 0.05 for hyjax, 0.02 for the others."""
     guide: str = "rgb"
@@ -89,7 +93,22 @@ class ExportSettings(Settings):
         Raises:
             InputError: no such schedule, a file that cannot be used, or a κ beside a file's own.
         """
-        return open_schedule(self.schedule, self.kappa)
+        if self.schedule is None and self.kappa is None:
+            return self.open_configuration().schedule
+        return open_schedule(self.schedule or "hyjax", self.kappa)
+
+    def open_configuration(self) -> "Configuration":
+        """Configuration by name or from a file.
+
+        Raises:
+            InputError: no such configuration, or one of the paper's form.
+        """
+        from hyjax.configuration import DEFAULT, Configuration
+
+        chosen = Configuration.open(self.configuration or DEFAULT)
+        if chosen.mode == "paper":
+            raise InputError(f"configuration {chosen.name}: is of the paper's form, which is not exported")
+        return chosen
 
     def record(self) -> dict[str, Any]:
         """Options as a record of the export has them."""

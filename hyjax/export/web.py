@@ -1,6 +1,7 @@
 """Page: a folder that any web server shows, in which a browser's GPU relights the frames of a scene."""
 
 import contextlib
+import dataclasses
 import json
 import logging
 import os
@@ -31,6 +32,8 @@ from hyjax.util.errors import InputError
 
 PAGE_FORMAT = 1
 """Version of page.json. Add one whenever older scripts could not read it."""
+USED = ("schedule", "shadow_schedule", "sampling", "photo_exponent", "map_scale")
+"""Choices of a configuration that pages follow; each pixel is shaded, whatever the sampling."""
 RESOLUTIONS = 512, 256
 """Texels a side of shadow maps with one view, and of each of several: half of what `relight` takes."""
 RAYS = 128
@@ -59,12 +62,31 @@ def export_web(settings: Any) -> dict[str, Any]:
     check_page_folder(settings.out)
     if settings.guide not in (None, "rgb"):
         raise InputError("web: the page's guide is the frame itself; leave --guide out")
-    schedule = settings.open_schedule()
+    configuration = dataclasses.replace(settings.open_configuration(), schedule=settings.open_schedule())
+    if configuration.light.photo_light == "kept":
+        raise InputError(f"web: pages divide the photo's light out, configuration {configuration.name} keeps it")
+    configuration.tell_unused("web", USED)
     scene = Scene.open(settings.scene, progress=not settings.quiet)
     every = range(len(scene))
     frames = spread(every, FRAMES) if settings.frames is None else select_frames(settings.frames, len(scene))
     setup = scene.lights(settings.lights, at_photo_sources=True)
-    return write_page(scene, setup, schedule, frames, settings.out, progress=not settings.quiet)
+    return write_page(
+        scene,
+        setup,
+        configuration.schedule,
+        frames,
+        settings.out,
+        shadow_schedule=configuration.shadow_schedule,
+        resolutions=scaled_resolutions(RESOLUTIONS, configuration.shadows.map_scale),
+        photo_exponent=configuration.light.photo_exponent,
+        progress=not settings.quiet,
+    )
+
+
+def scaled_resolutions(resolutions: tuple[int, int], scale: float) -> tuple[int, int]:
+    """Texels a side of shadow maps at a scale."""
+    single, several = (max(16, round(side * scale)) for side in resolutions)
+    return single, several
 
 
 def write_page(
@@ -77,6 +99,7 @@ def write_page(
     shadow_schedule: Schedule | None = None,
     rays: int = RAYS,
     resolutions: tuple[int, int] = RESOLUTIONS,
+    photo_exponent: float = 1.0,
     lossless: bool = False,
     sun: bool = True,
     progress: bool = False,
@@ -94,6 +117,7 @@ def write_page(
         shadow_schedule: cascade for the visibility; by default that of `relight`.
         rays: of each point of the light transport.
         resolutions: texels a side of shadow maps with one view, and of each of several.
+        photo_exponent: of E_old / K, see `hyjax.configuration.LightOptions`.
         lossless: whether frames are PNG and not JPEG files.
         sun: whether to add the sun by the hour.
         progress: show a bar on stderr.
@@ -109,7 +133,7 @@ def write_page(
         raise InputError("web: no frames; choose at least one")
     steps = tqdm(total=len(frames) + 4, desc="page", unit="step", disable=not progress)
     with _replacing(out) as folder, steps:
-        arrays = scene_arrays(scene, rays=rays)
+        arrays = scene_arrays(scene, rays=rays, photo_exponent=photo_exponent)
         packed = pack_scene(arrays)
         (folder / _SCENE_FILE).write_bytes(packed.content)
         described = describe_scene(scene, setup, arrays)

@@ -44,6 +44,8 @@ ANOTHERS = ("seed", "repair_mesh", "size", "scale", "strict", *(f.name for f in 
 """Settings of a scene that was opened before."""
 FEW = 3
 """Frames that take less time by rays than the rasteriser takes to load."""
+DEVICE_USED = ("schedule", "shadow_schedule", "guide", "sampling", "photo_light", "photo_exponent")
+"""Choices of a configuration that a graphics processor follows, see `Configuration.tell_unused`."""
 WARM_UP = DEPTH + 2
 """Frames that do not count for frames per second: the first compiles, and others are read meanwhile."""
 
@@ -126,7 +128,8 @@ def relight_capture(
     sampling = 1
     with ExitStack() as stack:
         if settings.renderer == "webgpu":
-            frames = _relight_on_device(scene, chosen, setup, settings, schedule, guide, clock, device)
+            configuration.tell_unused("webgpu", DEVICE_USED)
+            frames = _relight_on_device(scene, chosen, setup, settings, configuration, guide, clock, device)
         else:
             relighter = FrameRelighter(scene, setup, configuration, settings, guide=guide, clock=clock, stack=stack)
             sampling = relighter.shader.sampling  # as the schedule allows it
@@ -222,7 +225,7 @@ def _relight_on_device(
     chosen: Sequence[int],
     setup: LightSetup,
     settings: RelightSettings,
-    schedule: Schedule,
+    configuration: Configuration,
     guide: FrameGuide,
     clock: StageClock,
     device: Any,
@@ -249,11 +252,13 @@ def _relight_on_device(
                     scene,
                     setup,
                     size,
-                    schedule,
+                    configuration.schedule,
+                    configuration.shadow_schedule,
                     features=features.shape[-1],
                     shadows=settings.shadows,
                     keep_photo_light=not settings.divides_photo_light,
                     occluders=settings.shadow_occluders,
+                    photo_exponent=configuration.light.photo_exponent,
                     device=device,
                 )
         with clock("frame"):

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 import viser
 
 from hyjax.core.schedule import Schedule
-from hyjax.guide.choose import FrameGuide, open_guide
+from hyjax.guide.choose import FrameGuide, configured_guide
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import parse_size
 from hyjax.tour.controls import Controls
 from hyjax.tour.gizmos import Gizmos
 from hyjax.tour.layers import RenderCancelled
 from hyjax.tour.render_queue import RenderQueue
-from hyjax.tour.renderer import Renderer
+from hyjax.tour.renderer import USED, Renderer
 from hyjax.tour.server import address, check_port, open_server
 from hyjax.tour.session import Session
 from hyjax.tour.settings import TourSettings
@@ -93,7 +93,9 @@ class Tour:
         # All that can be checked is checked before the first slow step.
         settings.check()
         check_port(settings.host, settings.port)
-        schedules, guide = settings.open_schedules(), open_guide(settings.guide)
+        configuration, schedules = settings.open_configuration(), settings.open_schedules()
+        guide = configured_guide(configuration.guide)
+        configuration.tell_unused("tour", USED)
         if settings.live is not None:
             make_writable(settings.out)
             return cls._open_live(settings, schedules, guide)
@@ -105,7 +107,13 @@ class Tour:
         if scene.size is None and width > WIDEST:
             scene.size = round(height * WIDEST / width), WIDEST
         # Estimates the photo's own light, if it was not before: some ten seconds, with a bar.
-        renderer = Renderer(scene, guide=guide, folder=settings.out, keep_photo_light=settings.keep_photo_light)
+        renderer = Renderer(
+            scene,
+            guide=guide,
+            folder=settings.out,
+            keep_photo_light=settings.keep_photo_light or configuration.light.photo_light == "kept",
+            configuration=configuration,
+        )
         return cls(renderer, schedules, settings.out, host=settings.host, port=settings.port)
 
     @classmethod

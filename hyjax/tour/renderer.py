@@ -16,6 +16,7 @@ import trimesh
 from jaxtyping import Array, Float
 from msgspec.structs import replace
 
+from hyjax.configuration import Configuration
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera
 from hyjax.guide.choose import RGB, FrameGuide
@@ -40,7 +41,7 @@ from hyjax.tour.room_light import (
     bounced_at_vertices,
     direct_lights,
 )
-from hyjax.tour.viewpoint import SHADOWS, Viewpoint
+from hyjax.tour.viewpoint import MOST_SAMPLING, Viewpoint
 from hyjax.util.clock import StageClock
 from hyjax.util.lru_cache import LruCache
 
@@ -48,6 +49,8 @@ FRAMES_MIB = 128
 ALBEDO = 0.6  # of the mesh in the free view, whose true colours are unknown
 VERTICES = 1 << 14
 """Of which a live mesh's number is made a multiple."""
+USED = ("schedule", "shadow_schedule", "guide", "sampling", "photo_light", "photo_exponent", "bounce_gain")
+"""Choices of a configuration that tours follow, see `Configuration.tell_unused`."""
 AFTERNOON, BEARING = 16.0, 240.0
 
 
@@ -68,6 +71,7 @@ class Renderer:
         folder: where uploaded mesh files lie.
         keep_photo_light: whether to leave the light that the frames were taken under in the pictures, and bounces
             out.
+        configuration: sampling, shadow pass and light of the pictures; see `USED`.
 
     Raises:
         InputError: the file that names the photo's sources cannot be used.
@@ -82,15 +86,19 @@ class Renderer:
         guide: FrameGuide = RGB,
         folder: Path = Path(),
         keep_photo_light: bool = False,
+        configuration: Configuration | None = None,
     ) -> None:
         self.capture, self.guide, self._source = scene.capture, guide, scene
+        self.configuration = configuration or Configuration()
         self.up = np.asarray(scene.capture.up, float)
         self.scene = EditableScene(scene.caster, self.up, folder, scene.occluders, scene.slack)
         a, b, c = scene.mesh.extents
         self.surface_area = 2.0 * float(a * b + b * c + c * a)
         self._frames, self._layers = LruCache(FRAMES_MIB, mebibytes), LayerCache()
         self._cameras: dict[int, Camera] = {}
-        self.room_light = None if keep_photo_light else RoomLight(scene.photo_light, self._layers)
+        self.room_light = (
+            None if keep_photo_light else RoomLight(scene.photo_light, self._layers, self.configuration.light)
+        )
 
     def first_plan(self) -> TourPlan:
         """A sunny afternoon, with the capture's own windows or one beside what the cameras look at."""
@@ -150,7 +158,7 @@ class Renderer:
         with clock("surface"):
             parts = self.scene.apply(plan)
             gbuffer = self._gbuffer(index, frame, parts)
-            sampling, samples = viewpoint.sampling, self._samples(viewpoint, gbuffer, parts)
+            sampling, samples = self._sampling(viewpoint), self._samples(viewpoint, gbuffer, parts)
             jax.block_until_ready((gbuffer, samples))
         with clock("light"):
             lights = setup.lights if self.room_light is None else direct_lights(setup.lights)
@@ -178,7 +186,7 @@ class Renderer:
             fresh = dataclasses.replace(shaded, photo_light=None)
             illuminance = jax.block_until_ready(refine_illuminance(fresh, guide, schedule))
         with clock("shadow pass"):
-            visible = jax.block_until_ready(refine_visibility(shaded, guide, SHADOWS))
+            visible = jax.block_until_ready(refine_visibility(shaded, guide, self.configuration.shadow_schedule))
         with clock("composite"):
             fields = illuminance, *photo_light
             picture, linear = compose(viewpoint.shown, view, shaded, guide, schedule, fields, visible)
@@ -225,13 +233,17 @@ class Renderer:
         mesh.visual.vertex_colors = to_bytes(to_display(ALBEDO * shades))[0]  # type: ignore[union-attr]
         return mesh
 
+    def _sampling(self, viewpoint: Viewpoint) -> int:
+        own = self.configuration
+        return viewpoint.sampling(own.shadow_schedule, min(own.light.sampling, MOST_SAMPLING))
+
     def _device_frame(self, frame: Frame) -> DeviceFrame:
         display = jnp.asarray(frame.image)
         return DeviceFrame(to_linear(display), display, self.guide.features(display))
 
     def _photographed(self, viewpoint: Viewpoint, frame: Frame, pixels: DeviceFrame) -> PhotographedFrame:
         """What a frame was lit by, whatever the plan has moved since."""
-        index, sampling = viewpoint.frame, viewpoint.sampling
+        index, sampling = viewpoint.frame, self._sampling(viewpoint)
 
         def make() -> PhotographedFrame:
             assert self.room_light is not None
@@ -243,16 +255,17 @@ class Renderer:
     def _refined_photo_light(
         self, viewpoint: Viewpoint, photographed: PhotographedFrame, pixels: DeviceFrame
     ) -> Float[Array, "h w 3"]:
-        key = "photo light", viewpoint.frame, viewpoint.sampling, viewpoint.schedule.to_json()
+        key = "photo light", viewpoint.frame, self._sampling(viewpoint), viewpoint.schedule.to_json()
         return self._frames(
             key, lambda: jax.block_until_ready(photographed.refined(pixels.guide, viewpoint.schedule))
         )
 
     def _samples(self, viewpoint: Viewpoint, gbuffer: GBuffer, parts: SceneParts) -> GBuffer:
-        if viewpoint.sampling == 1:
+        sampling = self._sampling(viewpoint)
+        if sampling == 1:
             return gbuffer
-        key = "samples", viewpoint.frame, viewpoint.sampling, parts.keys
-        return self._frames(key, lambda: sample_pixels(gbuffer, sampling=viewpoint.sampling))
+        key = "samples", viewpoint.frame, sampling, parts.keys
+        return self._frames(key, lambda: sample_pixels(gbuffer, sampling=sampling))
 
     def _gbuffer(self, index: int, frame: Frame, parts: SceneParts) -> GBuffer:
         def cast(part: Part, key: Hashable) -> GBuffer:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hyjax.configuration import LightOptions
 from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import Schedule
 from hyjax.geometry.camera import Camera
@@ -62,14 +63,17 @@ class RoomLight:
     Args:
         photo: estimated now, if it was not before.
         layers: keeps the shadow maps and bounces of each light.
+        options: exponent of the photo's light and gain of the bounces.
 
     Raises:
         InputError: the file that names the photo's sources cannot be used.
     """
 
-    def __init__(self, photo: ScenePhotoLight, layers: LayerCache) -> None:
+    def __init__(self, photo: ScenePhotoLight, layers: LayerCache, options: LightOptions | None = None) -> None:
+        options = options or LightOptions()
         self._photo, self._layers, self._points = photo, layers, LruCache(ARRANGEMENTS)
-        self._light = photo.estimate.light
+        self._gain, light = np.float32(options.bounce_gain), photo.estimate.light
+        self._light = dataclasses.replace(light, illuminance=light.illuminance**options.photo_exponent)
         transport = self._light.transport
         step = max(1, len(transport.hits) // DRAFT_RAYS)
         self._draft = dataclasses.replace(
@@ -128,6 +132,7 @@ class RoomLight:
         padded = (*(bounced for _, bounced in chosen), *[dark] * (count - len(chosen)))
         glow = np.float32(LEAST_AMBIENT if chosen else 0.0)  # a picture is never entirely dark
         bounced = _add_up(padded, scales, self._light.sources, np.float32(setup.reference_lux) * kept, glow)
+        bounced *= self._gain
         emitters = self._photo.emitters(setup)
         return SurfaceLight(self._light.illuminance, bounced, self._light.transport.faces, emitters)
 

@@ -11,6 +11,7 @@ from hyjax.util.hosts import LOCAL
 from hyjax.util.settings import Settings
 
 if TYPE_CHECKING:
+    from hyjax.configuration import Configuration
     from hyjax.core.schedule import Schedule
 
 
@@ -20,8 +21,10 @@ class TourSettings(Settings):
     pixels wide unless --size says otherwise."""
 
     scene: SceneSettings = dataclasses.field(default_factory=SceneSettings)
-    guide: str = "rgb"
-    """What guides the diffusion: rgb, small or a safetensors file; see relight."""
+    configuration: str | None = None
+    """quality, balanced, fast, or a JSON file that tune wrote; see relight. What a tour cannot follow, it tells."""
+    guide: str | None = None
+    """What guides the diffusion: rgb (the default), small or a safetensors file; see relight."""
     schedule: Path | None = None
     """A JSON file, such as tune writes, to choose from beside the named ones."""
     keep_photo_light: bool = False
@@ -58,6 +61,23 @@ class TourSettings(Settings):
         """Whether only this machine can reach the page."""
         return self.host in (LOCAL, "localhost")
 
+    def open_configuration(self) -> "Configuration":
+        """Configuration by name or from a file, with what is given beside it.
+
+        Raises:
+            InputError: no such configuration, or one of the paper's form.
+        """
+        import msgspec
+
+        from hyjax.configuration import DEFAULT, Configuration
+
+        chosen = Configuration.open(self.configuration or DEFAULT)
+        if chosen.mode == "paper":
+            raise InputError(f"configuration {chosen.name}: is of the paper's form, which tours do not show")
+        if self.guide is not None:
+            chosen = dataclasses.replace(chosen, guide=msgspec.structs.replace(chosen.guide, name=self.guide))
+        return chosen
+
     def open_schedules(self) -> dict[str, "Schedule"]:
         """Schedules to choose from, by name; the default first.
 
@@ -67,6 +87,8 @@ class TourSettings(Settings):
         from hyjax.core.schedule import PRESETS, Schedule
 
         presets = {name: Schedule.preset(name) for name in PRESETS if not name.endswith("shadow")}
+        if self.configuration is not None:
+            presets = {f"configuration {self.configuration}": self.open_configuration().schedule} | presets
         if self.schedule is None:
             return presets
         tuned = read_schedule(self.schedule)

@@ -23,13 +23,12 @@ class Viewpoint:
     shown: Shown
     schedule: Schedule
 
-    @property
-    def sampling(self) -> int:
+    def sampling(self, shadow_schedule: Schedule = SHADOWS, most: int = MOST_SAMPLING) -> int:
         """Light is evaluated at one pixel of each block of so many by so many; at all if they are shown unrefined.
 
         Each sample looks up all views of a shadow map: shared among samples, views tell wrongly where light grazes.
         """
-        return 1 if self.shown == "raw filter" else largest_sampling([self.schedule, SHADOWS], MOST_SAMPLING)
+        return 1 if self.shown == "raw filter" else largest_sampling([self.schedule, shadow_schedule], most)
 
 
 def scale_schedule(schedule: Schedule, steps: float, kappa: float) -> Schedule:

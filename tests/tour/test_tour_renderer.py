@@ -72,7 +72,7 @@ def test_a_picture_is_what_relight_makes_of_its_lights(
     renderer = keeping if keep_photo_light else renderer
     plan = plan if keep_photo_light else replace(plan, existing={"ceiling": 0.4})
     every, sampled = Viewpoint(0, "relit", ALL_PIXELS), VIEW
-    assert (every.sampling, sampled.sampling) == (1, 2)
+    assert (every.sampling(), sampled.sampling()) == (1, 2)
     rendered = renderer.render(plan, every)
     file = tmp_path / "lights.json"
     write_lights(file, setup_of(plan, UP, renderer.surface_area))
