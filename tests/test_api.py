@@ -128,6 +128,7 @@ LAYERS: list[set[str]] = [
     {"training"},
     {"device"},
     {"relighting", "tuning"},
+    {"sweep"},
     {"live"},
     {"tour"},
     {"export"},
@@ -289,7 +290,14 @@ def loaded_by(code: str) -> set[str]:
         "import hyjax; hyjax.RelightSettings()",
         *(
             f"sys.argv = {['hyjax', *words]}; import hyjax.cli; hyjax.cli.main()"
-            for words in (["--version"], ["--help"], ["relight", "--help"], ["train", "--help"], ["tune", "--help"])
+            for words in (
+                ["--version"],
+                ["--help"],
+                ["relight", "--help"],
+                ["train", "--help"],
+                ["tune", "--help"],
+                ["sweep", "--help"],
+            )
         ),
     ],
 )

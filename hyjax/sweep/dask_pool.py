@@ -67,11 +67,8 @@ class DaskPool:
 
             for name in QUIET:
                 logging.getLogger(name).setLevel(logging.CRITICAL)
-            if scheduler is None:
-                count = workers or cores()
-                address = stack.enter_context(_local_cluster(count))
-            else:
-                count, address = 1, scheduler
+            count = 1 if scheduler else workers or cores()
+            address = scheduler or stack.enter_context(_local_cluster(count))
             try:
                 client = stack.enter_context(Client(address, timeout=10))
                 client.wait_for_workers(count, timeout=START)
@@ -150,7 +147,12 @@ def _local_cluster(count: int) -> Iterator[Any]:
     """Workers on this machine, the first of which has the device."""
     from distributed import Nanny, Scheduler, SpecCluster
 
-    options = {"nthreads": 1, "memory_limit": None, "dashboard": False, "silence_logs": logging.CRITICAL}
+    options: dict[str, Any] = {
+        "nthreads": 1,
+        "memory_limit": None,
+        "dashboard": False,
+        "silence_logs": logging.CRITICAL,
+    }
     options["host"] = "127.0.0.1"
     first = {"cls": Nanny, "options": options | {"resources": DEVICE}}
     specs = {number: {"cls": Nanny, "options": options} for number in range(1, count)}
