@@ -24,6 +24,8 @@ SETTLING = 0.1
 """Seconds in which all batches of a lost worker are told."""
 POLL = 2.0
 """Seconds after which lost workers of a scheduler are looked for."""
+CONNECT = 10.0
+"""Seconds in which a scheduler answers."""
 START = 60.0
 """Seconds that workers may take to start."""
 QUIET = ("distributed", "distributed.client", "distributed.gc", "tornado", "tornado.application")
@@ -70,7 +72,7 @@ class DaskPool:
             count = 1 if scheduler else workers or cores()
             address = scheduler or stack.enter_context(_local_cluster(count))
             try:
-                client = stack.enter_context(Client(address, timeout=10))
+                client = stack.enter_context(Client(address, timeout=CONNECT))
                 client.wait_for_workers(count, timeout=START)
             except (OSError, TimeoutError, ValueError) as error:
                 what = f"scheduler {scheduler}" if scheduler else "workers"
@@ -156,7 +158,10 @@ def _local_cluster(count: int) -> Iterator[Any]:
     options["host"] = "127.0.0.1"
     first = {"cls": Nanny, "options": options | {"resources": DEVICE}}
     specs = {number: {"cls": Nanny, "options": options} for number in range(1, count)}
-    scheduler = {"cls": Scheduler, "options": {"host": "127.0.0.1", "port": 0, "dashboard": False}}
+    scheduler = {
+        "cls": Scheduler,
+        "options": {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"},
+    }
     cluster = SpecCluster(workers={0: first} | specs, scheduler=scheduler, silence_logs=logging.CRITICAL)
     try:
         yield cluster

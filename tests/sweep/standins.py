@@ -48,7 +48,6 @@ def die_at_three(payload: Payload) -> Payload:
 def fill_disk(payload: Payload) -> Payload:
     """A process whose files may not grow any more, from the number three on."""
     if payload["number"] == 3:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (payload["bytes"], most))
     return double(payload)

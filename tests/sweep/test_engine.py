@@ -49,7 +49,6 @@ def test_rows_of_this_process(tmp_path: Path) -> None:
     assert [row["double"] for row in rows] == list(range(0, 60, 2))
     assert all(row["seed"] == 7 and row["commit"] and row["device"] and row["seconds"] >= 0 for row in rows)
     assert run_here(tmp_path, standins.double, tasks(31, seed=7))[0]["number"] == 30  # nothing is done twice
-    assert "distributed" not in sys.modules or True
 
 
 def test_a_task_named_twice_is_done_once(tmp_path: Path) -> None:
@@ -156,7 +155,8 @@ def test_killed_workers_and_a_killed_driver_lose_nothing(tmp_path: Path) -> None
     until(lambda: len(RowStore(killed).refresh()) > 40)
     driver.kill()
     _, told = driver.communicate()
-    assert "worker lost; its" in told and len(told.splitlines()) <= 2, told
+    ours, *_ = told.splitlines()
+    assert "worker lost; its" in ours and "istributed" not in told and "Traceback" not in told, told
     before = len(RowStore(killed).refresh())
     assert 40 < before < count
     out, told = start(killed, 2, count, 0.02).communicate(timeout=60)
@@ -184,6 +184,23 @@ def test_a_task_that_takes_its_workers_along(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("distributed")
-def test_a_scheduler_elsewhere(tmp_path: Path) -> None:
+def test_a_scheduler_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from distributed import LocalCluster
+
+    from hyjax.sweep import dask_pool
+
+    monkeypatch.setattr(dask_pool, "POLL", 0.1)
+    monkeypatch.setattr(dask_pool, "CONNECT", 1.0)
+    told: list[str] = []
+    with LocalCluster(1, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
+        with Engine.open(None, cluster.scheduler_address, tmp_path, told.append) as engine:
+            rows = engine.run(standins.double, tasks(60, sleep=0.02))
+            next(rows)
+            os.kill(workers_of(tmp_path)[0], signal.SIGKILL)
+            assert len(list(rows)) == 59 and set(times_done(tmp_path).values()) == {1}
+            assert "lost; its tasks run again" in told[0]
+            with pytest.raises(InputError, match="no worker has the device; start one with: dask worker --res"):
+                next(engine.run(standins.double, tasks(1), timing=True))
+        (tmp_path / "file").touch()
     with pytest.raises(InputError, match=r"scheduler .*: cannot be reached"):
         Engine.open(None, "tcp://127.0.0.1:9", tmp_path)
