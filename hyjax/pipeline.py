@@ -27,6 +27,7 @@ from hyjax.light.color import to_display
 from hyjax.light.relit import Relit, compared, composite_display, ratio, relit_picture
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
+from hyjax.light.upscaled import upscaled_picture, upscaled_stages
 from hyjax.light.view import View
 from hyjax.util.errors import InputError
 from hyjax.util.programs import KeptFunction
@@ -47,6 +48,7 @@ def relight(
     shadow_schedule: Schedule | None = None,
     temporal_filter: TemporalFilter | None = None,
     mode: Mode = "linear",
+    full: Float[Array, "fh fw 3"] | None = None,
 ) -> Relit:
     """Relit picture of one view.
 
@@ -61,6 +63,8 @@ def relight(
             instead. See `hyjax.video`; not in mode `"paper"`.
         mode: `"linear"` multiplies linear light and treats pixels without surface as unknown; `"paper"` clips and
             display-encodes the filter, leaves holes black, trusts all else, and multiplies display values.
+        full: the frame at full size, display-encoded, where the view is at a whole part of it: the filter is
+            brought to that size, see `hyjax.light.upscaled`. Not in mode `"paper"`.
 
     Returns:
         All stages; `image` and `unrefined` are linear in both modes.
@@ -85,6 +89,7 @@ def relight(
         shadow_schedule=shadow_schedule,
         temporal_filter=temporal_filter,
         mode=mode,
+        full=full,
     )
     return relit
 
@@ -98,6 +103,7 @@ def relight_stages(
     shadow_schedule: Schedule | None = None,
     temporal_filter: TemporalFilter | None = None,
     mode: Mode = "linear",
+    full: Float[Array, "fh fw 3"] | None = None,
 ) -> Iterator[tuple[str, Any]]:
     """`relight` stage by stage: each stage's name with its result.
 
@@ -141,7 +147,10 @@ def relight_stages(
     if known is not None and not (np.asarray(known) > 0).any():
         left = "the relit frame is black" if mode == "paper" else "only ambient light is used"
         warnings.warn(f"relight: nothing of the frame is known; {left}", stacklevel=3)
+    factor = 1 if full is None else _factor(full.shape, size)
     if mode == "paper":
+        if factor > 1:
+            raise InputError("relight: mode 'paper' works at full size; leave `full` out")
         yield from _paper_stages(view, shaded, guide, schedule, shadow_schedule)
         return
     illuminance = refine_illuminance(shaded, guide, schedule)
@@ -152,8 +161,24 @@ def relight_stages(
         illuminance, visibility = temporal_filter(illuminance, visibility)
         yield "temporal filter", (illuminance, visibility)
     relight_filter, image = relit_picture(view.frame, shaded, illuminance, visibility)
-    yield "composite", image
-    yield "comparison", compared(view.frame, shaded, illuminance, visibility, relight_filter, image)
+    if full is None or factor == 1:
+        yield "composite", image
+        yield "comparison", compared(view.frame, shaded, illuminance, visibility, relight_filter, image)
+        return
+    yield "relight filter", relight_filter
+    kappa = schedule.levels[-1].kappa
+    whole = upscaled_picture(full, view, relight_filter, image, shaded.emission, kappa, factor=factor)
+    yield "composite", whole[1]
+    small = compared(view.frame, shaded, illuminance, visibility, relight_filter, image)
+    yield "comparison", upscaled_stages(small, full, view, *whole, kappa, factor=factor)
+
+
+def _factor(full: tuple[int, ...], size: tuple[int, ...]) -> int:
+    """How many times smaller the view is than the frame."""
+    factor = max(1, -(-full[0] // size[0]))
+    if level_shape((full[0], full[1]), factor) != size:
+        raise InputError(f"relight: the view, {size}, must be the frame, {full[:2]}, at a whole part of its size")
+    return factor
 
 
 def default_shadow_schedule(mode: Mode) -> Schedule:

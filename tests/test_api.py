@@ -117,6 +117,7 @@ LAYERS: list[set[str]] = [
     {"core"},
     {"light"},
     {"pipeline", "video"},
+    {"configuration"},
     {""},  # hyjax/__init__.py: the public names
     {"metrics"},
     {"geometry"},
@@ -127,7 +128,8 @@ LAYERS: list[set[str]] = [
     {"guide", "pairs"},
     {"training"},
     {"device"},
-    {"relighting", "tuning"},
+    {"relighting"},
+    {"tuning"},
     {"sweep"},
     {"live"},
     {"tour"},

@@ -105,13 +105,14 @@ class SurfaceLight:
 
     Attributes:
         photo_light: E_old / K, that the frames were taken under.
-        bounced: lux that new lights throw by way of other surfaces, and what is left of the photo's own.
+        bounced: lux that new lights throw by way of other surfaces, and what is left of the photo's own; None to
+            leave it out.
         faces: of the scan.
         emitters: panes and lamps that shine by themselves.
     """
 
     photo_light: Float[Array, "v 3"]
-    bounced: Float[Array, "v 3"]
+    bounced: Float[Array, "v 3"] | None
     faces: Int[Array, "f 3"]
     emitters: Emitters | None = None
 
@@ -128,14 +129,14 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
     Raises:
         InputError: the G-buffer does not tell its triangles.
     """
-    uniform = np.array([each.UNIFORM for each in lights])
+    uniform = np.array([each.UNIFORM and light.bounced is not None for each in lights])
     return _add(shaded, light, on_triangles(gbuffer), jax.device_put(uniform & (not uniform.all())))
 
 
 @KeptFunction
 def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, left_out: Bool[Array, "l"]) -> Shaded:
     illuminance = jnp.where(left_out, 0.0, shaded.illuminance)
-    bounced = on_pixels(light.bounced, light.faces, gbuffer)
+    bounced = None if light.bounced is None else on_pixels(light.bounced, light.faces, gbuffer)
     photo_light = on_pixels(light.photo_light, light.faces, gbuffer)
     return dataclasses.replace(shaded, illuminance=illuminance, bounced=bounced, photo_light=photo_light)
 

@@ -16,17 +16,17 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
+from hyjax.configuration import PRESETS, Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.data.frames import select_frames
 from hyjax.data.light_file import write_lights
-from hyjax.guide.choose import FrameGuide, open_guide
+from hyjax.guide.choose import FrameGuide, configured_guide
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light, kind_name
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
-from hyjax.pipeline import relight_stages
-from hyjax.relighting.frame_shader import FrameShader
+from hyjax.relighting.frame_relighter import FrameRelighter
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.fusion_settings import FusionSettings
@@ -37,7 +37,6 @@ from hyjax.util.environment import environment, peak_memory_mib
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, remove, write_text
 from hyjax.util.prefetch import DEPTH, background_writer, prefetch
-from hyjax.video import Video
 
 _log = logging.getLogger(__name__)
 SHEET_ROWS = 12
@@ -84,7 +83,11 @@ def relight_capture(
     # All that can be checked is checked before the first slow step.
     settings.check()
     record = settings.record() | ({} if schedule is None else {"schedule": schedule.name, "kappa": None})
-    schedule, guide = schedule or settings.open_schedule(), guide or open_guide(settings.guide)
+    configuration = settings.open_configuration()
+    if schedule is not None:
+        configuration = dataclasses.replace(configuration, schedule=schedule)
+    schedule, guide = configuration.schedule, guide or configured_guide(configuration.guide)
+    tell_of_another_device(configuration)
     if settings.renderer == "blender":
         from hyjax.scene.blender import blender_python
 
@@ -125,9 +128,9 @@ def relight_capture(
         if settings.renderer == "webgpu":
             frames = _relight_on_device(scene, chosen, setup, settings, schedule, guide, clock, device)
         else:
-            shader = FrameShader(scene, setup, settings, schedule, clock, stack)
-            sampling = shader.sampling  # as the schedule allows it
-            frames = _relight_frames(scene, chosen, shader, settings, schedule, guide, clock)
+            relighter = FrameRelighter(scene, setup, configuration, settings, guide=guide, clock=clock, stack=stack)
+            sampling = relighter.shader.sampling  # as the schedule allows it
+            frames = _relight_frames(scene, chosen, relighter, clock)
         summary = _write_frames(frames, len(chosen), settings, clock)
     if not summary.written:
         if not summary.skipped:
@@ -148,6 +151,7 @@ def relight_capture(
         "guide": guide.name,
         "renderer": settings.renderer,
         "sampling": sampling,
+        "configuration": json.loads(configuration.to_json()),
         "schedule": json.loads(schedule.to_json()),
         "reference_lux": setup.reference_lux,
         "photo_light": scene.photo_light.record() if settings.divides_photo_light else None,
@@ -158,6 +162,19 @@ def relight_capture(
     } | environment()
     write_text(out / "run.json", json.dumps(run, indent=2) + "\n")
     return run
+
+
+def tell_of_another_device(configuration: Configuration) -> None:
+    """A line in the log where a configuration was measured on another device."""
+    measured = configuration.measured
+    here = environment()["device"]
+    if measured is not None and configuration.name not in PRESETS and measured.device != here:
+        _log.warning(
+            "configuration %s was tuned on %s; on this device, %s, its times may be others",
+            configuration.name,
+            measured.device,
+            here,
+        )
 
 
 def readable(scene: Scene, index: int) -> Frame | None:
@@ -172,16 +189,9 @@ def readable(scene: Scene, index: int) -> Frame | None:
 
 
 def _relight_frames(
-    scene: Scene,
-    chosen: Sequence[int],
-    shader: FrameShader,
-    settings: RelightSettings,
-    schedule: Schedule,
-    guide: FrameGuide,
-    clock: StageClock,
+    scene: Scene, chosen: Sequence[int], relighter: FrameRelighter, clock: StageClock
 ) -> Generator[tuple[Frame, Relit | None]]:
     """Frames with their relit pictures, in order; None for one that sees no surface."""
-    memory = Video()
 
     def cast(index: int) -> tuple[Frame, GBuffer] | None:
         with clock("read"):
@@ -189,27 +199,21 @@ def _relight_frames(
         if frame is None:
             return None
         with clock("g-buffer"):
-            return frame, jax.block_until_ready(scene.gbuffer(frame.camera, rays=len(chosen) <= FEW))
+            return frame, jax.block_until_ready(relighter.gbuffer(frame.camera, rays=len(chosen) <= FEW))
 
     def relight_frame(numbered: tuple[int, tuple[Frame, GBuffer]]) -> tuple[Frame, Relit | None]:
         number, (frame, gbuffer) = numbered
         if not np.asarray(gbuffer.hit).any():
             return frame, None
-        view, shaded = shader(number, frame, gbuffer)
-        with clock("guide"):
-            features = jax.block_until_ready(guide.features(view.display))
-        temporal_filter = memory.filter(view, shader.setup, features, schedule) if settings.video else None
-        stages = relight_stages(
-            view, shaded, features, schedule, temporal_filter=temporal_filter, mode=settings.mode
-        )
-        return frame, clock.follow(stages)
+        return frame, clock.follow(relighter.stages(number, frame, gbuffer))
 
+    at_once = relighter.shader.at_once
     with ExitStack() as running:
         cast_ahead = enumerate(filter(None, running.enter_context(contextlib.closing(prefetch(cast, chosen)))))
         # The first alone: several at once would each compile what it compiles.
-        alone = 1 if shader.at_once > 1 else None
+        alone = 1 if at_once > 1 else None
         yield from map(relight_frame, itertools.islice(cast_ahead, alone))
-        relit = prefetch(relight_frame, cast_ahead, shader.at_once, threads=shader.at_once)
+        relit = prefetch(relight_frame, cast_ahead, at_once, threads=at_once)
         yield from running.enter_context(contextlib.closing(relit))
 
 

@@ -1,6 +1,7 @@
 """Settings of a relighting run. The command line takes its options, their defaults and their help from here."""
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -9,6 +10,7 @@ from hyjax.util.errors import InputError
 from hyjax.util.settings import Settings
 
 if TYPE_CHECKING:
+    from hyjax.configuration import Configuration
     from hyjax.core.schedule import Schedule
     from hyjax.pipeline import Mode
 
@@ -25,13 +27,16 @@ class RelightSettings(Settings):
     """Which frames, by position in the capture: all, 7, 0:300:30, or a list such as 0,5,9:12."""
     lights: str = "noon-window"
     """noon-window, golden-hour, evening-lamps, night-moon, center-point, two-colors, or a YAML or JSON file."""
+    configuration: str | None = None
+    """quality, balanced, fast, default, paper, or a JSON file that tune wrote: all that follows on how a frame is
+    relit. What is given beside it takes the place of the configuration's."""
     schedule: str | None = None
     """hyjax, paper-50, paper-80, naive-50, naive-1000, or a JSON file. Default: hyjax; in paper mode paper-80."""
     kappa: float | None = None
     """Edge sensitivity of a named schedule. Default: 0.05 for hyjax and in paper mode, 0.02 for the others."""
-    guide: str = "rgb"
-    """What guides the diffusion: rgb is the frame itself, small the network that comes with hyjax, small-half that
-    network at half the frame's size; or a safetensors file that train or tune wrote."""
+    guide: str | None = None
+    """What guides the diffusion: rgb (the default) is the frame itself, small the network that comes with hyjax,
+    small-half that network at half the frame's size; or a safetensors file that train or tune wrote."""
     paper_mode: bool = False
     """Exactly the paper: multiply display values, leave holes in the mesh black."""
     keep_photo_light: bool = False
@@ -46,9 +51,9 @@ class RelightSettings(Settings):
     renderer: Renderer = "shadow_map"
     """What shades the mesh: shadow_map; blender: Cycles, which traces every shadow and takes its time; or webgpu:
     whole frames on a graphics processor, by the shaders of an exported page."""
-    sampling: int = 2
-    """Shade one pixel in each block of so many by so many, where the schedule averages over blocks anyway: 2 shades
-    a quarter of them, 1 all. Paper mode, blender and webgpu shade all."""
+    sampling: int | None = None
+    """Shade one pixel in each block of so many by so many, where the schedule averages over blocks anyway: 2 (the
+    default) shades a quarter of them, 1 all. Paper mode, blender and webgpu shade all."""
     save_filters: bool = False
     """Also write each frame's raw and refined filter."""
     save_visibility: bool = False
@@ -65,13 +70,23 @@ class RelightSettings(Settings):
             InputError: a value out of range, a schedule or set-up that does not exist, or options that exclude each
                 other.
         """
-        if self.video and self.paper_mode:
-            raise InputError("video: the paper's mode has no memory of earlier frames; leave one of the two out")
-        if self.renderer == "webgpu" and (self.video or self.paper_mode):
-            raise InputError("renderer: webgpu does neither video nor the paper's mode; leave them out")
-        if not 1 <= self.sampling <= MOST_SAMPLING:
+        if self.sampling is not None and not 1 <= self.sampling <= MOST_SAMPLING:
             raise InputError(f"sampling: must be between 1 and {MOST_SAMPLING}, got {self.sampling}")
-        self.open_schedule()
+        if self.kappa is not None and self.configuration is not None and self.schedule is None:
+            raise InputError("kappa: the configuration brings its own; give --kappa with a named --schedule only")
+        if (self.schedule, self.configuration) == (None, None):
+            self.open_schedule()
+        chosen = self.open_configuration()
+        paper = chosen.mode == "paper"
+        if self.video and paper:
+            raise InputError("video: the paper's mode has no memory of earlier frames; leave one of the two out")
+        if self.renderer == "webgpu" and (self.video or paper):
+            raise InputError("renderer: webgpu does neither video nor the paper's mode; leave them out")
+        if chosen.scale > 1 and (self.video or self.renderer != "shadow_map"):
+            raise InputError(
+                f"configuration {chosen.name}: works at 1/{chosen.scale} of the size, which --video and other "
+                "renderers than shadow_map do not"
+            )
         check_lights_name(self.lights)
         self.scene.check()
         return self
@@ -79,17 +94,46 @@ class RelightSettings(Settings):
     @property
     def shadow_occluders(self) -> Occluders:
         """What throws shadows; the paper's mode knows the bare surface alone."""
-        return "surface" if self.paper_mode else self.occluders
+        return "surface" if self.mode == "paper" else self.occluders
 
     @property
     def divides_photo_light(self) -> bool:
         """Whether the light that the frames were taken under is divided out."""
-        return not self.paper_mode and not self.keep_photo_light
+        return self.open_configuration().light.photo_light == "divided"
 
     @property
     def mode(self) -> "Mode":
         """Mode of the pipeline."""
-        return "paper" if self.paper_mode else "linear"
+        return self.open_configuration().mode
+
+    def open_configuration(self) -> "Configuration":
+        """Configuration by name or from a file, with what is given beside it.
+
+        Raises:
+            InputError: no such configuration or schedule, or choices that exclude each other.
+        """
+        return self._configuration
+
+    @functools.cached_property
+    def _configuration(self) -> "Configuration":
+        import msgspec
+
+        from hyjax.configuration import DEFAULT, Configuration
+
+        name = self.configuration or ("paper" if self.paper_mode else DEFAULT)
+        chosen = Configuration.open(name)
+        if self.paper_mode and chosen.mode != "paper":
+            raise InputError(f"configuration {name}: is of linear light; leave it or --paper-mode out")
+        if self.schedule is not None or self.kappa is not None:
+            chosen = dataclasses.replace(chosen, schedule=self.open_schedule())
+        light, guide = chosen.light, chosen.guide
+        if self.sampling is not None:
+            light = msgspec.structs.replace(light, sampling=self.sampling)
+        if self.keep_photo_light:
+            light = msgspec.structs.replace(light, photo_light="kept")
+        if self.guide is not None:
+            guide = msgspec.structs.replace(guide, name=self.guide, size=None, every=1)
+        return dataclasses.replace(chosen, light=light, guide=guide)
 
     def open_schedule(self) -> "Schedule":
         """Schedule by name or from a file.

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
+from jaxtyping import Array, Float
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit
@@ -35,6 +36,10 @@ if TYPE_CHECKING:
     import trimesh
 
 UNIT_TOLERANCE = 1e-3
+MOST_MAPS = 2
+"""Sets of shadow maps that a scene keeps: of the two kinds of occluders, say."""
+MapsKey = tuple[Occluders, float, int | None]
+"""Occluders, scale and most views of a set of shadow maps."""
 
 
 class Scene:
@@ -81,7 +86,7 @@ class Scene:
         self.caster = RayCaster(mesh)
         self._anchors: dict[bool, LightAnchors] = {}
         self.exact, self._detail, self._completed = exact, detail, None if not exact else self.caster
-        self._maps: dict[Occluders, tuple[tuple[Light, ...], tuple[ShadowMap | None, ...]]] = {}
+        self._maps: dict[MapsKey, tuple[tuple[Light, ...], tuple[ShadowMap | None, ...]]] = {}
         self._sources_file, self._progress = photo_sources, progress
 
     @classmethod
@@ -211,19 +216,29 @@ class Scene:
         return None if self.exact else SLACK
 
     def shadow_maps(
-        self, lights: LightSetup | Sequence[Light], *, occluders: Occluders = "completed"
+        self,
+        lights: LightSetup | Sequence[Light],
+        *,
+        occluders: Occluders = "completed",
+        scale: float = 1.0,
+        most_views: int | None = None,
     ) -> tuple[ShadowMap | None, ...]:
         """Shadow maps of lights; those of the last lights are kept.
 
         Args:
             lights: a set-up, or lights.
             occluders: what throws the shadows.
+            scale, most_views: see `cast_shadow_maps`.
         """
-        own, last = LightSetup.of(lights).lights, self._maps.get(occluders)
+        key: MapsKey = (occluders, scale, most_views)
+        own, last = LightSetup.of(lights).lights, self._maps.get(key)
         if last is None or not same_lights(last[0], own):
             caster, slack = (self.occluders, self.slack) if occluders == "completed" else (self.caster, None)
-            maps = cast_shadow_maps(caster, own, slack=slack, folder=cache_folder() / "shadow-maps")
-            self._maps[occluders] = last = own, jax.block_until_ready(maps)
+            folder = cache_folder() / "shadow-maps"
+            maps = cast_shadow_maps(caster, own, scale, slack, most_views, folder=folder)
+            while len(self._maps) >= MOST_MAPS:
+                self._maps.pop(next(iter(self._maps)), None)
+            self._maps[key] = last = own, jax.block_until_ready(maps)
         return last[1]
 
     def shade(
@@ -295,7 +310,10 @@ class Scene:
 
 def view_of(frame: Frame, gbuffer: GBuffer) -> View:
     """View of a frame whose G-buffer was cast before."""
-    pose, intrinsics = (
-        np.asarray(matrix, np.float32) for matrix in (frame.camera.pose, frame.camera.intrinsics.matrix)
-    )
-    return View.of(jax.device_put(frame.image), gbuffer, pose=pose, intrinsics=intrinsics)
+    return camera_view(jax.device_put(frame.image), gbuffer, frame.camera)
+
+
+def camera_view(display: Float[Array, "h w 3"], gbuffer: GBuffer, camera: Camera) -> View:
+    """View of a display-encoded picture of a camera."""
+    pose, intrinsics = (np.asarray(matrix, np.float32) for matrix in (camera.pose, camera.intrinsics.matrix))
+    return View.of(display, gbuffer, pose=pose, intrinsics=intrinsics)

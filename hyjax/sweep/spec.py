@@ -13,16 +13,17 @@
 
 import json
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 
+from hyjax.configuration import Configuration
 from hyjax.data.frames import spread
 from hyjax.data.hand_written import check_keys, read_plain
 from hyjax.data.light_file import is_light_file
 from hyjax.scene.settings import check_lights_name
+from hyjax.sweep.work import random_configurations
 from hyjax.synthetic.truth import CHOOSE, REPORT
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.sizes import parse_size
@@ -79,7 +80,7 @@ class Spec(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     configurations: Names | Draws
     frames: Positive | Numbers = 4
     size: str = "320x240"
-    seeds: Annotated[list[Annotated[int, msgspec.Meta(ge=0)]], msgspec.Meta(min_length=1)] = [0]
+    seeds: Numbers = msgspec.field(default_factory=lambda: [0])
     time: bool = False
 
 
@@ -171,31 +172,19 @@ def configurations_of(spec: Spec) -> dict[str, dict[str, Any]]:
     Raises:
         InputError: no such name, or a file that cannot be read.
     """
-    import importlib
-
     if isinstance(spec.configurations, Draws):
         draws = spec.configurations
-        drawn: Sequence[Any] = importlib.import_module("hyjax.tuning.space").random_configurations(
-            draws.count, draws.seed
-        )
-        return {f"random-{draws.seed}-{number}": _plain(drawn[number]) for number in range(draws.count)}
-    return {Path(name).stem: _named(name) for name in spec.configurations}
+        drawn = random_configurations(draws.count, draws.seed)
+        return {f"{draws.space}-{draws.seed}-{number}": _plain(one) for number, one in enumerate(drawn)}
+    found: dict[str, dict[str, Any]] = {}
+    for text in spec.configurations:
+        name = Path(text).stem
+        if name in found:
+            raise InputError(f"configurations: two are called {name!r}; rename one of the files")
+        found[name] = _plain(Configuration.open(text))
+    return found
 
 
-def _named(name: str) -> dict[str, Any]:
-    import importlib
-
-    configuration = importlib.import_module("hyjax.configuration").Configuration
-    if not name.endswith(".json"):
-        return _plain(configuration.preset(name))
-    try:
-        return _plain(configuration.from_json(Path(name).read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{name}: cannot read the configuration ({error})") from None
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None
-
-
-def _plain(configuration: Any) -> dict[str, Any]:
+def _plain(configuration: Configuration) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(configuration.to_json())
     return found

@@ -1,9 +1,15 @@
-"""What the workers of a sweep do; in the words of `hyjax.tuning.evaluation`, which they load when they begin."""
+"""What the workers of a sweep do; the modules that do it are loaded when they begin."""
 
 import functools
 import importlib
 import warnings
+from collections.abc import Sequence
 from typing import Any
+
+from hyjax.configuration import Configuration
+
+EVALUATION = "hyjax.tuning.evaluation"
+SPACE = "hyjax.tuning.space"
 
 
 def evaluate(payload: dict[str, Any]) -> dict[str, Any]:
@@ -18,10 +24,16 @@ def time_frames(payload: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
+def random_configurations(count: int, seed: int) -> Sequence[Configuration]:
+    """Draws of the space of configurations."""
+    drawn: Sequence[Configuration] = importlib.import_module(SPACE).random_configurations(count, seed)
+    return drawn
+
+
 @functools.cache
 def _evaluation() -> Any:
     from hyjax.util.compiled_cache import keep_compiled
 
     keep_compiled()
     warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
-    return importlib.import_module("hyjax.tuning.evaluation")
+    return importlib.import_module(EVALUATION)

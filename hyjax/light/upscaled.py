@@ -1,0 +1,72 @@
+"""Picture that was relit at a part of its size, brought to full size under the frame itself."""
+
+import dataclasses
+import functools
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from hyjax.core.upsampling import guided_upsample
+from hyjax.light.color import to_linear
+from hyjax.light.compositing import composite
+from hyjax.light.emission import Emission
+from hyjax.light.relit import Relit
+from hyjax.light.view import View
+from hyjax.util.programs import KeptFunction
+
+
+@functools.partial(KeptFunction, static="factor")
+def upscaled_picture(
+    display: Float[Array, "h w 3"],
+    view: View,
+    relight_filter: Float[Array, "sh sw 3"],
+    image: Float[Array, "sh sw 3"],
+    emission: Emission | None,
+    kappa: Float[ArrayLike, ""],
+    *,
+    factor: int,
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
+    """Relight filter and relit picture of a frame from those at its size over `factor`.
+
+    The filter is interpolated under the frame, as a cascade's last level is, and the frame multiplied at full size:
+    its texture stays. What shines is interpolated as it is.
+
+    Args:
+        display: the frame, display-encoded.
+        view: at the smaller size.
+        relight_filter, image: of that view, see `hyjax.light.relit.relit_picture`.
+        emission: of that view.
+        kappa: κ of the interpolation, see `guided_upsample`.
+        factor: ≥ 1.
+
+    Source: Kopf, Cohen, Lischinski and Uyttendaele, *Joint bilateral upsampling*, SIGGRAPH 2007.
+    """
+    frame = to_linear(display)
+    if emission is None:
+        whole = guided_upsample(relight_filter, factor, display, kappa, coarse=view.display)
+        return whole, composite(whole, frame)
+    shining = image - (1.0 - emission.weight) * composite(relight_filter, view.frame)
+    together = jnp.concatenate([relight_filter, shining, emission.weight], axis=-1)
+    whole = guided_upsample(together, factor, display, kappa, coarse=view.display)
+    relight_filter, shining, weight = whole[..., :3], whole[..., 3:6], whole[..., 6:]
+    return relight_filter, (1.0 - weight) * composite(relight_filter, frame) + shining
+
+
+@functools.partial(KeptFunction, static="factor")
+def upscaled_stages(
+    relit: Relit,
+    display: Float[Array, "h w 3"],
+    view: View,
+    relight_filter: Float[Array, "h w 3"],
+    image: Float[Array, "h w 3"],
+    kappa: Float[ArrayLike, ""],
+    *,
+    factor: int,
+) -> Relit:
+    """All stages at full size, to look at; arguments as of `upscaled_picture`, with its results."""
+    kept = {field.name: getattr(relit, field.name) for field in dataclasses.fields(relit)}
+    names = [name for name in kept if name not in ("relight_filter", "image")]
+    together = jnp.concatenate([kept[name] for name in names], axis=-1)
+    whole = guided_upsample(together, factor, display, kappa, coarse=view.display)
+    pictures = dict(zip(names, jnp.split(whole, len(names), axis=-1), strict=True))
+    return Relit(**pictures, relight_filter=relight_filter, image=image)

@@ -1,0 +1,107 @@
+"""Relighting of single frames by a configuration: G-buffer, light, guide, cascades, picture."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import jax
+from jaxtyping import Array, Float
+
+from hyjax.configuration import Configuration
+from hyjax.core.pyramid import downsample, level_shape
+from hyjax.data.capture import Frame
+from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.guide.choose import FrameGuide, configured_guide
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.setup import LightSetup
+from hyjax.pipeline import relight_stages
+from hyjax.relighting.frame_shader import FrameShader
+from hyjax.relighting.settings import RelightSettings
+from hyjax.scene.scene import Scene, camera_view, view_of
+from hyjax.util.clock import StageClock
+from hyjax.video import Video
+
+
+class FrameRelighter:
+    """Relighting of the frames of a scene under a set-up, as a configuration says.
+
+    Attributes:
+        configuration: how.
+        guide: what makes the guides.
+        shader: light on the frames.
+
+    Args:
+        scene: whose frames they are.
+        setup: new lights.
+        configuration: how.
+        settings: renderer, shadows, occluders and video.
+        guide: in the place of the configuration's.
+        clock: takes the stages' times.
+        stack: closes what is opened.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        setup: LightSetup,
+        configuration: Configuration,
+        settings: RelightSettings | None = None,
+        *,
+        guide: FrameGuide | None = None,
+        clock: StageClock | None = None,
+        stack: ExitStack | None = None,
+    ) -> None:
+        settings, self._clock = settings or RelightSettings(), clock or StageClock()
+        self.configuration, self._scene, self._video = configuration, scene, Video() if settings.video else None
+        self.guide = guide or configured_guide(configuration.guide)
+        self.shader = FrameShader(scene, setup, settings, configuration, self._clock, stack or ExitStack())
+
+    def gbuffer(self, camera: Camera, *, rays: bool = False) -> GBuffer:
+        """Surface that a camera sees, at the configuration's scale; see `Scene.gbuffer`."""
+        return self._scene.gbuffer(scaled(camera, self.configuration.scale), rays=rays)
+
+    def stages(self, number: int, frame: Frame, gbuffer: GBuffer) -> Iterator[tuple[str, Any]]:
+        """The `number`-th frame of a run, stage by stage, as `relight_stages`: the last result is `Relit`.
+
+        Args:
+            number: from 0.
+            frame: of the scene.
+            gbuffer: of its camera, see `FrameRelighter.gbuffer`.
+        """
+        own, scale, full = self.configuration, self.configuration.scale, None
+        if scale == 1:
+            view = view_of(frame, gbuffer)
+        else:
+            full = jax.device_put(frame.image)
+            view = camera_view(downsample(full, scale), gbuffer, scaled(frame.camera, scale))
+        view, shaded = self.shader(number, view, frame.camera)
+        with self._clock("guide"):
+            features = jax.block_until_ready(self.guide.features(view.display))
+        remember = None
+        if self._video is not None:
+            remember = self._video.filter(view, self.shader.setup, features, own.schedule)
+        yield from relight_stages(
+            view,
+            shaded,
+            features,
+            own.schedule,
+            shadow_schedule=own.shadow_schedule,
+            temporal_filter=remember,
+            mode=own.mode,
+            full=full,
+        )
+
+    def picture(self, number: int, frame: Frame) -> Float[Array, "h w 3"]:
+        """Relit picture of a frame, linear; nothing to compare it with is made."""
+        for stage, result in self.stages(number, frame, self.gbuffer(frame.camera)):
+            if stage == "composite":
+                return result
+        raise AssertionError("there is always a composite")
+
+
+def scaled(camera: Camera, factor: int) -> Camera:
+    """Camera of the picture whose pixels are cells of `factor` × `factor`."""
+    k = camera.intrinsics
+    height, width = level_shape((k.height, k.width), factor)
+    parts = (each / factor for each in (k.fx, k.fy, k.cx, k.cy))
+    return Camera(Intrinsics(width, height, *parts), camera.pose)
