@@ -2,11 +2,11 @@
 
     python -m experiments.sweep_scale [--tasks 10000] [--task-ms 10] [--workers 2] [--out results/sweep_scale]
 
-A task keeps a core busy for so long, in the time of its own thread. *Ideal* is that time over all tasks divided by the
-workers; the overhead is what the sweep takes beyond it, on a machine that does nothing else. Memory is the driver's.
-Then a sweep of the size of 8 rooms x 4 set-ups x 50 configurations is run in processes of its own: undisturbed, with a
-worker killed twice, and with the driver killed twice and started again. A task that was under way in a killed process
-is computed again; a row is never written twice. Takes two minutes on two idle cores.
+A task keeps a core busy for so long, in the time of its own thread. *Ideal* is that time over all tasks divided by
+the workers; the overhead is what the sweep takes beyond it, on a machine that does nothing else; *processor*, which
+holds on a busy machine too, what all its processes compute beyond the tasks. Memory is the driver's. Then a sweep of the size of 8 rooms x 4 set-ups x 50 configurations is run in processes of its own:
+undisturbed, with a worker killed twice, and with the driver killed twice and started again. A task that was under
+way in a killed process is computed again; a row is never written twice. Takes two minutes on two idle cores.
 
 Expect: an overhead of less than 20 %, the same memory after a tenth and after all, no row lost or written twice.
 """
@@ -27,15 +27,12 @@ from typing import Any
 from experiments.blocks import Block, Table
 from experiments.command import RunConfig, Start, experiment, run
 from experiments.records import Row, machine, of_kind
-from hyjax.sweep.engine import Engine
+from experiments.sweep_driver import MARKS
 from hyjax.sweep.rows import RowStore
-from hyjax.sweep.task import Task
 from hyjax.util.environment import cores
 from hyjax.util.errors import InputError
 
 ROOMS, SETUPS, CONFIGURATIONS = 8, 4, 50
-MARKS = (0.1, 0.5, 1.0)
-"""Shares of the tasks after which the driver's memory is looked at."""
 KILLS = ("nobody", "a worker, twice", "the driver, twice")
 WHEN = (0.25, 0.6)
 """Shares of the tasks after which something is killed."""
@@ -68,41 +65,9 @@ def main(config: Config, start: Start) -> None:
             results.add(kind="kills", killed=killed, **_disturbed(Path(folder), killed, config))
 
 
-def busy(payload: dict[str, Any]) -> dict[str, Any]:
-    """Work for so long, in the time of this thread."""
-    end, turns = time.thread_time() + payload["ms"] / 1000, 0
-    while time.thread_time() < end:
-        turns += 1
-    return {"loss": 1.0 / turns}
-
-
-def drive(folder: Path, count: int, task_ms: float, workers: int) -> None:
-    """A driver, for a process of its own: prints its seconds and memory as JSON."""
-    tasks = [Task({"number": number, "ms": task_ms}) for number in range(count)]
-    marks = {max(1, round(count * share)): f"{share:g}" for share in MARKS}
-    memory: dict[str, float] = {}
-    begin = time.perf_counter()
-    with Engine.open(workers, None, folder) as engine:
-        ready = time.perf_counter()
-        for number, _ in enumerate(engine.run(busy, tasks), start=1):
-            if number in marks:
-                memory[marks[number]] = round(resident_mib(), 1)
-        done = time.perf_counter()
-    seconds = {"start": ready - begin, "tasks": done - ready, "end": time.perf_counter() - done}
-    print(json.dumps({"seconds": seconds, "memory_mib": memory}))
-
-
-def resident_mib() -> float:
-    """Memory of this process; NaN where the system does not tell."""
-    statm = Path("/proc/self/statm")
-    if not statm.is_file():
-        return float("nan")
-    return int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
 def _driver(folder: Path, count: int, config: Config) -> subprocess.Popen[str]:
     code = (
-        "from pathlib import Path; from experiments.sweep_scale import drive; "
+        "from pathlib import Path; from experiments.sweep_driver import drive; "
         f"drive(Path({str(folder)!r}), {count}, {config.task_ms}, {config.workers})"
     )
     return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -160,6 +125,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         )
         overhead = 100 * (seconds["tasks"] / row["ideal"] - 1)
         whole = 100 * (sum(seconds.values()) / row["ideal"] - 1)
+        processor = 100 * (row["cpu_seconds"] / (settings["tasks"] * settings["task_ms"] / 1000) - 1)
         memory = " / ".join(f"{row['memory_mib'][f'{share:g}']:.0f}" for share in MARKS)
         header = [
             "",
@@ -169,7 +135,14 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
             "with start and end (%)",
             "driver (MiB): 10 / 50 / 100 %",
         ]
-        cells = [f"{row['ideal']:.1f}", f"{seconds['tasks']:.1f}", f"{overhead:.1f}", f"{whole:.1f}", memory]
+        cells = [
+            f"{row['ideal']:.1f}",
+            f"{seconds['tasks']:.1f}",
+            f"{overhead:.1f}",
+            f"{whole:.1f}",
+            f"{processor:.1f}",
+            memory,
+        ]
         found.append(Table(caption, header, [["tasks", *cells]]))
     header = ["killed", "tasks", "rows", "lost", "done twice", "errors", "starts", "seconds"]
     names = ("tasks", "rows", "lost", "twice", "errors", "starts")

@@ -103,9 +103,10 @@ def _do(task: Task, function: str, writer: RowWriter, outcome: Outcome) -> None:
     Raises:
         InputError: the row cannot be written.
     """
+    call = _function(function)
     start = time.perf_counter()
     try:
-        values, kind = _function(function)(task.payload), task.kind
+        values, kind = call(task.payload), task.kind
     except InputError as error:
         values, kind = error_values(task, type(error).__name__, str(error)), ERROR
     except Exception as error:

@@ -77,7 +77,9 @@ class Dispatch:
         """
         if outcome.computed:
             mean = outcome.seconds / outcome.computed
-            self._seconds = mean if self._seconds is None else 0.5 * (self._seconds + mean)
+            # The first of a scene compiles: what takes less time is believed at once.
+            known = mean if self._seconds is None else self._seconds
+            self._seconds = min(mean, 0.5 * (known + mean))
         yield from outcome.rows
         for task in batch.tasks:
             if task.key in outcome.failed:
