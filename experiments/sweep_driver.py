@@ -26,15 +26,18 @@ def drive(folder: Path, count: int, task_ms: float, workers: int) -> None:
     tasks = [Task({"number": number, "ms": task_ms}) for number in range(count)]
     marks = {max(1, round(count * share)): f"{share:g}" for share in MARKS}
     memory: dict[str, float] = {}
+    task_seconds = 0.0
     begin = time.perf_counter()
     with Engine.open(workers, None, folder) as engine:
         ready = time.perf_counter()
-        for number, _ in enumerate(engine.run(busy, tasks), start=1):
+        for number, row in enumerate(engine.run(busy, tasks), start=1):
+            task_seconds += row["seconds"]
             if number in marks:
                 memory[marks[number]] = round(resident_mib(), 1)
         done = time.perf_counter()
     seconds = {"start": ready - begin, "tasks": done - ready, "end": time.perf_counter() - done}
-    print(json.dumps({"seconds": seconds, "cpu_seconds": cpu_seconds(), "memory_mib": memory}))
+    times = {"seconds": seconds, "task_seconds": task_seconds, "cpu_seconds": cpu_seconds()}
+    print(json.dumps(times | {"memory_mib": memory}))
 
 
 def cpu_seconds() -> float:
