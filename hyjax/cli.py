@@ -179,7 +179,11 @@ def run_swept(settings: SweepSettings) -> None:
     """`hyjax sweep`."""
     from hyjax.sweep.run import run_sweep
 
-    swept = run_sweep(settings)
+    try:
+        swept = run_sweep(settings)
+    except KeyboardInterrupt:
+        print("hyjax: --resume goes on with what is left", file=sys.stderr)
+        raise
     if swept.errors:
         print(f"hyjax: {len(swept.errors)} tasks have no result; the first: {swept.errors[0]}", file=sys.stderr)
     print(f"{swept.tasks} tasks of {len(swept.lines)} configurations; look at {swept.out / 'sweep.png'}")

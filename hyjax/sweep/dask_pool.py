@@ -20,6 +20,7 @@ except ImportError:
 
 DEVICE = {"device": 1}
 """A worker that offers it may have the device for itself."""
+SETUP = "hyjax.sweep.worker_setup"
 SETTLING = 0.1
 """Seconds in which all batches of a lost worker are told."""
 POLL = 2.0

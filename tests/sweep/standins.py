@@ -64,3 +64,9 @@ def loss(payload: Payload) -> Payload:
 def milliseconds(payload: Payload) -> Payload:
     """Times that the configuration decides."""
     return {"median_ms": 10.0 / payload["configuration"]["light"]["sampling"], "p95_ms": 11.0}
+
+
+def slow_loss(payload: Payload) -> Payload:
+    """The same, after a second."""
+    time.sleep(1.0)
+    return loss(payload)
