@@ -150,13 +150,8 @@ def _local_cluster(count: int) -> Iterator[Any]:
     """Workers on this machine, the first of which has the device."""
     from distributed import Nanny, Scheduler, SpecCluster
 
-    options: dict[str, Any] = {
-        "nthreads": 1,
-        "memory_limit": None,
-        "dashboard": False,
-        "silence_logs": logging.CRITICAL,
-    }
-    options["host"] = "127.0.0.1"
+    options: dict[str, Any] = {"host": "127.0.0.1", "nthreads": 1, "memory_limit": None, "preload": [SETUP]}
+    options |= {"dashboard": False, "silence_logs": logging.CRITICAL}
     first = {"cls": Nanny, "options": options | {"resources": DEVICE}}
     specs = {number: {"cls": Nanny, "options": options} for number in range(1, count)}
     scheduler = {
