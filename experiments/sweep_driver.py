@@ -23,7 +23,7 @@ def busy(payload: dict[str, Any]) -> dict[str, Any]:
 
 def drive(folder: Path, count: int, task_ms: float, workers: int) -> None:
     """A driver, for a process of its own: prints its seconds and memory as JSON."""
-    tasks = [Task({"number": number, "ms": task_ms}) for number in range(count)]
+    tasks = (Task({"number": number, "ms": task_ms}) for number in range(count))
     marks = {max(1, round(count * share)): f"{share:g}" for share in MARKS}
     memory: dict[str, float] = {}
     task_seconds = 0.0
