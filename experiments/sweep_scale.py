@@ -139,14 +139,9 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
             "processor (%)",
             "driver (MiB): 10 / 50 / 100 %",
         ]
-        cells = [
-            f"{row['ideal']:.1f}",
-            f"{seconds['tasks']:.1f}",
-            f"{overhead:.1f}",
-            f"{whole:.1f}",
-            f"{processor:.1f}",
-            memory,
-        ]
+        beside = 100 * (settings["workers"] * seconds["tasks"] / row["task_seconds"] - 1)
+        numbers = (row["ideal"], seconds["tasks"], overhead, whole, beside, processor)
+        cells = [*(f"{number:.1f}" for number in numbers), memory]
         found.append(Table(caption, header, [["tasks", *cells]]))
     header = ["killed", "tasks", "rows", "lost", "done twice", "errors", "starts", "seconds"]
     names = ("tasks", "rows", "lost", "twice", "errors", "starts")

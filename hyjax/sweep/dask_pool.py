@@ -36,8 +36,10 @@ CONFIG = {
     "distributed.nanny.pre-spawn-environ": {},
     "distributed.admin.system-monitor.log-length": 60,
     "distributed.worker.profile.enabled": False,
+    "distributed.admin.low-level-log-length": 8,
 }
-"""Of workers on this machine: silent, every death is told to us, and threads as in any process of ours."""
+"""Of workers on this machine: silent, every death is told to us, threads as in any process of ours, and no
+memory of messages, which hold all tasks."""
 
 
 class DaskPool:
