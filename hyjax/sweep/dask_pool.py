@@ -1,6 +1,14 @@
-"""Workers by Dask distributed: processes of this machine, or those of a scheduler elsewhere."""
+"""Workers by Dask distributed: processes of this machine, or those of a scheduler elsewhere.
+
+Those elsewhere are started by any of Dask's deployers, in an environment with hyjax and a folder that all see:
+
+    dask scheduler
+    dask worker ADDRESS --nthreads 1 --resources device=1      # one on each host
+    dask worker ADDRESS --nthreads 1 --nworkers 7              # the others
+"""
 
 import contextlib
+import importlib.util
 import logging
 import queue
 import time
@@ -15,6 +23,9 @@ from hyjax.util.errors import InputError
 
 try:
     import dask
+
+    if importlib.util.find_spec("distributed") is None:
+        raise ImportError("distributed")
 except ImportError:
     raise InputError("workers: Dask is not installed; pip install '.[tune]', or give --workers 0") from None
 
@@ -57,7 +68,6 @@ class DaskPool:
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._batches: dict[Any, Batch] = {}
         self._threads: dict[str, int] = client.nthreads()
-        self._looked = time.monotonic()
 
     @classmethod
     def open(cls, workers: int | None, scheduler: str | None, folder: Path, tell: Tell) -> "DaskPool":
@@ -73,14 +83,16 @@ class DaskPool:
             for name in QUIET:
                 logging.getLogger(name).setLevel(logging.CRITICAL)
             count = 1 if scheduler else workers or cores()
-            address = scheduler or stack.enter_context(_local_cluster(count))
             try:
+                address = scheduler or stack.enter_context(_local_cluster(count))
                 client = stack.enter_context(Client(address, timeout=CONNECT))
                 client.wait_for_workers(count, timeout=START)
-            except (OSError, TimeoutError, ValueError) as error:
+            except (OSError, TimeoutError, ValueError, RuntimeError) as error:
                 what = f"scheduler {scheduler}" if scheduler else "workers"
                 raise InputError(f"{what}: cannot be reached ({str(error).splitlines()[0]})") from None
             if scheduler is not None:
+                if any(threads != 1 for threads in client.nthreads().values()):
+                    raise InputError("workers: need one thread each; start them with: dask worker --nthreads 1")
                 blind = [name for name, sees in client.run(Path.is_dir, folder).items() if not sees]
                 if blind:
                     raise InputError(f"{folder}: worker {blind[0]} does not see this folder; choose a shared --out")

@@ -102,6 +102,10 @@ class Engine:
     ) -> None:
         self._pool.close()
 
+    def check_timing(self) -> None:
+        """Raise `InputError` unless a worker has the device."""
+        self._pool.places(timing=True)
+
     def run(self, function: Function, tasks: Iterable[Task], *, timing: bool = False) -> Iterator[Row]:
         """Do the tasks that have no result in the folder; their rows as they come.
 

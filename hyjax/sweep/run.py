@@ -71,6 +71,8 @@ def run_sweep(
         Engine.open(settings.workers, settings.scheduler, settings.out) as engine,
         tqdm(total=len(tasks), initial=len(tasks) - left, unit="task", disable=settings.quiet) as bar,
     ):
+        if timed:
+            engine.check_timing()
         for _ in itertools.chain(
             engine.run(evaluate, quality), engine.run(time_frames, timed, timing=True) if timed else ()
         ):

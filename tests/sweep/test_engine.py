@@ -192,15 +192,17 @@ def test_a_scheduler_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(dask_pool, "POLL", 0.1)
     monkeypatch.setattr(dask_pool, "CONNECT", 1.0)
     told: list[str] = []
-    with LocalCluster(1, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
-        with Engine.open(None, cluster.scheduler_address, tmp_path, told.append) as engine:
-            rows = engine.run(standins.double, tasks(60, sleep=0.02))
-            next(rows)
-            os.kill(workers_of(tmp_path)[0], signal.SIGKILL)
-            assert len(list(rows)) == 59 and set(times_done(tmp_path).values()) == {1}
-            assert "lost; its tasks run again" in told[0]
-            with pytest.raises(InputError, match="no worker has the device; start one with: dask worker --res"):
-                next(engine.run(standins.double, tasks(1), timing=True))
-        (tmp_path / "file").touch()
+    options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
+    with (
+        LocalCluster(1, **options) as cluster,
+        Engine.open(None, cluster.scheduler_address, tmp_path, told.append) as engine,
+    ):
+        rows = engine.run(standins.double, tasks(60, sleep=0.02))
+        next(rows)
+        os.kill(workers_of(tmp_path)[0], signal.SIGKILL)
+        assert len(list(rows)) == 59 and set(times_done(tmp_path).values()) == {1}
+        assert "lost; its tasks run again" in told[0]
+        with pytest.raises(InputError, match="no worker has the device; start one with: dask worker --res"):
+            engine.check_timing()
     with pytest.raises(InputError, match=r"scheduler .*: cannot be reached"):
         Engine.open(None, "tcp://127.0.0.1:9", tmp_path)
