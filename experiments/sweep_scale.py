@@ -61,7 +61,7 @@ def main(config: Config, start: Start) -> None:
     with tempfile.TemporaryDirectory() as folder:
         found = json.loads(_driver(Path(folder), config.tasks, config).communicate()[0])
     ideal = config.tasks * config.task_ms / 1000 / config.workers
-    results.add(kind="scale", ideal=ideal, load=load, **found)
+    results.add(kind="scale", workers=config.workers, ideal=ideal, load=load, **found)
     for killed in KILLS:
         with tempfile.TemporaryDirectory() as folder:
             results.add(kind="kills", killed=killed, **_disturbed(Path(folder), killed, config))
@@ -122,7 +122,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     for row in of_kind(rows, "scale"):
         settings, seconds = row["settings"], row["seconds"]
         caption = (
-            f"{settings['tasks']} tasks of {settings['task_ms']:g} ms on {settings['workers']} workers; "
+            f"{settings['tasks']} tasks of {settings['task_ms']:g} ms on {row['workers']} workers; "
             f"load {row['load']:.1f} before; {machine(row)}."
         )
         overhead = 100 * (seconds["tasks"] / row["ideal"] - 1)
@@ -139,7 +139,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
             "processor (%)",
             "driver (MiB): 10 / 50 / 100 %",
         ]
-        beside = 100 * (settings["workers"] * seconds["tasks"] / row["task_seconds"] - 1)
+        beside = 100 * (row["workers"] * seconds["tasks"] / row["task_seconds"] - 1)
         numbers = (row["ideal"], seconds["tasks"], overhead, whole, beside, processor)
         cells = [*(f"{number:.1f}" for number in numbers), memory]
         found.append(Table(caption, header, [["tasks", *cells]]))
