@@ -5,23 +5,18 @@ three gains in linear light, before the response, to the least squared error of 
 """
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
 
+from hyjax.metrics import exposure
+from hyjax.metrics.exposure import Response
 from hyjax.synthetic.room.render import CONTRAST
 from hyjax.synthetic.tone_curve import encode, tone
 
 Image = Float[np.ndarray, "h w 3"]
-Response = Callable[[np.ndarray], np.ndarray]
 BRIGHTEST = 2.5
 """Exposed light that the camera shows as white."""
-LARGEST_GAIN = 12.0
-STRIDE = 4
-"""Every so-manieth pixel of each row and column is enough to fit a gain."""
-GRIDS = ((25, 1.0), (13, 1 / 12), (13, 1 / 72))
-"""Gains tried and the share of the logarithmic range that they span, again and again round the best."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,12 +49,5 @@ def exposed_light(display: Image) -> Image:
 
 
 def fit_gains(picture: Exposed, truth: Image) -> Float[np.ndarray, "3"]:
-    """Gain of each channel that brings a picture nearest to the truth, within `LARGEST_GAIN` either way."""
-    light, target = (x[::STRIDE, ::STRIDE].reshape(-1, 3) for x in (picture.linear, truth))
-    reach, best = np.log(LARGEST_GAIN), np.zeros(3)
-    for count, share in GRIDS:
-        tried = np.clip(best + share * reach * np.linspace(-1, 1, count)[:, None], -reach, reach)
-        shown = picture.response(np.exp(tried)[:, None].astype(np.float32) * light)
-        error = np.mean((shown - target) ** 2, axis=1)
-        best = np.take_along_axis(tried, error.argmin(axis=0)[None], axis=0)[0]
-    return np.exp(best)
+    """Gain of each channel that brings a picture nearest to the truth, see `hyjax.metrics.exposure`."""
+    return exposure.fit_gains(picture.linear, truth, picture.response)

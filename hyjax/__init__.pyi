@@ -2,6 +2,7 @@
 
 from . import metrics as metrics
 from . import video as video
+from .configuration import Configuration as Configuration
 from .core.cascade import cascade as cascade
 from .core.cascade import level_edges as level_edges
 from .core.cycles import step_cycle as step_cycle
@@ -52,6 +53,7 @@ from .scene.scene import Scene as Scene
 from .scene.settings import SceneSettings as SceneSettings
 from .tuning.settings import TuneSettings as TuneSettings
 from .tuning.tune import tune as tune
+from .tuning.tune import tune_schedule as tune_schedule
 from .util.errors import InputError as InputError
 from .util.images import write_png as write_png
 

@@ -155,15 +155,25 @@ def run_relight(settings: RelightSettings) -> None:
 
 def run_tune(settings: TuneSettings) -> None:
     """`hyjax tune`."""
-    from hyjax.tuning.report import summary
-    from hyjax.tuning.tune import tune, write_request
+    from hyjax.tuning.tune import tune, tune_schedule, write_request
 
     _keep_for_later()
+    if settings.tunes_frame:
+        from hyjax.tuning.frame import report
+
+        for sentence in report.summary(tune(settings=settings)):
+            print(sentence)
+        if settings.out is not None:
+            file = settings.out / "configuration.json"
+            print(f"Look at {settings.out / 'report.html'}; relight with --configuration {file}")
+        return
+    from hyjax.tuning.report import summary
+
     if (path := settings.target_device.request) is not None:
         request = write_request(settings, path)
         print(f"{len(request.schedules)} schedules to time at {request.workload}: {path}")
         return
-    tuned = tune(settings=settings)
+    tuned = tune_schedule(settings=settings)
     if tuned.record["frames without surface"]:
         names = ", ".join(tuned.record["frames without surface"])
         print(f"hyjax: left out, no ray met the mesh: {names}", file=sys.stderr)

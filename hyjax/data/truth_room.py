@@ -14,8 +14,9 @@ from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.scan import RenderedDepths, ScanConfig
 from hyjax.light.setup import LightSetup
 from hyjax.synthetic.truth import RoomLight, TruthRoom, lit_room
-from hyjax.synthetic.truth.room import VERSION, truth_exposure
+from hyjax.synthetic.truth.room import VERSION, source_key, truth_exposure
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
+from hyjax.util.files import digest
 
 Picture = Float[np.ndarray, "h w 3"]
 
@@ -69,7 +70,24 @@ class TruthCapture(RoomCapture):
         Exposed so that light of the set-up's `reference_lux` stands for the photos' mean light: see `TruthRoom`.
         `light` is taken in the place of the set-up's own.
         """
-        room, light = self.room, self.light(setup) if light is None else light
+        if light is None:
+            return [self._kept_truth(setup, n) for n in frames]
+        return self._photographs(setup, frames, light)
+
+    def _kept_truth(self, setup: LightSetup, n: int) -> Picture:
+        """Picture of a frame under a set-up, from the cache folder if it was made before."""
+        what = [source_key(setup.lights), repr(float(setup.reference_lux)), str(self._cameras[n].intrinsics)]
+        key = digest([self.fingerprint, *what, self._cameras[n].pose.tobytes().hex(), str(n)])
+        file = self._folder / "truth-pictures" / f"v{VERSION}-{self.name}-q{self._quality:g}-{key}.npz"
+
+        def make() -> Arrays:
+            (picture,) = self._photographs(setup, [n], self.light(setup))
+            return {"picture": np.round(255 * picture).astype(np.uint8)}
+
+        return cached_arrays(file, lambda arrays: arrays["picture"].astype(np.float32) / 255, make)
+
+    def _photographs(self, setup: LightSetup, frames: Sequence[int], light: RoomLight) -> list[Picture]:
+        room = self.room
         exposure = truth_exposure(self.exposure, self.mean_light, setup.reference_lux)
         return [room.photograph(light, self._cameras[n], n, exposure)[0] for n in frames]
 

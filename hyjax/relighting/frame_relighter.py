@@ -1,5 +1,6 @@
 """Relighting of single frames by a configuration: G-buffer, light, guide, cascades, picture."""
 
+import dataclasses
 from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
@@ -14,12 +15,53 @@ from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.guide.choose import FrameGuide, configured_guide
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.setup import LightSetup
-from hyjax.pipeline import relight_stages
+from hyjax.light.shaded import Shaded
+from hyjax.light.view import View
+from hyjax.pipeline import TemporalFilter, relight_stages
 from hyjax.relighting.frame_shader import FrameShader
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.scene import Scene, camera_view, view_of
 from hyjax.util.clock import StageClock
 from hyjax.video import Video
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class LitFrame:
+    """A frame under new lights, ready to be refined.
+
+    Attributes:
+        view: at the size that is worked at.
+        shaded: light on it.
+        features: of the guide.
+        full: the frame at full size, where the view is smaller.
+    """
+
+    view: View
+    shaded: Shaded
+    features: Float[Array, "h w f"]
+    full: Float[Array, "fh fw 3"] | None = None
+
+
+def refine(
+    lit: LitFrame, configuration: Configuration, *, temporal_filter: TemporalFilter | None = None
+) -> Iterator[tuple[str, Any]]:
+    """Stages of the refinement of a frame by a configuration's cascades, see `relight_stages`."""
+    return relight_stages(
+        lit.view,
+        lit.shaded,
+        lit.features,
+        configuration.schedule,
+        shadow_schedule=configuration.shadow_schedule,
+        temporal_filter=temporal_filter,
+        mode=configuration.mode,
+        full=lit.full,
+    )
+
+
+def refined_picture(lit: LitFrame, configuration: Configuration) -> Float[Array, "h w 3"]:
+    """Relit picture alone, linear."""
+    return next(result for stage, result in refine(lit, configuration) if stage == "composite")
 
 
 class FrameRelighter:
@@ -60,15 +102,15 @@ class FrameRelighter:
         """Surface that a camera sees, at the configuration's scale; see `Scene.gbuffer`."""
         return self._scene.gbuffer(scaled(camera, self.configuration.scale), rays=rays)
 
-    def stages(self, number: int, frame: Frame, gbuffer: GBuffer) -> Iterator[tuple[str, Any]]:
-        """The `number`-th frame of a run, stage by stage, as `relight_stages`: the last result is `Relit`.
+    def prepare(self, number: int, frame: Frame, gbuffer: GBuffer) -> LitFrame:
+        """All that the refinement of the `number`-th frame of a run takes.
 
         Args:
             number: from 0.
             frame: of the scene.
             gbuffer: of its camera, see `FrameRelighter.gbuffer`.
         """
-        own, scale, full = self.configuration, self.configuration.scale, None
+        scale, full = self.configuration.scale, None
         if scale == 1:
             view = view_of(frame, gbuffer)
         else:
@@ -77,26 +119,18 @@ class FrameRelighter:
         view, shaded = self.shader(number, view, frame.camera)
         with self._clock("guide"):
             features = jax.block_until_ready(self.guide.features(view.display))
-        remember = None
+        return LitFrame(view, shaded, features, full)
+
+    def stages(self, number: int, frame: Frame, gbuffer: GBuffer) -> Iterator[tuple[str, Any]]:
+        """The frame stage by stage, as `relight_stages`: the last result is `Relit`. Arguments: see `prepare`."""
+        lit, own, remember = self.prepare(number, frame, gbuffer), self.configuration, None
         if self._video is not None:
-            remember = self._video.filter(view, self.shader.setup, features, own.schedule)
-        yield from relight_stages(
-            view,
-            shaded,
-            features,
-            own.schedule,
-            shadow_schedule=own.shadow_schedule,
-            temporal_filter=remember,
-            mode=own.mode,
-            full=full,
-        )
+            remember = self._video.filter(lit.view, self.shader.setup, lit.features, own.schedule)
+        yield from refine(lit, own, temporal_filter=remember)
 
     def picture(self, number: int, frame: Frame) -> Float[Array, "h w 3"]:
         """Relit picture of a frame, linear; nothing to compare it with is made."""
-        for stage, result in self.stages(number, frame, self.gbuffer(frame.camera)):
-            if stage == "composite":
-                return result
-        raise AssertionError("there is always a composite")
+        return refined_picture(self.prepare(number, frame, self.gbuffer(frame.camera)), self.configuration)
 
 
 def scaled(camera: Camera, factor: int) -> Camera:

@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 UNIT_TOLERANCE = 1e-3
 MOST_MAPS = 2
 """Sets of shadow maps that a scene keeps: of the two kinds of occluders, say."""
-MapsKey = tuple[Occluders, float, int | None]
-"""Occluders, scale and most views of a set of shadow maps."""
 
 
 class Scene:
@@ -86,7 +84,8 @@ class Scene:
         self.caster = RayCaster(mesh)
         self._anchors: dict[bool, LightAnchors] = {}
         self.exact, self._detail, self._completed = exact, detail, None if not exact else self.caster
-        self._maps: dict[MapsKey, tuple[tuple[Light, ...], tuple[ShadowMap | None, ...]]] = {}
+        self.most_maps = MOST_MAPS
+        self._maps: list[tuple[Any, tuple[Light, ...], tuple[ShadowMap | None, ...]]] = []
         self._sources_file, self._progress = photo_sources, progress
 
     @classmethod
@@ -223,23 +222,23 @@ class Scene:
         scale: float = 1.0,
         most_views: int | None = None,
     ) -> tuple[ShadowMap | None, ...]:
-        """Shadow maps of lights; those of the last lights are kept.
+        """Shadow maps of lights; the last `most_maps` are kept.
 
         Args:
             lights: a set-up, or lights.
             occluders: what throws the shadows.
             scale, most_views: see `cast_shadow_maps`.
         """
-        key: MapsKey = (occluders, scale, most_views)
-        own, last = LightSetup.of(lights).lights, self._maps.get(key)
-        if last is None or not same_lights(last[0], own):
-            caster, slack = (self.occluders, self.slack) if occluders == "completed" else (self.caster, None)
-            folder = cache_folder() / "shadow-maps"
-            maps = cast_shadow_maps(caster, own, scale, slack, most_views, folder=folder)
-            while len(self._maps) >= MOST_MAPS:
-                self._maps.pop(next(iter(self._maps)), None)
-            self._maps[key] = last = own, jax.block_until_ready(maps)
-        return last[1]
+        key, own = (occluders, scale, most_views), LightSetup.of(lights).lights
+        for place, (known, before, maps) in enumerate(self._maps):
+            if known == key and same_lights(before, own):
+                self._maps.append(self._maps.pop(place))  # the last used are kept
+                return maps
+        caster, slack = (self.occluders, self.slack) if occluders == "completed" else (self.caster, None)
+        folder = cache_folder() / "shadow-maps"
+        maps = jax.block_until_ready(cast_shadow_maps(caster, own, scale, slack, most_views, folder=folder))
+        self._maps = [*self._maps, (key, own, maps)][-self.most_maps :]
+        return maps
 
     def shade(
         self,

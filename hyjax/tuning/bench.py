@@ -13,6 +13,7 @@ from hyjax.guide.choose import RGB, FrameGuide
 from hyjax.light.setup import LightSetup
 from hyjax.scene.alignment import aligned
 from hyjax.scene.scene import Scene, view_of
+from hyjax.scene.settings import SceneSettings
 from hyjax.scene.surfaces import rough_mesh
 from hyjax.tuning.cases import Case, raw_filter, refined_filter
 from hyjax.tuning.settings import CONVERGED, TuneSettings
@@ -108,26 +109,45 @@ def open_bench(
     Raises:
         InputError: any of these cannot be used.
     """
-    scene_settings, progress = settings.scene, not settings.quiet
+    scene, accurate = open_scenes(settings.scene, settings.target, capture=capture, progress=not settings.quiet)
+    return Workbench(scene, accurate, (accurate or scene).lights(settings.set_ups()[0]), guide)
+
+
+def open_scenes(
+    settings: SceneSettings, target: str | None = None, *, capture: Capture | None = None, progress: bool = False
+) -> tuple[Scene, Scene | None]:
+    """A capture on its rough surface, and on an accurate one.
+
+    Args:
+        settings: capture, mesh and size.
+        target: the accurate surface, see `TuneSettings`.
+        capture: frames that were opened before.
+        progress: show bars on stderr.
+
+    Returns:
+        The second is None where the target is the converged diffusion on the rough surface.
+
+    Raises:
+        InputError: any of these cannot be used.
+    """
     if capture is None:
-        capture = scene_settings.open_capture(progress=progress)
-    target = settings.target
+        capture = settings.open_capture(progress=progress)
     if target is None:
         with_depth = "fused" if capture.reference() is None else "true"
         target = CONVERGED if not capture.depth_count else with_depth
     if target == "fused":  # whose poses both scenes must have
-        capture = aligned(capture, scene_settings.fusion, progress)
-    rough = dataclasses.replace(scene_settings, mesh=scene_settings.mesh or rough_mesh(capture))
+        capture = aligned(capture, settings.fusion, progress)
+    rough = dataclasses.replace(settings, mesh=settings.mesh or rough_mesh(capture))
     scene, accurate = Scene.open(rough, capture=capture, progress=progress), None
     if target != CONVERGED:
-        fusion = dataclasses.replace(scene_settings.fusion, voxel=TARGET_VOXEL)
-        better = dataclasses.replace(scene_settings, mesh=target, fusion=fusion)
+        fusion = dataclasses.replace(settings.fusion, voxel=TARGET_VOXEL)
+        better = dataclasses.replace(settings, mesh=target, fusion=fusion)
         accurate = Scene.open(better, capture=capture, progress=progress)
         if np.array_equal(scene.mesh.vertices, accurate.mesh.vertices):
             raise InputError(
                 f"target: {accurate.source} is the rough mesh itself, which needs no repair; choose another"
             )
-    return Workbench(scene, accurate, (accurate or scene).lights(settings.lights), guide)
+    return scene, accurate
 
 
 def _source(accurate: Scene | None) -> str:

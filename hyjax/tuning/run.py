@@ -18,7 +18,6 @@ from hyjax.tuning.examples import write_report_with_pictures
 from hyjax.tuning.journal import Journal
 from hyjax.tuning.latency_estimator import (
     CascadeEstimator,
-    FrameEstimator,
     LatencyEstimator,
     LatencySource,
     check_reachable,
@@ -81,7 +80,7 @@ def tune_bench(
     record: dict[str, Any] = {
         "capture": bench.scene.capture.name,
         "guide": bench.guide.name,
-        "stage": settings.stage,
+        "stage": settings.tuned_stage,
         "seed": settings.scene.seed,
         "settings": settings.record() | {"meshes": bench.description},
     }
@@ -92,8 +91,11 @@ def tune_bench(
         journal = Journal(out, decisive, settings.resume)
         cases, blind = bench.cases(chosen, "tuning", progress)
         holdout_cases, holdout_blind = bench.cases(list(holdout), "held-out", progress)
-        with_surface = next(i for i in chosen if bench.name(i) not in blind)
-        estimator = latency(cases[0]) if latency else _own_estimator(bench, settings, cases[0], with_surface)
+        estimator = (
+            latency(cases[0])
+            if latency
+            else CascadeEstimator(cases[0], recalibrate=settings.recalibrate, progress=progress)
+        )
         for budget in budgets:
             check_reachable(estimator, budget.milliseconds)
         factors = estimator.table.factors
@@ -139,13 +141,6 @@ def tune_bench(
         line = [*str(error).splitlines(), type(error).__name__][0]
         raise InputError(f"device: {jax.default_backend()} no longer works ({line}){kept}") from None
     return run.result()
-
-
-def _own_estimator(bench: Workbench, settings: TuneSettings, case: Case, index: int) -> LatencyEstimator:
-    """Times of this machine."""
-    cascade = CascadeEstimator(case, recalibrate=settings.recalibrate, progress=not settings.quiet)
-    frame = FrameEstimator(cascade, bench, index)  # also says what the other stages cost
-    return frame if settings.stage == "frame" else cascade
 
 
 def _decisive(bench: Workbench, frames: Sequence[int], seed: int, machine: dict[str, Any]) -> dict[str, Any]:

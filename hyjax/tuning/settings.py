@@ -1,6 +1,7 @@
 """Settings of a tuning run. The command line takes its options, their defaults and their help from here."""
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,6 +14,10 @@ if TYPE_CHECKING:
     from hyjax.tuning.result import Budget
 
 BudgetStage = Literal["cascade", "frame"]
+SETUPS = ("evening-lamps", "two-colors", "golden-hour", "night-moon")
+"""Light set-ups that frames are tuned under by default."""
+ROOM_PHOTOS = 12
+"""Of a room of known truth."""
 CONVERGED = "converged"
 """The target where there is no better mesh: what the paper's cascade approximates."""
 
@@ -64,30 +69,73 @@ class OtherDevice(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
+class FrameOptions(Settings):
+    """Search over configurations of the whole frame."""
+
+    rooms: tuple[str, ...] = ()
+    """Rooms of known truth to tune on, instead of the capture: builtin-0 random-5-6-day random-11-0-both and such.
+    Each is rendered on first use, which takes some minutes."""
+    holdout_rooms: tuple[str, ...] = ()
+    """Rooms of known truth that are only reported on."""
+    room_size: str = "320x240"
+    """Width x height of the rooms' pictures."""
+    room_frames: int = 4
+    """Of each room, under each set-up of lights."""
+    trials: int = 60
+    """Configurations to try, besides those that are timed and judged in the end."""
+    lpips: float = 0.0
+    """Weight of LPIPS in the loss; it needs the extra lpips."""
+    paper_form: bool = False
+    """Tune the paper's own form as well, to compare both at their best."""
+
+    def check(self) -> None:
+        """Raise `InputError` for a value out of range, or a room that does not exist."""
+        from hyjax.tuning.frame.rooms import check_room
+
+        for room in (*self.rooms, *self.holdout_rooms):
+            check_room(room)
+        if both := set(self.rooms) & set(self.holdout_rooms):
+            raise InputError(f"holdout rooms: {', '.join(sorted(both))} is tuned on as well; leave it out of one")
+        if self.holdout_rooms and not self.rooms:
+            raise InputError("holdout rooms: go with --rooms; of a capture give --holdout")
+        if self.trials < 4:
+            raise InputError(f"trials: must be at least 4, got {self.trials}")
+        if not 1 <= self.room_frames <= ROOM_PHOTOS:
+            raise InputError(f"room frames: must be between 1 and {ROOM_PHOTOS}, got {self.room_frames}")
+        if not (math.isfinite(self.lpips) and self.lpips >= 0):
+            raise InputError(f"lpips: the weight must be finite and >= 0, got {self.lpips}")
+
+
+@dataclasses.dataclass(frozen=True)
 class TuneSettings(Settings):
-    """Find the schedule that makes the best picture within a time budget on this machine or another device."""
+    """Find the configuration of the whole frame, or the schedule of the diffusion alone, that makes the best
+    picture within a time budget on this machine or another device."""
 
     scene: TuneScene = dataclasses.field(default_factory=TuneScene)
+    frame: FrameOptions = dataclasses.field(default_factory=FrameOptions)
     target_device: OtherDevice = dataclasses.field(default_factory=OtherDevice)
     fps: tuple[float, ...] = ()
     """Frame rates to reach, such as 60, or several: 30 60 120."""
     budget_ms: tuple[float, ...] = ()
     """Budgets in milliseconds, besides or instead of frame rates."""
-    stage: BudgetStage = "cascade"
-    """Whether the budget is for the diffusion alone or for the whole frame."""
+    stage: BudgetStage | None = None
+    """What the budget is for: frame, the whole frame, all of whose choices are searched; or cascade, the diffusion
+    alone. Default: frame; of another device, cascade."""
     target: str | None = None
     """The accurate mesh that the picture should look like: a file, 'true', 'fused' (at 2 cm), or 'converged' (1000
     steps of diffusion on the rough mesh). Default: true for the built-in room, else fused where there is depth."""
-    lights: str = "two-colors"
-    """A named set-up, or a YAML or JSON file; see relight."""
+    lights: str | None = None
+    """A named set-up, or a YAML or JSON file; of a frame also several, with commas between them. Default:
+    evening-lamps,two-colors,golden-hour,night-moon; of the diffusion two-colors."""
     frames: str | None = None
     """Which frames to tune on, see relight. Default: four of the first three quarters."""
     holdout: str | None = None
     """Which frames are only reported on. Default: four of the last quarter."""
     guide: str = "rgb"
-    """What guides the diffusion: rgb, small or a safetensors file; see relight."""
+    """Where the diffusion alone is tuned, what guides it: rgb, small or a safetensors file; see relight."""
     joint: bool = False
-    """Also tune a learned guide's last layer, together with the best schedule's kappa, lambda and fidelity."""
+    """Of the diffusion: also tune a learned guide's last layer, together with the best schedule's kappa, lambda
+    and fidelity."""
     time_limit: float | None = None
     """Seconds after which the search only finishes what it has."""
     extra: bool = True
@@ -95,7 +143,8 @@ class TuneSettings(Settings):
     recalibrate: bool = False
     """Measure the device anew instead of using the latency table from the cache."""
     out: Path | None = None
-    """Folder for schedule.json, pareto.csv, pareto.png, contact_sheet.png and report.html."""
+    """Folder for configuration.json (of the diffusion schedule.json), pareto.csv, pareto.png, contact_sheet.png and
+    report.html."""
     resume: bool = False
     """Go on with the interrupted run in the out folder."""
     quiet: bool = False
@@ -111,14 +160,39 @@ class TuneSettings(Settings):
 
         if self.target_device.request is None:
             self.budgets()
-        self.target_device.check(self.stage)
+        self.target_device.check(self.tuned_stage)
         if self.time_limit is not None and not self.time_limit > 0:
             raise InputError(f"time limit: must be > 0 seconds, got {self.time_limit:g}")
-        check_lights_name(self.lights)
+        several = self.set_ups()
+        if len(several) > 1 and not self.tunes_frame:
+            raise InputError(f"lights: the diffusion is tuned under one set-up, got {', '.join(several)}")
+        for lights in several:
+            check_lights_name(lights)
+        if self.tunes_frame:
+            self.frame.check()
         self.scene.check()
         if self.target != CONVERGED:
             check_mesh_name(self.target)
         return self
+
+    @property
+    def tuned_stage(self) -> BudgetStage:
+        """What the budget is for."""
+        other = self.target_device
+        elsewhere = other.device or other.latency is not None or other.request is not None
+        return self.stage or ("cascade" if elsewhere else "frame")
+
+    @property
+    def tunes_frame(self) -> bool:
+        """Whether all choices of a whole frame are searched: on this machine, where each can be timed."""
+        other = self.target_device
+        return self.tuned_stage == "frame" and other.latency is None and other.request is None
+
+    def set_ups(self) -> tuple[str, ...]:
+        """Set-ups of lights by name or file."""
+        if self.lights is None:
+            return SETUPS if self.tunes_frame else ("two-colors",)
+        return tuple(dict.fromkeys(name.strip() for name in self.lights.split(",") if name.strip())) or ("",)
 
     def budgets(self) -> list["Budget"]:
         """Time budgets, frame rates first, without repetitions.
@@ -134,7 +208,7 @@ class TuneSettings(Settings):
         """Options as a run's record has them."""
         options = dataclasses.asdict(self)
         options.pop("scene")
-        scene = self.scene.options() | options.pop("target_device")
+        scene = self.scene.options() | options.pop("target_device") | options.pop("frame")
         other = self.target_device
         paths = {"out": self.out, "latency": other.latency, "request": other.request}
         paths |= {"photo_sources": self.scene.photo_sources}

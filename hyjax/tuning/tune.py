@@ -1,4 +1,4 @@
-"""The best schedule for a frame rate on this machine or another device: `hyjax tune` as a function."""
+"""The best configuration, or the best schedule, for a frame rate: `hyjax tune` as functions."""
 
 import contextlib
 import dataclasses
@@ -20,10 +20,12 @@ from hyjax.tuning.result import Tuned
 from hyjax.tuning.run import tune_bench
 from hyjax.tuning.search import Effort
 from hyjax.tuning.settings import TuneSettings
+from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, write_text
 
 if TYPE_CHECKING:
     from hyjax.tuning.device_request import LatencyRequest
+    from hyjax.tuning.frame.result import FrameTuned
 
 
 def tune(
@@ -32,9 +34,36 @@ def tune(
     fps: float | Sequence[float] | None = None,
     budget_ms: float | Sequence[float] | None = None,
     capture: Capture | None = None,
+) -> "FrameTuned":
+    """Find the configuration whose relit frames come closest to their targets within each time budget.
+
+    Args:
+        settings: what to tune for and on; a budget, in them or below, is all that is needed.
+        fps: frame rates, one or several, in the place of the settings'.
+        budget_ms: budgets in milliseconds, likewise.
+        capture: frames that were opened before, in the place of those that the settings name.
+
+    Returns:
+        Configurations, measured, with the front of quality against time. Its `configuration` goes into
+        `RelightSettings` as a file, or into `FrameRelighter` as it is.
+
+    Raises:
+        InputError: any of these cannot be used, or a budget is out of reach on this device.
+    """
+    from hyjax.tuning.frame.run import tune_frame
+
+    return tune_frame(_settings(settings, fps, budget_ms), capture=capture)
+
+
+def tune_schedule(
+    *,
+    settings: TuneSettings | None = None,
+    fps: float | Sequence[float] | None = None,
+    budget_ms: float | Sequence[float] | None = None,
+    capture: Capture | None = None,
     effort: Effort | None = None,
 ) -> Tuned:
-    """Find the schedule whose relit frames come closest to the target's within each time budget.
+    """Find the schedule of the diffusion alone whose filters come closest to the target's within each time budget.
 
     Times are this machine's, or those of the device that the settings name.
 
@@ -52,11 +81,11 @@ def tune(
     Raises:
         InputError: any of these cannot be used, or a budget is out of reach on this device.
     """
-    settings = settings or TuneSettings()
-    if fps is not None:
-        settings = dataclasses.replace(settings, fps=_several(fps))
-    if budget_ms is not None:
-        settings = dataclasses.replace(settings, budget_ms=_several(budget_ms))
+    settings = _settings(settings, fps, budget_ms)
+    if settings.stage is None:
+        settings = dataclasses.replace(settings, stage="cascade")
+    if settings.tunes_frame:
+        raise InputError("stage: a frame on this machine is tuned by `hyjax.tune`; give stage='cascade'")
     settings.check()
     guide = open_guide(settings.guide)
     if settings.joint:
@@ -81,7 +110,7 @@ def _latency_source(settings: TuneSettings) -> Iterator[LatencySource | None]:
     from hyjax.tuning.device_estimator import ConnectedTimes, FileTimes
 
     if other.latency is not None:
-        yield FileTimes(other.latency, settings.stage == "frame")
+        yield FileTimes(other.latency, settings.tuned_stage == "frame")
         return
     from hyjax.tuning.device_measuring import ConnectedDevice
 
@@ -114,6 +143,18 @@ def write_request(settings: TuneSettings, path: Path) -> "LatencyRequest":
     request = latency_request(workload, calibration_schedules(workload))
     write_text(path, request_text(request))
     return request
+
+
+def _settings(
+    settings: TuneSettings | None, fps: float | Sequence[float] | None, budget_ms: float | Sequence[float] | None
+) -> TuneSettings:
+    """Settings with budgets in the place of theirs."""
+    settings = settings or TuneSettings()
+    if fps is not None:
+        settings = dataclasses.replace(settings, fps=_several(fps))
+    if budget_ms is not None:
+        settings = dataclasses.replace(settings, budget_ms=_several(budget_ms))
+    return settings
 
 
 def _several(values: float | Sequence[float]) -> tuple[float, ...]:

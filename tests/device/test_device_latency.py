@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyjax import InputError, Schedule, tune
+from hyjax import InputError, Schedule
+from hyjax import tune_schedule as tune
 from hyjax.core.schedule import guided_schedule
 from hyjax.data.builtin_room import load_room
 from hyjax.device.roofline import HARDWARE, kind_of, launch_work, least_milliseconds, work_by_kind

@@ -19,7 +19,8 @@ import pytest
 from reference.seven_scenes_export import export_seven_scenes
 
 import hyjax
-from hyjax import InputError, Schedule, tune
+from hyjax import InputError, Schedule
+from hyjax import tune_schedule as tune
 from hyjax.cli import main
 from hyjax.core.schedule import GUIDED_FIDELITY, guided_schedule
 from hyjax.data.builtin_room import RoomCapture, load_room

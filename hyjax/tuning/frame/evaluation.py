@@ -1,0 +1,81 @@
+"""Quality of configurations on frames with known pictures, and as tasks of plain data."""
+
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hyjax.configuration import Configuration
+from hyjax.tuning.frame.clock import FrameClock
+from hyjax.tuning.frame.loss import PictureLoss
+from hyjax.tuning.frame.scene import TuningScene, open_tuning_scene
+
+Case = tuple[int, str, int]
+"""Scene by position, light set-up, frame."""
+Scores = dict[str, float]
+TIMED_FRAMES = 60
+
+
+class Judge:
+    """Scores of configurations on cases.
+
+    Args:
+        scenes: that cases are of.
+        loss: what is scored.
+    """
+
+    def __init__(self, scenes: Sequence[TuningScene], loss: PictureLoss) -> None:
+        self.scenes, self.loss = scenes, loss
+
+    def scores(self, configuration: Configuration, cases: Sequence[Case]) -> list[Scores]:
+        """Scores of each case, in their order."""
+        found: dict[Case, Scores] = {}
+        for place, lights in dict.fromkeys((case[0], case[1]) for case in cases):
+            scene = self.scenes[place]
+            relighter = scene.relighter(lights, scene.judged(configuration))
+            for case in cases:
+                if case[:2] == (place, lights) and case not in found:
+                    image = np.asarray(relighter.picture(0, scene.scene.frame(case[2])))
+                    found[case] = self.loss.scores(image, scene.target(lights, case[2]))
+        return [found[case] for case in cases]
+
+
+def mean_scores(rows: Sequence[Mapping[str, float]]) -> Scores:
+    """Mean of each score."""
+    return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+
+
+def evaluate(payload: Mapping[str, Any]) -> Scores:
+    """Mean scores of a configuration, as a task of plain data.
+
+    Args:
+        payload: `scene` (see `open_tuning_scene`), `lights`, `configuration` (as JSON's types), `frames`, `size`.
+
+    Raises:
+        InputError: any of these cannot be used.
+    """
+    scene, configuration = _opened(payload)
+    cases = [(0, payload["lights"], int(index)) for index in payload["frames"]]
+    return mean_scores(Judge([scene], PictureLoss()).scores(configuration, cases))
+
+
+def time_frames(payload: Mapping[str, Any]) -> Scores:
+    """Milliseconds of a whole frame, as a task of plain data: the same payload as of `evaluate`.
+
+    Raises:
+        InputError: any of it cannot be used.
+    """
+    scene, configuration = _opened(payload)
+    (time,) = FrameClock(scene, payload["lights"]).times([configuration], TIMED_FRAMES, most_seconds=30)
+    return {"median_ms": time.median, "p95_ms": time.p95, "default_ms": time.default}
+
+
+def _opened(payload: Mapping[str, Any]) -> tuple[TuningScene, Configuration]:
+    import json
+
+    configuration = Configuration.from_json(json.dumps(payload["configuration"]))
+    return _scene(payload["scene"], payload.get("size")), configuration
+
+
+_scene = functools.lru_cache(maxsize=4)(open_tuning_scene)

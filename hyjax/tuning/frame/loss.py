@@ -1,0 +1,103 @@
+"""Loss of a relit picture against its target: what a frame is tuned by, and the scores that are told beside it."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from hyjax.light.color import to_display
+from hyjax.metrics import LpipsWeights, load_lpips, lpips, psnr, ssim
+from hyjax.metrics.exposure import fit_gains
+from hyjax.metrics.losses import LossWeights, display_loss
+from hyjax.synthetic.tone_curve import encode
+from hyjax.tuning.frame.scene import Target
+
+
+@dataclasses.dataclass(frozen=True)
+class PictureLoss:
+    """Loss of a relit picture: display values, their slopes at four scales, and LPIPS if it is given a weight.
+
+    Three gains, in linear light, may bring exposure and white balance nearest to the target first: a viewer's eye
+    does so, too, and no method can know them.
+
+    Attributes:
+        perceptual: weight of LPIPS.
+        weights: of its network; None without.
+    """
+
+    perceptual: float = 0.0
+    weights: LpipsWeights | None = None
+
+    @classmethod
+    def of(cls, perceptual: float = 0.0) -> "PictureLoss":
+        """Loss with LPIPS at this weight.
+
+        Raises:
+            InputError: the weight is negative or not finite, or there are no weights of the network.
+        """
+        LossWeights(perceptual=perceptual)
+        return cls(perceptual, load_lpips() if perceptual else None)
+
+    def gains(self, image: Float[np.ndarray, "h w 3"], target: Target) -> Float[np.ndarray, "3"]:
+        """Gains that the picture is multiplied with; ones where nothing may be fitted."""
+        if not target.fitted:
+            return np.ones(3, np.float32)
+        return fit_gains(image, target.picture, encode, valid=target.valid).astype(np.float32)
+
+    def scores(self, image: Float[np.ndarray, "h w 3"], target: Target) -> dict[str, float]:
+        """Loss and metrics by name; `psnr_raw` is that of the picture as it is.
+
+        Args:
+            image: relit picture, linear.
+            target: see there.
+        """
+        gains = self.gains(image, target)
+        own = self._scores(image * gains, target.picture, target.valid)
+        raw = _psnr(*map(jnp.asarray, (image, target.picture, target.valid)))
+        return {name: float(value) for name, value in own.items()} | {"psnr_raw": float(raw)}
+
+    def _scores(self, image: np.ndarray, picture: np.ndarray, valid: np.ndarray) -> dict[str, Array]:
+        found = _plain_scores(*map(jnp.asarray, (image, picture, valid)))
+        if self.weights is not None:
+            shown, known = (jnp.where(valid[..., None], x, 0.0) for x in (to_display(jnp.asarray(image)), picture))
+            distance = lpips(shown, known, self.weights)
+            found |= {"lpips": distance, "loss": found["loss"] + self.perceptual * distance}
+        return found
+
+    def value(
+        self,
+        image: Float[Array, "h w 3"],
+        gains: Float[Array, "3"],
+        picture: Float[Array, "h w 3"],
+        valid: Bool[Array, "h w"],
+    ) -> Float[Array, ""]:
+        """The loss alone, for gradients: arguments as they stand, linear and display values."""
+        weights, perceptual = self.weights, None
+        if weights is not None:
+
+            def perceptual(a: Array, b: Array) -> Array:
+                return lpips(a, b, weights)
+
+        terms = LossWeights(perceptual=self.perceptual)
+        return display_loss(to_display(image * gains), picture, valid, weights=terms, perceptual=perceptual)
+
+
+@jax.jit
+def _plain_scores(
+    image: Float[Array, "h w 3"], picture: Float[Array, "h w 3"], valid: Bool[Array, "h w"]
+) -> dict[str, Array]:
+    shown = to_display(image)
+    return {
+        "loss": display_loss(shown, picture, valid),
+        "psnr": psnr(shown, picture, valid=valid),
+        "ssim": ssim(shown, picture, valid=valid),
+    }
+
+
+@jax.jit
+def _psnr(
+    image: Float[Array, "h w 3"], picture: Float[Array, "h w 3"], valid: Bool[Array, "h w"]
+) -> Float[Array, ""]:
+    return psnr(to_display(image), picture, valid=valid)

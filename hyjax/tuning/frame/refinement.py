@@ -1,0 +1,211 @@
+"""Refinement of a configuration's numbers by the gradient of the loss through the whole frame.
+
+κ, λ and α of both cascades, the exponent of the photo's light and the gain of bounces move together (Adam, on
+logarithms); which levels take how many steps, and all else that is discrete, stays.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import jax
+import jax.numpy as jnp
+import msgspec
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+
+from hyjax.configuration import Configuration
+from hyjax.core.schedule import Schedule
+from hyjax.light.emission import Emission
+from hyjax.relighting.frame_relighter import LitFrame, refined_picture
+from hyjax.tuning.frame.evaluation import Case, Judge
+from hyjax.tuning.frame.scene import Target
+
+ITERATIONS = 12
+RATE = 0.12
+"""Of Adam, in units of a number's logarithm."""
+RANGES: dict[str, tuple[float, float]] = {
+    "kappa": (0.005, 0.5),
+    "lam": (0.05, 0.2499),
+    "fidelity": (0.01, 3.0),
+    "shadow kappa": (0.002, 0.3),
+    "photo exponent": (0.7, 1.8),
+    "bounce gain": (0.4, 2.0),
+}
+"""Numbers that are refined, as in `hyjax.tuning.frame.space`."""
+Numbers = dict[str, Float[Array, "*l"]]
+"""Each number, or one for each level."""
+
+
+def numbers_of(configuration: Configuration, *, levels: bool) -> Numbers:
+    """Numbers of a configuration.
+
+    Args:
+        configuration: any.
+        levels: κ, λ and α of each level instead of their geometric means.
+    """
+    own, shadow, light = configuration.schedule, configuration.shadow_schedule, configuration.light
+    found: dict[str, list[float]] = {
+        "kappa": [float(np.asarray(level.kappa)) for level in own.levels],
+        "lam": [float(np.mean(np.asarray(level.step_sizes))) if level.steps else 0.24 for level in own.levels],
+    }
+    if all(level.fidelity is not None for level in own.levels):
+        found["fidelity"] = [max(float(np.asarray(level.fidelity)), 0.01) for level in own.levels]
+    if any(level.steps for level in shadow.levels):
+        found["shadow kappa"] = [float(np.asarray(level.kappa)) for level in shadow.levels]
+    if configuration.mode == "linear" and light.photo_light == "divided":
+        found["photo exponent"] = [light.photo_exponent]
+        if light.bounces:
+            found["bounce gain"] = [light.bounce_gain]
+    single = ("photo exponent", "bounce gain")
+    return {
+        name: jnp.asarray(values if levels and name not in single else np.exp(np.mean(np.log(values))), jnp.float32)
+        for name, values in found.items()
+    }
+
+
+def with_numbers(configuration: Configuration, numbers: Mapping[str, Array]) -> Configuration:
+    """The configuration with other numbers of its cascades; they may be traced."""
+    own = _schedule(configuration.schedule, numbers, "kappa", "lam", "fidelity")
+    shadow = _schedule(configuration.shadow_schedule, numbers, "shadow kappa", "", "")
+    return dataclasses.replace(configuration, schedule=own, shadow_schedule=shadow)
+
+
+def settled(configuration: Configuration, numbers: Mapping[str, Array]) -> Configuration:
+    """`with_numbers` of known numbers, those of the light among them."""
+    whole = with_numbers(configuration, numbers)
+    light = configuration.light
+    for name in ("photo exponent", "bounce gain"):
+        if name in numbers:
+            light = msgspec.structs.replace(light, **{name.replace(" ", "_"): round(float(numbers[name]), 4)})
+    return dataclasses.replace(whole, light=light).check()
+
+
+def _schedule(schedule: Schedule, numbers: Mapping[str, Array], kappa: str, lam: str, fidelity: str) -> Schedule:
+    count = len(schedule.levels)
+
+    def each(name: str) -> list[Array] | None:
+        return list(jnp.broadcast_to(numbers[name], (count,))) if name in numbers else None
+
+    kappas, lams, fidelities = each(kappa), each(lam), each(fidelity)
+    levels = []
+    for place, level in enumerate(schedule.levels):
+        if kappas is not None:
+            level = dataclasses.replace(level, kappa=kappas[place])
+        if lams is not None and level.steps:
+            level = dataclasses.replace(level, step_sizes=jnp.full(level.steps, lams[place]))
+        if fidelities is not None:
+            level = dataclasses.replace(level, fidelity=fidelities[place])
+        levels.append(level)
+    return dataclasses.replace(schedule, levels=tuple(levels))
+
+
+def refine_numbers(
+    configuration: Configuration,
+    judge: Judge,
+    cases: Sequence[Case],
+    *,
+    levels: bool = False,
+    iterations: int = ITERATIONS,
+    report: Callable[[int, float], None] = lambda iteration, loss: None,
+    expired: Callable[[], bool] = lambda: False,
+) -> Configuration:
+    """The configuration with the numbers that were best on cases.
+
+    Args:
+        configuration: to start from.
+        judge: of the cases' scenes.
+        cases: all of them are looked at in each iteration.
+        levels: whether each level has its own κ, λ and α.
+        iterations: of Adam.
+        report: called with each iteration and its loss, relative to the first.
+        expired: asked before each iteration.
+    """
+    lit = [_lit(configuration, judge, case) for case in cases]
+    gains = [judge.loss.gains(np.asarray(refined_picture(frame, own)), target) for frame, target, own in lit]
+    alike = padded([frame for frame, _, _ in lit])
+    start = numbers_of(configuration, levels=levels)
+
+    @jax.jit
+    def slope(
+        logs: Numbers, frame: LitFrame, gains: Array, picture: Array, valid: Array
+    ) -> tuple[tuple[Array, Array], Numbers]:
+        def value(logs: Numbers) -> tuple[Array, Array]:
+            image = _picture(logs, start, configuration, frame)
+            return judge.loss.value(image, gains, picture, valid), image
+
+        return jax.value_and_grad(value, has_aux=True)(logs)
+
+    logs = {name: jnp.log(value) for name, value in start.items()}
+    optimizer = optax.adam(optax.cosine_decay_schedule(RATE, max(iterations, 1), alpha=0.2), b1=0.7, b2=0.9)
+    state, best, lowest = optimizer.init(logs), logs, np.inf
+    first: Float[np.ndarray, n] | None = None
+    for iteration in range(iterations + 1):
+        if expired():
+            break
+        losses, slopes = [], []
+        for place, (frame, (_, target, _)) in enumerate(zip(alike, lit, strict=True)):
+            (loss, image), change = slope(logs, frame, gains[place], target.picture, target.valid)
+            gains[place] = judge.loss.gains(np.asarray(image), target)  # for the next time
+            losses.append(float(loss))
+            slopes.append(change)
+        first = np.maximum(losses, 1e-9) if first is None else first
+        shares = 1.0 / first / len(lit)
+        relative = float(shares @ losses)
+        report(iteration, relative)
+        if relative < lowest:
+            best, lowest = logs, relative
+        total = {name: sum(w * each[name] for w, each in zip(shares, slopes)) for name in logs}
+        updates, state = optimizer.update(total, state)
+        logs = {name: _bounded(name, value) for name, value in optax.apply_updates(logs, updates).items()}
+    return settled(configuration, {name: jnp.exp(value) for name, value in best.items()})
+
+
+def _bounded(name: str, log: Array) -> Array:
+    low, high = RANGES[name]
+    return jnp.clip(log, np.log(low), np.log(high))
+
+
+def _lit(configuration: Configuration, judge: Judge, case: Case) -> tuple[LitFrame, Target, Configuration]:
+    scene = judge.scenes[case[0]]
+    own = scene.judged(configuration)
+    relighter, frame = scene.relighter(case[1], own), scene.scene.frame(case[2])
+    return relighter.prepare(0, frame, relighter.gbuffer(frame.camera)), scene.target(case[1], case[2]), own
+
+
+def padded(lit: Sequence[LitFrame]) -> list[LitFrame]:
+    """Frames with lights that give nothing, and pixels that do not shine, so that all are of one kind.
+
+    One program serves them then: compiling the gradient takes longer than all that it is used for.
+    """
+    most = max(frame.shaded.illuminance.shape[-1] for frame in lit)
+    shining = any(frame.shaded.emission is not None for frame in lit)
+    found = []
+    for frame in lit:
+        shaded, view = frame.shaded, frame.view.frame
+        more, emission = most - shaded.illuminance.shape[-1], shaded.emission
+        beside = ((0, 0), (0, 0), (0, more))
+        if emission is None and shining:
+            emission = Emission(jnp.zeros((*view.shape[:2], 1)), jnp.zeros_like(view), jnp.zeros_like(view))
+        shaded = dataclasses.replace(
+            shaded,
+            illuminance=jnp.pad(shaded.illuminance, beside),
+            visibility=jnp.pad(shaded.visibility, beside, constant_values=1.0),
+            colors=jnp.pad(shaded.colors, ((0, more), (0, 0))),
+            emission=emission,
+        )
+        found.append(dataclasses.replace(frame, shaded=shaded))
+    return found
+
+
+def _picture(logs: Numbers, start: Numbers, configuration: Configuration, lit: LitFrame) -> Float[Array, "h w 3"]:
+    numbers, shaded = {name: jnp.exp(value) for name, value in logs.items()}, lit.shaded
+    if "photo exponent" in numbers and shaded.photo_light is not None:
+        more = numbers["photo exponent"] / start["photo exponent"]
+        light, known = shaded.photo_light, shaded.photo_light > 0
+        shaded = dataclasses.replace(
+            shaded, photo_light=jnp.where(known, jnp.where(known, light, 1.0) ** more, light)
+        )
+    if "bounce gain" in numbers and shaded.bounced is not None:
+        shaded = dataclasses.replace(shaded, bounced=shaded.bounced * numbers["bounce gain"] / start["bounce gain"])
+    return refined_picture(dataclasses.replace(lit, shaded=shaded), with_numbers(configuration, numbers))

@@ -1,0 +1,97 @@
+"""Results of tuning the whole frame: configurations with their times and scores."""
+
+import dataclasses
+from typing import Any
+
+from hyjax.configuration import Configuration
+from hyjax.tuning.frame.clock import FrameTime
+from hyjax.tuning.frame.evaluation import Scores
+from hyjax.tuning.frame.search import Trial
+from hyjax.tuning.result import Budget
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameCandidate:
+    """A configuration with what is known of it.
+
+    Attributes:
+        configuration: named after where it comes from.
+        tuning: mean scores on the tuning frames; `relative` is the geometric mean of losses over the default's.
+        held_out: likewise, on scenes or frames that nothing was chosen on; None if there are none.
+        time: of a whole frame, in turns with the default's.
+        form: `hyjax`, or `paper` for the paper's own form.
+    """
+
+    configuration: Configuration
+    tuning: Scores
+    held_out: Scores | None
+    time: FrameTime
+    form: str = "hyjax"
+
+    @property
+    def name(self) -> str:
+        """Of the configuration."""
+        return self.configuration.name
+
+    def row(self) -> dict[str, Any]:
+        """All of it as JSON's types but for the configuration."""
+        return {
+            "name": self.name,
+            "form": self.form,
+            "median_ms": self.time.median,
+            "p95_ms": self.time.p95,
+            "default_ms": self.time.default,
+            "tuning": self.tuning,
+            "held_out": self.held_out,
+        }
+
+
+@dataclasses.dataclass(frozen=True)
+class Effect:
+    """What one choice costs and brings, by itself.
+
+    Attributes:
+        parameter: its name.
+        value: in the place of the base's.
+        base: value that it was changed from.
+        loss, time: factors.
+    """
+
+    parameter: str
+    value: Any
+    base: Any
+    loss: float
+    time: float
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameTuned:
+    """What `hyjax.tune` returns.
+
+    Attributes:
+        configuration: the best for the first budget, measured to fit.
+        best: the best for each budget.
+        budgets: in the order given.
+        front: candidates that no other beats in both time and tuning loss, by time.
+        references: the default, the presets, the paper's form.
+        trials: all of the search.
+        effects: of the choices that were tried one by one.
+        examples: pictures: rows of (name of the case, pictures by name).
+        record: settings, device, versions, cases, prediction errors: JSON's types.
+    """
+
+    configuration: Configuration
+    best: list[FrameCandidate]
+    budgets: list[Budget]
+    front: list[FrameCandidate]
+    references: list[FrameCandidate]
+    trials: list[Trial]
+    effects: list[Effect]
+    examples: list[tuple[str, dict[str, Any]]]
+    record: dict[str, Any]
+
+    @property
+    def candidates(self) -> list[FrameCandidate]:
+        """References, front and the best of each budget, each once."""
+        found = {id(c): c for c in (*self.references, *self.front, *self.best)}
+        return list(found.values())

@@ -1,0 +1,239 @@
+"""Tuning run of the whole frame: search, refinement of the best, proof on the clock and on held-out scenes."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hyjax.configuration import PRESETS, Configuration, Measured
+from hyjax.data.capture import Capture
+from hyjax.tuning.frame.bench import FrameBench, open_frame_bench
+from hyjax.tuning.frame.clock import FrameClock, FrameTime
+from hyjax.tuning.frame.evaluation import Judge
+from hyjax.tuning.frame.evaluator import StudyEvaluator
+from hyjax.tuning.frame.loss import PictureLoss
+from hyjax.tuning.frame.proof import BASE_ROUNDS, check_reachable, effects, examples, front_of, prove
+from hyjax.tuning.frame.refinement import refine_numbers
+from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
+from hyjax.tuning.frame.search import FrameSearch, Trial
+from hyjax.tuning.frame.space import Space
+from hyjax.tuning.frame.study import Study, check_installed
+from hyjax.tuning.monitor import RunMonitor
+from hyjax.tuning.result import Budget
+from hyjax.tuning.settings import TuneSettings
+from hyjax.util.environment import cores, environment, peak_memory_mib
+from hyjax.util.errors import InputError
+from hyjax.util.files import make_writable
+
+EXTRA = (0.35, 0.5, 0.7, 1.0, 1.5)
+"""Further points of the front, in times of the default."""
+FEWEST = 6
+"""Cases of the first batch, at least."""
+POLISH_CASES = 12
+ROOM = 0.98
+"""Share of a budget that is aimed at: a p95 is a noisy number."""
+
+
+def tune_frame(settings: TuneSettings, *, capture: Capture | None = None) -> FrameTuned:
+    """The configuration with the best pictures within each time budget.
+
+    Args:
+        settings: what to tune for and on.
+        capture: frames that were opened before, in the place of those that the settings name.
+
+    Raises:
+        InputError: any of these cannot be used, or a budget is out of reach on this device.
+    """
+    if not settings.tunes_frame:
+        raise InputError(
+            "stage: `tune` is for the whole frame on this machine; for the rest there is `tune_schedule`"
+        )
+    check_installed()
+    settings.check()
+    budgets, monitor = settings.budgets(), RunMonitor(settings.time_limit, not settings.quiet)
+    if settings.out is not None:
+        make_writable(settings.out)
+    bench = open_frame_bench(settings, capture)
+    return FrameRun(bench, settings, budgets, monitor).run()
+
+
+class FrameRun:
+    """One run, from the search to the files.
+
+    Args:
+        bench: what is tuned on.
+        settings: of the search.
+        budgets: of time.
+        monitor: time limit and progress.
+    """
+
+    def __init__(
+        self, bench: FrameBench, settings: TuneSettings, budgets: Sequence[Budget], monitor: RunMonitor
+    ) -> None:
+        self.bench, self.settings, self.budgets, self.monitor = bench, settings, list(budgets), monitor
+        self.judge = Judge(bench.scenes, PictureLoss.of(settings.frame.lpips))
+        self.clock = FrameClock(bench.scenes[0], bench.lights)
+        truth = all(bench.scenes[place].has_truth for place, *_ in bench.cases)
+        self.space = Space.of(truth=truth)
+        self.machine = environment()
+        self._study = functools.partial(Study, settings.out, settings=self._decisive())
+
+    def run(self) -> FrameTuned:
+        """Search, refine, prove, write."""
+        from hyjax.tuning.frame.report import write_results
+
+        (base,) = self.clock.times([Configuration()], BASE_ROUNDS)
+        check_reachable(self.budgets, base, self.space, self.clock)
+        search = self._search(self.space, "frame", self._limits(base))
+        candidates = self._finalists(search, base)
+        references = [Configuration(), *map(Configuration.preset, PRESETS)]
+        if self.settings.frame.paper_form:
+            references.append(Configuration.paper())
+            paper = Space.of(truth=True, paper=True)
+            found = self._search(paper, "paper", [math.inf], resume=True)
+            best = found.best(math.inf, cases=len(self.bench.cases))
+            if best is not None:
+                references.append(self._polished(paper.configuration(best.choices, "paper-tuned")))
+        told = prove(
+            [*candidates, *references], self.bench, self.judge, self.clock, progress=not self.settings.quiet
+        )
+        tuned, known = told[: len(candidates)], told[len(candidates) :]
+        result = self._result(search, tuned, known, base)
+        if self.settings.out is not None:
+            write_results(self.settings.out, result)
+        return result
+
+    def _search(self, space: Space, name: str, limits: Sequence[float], *, resume: bool = False) -> FrameSearch:
+        count, first = len(self.bench.cases), max(FEWEST, len(self.bench.scenes))
+        batches = sorted({min(first, count), min(2 * first, count), count})
+        study = self._study(name, resume=self.settings.resume or resume)
+        with self.monitor.watching(f"{name}, {self.settings.frame.trials} trials"):
+            evaluator = StudyEvaluator(
+                space, self.judge, self.bench.cases, self.clock, study, expired=self.monitor.expired
+            )
+
+            def report(trial: Trial) -> None:
+                evaluator.keep(trial)
+                self.monitor.note(trial.phase, trial.loss)
+
+            search = FrameSearch(
+                space,
+                evaluator,
+                batches,
+                seed=self.settings.scene.seed,
+                report=report,
+                expired=self.monitor.expired,
+            )
+            search.run(limits, self.settings.frame.trials)
+        return search
+
+    def _limits(self, base: FrameTime) -> list[float]:
+        """Budgets in times of the default, by its p95; further points of the front if they are asked for."""
+        asked = [ROOM * budget.milliseconds / base.p95 for budget in self.budgets]
+        return [*asked, *(EXTRA if self.settings.extra else ())]
+
+    def _finalists(self, search: FrameSearch, base: FrameTime) -> list[Configuration]:
+        """The best of each budget, refined level by level, then the front's."""
+        found: dict[str, Configuration] = {}
+        for limit in self._limits(base):
+            known = [t for t in search.trials.values() if len(t.losses) >= len(self.bench.cases)]
+            fitting = [t for t in known if t.time is not None and t.time <= limit]
+            for trial in sorted(fitting, key=lambda t: t.loss)[:1]:
+                name = f"tuned-{trial.time:.2f}"
+                if name not in found:
+                    found[name] = self._polished(self.space.configuration(trial.choices, name))
+        return list(found.values())
+
+    def _polished(self, configuration: Configuration) -> Configuration:
+        """The configuration with numbers for each level, if they are better on all cases."""
+        if self.monitor.expired():
+            return configuration
+        study_key = f"polished {configuration.to_json()}"
+
+        def compute() -> str:
+            better = refine_numbers(
+                configuration,
+                self.judge,
+                self.bench.cases[:POLISH_CASES],
+                levels=True,
+                expired=self.monitor.expired,
+            )
+            before, after = (
+                np.mean(np.log([row["loss"] for row in self.judge.scores(each, self.bench.cases)]))
+                for each in (configuration, better)
+            )
+            return (better if after < before else configuration).to_json()
+
+        study = self._study("polish", resume=True)
+        return Configuration.from_json(study.remember(study_key, compute))
+
+    def _result(
+        self, search: FrameSearch, tuned: list[FrameCandidate], known: list[FrameCandidate], base: FrameTime
+    ) -> FrameTuned:
+        usable = [c for c in (*tuned, *known) if c.form == "hyjax"]
+        best = []
+        for budget in self.budgets:
+            fitting = [c for c in usable if c.time.p95 <= budget.milliseconds]
+            chosen = (
+                min(fitting, key=lambda c: c.tuning["relative"])
+                if fitting
+                else min(usable, key=lambda c: c.time.p95)
+            )
+            best.append(dataclasses.replace(chosen, configuration=self._measured(chosen, budget)))
+        front = front_of(usable)
+        errors = [abs(guess / true - 1) for guess, true in search.predictions]
+        record = {
+            "settings": self.settings.record(),
+            "scenes": [scene.name for scene in self.bench.scenes],
+            "cases": len(self.bench.cases),
+            "held-out cases": len(self.bench.held_out),
+            "timed under": self.bench.lights,
+            "trials": len(search.trials),
+            "prediction errors": errors,
+            "default p95 at the start": base.p95,
+            "kept": [budget.label for budget, c in zip(self.budgets, best) if c.time.p95 <= budget.milliseconds],
+            "seconds": round(self.monitor.clock.seconds, 1),
+            "peak memory, MiB": round(peak_memory_mib()),
+            "cores": cores(),
+        } | self.machine
+        return FrameTuned(
+            best[0].configuration,
+            best,
+            self.budgets,
+            front,
+            known,
+            list(search.trials.values()),
+            effects(search),
+            examples(self.bench, front),
+            record,
+        )
+
+    def _measured(self, candidate: FrameCandidate, budget: Budget) -> Configuration:
+        time, scene = candidate.time, self.bench.scenes[0].scene
+        size = scene.frame(0).camera.intrinsics.shape
+        told = Measured(
+            device=self.machine["device"],
+            cores=cores(),
+            size=(int(size[0]), int(size[1])),
+            median_ms=round(time.median, 3),
+            p95_ms=round(time.p95, 3),
+            default_ms=round(time.default, 3),
+        )
+        name = candidate.name if candidate.name in PRESETS else f"tuned-{budget.slug}"
+        return dataclasses.replace(candidate.configuration, name=name, measured=told)
+
+    def _decisive(self) -> dict[str, Any]:
+        """All that decides the search's results, for the study."""
+        scenes = self.bench.scenes
+        return {
+            "scenes": [[scene.name, scene.scene.capture.fingerprint] for scene in scenes],
+            "cases": [list(case) for case in self.bench.cases],
+            "lpips": self.settings.frame.lpips,
+            "seed": self.settings.scene.seed,
+            "device": self.machine["device"],
+            "cores": cores(),
+            "versions": {name: self.machine["versions"][name] for name in ("hyjax", "jax", "jaxlib")},
+        }

@@ -1,0 +1,153 @@
+"""Scenes with known pictures: what a configuration is judged by."""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from hyjax.configuration import Configuration
+from hyjax.core.schedule import Schedule
+from hyjax.data.truth_room import TruthCapture, load_truth_room
+from hyjax.light.color import to_display
+from hyjax.light.setup import LightSetup
+from hyjax.pipeline import relight
+from hyjax.relighting.frame_relighter import FrameRelighter
+from hyjax.scene.scene import Scene
+from hyjax.scene.settings import SceneSettings
+from hyjax.tuning.bench import open_scenes
+from hyjax.tuning.frame.rooms import check_room
+from hyjax.tuning.settings import ROOM_PHOTOS
+from hyjax.util.errors import InputError
+from hyjax.util.sizes import parse_size
+
+ROOM = "room:"
+"""Beginning of the name of a room of known truth."""
+ROOM_SIZE = "320x240"
+KEPT_MAPS = 6
+"""Sets of shadow maps that are kept of a scene."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """Picture that a frame should look like.
+
+    Attributes:
+        picture: display values.
+        valid: where it means anything.
+        fitted: whether exposure and white balance may be brought to it first.
+    """
+
+    picture: Float[np.ndarray, "h w 3"]
+    valid: Bool[np.ndarray, "h w"]
+    fitted: bool
+
+
+class TuningScene:
+    """A scene whose relit pictures can be judged.
+
+    With a room of known truth the target is the true picture under the new lights. Else it is what an accurate
+    surface makes of the frame, the photo's light left in on both sides: how well that is told, no capture says.
+
+    Args:
+        name: short.
+        scene: on its rough surface.
+        accurate: the same capture on an accurate surface; None for a room of known truth.
+    """
+
+    def __init__(self, name: str, scene: Scene, accurate: Scene | None = None) -> None:
+        self.name, self.scene, self.accurate = name, scene, accurate
+        scene.most_maps = KEPT_MAPS
+        self._target = functools.lru_cache(maxsize=None)(self._make_target)
+
+    def __len__(self) -> int:
+        return len(self.scene)
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the true pictures are known."""
+        return self.accurate is None
+
+    def setup(self, lights: str) -> LightSetup:
+        """Light set-up by name, or from a file."""
+        return self.scene.lights(lights, at_photo_sources=True)
+
+    def target(self, lights: str, index: int) -> Target:
+        """Target of a frame under a set-up; kept."""
+        return self._target(lights, index)
+
+    def relighter(self, lights: str, configuration: Configuration) -> FrameRelighter:
+        """What relights the frames as a configuration says, to be timed."""
+        return FrameRelighter(self.scene, self.setup(lights), configuration)
+
+    def judged(self, configuration: Configuration) -> Configuration:
+        """The configuration as its pictures are compared: without what this scene's targets do not tell."""
+        return configuration if self.has_truth else with_photo_light(configuration)
+
+    def _make_target(self, lights: str, index: int) -> Target:
+        capture, setup = self.scene.capture, self.setup(lights)
+        if self.accurate is None:
+            assert isinstance(capture, TruthCapture)
+            picture = capture.truth(setup, [index])[0]
+            return Target(picture, np.ones(picture.shape[:2], bool), True)
+        view = self.accurate.view(index)
+        shaded = self.accurate.shade(view, setup, keep_photo_light=True, occluders="surface")
+        relit = relight(view, shaded, view.display, Schedule.preset("hyjax"))
+        return Target(np.asarray(to_display(relit.unrefined)), np.asarray(view.gbuffer.hit), False)
+
+
+def with_photo_light(configuration: Configuration) -> Configuration:
+    """The configuration with the photo's light left in."""
+    light = type(configuration.light)(sampling=configuration.light.sampling, photo_light="kept")
+    return dataclasses.replace(configuration, light=light)
+
+
+def open_room(name: str, size: str | None = None) -> TuningScene:
+    """Room of known truth; photographed on first use, which takes a minute, and kept in the cache folder.
+
+    Raises:
+        InputError: there is no such room, or the size is out of range.
+    """
+    height, width = parse_size(size or ROOM_SIZE) or (0, 0)
+    capture = load_truth_room(check_room(name), ROOM_PHOTOS, width, height)
+    return TuningScene(name, Scene.open(SceneSettings(), capture=capture))
+
+
+def open_tuning_scene(source: str, size: str | None = None) -> TuningScene:
+    """Scene by name: `room:NAME`, the folder of a capture, or `built-in`.
+
+    Raises:
+        InputError: it cannot be used.
+    """
+    if source.startswith(ROOM):
+        return open_room(source.removeprefix(ROOM), size)
+    capture = None if source == "built-in" else Path(source)
+    scene, accurate = open_scenes(SceneSettings(capture, size=size))
+    if accurate is None:
+        raise InputError(f"{source}: has no depth, so no accurate surface; a frame cannot be judged on it")
+    return TuningScene(source, scene, accurate)
+
+
+def spread_cases(frames: Sequence[Sequence[int]], lights: Sequence[str], seed: int) -> list[tuple[int, str, int]]:
+    """Cases in the order of mini-batches: (scene, set-up, frame), such that each few have many scenes and set-ups.
+
+    >>> spread_cases([[0, 5], [3]], ["noon-window"], 0)
+    [(0, 'noon-window', 0), (1, 'noon-window', 3), (0, 'noon-window', 5)]
+
+    Args:
+        frames: of each scene, under each set-up.
+        lights: set-ups.
+        seed: of the order.
+    """
+    rng = np.random.default_rng(seed)
+    cases: list[tuple[int, str, int]] = []
+    for number in range(max(len(own) for own in frames)):
+        for turn in range(len(lights)):
+            for place, own in enumerate(frames):
+                if number < len(own):
+                    light = lights[(turn + place) % len(lights)]
+                    cases.append((place, light, own[(number + turn) % len(own)]))
+    rounds = [cases[k : k + len(frames)] for k in range(0, len(cases), len(frames))]
+    return [case for k in rng.permutation(len(rounds)) for case in rounds[k]]

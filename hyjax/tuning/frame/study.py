@@ -1,0 +1,126 @@
+"""Study: the trials of a search, in Optuna's journal, from which an interrupted search goes on.
+
+The journal is one file that several processes may append to; `optuna-dashboard study.log` shows it. A trial's
+values are its loss and time relative to the default's. What did not fit the budget is in it as well: which trial
+fits is told by the measured time alone.
+"""
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hyjax.tuning.frame.space import Choices, Parameter, Space, key_of
+from hyjax.util.errors import InputError
+from hyjax.util.run_log import as_json, check_same_settings
+
+if TYPE_CHECKING:
+    import optuna
+
+NAME = "study.log"
+VERSION = 1
+"""Of what is kept. Add one whenever it means something else."""
+
+
+class Study:
+    """Results of a search by key, on disk as it goes.
+
+    Args:
+        folder: where `study.log` is kept; None keeps it in memory.
+        name: of the space that is searched.
+        settings: all that decides the results, as JSON's types.
+        resume: go on with the study that is there.
+
+    Raises:
+        InputError: Optuna is not installed, there is a study and `resume` is not set, it is damaged, or it was
+            made with other settings or by another version.
+    """
+
+    def __init__(self, folder: Path | None, name: str, settings: dict[str, Any], *, resume: bool = False) -> None:
+        check_installed()
+        import optuna
+        from optuna.storages import InMemoryStorage, JournalStorage
+        from optuna.storages.journal import JournalFileBackend
+
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        path = None if folder is None else folder / NAME
+        if path is not None and path.exists() and not resume:
+            raise InputError(
+                f"{folder}: holds the trials of another run; add --resume to go on with it, or choose another --out"
+            )
+        try:
+            storage = InMemoryStorage() if path is None else JournalStorage(JournalFileBackend(str(path)))
+            self._study = optuna.create_study(
+                storage=storage, study_name=name, directions=["minimize", "minimize"], load_if_exists=True
+            )
+            told = self._study.user_attrs
+        except OSError as error:
+            raise InputError(f"{path}: cannot write ({error.strerror or error})") from None
+        except Exception as error:  # whatever a damaged journal makes of Optuna
+            raise InputError(f"{path}: is no journal of a study ({type(error).__name__}); remove it") from None
+        if told and told.get("version") != VERSION:
+            raise InputError(
+                f"{path}: trials of version {told.get('version')} of the search, this is {VERSION}; they cannot be "
+                "gone on with, choose another --out"
+            )
+        if told and folder is not None:
+            check_same_settings(folder, told.get("settings", {}), as_json(settings))
+        if not told:
+            self._study.set_user_attr("settings", as_json(settings))
+            self._study.set_user_attr("version", VERSION)
+        self._results: dict[str, Any] = {}
+        for trial in self._study.get_trials(deepcopy=False):
+            self._results |= trial.user_attrs.get("results", {})
+        self._results |= {key: value for key, value in told.items() if key.startswith("result ")}
+        self.resumed = len(self._results)
+
+    def known(self, key: str) -> Any:
+        """Result that was kept under a key; None if there is none."""
+        return self._results.get(key)
+
+    def remember(self, key: str, compute: Callable[[], Any]) -> Any:
+        """Result of `compute`, which is called at most once for each key; of no trial in particular."""
+        name = f"result {key}"
+        if name not in self._results:
+            self._results[name] = as_json(compute())
+            self._study.set_user_attr(name, self._results[name])
+        return self._results[name]
+
+    def add(
+        self, space: Space, choices: Choices, phase: str, loss: float, time: float, results: dict[str, Any]
+    ) -> None:
+        """Add a trial with results to remember.
+
+        Raises:
+            InputError: the journal cannot be written.
+        """
+        import optuna
+
+        known = {p.name: p for p in space.parameters}
+        try:
+            self._study.add_trial(
+                optuna.trial.create_trial(
+                    params=dict(choices),
+                    distributions={name: _distribution(known[name]) for name in choices},
+                    values=[loss, time],
+                    user_attrs={"phase": phase, "key": key_of(choices), "results": as_json(results)},
+                )
+            )
+        except OSError as error:
+            raise InputError(f"{NAME}: cannot write ({error.strerror or error}); --resume goes on") from None
+        self._results |= as_json(results)
+
+
+def _distribution(parameter: Parameter) -> "optuna.distributions.BaseDistribution":
+    import optuna
+
+    if parameter.continuous:
+        low, high = parameter.values
+        return optuna.distributions.FloatDistribution(low, high, log=True)
+    return optuna.distributions.CategoricalDistribution(parameter.values)
+
+
+def check_installed() -> None:
+    """Raise `InputError` unless Optuna is there."""
+    if importlib.util.find_spec("optuna") is None:
+        raise InputError("tune: needs the package optuna; install it with: pip install '.[tune]'")
