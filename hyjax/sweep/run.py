@@ -50,7 +50,7 @@ def run_sweep(
 
     Args:
         settings: of the sweep.
-        evaluate, time_frames: what is done, see `hyjax.tuning.evaluation`.
+        evaluate, time_frames: what is done, see `hyjax.tuning.frame.evaluation`.
 
     Raises:
         InputError: a spec or settings that cannot be used, a folder with rows where `resume` is not set, no

@@ -25,12 +25,11 @@ from hyjax.data.light_file import is_light_file
 from hyjax.scene.settings import check_lights_name
 from hyjax.sweep.work import random_configurations
 from hyjax.synthetic.truth import CHOOSE, REPORT
+from hyjax.tuning.settings import ROOM_PHOTOS
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.sizes import parse_size
 
 ROOM = "room:"
-ROOM_PHOTOS = 12
-"""Photos of a room of known truth, along a walk."""
 ROOM_NAME = r"builtin-\d+|random-\d+-\d+-(day|lamps|both)"
 SPACES = ("default",)
 Names = Annotated[list[str], msgspec.Meta(min_length=1)]

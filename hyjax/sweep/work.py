@@ -8,8 +8,8 @@ from typing import Any
 
 from hyjax.configuration import Configuration
 
-EVALUATION = "hyjax.tuning.evaluation"
-SPACE = "hyjax.tuning.space"
+EVALUATION = "hyjax.tuning.frame.evaluation"
+SPACE = "hyjax.tuning.frame.space"
 
 
 def evaluate(payload: dict[str, Any]) -> dict[str, Any]:
