@@ -34,5 +34,6 @@ EXPERIMENTS = (
     "bench_peers",
     "tour_latency",
     "live",
+    "sweep_scale",
 )
 """Modules of experiments, in the report's order."""

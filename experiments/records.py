@@ -6,12 +6,12 @@ Tables, figures and pages are made from these rows alone (`experiments.report`).
 
 import dataclasses
 import math
-import subprocess
 import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from hyjax.util.checkout import commit
 from hyjax.util.environment import environment, peak_memory_mib
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable
@@ -19,7 +19,7 @@ from hyjax.util.run_log import RunLog, check_same_settings, read_lines
 
 FILE = "rows.jsonl"
 ROOT = Path(__file__).parents[1]
-UNSETTLED = ("out", "resume")
+UNSETTLED = ("out", "resume", "workers")
 """Options that decide nothing about the results."""
 Row = dict[str, Any]
 
@@ -39,7 +39,7 @@ class Results:
     Args:
         out: the run's folder.
         experiment: name of the module.
-        config: the run's options, a dataclass; `out` and `resume` in it are not compared.
+        config: the run's options, a dataclass; `out`, `resume` and `workers` in it are not compared.
         resume: go on with the rows that are there.
 
     Raises:
@@ -56,7 +56,7 @@ class Results:
                 "experiment": experiment,
                 "settings": settings,
                 "seed": settings.get("seed"),
-                "commit": commit(),
+                "commit": commit(ROOT),
             }
             | environment()
         )
@@ -122,19 +122,6 @@ def machine(row: Row) -> str:
 def of_kind(rows: Iterable[Row], kind: str) -> list[Row]:
     """The rows of a kind."""
     return [row for row in rows if row.get("kind") == kind]
-
-
-def commit() -> str:
-    """The checkout's commit, with `-dirty` after it if tracked files differ; `unknown` outside of a checkout."""
-    try:
-        head = _git("rev-parse", "HEAD")
-        return head + ("-dirty" if _git("status", "--porcelain", "--untracked-files=no") else "")
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-
-
-def _git(*arguments: str) -> str:
-    return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def _clean(value: Any) -> Any:

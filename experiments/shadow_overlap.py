@@ -1,6 +1,7 @@
 """Shadows of a rough scan against the true ones: how far they overlap.
 
-    python -m experiments.shadow_overlap [--rooms room:0:1 random:1:0 ...] [--out results/shadow_overlap]
+    python -m experiments.shadow_overlap [--rooms room:0:1 random:1:0 ...] [--workers 2]
+        [--out results/shadow_overlap]
 
 A room whose true mesh is known is scanned as a headset would, and frames of it are lit by named set-ups. What each
 light leaves visible on the rough surface, after the shadow pass, is compared with the shadows that the true mesh
@@ -20,6 +21,7 @@ Expect: closing holes helps a little, depth maps help most.
 import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +31,7 @@ from jaxtyping import Bool, Float
 import hyjax
 from experiments.blocks import Block, Table
 from experiments.command import RunConfig, Start, experiment, run
+from experiments.parallel import Collected, Sink, rows_of_parts
 from experiments.records import Row
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import UP, load_room, scan_config
@@ -64,6 +67,8 @@ class Config(RunConfig):
     """How many of each."""
     size: int = 384
     """Pixels a side of random rooms' pictures."""
+    workers: int = 0
+    """Processes that judge a room each; 0 for this one alone."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,11 +85,29 @@ class Place:
 @experiment("Overlap of shadows")
 def main(config: Config, start: Start) -> None:
     results = start()
-    for room in config.rooms:
-        place = open_place(room, config)
-        for setup_name in SETUPS:
-            for row in compare(place, named_setup(setup_name, place.anchors)):
-                results.add(kind="score", room=room, setup=setup_name, **row)
+    if not config.workers:
+        for room in config.rooms:
+            judge_room(results, room, config)
+        return
+    payloads = [{"room": room, "frames": config.frames, "size": config.size} for room in config.rooms]
+    for rows in rows_of_parts(room_rows, payloads, config.workers, results.out):
+        for row in rows:
+            results.add(**row)
+
+
+def room_rows(payload: dict[str, Any]) -> dict[str, Any]:
+    """Rows of one room, in a process of its own."""
+    collected = Collected(Path())
+    judge_room(collected, payload["room"], Config(frames=payload["frames"], size=payload["size"]))
+    return collected.result()
+
+
+def judge_room(results: Sink, room: str, config: Config) -> None:
+    """Add the rows of one room."""
+    place = open_place(room, config)
+    for setup_name in SETUPS:
+        for row in compare(place, named_setup(setup_name, place.anchors)):
+            results.add(kind="score", room=room, setup=setup_name, **row)
 
 
 def open_place(room: str, config: Config) -> Place:

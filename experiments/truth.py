@@ -1,6 +1,6 @@
 """Relit frames against what the camera would see: rooms of known truth under new lights.
 
-    python -m experiments.truth [--rooms NAME ...] [--frames 6] [--out results/truth] [--resume]
+    python -m experiments.truth [--rooms NAME ...] [--frames 6] [--out results/truth] [--resume] [--workers 2]
 
 The other experiments compare with the same multiplication by an accurate filter. Here every relit frame is compared
 with the true picture of a generated room under the new lights (`hyjax.synthetic.truth`): same lens, same camera
@@ -17,6 +17,7 @@ Expect: the default gains some 5 dB fitted and 8 dB raw on hyjax 0.1, a little m
 True light on a true mesh comes to some 34 dB, less raw: the rest is the camera, mirror images and what shines.
 """
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
@@ -29,6 +30,7 @@ from tqdm import tqdm
 from experiments.blocks import Block
 from experiments.command import RunConfig, Start, experiment, run
 from experiments.judging import judge
+from experiments.parallel import Collected, Sink, rows_of_parts
 from experiments.records import Results, Row, of_kind
 from experiments.truth_bench import TruthBench
 from experiments.truth_camera import Exposed, fit_gains
@@ -65,30 +67,65 @@ class Config(RunConfig):
     """LPIPS weights. Default: those of the extra `lpips`; without them there is no LPIPS."""
     resume: bool = False
     """Go on with the interrupted run in the out folder."""
+    workers: int = 0
+    """Processes that judge a room each; 0 for this one alone."""
 
 
 @experiment("Against the true picture")
 def main(config: Config, start: Start) -> None:
     size = _checked(config)
     weights, results = _weights(config.weights), start()
-    frames = spread(range(config.photos), config.frames)
     finished = {row["room"] for row in of_kind(results.rows, "room")}
-    total = len(config.rooms) * len(config.setups) * len(frames)
-    with tqdm(total=total, unit="picture") as bar:
-        for name in config.rooms:
-            if name in finished:
-                bar.update(len(config.setups) * len(frames))
-                continue
-            bar.set_description(f"{name}, photos")
-            bench = TruthBench(name, config.photos, size, config.quality)
-            sheet = []
-            for setup in config.setups:
-                bar.set_description(f"{name}, {setup}")
-                sheet.append(_judge_setup(results, bench, setup, frames, weights, bar))
-            write_contact_sheet(results.out / f"{name}.png", sheet, SHEET)
-            check = frames[len(frames) // 2]
-            again = float(psnr(bench.again(check), bench.capture[check].image))
-            results.add(kind="room", room=name, again=again, **bench.row())
+    rooms = [name for name in config.rooms if name not in finished]
+    if config.workers:
+        _judge_apart(config, rooms, results)
+        return
+    with tqdm(total=len(rooms) * len(config.setups) * config.frames, unit="picture") as bar:
+        for name in rooms:
+            _judge_room(results, config, TruthBench(name, config.photos, size, config.quality), weights, bar)
+
+
+def _judge_apart(config: Config, rooms: list[str], results: Results) -> None:
+    """Add the rows of rooms that are judged by other processes."""
+    options = dataclasses.asdict(config)
+    options["weights"] = None if config.weights is None else str(config.weights.resolve())
+    for name in ("rooms", "resume", "workers"):
+        options.pop(name)
+    payloads = [options | {"room": name, "out": str(results.out.resolve())} for name in rooms]
+    known = {_place(row) for row in results.rows}
+    for rows in rows_of_parts(room_rows, payloads, config.workers, results.out, resume=config.resume):
+        for row in rows:
+            if _place(row) not in known:
+                results.add(**row)
+
+
+def room_rows(payload: dict[str, Any]) -> dict[str, Any]:
+    """Rows of one room, in a process of its own."""
+    options = {name: value for name, value in payload.items() if name not in ("room", "out")}
+    config = Config(**options, rooms=(payload["room"],), out=Path(payload["out"]))
+    collected, weights = Collected(Path(payload["out"])), None
+    with contextlib.suppress(InputError):  # told already
+        weights = load_lpips(config.weights)
+    bench = TruthBench(payload["room"], config.photos, _checked(config), config.quality)
+    _judge_room(collected, config, bench, weights, tqdm(disable=True))
+    return collected.result()
+
+
+def _place(row: Row) -> tuple[Any, ...]:
+    return tuple(row.get(name) for name in ("kind", "room", "setup", "index"))
+
+
+def _judge_room(results: Sink, config: Config, bench: TruthBench, weights: LpipsWeights | None, bar: tqdm) -> None:
+    """Add the rows of one room that are not there yet, and write its sheet."""
+    name, sheet = bench.capture.name, []
+    frames = spread(range(config.photos), config.frames)
+    for setup in config.setups:
+        bar.set_description(f"{name}, {setup}")
+        sheet.append(_judge_setup(results, bench, setup, frames, weights, bar))
+    write_contact_sheet(results.out / f"{name}.png", sheet, SHEET)
+    check = frames[len(frames) // 2]
+    again = float(psnr(bench.again(check), bench.capture[check].image))
+    results.add(kind="room", room=name, again=again, **bench.row())
 
 
 def _checked(config: Config) -> tuple[int, int]:
@@ -117,7 +154,7 @@ def _weights(path: Path | None) -> LpipsWeights | None:
 
 
 def _judge_setup(
-    results: Results, bench: TruthBench, setup: str, frames: list[int], weights: LpipsWeights | None, bar: tqdm
+    results: Sink, bench: TruthBench, setup: str, frames: list[int], weights: LpipsWeights | None, bar: tqdm
 ) -> tuple[str, list[np.ndarray]]:
     """Add the rows of one set-up that are not there yet; a row of the sheet."""
     room, middle = bench.capture.name, frames[len(frames) // 2]

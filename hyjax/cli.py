@@ -16,6 +16,7 @@ from hyjax.device.serve import ServeSettings
 from hyjax.export.settings import ExportSettings
 from hyjax.info import InfoSettings
 from hyjax.relighting.settings import RelightSettings
+from hyjax.sweep.settings import SweepSettings
 from hyjax.tour.settings import TourSettings
 from hyjax.training.settings import TrainSettings, paper_settings
 from hyjax.tuning.settings import TuneSettings
@@ -49,6 +50,7 @@ class Train:
 Command = (
     RelightSettings
     | TuneSettings
+    | SweepSettings
     | Train
     | TourSettings
     | ExportSettings
@@ -65,6 +67,7 @@ def parse() -> Command:
     commands = (
         Annotated[RelightSettings, tyro.conf.subcommand("relight")]
         | Annotated[TuneSettings, tyro.conf.subcommand("tune", default=TuneSettings(out=Path("tuned")))]
+        | Annotated[SweepSettings, tyro.conf.subcommand("sweep")]
         | Annotated[Train, tyro.conf.subcommand("train", default=Train(recipe))]
         | Annotated[TourSettings, tyro.conf.subcommand("tour")]
         | Annotated[ExportSettings, tyro.conf.subcommand("export")]
@@ -109,6 +112,8 @@ def main() -> None:
             run_relight(command)
         elif isinstance(command, TuneSettings):
             run_tune(command)
+        elif isinstance(command, SweepSettings):
+            run_swept(command)
         elif isinstance(command, Train):
             run_train(command)
         elif isinstance(command, TourSettings):
@@ -178,6 +183,20 @@ def run_tune(settings: TuneSettings) -> None:
         print(sentence)
     if settings.out is not None:
         print(f"Look at {settings.out / 'report.html'}; relight with --schedule {settings.out / 'schedule.json'}")
+
+
+def run_swept(settings: SweepSettings) -> None:
+    """`hyjax sweep`."""
+    from hyjax.sweep.run import run_sweep
+
+    try:
+        swept = run_sweep(settings)
+    except KeyboardInterrupt:
+        print("hyjax: --resume goes on with what is left", file=sys.stderr)
+        raise
+    if swept.errors:
+        print(f"hyjax: {len(swept.errors)} tasks have no result; the first: {swept.errors[0]}", file=sys.stderr)
+    print(f"{swept.tasks} tasks of {len(swept.lines)} configurations; look at {swept.out / 'sweep.png'}")
 
 
 def run_train(command: Train) -> None:

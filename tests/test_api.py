@@ -292,7 +292,14 @@ def loaded_by(code: str) -> set[str]:
         "import hyjax; hyjax.RelightSettings()",
         *(
             f"sys.argv = {['hyjax', *words]}; import hyjax.cli; hyjax.cli.main()"
-            for words in (["--version"], ["--help"], ["relight", "--help"], ["train", "--help"], ["tune", "--help"])
+            for words in (
+                ["--version"],
+                ["--help"],
+                ["relight", "--help"],
+                ["train", "--help"],
+                ["tune", "--help"],
+                ["sweep", "--help"],
+            )
         ),
     ],
 )

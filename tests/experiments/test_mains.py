@@ -28,6 +28,7 @@ from experiments import (
     reference_quality,
     shadow_overlap,
     stage_times,
+    sweep_scale,
     tour_latency,
     truth,
     tuning_gain,
@@ -314,6 +315,21 @@ def test_shadow_overlap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert all(0 <= row["both"] <= row["either"] <= row["counted"] for row in rows)
     with pytest.raises(InputError, match="rooms: 'attic' must be"):
         shadow_overlap.open_place("attic", config)
+
+
+@pytest.mark.slow
+def test_sweep_scale(tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="needs pip install '.[tune]'")
+    config = sweep_scale.Config(tasks=40, task_ms=5.0, workers=2, kill_tasks=200, out=tmp_path)
+    rows = rows_of(sweep_scale.main, config)
+    (scale,) = of_kind(rows, "scale")
+    assert scale["task_seconds"] > 0.19 and set(scale["memory_mib"]) == {"0.1", "0.5", "1"}
+    kills = of_kind(rows, "kills")
+    assert [(row["rows"], row["twice"], row["lost"], row["starts"]) for row in kills] == [
+        (200, 0, 0, 1),
+        (200, 0, 0, 1),
+        (200, 0, 0, 3),
+    ]
 
 
 @pytest.mark.slow

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments import records
-from experiments.records import FILE, Results, commit, is_finished, read_rows
+from experiments.records import FILE, Results, is_finished, read_rows
+from hyjax.util.checkout import commit
 from hyjax.util.errors import InputError
 
 
@@ -221,22 +221,21 @@ def git(folder: Path, *arguments: str) -> str:
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="no git here")
 def test_the_commit_of_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(records, "ROOT", tmp_path)
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
-    assert commit() == "unknown"
+    assert commit(tmp_path) == "unknown"
     git(tmp_path, "init", "--quiet")
-    assert commit() == "unknown"  # nothing committed
+    assert commit(tmp_path) == "unknown"  # nothing committed
     (tmp_path / "file").write_text("one")
     git(tmp_path, "add", "file")
     git(tmp_path, "commit", "--quiet", "--message", "one")
     head = git(tmp_path, "rev-parse", "HEAD")
-    assert len(head) == 40 and commit() == head
+    assert len(head) == 40 and commit(tmp_path) == head
     (tmp_path / "untracked").write_text("of no account")
-    assert commit() == head
+    assert commit(tmp_path) == head
     (tmp_path / "file").write_text("two")
-    assert commit() == f"{head}-dirty"
+    assert commit(tmp_path) == f"{head}-dirty"
     monkeypatch.setenv("PATH", "")
-    assert commit() == "unknown"  # no git at all
+    assert commit(tmp_path) == "unknown"  # no git at all
 
 
 def test_rows_are_lines_of_json(tmp_path: Path) -> None:

@@ -1,0 +1,179 @@
+"""Workers by Dask distributed: processes of this machine, or those of a scheduler elsewhere.
+
+Those elsewhere are started by any of Dask's deployers, in an environment with hyjax and a folder that all see:
+
+    dask scheduler
+    dask worker ADDRESS --nthreads 1 --resources device=1      # one on each host
+    dask worker ADDRESS --nthreads 1 --nworkers 7              # the others
+"""
+
+import contextlib
+import importlib.util
+import logging
+import queue
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from hyjax.sweep.batch import Batch, Outcome, run_batch
+from hyjax.sweep.dispatch import Tell
+from hyjax.util.environment import cores
+from hyjax.util.errors import InputError
+
+try:
+    import dask
+
+    if importlib.util.find_spec("distributed") is None:
+        raise ImportError("distributed")
+except ImportError:
+    raise InputError("workers: Dask is not installed; pip install '.[tune]', or give --workers 0") from None
+
+DEVICE = {"device": 1}
+"""A worker that offers it may have the device for itself."""
+SETUP = "hyjax.sweep.worker_setup"
+SETTLING = 0.1
+"""Seconds in which all batches of a lost worker are told."""
+POLL = 2.0
+"""Seconds after which lost workers of a scheduler are looked for."""
+CONNECT = 10.0
+"""Seconds in which a scheduler answers."""
+START = 60.0
+"""Seconds that workers may take to start."""
+QUIET = ("distributed", "distributed.client", "distributed.gc", "tornado", "tornado.application")
+CONFIG = {
+    "logging": dict.fromkeys(QUIET, "critical"),
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.nanny.pre-spawn-environ": {},
+    "distributed.admin.system-monitor.log-length": 60,
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.low-level-log-length": 8,
+}
+"""Of workers on this machine: silent, every death is told to us, threads as in any process of ours, and no
+memory of messages, which hold all tasks."""
+
+
+class DaskPool:
+    """Workers of a Dask scheduler; see `hyjax.sweep.engine.Pool`.
+
+    Args:
+        client: of the scheduler.
+        stack: what is closed at the end.
+        tell: prints a line for the user.
+        address: of a scheduler that is not our own.
+    """
+
+    def __init__(self, client: Any, stack: contextlib.ExitStack, tell: Tell, address: str | None) -> None:
+        self._client, self._stack, self._tell, self._address = client, stack, tell, address
+        self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._batches: dict[Any, Batch] = {}
+        self._threads: dict[str, int] = client.nthreads()
+
+    @classmethod
+    def open(cls, workers: int | None, scheduler: str | None, folder: Path, tell: Tell) -> "DaskPool":
+        """Workers on this machine or of a scheduler; see `Engine.open`.
+
+        Raises:
+            InputError: they cannot be reached, or do not see the folder.
+        """
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(dask.config.set(CONFIG if scheduler is None else {"logging": CONFIG["logging"]}))
+            from distributed import Client
+
+            for name in QUIET:
+                logging.getLogger(name).setLevel(logging.CRITICAL)
+            count = 1 if scheduler else workers or cores()
+            try:
+                address = scheduler or stack.enter_context(_local_cluster(count))
+                client = stack.enter_context(Client(address, timeout=CONNECT))
+                client.wait_for_workers(count, timeout=START)
+            except (OSError, TimeoutError, ValueError, RuntimeError) as error:
+                what = f"scheduler {scheduler}" if scheduler else "workers"
+                raise InputError(f"{what}: cannot be reached ({str(error).splitlines()[0]})") from None
+            if scheduler is not None:
+                if any(threads != 1 for threads in client.nthreads().values()):
+                    raise InputError("workers: need one thread each; start them with: dask worker --nthreads 1")
+                blind = [name for name, sees in client.run(Path.is_dir, folder).items() if not sees]
+                if blind:
+                    raise InputError(f"{folder}: worker {blind[0]} does not see this folder; choose a shared --out")
+            return cls(client, stack.pop_all(), tell, scheduler)
+        raise AssertionError
+
+    def places(self, timing: bool) -> int:
+        if not timing:
+            return 2 * max(1, sum(self._threads.values()))
+        workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+        if not any(worker["resources"].get("device") for worker in workers):
+            raise InputError("time: no worker has the device; start one with: dask worker --resources device=1")
+        return 1
+
+    def submit(self, batch: Batch, timing: bool) -> None:
+        resources = DEVICE if timing else None
+        future = self._client.submit(run_batch, batch, pure=False, resources=resources)
+        self._batches[future] = batch
+        future.add_done_callback(self._ended.put)
+
+    def collect(self) -> list[tuple[Batch, Outcome | None]]:
+        futures = [self._next()]
+        if futures[0].status != "finished":
+            time.sleep(SETTLING)
+        while not self._ended.empty():
+            futures.append(self._ended.get())
+        return [self._outcome(future) for future in futures]
+
+    def _outcome(self, future: Any) -> tuple[Batch, Outcome | None]:
+        from distributed import KilledWorker
+
+        batch = self._batches.pop(future)
+        if future.status == "finished":
+            return batch, future.result()
+        if future.status == "cancelled":
+            raise InputError(f"scheduler {self._address or ''}: lost; the rows so far are kept, resume goes on")
+        error = future.exception()
+        if isinstance(error, KilledWorker):
+            return batch, None
+        raise error
+
+    def _next(self) -> Any:
+        """A future that has ended."""
+        while True:
+            with contextlib.suppress(queue.Empty):
+                return self._ended.get(timeout=POLL)
+            self._look()
+
+    def _look(self) -> None:
+        """Tell of workers that a scheduler elsewhere has lost; it runs their tasks again by itself."""
+        if self._address is None:
+            return
+        try:
+            threads = self._client.nthreads()
+        except (OSError, TimeoutError):
+            raise InputError(f"scheduler {self._address}: lost; the rows so far are kept, resume goes on") from None
+        for gone in self._threads.keys() - threads.keys():
+            self._tell(f"worker {gone} lost; its tasks run again")
+        if self._threads and not threads:
+            self._tell("no worker is left; waiting for one")
+        self._threads = threads
+
+    def close(self) -> None:
+        self._stack.close()
+
+
+@contextlib.contextmanager
+def _local_cluster(count: int) -> Iterator[Any]:
+    """Workers on this machine, the first of which has the device."""
+    from distributed import Nanny, Scheduler, SpecCluster
+
+    options: dict[str, Any] = {"host": "127.0.0.1", "nthreads": 1, "memory_limit": None, "preload": [SETUP]}
+    options |= {"dashboard": False, "silence_logs": logging.CRITICAL}
+    first = {"cls": Nanny, "options": options | {"resources": DEVICE}}
+    specs = {number: {"cls": Nanny, "options": options} for number in range(1, count)}
+    scheduler = {
+        "cls": Scheduler,
+        "options": {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"},
+    }
+    cluster = SpecCluster(workers={0: first} | specs, scheduler=scheduler, silence_logs=logging.CRITICAL)
+    try:
+        yield cluster
+    finally:
+        cluster.close()

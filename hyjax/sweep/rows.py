@@ -1,0 +1,234 @@
+"""Rows of a sweep: a file for each worker, that only grows; merged on reading."""
+
+import contextlib
+import json
+import os
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from hyjax.util.errors import InputError
+from hyjax.util.files import write_text
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+Row = dict[str, Any]
+ERROR = "error"
+"""Kind of a row that says why there is no result."""
+DRIVER = "driver.txt"
+"""File with the identity of the driver whose batches may write."""
+PATIENCE = 60.0
+"""Seconds for which a driver waits for batches of an earlier one."""
+
+
+class _Head(msgspec.Struct):
+    key: str
+    kind: str
+
+
+class _Place(NamedTuple):
+    path: Path
+    start: int
+    length: int
+    is_error: bool
+
+
+_decode = msgspec.json.Decoder(_Head).decode
+
+
+class RowStore:
+    """All rows in a folder, one for each key: the first result, or an error where there is no result.
+
+    Only the places of rows are kept in memory. A line that a kill cut off counts for nothing.
+
+    Args:
+        folder: of the files `rows-HOST-PID-N.jsonl`.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._ends: dict[Path, int] = {}
+        self._places: dict[str, _Place] = {}
+        self._repeated: set[str] = set()
+
+    def files(self) -> list[Path]:
+        """Files of rows."""
+        return sorted(self.folder.glob("rows-*.jsonl"))
+
+    def refresh(self) -> "RowStore":
+        """This store, with what was appended since the last time.
+
+        Raises:
+            InputError: a file cannot be read.
+        """
+        for path in self.files():
+            start = self._ends.get(path, 0)
+            try:
+                if path.stat().st_size <= start:
+                    continue
+                with path.open("rb") as file:
+                    file.seek(start)
+                    for line in file:
+                        if not line.endswith(b"\n"):
+                            break
+                        self._add(path, start, line)
+                        start += len(line)
+            except OSError as error:
+                raise InputError(f"{path}: cannot read ({error.strerror or error})") from None
+            self._ends[path] = start
+        return self
+
+    def _add(self, path: Path, start: int, line: bytes) -> None:
+        try:
+            head = _decode(line)
+        except msgspec.MsgspecError:
+            return
+        place = _Place(path, start, len(line), head.kind == ERROR)
+        before = self._places.get(head.key)
+        if before is None or (before.is_error and not place.is_error):
+            self._places[head.key] = place
+        elif not place.is_error:
+            self._repeated.add(head.key)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __contains__(self, key: object) -> bool:
+        """Whether there is a result for a key."""
+        return key in self._places and not self._places[str(key)].is_error
+
+    def done(self) -> set[str]:
+        """Keys with a result."""
+        return {key for key, place in self._places.items() if not place.is_error}
+
+    def get(self, key: str) -> Row | None:
+        """Row of a key."""
+        if key not in self._places:
+            return None
+        place = self._places[key]
+        with place.path.open("rb") as file:
+            file.seek(place.start)
+            row: Row = json.loads(file.read(place.length))
+        return row
+
+    def read(self) -> Iterator[Row]:
+        """One row for each key, file by file."""
+        self.refresh()
+        for path in self.files():
+            own = [place for place in self._places.values() if place.path == path]
+            with path.open("rb") as file:
+                for place in own:
+                    file.seek(place.start)
+                    yield json.loads(file.read(place.length))
+
+    def duplicates(self) -> int:
+        """Keys with more than one result."""
+        self.refresh()
+        return len(self._repeated)
+
+    def take_over(self, driver: str, tell: Callable[[str], None]) -> None:
+        """Make `driver` the one whose batches may write, and wait until no other's does.
+
+        Raises:
+            InputError: another's is still at work after a minute.
+        """
+        write_text(self.folder / DRIVER, driver)
+        end, told = time.monotonic() + PATIENCE, False
+        for path in self.files() if fcntl else ():
+            while _is_locked(path):
+                if time.monotonic() > end:
+                    raise InputError(f"{path}: a worker of an earlier run still writes there; try again later")
+                if not told:
+                    tell("a worker of an earlier run still finishes its task; waiting for it")
+                    told = True
+                time.sleep(0.05)
+
+    def driver(self) -> str:
+        """Identity of the driver whose batches may write."""
+        try:
+            return (self.folder / DRIVER).read_text(encoding="utf-8")
+        except OSError:
+            return ""
+
+
+class RowWriter:
+    """A new file of rows, of this process alone.
+
+    Args:
+        folder: for it.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        number, name = 0, f"rows-{socket.gethostname()}-{os.getpid()}"
+        while True:
+            self.path = folder / f"{name}-{number}.jsonl"
+            try:
+                self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+                break
+            except FileExistsError:
+                number += 1
+            except OSError as error:
+                raise _full(self.path, error) from None
+        self._end = 0
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Tell other drivers that rows may come."""
+        if fcntl:
+            with contextlib.suppress(OSError):  # a file system without locks
+                fcntl.flock(self._file, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            if fcntl:
+                with contextlib.suppress(OSError):
+                    fcntl.flock(self._file, fcntl.LOCK_UN)
+
+    def add(self, row: Row) -> None:
+        """Append a row; it is there whole or not at all.
+
+        Raises:
+            InputError: it cannot be written, as on a full disk.
+        """
+        line = (json.dumps(row) + "\n").encode()
+        try:
+            written = 0
+            while written < len(line):
+                written += os.write(self._file, line[written:])
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file, self._end)
+            raise _full(self.path, error) from None
+        self._end += len(line)
+
+    def close(self) -> None:
+        """Close the file, and remove it if it is empty."""
+        os.close(self._file)
+        if not self._end:
+            self.path.unlink(missing_ok=True)
+
+
+def _is_locked(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def _full(path: Path, error: OSError) -> InputError:
+    reason = error.strerror or error
+    return InputError(f"{path}: cannot write ({reason}); the rows so far are kept: make room and resume")

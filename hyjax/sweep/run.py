@@ -1,0 +1,111 @@
+"""A sweep from its spec to its summary."""
+
+import dataclasses
+import itertools
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from hyjax.sweep import work
+from hyjax.sweep.batch import Function
+from hyjax.sweep.engine import Engine
+from hyjax.sweep.rows import ERROR, Row, RowStore
+from hyjax.sweep.settings import SweepSettings
+from hyjax.sweep.spec import Spec, configurations_of, frames_of, read_spec
+from hyjax.sweep.summary import Line, draw, lines_of, write_csv
+from hyjax.sweep.task import Task
+from hyjax.util.errors import InputError
+from hyjax.util.files import atomic_write
+
+RESULT, TIME = "result", "time"
+DPI = 120
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepResult:
+    """What a sweep came to.
+
+    Attributes:
+        out: its folder.
+        tasks: how many there are.
+        errors: one line each.
+        repeated: tasks that were done more than once.
+        lines: of the summary.
+    """
+
+    out: Path
+    tasks: int
+    errors: list[str]
+    repeated: int
+    lines: list[Line]
+
+
+def run_sweep(
+    settings: SweepSettings, *, evaluate: Function = work.evaluate, time_frames: Function = work.time_frames
+) -> SweepResult:
+    """Do what is not done yet, and write `rows.jsonl`, `summary.csv` and `sweep.png`.
+
+    Args:
+        settings: of the sweep.
+        evaluate, time_frames: what is done, see `hyjax.tuning.frame.evaluation`.
+
+    Raises:
+        InputError: a spec or settings that cannot be used, a folder with rows where `resume` is not set, no
+            workers, or a full disk; the rows so far are kept.
+    """
+    settings.check()
+    spec = read_spec(settings.spec)
+    store = RowStore(settings.out)
+    if not settings.resume and store.files():
+        raise InputError(
+            f"{settings.out}: holds the rows of a sweep; add --resume to go on with it, or choose another --out"
+        )
+    configurations = configurations_of(spec)
+    tasks = list(tasks_of(spec, list(configurations.values())))
+    left = sum(task.key not in store for task in tasks) if store.refresh() else len(tasks)
+    quality, timed = ([task for task in tasks if task.kind == kind] for kind in (RESULT, TIME))
+    with (
+        Engine.open(settings.workers, settings.scheduler, settings.out) as engine,
+        tqdm(total=len(tasks), initial=len(tasks) - left, unit="task", disable=settings.quiet) as bar,
+    ):
+        if timed:
+            engine.check_timing()
+        for _ in itertools.chain(
+            engine.run(evaluate, quality), engine.run(time_frames, timed, timing=True) if timed else ()
+        ):
+            bar.update()
+    return _conclude(settings.out, tasks, configurations)
+
+
+def tasks_of(spec: Spec, configurations: list[dict[str, Any]]) -> Iterator[Task]:
+    """Tasks of a spec, those of a scene one after the other; then those that are timed, for the first seed."""
+    frames = {scene: frames_of(spec, scene) for scene in spec.scenes}
+    for kind, seeds in ((RESULT, spec.seeds), (TIME, spec.seeds[:1] if spec.time else [])):
+        for scene, lights, configuration, seed in itertools.product(
+            spec.scenes, spec.lights, configurations, seeds
+        ):
+            payload = {"scene": scene, "lights": lights, "configuration": configuration}
+            yield Task(payload | {"frames": frames[scene], "size": spec.size, "seed": seed}, kind)
+
+
+def _conclude(out: Path, tasks: list[Task], configurations: dict[str, dict[str, Any]]) -> SweepResult:
+    """Write the merged rows, in the order of the tasks, and the summary."""
+    store = RowStore(out).refresh()
+    names = {json.dumps(value, sort_keys=True): name for name, value in configurations.items()}
+    rows: list[Row] = []
+    for task in tasks:
+        row = store.get(task.key)
+        if row is not None:
+            name = names[json.dumps(task.payload["configuration"], sort_keys=True)]
+            rows.append(row | {"name": name})
+    with atomic_write(out / "rows.jsonl") as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.writelines(json.dumps(row) + "\n" for row in rows)
+    lines = lines_of(rows)
+    write_csv(out / "summary.csv", lines)
+    with atomic_write(out / "sweep.png") as temporary:
+        draw(lines).savefig(temporary, dpi=DPI)
+    errors = [f"{row['name']} on {row['scene']}: {row['error']}" for row in rows if row["kind"] == ERROR]
+    return SweepResult(out, len(tasks), errors, store.duplicates(), lines)

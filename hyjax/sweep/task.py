@@ -1,0 +1,29 @@
+"""Tasks of a sweep, keyed by their content."""
+
+import dataclasses
+import functools
+import json
+from typing import Any
+
+from hyjax.util.files import digest
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """A task: what a function is to be called with.
+
+    >>> Task({"seed": 0, "size": 64}).key == Task({"size": 64, "seed": 0}).key
+    True
+
+    Attributes:
+        payload: values in JSON's types.
+        kind: what its row is called; the same payload makes another task of another kind.
+    """
+
+    payload: dict[str, Any]
+    kind: str = "result"
+
+    @functools.cached_property
+    def key(self) -> str:
+        """Digest of the content."""
+        return digest([self.kind, json.dumps(self.payload, sort_keys=True, separators=(",", ":"))])
