@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from hyjax.configuration import LightOptions
 from hyjax.core.schedule import Schedule
 from hyjax.device.frame_program import MOST_EMITTERS, frame_program
 from hyjax.device.light_records import LightRecords, light_records
@@ -35,10 +36,9 @@ class DeviceRenderer:
         shadow_schedule: cascade for the visibility; by default that of `relight`.
         features: channels of the guide.
         shadows: whether lights cast shadows.
-        keep_photo_light: whether to leave the photo's own light in the picture, and bounces out.
+        light: whether the photo's own light stays in the picture, and bounces out; exponent of it.
         occluders: what throws shadows.
         resolutions: texels a side of shadow maps with one view, and of each of several.
-        photo_exponent: of E_old / K, see `hyjax.configuration.LightOptions`.
         precision: of pictures between passes.
         device: see `open_device`.
 
@@ -56,18 +56,19 @@ class DeviceRenderer:
         *,
         features: int = 3,
         shadows: bool = True,
-        keep_photo_light: bool = False,
+        light: LightOptions | None = None,
         occluders: Occluders = "completed",
         resolutions: tuple[int, int] = (1024, 512),
-        photo_exponent: float = 1.0,
         precision: Precision = "f32",
         device: Any = None,
     ) -> None:
+        light = light or LightOptions()
+        keep_photo_light = light.photo_light == "kept"
         self.arrays = scene_arrays(
             scene,
             keep_photo_light=keep_photo_light,
             surface_occluders=occluders == "surface",
-            photo_exponent=photo_exponent,
+            photo_exponent=light.photo_exponent,
         )
         self.setup, self._divides, self._features = setup, not keep_photo_light, features
         caster = scene.caster if occluders == "surface" else scene.occluders

@@ -256,9 +256,8 @@ def _relight_on_device(
                     configuration.shadow_schedule,
                     features=features.shape[-1],
                     shadows=settings.shadows,
-                    keep_photo_light=not settings.divides_photo_light,
+                    light=configuration.light,
                     occluders=settings.shadow_occluders,
-                    photo_exponent=configuration.light.photo_exponent,
                     device=device,
                 )
         with clock("frame"):

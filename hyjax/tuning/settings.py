@@ -108,8 +108,7 @@ class FrameOptions(Settings):
 
 @dataclasses.dataclass(frozen=True)
 class TuneSettings(Settings):
-    """Find the configuration of the whole frame, or the schedule of the diffusion alone, that makes the best
-    picture within a time budget on this machine or another device."""
+    """Find what makes the best picture within a time budget: choices of a frame, or the diffusion's schedule."""
 
     scene: TuneScene = dataclasses.field(default_factory=TuneScene)
     frame: FrameOptions = dataclasses.field(default_factory=FrameOptions)

@@ -11,6 +11,7 @@ import OpenImageIO as oiio
 import pytest
 
 import hyjax
+from hyjax.configuration import LightOptions
 from hyjax.core.schedule import Schedule
 from hyjax.data.light_file import write_lights
 from hyjax.device.light_records import light_records
@@ -82,7 +83,7 @@ def test_every_kind_has_a_shader(scene: Scene) -> None:
 def reference(scene: Scene, setup: LightSetup, index: int, keep: bool) -> tuple[hyjax.View, Any, hyjax.Relit]:
     """View, light and relit picture by JAX, with shadow maps of the size that the shaders fill."""
     maps = cast_shadow_maps(scene.occluders, setup.lights, scale=TEXELS[0] / 1024, slack=scene.slack)
-    scene._maps["completed"] = tuple(setup.lights), maps
+    scene._maps = [(("completed", 1.0, None), tuple(setup.lights), maps)]
     view = scene.view(index)
     shaded = scene.shade(view, setup, keep_photo_light=keep)
     return view, shaded, hyjax.relight(view, shaded, view.display, Schedule.preset("hyjax"))
@@ -94,7 +95,7 @@ def renderer_of(scene: Scene, setup: LightSetup, device: Any, keep: bool, **opti
         setup,
         SIZE,
         Schedule.preset("hyjax"),
-        keep_photo_light=keep,
+        light=LightOptions(photo_light="kept" if keep else "divided"),
         resolutions=TEXELS,
         device=device,
         **options,
@@ -116,7 +117,7 @@ def test_lights_of_every_kind(scene: Scene, device: Any) -> None:
     values, known = (
         np.moveaxis(half, 0, 2).reshape(*SIZE, -1)[..., :count] for half in (planes[:groups], planes[groups:])
     )
-    maps = scene._maps["completed"][1]
+    maps = scene._maps[-1][2]
     seen = np.asarray(visibilities(view.gbuffer, setup.lights, maps))
     for k, light in enumerate(setup.lights):
         lit = known[..., k] > 0

@@ -58,7 +58,7 @@ def casts(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Lights that shadow maps are cast for."""
     found: list[Any] = []
 
-    def counted(caster: Any, lights: Any, **_: Any) -> Any:
+    def counted(caster: Any, lights: Any, *_: Any, **__: Any) -> Any:
         found.append(lights)
         return (None,) * len(lights)
 

@@ -357,26 +357,6 @@ def test_extra_budgets_draw_the_curve(surroundings: dict[str, Any]) -> None:
     assert len(result.best) == 1 and result.best[0].measured.p95 <= 3.0
 
 
-def test_a_whole_frame(surroundings: dict[str, Any]) -> None:
-    result = run_tune(**surroundings | {"stage": "frame", "budget_ms": 8.0})
-    assert result.record["stage"] == "frame"
-    best = result.best[0]
-    assert 0.5 * 8.0 < best.measured.p95 <= 8.0
-    assert best.measured.p95 == pytest.approx(1.1 * (0.6 + machine_time(schedule_key(best.schedule))))
-    assert best.predicted.p95 == pytest.approx(best.measured.p95, rel=0.05)
-    assert result.baselines and all(c.predicted == c.measured for c in result.baselines)
-
-
-def test_a_whole_frame_out_of_reach_says_what_takes_the_time(surroundings: dict[str, Any], tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    with pytest.raises(InputError, match=r"^budget 0\.5 ms: out of reach .* smallest reachable time") as caught:
-        run_tune(**surroundings | {"stage": "frame", "budget_ms": 0.5, "out": out})
-    parts = ("G-buffer", "guide", "shading", "visibility", "diffusion", "shadow pass", "composite", "--budget-ms")
-    for part in parts:
-        assert part in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
 def test_a_clock_that_says_more_than_the_table(surroundings: dict[str, Any], tmp_path: Path) -> None:
     """The machine became slower after the table was made: what is returned still fits, on the clock."""
     with pytest.MonkeyPatch.context() as patch:

@@ -72,6 +72,7 @@ def tune(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, given: 
             "--frames": "0",
             "--holdout": "3",
             "--size": "48",
+            "--stage": "cascade",
             "--budget-ms": "5",
             "--out": tmp_path / "out",
         }

@@ -45,6 +45,8 @@ def open_frame_bench(settings: TuneSettings, capture: Capture | None = None) -> 
         held = spread_cases(frames[count:], lights, settings.scene.seed) if options.holdout_rooms else []
         shifted = [(place + count, name, index) for place, name, index in held]
         return FrameBench(scenes, cases, shifted, slowest_setup(scenes[0], lights))
+    capture = capture or settings.scene.open_capture(progress=not settings.quiet)
+    chosen, holdout = split_frames(len(capture), settings.frames, settings.holdout)
     rough, accurate = open_scenes(settings.scene, settings.target, capture=capture, progress=not settings.quiet)
     if accurate is None:
         raise InputError(
@@ -52,7 +54,6 @@ def open_frame_bench(settings: TuneSettings, capture: Capture | None = None) -> 
             "--stage cascade"
         )
     scene = TuningScene(rough.capture.name, rough, accurate)
-    chosen, holdout = split_frames(len(rough), settings.frames, settings.holdout)
     cases, held_out = (
         spread_cases([indices], lights, settings.scene.seed) if indices else [] for indices in (chosen, holdout)
     )
