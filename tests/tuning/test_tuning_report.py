@@ -22,7 +22,7 @@ from hyjax.tuning import report
 from hyjax.tuning.report_axes import COLORS
 from hyjax.tuning.report_html import templates
 from hyjax.tuning.report_pictures import data_uris, pair_to_compare
-from hyjax.tuning.report_plots import MARKERS
+from hyjax.tuning.report_points import MARKERS
 from hyjax.tuning.report_text import candidates, kind_of_baseline
 from hyjax.tuning.result import Budget, Candidate, Milliseconds, Scores, Tuned
 from hyjax.util.contact_sheet import contact_sheet, write_contact_sheet
