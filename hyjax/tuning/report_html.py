@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,9 @@ from hyjax.tuning.result import Budget, Candidate, Milliseconds, Tuned
 UNKNOWN = Milliseconds(math.nan, math.nan)
 
 
-def templates(folder: Path) -> jinja2.Environment:
-    """Templates of a folder, which escape everything that is not markup already."""
-    loader = jinja2.FileSystemLoader(folder)
+def templates(*folders: Path) -> jinja2.Environment:
+    """Templates of folders, which escape everything that is not markup already."""
+    loader = jinja2.FileSystemLoader(folders)
     return jinja2.Environment(
         loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
@@ -46,6 +46,7 @@ def page(tuned: Tuned, examples: Sequence[Example]) -> str:
     return environment.get_template("report.html.jinja").render(
         tuned=tuned,
         found=list(zip(tuned.budgets, tuned.best, strict=True)),
+        lead=[text.sentence(tuned, budget, best) for budget, best in zip(tuned.budgets, tuned.best, strict=True)],
         rows=rows,
         best_first=sorted(rows, key=lambda row: not row[1]),
         timed=timed,
@@ -53,7 +54,7 @@ def page(tuned: Tuned, examples: Sequence[Example]) -> str:
         table_facts=_flat(tuned.record.get("latency")),
         examples=[(e, uris, pair_to_compare(list(uris))) for e, uris in zip(examples, data_uris(examples))],
         plots=plots,
-        machine=_machine(tuned),
+        machine=machine(tuned.record),
         record=json.dumps(tuned.record, indent=2, ensure_ascii=False, default=str),
         unknown=UNKNOWN,
         score_labels=["loss", *(metric.label for metric in metrics.values())],
@@ -66,10 +67,11 @@ def _error(predicted: Milliseconds, measured: Milliseconds) -> float:
     return predicted.median / measured.median - 1 if measured.median else math.nan
 
 
-def _machine(tuned: Tuned) -> str:
-    versions = tuned.record.get("versions")
+def machine(record: Mapping[str, Any]) -> str:
+    """Device and version of jax, of a run's record."""
+    versions = record.get("versions")
     jax = f"jax {versions['jax']}" if isinstance(versions, dict) and "jax" in versions else ""
-    return ", ".join(str(part) for part in (tuned.record.get("device", ""), jax) if part)
+    return ", ".join(str(part) for part in (record.get("device", ""), jax) if part)
 
 
 def _gain(tuned: Tuned, budget: Budget, best: Candidate) -> list[tuple[str, str]]:
@@ -80,14 +82,16 @@ def _gain(tuned: Tuned, budget: Budget, best: Candidate) -> list[tuple[str, str]
     own, against = text.loss_of(best, other), text.loss_of(other, best)
     if own is None or not against:
         return []
-    return [(f"loss against {other.name}", _signed_percent(own / against - 1))]
+    return [(f"loss against {other.name}", signed_percent(own / against - 1))]
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """A share in percent."""
     return f"{100 * share:.1f}%"
 
 
-def _signed_percent(share: float, digits: int = 0) -> str:
+def signed_percent(share: float, digits: int = 0) -> str:
+    """A change in percent, with its sign."""
     return f"{100 * share:+.{digits}f}%".replace("-", "−") if math.isfinite(share) else text.MISSING
 
 
@@ -107,7 +111,7 @@ def _floats(values: ArrayLike) -> list[float]:
 
 
 FUNCTIONS = (
-    *(text.budget_text, text.milliseconds, text.number, text.sentence, text.steps_text),
-    *(_floats, _gain, _percent, _signed_percent),
+    *(text.budget_text, text.milliseconds, text.number, text.steps_text),
+    *(_floats, _gain, percent, signed_percent),
 )
 """Functions that the template calls, by their names."""

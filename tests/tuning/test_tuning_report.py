@@ -3,7 +3,6 @@
 import base64
 import csv
 import dataclasses
-import html.parser
 import importlib.resources
 import itertools
 import json
@@ -16,22 +15,21 @@ from typing import Any
 import numpy as np
 import pytest
 from markupsafe import Markup
+from page_checks import RUDE, parse
 
 from hyjax.core.schedule import Level, Schedule
 from hyjax.tuning import report
 from hyjax.tuning.report_axes import COLORS
 from hyjax.tuning.report_html import templates
 from hyjax.tuning.report_pictures import data_uris, pair_to_compare
-from hyjax.tuning.report_plots import MARKERS
+from hyjax.tuning.report_points import MARKERS
 from hyjax.tuning.report_text import candidates, kind_of_baseline
 from hyjax.tuning.result import Budget, Candidate, Milliseconds, Scores, Tuned
 from hyjax.util.contact_sheet import contact_sheet, write_contact_sheet
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
 
-RUDE = "<b>&amp;\"'$x_$</script>"
 FPS60, MS8, RUDEST = Budget("60 fps", 1000 / 60), Budget("8 ms", 8.0), Budget(f"../{RUDE}", 30.0)
-VOID = {"img", "meta"}
 GUIDED = ("tuned", "hyjax", "trial")
 
 
@@ -123,56 +121,6 @@ def examples(count: int = 2, height: int = 24, width: int = 32, seed: int = 0) -
         )
         for i in range(count)
     ]
-
-
-class Strict(html.parser.HTMLParser):
-    """Fails on tags that do not match, repeated ids, and anything loaded from outside."""
-
-    def __init__(self) -> None:
-        super().__init__(convert_charrefs=True)
-        self.open: list[str] = []
-        self.ids: list[str] = []
-        self.targets: list[str] = []
-        self.used: set[str] = set()
-        self.drawings: set[str] = set()
-        self.text: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_startendtag(tag, attrs)
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.used.add(tag)
-        names = [name for name, _ in attrs]
-        assert len(names) == len(set(names)), f"<{tag}> says {names}"
-        for name, value in attrs:
-            assert not name.startswith("on"), f"<{tag} {name}>"
-            if name in ("src", "href", "srcset", "action", "data"):
-                assert (value or "").startswith(("data:image/", "#")), f"<{tag} {name}={value}>"
-                self.targets += [value[1:]] if value and value.startswith("#") else []
-            elif name == "id":
-                self.ids.append(value or "")
-                if tag == "g" and (value or "").endswith("-figure_1"):
-                    self.drawings.add((value or "").removesuffix("-figure_1"))
-            else:
-                assert "//" not in (value or ""), f"<{tag} {name}={value}>"
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open and self.open.pop() == tag, f"</{tag}> closes another"
-
-    def handle_data(self, data: str) -> None:
-        self.text.append(data)
-
-
-def parse(text: str) -> Strict:
-    parser = Strict()
-    parser.feed(text)
-    parser.close()
-    assert not parser.open
-    assert len(parser.ids) == len(set(parser.ids))
-    assert set(parser.targets) <= set(parser.ids)
-    return parser
 
 
 # ---- schedules ----

@@ -108,7 +108,7 @@ def examples(bench: FrameBench, front: Sequence[FrameCandidate]) -> list[tuple[s
         for candidate in spread(list(front), 3):
             own = scene.judged(candidate.configuration)
             image = jnp.asarray(scene.relighter(lights, own).picture(0, frame))
-            pictures[f"{candidate.time.median:.1f} ms"] = np.asarray(to_display(image))
+            pictures[f"{candidate.name}, {candidate.time.median:.1f} ms"] = np.asarray(to_display(image))
         pictures["target"] = scene.target(lights, index).picture
         rows.append((f"{scene.name}, {lights}, frame {index}", pictures))
     return rows

@@ -1,20 +1,147 @@
-"""Report of a run on the whole frame: configurations, table, plot, contact sheet and page."""
+"""The files that a run on the whole frame leaves: configurations, a table, a plot, a contact sheet and a page."""
 
+import csv
+import io
+import re
 from pathlib import Path
 
-from hyjax.tuning.frame.result import FrameTuned
-from hyjax.util.files import write_text
+from hyjax.tuning.frame.report_html import page
+from hyjax.tuning.frame.report_plots import draw_front_plot
+from hyjax.tuning.frame.report_text import (
+    best_for,
+    candidates,
+    choices_text,
+    configuration_text,
+    on_front,
+    summary,
+)
+from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
+from hyjax.tuning.report_pictures import Example, contact_sheet_rows
+from hyjax.util.contact_sheet import write_contact_sheet
+from hyjax.util.files import atomic_write, make_writable, remove, write_text
 
+__all__ = ["CSV_COLUMNS", "summary", "write_results"]
 
-def summary(tuned: FrameTuned) -> list[str]:
-    """Sentences that say what came out."""
-    return [f"{c.name}: {c.time.median:.1f} ms, {c.tuning['relative']:.3f}" for c in tuned.best]
+SCORES = ("relative", "loss", "psnr", "ssim", "lpips", "psnr_raw")
+CSV_COLUMNS = (
+    *("name", "kind", "best_for", "front", "choices", "cases", "relative_loss", "relative_time"),
+    *("median_ms", "p95_ms", "default_ms"),
+    *(f"{frames}_{score}" for frames in ("tuning", "held_out") for score in SCORES),
+)
+"""Columns of the CSV file."""
 
 
 def write_results(out: Path, tuned: FrameTuned) -> None:
     """Write all files of a run.
 
+    `configuration.json` is for the first budget; with several there is `configuration-60fps.json` and so on as
+    well. `front` has a configuration for each point of the front, `pareto.csv` a row for each candidate and trial.
+
+    Args:
+        out: a folder that is there.
+        tuned: what was found.
+
     Raises:
         InputError: a file cannot be written.
     """
-    write_text(out / "configuration.json", tuned.configuration.to_json() + "\n")
+    write_configurations(out, tuned)
+    write_front(out / "front", tuned)
+    write_pareto_csv(out / "pareto.csv", tuned)
+    figure = draw_front_plot(tuned)
+    with atomic_write(out / "pareto.png") as temporary:
+        figure.savefig(temporary, dpi=200)
+    examples = [Example(name, pictures) for name, pictures in tuned.examples]
+    if examples:
+        write_contact_sheet(out / "contact_sheet.png", *contact_sheet_rows(examples))
+    write_text(out / "report.html", page(tuned, examples))
+
+
+def write_configurations(out: Path, tuned: FrameTuned) -> list[Path]:
+    """Write the configuration for each budget.
+
+    Returns:
+        The files, `configuration.json` first.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    texts = {"configuration.json": tuned.configuration.to_json()}
+    if len(tuned.budgets) > 1:
+        for budget, best in zip(tuned.budgets, tuned.best, strict=True):
+            texts[_free(f"configuration-{_slug(budget.slug)}", texts)] = best.configuration.to_json()
+    for name, text in texts.items():
+        write_text(out / name, text + "\n")
+    return [out / name for name in texts]
+
+
+def write_front(folder: Path, tuned: FrameTuned) -> None:
+    """Write the configurations of the front, by name, into a folder of their own; what was beaten since goes.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    make_writable(folder)
+    texts: dict[str, str] = {}
+    for candidate in tuned.front:
+        texts[_free(_slug(candidate.name), texts)] = candidate.configuration.to_json() + "\n"
+    for path in folder.glob("*.json"):
+        if path.name not in texts:
+            remove(path)
+    for name, text in texts.items():
+        write_text(folder / name, text)
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.") or "configuration"
+
+
+def _free(stem: str, taken: dict[str, str]) -> str:
+    """Name of a file that is not taken, on systems that do not tell cases apart either."""
+    lower = {name.lower() for name in taken}
+    names = (f"{stem}{end}.json" for end in ("", *(f"-{n}" for n in range(2, len(taken) + 3))))
+    return next(name for name in names if name.lower() not in lower)
+
+
+def write_pareto_csv(path: Path, tuned: FrameTuned) -> None:
+    """Write a row for each candidate, then one for each trial; what is not known is empty.
+
+    Columns are `CSV_COLUMNS`. Losses of candidates are on all tuning frames, those of trials on the first `cases`.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    buffer = io.StringIO()
+    table = csv.DictWriter(buffer, CSV_COLUMNS, restval="", lineterminator="\n")
+    table.writeheader()
+    for kind, candidate in candidates(tuned):
+        table.writerow(_candidate_row(tuned, kind, candidate))
+    for number, trial in enumerate(tuned.trials):
+        row = {"name": f"trial-{number}", "kind": f"trial: {trial.phase}", "choices": choices_text(trial.choices)}
+        numbers = {"relative_loss": trial.loss if trial.losses else None, "relative_time": trial.time}
+        table.writerow(row | {"cases": len(trial.losses)} | _digits(numbers))
+    write_text(path, buffer.getvalue())
+
+
+def _candidate_row(tuned: FrameTuned, kind: str, candidate: FrameCandidate) -> dict[str, str]:
+    time = candidate.time
+    numbers: dict[str, float | None] = {
+        "relative_loss": candidate.tuning["relative"],
+        "relative_time": time.ratio,
+        "median_ms": time.median,
+        "p95_ms": time.p95,
+        "default_ms": time.default,
+    }
+    for frames, scores in (("tuning", candidate.tuning), ("held_out", candidate.held_out or {})):
+        numbers |= {f"{frames}_{name}": scores.get(name) for name in SCORES}
+    return {
+        "name": candidate.name,
+        "kind": kind,
+        "best_for": ", ".join(best_for(tuned, candidate)),
+        "front": "yes" if on_front(tuned, candidate) else "no",
+        "choices": configuration_text(candidate.configuration),
+        "cases": str(tuned.record.get("cases", "")),
+    } | _digits(numbers)
+
+
+def _digits(numbers: dict[str, float | None]) -> dict[str, str]:
+    return {name: "" if value is None else f"{value:.6g}" for name, value in numbers.items()}

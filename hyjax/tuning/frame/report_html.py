@@ -1,0 +1,57 @@
+"""Page of a run on the whole frame: what the template `frame.html.jinja` shows."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from hyjax.configuration import Configuration
+from hyjax.tuning import report_html, report_text
+from hyjax.tuning.frame import report_text as text
+from hyjax.tuning.frame.report_plots import draw_effects, draw_front_plot
+from hyjax.tuning.frame.result import FrameTuned
+from hyjax.tuning.report_axes import svg
+from hyjax.tuning.report_pictures import Example, data_uris, pair_to_compare
+
+SCORES = {"relative": ("loss over the default's", ".3f"), "psnr": ("PSNR dB", ".2f"), "ssim": ("SSIM", ".4f")}
+
+
+def page(tuned: FrameTuned, examples: Sequence[Example]) -> str:
+    """The whole page as one HTML text, which needs nothing else.
+
+    Args:
+        tuned: what was found.
+        examples: pictures to look at; may be empty.
+
+    Raises:
+        InputError: there are more examples than fit.
+    """
+    here = Path(__file__).parent
+    environment = report_html.templates(here, here.parent)
+    environment.globals |= {function.__name__: function for function in FUNCTIONS}
+    rows = [(kind, text.best_for(tuned, c), c) for kind, c in text.candidates(tuned)]
+    plots = {"front": svg(draw_front_plot(tuned), "front", "Time of a frame against loss")}
+    if tuned.effects:
+        plots["effects"] = svg(draw_effects(tuned.effects), "effects", "Change of time against change of loss")
+    default = next((trial.choices for trial in tuned.trials if trial.phase == "default"), None)
+    return environment.get_template("frame.html.jinja").render(
+        tuned=tuned,
+        heading="Tuned configurations",
+        lead=text.summary(tuned),
+        machine=report_html.machine(tuned.record),
+        found=list(zip(tuned.budgets, tuned.best, strict=True)),
+        rows=rows,
+        trials=[(text.choices_text(trial.choices, default), trial) for trial in tuned.trials],
+        examples=[(e, uris, pair_to_compare(list(uris))) for e, uris in zip(examples, data_uris(examples))],
+        plots=plots,
+        scores=SCORES,
+        usual_choices=text.described(Configuration()),
+        missing=report_text.MISSING,
+        record=json.dumps(tuned.record, indent=2, ensure_ascii=False, default=str),
+    )
+
+
+FUNCTIONS = (
+    *(report_text.budget_text, report_text.milliseconds, report_html.percent, report_html.signed_percent),
+    *(text.configuration_text, text.described, text.missed, text.score_text, text.value_text),
+)
+"""Functions that the template calls, by their names."""

@@ -1,0 +1,119 @@
+"""Plots of a run on the whole frame: the front of time against loss, and what each choice costs and brings."""
+
+from collections.abc import Callable
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from hyjax.tuning.frame.report_text import best_for, candidates, on_front, value_text
+from hyjax.tuning.frame.result import Effect, FrameCandidate, FrameTuned
+from hyjax.tuning.report_axes import COLORS, FONT, GROUND, INK, QUIET, log_if_wide, log_x, style
+from hyjax.tuning.report_points import (
+    Point,
+    draw_budgets,
+    draw_front,
+    legend,
+    mark,
+    name_budgets,
+    name_points,
+)
+
+KINDS = {"tuned": "the front", "preset": "the default and presets", "paper": "the paper's form"}
+NAMED_EFFECTS = 16
+WIDE = 40.0
+"""Per cent beyond which an axis of changes is compressed."""
+
+
+def draw_front_plot(tuned: FrameTuned) -> Figure:
+    """Median time of a frame against loss relative to the default: tuning frames above, held-out ones below.
+
+    Nine inches wide. Small dots are trials, on the tuning frames that they were tried on; their times are those
+    relative to the default, in milliseconds of the default at the end.
+    """
+    held_out = any(candidate.held_out is not None for _, candidate in candidates(tuned))
+    figure = Figure(figsize=(9, 7.4 if held_out else 4.6), layout="constrained")
+    panels: list[Axes] = list(figure.subplots(1 + held_out, 1, sharex=True, squeeze=False)[:, 0])
+    shown = [(panels[0], _points(tuned, lambda c: c.tuning), "tuning")]
+    if held_out:
+        shown.append((panels[1], _points(tuned, lambda c: c.held_out), "held-out"))
+    dots = trial_dots(tuned)
+    every = [point for _, points, _ in shown for point in points]
+    times = [time for point in every for time in (point.x, point.p95)]
+    log_x(panels[-1], times + [budget.milliseconds for budget in tuned.budgets])
+    for axes, points, frames in shown:
+        style(axes)
+        axes.set_ylabel(f"loss over the default's,\n{frames} frames", color=INK, fontsize=FONT)
+        axes.axhline(1.0, color=QUIET, linewidth=0.8, zorder=0)
+        draw_budgets(axes, tuned.budgets)
+        draw_front(axes, points)
+        for point in points:
+            mark(axes, point)
+        values = [point.y for point in points]
+        if values:
+            low, high = min([*values, 1.0]), max([*values, 1.0])
+            axes.set_ylim(low / 1.08, high * 1.08)
+        log_if_wide(axes, values)
+    panels[0].plot([x for x, _ in dots], [y for _, y in dots], ".", color=QUIET, markersize=4, alpha=0.6, zorder=1)
+    panels[-1].set_xlabel(
+        "milliseconds of a whole frame: median (marker) to 95th percentile (line)", color=INK, fontsize=FONT
+    )
+    name_budgets(panels[0], tuned.budgets)
+    legend(figure, every, KINDS, budgets=bool(tuned.budgets))
+    figure.draw_without_rendering()  # settles where things are, which placing the names needs
+    for axes, points, _ in shown:
+        name_points(axes, points, [budget.milliseconds for budget in tuned.budgets])
+    return figure
+
+
+def trial_dots(tuned: FrameTuned) -> list[tuple[float, float]]:
+    """(milliseconds, loss over the default's) of each trial that was timed."""
+    base = next((c.time.default for c in (*tuned.best, *tuned.references)), 1.0)
+    return [(t.time * base, t.loss) for t in tuned.trials if t.time is not None and t.losses]
+
+
+def _points(tuned: FrameTuned, scores: Callable[[FrameCandidate], dict[str, float] | None]) -> list[Point]:
+    found = []
+    for kind, candidate in candidates(tuned):
+        told, time, best = scores(candidate), candidate.time, bool(best_for(tuned, candidate))
+        if told is not None:
+            front, named = on_front(tuned, candidate), best or kind != "tuned"
+            label = candidate.name
+            found.append(
+                Point(label, kind, time.median, time.p95, told["relative"], best=best, front=front, named=named)
+            )
+    return found
+
+
+def draw_effects(effects: list[Effect]) -> Figure:
+    """What each choice changes by itself: time across, loss upward, in per cent. Down and left is better.
+
+    Names are written beside those that change most.
+    """
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    axes = figure.subplots()
+    style(axes)
+    largest = sorted(effects, key=lambda e: abs(e.loss - 1) + abs(e.time - 1), reverse=True)[:NAMED_EFFECTS]
+    points = []
+    for effect in effects:
+        x, y = 100 * (effect.time - 1), 100 * (effect.loss - 1)
+        name = f"{effect.parameter} {value_text(effect.value)}"
+        points.append(Point(name, "tuned", x, x, y, named=effect in largest))
+    for values, scale, limits, draw in (
+        ([p.x for p in points], axes.set_xscale, axes.set_xlim, axes.axvline),
+        ([p.y for p in points], axes.set_yscale, axes.set_ylim, axes.axhline),
+    ):
+        low, high = min([*values, -2.0]), max([*values, 2.0])
+        if max(high, -low) > WIDE:
+            scale("symlog", linthresh=10.0)
+        limits(low - 0.15 * (high - low), high + 0.25 * (high - low))
+        draw(0.0, color=QUIET, linewidth=0.8, zorder=0)
+    for point in points:
+        axes.plot(point.x, point.y, "o", color=COLORS["tuned"], markeredgecolor=GROUND, markersize=6.5, zorder=3)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:+g}" if value else "0"))
+    axes.set_xlabel("change of a frame's time, %", color=INK, fontsize=FONT)
+    axes.set_ylabel("change of the loss, %", color=INK, fontsize=FONT)
+    figure.draw_without_rendering()
+    name_points(axes, points, [])
+    return figure

@@ -1,0 +1,186 @@
+"""What a run on the whole frame found, in words and cells: shared by the table, the plots and the page."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hyjax.configuration import DEFAULT, Configuration
+from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
+from hyjax.tuning.report_text import MISSING, budget_text, fidelity_text, kappa_text, milliseconds, steps_text
+from hyjax.tuning.result import Budget
+
+NO_STEPS = "none"
+
+
+def candidates(tuned: FrameTuned) -> list[tuple[str, FrameCandidate]]:
+    """(kind, candidate) for everything measured, each once, by time within its kind.
+
+    Kinds are `tuned`, `preset` (the default is one) and `paper`. What is best for a budget is told under the name
+    that it has for that, unless it is a reference.
+    """
+    found: list[FrameCandidate] = []
+    for candidate in (*tuned.references, *tuned.best, *tuned.front):
+        if not any(same(candidate, other) for other in found):
+            found.append(candidate)
+    kinds = {id(c): "paper" if c.form == "paper" else "preset" for c in tuned.references}
+    order = {"tuned": 0, "preset": 1, "paper": 2}
+    rows = [(kinds.get(id(c), "tuned"), c) for c in found]
+    return sorted(rows, key=lambda row: (order[row[0]], row[1].time.median))
+
+
+def same(a: FrameCandidate, b: FrameCandidate) -> bool:
+    """Whether two are one measured configuration, under whatever names."""
+    return a is b or (a.time is b.time and a.tuning is b.tuning)
+
+
+def best_for(tuned: FrameTuned, candidate: FrameCandidate) -> list[str]:
+    """Labels of the budgets that a candidate is the best for."""
+    return [b.label for b, best in zip(tuned.budgets, tuned.best, strict=True) if same(best, candidate)]
+
+
+def on_front(tuned: FrameTuned, candidate: FrameCandidate) -> bool:
+    """Whether a candidate is on the front."""
+    return any(same(candidate, other) for other in tuned.front)
+
+
+def default_of(tuned: FrameTuned) -> FrameCandidate | None:
+    """The default, as it was measured and judged with the others."""
+    return next((c for c in tuned.references if c.name == DEFAULT), None)
+
+
+def choices_text(choices: Mapping[str, Any], beside: Mapping[str, Any] | None = None) -> str:
+    """Choices of a trial: all, or those that differ from another's.
+
+    >>> choices_text({"scale": 2, "kappa": 0.0312345, "views": None}, {"scale": 1, "views": None})
+    'scale 2, kappa 0.03123'
+    """
+    missing = object()
+    told = [
+        f"{name} {value_text(value)}"
+        for name, value in choices.items()
+        if beside is None or beside.get(name, missing) != value
+    ]
+    return ", ".join(told) or "the default"
+
+
+def value_text(value: Any) -> str:
+    """A choice's value: `all` for none, `on` and `off`, four digits of a number."""
+    if value is None:
+        return "all"
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def configuration_text(configuration: Configuration) -> str:
+    """Choices of a configuration that differ from the default's.
+
+    >>> configuration_text(Configuration()), configuration_text(Configuration(scale=2))
+    ('the default', 'scale 2')
+    """
+    own, default = described(configuration), described(Configuration())
+    return ", ".join(f"{name} {text}" for name, text in own.items() if text != default.get(name)) or "the default"
+
+
+def described(configuration: Configuration) -> dict[str, str]:
+    """Choices of a configuration by name, in words; numbers that mean nothing beside the others are left out."""
+    own, shadow, light = configuration.schedule, configuration.shadow_schedule, configuration.light
+    shadows = any(level.steps for level in shadow.levels)
+    found = {
+        "mode": configuration.mode,
+        "scale": str(configuration.scale),
+        "cascade": steps_text(own),
+        "pooling": own.pooling,
+        "upsampling": own.upsampling,
+        "norm": own.norm,
+        "κ": kappa_text(own),
+        "λ": " ".join(_mean(level.step_sizes) for level in own.levels),
+        "α": fidelity_text(own),
+        "shadow pass": steps_text(shadow) if shadows else NO_STEPS,
+    }
+    if shadows:
+        found["shadow κ"] = kappa_text(shadow)
+    found["guide"] = configuration.guide.name
+    if configuration.guide.size is not None:
+        found["guide size"] = str(configuration.guide.size)
+    parts: dict[str, Any] = {name: getattr(light, name) for name in light.__struct_fields__}
+    parts["sampling"] = configuration.sampling
+    parts |= {name: getattr(configuration.shadows, name) for name in configuration.shadows.__struct_fields__}
+    if light.photo_light != "divided":
+        for name in ("bounces", "photo_exponent", "bounce_gain"):
+            del parts[name]
+    return found | {name.replace("_", " "): value_text(value) for name, value in parts.items()}
+
+
+def _mean(values: Any) -> str:
+    sizes = np.asarray(values)
+    return f"{float(sizes.mean()):.4g}" if sizes.size else "-"
+
+
+def summary(tuned: FrameTuned) -> list[str]:
+    """Sentences that say what came out: one for each budget, what was missed, and how well times were predicted."""
+    sentences = []
+    for budget, best in zip(tuned.budgets, tuned.best, strict=True):
+        sentences.append(sentence(tuned, budget, best))
+        sentences += missed(budget, best)
+    return sentences + prediction(tuned)
+
+
+def sentence(tuned: FrameTuned, budget: Budget, best: FrameCandidate) -> str:
+    """What fits a budget, how long it takes, and what it is worth against the default."""
+    base = default_of(tuned)
+    time = f"median {milliseconds(best.time.median)} ms, p95 {milliseconds(best.time.p95)} ms"
+    if base is not None:
+        against = f"median {milliseconds(base.time.median)} ms, p95 {milliseconds(base.time.p95)} ms"
+    else:
+        against = f"median {milliseconds(best.time.default)} ms"
+    text = (
+        f"{budget_text(budget)}: {best.name} ({configuration_text(best.configuration)}); {time}, in turns with the "
+        f"default's {against}; loss {change_text(best.tuning['relative'])} on tuning frames"
+    )
+    if best.held_out is not None:
+        text += f", {change_text(best.held_out['relative'])} on held-out ones"
+    frames, scores, known = "tuning", best.tuning, None if base is None else base.tuning
+    if best.held_out is not None:
+        frames, scores, known = "held-out", best.held_out, None if base is None else base.held_out
+    text += f"; PSNR {scores['psnr']:.2f} dB"
+    return text + (f" against {known['psnr']:.2f}" if known is not None else "") + f" ({frames} frames)."
+
+
+def change_text(ratio: float) -> str:
+    """A loss over the default's.
+
+    >>> change_text(0.876), change_text(1.05), change_text(1.0)
+    ('12.4 % less than the default', '5.0 % more than the default', 'equal to the default')
+    """
+    change = round(100 * (ratio - 1), 1)
+    if not change:
+        return "equal to the default"
+    return f"{abs(change):.1f} % {'more' if change > 0 else 'less'} than the default"
+
+
+def missed(budget: Budget, best: FrameCandidate) -> list[str]:
+    """What is to be said if even the fastest took longer than a budget."""
+    if best.time.p95 <= budget.milliseconds:
+        return []
+    return [
+        f"{budget_text(budget)} could not be kept: measured p95 {milliseconds(best.time.p95)} ms; "
+        f"{best.name} is the fastest that was found."
+    ]
+
+
+def prediction(tuned: FrameTuned) -> list[str]:
+    """How far times were from those that the surrogate had predicted; nothing if there are none."""
+    errors = tuned.record.get("prediction errors") or []
+    if not errors:
+        return []
+    return [
+        f"Times of {len(errors)} proposed configurations were predicted with an error of "
+        f"{100 * float(np.median(errors)):.1f} % (median), {100 * max(errors):.1f} % at worst."
+    ]
+
+
+def score_text(scores: Mapping[str, float] | None, name: str, form: str) -> str:
+    """A score, or a dash where there is none."""
+    return MISSING if scores is None or name not in scores else format(scores[name], form)

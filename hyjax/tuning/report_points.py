@@ -1,0 +1,189 @@
+"""Points in plots of time against quality, with names that do not cover each other."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from matplotlib.text import Text
+
+from hyjax.tuning.report_axes import COLORS, FONT, GROUND, QUIET, style_legend
+from hyjax.tuning.result import Budget
+
+MARKERS = {"tuned": "o", "preset": "^", "paper": "s", "naive": "D"}
+# Where a label may go beside its marker, in points, best first.
+PLACES = [(9, 0), (8, 10), (8, -10), (-9, 0), (-8, 10), (-8, -10), (0, 14), (0, -14)]
+PLACES += [(14, 22), (14, -22), (-14, 22), (-14, -22), (22, 0), (26, 12), (26, -12)]
+
+_Box = tuple[float, float, float, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class Point:
+    """Something in a plot of time against quality.
+
+    Attributes:
+        name: what is written beside it, if it is `named`.
+        kind: of `MARKERS`.
+        x, p95: median time and its 95th percentile.
+        y: quality.
+        measured: whether it was timed; hollow if not.
+        best: whether it is the best for a budget.
+        front: whether the line of the front goes through it.
+        named: whether its name is written.
+    """
+
+    name: str
+    kind: str
+    x: float
+    p95: float
+    y: float
+    measured: bool = True
+    best: bool = False
+    front: bool = False
+    named: bool = True
+
+
+def draw_budgets(axes: Axes, budgets: Sequence[Budget]) -> None:
+    """A dashed line at each budget."""
+    for budget in budgets:
+        axes.axvline(budget.milliseconds, color=QUIET, linestyle=(0, (5, 4)), linewidth=1.2, zorder=1)
+
+
+def draw_front(axes: Axes, points: list[Point]) -> None:
+    """A line through the points of the front."""
+    line = sorted((point.x, point.y) for point in points if point.front)
+    axes.plot([x for x, _ in line], [y for _, y in line], color=COLORS["tuned"], linewidth=1.6, zorder=2)
+
+
+def mark(axes: Axes, point: Point) -> None:
+    """A marker at the median, a line from there to the 95th percentile."""
+    color = COLORS[point.kind]
+    axes.plot([point.x, point.p95], [point.y, point.y], color=color, linewidth=1, alpha=0.75, zorder=2)
+    axes.plot(
+        point.x,
+        point.y,
+        MARKERS[point.kind],
+        color=color if point.measured else GROUND,
+        markeredgecolor=GROUND if point.measured else color,
+        markeredgewidth=1.0 if point.measured else 1.6,
+        markersize=11 if point.best else 6.5 if point.kind == "tuned" else 8,
+        zorder=4 if point.best else 3,
+    )
+
+
+def name_points(axes: Axes, points: list[Point], budgets: list[float]) -> None:
+    """Write names beside their markers, where there is least in the way. The figure must have been laid out."""
+    inside = axes.get_window_extent()
+    scale = axes.get_figure().dpi / 72  # type: ignore[union-attr]
+
+    def place(x: float, y: float) -> np.ndarray:
+        return np.asarray(axes.transData.transform((x, y)))
+
+    solid: list[_Box] = []
+    for point in points:
+        x, y = place(point.x, point.y)
+        solid.append((x - 6 * scale, y - 6 * scale, x + 6 * scale, y + 6 * scale))
+        solid.append((x, y - scale, place(point.p95, point.y)[0], y + scale))
+    line = [place(point.x, point.y) for point in sorted(points, key=lambda point: point.x) if point.front]
+    dots = [a + (b - a) * t for a, b in itertools.pairwise(line) for t in np.linspace(0, 1, 50)]
+    thin: list[_Box] = [(x, y, x, y) for x, y in dots]
+    thin += [(x, inside.y0, x, inside.y1) for x, _ in (place(budget, axes.get_ylim()[0]) for budget in budgets)]
+    for point in sorted((p for p in points if p.named), key=lambda p: not p.best):
+        tries = []
+        for rank, (dx, dy) in enumerate(PLACES):
+            text = _write(axes, point, dx, dy)
+            left, low, right, high = (float(value) for value in text.get_window_extent().extents)
+            text.remove()
+            box = (left, low, right, high)
+            outside = left < inside.x0 or right > inside.x1 or low < inside.y0 or high > inside.y1
+            crossed = sum(_overlap(box, other) for other in solid)
+            cost = 30 * outside + 4 * crossed + 2 * any(_overlap(box, other) for other in thin) + 0.3 * rank
+            tries.append((cost, dx, dy, box))
+        _, dx, dy, box = min(tries)
+        _write(axes, point, dx, dy)
+        solid.append(box)
+
+
+def _write(axes: Axes, point: Point, dx: float, dy: float) -> Text:
+    text = axes.annotate(
+        point.name,
+        (point.x, point.y),
+        (dx, dy),
+        textcoords="offset points",
+        ha="left" if dx > 0 else "right" if dx < 0 else "center",
+        va="center",
+        color=COLORS[point.kind],
+        fontsize=FONT,
+        fontweight="bold" if point.best else "normal",
+        zorder=5,
+        parse_math=False,
+    )
+    text.set_in_layout(False)
+    text.set_path_effects([withStroke(linewidth=3, foreground=GROUND)])
+    return text
+
+
+def _overlap(a: _Box, b: _Box) -> bool:
+    return a[0] <= b[2] and b[0] <= a[2] and a[1] <= b[3] and b[1] <= a[3]
+
+
+def name_budgets(axes: Axes, budgets: Sequence[Budget]) -> None:
+    """Above the panel, in as many rows as it takes for the names not to touch."""
+    low, high = axes.get_xlim()
+    width = 560 / math.log(high / low)  # points for each unit of log time, about
+    ends: list[float] = []
+    for budget in sorted(budgets, key=lambda budget: budget.milliseconds):
+        center = width * math.log(budget.milliseconds / low)
+        half = 0.32 * FONT * len(budget.label) + 3
+        row = next((i for i, end in enumerate(ends) if end < center - half), len(ends))
+        ends[row : row + 1] = [center + half]
+        axes.annotate(
+            budget.label,
+            (budget.milliseconds, 1),
+            (0, 3 + 14 * row),
+            xycoords=axes.get_xaxis_transform(),
+            textcoords="offset points",
+            ha="center",
+            va="bottom",
+            color=QUIET,
+            fontsize=FONT,
+            parse_math=False,
+        )
+
+
+def legend(figure: Figure, points: Sequence[Point], texts: Mapping[str, str], *, budgets: bool) -> None:
+    """A legend below all panels.
+
+    Args:
+        figure: of the panels.
+        points: in any of them.
+        texts: what kinds are called; `tuned` is that of the front.
+        budgets: whether there are lines of budgets.
+    """
+
+    def entry(label: str, **look: Any) -> Line2D:
+        return Line2D([], [], label=label, **{"linestyle": "none", "marker": "o", **look})
+
+    entries = []
+    for kind, text in texts.items():
+        if any(point.kind == kind for point in points):
+            line = "-" if kind == "tuned" else "none"
+            entries.append(entry(text, color=COLORS[kind], marker=MARKERS[kind], linestyle=line))
+    if any(point.best for point in points):
+        entries.append(entry("best for a budget", color=COLORS["tuned"], markersize=11))
+    if any(not point.measured for point in points):
+        entries.append(entry("predicted, not measured", color=GROUND, markeredgecolor=QUIET))
+    if budgets:
+        entries.append(entry("budget", color=QUIET, marker="", linestyle=(0, (5, 4)), linewidth=1.2))
+    if entries:
+        legend = figure.legend(
+            handles=entries, loc="outside lower center", ncols=3, fontsize=FONT - 0.5, frameon=False
+        )
+        style_legend(legend)

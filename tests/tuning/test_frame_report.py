@@ -1,0 +1,253 @@
+"""What a run on the whole frame leaves: whole files, sentences, a table, a page that stands alone."""
+
+import csv
+import dataclasses
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from page_checks import RUDE, parse
+
+from hyjax.configuration import Configuration, GuideOptions, LightOptions
+from hyjax.tuning.frame import report
+from hyjax.tuning.frame.clock import FrameTime
+from hyjax.tuning.frame.report_plots import draw_effects, draw_front_plot, trial_dots
+from hyjax.tuning.frame.report_text import candidates, configuration_text, described
+from hyjax.tuning.frame.result import Effect, FrameCandidate, FrameTuned
+from hyjax.tuning.frame.search import Trial
+from hyjax.tuning.frame.space import Space
+from hyjax.tuning.result import Budget
+from hyjax.util.errors import InputError
+from hyjax.util.images import read_image
+
+FPS60, FPS100, RUDEST = Budget("60 fps", 1000 / 60), Budget("100 fps", 10.0), Budget(f"../{RUDE}", 30.0)
+SPACE = Space.of(truth=True)
+BASE_MS = 20.0
+
+
+def scores(relative: float) -> dict[str, float]:
+    return {"loss": 0.08 * relative, "psnr": 24.0 - relative, "ssim": 0.8, "psnr_raw": 22.0, "relative": relative}
+
+
+def candidate(name: str, ms: float, relative: float, *, held_out: bool = True, **choices: Any) -> FrameCandidate:
+    return FrameCandidate(
+        dataclasses.replace(Configuration(), name=name, **choices),
+        scores(relative),
+        scores(1.02 * relative) if held_out else None,
+        FrameTime(ms, 1.1 * ms, BASE_MS),
+    )
+
+
+def trials() -> list[Trial]:
+    rng = np.random.default_rng(0)
+    rest = [
+        Trial(SPACE.random(rng), "combining", [0.9 + 0.02 * n, 1.0], 0.4 + 0.03 * n if n else None)
+        for n in range(5)
+    ]
+    return [Trial(SPACE.default, "default", [1.0, 1.0], 1.0), *rest]
+
+
+def fake(budgets: list[Budget], *, held_out: bool = True, ms: float = 9.0, **changes: Any) -> FrameTuned:
+    found = [
+        candidate("tuned-0.30", 6.0, 1.1, held_out=held_out, scale=2),
+        candidate("tuned-0.45", ms, 0.9, held_out=held_out, guide=GuideOptions(name="none")),
+        candidate(f"tuned-{RUDE}", 18.0, 0.8, held_out=held_out, light=LightOptions(sampling=1)),
+    ]
+    best = [
+        dataclasses.replace(
+            found[1], configuration=dataclasses.replace(found[1].configuration, name=f"tuned-{b.slug}")
+        )
+        for b in budgets
+    ]
+    references = [
+        candidate("default", BASE_MS, 1.0, held_out=held_out),
+        candidate("fast", 12.0, 1.05, held_out=held_out),
+    ]
+    paper = candidate("paper", 60.0, 2.4, held_out=held_out)
+    references.append(dataclasses.replace(paper, configuration=Configuration.paper(), form="paper"))
+    rng = np.random.default_rng(1)
+    headings = ["photo", "tuned-0.30, 6.0 ms", "tuned-0.45, 9.0 ms", "target"]
+    examples = [
+        (f"builtin-0 {RUDE}, frame {n}", {h: rng.random((12, 16, 3), np.float32) for h in headings})
+        for n in range(2)
+    ]
+    effects = [
+        Effect("scale", 2, 1, 1.1, 0.6),
+        Effect(f"views {RUDE}", None, 4, 0.95, 1.3),
+        Effect("bounces", False, True, 1.0, 0.9),
+    ]
+    record = {
+        "device": "cpu: cpu",
+        "versions": {"jax": "0.10.2"},
+        "prediction errors": [0.02, 0.3, 0.06],
+        "kept": [],
+        "cases": 16,
+        RUDE: RUDE,
+    }
+    whole = FrameTuned(best[0].configuration, best, budgets, found, references, trials(), effects, examples, record)
+    return dataclasses.replace(whole, **changes)
+
+
+# ---- configurations ----
+
+
+def test_a_configuration_for_each_budget(tmp_path: Path) -> None:
+    tuned = fake([FPS60, FPS100, RUDEST, Budget("100fps", 10.0)])
+    files = report.write_configurations(tmp_path, tuned)
+    names = ["", "-60fps", "-100fps", "-b-amp-x-script", "-100fps-2"]
+    assert files == [tmp_path / f"configuration{name}.json" for name in names]
+    assert sorted(tmp_path.iterdir()) == sorted(files)
+    for path, best in zip(files[1:], tuned.best, strict=True):
+        assert Configuration.from_json(path.read_text()).to_json() == best.configuration.to_json()
+    assert report.write_configurations(tmp_path, fake([FPS60])) == [tmp_path / "configuration.json"]
+
+
+def test_all_files(tmp_path: Path) -> None:
+    (tmp_path / "front").mkdir()
+    (tmp_path / "front" / "tuned-0.11.json").write_text("of an earlier run")
+    report.write_results(tmp_path, fake([FPS60]))
+    names = {"configuration.json", "front", "pareto.csv", "pareto.png", "contact_sheet.png", "report.html"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    front = sorted(path.name for path in (tmp_path / "front").iterdir())
+    assert front == ["tuned-0.30.json", "tuned-0.45.json", "tuned-b-amp-x-script.json"]
+    assert Configuration.open(str(tmp_path / "front" / front[0])).scale == 2
+    assert read_image(tmp_path / "pareto.png").shape[1] == 1800
+    assert read_image(tmp_path / "contact_sheet.png").shape[1] == 4 * 324 + 4
+
+
+def test_the_table_reads_back(tmp_path: Path) -> None:
+    tuned = fake([FPS60])
+    report.write_pareto_csv(tmp_path / "pareto.csv", tuned)
+    with (tmp_path / "pareto.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == list(report.CSV_COLUMNS)
+    by_name = {row["name"]: row for row in rows}
+    assert len(by_name) == len(rows) == 3 + 3 + len(tuned.trials)
+    best = by_name["tuned-60fps"]
+    assert (best["best_for"], best["kind"], best["front"], best["choices"]) == (
+        "60 fps",
+        "tuned",
+        "yes",
+        "guide none",
+    )
+    assert float(best["relative_loss"]) == 0.9 and float(best["relative_time"]) == 0.45
+    assert float(best["median_ms"]) == 9 and float(best["held_out_relative"]) == pytest.approx(0.918)
+    assert by_name["paper"]["kind"] == "paper" and by_name["default"]["kind"] == "preset"
+    trial = by_name["trial-2"]
+    assert trial["kind"] == "trial: combining" and float(trial["relative_time"]) == pytest.approx(0.43)
+    assert float(trial["relative_loss"]) == pytest.approx(0.92**0.5, rel=1e-5) and trial["median_ms"] == ""
+    assert by_name["trial-1"]["relative_time"] == "" and "scale" in trial["choices"]
+
+
+def test_every_candidate_once() -> None:
+    """The best is on the front under another name, and may be a reference."""
+    tuned = fake([FPS60])
+    assert [c.name for _, c in candidates(tuned)] == [
+        *("tuned-0.30", "tuned-60fps", f"tuned-{RUDE}"),
+        *("fast", "default", "paper"),
+    ]
+    renamed = dataclasses.replace(tuned.references[0], configuration=Configuration(name="tuned-60fps"))
+    again = dataclasses.replace(tuned, best=[renamed], front=[tuned.references[0]])
+    assert [c.name for _, c in candidates(again)] == ["fast", "default", "paper"]
+
+
+# ---- sentences ----
+
+
+def test_the_first_sentence_says_it_all() -> None:
+    said = report.summary(fake([FPS60]))
+    assert said == [
+        "60 fps = 16.67 ms: tuned-60fps (guide none); median 9.00 ms, p95 9.90 ms, in turns with the default's "
+        "median 20.00 ms, p95 22.00 ms; loss 10.0 % less than the default on tuning frames, 8.2 % less than the "
+        "default on held-out ones; PSNR 23.08 dB against 22.98 (held-out frames).",
+        "Times of 3 proposed configurations were predicted with an error of 6.0 % (median), 30.0 % at worst.",
+    ]
+
+
+def test_a_missed_budget_is_said(tmp_path: Path) -> None:
+    tuned = fake([FPS60, FPS100], ms=12.0)
+    said = report.summary(tuned)
+    late = "100 fps = 10 ms could not be kept: measured p95 13.20 ms; tuned-100fps is the fastest that was found."
+    assert [sentence for sentence in said if "could not" in sentence] == [late]
+    report.write_results(tmp_path, tuned)
+    words = "".join(parse((tmp_path / "report.html").read_text(encoding="utf-8")).text)
+    assert late in words and words.count("could not be kept") == 2 and words.count("p95 kept") == 1
+
+
+def test_sentences_where_less_is_known() -> None:
+    (said,) = report.summary(fake([FPS60], held_out=False, references=[], record={}))
+    assert said.endswith(
+        "default's median 20.00 ms; loss 10.0 % less than the default on tuning frames; PSNR 23.10 dB (tuning frames)."
+    )
+
+
+def test_what_differs_from_the_default() -> None:
+    assert configuration_text(Configuration()) == "the default"
+    paper = described(Configuration.paper())
+    assert "bounces" not in paper and paper["photo light"] == "kept" and paper["shadow pass"] == "1:8"
+    none = SPACE.configuration(SPACE.complete({"shadow pass": "none", "bounces": False}))
+    text = configuration_text(none)
+    assert "shadow pass none" in text and "bounces off" in text and "shadow κ" not in text
+
+
+# ---- plots ----
+
+
+@pytest.mark.parametrize("held_out", [True, False])
+def test_the_plot_shows_every_point_and_budget(held_out: bool) -> None:
+    tuned = fake([FPS60, FPS100], held_out=held_out)
+    figure = draw_front_plot(tuned)
+    assert len(figure.axes) == 1 + held_out
+    for axes in figure.axes:
+        words = [text.get_text() for text in axes.texts]
+        assert {"default", "fast", "paper"} <= set(words) and "tuned-0.30" not in words
+        dashed = [line.get_xdata()[0] for line in axes.lines if line.get_linestyle() == "--"]
+        assert dashed == [budget.milliseconds for budget in tuned.budgets]
+    assert len(trial_dots(tuned)) == 5 and trial_dots(tuned)[0] == (20.0, 1.0)
+
+
+def test_effects_are_named() -> None:
+    figure = draw_effects(fake([FPS60]).effects)
+    assert {text.get_text() for text in figure.axes[0].texts} == {"scale 2", f"views {RUDE} all", "bounces off"}
+
+
+# ---- page ----
+
+
+@pytest.mark.parametrize("held_out", [True, False])
+def test_the_page_stands_alone(held_out: bool, tmp_path: Path) -> None:
+    tuned = fake([FPS60, FPS100, RUDEST], held_out=held_out)
+    report.write_results(tmp_path, tuned)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"https?:|@import|url\((?!#)", text)
+    page = parse(text)
+    words = "".join(page.text)
+    for sentence in report.summary(tuned):
+        assert sentence in words
+    for _, known in candidates(tuned):
+        assert known.name in words
+    assert page.drawings == {"front", "effects"} and words.count("guide none") >= 3
+    assert not re.search(r"<(?!b>|/script>)", re.sub(r'"use strict".*', "", words, flags=re.DOTALL))
+    assert text.count('class="sortable"') == 3 and text.count("data:image/png") == 2 * 4
+    assert {"front", "configurations", "candidates", "effects", "pictures", "trials", "record"} <= set(page.ids)
+
+
+def test_a_bare_run_has_a_page(tmp_path: Path) -> None:
+    report.write_results(
+        tmp_path, fake([FPS60], held_out=False, references=[], trials=[], effects=[], examples=[], record={})
+    )
+    page = parse((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert not {"effects", "pictures", "trials"} & set(page.ids) and page.drawings == {"front"}
+    assert not (tmp_path / "contact_sheet.png").exists()
+
+
+def test_nothing_is_left_where_writing_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="cannot write"):
+        report.write_results(tmp_path / "gone", fake([FPS60]))
+    assert not (tmp_path / "gone").exists()
+    monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    with pytest.raises(InputError, match="disk full"):
+        report.write_pareto_csv(tmp_path / "pareto.csv", fake([FPS60]))
+    assert not list(tmp_path.iterdir())
