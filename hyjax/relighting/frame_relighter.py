@@ -22,7 +22,7 @@ from hyjax.relighting.frame_shader import FrameShader
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.scene import Scene, camera_view, view_of
 from hyjax.util.clock import StageClock
-from hyjax.video import Video
+from hyjax.video import CarriedGuide, Video
 
 
 @jax.tree_util.register_dataclass
@@ -95,6 +95,8 @@ class FrameRelighter:
     ) -> None:
         settings, self._clock = settings or RelightSettings(), clock or StageClock()
         self.configuration, self._scene, self._video = configuration, scene, Video() if settings.video else None
+        carries = settings.video and configuration.guide.every > 1
+        self._carried = CarriedGuide(configuration.guide.every) if carries else None
         self.guide = guide or configured_guide(configuration.guide)
         self.shader = FrameShader(scene, setup, settings, configuration, self._clock, stack or ExitStack())
 
@@ -118,8 +120,13 @@ class FrameRelighter:
             view = camera_view(downsample(full, scale), gbuffer, scaled(frame.camera, scale))
         view, shaded = self.shader(number, view, frame.camera)
         with self._clock("guide"):
-            features = jax.block_until_ready(self.guide.features(view.display))
+            features = jax.block_until_ready(self._features(view))
         return LitFrame(view, shaded, features, full)
+
+    def _features(self, view: View) -> Float[Array, "h w f"]:
+        if self._carried is None:
+            return self.guide.features(view.display)
+        return self._carried.features(view, lambda: self.guide.features(view.display))
 
     def stages(self, number: int, frame: Frame, gbuffer: GBuffer) -> Iterator[tuple[str, Any]]:
         """The frame stage by stage, as `relight_stages`: the last result is `Relit`. Arguments: see `prepare`."""

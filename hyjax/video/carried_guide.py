@@ -1,0 +1,66 @@
+"""Guide of a video: a network sees one frame of so many, and its features move with the surface in between."""
+
+import dataclasses
+from collections.abc import Callable
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hyjax.core.refine import cascade_known
+from hyjax.core.schedule import Schedule
+from hyjax.light.view import View
+from hyjax.util.errors import InputError
+from hyjax.util.tracing import concrete
+from hyjax.video.temporal_filter import LEAST_FOUND, Memory, fill_depth, recall
+
+FILLING = "hyjax"
+"""Preset by which features that no earlier frame tells are filled, under the frame itself."""
+
+
+@dataclasses.dataclass
+class CarriedGuide:
+    """Features of the frames of a video, made anew every so many frames and carried along the surface between.
+
+    Example:
+        carried = CarriedGuide(every=4)
+        for view in views:
+            features = carried.features(view, lambda: guide.features(view.display))
+
+    Attributes:
+        every: how many frames one look of the network serves.
+        memory: features of the last frame that it saw; None before the first.
+    """
+
+    every: int
+    memory: Memory | None = None
+    _age: int = 0
+
+    def __post_init__(self) -> None:
+        if self.every < 1:
+            raise InputError(f"every: must be at least 1, got {self.every}")
+
+    def features(self, view: View, make: Callable[[], Float[Array, "h w f"]]) -> Float[Array, "h w f"]:
+        """Features of the next frame.
+
+        Args:
+            view: of the frame, with its pose and intrinsics.
+            make: computes them.
+
+        Raises:
+            InputError: the view has no pose or no intrinsics.
+        """
+        if view.pose is None or view.intrinsics is None:
+            raise InputError("video: the view needs the camera's pose and intrinsics")
+        camera = jnp.asarray(view.pose, jnp.float32), jnp.asarray(view.intrinsics, jnp.float32)
+        schedule = Schedule.preset(FILLING)
+        depth = fill_depth(view.gbuffer, view.display, schedule)
+        self._age += 1
+        if self.memory is not None and self._age < self.every and self.memory.depth.shape == depth.shape:
+            carried, found = recall(self.memory, depth, *camera)
+            seen = concrete(jnp.mean(found))
+            if seen is not None and seen >= LEAST_FOUND:
+                filled = cascade_known(carried, found[..., None], view.display, schedule)
+                return jnp.where(found[..., None], carried, filled)
+        features, self._age = make(), 0
+        self.memory = Memory(features, depth, *camera, ())
+        return features
