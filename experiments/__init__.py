@@ -17,6 +17,8 @@ EXPERIMENTS = (
     "kinect_registration",
     "kappa_sweep",
     "guide_worth",
+    "frame_tuning",
+    "frame_race",
     "tuning_gain",
     "tuning_transfer",
     "tuning_promise",

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from hyjax.configuration import Configuration
+from hyjax.relighting.frame_relighter import refined_picture
 from hyjax.tuning.frame.clock import FrameClock
 from hyjax.tuning.frame.loss import PictureLoss
+from hyjax.tuning.frame.padding import padded
 from hyjax.tuning.frame.scene import TuningScene, open_tuning_scene
 
 Case = tuple[int, str, int]
@@ -31,12 +33,15 @@ class Judge:
     def scores(self, configuration: Configuration, cases: Sequence[Case]) -> list[Scores]:
         """Scores of each case, in their order."""
         found: dict[Case, Scores] = {}
+        most = max(len(self.scenes[place].setup(lights).lights) for place, lights, _ in cases)
         for place, lights in dict.fromkeys((case[0], case[1]) for case in cases):
             scene = self.scenes[place]
             relighter = scene.relighter(lights, scene.judged(configuration))
             for case in cases:
                 if case[:2] == (place, lights) and case not in found:
-                    image = np.asarray(relighter.picture(0, scene.scene.frame(case[2])))
+                    frame = scene.scene.frame(case[2])
+                    lit = padded(relighter.prepare(0, frame, relighter.gbuffer(frame.camera)), most)
+                    image = np.asarray(refined_picture(lit, relighter.configuration))
                     found[case] = self.loss.scores(image, scene.target(lights, case[2]))
         return [found[case] for case in cases]
 

@@ -16,9 +16,9 @@ from jaxtyping import Array, Float
 
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
-from hyjax.light.emission import Emission
 from hyjax.relighting.frame_relighter import LitFrame, refined_picture
 from hyjax.tuning.frame.evaluation import Case, Judge
+from hyjax.tuning.frame.padding import padded
 from hyjax.tuning.frame.scene import Target
 
 ITERATIONS = 12
@@ -123,7 +123,8 @@ def refine_numbers(
     """
     lit = [_lit(configuration, judge, case) for case in cases]
     gains = [judge.loss.gains(np.asarray(refined_picture(frame, own)), target) for frame, target, own in lit]
-    alike = padded([frame for frame, _, _ in lit])
+    most = max(frame.shaded.illuminance.shape[-1] for frame, _, _ in lit)
+    alike = [padded(frame, most) for frame, _, _ in lit]
     start = numbers_of(configuration, levels=levels)
 
     @jax.jit
@@ -171,31 +172,6 @@ def _lit(configuration: Configuration, judge: Judge, case: Case) -> tuple[LitFra
     own = scene.judged(configuration)
     relighter, frame = scene.relighter(case[1], own), scene.scene.frame(case[2])
     return relighter.prepare(0, frame, relighter.gbuffer(frame.camera)), scene.target(case[1], case[2]), own
-
-
-def padded(lit: Sequence[LitFrame]) -> list[LitFrame]:
-    """Frames with lights that give nothing, and pixels that do not shine, so that all are of one kind.
-
-    One program serves them then: compiling the gradient takes longer than all that it is used for.
-    """
-    most = max(frame.shaded.illuminance.shape[-1] for frame in lit)
-    shining = any(frame.shaded.emission is not None for frame in lit)
-    found = []
-    for frame in lit:
-        shaded, view = frame.shaded, frame.view.frame
-        more, emission = most - shaded.illuminance.shape[-1], shaded.emission
-        beside = ((0, 0), (0, 0), (0, more))
-        if emission is None and shining:
-            emission = Emission(jnp.zeros((*view.shape[:2], 1)), jnp.zeros_like(view), jnp.zeros_like(view))
-        shaded = dataclasses.replace(
-            shaded,
-            illuminance=jnp.pad(shaded.illuminance, beside),
-            visibility=jnp.pad(shaded.visibility, beside, constant_values=1.0),
-            colors=jnp.pad(shaded.colors, ((0, more), (0, 0))),
-            emission=emission,
-        )
-        found.append(dataclasses.replace(frame, shaded=shaded))
-    return found
 
 
 def _picture(logs: Numbers, start: Numbers, configuration: Configuration, lit: LitFrame) -> Float[Array, "h w 3"]:

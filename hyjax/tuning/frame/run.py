@@ -110,7 +110,9 @@ class FrameRun:
         count, first = len(self.bench.cases), max(FEWEST, len(self.bench.scenes))
         batches = sorted({min(first, count), min(2 * first, count), count})
         study = self._study(name, resume=self.settings.resume or resume)
-        with self.monitor.watching(f"{name}, {self.settings.frame.trials} trials"):
+        # The paper's form has fewer choices.
+        count_of_trials = self.settings.frame.trials // (2 if space.paper else 1)
+        with self.monitor.watching(f"{name}, {count_of_trials} trials"):
             evaluator = StudyEvaluator(
                 space, self.judge, self.bench.cases, self.clock, study, expired=self.monitor.expired
             )
@@ -127,7 +129,7 @@ class FrameRun:
                 report=report,
                 expired=self.monitor.expired,
             )
-            search.run(limits, self.settings.frame.trials)
+            search.run(limits, count_of_trials)
         return search
 
     def _limits(self, base: FrameTime) -> list[float]:

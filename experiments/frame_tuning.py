@@ -1,0 +1,250 @@
+"""Configurations of the whole frame: the front of quality against time on rooms that nothing was chosen on.
+
+    pip install -e ".[tune]"
+    python -m experiments.frame_tuning [--trials 48] [--transfer 4] [--out results/frame_tuning] [--resume]
+
+Searches all choices of a frame (`hyjax tune`) on four rooms of known truth and reports on four others. The front,
+the presets as they come with hyjax and the paper's form, as it is and tuned (`--paper-trials`), are timed in turns
+with the default configuration in one run. *Loss* is relative to the default's on the same frames.
+
+`--presets` writes what comes out as the presets: `balanced` is the best at the default's time, `fast` the fastest
+that is at least as good as the default, `quality` the best at half again the default's time; by tuning rooms alone.
+
+`--transfer N` tunes on each of N report rooms by itself, too: how far is a configuration tuned on other rooms from
+one tuned on this one? Both are judged on frames of the room that the second was not tuned on.
+
+Takes about forty minutes on two cores, and two minutes more for each room that is not in the cache.
+
+Expect: at the default's time a tenth less loss than the default on rooms that nothing was chosen on, most of it by
+the numbers (κ, α, the exponent of the photo's light); its quality in two thirds of its time. A configuration tuned
+on the room itself gains a percent or two more.
+"""
+
+import dataclasses
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.blocks import Block, Plot, Table
+from experiments.command import RunConfig, Start, experiment, run
+from experiments.plotting import new_figure
+from experiments.records import Results, Row, machine, of_kind
+from hyjax.configuration import FOLDER, PRESETS, Configuration
+from hyjax.data.frames import spread
+from hyjax.scene.settings import parse_size
+from hyjax.synthetic.truth import CHOOSE, REPORT
+from hyjax.tuning.frame.evaluation import Judge
+from hyjax.tuning.frame.loss import PictureLoss
+from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
+from hyjax.tuning.frame.run import tune_frame
+from hyjax.tuning.frame.scene import open_room, spread_cases
+from hyjax.tuning.settings import SETUPS, FrameOptions, TuneScene, TuneSettings
+from hyjax.util.errors import InputError
+from hyjax.util.files import write_text
+
+UNLIMITED_MS = 1e4
+TRANSFER_FRAMES = 3
+"""Of a room, under each set-up, that a configuration is tuned on; as many others are judged."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config(RunConfig):
+    rooms: tuple[str, ...] = CHOOSE
+    """Rooms of known truth to tune on."""
+    report: tuple[str, ...] = REPORT
+    """Rooms to report on."""
+    size: str = "512x384"
+    """Width x height of the pictures."""
+    frames: int = 3
+    """Of each room under each set-up."""
+    trials: int = 48
+    paper_trials: bool = True
+    """Also tune the paper's form."""
+    transfer: int = 0
+    """Report rooms that are tuned on by themselves."""
+    transfer_trials: int = 24
+    presets: bool = False
+    """Write the presets of the package."""
+    seed: int = 0
+    resume: bool = False
+
+
+@experiment("Configurations of the whole frame")
+def main(config: Config, start: Start) -> None:
+    parse_size(config.size)
+    if set(config.rooms) & set(config.report):
+        raise InputError("report: a room is tuned on as well; leave it out of one")
+    results = start()
+    done = of_kind(results.rows, "candidate")
+    if not done:
+        tuned = tune_frame(settings_of(config, config.rooms, config.report, config.trials, results.out / "search"))
+        if config.presets:
+            write_presets(tuned)
+        for candidate in tuned.candidates:
+            results.add(kind="candidate", front=candidate in tuned.front, **described(candidate))
+        for effect in tuned.effects:
+            results.add(kind="effect", **dataclasses.asdict(effect))
+        results.add(kind="search", **{k: v for k, v in tuned.record.items() if k in SEARCH})
+        shutil.copy(results.out / "search" / "contact_sheet.png", results.out / "contact_sheet.png")
+    finished = {row["room"] for row in of_kind(results.rows, "transfer")}
+    for room in config.report[: config.transfer]:
+        if room not in finished:
+            add_transfer(results, config, room)
+
+
+SEARCH = ("trials", "cases", "held-out cases", "timed under", "prediction errors", "seconds")
+
+
+def settings_of(
+    config: Config, rooms: Sequence[str], report: Sequence[str], trials: int, out: Path
+) -> TuneSettings:
+    """Settings of a search."""
+    options = FrameOptions(
+        rooms=tuple(rooms),
+        holdout_rooms=tuple(report),
+        room_size=config.size,
+        room_frames=config.frames,
+        trials=trials,
+        paper_form=config.paper_trials and bool(report),
+    )
+    scene = TuneScene(seed=config.seed)
+    return TuneSettings(scene, options, budget_ms=(UNLIMITED_MS,), out=out, resume=out.exists())
+
+
+def described(candidate: FrameCandidate) -> dict[str, Any]:
+    """A candidate as JSON's types."""
+    return candidate.row() | {"configuration": candidate.configuration.to_json()}
+
+
+def chosen_presets(tuned: FrameTuned) -> dict[str, FrameCandidate]:
+    """Preset → candidate, by loss on the tuning rooms and time alone."""
+    default = next(c for c in tuned.references if c.name == "default")
+    usable = [c for c in tuned.candidates if c.form == "hyjax" and c.name not in PRESETS]
+
+    def best(limit: float) -> FrameCandidate:
+        fitting = [c for c in usable if c.time.ratio <= limit]
+        return min(fitting or [default], key=lambda c: c.tuning["relative"])
+
+    as_good = [c for c in usable if c.tuning["relative"] <= 1.0]
+    return {"quality": best(1.5), "balanced": best(1.0), "fast": min(as_good, key=lambda c: c.time.median)}
+
+
+def write_presets(tuned: FrameTuned) -> None:
+    """Write the presets of the package."""
+    for name, candidate in chosen_presets(tuned).items():
+        chosen = dataclasses.replace(candidate.configuration, name=name, measured=None)
+        write_text(FOLDER / f"{name}.json", chosen.to_json() + "\n")
+
+
+def add_transfer(results: Results, config: Config, room: str) -> None:
+    """Tune on some frames of a room alone; judge that and the presets on other frames of it."""
+    out = results.out / f"transfer-{room}"
+    own = tune_frame(settings_of(config, [room], [], config.transfer_trials, out))
+    best = min((c for c in own.candidates if c.time.ratio <= 1.0), key=lambda c: c.tuning["relative"])
+    scene = open_room(room, config.size)
+    tuned_on = set(spread(range(len(scene)), config.frames))
+    others = [index for index in range(len(scene)) if index not in tuned_on]
+    cases = spread_cases([spread(others, TRANSFER_FRAMES)], SETUPS, config.seed)
+    judge = Judge([scene], PictureLoss())
+    default = judge.scores(Configuration(), cases)
+    for name, configuration in {"own": best.configuration, "balanced": Configuration.preset("balanced")}.items():
+        rows = judge.scores(configuration, cases)
+        logs = [np.log(row["loss"] / base["loss"]) for row, base in zip(rows, default, strict=True)]
+        relative, psnr = float(np.exp(np.mean(logs))), float(np.mean([row["psnr"] for row in rows]))
+        results.add(kind="transfer", room=room, tuned_on=name, relative=relative, psnr=psnr, cases=len(cases))
+
+
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
+    """Tables and figure from the rows."""
+    candidates = of_kind(rows, "candidate")
+    if not candidates:
+        return ["Nothing has been tuned yet."]
+    lines = []
+    for row in sorted(candidates, key=lambda r: r["median_ms"]):
+        held = row["held_out"] or {}
+        lines.append(
+            [
+                row["name"],
+                f"{row['median_ms']:.1f}",
+                f"{row['p95_ms']:.1f}",
+                f"{row['median_ms'] / row['default_ms']:.2f}",
+                percent(row["tuning"]["relative"]),
+                percent(held.get("relative")),
+                *(f"{held[name]:.2f}" if name in held else "–" for name in ("psnr_raw", "psnr")),
+            ]
+        )
+    settings = candidates[0]["settings"]
+    caption = (
+        f"Whole frames of {settings['size']}, one at a time, median and p95 in turns with the default; tuned on "
+        f"{', '.join(settings['rooms'])}, reported on {', '.join(settings['report'])}, {len(SETUPS)} set-ups each; "
+        f"{machine(candidates[0])}."
+    )
+    header = ["configuration", "ms", "p95", "of default", "loss, tuning", "loss, held out", "PSNR raw", "fitted"]
+    made: list[Block] = [Table(caption, header, lines)]
+    for search in of_kind(rows, "search"):
+        errors = np.array(search["prediction errors"] or [0.0])
+        made.append(
+            f"{search['trials']} trials in {search['seconds']:.0f} s; times of what the surrogate proposed were "
+            f"foretold to {100 * np.median(errors):.1f} % (median), {100 * errors.max():.1f} % (worst of "
+            f"{len(errors)})."
+        )
+    if effects := of_kind(rows, "effect"):
+        shown = [
+            [e["parameter"], f"{e['base']} → {e['value']}", percent(e["loss"]), percent(e["time"])]
+            for e in sorted(effects, key=lambda e: e["loss"])
+        ]
+        made.append(Table("Choices by themselves.", ["choice", "change", "loss", "time"], shown, names=2))
+    if transfer := of_kind(rows, "transfer"):
+        made.append(transfer_table(transfer))
+    made.append(Plot(main.name, "Loss on held-out rooms against time; lines: the front.", figure(candidates)))
+    return made
+
+
+def transfer_table(rows: Sequence[Row]) -> Table:
+    """Loss of configurations tuned on a room itself and on others."""
+    by_room = {room: {r["tuned_on"]: r for r in rows if r["room"] == room} for room in {r["room"] for r in rows}}
+    lines = [
+        [room, percent(own["own"]["relative"]), percent(own["balanced"]["relative"])]
+        for room, own in sorted(by_room.items())
+        if len(own) == 2
+    ]
+    return Table(
+        "Loss against the default's on other frames of a room: tuned on the room itself, and on other rooms.",
+        ["room", "tuned on it", "balanced"],
+        lines,
+    )
+
+
+def percent(relative: float | None) -> str:
+    """Change in percent."""
+    return "–" if relative is None else f"{100 * (relative - 1):+.1f} %"
+
+
+def figure(candidates: Sequence[Row]) -> Figure:
+    """Held-out loss against time."""
+    fig = new_figure(7.5, 5)
+    axes = fig.subplots()
+    known = [row for row in candidates if row["held_out"]]
+    front = sorted((row for row in known if row["front"]), key=lambda row: row["median_ms"])
+    axes.plot(
+        [r["median_ms"] for r in front], [r["held_out"]["relative"] for r in front], color="C0", label="front"
+    )
+    for row in known:
+        x, y = row["median_ms"], row["held_out"]["relative"]
+        kind = "s" if row["form"] == "paper" else "o"
+        color = "C3" if row["form"] == "paper" else "C0" if row["front"] else "0.4"
+        axes.plot(x, y, kind, color=color)
+        if not row["name"].startswith("tuned-") or not row["front"]:
+            axes.annotate(row["name"], (x, y), xytext=(6, 4), textcoords="offset points", fontsize=8)
+    axes.axhline(1.0, color="0.7", linewidth=0.8)
+    axes.set(xlabel="ms a frame, median", ylabel="loss on held-out rooms, over the default's")
+    axes.legend()
+    return fig
+
+
+if __name__ == "__main__":
+    run(main)
