@@ -17,6 +17,9 @@ Case = tuple[int, str, int]
 """Scene by position, light set-up, frame."""
 Scores = dict[str, float]
 TIMED_FRAMES = 60
+LIGHTS = 4
+"""Frames are padded to a multiple of so many lights, see `padded`."""
+KEPT_SCENES = 8
 
 
 class Judge:
@@ -34,6 +37,7 @@ class Judge:
         """Scores of each case, in their order."""
         found: dict[Case, Scores] = {}
         most = max(len(self.scenes[place].setup(lights).lights) for place, lights, _ in cases)
+        most = -(-most // LIGHTS) * LIGHTS
         for place, lights in dict.fromkeys((case[0], case[1]) for case in cases):
             scene = self.scenes[place]
             relighter = scene.relighter(lights, scene.judged(configuration))
@@ -83,4 +87,4 @@ def _opened(payload: Mapping[str, Any]) -> tuple[TuningScene, Configuration]:
     return _scene(payload["scene"], payload.get("size")), configuration
 
 
-_scene = functools.lru_cache(maxsize=4)(open_tuning_scene)
+_scene = functools.lru_cache(maxsize=KEPT_SCENES)(open_tuning_scene)

@@ -1,0 +1,240 @@
+"""Tuning of the whole frame: padding, gradients, timing, and a small run from the search to its files."""
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hyjax import InputError, tune
+from hyjax.configuration import Configuration, GuideOptions, LightOptions, Measured, ShadowOptions
+from hyjax.core.schedule import Schedule
+from hyjax.data.builtin_room import RoomCapture, load_room
+from hyjax.relighting.frame_relighter import refined_picture
+from hyjax.scene.scene import Scene
+from hyjax.scene.settings import SceneSettings
+from hyjax.tuning.frame.clock import FrameClock, slowest_setup
+from hyjax.tuning.frame.evaluation import Judge
+from hyjax.tuning.frame.loss import PictureLoss
+from hyjax.tuning.frame.padding import padded
+from hyjax.tuning.frame.refinement import numbers_of, refine_numbers, settled, with_numbers
+from hyjax.tuning.frame.scene import Target, TuningScene, open_tuning_scene, spread_cases
+from hyjax.tuning.settings import FrameOptions, OtherDevice, TuneScene, TuneSettings
+
+pytest.importorskip("optuna", reason="the extra tune is not installed")
+
+
+@pytest.fixture(scope="module")
+def room() -> RoomCapture:
+    return load_room(n_frames=6, width=160, height=120, quality=0.25, progress=False)
+
+
+@pytest.fixture(scope="module")
+def scene(room: RoomCapture) -> TuningScene:
+    rough, accurate = (Scene.open(SceneSettings(mesh=mesh), capture=room) for mesh in ("scan", "true"))
+    return TuningScene("room", rough, accurate)
+
+
+@pytest.fixture(scope="module")
+def judge(scene: TuningScene) -> Judge:
+    return Judge([scene], PictureLoss())
+
+
+def light_options(**options: object) -> Configuration:
+    return dataclasses.replace(Configuration(), light=LightOptions(**options))  # type: ignore[arg-type]
+
+
+CONFIGURATIONS = {
+    "default": Configuration(),
+    "half the size": dataclasses.replace(Configuration(), scale=2),
+    "photo's light left in": light_options(photo_light="kept"),
+    "no bounces": light_options(bounces=False),
+    "no guide": dataclasses.replace(Configuration(), guide=GuideOptions(name="none")),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONFIGURATIONS)
+def test_lights_that_give_nothing_change_no_picture(scene: TuningScene, name: str) -> None:
+    relighter = scene.relighter("two-colors", CONFIGURATIONS[name])
+    frame = scene.scene.frame(2)
+    lit = relighter.prepare(0, frame, relighter.gbuffer(frame.camera))
+    more = padded(lit, 4)
+    assert more.shaded.illuminance.shape[-1] == 4
+    expected, picture = (refined_picture(each, relighter.configuration) for each in (lit, more))
+    np.testing.assert_allclose(picture, expected, atol=2e-5)
+    np.testing.assert_allclose(relighter.picture(0, frame), expected, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_best_is_not_worse_than_the_start(judge: Judge) -> None:
+    cases, told = [(0, "two-colors", 1), (0, "golden-hour", 4)], []
+    poor = dataclasses.replace(Configuration(), schedule=Schedule.preset("hyjax", kappa=0.4))
+    better = refine_numbers(poor, judge, cases, iterations=6, report=lambda _, loss: told.append(loss))
+    assert told[0] == pytest.approx(1.0, abs=1e-4) and min(told) < 0.99
+    before, after = (np.mean([row["loss"] for row in judge.scores(each, cases)]) for each in (poor, better))
+    assert after < before
+    assert float(np.asarray(better.schedule.levels[0].kappa)) < 0.4
+
+
+@pytest.mark.slow
+def test_the_gradient_is_that_of_finite_differences(judge: Judge) -> None:
+    """Of the loss through the cascades, in the logarithm of each number."""
+    scene, configuration = judge.scenes[0], light_options(photo_light="kept")
+    relighter, frame = scene.relighter("two-colors", configuration), scene.scene.frame(1)
+    lit, target = relighter.prepare(0, frame, relighter.gbuffer(frame.camera)), scene.target("two-colors", 1)
+    numbers = {name: jnp.log(value) for name, value in numbers_of(configuration, levels=False).items()}
+    with jax.enable_x64(True):
+
+        def double(tree: object) -> object:
+            return jax.tree.map(
+                lambda x: x.astype(jnp.float64) if jnp.issubdtype(x.dtype, jnp.floating) else x,
+                jax.tree.map(jnp.asarray, tree),
+            )
+
+        own = double(lit)
+
+        @jax.jit
+        def loss(logs: dict[str, jax.Array]) -> jax.Array:
+            changed = with_numbers(configuration, {name: jnp.exp(value) for name, value in logs.items()})
+            return judge.loss.value(refined_picture(own, changed), jnp.ones(3), target.picture, target.valid)
+
+        logs = double(numbers)
+        slope = jax.grad(loss)(logs)
+        for name in logs:
+            up, down = (loss(logs | {name: logs[name] + step}) for step in (1e-4, -1e-4))
+            expected = float(up - down) / 2e-4
+            assert float(slope[name]) == pytest.approx(expected, rel=2e-3, abs=1e-7), name
+
+
+def test_numbers_go_in_and_out() -> None:
+    for levels in (True, False):
+        numbers = numbers_of(Configuration(), levels=levels)
+        again = numbers_of(settled(Configuration(), numbers), levels=levels)
+        for name, value in numbers.items():
+            np.testing.assert_allclose(again[name], value, rtol=1e-4)
+    assert "fidelity" not in numbers_of(Configuration.paper(), levels=True)
+    assert "photo exponent" not in numbers_of(Configuration.paper(), levels=True)
+
+
+def test_losses_know_what_is_fitted() -> None:
+    rng = np.random.default_rng(0)
+    picture = rng.uniform(0.1, 0.8, (48, 64, 3)).astype(np.float32)
+    linear = ((picture + 0.055) / 1.055) ** 2.4  # nearly
+    valid = np.ones((48, 64), bool)
+    fitted, plain = (PictureLoss().scores(0.5 * linear, Target(picture, valid, own)) for own in (True, False))
+    assert fitted["loss"] < 0.02 < plain["loss"] and fitted["psnr_raw"] == pytest.approx(plain["psnr"], abs=1e-3)
+    assert fitted["psnr"] > fitted["psnr_raw"] + 10
+
+
+def test_batches_have_many_scenes_and_setups() -> None:
+    cases = spread_cases([[0, 4, 8], [1, 5, 9], [2, 6, 10]], ["a", "b", "c"], seed=3)
+    assert len(cases) == len(set(cases)) == 27
+    for start in range(0, 27, 3):
+        assert len({place for place, _, _ in cases[start : start + 3]}) == 3
+        assert len({lights for _, lights, _ in cases[start : start + 3]}) == 3
+    assert cases == spread_cases([[0, 4, 8], [1, 5, 9], [2, 6, 10]], ["a", "b", "c"], seed=3)
+
+
+@pytest.mark.slow
+def test_frames_are_timed_in_turns(scene: TuningScene) -> None:
+    clock = FrameClock(scene, "two-colors")
+    small = dataclasses.replace(Configuration(), scale=4, shadows=ShadowOptions(views=4))
+    own, fast = clock.times([Configuration(), small], 8)
+    assert own.default == fast.default > 0 and 0.5 < own.ratio < 2.0
+    assert 0 < fast.median <= fast.p95
+    assert slowest_setup(scene, ["two-colors"]) == "two-colors"
+
+
+# ---- a run ----
+
+
+@pytest.fixture(scope="module")
+def options(tmp_path_factory: pytest.TempPathFactory) -> TuneSettings:
+    return TuneSettings(
+        TuneScene(size=None),
+        FrameOptions(trials=4),
+        budget_ms=(1e4,),
+        lights="two-colors",
+        frames="0,2",
+        holdout="5",
+        extra=False,
+        out=tmp_path_factory.mktemp("tuned") / "out",
+        quiet=True,
+    )
+
+
+@pytest.fixture(scope="module")
+def finished(options: TuneSettings, room: RoomCapture) -> Iterator[Path]:
+    tuned = tune(settings=options, capture=room)
+    assert tuned.best[0].tuning["relative"] <= 1.0 and tuned.best[0].held_out is not None
+    assert tuned.record["kept"] == ["10000 ms"] and tuned.configuration.measured is not None
+    assert len(tuned.trials) >= 3
+    assert options.out is not None
+    yield options.out
+
+
+@pytest.mark.slow
+def test_a_run_leaves_what_others_take(finished: Path, options: TuneSettings) -> None:
+    names = {path.name for path in finished.iterdir()}
+    assert {
+        "configuration.json",
+        "pareto.csv",
+        "pareto.png",
+        "contact_sheet.png",
+        "report.html",
+        "study.log",
+    } <= names
+    own = Configuration.open(str(finished / "configuration.json"))
+    assert isinstance(own.measured, Measured) and own.measured.size == (120, 160)
+    content = json.loads((finished / "configuration.json").read_text())
+    assert content["format"] == 1 and content["mode"] == "linear"
+
+
+@pytest.mark.slow
+def test_a_finished_run_is_not_overwritten_and_goes_on(
+    finished: Path, options: TuneSettings, room: RoomCapture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(InputError, match="--resume"):
+        tune(settings=options, capture=room)
+    with pytest.raises(InputError, match="cannot resume"):
+        tune(settings=dataclasses.replace(options, resume=True, frames="1"), capture=room)
+    asked: list[object] = []
+    monkeypatch.setattr("hyjax.tuning.frame.evaluator.refine_numbers", lambda *a, **k: asked.append(a))
+    again = tune(settings=dataclasses.replace(options, resume=True), capture=room)
+    assert not asked and len(again.trials) >= 3
+
+
+@pytest.mark.slow
+def test_a_budget_out_of_reach_names_the_fastest(options: TuneSettings, room: RoomCapture) -> None:
+    settings = dataclasses.replace(options, budget_ms=(0.01,), out=None)
+    with pytest.raises(InputError, match=r"^budget 0\.01 ms: out of reach .* the fastest that was found takes"):
+        tune(settings=settings, capture=room)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"frame": FrameOptions(rooms=("builtin",))}, "rooms: no room 'builtin'"),
+        ({"frame": FrameOptions(rooms=("random-5-6-dayy",))}, "did you mean"),
+        ({"frame": FrameOptions(rooms=("builtin-0",), holdout_rooms=("builtin-0",))}, "tuned on as well"),
+        ({"frame": FrameOptions(holdout_rooms=("builtin-0",))}, "go with --rooms"),
+        ({"frame": FrameOptions(trials=0)}, "trials: must be at least 4"),
+        ({"frame": FrameOptions(lpips=-1.0)}, "lpips"),
+        ({"lights": "two-colors,nowhere"}, "nowhere"),
+        ({"stage": "cascade", "lights": "two-colors,golden-hour"}, "one set-up"),
+        ({"stage": "frame", "target_device": OtherDevice(device=True)}, "stage: a page times the diffusion alone"),
+    ],
+)
+def test_bad_settings_are_told(options: TuneSettings, change: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        dataclasses.replace(options, **change).check()
+
+
+def test_scenes_without_a_better_surface_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        open_tuning_scene(str(tmp_path))
