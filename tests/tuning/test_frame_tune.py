@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hyjax import InputError, tune
-from hyjax.configuration import Configuration, GuideOptions, LightOptions, Measured, ShadowOptions
+from hyjax.configuration import Configuration, LightOptions, Measured, ShadowOptions
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.relighting.frame_relighter import refined_picture
@@ -51,9 +51,7 @@ def light_options(**options: object) -> Configuration:
 CONFIGURATIONS = {
     "default": Configuration(),
     "half the size": dataclasses.replace(Configuration(), scale=2),
-    "photo's light left in": light_options(photo_light="kept"),
     "no bounces": light_options(bounces=False),
-    "no guide": dataclasses.replace(Configuration(), guide=GuideOptions(name="none")),
 }
 
 
