@@ -23,14 +23,12 @@ from hyjax.data.frames import spread
 from hyjax.data.hand_written import check_keys, read_plain
 from hyjax.data.light_file import is_light_file
 from hyjax.scene.settings import check_lights_name
-from hyjax.sweep.work import random_configurations
-from hyjax.synthetic.truth import CHOOSE, REPORT
+from hyjax.tuning.frame.rooms import ROOM, check_room
+from hyjax.tuning.frame.space import random_configurations
 from hyjax.tuning.settings import ROOM_PHOTOS
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.sizes import parse_size
 
-ROOM = "room:"
-ROOM_NAME = r"builtin-\d+|random-\d+-\d+-(day|lamps|both)"
 SPACES = ("default",)
 Names = Annotated[list[str], msgspec.Meta(min_length=1)]
 Positive = Annotated[int, msgspec.Meta(ge=1)]
@@ -136,10 +134,7 @@ def _absolute(spec: Spec, folder: Path) -> Spec:
 
 def _scene(scene: str, folder: Path) -> str:
     if scene.startswith(ROOM):
-        name = scene.removeprefix(ROOM)
-        if not re.fullmatch(ROOM_NAME, name):
-            hint = did_you_mean(name, CHOOSE + REPORT)
-            raise InputError(f"scenes: no room {name!r}{hint}; there are {', '.join(CHOOSE + REPORT)}")
+        check_room(scene.removeprefix(ROOM))
         return scene
     if not (folder / scene).exists():
         raise InputError(f"scenes: no capture {folder / scene}; a room of known truth is called {ROOM}NAME")

@@ -119,10 +119,8 @@ def test_bad_specs(values: dict[str, Any], message: str, tmp_path: Path) -> None
 
 
 def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(run.work, "EVALUATION", "standins")
-    monkeypatch.setattr(standins, "evaluate", standins.loss, raising=False)
-    run.work._evaluation.cache_clear()
-    monkeypatch.setattr("hyjax.util.compiled_cache.keep_compiled", lambda: None)
+    monkeypatch.setattr("hyjax.tuning.frame.evaluation.evaluate", standins.loss)
+    monkeypatch.setattr(run.work, "_start", lambda: None)
     path, out = write(tmp_path), tmp_path / "out"
     monkeypatch.setattr("sys.argv", ["hyjax", "sweep", str(path), "--workers", "0", "--out", str(out), "--quiet"])
     cli.main()
@@ -132,4 +130,3 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == 2 and "add --resume" in capsys.readouterr().err
-    run.work._evaluation.cache_clear()

@@ -2,6 +2,8 @@
 
 from hyjax.util.errors import InputError, did_you_mean
 
+ROOM = "room:"
+"""Beginning of the name of a scene that is a room of known truth."""
 KNOWN = ("builtin-0", "random-5-6-day", "random-11-0-both", "random-23-6-lamps")
 """Examples: those that `experiments.truth` chooses on."""
 

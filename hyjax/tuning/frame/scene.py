@@ -18,13 +18,11 @@ from hyjax.relighting.frame_relighter import FrameRelighter
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.tuning.bench import open_scenes
-from hyjax.tuning.frame.rooms import check_room
+from hyjax.tuning.frame.rooms import ROOM, check_room
 from hyjax.tuning.settings import ROOM_PHOTOS
 from hyjax.util.errors import InputError
 from hyjax.util.sizes import parse_size
 
-ROOM = "room:"
-"""Beginning of the name of a room of known truth."""
 ROOM_SIZE = "320x240"
 KEPT_MAPS = 6
 """Sets of shadow maps that are kept of a scene."""
