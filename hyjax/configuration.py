@@ -224,11 +224,7 @@ class Configuration:
         except (msgspec.DecodeError, RecursionError) as error:  # also of a field that does not fit
             hint = "; it is a schedule: give it as --schedule" if '"levels"' in str(text)[:400] else ""
             raise InputError(f"configuration: {error}{hint}") from None
-        try:
-            part, own = "schedule", Schedule.from_json(json.dumps(file.schedule))
-            part, shadow = "shadow_schedule", Schedule.from_json(json.dumps(file.shadow_schedule))
-        except InputError as error:
-            raise InputError(f"configuration, {part}: {error}") from None
+        own, shadow = (_schedule(file, part) for part in ("schedule", "shadow_schedule"))
         return cls(
             file.name, own, shadow, file.mode, file.scale, file.light, file.shadows, file.guide, file.measured
         ).check()
@@ -250,3 +246,10 @@ class Configuration:
             ) from None
         except InputError as error:
             raise InputError(f"{text}: {error}") from None
+
+
+def _schedule(file: _File, part: str) -> Schedule:
+    try:
+        return Schedule.from_json(json.dumps(getattr(file, part)))
+    except InputError as error:
+        raise InputError(f"configuration, {part}: {error}") from None
