@@ -118,7 +118,9 @@ class Configuration:
         shadow_schedule: cascade for the visibility; one of no steps at all leaves the shadow pass out.
         mode: of `relight`.
         scale: the frame is relit at its size over this, and the filter brought to full size under the frame.
-        light, shadows, guide: see there.
+        light: how light on the surface is computed.
+        shadows: how shadows are.
+        guide: what guides the diffusion.
         measured: where it was measured; None if it never was.
 
     Example:

@@ -108,8 +108,9 @@ class FrameOptions(Settings):
 
 @dataclasses.dataclass(frozen=True)
 class TuneSettings(Settings):
-    """Find the configuration of the whole frame, or the schedule of the diffusion alone, that makes the best
-    picture within a time budget on this machine or another device."""
+    """Find the configuration of whole frames, or the schedule of the diffusion alone, for a time budget.
+
+    The one that makes the best picture on this machine or another device."""
 
     scene: TuneScene = dataclasses.field(default_factory=TuneScene)
     frame: FrameOptions = dataclasses.field(default_factory=FrameOptions)

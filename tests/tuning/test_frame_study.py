@@ -10,6 +10,7 @@ import pytest
 
 from hyjax.tuning.frame import study as study_module
 from hyjax.tuning.frame.evaluator import StudyEvaluator
+from hyjax.tuning.frame.replay import front_configurations
 from hyjax.tuning.frame.search import FrameSearch, Trial
 from hyjax.tuning.frame.space import Choices, Space, key_of
 from hyjax.tuning.frame.study import NAME, Study, kept_trials
@@ -103,6 +104,17 @@ def test_kept_trials_are_those_of_the_search(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="no"):
             kept_trials(path, name)
     assert not (tmp_path / "none.log").exists()
+
+
+def test_a_kept_front_is_a_few_configurations(tmp_path: Path) -> None:
+    """Of the trials on all cases, from fast to good."""
+    search, _ = run(tmp_path, 14)
+    made = front_configurations(kept_trials(tmp_path / NAME))
+    front = search.front()
+    assert len(front) >= 2 and len(made) == min(3, len(front))
+    assert [made[0].name, made[-1].name] == [f"tuned-{t.time:.2f}" for t in (front[0], front[-1])]
+    assert made[0].to_json() == SPACE.configuration(front[0].choices, made[0].name).to_json()
+    assert front_configurations([]) == []
 
 
 def test_what_was_cut_short_is_not_kept(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from hyjax.tuning.frame.clock import FrameClock, FrameTime
 from hyjax.tuning.frame.evaluation import Judge
 from hyjax.tuning.frame.evaluator import StudyEvaluator
 from hyjax.tuning.frame.loss import PictureLoss
-from hyjax.tuning.frame.proof import BASE_ROUNDS, check_reachable, effects, examples, front_of, prove
+from hyjax.tuning.frame.proof import BASE_ROUNDS, best_within, check_reachable, effects, examples, front_of, prove
 from hyjax.tuning.frame.refinement import refine_numbers
 from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
 from hyjax.tuning.frame.search import FrameSearch, Trial
@@ -179,12 +179,7 @@ class FrameRun:
         usable = [c for c in (*tuned, *known) if c.form == "hyjax"]
         best = []
         for budget in self.budgets:
-            fitting = [c for c in usable if c.time.p95 <= budget.milliseconds]
-            chosen = (
-                min(fitting, key=lambda c: c.tuning["relative"])
-                if fitting
-                else min(usable, key=lambda c: c.time.p95)
-            )
+            chosen = best_within(budget, usable)
             best.append(dataclasses.replace(chosen, configuration=self._measured(chosen, budget)))
         front = front_of(usable)
         errors = [abs(guess / true - 1) for guess, true in search.predictions]
@@ -209,7 +204,7 @@ class FrameRun:
             front,
             known,
             list(search.trials.values()),
-            effects(search),
+            effects(list(search.trials.values())),
             examples(self.bench, front),
             record,
         )
