@@ -7,7 +7,9 @@ fits is told by the measured time alone.
 Losses hold on any machine. Times are kept by machine: a search that goes on elsewhere measures them anew.
 """
 
+import importlib
 import importlib.util
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -185,3 +187,6 @@ def check_installed() -> None:
     """Raise `InputError` unless Optuna is there."""
     if importlib.util.find_spec("optuna") is None:
         raise InputError("tune: needs the package optuna; install it with: pip install '.[tune]'")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of tqdm, in notebooks without widgets
+        importlib.import_module("optuna")
