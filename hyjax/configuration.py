@@ -181,9 +181,15 @@ class Configuration:
         """The configuration, if a frame can be relit by it.
 
         Raises:
-            InputError: a schedule that cannot be run, or choices that exclude each other.
+            InputError: a schedule that cannot be run, a value out of range, or choices that exclude each other.
         """
-        where = f"configuration {self.name}"
+        where = f"configuration {self.name!r}"
+        try:
+            for part in (self.light, self.shadows, self.guide):
+                msgspec.convert(msgspec.to_builtins(part), type(part))
+            msgspec.convert(self.scale, Scale)
+        except msgspec.ValidationError as error:
+            raise InputError(f"{where}: {error}") from None
         for schedule in (self.schedule, self.shadow_schedule):
             schedule.check()
         if self.mode == "paper" and (self.scale != 1 or self.light.photo_light != "kept"):
@@ -243,7 +249,7 @@ class Configuration:
         except (msgspec.DecodeError, RecursionError) as error:  # also of a field that does not fit
             hint = "; it is a schedule: give it as --schedule" if '"levels"' in str(text)[:400] else ""
             raise InputError(f"configuration: {error}{hint}") from None
-        own, shadow = (Schedule.from_json(json.dumps(content)) for content in (file.schedule, file.shadow_schedule))
+        own, shadow = (_schedule(file, part) for part in ("schedule", "shadow_schedule"))
         return cls(
             file.name, own, shadow, file.mode, file.scale, file.light, file.shadows, file.guide, file.measured
         ).check()
@@ -265,3 +271,10 @@ class Configuration:
             ) from None
         except InputError as error:
             raise InputError(f"{text}: {error}") from None
+
+
+def _schedule(file: _File, part: str) -> Schedule:
+    try:
+        return Schedule.from_json(json.dumps(getattr(file, part)))
+    except InputError as error:
+        raise InputError(f"configuration, {part}: {error}") from None

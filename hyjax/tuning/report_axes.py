@@ -3,13 +3,14 @@
 import io
 import math
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 # Okabe and Ito's palette, apart for the colour-blind; shapes tell the kinds apart too.
 COLORS = {"tuned": "#0072b2", "paper": "#d55e00", "naive": "#009e73", "preset": "#cc79a7"}
@@ -56,6 +57,13 @@ def plain_ticks(axis: Any, ratio: float) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 2000 else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def fixed_ticks(axis: Any, values: Sequence[float]) -> None:
+    """Ticks at these values, as plain numbers."""
+    axis.set_major_locator(FixedLocator(list(values)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def svg(figure: Figure, name: str, title: str) -> Markup:

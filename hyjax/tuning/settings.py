@@ -108,7 +108,9 @@ class FrameOptions(Settings):
 
 @dataclasses.dataclass(frozen=True)
 class TuneSettings(Settings):
-    """Find what makes the best picture within a time budget: choices of a frame, or the diffusion's schedule."""
+    """Find the configuration of whole frames, or the schedule of the diffusion alone, for a time budget.
+
+    The one that makes the best picture on this machine or another device."""
 
     scene: TuneScene = dataclasses.field(default_factory=TuneScene)
     frame: FrameOptions = dataclasses.field(default_factory=FrameOptions)

@@ -66,7 +66,7 @@ class StudyEvaluator:
 
     def time(self, choices: Choices) -> float:
         """Median time of a frame over the default's, in turns."""
-        key = f"time {structure(choices, self.space)}"
+        key = self.study.timed(f"time {structure(choices, self.space)}")
         known = self.study.known(key)
         if known is None:
             (time,) = self.clock.times([self.space.configuration(choices)], ROUNDS)
@@ -96,4 +96,5 @@ class StudyEvaluator:
                 name: float(np.clip(numbers[name], *p.values)) for name, p in inside.items() if name in choices
             }
 
-        return self.space.complete(self.study.remember(f"refined {batch} {key_of(choices)}", compute))
+        key = f"refined {batch} {key_of(choices)}"
+        return self.space.complete(self.study.remember(key, compute, expired=self._expired))

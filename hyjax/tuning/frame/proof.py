@@ -15,7 +15,7 @@ from hyjax.tuning.frame.bench import FrameBench
 from hyjax.tuning.frame.clock import FrameClock, FrameTime
 from hyjax.tuning.frame.evaluation import Judge, mean_scores
 from hyjax.tuning.frame.result import Effect, FrameCandidate
-from hyjax.tuning.frame.search import FrameSearch
+from hyjax.tuning.frame.search import Trial
 from hyjax.tuning.frame.space import Space
 from hyjax.tuning.result import Budget
 from hyjax.util.errors import InputError
@@ -94,6 +94,14 @@ def front_of(candidates: Sequence[FrameCandidate]) -> list[FrameCandidate]:
     return front
 
 
+def best_within(budget: Budget, candidates: Sequence[FrameCandidate]) -> FrameCandidate:
+    """The best of those whose p95 is within a budget, or else the fastest."""
+    fitting = [c for c in candidates if c.time.p95 <= budget.milliseconds]
+    if not fitting:
+        return min(candidates, key=lambda c: c.time.p95)
+    return min(fitting, key=lambda c: c.tuning["relative"])
+
+
 def examples(bench: FrameBench, front: Sequence[FrameCandidate]) -> list[tuple[str, dict[str, Any]]]:
     """Pictures of some cases, held out where there are any, at three points of the front beside the target.
 
@@ -114,13 +122,11 @@ def examples(bench: FrameBench, front: Sequence[FrameCandidate]) -> list[tuple[s
     return rows
 
 
-def effects(search: FrameSearch) -> list[Effect]:
+def effects(trials: Sequence[Trial]) -> list[Effect]:
     """What each choice that was tried by itself costs and brings."""
-    base = next((t for t in search.trials.values() if t.phase == "ranges"), None) or next(
-        iter(search.trials.values())
-    )
+    base = next((t for t in trials if t.phase == "ranges"), trials[0])
     found = []
-    for trial in search.trials.values():
+    for trial in trials:
         if trial.phase != "screening":
             continue
         shared = base.choices.keys() & trial.choices.keys()

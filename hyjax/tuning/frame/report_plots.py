@@ -8,7 +8,7 @@ from matplotlib.ticker import FuncFormatter
 
 from hyjax.tuning.frame.report_text import best_for, candidates, on_front, value_text
 from hyjax.tuning.frame.result import Effect, FrameCandidate, FrameTuned
-from hyjax.tuning.report_axes import COLORS, FONT, GROUND, INK, QUIET, log_if_wide, log_x, style
+from hyjax.tuning.report_axes import COLORS, FONT, GROUND, INK, QUIET, fixed_ticks, log_x, style
 from hyjax.tuning.report_points import (
     Point,
     draw_budgets,
@@ -20,7 +20,9 @@ from hyjax.tuning.report_points import (
 )
 
 KINDS = {"tuned": "the front", "preset": "the default and presets", "paper": "the paper's form"}
-NAMED_EFFECTS = 16
+LOSS_TICKS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
+CHANGE_TICKS = (-75, -50, -20, -10, -5, 0, 5, 10, 20, 50, 100, 200, 500, 1000)
+NAMED_EFFECTS = 12
 WIDE = 40.0
 """Per cent beyond which an axis of changes is compressed."""
 
@@ -50,10 +52,11 @@ def draw_front_plot(tuned: FrameTuned) -> Figure:
         for point in points:
             mark(axes, point)
         values = [point.y for point in points]
-        if values:
-            low, high = min([*values, 1.0]), max([*values, 1.0])
-            axes.set_ylim(low / 1.08, high * 1.08)
-        log_if_wide(axes, values)
+        high = max([*values, 1.0])
+        low = min([*values, 1.0, *(y for _, y in dots if frames == "tuning")])
+        axes.set_yscale("log")
+        axes.set_ylim(low / 1.06, high * 1.06)
+        fixed_ticks(axes.yaxis, LOSS_TICKS)
     panels[0].plot([x for x, _ in dots], [y for _, y in dots], ".", color=QUIET, markersize=4, alpha=0.6, zorder=1)
     panels[-1].set_xlabel(
         "milliseconds of a whole frame: median (marker) to 95th percentile (line)", color=INK, fontsize=FONT
@@ -90,7 +93,7 @@ def draw_effects(effects: list[Effect]) -> Figure:
 
     Names are written beside those that change most.
     """
-    figure = Figure(figsize=(9, 5), layout="constrained")
+    figure = Figure(figsize=(9, 6), layout="constrained")
     axes = figure.subplots()
     style(axes)
     largest = sorted(effects, key=lambda e: abs(e.loss - 1) + abs(e.time - 1), reverse=True)[:NAMED_EFFECTS]
@@ -99,19 +102,19 @@ def draw_effects(effects: list[Effect]) -> Figure:
         x, y = 100 * (effect.time - 1), 100 * (effect.loss - 1)
         name = f"{effect.parameter} {value_text(effect.value)}"
         points.append(Point(name, "tuned", x, x, y, named=effect in largest))
-    for values, scale, limits, draw in (
-        ([p.x for p in points], axes.set_xscale, axes.set_xlim, axes.axvline),
-        ([p.y for p in points], axes.set_yscale, axes.set_ylim, axes.axhline),
+    for values, axis, scale, limits, draw in (
+        ([p.x for p in points], axes.xaxis, axes.set_xscale, axes.set_xlim, axes.axvline),
+        ([p.y for p in points], axes.yaxis, axes.set_yscale, axes.set_ylim, axes.axhline),
     ):
         low, high = min([*values, -2.0]), max([*values, 2.0])
         if max(high, -low) > WIDE:
             scale("symlog", linthresh=10.0)
+            fixed_ticks(axis, CHANGE_TICKS)
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:+g}" if value else "0"))
         limits(low - 0.15 * (high - low), high + 0.25 * (high - low))
         draw(0.0, color=QUIET, linewidth=0.8, zorder=0)
     for point in points:
         axes.plot(point.x, point.y, "o", color=COLORS["tuned"], markeredgecolor=GROUND, markersize=6.5, zorder=3)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:+g}" if value else "0"))
     axes.set_xlabel("change of a frame's time, %", color=INK, fontsize=FONT)
     axes.set_ylabel("change of the loss, %", color=INK, fontsize=FONT)
     figure.draw_without_rendering()

@@ -1,13 +1,13 @@
 """What a run on the whole frame found, in words and cells: shared by the table, the plots and the page."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from hyjax.configuration import DEFAULT, Configuration
 from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
-from hyjax.tuning.report_text import MISSING, budget_text, fidelity_text, kappa_text, milliseconds, steps_text
+from hyjax.tuning.report_text import MISSING, budget_text, milliseconds, steps_text
 from hyjax.tuning.result import Budget
 
 NO_STEPS = "none"
@@ -94,13 +94,13 @@ def described(configuration: Configuration) -> dict[str, str]:
         "pooling": own.pooling,
         "upsampling": own.upsampling,
         "norm": own.norm,
-        "κ": kappa_text(own),
-        "λ": " ".join(_mean(level.step_sizes) for level in own.levels),
-        "α": fidelity_text(own),
+        "κ": _levels(level.kappa for level in own.levels),
+        "λ": _levels(np.mean(level.step_sizes) for level in own.levels if level.steps),
+        "α": _levels(level.fidelity for level in own.levels),
         "shadow pass": steps_text(shadow) if shadows else NO_STEPS,
     }
     if shadows:
-        found["shadow κ"] = kappa_text(shadow)
+        found["shadow κ"] = _levels(level.kappa for level in shadow.levels)
     found["guide"] = configuration.guide.name
     if configuration.guide.size is not None:
         found["guide size"] = str(configuration.guide.size)
@@ -113,9 +113,10 @@ def described(configuration: Configuration) -> dict[str, str]:
     return found | {name.replace("_", " "): value_text(value) for name, value in parts.items()}
 
 
-def _mean(values: Any) -> str:
-    sizes = np.asarray(values)
-    return f"{float(sizes.mean()):.4g}" if sizes.size else "-"
+def _levels(values: Iterable[Any]) -> str:
+    """A number for each level, or one if they are alike; a dash for what a level does not have."""
+    told = ["-" if value is None else f"{float(np.asarray(value)):.4g}" for value in values]
+    return " ".join(told[:1] if len(set(told)) == 1 else told)
 
 
 def summary(tuned: FrameTuned) -> list[str]:

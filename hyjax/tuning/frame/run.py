@@ -15,7 +15,7 @@ from hyjax.tuning.frame.clock import FrameClock, FrameTime
 from hyjax.tuning.frame.evaluation import Judge
 from hyjax.tuning.frame.evaluator import StudyEvaluator
 from hyjax.tuning.frame.loss import PictureLoss
-from hyjax.tuning.frame.proof import BASE_ROUNDS, check_reachable, effects, examples, front_of, prove
+from hyjax.tuning.frame.proof import BASE_ROUNDS, best_within, check_reachable, effects, examples, front_of, prove
 from hyjax.tuning.frame.refinement import refine_numbers
 from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
 from hyjax.tuning.frame.search import FrameSearch, Trial
@@ -79,7 +79,9 @@ class FrameRun:
         truth = all(bench.scenes[place].has_truth for place, *_ in bench.cases)
         self.space = Space.of(truth=truth)
         self.machine = environment()
-        self._study = functools.partial(Study, settings.out, settings=self._decisive())
+        told = {name: self.machine["versions"][name] for name in ("jax", "jaxlib")}
+        machine = ", ".join([self.machine["device"], f"{cores()} cores", *(f"{n} {v}" for n, v in told.items())])
+        self._study = functools.partial(Study, settings.out, settings=self._decisive(), machine=machine)
 
     def run(self) -> FrameTuned:
         """Search, refine, prove, write."""
@@ -87,13 +89,15 @@ class FrameRun:
 
         (base,) = self.clock.times([Configuration()], BASE_ROUNDS)
         check_reachable(self.budgets, base, self.space, self.clock)
-        search = self._search(self.space, "frame", self._limits(base))
+        study = self._study("frame", resume=self.settings.resume)
+        base = FrameTime(**study.remember(study.timed("default"), lambda: dataclasses.asdict(base)))
+        search = self._search(self.space, study, self._limits(base))
         candidates = self._finalists(search, base)
         references = [Configuration(), *map(Configuration.preset, PRESETS)]
         if self.settings.frame.paper_form:
             references.append(Configuration.paper())
             paper = Space.of(truth=True, paper=True)
-            found = self._search(paper, "paper", [math.inf], resume=True)
+            found = self._search(paper, self._study("paper", resume=True), [math.inf])
             best = found.best(math.inf, cases=len(self.bench.cases))
             if best is not None:
                 references.append(self._polished(paper.configuration(best.choices, "paper-tuned")))
@@ -106,13 +110,12 @@ class FrameRun:
             write_results(self.settings.out, result)
         return result
 
-    def _search(self, space: Space, name: str, limits: Sequence[float], *, resume: bool = False) -> FrameSearch:
+    def _search(self, space: Space, study: Study, limits: Sequence[float]) -> FrameSearch:
         count, first = len(self.bench.cases), max(FEWEST, len(self.bench.scenes))
         batches = sorted({min(first, count), min(2 * first, count), count})
-        study = self._study(name, resume=self.settings.resume or resume)
         # The paper's form has fewer choices.
         count_of_trials = self.settings.frame.trials // (2 if space.paper else 1)
-        with self.monitor.watching(f"{name}, {count_of_trials} trials"):
+        with self.monitor.watching(f"{study.name}, {count_of_trials} trials"):
             evaluator = StudyEvaluator(
                 space, self.judge, self.bench.cases, self.clock, study, expired=self.monitor.expired
             )
@@ -170,7 +173,7 @@ class FrameRun:
             return (better if after < before else configuration).to_json()
 
         study = self._study("polish", resume=True)
-        return Configuration.from_json(study.remember(study_key, compute))
+        return Configuration.from_json(study.remember(study_key, compute, expired=self.monitor.expired))
 
     def _result(
         self, search: FrameSearch, tuned: list[FrameCandidate], known: list[FrameCandidate], base: FrameTime
@@ -178,12 +181,7 @@ class FrameRun:
         usable = [c for c in (*tuned, *known) if c.form == "hyjax"]
         best = []
         for budget in self.budgets:
-            fitting = [c for c in usable if c.time.p95 <= budget.milliseconds]
-            chosen = (
-                min(fitting, key=lambda c: c.tuning["relative"])
-                if fitting
-                else min(usable, key=lambda c: c.time.p95)
-            )
+            chosen = best_within(budget, usable)
             best.append(dataclasses.replace(chosen, configuration=self._measured(chosen, budget)))
         front = front_of(usable)
         errors = [abs(guess / true - 1) for guess, true in search.predictions]
@@ -208,7 +206,7 @@ class FrameRun:
             front,
             known,
             list(search.trials.values()),
-            effects(search),
+            effects(list(search.trials.values())),
             examples(self.bench, front),
             record,
         )
@@ -228,14 +226,12 @@ class FrameRun:
         return dataclasses.replace(candidate.configuration, name=name, measured=told)
 
     def _decisive(self) -> dict[str, Any]:
-        """All that decides the search's results, for the study."""
+        """All that decides the losses, for the study; the machine decides on the times."""
         scenes = self.bench.scenes
         return {
             "scenes": [[scene.name, scene.scene.capture.fingerprint] for scene in scenes],
             "cases": [list(case) for case in self.bench.cases],
             "lpips": self.settings.frame.lpips,
             "seed": self.settings.scene.seed,
-            "device": self.machine["device"],
-            "cores": cores(),
-            "versions": {name: self.machine["versions"][name] for name in ("hyjax", "jax", "jaxlib")},
+            "hyjax": self.machine["versions"]["hyjax"],
         }

@@ -154,12 +154,7 @@ class FrameSearch:
 
     def front(self) -> list[Trial]:
         """Trials on all cases that no other beats in both time and loss, by time."""
-        found: list[Trial] = []
-        done = [t for t in self.trials.values() if len(t.losses) >= self.batches[-1]]
-        for trial in sorted(done, key=lambda t: (t.time or 0.0, t.loss)):
-            if not found or trial.loss < found[-1].loss:
-                found.append(trial)
-        return found
+        return front_of_trials(list(self.trials.values()), cases=self.batches[-1])
 
     def _screened(self, base: Choices, most: int) -> list[Choices]:
         """Changes of one choice, one value of each parameter after the other's."""
@@ -241,10 +236,22 @@ class FrameSearch:
                     for t in self.trials.values()
                     if t.time is not None and t.time <= budget and len(t.losses) >= size
                 ]
-                kept = max(3, len(known) // RETAINED ** (self.batches.index(following) + 1))
+                kept = max(3, len(known) // RETAINED)
                 chosen |= {key_of(t.choices) for t in sorted(known, key=lambda t: t.loss)[:kept]}
             for key in sorted(chosen):
                 trial = self.trials[key]
                 if len(trial.losses) < following and not self._expired():
                     trial.losses += self.evaluator.losses(trial.choices, len(trial.losses), following)
                     self._report(trial)
+
+
+def front_of_trials(trials: Sequence[Trial], *, cases: int = 1) -> list[Trial]:
+    """Timed trials on at least so many cases that no other of them beats in both time and loss, by time."""
+    found: list[Trial] = []
+    done = [(trial.time, trial.loss, trial) for trial in trials if trial.time is not None]
+    for _, loss, trial in sorted(
+        (each for each in done if len(each[2].losses) >= cases), key=lambda each: each[:2]
+    ):
+        if not found or loss < found[-1].loss:
+            found.append(trial)
+    return found

@@ -37,6 +37,13 @@ class Parameter:
     ordered: bool = False
     active: Callable[[Mapping[str, Any]], bool] = lambda choices: True
 
+    def holds(self, value: Any) -> bool:
+        """Whether it may have a value."""
+        if not self.continuous:
+            return value in self.values
+        low, high = self.values
+        return isinstance(value, int | float) and low <= value <= high
+
     def place(self, value: Any) -> float:
         """Value as a number in [0, 1], in the order of the values."""
         if self.continuous:
@@ -194,9 +201,7 @@ class Space:
         kept: Choices = {}
         for parameter in self.parameters:
             value = whole[parameter.name]
-            low, *_, high = parameter.values
-            inside = low <= value <= high if parameter.continuous else value in parameter.values
-            if not inside:
+            if not parameter.holds(value):
                 raise InputError(f"choices: {parameter.name} {value!r} is not among {parameter.values}")
             if parameter.active(whole):
                 kept[parameter.name] = value

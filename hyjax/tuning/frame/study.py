@@ -3,13 +3,18 @@
 The journal is one file that several processes may append to; `optuna-dashboard study.log` shows it. A trial's
 values are its loss and time relative to the default's. What did not fit the budget is in it as well: which trial
 fits is told by the measured time alone.
+
+Losses hold on any machine. Times are kept by machine: a search that goes on elsewhere measures them anew.
 """
 
+import importlib
 import importlib.util
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hyjax.tuning.frame.search import Trial
 from hyjax.tuning.frame.space import Choices, Parameter, Space, key_of
 from hyjax.util.errors import InputError
 from hyjax.util.run_log import as_json, check_same_settings
@@ -28,7 +33,8 @@ class Study:
     Args:
         folder: where `study.log` is kept; None keeps it in memory.
         name: of the space that is searched.
-        settings: all that decides the results, as JSON's types.
+        settings: all that decides the losses, as JSON's types.
+        machine: what times are of: device, cores and the like.
         resume: go on with the study that is there.
 
     Raises:
@@ -36,8 +42,11 @@ class Study:
             made with other settings or by another version.
     """
 
-    def __init__(self, folder: Path | None, name: str, settings: dict[str, Any], *, resume: bool = False) -> None:
+    def __init__(
+        self, folder: Path | None, name: str, settings: dict[str, Any], *, machine: str = "", resume: bool = False
+    ) -> None:
         check_installed()
+        self.name, self.machine = name, machine
         import optuna
         from optuna.storages import InMemoryStorage, JournalStorage
         from optuna.storages.journal import JournalFileBackend
@@ -49,6 +58,8 @@ class Study:
                 f"{folder}: holds the trials of another run; add --resume to go on with it, or choose another --out"
             )
         try:
+            if path is not None and path.exists():
+                _cut_to_lines(path)
             storage = InMemoryStorage() if path is None else JournalStorage(JournalFileBackend(str(path)))
             self._study = optuna.create_study(
                 storage=storage, study_name=name, directions=["minimize", "minimize"], load_if_exists=True
@@ -74,16 +85,27 @@ class Study:
         self._results |= {key: value for key, value in told.items() if key.startswith("result ")}
         self.resumed = len(self._results)
 
+    def timed(self, key: str) -> str:
+        """Key of a time, which is of this machine alone."""
+        return f"{key} on {self.machine}"
+
     def known(self, key: str) -> Any:
         """Result that was kept under a key; None if there is none."""
         return self._results.get(key)
 
-    def remember(self, key: str, compute: Callable[[], Any]) -> Any:
-        """Result of `compute`, which is called at most once for each key; of no trial in particular."""
+    def remember(self, key: str, compute: Callable[[], Any], *, expired: Callable[[], bool] = lambda: False) -> Any:
+        """Result of `compute`, which is called at most once for each key; of no trial in particular.
+
+        Args:
+            key: of the result.
+            compute: gives it.
+            expired: whether the time was up before it was done: such a result is not kept on disk.
+        """
         name = f"result {key}"
         if name not in self._results:
             self._results[name] = as_json(compute())
-            self._study.set_user_attr(name, self._results[name])
+            if not expired():
+                self._study.set_user_attr(name, self._results[name])
         return self._results[name]
 
     def add(
@@ -111,6 +133,47 @@ class Study:
         self._results |= as_json(results)
 
 
+def _cut_to_lines(path: Path) -> None:
+    """Take away a last line that a crash has cut off: what is appended would become part of it."""
+    with path.open("rb+") as file:
+        content = file.read()
+        if not content.endswith(b"\n"):
+            file.truncate(content.rfind(b"\n") + 1)
+
+
+def kept_trials(path: Path, name: str = "frame") -> list[Trial]:
+    """Trials of a journal, of whatever machine and settings they are: to look at.
+
+    Args:
+        path: `study.log`.
+        name: of the space that was searched.
+
+    Raises:
+        InputError: Optuna is not installed, or the file is no journal with trials of this name.
+    """
+    check_installed()
+    import optuna
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        study = optuna.load_study(study_name=name, storage=JournalStorage(JournalFileBackend(str(path))))
+        kept = study.get_trials(deepcopy=False)
+    except Exception as error:  # whatever a damaged journal makes of Optuna
+        raise InputError(f"{path}: has no trials of {name!r} ({type(error).__name__})") from None
+    found: dict[str, Trial] = {}
+    for each in kept:
+        key, values = each.user_attrs["key"], each.values
+        trial = found.setdefault(key, Trial(dict(each.params), each.user_attrs["phase"], [], values[1]))
+        trial.losses += [
+            loss for of, losses in each.user_attrs["results"].items() if of.startswith("losses ") for loss in losses
+        ]
+    return list(found.values())
+
+
 def _distribution(parameter: Parameter) -> "optuna.distributions.BaseDistribution":
     import optuna
 
@@ -124,3 +187,6 @@ def check_installed() -> None:
     """Raise `InputError` unless Optuna is there."""
     if importlib.util.find_spec("optuna") is None:
         raise InputError("tune: needs the package optuna; install it with: pip install '.[tune]'")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of tqdm, in notebooks without widgets
+        importlib.import_module("optuna")

@@ -1,0 +1,61 @@
+"""Replay of a kept study: what a search on another machine or on other scenes found, timed and judged anew."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from hyjax.configuration import Configuration
+from hyjax.data.frames import spread
+from hyjax.tuning.frame.bench import open_frame_bench
+from hyjax.tuning.frame.clock import FrameClock
+from hyjax.tuning.frame.evaluation import Judge
+from hyjax.tuning.frame.loss import PictureLoss
+from hyjax.tuning.frame.proof import best_within, effects, examples, front_of, prove
+from hyjax.tuning.frame.result import FrameTuned
+from hyjax.tuning.frame.search import Trial, front_of_trials
+from hyjax.tuning.frame.space import Space
+from hyjax.tuning.frame.study import kept_trials
+from hyjax.tuning.settings import TuneSettings
+
+POINTS = 3
+
+
+def replay(journal: Path, settings: TuneSettings) -> FrameTuned:
+    """Result of a kept study without searching again.
+
+    A few points of the front, the default and the paper's form are timed here and judged on the frames of the
+    settings. Trials and effects are those of the study, relative to the default on its own machine and frames.
+
+    Args:
+        journal: `study.log` of a run of `hyjax tune`.
+        settings: budgets, and the frames to judge on.
+
+    Raises:
+        InputError: the journal has no trials, or the settings cannot be used.
+    """
+    trials = kept_trials(journal)
+    bench = open_frame_bench(settings.check())
+    judge = Judge(bench.scenes, PictureLoss.of(settings.frame.lpips))
+    clock = FrameClock(bench.scenes[0], bench.lights)
+    found = [Configuration(), Configuration.paper(), *front_configurations(trials)]
+    told = prove(found, bench, judge, clock, progress=not settings.quiet)
+    references, tuned, budgets = told[:2], told[2:], settings.budgets()
+    best = [best_within(budget, tuned) for budget in budgets]
+    front = front_of(tuned)
+    return FrameTuned(
+        best[0].configuration,
+        best,
+        budgets,
+        front,
+        references,
+        trials,
+        effects(trials),
+        examples(bench, front),
+        {"settings": settings.record(), "cases": len(bench.cases), "held-out cases": len(bench.held_out)},
+    )
+
+
+def front_configurations(trials: Sequence[Trial], count: int = POINTS) -> list[Configuration]:
+    """Configurations of a few points of the front of those trials that were judged on the most cases."""
+    most = max((len(trial.losses) for trial in trials), default=0)
+    front, space = front_of_trials(trials, cases=most), Space.of(truth=True)
+    return [space.configuration(t.choices, f"tuned-{t.time:.2f}") for t in spread(front, count)]

@@ -1,0 +1,208 @@
+"""The search, on a loss and a time that are known for all choices."""
+
+import functools
+import itertools
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hyjax.tuning.frame.search import FrameSearch, Trial
+from hyjax.tuning.frame.space import Choices, Parameter, Space, key_of
+from hyjax.tuning.frame.surrogate import Surrogate
+
+SPACE = Space(
+    (
+        Parameter("scale", (1, 2, 3, 4), 1, ordered=True),
+        Parameter("cascade", tuple("abcdefgh"), "a"),
+        Parameter("shadows", ("soft", "hard", "none"), "soft"),
+        Parameter("guide", ("rgb", "none", "small"), "rgb"),
+        Parameter("bounces", (True, False), True),
+        Parameter("size", (1, 2), 1, active=lambda choices: choices["guide"] == "small"),
+        Parameter("kappa", (0.01, 1.0), 0.1, continuous=True),
+    )
+)
+LOSS: dict[str, dict[Any, float]] = {
+    "scale": {1: 0.0, 2: 0.04, 3: 0.11, 4: 0.2},
+    "cascade": dict(zip("abcdefgh", (0.0, -0.06, 0.1, -0.02, 0.05, -0.05, 0.2, -0.12), strict=True)),
+    "shadows": {"soft": 0.0, "hard": 0.02, "none": 0.12},
+    "guide": {"rgb": 0.0, "none": 0.15, "small": -0.08},
+    "bounces": {True: 0.0, False: 0.05},
+    "size": {1: 0.0, 2: -0.02},
+}
+TIME: dict[str, dict[Any, float]] = {
+    "scale": {1: 0.0, 2: -0.7, 3: -0.9, 4: -1.0},
+    "cascade": dict(zip("abcdefgh", (0.0, 0.1, -0.2, 0.05, -0.1, 0.3, -0.3, 0.9), strict=True)),
+    "shadows": {"soft": 0.0, "hard": -0.2, "none": -0.35},
+    "guide": {"rgb": 0.0, "none": -0.05, "small": 0.6},
+    "bounces": {True: 0.0, False: -0.15},
+    "size": {1: 0.0, 2: 0.1},
+}
+
+
+def true_loss(choices: Choices) -> float:
+    """Additive, but that `h` is worth nothing at a small scale; κ is best at 0.2."""
+    total = sum(LOSS[name][value] for name, value in choices.items() if name in LOSS)
+    total += 0.12 * (choices["cascade"] == "h" and choices["scale"] > 1)
+    return math.exp(total + 0.03 * math.log(choices["kappa"] / 0.2) ** 2 - 0.03 * math.log(0.1 / 0.2) ** 2)
+
+
+def true_time(choices: Choices) -> float:
+    return math.exp(sum(TIME[name][value] for name, value in choices.items() if name in TIME))
+
+
+class Known:
+    """Evaluator that knows, with cases that differ a little; it counts what it is asked."""
+
+    def __init__(self, noise: float = 0.02) -> None:
+        self.noise, self.asked = noise, Counter[str]()
+
+    def losses(self, choices: Choices, first: int, last: int) -> list[float]:
+        self.asked[key_of(choices)] += last - first
+        seeds = (sum(map(ord, f"{key_of(choices)} {case}")) for case in range(first, last))
+        return [
+            true_loss(choices) * math.exp(self.noise * np.random.default_rng(seed).standard_normal())
+            if choices != SPACE.default
+            else 1.0
+            for seed in seeds
+        ]
+
+    def time(self, choices: Choices) -> float:
+        return true_time(choices)
+
+    def refine(self, choices: Choices, batch: int) -> Choices:
+        return choices | {"kappa": 0.2}
+
+
+def best_of_all(budget: float) -> float:
+    """Least loss of all choices within a budget, at the best κ."""
+    discrete = [p for p in SPACE.parameters if not p.continuous]
+    all_of_them = itertools.product(*(p.values for p in discrete))
+    whole = [
+        SPACE.complete(dict(zip((p.name for p in discrete), values, strict=True)) | {"kappa": 0.2})
+        for values in all_of_them
+    ]
+    return min(true_loss(choices) for choices in whole if true_time(choices) <= budget)
+
+
+def search_anew(budgets: tuple[float, ...], count: int = 40, seed: int = 0, **options: Any) -> FrameSearch:
+    search = FrameSearch(SPACE, Known(), [4, 8, 16], seed=seed, **options)
+    search.run(budgets, count)
+    return search
+
+
+searched = functools.cache(search_anew)
+
+
+@pytest.mark.parametrize("budget", [0.3, 0.5, math.inf])
+def test_the_best_is_found(budget: float) -> None:
+    """40 of 1 152 combinations, for one budget: within 3 % of the best loss, and never over the budget."""
+    search = searched((budget,), 40, 0)
+    best = search.best(budget, cases=16)
+    assert best is not None and best.time is not None and best.time <= budget
+    assert len(search.trials) <= 40
+    assert true_loss(best.choices) <= 1.03 * best_of_all(budget)
+    assert true_loss(best.choices) < 1 or budget < 0.6
+
+
+def test_several_budgets_share_the_trials() -> None:
+    budgets = (0.4, 0.8, 1.5)
+    search = searched(budgets, 60)
+    for budget in budgets:
+        best = search.best(budget, cases=16)
+        assert best is not None and best.time == true_time(best.choices) <= budget
+        assert true_loss(best.choices) <= 1.05 * best_of_all(budget)
+    front = search.front()
+    assert [t.time for t in front] == sorted(t.time or 0 for t in front)
+    assert [t.loss for t in front] == sorted((t.loss for t in front), reverse=True)
+
+
+def test_out_of_reach() -> None:
+    search = searched((0.01,))
+    assert search.best(0.01) is None
+    fastest = min(t.time or math.inf for t in search.trials.values())
+    slow = [true_time(SPACE.complete({"scale": 4, "cascade": "g", "shadows": "none", "guide": "none"}))]
+    assert fastest <= 1.05 * slow[0], "it looked for the fastest"
+
+
+def test_the_same_seed_makes_the_same_trials() -> None:
+    one, again, other = (
+        search((0.5,), 40, seed) for search, seed in ((searched, 0), (search_anew, 0), (searched, 1))
+    )
+    assert list(one.trials) == list(again.trials) != list(other.trials)
+
+
+def test_the_best_get_more_cases() -> None:
+    search = searched((0.5,), 40, 0)
+    known: Known = search.evaluator  # type: ignore[assignment]
+    counts = Counter(len(t.losses) for t in search.trials.values())
+    assert counts[4] > counts[8] + counts[16] and counts[16] >= 3
+    assert max(known.asked.values()) == 16, "no case is judged twice"
+    fitting = [t for t in search.trials.values() if t.time is not None and t.time <= 0.5]
+    leading = sorted(fitting, key=lambda t: float(np.mean(np.log(t.losses[:4]))))[:3]
+    assert all(len(t.losses) >= 8 for t in leading), "the best of the first batch"
+    first = next(iter(search.trials.values()))
+    assert first.choices == SPACE.default and len(first.losses) == 16
+
+
+def test_phases_come_in_their_order() -> None:
+    told: list[Trial] = []
+    search = search_anew((0.5,), 22, report=told.append)
+    phases = list(dict.fromkeys(trial.phase for trial in told))
+    assert phases == ["default", "ranges", "screening", "combining"]
+    count = Counter(t.phase for t in search.trials.values())
+    assert count["screening"] == 11 and count["combining"] >= 3
+    screened = [t.choices for t in told if t.phase == "screening"][:5]
+    base = next(t.choices for t in told if t.phase == "ranges")
+    names = [next(n for n in base | c if base.get(n) != c.get(n)) for c in screened]
+    assert sorted(names) == sorted(["scale", "cascade", "shadows", "guide", "bounces"]), "each is looked at first"
+
+
+def test_starts_are_tried() -> None:
+    start = SPACE.complete({"scale": 3, "cascade": "d"})
+    search = FrameSearch(SPACE, Known(), [4])
+    search.run([0.5], 10, [start])
+    assert search.trials[key_of(start)].phase == "start"
+
+
+def test_times_are_predicted() -> None:
+    predicted, measured = np.array(searched((0.4, 0.8, 1.5), 60).predictions).T
+    assert len(predicted) >= 8 and np.median(np.abs(predicted / measured - 1)) < 0.05
+
+
+def test_expired_stops() -> None:
+    calls = itertools.count()
+    search = search_anew((0.5,), expired=lambda: next(calls) >= 5)
+    assert 3 <= len(search.trials) <= 8
+    assert len(search_anew((0.5,), expired=lambda: True).trials) == 1, "the default alone"
+
+
+# ---- surrogate ----
+
+
+def surrogate(interaction: float = 0.0) -> Surrogate:
+    trials = [SPACE.default, *SPACE.changes(SPACE.default)]
+    values = [0.0, *(math.log(true_time(choices)) + interaction for choices in trials[1:])]
+    return Surrogate.fit(SPACE, trials, np.array(values), np.full(len(trials), 1e-3))
+
+
+def test_effects_add_up() -> None:
+    """From one trial of each choice, combinations of two and three are foretold."""
+    model, rng = surrogate(), np.random.default_rng(0)
+    for _ in range(30):
+        choices = SPACE.random(rng) | {"kappa": 0.1}
+        choices = SPACE.complete(choices | {"guide": "rgb"})
+        mean, spread = model.predict([choices])
+        assert mean[0] == pytest.approx(math.log(true_time(choices)), abs=max(0.12, 2 * spread[0]))
+    pair = SPACE.complete({"scale": 2, "shadows": "hard"})
+    assert model.predict([pair])[0][0] == pytest.approx(-0.9, abs=0.1)
+    assert model.effect(SPACE.default, SPACE.complete({"cascade": "h"})) == pytest.approx(0.9, abs=0.02)
+
+
+def test_trials_are_reproduced_and_the_unknown_is_uncertain() -> None:
+    model = surrogate()
+    known, far = SPACE.complete({"scale": 4}), SPACE.complete({"scale": 4, "cascade": "g", "guide": "small"})
+    mean, spread = model.predict([known, far])
+    assert mean[0] == pytest.approx(-1.0, abs=0.01) and spread[0] < 0.02 < spread[1]

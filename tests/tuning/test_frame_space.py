@@ -1,0 +1,127 @@
+"""The space of configurations: every choice in it makes a configuration that can be run and read back."""
+
+import json
+from typing import Any
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given
+
+from hyjax.configuration import Configuration
+from hyjax.tuning.frame.space import Parameter, Space, key_of, random_configurations, structure
+from hyjax.util.errors import InputError
+
+SPACES = [Space.of(truth=True), Space.of(truth=False), Space.of(truth=True, paper=True)]
+
+
+@st.composite
+def chosen(draw: st.DrawFn) -> tuple[Space, dict[str, Any]]:
+    """A space with some choices of it, inactive ones among them."""
+    space = draw(st.sampled_from(SPACES))
+    some = draw(st.lists(st.sampled_from(space.parameters), unique_by=lambda p: p.name))
+    return space, {p.name: draw(_value(p)) for p in some}
+
+
+def _value(parameter: Parameter) -> st.SearchStrategy[Any]:
+    if parameter.continuous:
+        return st.floats(*parameter.values)
+    return st.sampled_from(parameter.values)
+
+
+@given(chosen())
+def test_choices_make_configurations(given: tuple[Space, dict[str, Any]]) -> None:
+    space, some = given
+    choices = space.complete(some)
+    assert space.complete(choices) == choices
+    assert {name: value for name, value in some.items() if name in choices}.items() <= choices.items()
+    configuration = space.configuration(choices)
+    again = Configuration.from_json(configuration.to_json())
+    assert again.to_json() == configuration.to_json()
+    assert space.complete(json.loads(json.dumps(choices))) == choices, "a journal keeps them as JSON"
+
+
+@given(chosen())
+def test_what_is_inactive_is_dropped(given: tuple[Space, dict[str, Any]]) -> None:
+    """And only that; it decides on nothing."""
+    space, some = given
+    choices = space.complete(some)
+    whole = {p.name: p.default for p in space.parameters} | some
+    for parameter in space.parameters:
+        assert (parameter.name in choices) == bool(parameter.active(whole))
+    configuration = space.configuration(choices)
+    assert space.configuration({name: whole[name] for name in choices}).to_json() == configuration.to_json()
+
+
+@given(chosen(), st.integers(0, 2**31), st.floats(0, 1))
+def test_mutations_and_changes_are_valid(given: tuple[Space, dict[str, Any]], seed: int, rate: float) -> None:
+    space, some = given
+    choices = space.complete(some)
+    mutated = space.mutated(choices, np.random.default_rng(seed), rate)
+    assert space.complete(mutated) == mutated
+    assert space.mutated(choices, np.random.default_rng(seed), 0.0) == choices
+    discrete = [p for p in space.parameters if not p.continuous and p.name in choices]
+    changes = space.changes(choices)
+    assert len(changes) == sum(len(p.values) - 1 for p in discrete)
+    for change in changes:
+        assert space.complete(change) == change and change != choices
+        assert sum(p.name in change and change[p.name] != choices[p.name] for p in discrete) == 1
+
+
+@given(st.sampled_from([p for space in SPACES for p in space.parameters if p.continuous]), st.floats(-1, 2))
+def test_places_of_ranges(parameter: Parameter, place: float) -> None:
+    low, high = parameter.values
+    value = parameter.at(place)
+    assert low <= value <= high
+    assert parameter.place(value) == pytest.approx(np.clip(place, 0, 1), abs=1e-9)
+
+
+def test_the_default_is_the_default() -> None:
+    space = SPACES[0]
+    made = json.loads(space.configuration(space.default, "default").to_json())
+    usual = json.loads(Configuration().to_json())
+    for name in ("light", "shadows", "guide", "mode", "scale"):
+        assert made[name] == usual[name]
+    for name in ("schedule", "shadow_schedule"):
+        assert made[name]["levels"] == usual[name]["levels"]
+    for parameter in ("pooling", "upsampling", "norm"):
+        assert made["schedule"][parameter] == usual["schedule"][parameter]
+
+
+def test_what_is_inactive_by_default() -> None:
+    space = SPACES[0]
+    assert "guide size" not in space.default and "kappa" in space.default
+    plain = space.complete({"guide": "none", "photo light": "kept", "data term": False, "fidelity": 0.5})
+    gone = {"kappa", "norm", "pooling", "upsampling", "bounces", "bounce gain", "photo exponent", "fidelity"}
+    assert not gone & plain.keys()
+    assert space.complete({"guide": "small", "guide size": 128})["guide size"] == 128
+
+
+@pytest.mark.parametrize(
+    ("choices", "named"),
+    [
+        ({"kapa": 0.1}, "no parameter 'kapa'"),
+        ({"scale": 7}, "scale 7"),
+        ({"kappa": 5.0}, "kappa 5.0"),
+        ({"kappa": float("nan")}, "kappa nan"),
+        ({"guide": "large"}, "guide 'large'"),
+        ({"kappa": "much"}, "kappa 'much'"),
+    ],
+)
+def test_errors_name_the_parameter(choices: dict[str, Any], named: str) -> None:
+    with pytest.raises(InputError, match=named) as caught:
+        SPACES[0].complete(choices)
+    assert "\n" not in str(caught.value)
+
+
+def test_keys_tell_choices_apart() -> None:
+    space = SPACES[0]
+    one, other = space.complete({"kappa": 0.1}), space.complete({"kappa": 0.2})
+    assert key_of(one) != key_of(other) and structure(one, space) == structure(other, space)
+    assert key_of(dict(reversed(one.items()))) == key_of(one)
+    assert structure(space.complete({"scale": 2}), space) != structure(one, space)
+
+
+def test_random_configurations_are_the_same_for_a_seed() -> None:
+    made = [[c.to_json() for c in random_configurations(4, seed)] for seed in (3, 3, 4)]
+    assert made[0] == made[1] != made[2] and len(set(made[0])) == 4
