@@ -1,7 +1,7 @@
 """Quality reached against trials: our search of whole frames, Optuna's TPE and NSGA-II, and chance.
 
     pip install -e ".[tune]"
-    python -m experiments.frame_race [--trials 30] [--others 200] [--seeds 5] [--out results/frame_race] [--resume]
+    python -m experiments.frame_race [--trials 30] [--others 300] [--seeds 5] [--out results/frame_race] [--resume]
 
 All search the same space (`hyjax.tuning.frame.space`) on the same frames for the least loss at the default's
 frame time. All begin with the default. A trial is one evaluation of all frames; of ours, so is each iteration of a
@@ -9,7 +9,7 @@ refinement by gradients. Optuna's samplers have their default settings and the b
 measured time. What was evaluated before, by whatever method, is not evaluated again: trials are counted, not
 seconds. Takes two seconds a trial on two cores, an hour and a half by default, and renders two rooms first.
 
-Expect: ours after 30 trials where TPE is after 200, and NSGA-II later; chance far behind.
+Expect: ours after 30 trials where TPE is after 300, and NSGA-II later; chance far behind.
 """
 
 import dataclasses
@@ -54,7 +54,7 @@ class Config(RunConfig):
     """Cases: frames of the two rooms, each under another set-up."""
     trials: int = 30
     """Of ours."""
-    others: int = 200
+    others: int = 300
     """Of the others."""
     seeds: int = 5
     resume: bool = False

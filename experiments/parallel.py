@@ -77,14 +77,21 @@ def rows_of_parts(
     if not resume:
         shutil.rmtree(folder, ignore_errors=True)
     tasks = [Task(payload) for payload in payloads]
-    store = RowStore(folder).refresh()
     with Engine.open(workers, None, folder) as engine, tqdm(total=len(tasks), unit="part") as bar:
-        for task in tasks:
-            if task.key in store:
-                bar.update()
-                yield (store.get(task.key) or {})["rows"]
+        store = RowStore(folder).refresh()
+        done = {task.key for task in tasks if task.key in store}
+        for key in done:
+            bar.update()
+            yield (store.get(key) or {})["rows"]
         for row in engine.run(function, tasks):
             bar.update()
             if row["kind"] == ERROR:
                 raise InputError(row["error"])
-            yield row["rows"]
+            if row["key"] not in done:
+                done.add(row["key"])
+                yield row["rows"]
+        store.refresh()
+        for task in tasks:  # what workers of an earlier run still finished meanwhile
+            if task.key not in done:
+                bar.update()
+                yield (store.get(task.key) or {})["rows"]

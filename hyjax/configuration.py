@@ -212,6 +212,7 @@ class Configuration:
             own, usual = (json.loads(getattr(each, name).to_json()) | {"name": ""} for each in (self, default))
             unused += [name] * (name not in used and own != usual)
         unused += ["guide"] * ("guide" not in used and self.guide.name != default.guide.name)
+        unused += ["guide every"] * ("every" not in used and self.guide.every != 1)
         unused += ["scale"] * ("scale" not in used and self.scale != 1)
         if unused:
             _log.warning("%s: does not follow %s of configuration %s", where, ", ".join(unused), self.name)

@@ -1,6 +1,7 @@
 """Guides by name: the frame itself, or a trained network. Flax is loaded only for those who train one."""
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import Protocol
 
@@ -128,10 +129,16 @@ def configured_guide(options: GuideOptions) -> FrameGuide:
     Raises:
         InputError: there is no such guide, or its file cannot be used.
     """
-    guide = open_guide(options.name)
+    guide = _opened(options.name)
     if options.size is None or options.name in (RGB.name, NO_GUIDE):
         return guide
     return SizedGuide(guide, options.size)
+
+
+@functools.lru_cache(maxsize=4)
+def _opened(name: str) -> FrameGuide:
+    """Guide whose weights are read once."""
+    return open_guide(name)
 
 
 def open_guide(name: str = "rgb") -> FrameGuide:

@@ -20,6 +20,7 @@ from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.scene import Scene
+from hyjax.scene.settings import Occluders
 from hyjax.util.clock import StageClock
 from hyjax.util.environment import cores
 
@@ -97,12 +98,17 @@ def shadow_maps(
     """Shadow maps as a configuration wants them: None for a light that gives too little to cast a shadow."""
     options = configuration.shadows
     maps = scene.shadow_maps(
-        setup, occluders=settings.shadow_occluders, scale=options.map_scale, most_views=options.views
+        setup, occluders=occluders_of(configuration, settings), scale=options.map_scale, most_views=options.views
     )
     if not options.least_share:
         return maps
     given = shares(scene, setup.lights)
     return tuple(own if share >= options.least_share else None for own, share in zip(maps, given, strict=True))
+
+
+def occluders_of(configuration: Configuration, settings: RelightSettings) -> Occluders:
+    """What throws shadows; the paper's form knows the bare surface alone."""
+    return "surface" if configuration.mode == "paper" else settings.occluders
 
 
 def shares(scene: Scene, lights: Sequence[Light]) -> np.ndarray:
@@ -125,7 +131,7 @@ def surface_light(
 ) -> SurfaceLight:
     """Photo's light and bounces on the scan, as a configuration wants them."""
     options = configuration.light
-    light = scene.surface_light(setup, shadows=settings.shadows, occluders=settings.shadow_occluders)
+    light = scene.surface_light(setup, shadows=settings.shadows, occluders=occluders_of(configuration, settings))
     if options.photo_exponent != 1.0:
         light = dataclasses.replace(light, photo_light=light.photo_light**options.photo_exponent)
     bounced = options.bounce_gain * light.bounced if options.bounces and light.bounced is not None else None

@@ -90,6 +90,8 @@ def relight_capture(
         configuration = dataclasses.replace(configuration, schedule=schedule)
     schedule, guide = configuration.schedule, guide or configured_guide(configuration.guide)
     tell_of_another_device(configuration)
+    if configuration.guide.every > 1 and not settings.video:
+        _log.warning("configuration %s: a guide every k-th frame goes with --video only", configuration.name)
     if settings.renderer == "blender":
         from hyjax.scene.blender import blender_python
 

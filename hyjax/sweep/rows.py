@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import os
 import socket
 import time
@@ -24,7 +25,7 @@ ERROR = "error"
 """Kind of a row that says why there is no result."""
 DRIVER = "driver.txt"
 """File with the identity of the driver whose batches may write."""
-PATIENCE = 60.0
+PATIENCE = 900.0
 """Seconds for which a driver waits for batches of an earlier one."""
 
 
@@ -200,7 +201,7 @@ class RowWriter:
         Raises:
             InputError: it cannot be written, as on a full disk.
         """
-        line = (json.dumps(row) + "\n").encode()
+        line = (json.dumps(_finite(row)) + "\n").encode()
         try:
             written = 0
             while written < len(line):
@@ -216,6 +217,15 @@ class RowWriter:
         os.close(self._file)
         if not self._end:
             self.path.unlink(missing_ok=True)
+
+
+def _finite(value: Any) -> Any:
+    """The value with None for numbers that are not finite, which JSON does not have."""
+    if isinstance(value, dict):
+        return {name: _finite(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _is_locked(path: Path) -> bool:

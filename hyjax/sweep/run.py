@@ -1,9 +1,11 @@
 """A sweep from its spec to its summary."""
 
 import dataclasses
+import functools
+import hashlib
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +90,19 @@ def tasks_of(spec: Spec, configurations: list[dict[str, Any]]) -> Iterator[Task]
             spec.scenes, spec.lights, configurations, seeds
         ):
             payload = {"scene": scene, "lights": lights, "configuration": configuration}
+            payload |= {"files": contents([lights, configuration["guide"]["name"]])}
             yield Task(payload | {"frames": frames[scene], "size": spec.size, "seed": seed}, kind)
+
+
+@functools.cache
+def content_key(path: str) -> str:
+    """Hash of a file's content."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()[:16]
+
+
+def contents(names: Sequence[str]) -> list[str]:
+    """Hashes of those that are files: a task is another one when they change."""
+    return [content_key(name) for name in names if Path(name).is_file()]
 
 
 def _conclude(out: Path, tasks: list[Task], configurations: dict[str, dict[str, Any]]) -> SweepResult:

@@ -180,5 +180,6 @@ def configurations_of(spec: Spec) -> dict[str, dict[str, Any]]:
 
 
 def _plain(configuration: Configuration) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(configuration.to_json())
-    return found
+    content: dict[str, Any] = json.loads(configuration.to_json())
+    # The same under another name, or measured elsewhere, is the same.
+    return {name: value for name, value in content.items() if name not in ("name", "measured")}

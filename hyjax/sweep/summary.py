@@ -13,7 +13,7 @@ from hyjax.sweep.rows import ERROR, Row
 from hyjax.util.files import atomic_write
 
 STAMPS = {"key", "kind", "commit", "device", "seed", "seconds", "worker", "name"}
-PAYLOAD = {"scene", "lights", "configuration", "frames", "size", "seed"}
+PAYLOAD = {"files", "scene", "lights", "configuration", "frames", "size", "seed"}
 LABELLED = 24
 """Configurations that a figure names."""
 
@@ -59,9 +59,9 @@ def _line(name: str, rows: Sequence[Row]) -> Line:
 
 
 def write_csv(path: Path, lines: Sequence[Line]) -> None:
-    """A line for each configuration, least loss first."""
+    """A line for each configuration: those without errors first, then by loss."""
     columns = list(dict.fromkeys(key for line in lines for key in line.means))
-    ordered = sorted(lines, key=lambda line: line.means.get("loss", np.inf))
+    ordered = sorted(lines, key=lambda line: (line.errors, line.means.get("loss", np.inf)))
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["configuration", "count", "errors", *columns])
@@ -73,7 +73,7 @@ def write_csv(path: Path, lines: Sequence[Line]) -> None:
 def draw(lines: Sequence[Line]) -> Figure:
     """Loss of each configuration with its spread over scenes; where it was timed, against its time."""
     known = sorted((line for line in lines if line.losses), key=lambda line: line.means["loss"])
-    timed = [line for line in known if "median_ms" in line.means]
+    timed = [line for line in known if "median_ms" in line.means and line.means.get("default_ms")]
     figure = Figure(figsize=(12 if timed else 8, 5), layout="constrained")
     axes: Any = figure.subplots(1, 2 if timed else 1, squeeze=False)[0]
     losses = np.array([line.means["loss"] for line in known])
@@ -88,11 +88,12 @@ def draw(lines: Sequence[Line]) -> Figure:
         axes[0].set_xlabel("configurations, least loss first")
     axes[0].set_ylabel("loss: mean, least and largest scene")
     if timed:
-        axes[1].plot([t.means["median_ms"] for t in timed], [t.means["loss"] for t in timed], "o", markersize=4)
+        ratios = {line.name: line.means["median_ms"] / line.means["default_ms"] for line in timed}
+        axes[1].plot([ratios[t.name] for t in timed], [t.means["loss"] for t in timed], "o", markersize=4)
         for line in timed if len(timed) <= LABELLED else ():
-            place = (line.means["median_ms"], line.means["loss"])
+            place = (ratios[line.name], line.means["loss"])
             axes[1].annotate(line.name, place, xytext=(4, 3), textcoords="offset points", fontsize=8)
-        axes[1].set_xlabel("median time of a frame (ms)")
+        axes[1].set_xlabel("time of a frame, over the default's in the same turns")
         axes[1].set_ylabel("loss")
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)

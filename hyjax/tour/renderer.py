@@ -49,8 +49,10 @@ FRAMES_MIB = 128
 ALBEDO = 0.6  # of the mesh in the free view, whose true colours are unknown
 VERTICES = 1 << 14
 """Of which a live mesh's number is made a multiple."""
-USED = ("schedule", "shadow_schedule", "guide", "sampling", "photo_light", "photo_exponent", "bounce_gain")
-"""Choices of a configuration that tours follow, see `Configuration.tell_unused`."""
+LIVE_USED = ("schedule", "guide", "sampling")
+"""Choices of a configuration that tours of frames as they arrive follow, see `Configuration.tell_unused`."""
+USED = (*LIVE_USED, "shadow_schedule", "photo_light", "photo_exponent", "bounces", "bounce_gain")
+"""Those that other tours follow."""
 AFTERNOON, BEARING = 16.0, 240.0
 
 

@@ -72,7 +72,7 @@ class RoomLight:
     def __init__(self, photo: ScenePhotoLight, layers: LayerCache, options: LightOptions | None = None) -> None:
         options = options or LightOptions()
         self._photo, self._layers, self._points = photo, layers, LruCache(ARRANGEMENTS)
-        self._gain, light = np.float32(options.bounce_gain), photo.estimate.light
+        self._gain, light = np.float32(options.bounce_gain if options.bounces else 0.0), photo.estimate.light
         self._light = dataclasses.replace(light, illuminance=light.illuminance**options.photo_exponent)
         transport = self._light.transport
         step = max(1, len(transport.hits) // DRAFT_RAYS)

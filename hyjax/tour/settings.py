@@ -75,7 +75,8 @@ class TourSettings(Settings):
         if chosen.mode == "paper":
             raise InputError(f"configuration {chosen.name}: is of the paper's form, which tours do not show")
         if self.guide is not None:
-            chosen = dataclasses.replace(chosen, guide=msgspec.structs.replace(chosen.guide, name=self.guide))
+            guide = msgspec.structs.replace(chosen.guide, name=self.guide, size=None)
+            chosen = dataclasses.replace(chosen, guide=guide)
         return chosen
 
     def open_schedules(self) -> dict[str, "Schedule"]:

@@ -171,10 +171,21 @@ class TuneSettings(Settings):
             check_lights_name(lights)
         if self.tunes_frame:
             self.frame.check()
+            self._check_frame_alone()
         self.scene.check()
         if self.target != CONVERGED:
             check_mesh_name(self.target)
         return self
+
+    def _check_frame_alone(self) -> None:
+        """Raise `InputError` for options of the diffusion alone, or of a capture where rooms are tuned on."""
+        usual = TuneSettings()
+        for name in ("joint", "guide", "recalibrate"):
+            if getattr(self, name) != getattr(usual, name):
+                raise InputError(f"{name}: goes with --stage cascade; of a frame all guides are searched")
+        for name in ("target", "frames", "holdout") if self.frame.rooms else ():
+            if getattr(self, name) != getattr(usual, name):
+                raise InputError(f"{name}: is of a capture; with --rooms give --room-frames and --holdout-rooms")
 
     @property
     def tuned_stage(self) -> BudgetStage:

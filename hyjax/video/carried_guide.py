@@ -11,10 +11,12 @@ from hyjax.core.schedule import Schedule
 from hyjax.light.view import View
 from hyjax.util.errors import InputError
 from hyjax.util.tracing import concrete
-from hyjax.video.temporal_filter import LEAST_FOUND, Memory, fill_depth, recall
+from hyjax.video.temporal_filter import Memory, fill_depth, recall
 
 FILLING = "hyjax"
 """Preset by which features that no earlier frame tells are filled, under the frame itself."""
+LEAST_FOUND = 0.6
+"""Share of a frame's points that must have been seen before; with fewer the network looks again."""
 
 
 @dataclasses.dataclass

@@ -55,7 +55,7 @@ def fill_disk(payload: Payload) -> Payload:
 
 def loss(payload: Payload) -> Payload:
     """A loss that the configuration, the scene and the lights decide."""
-    if payload["configuration"]["name"] == "paper" and payload["lights"] == "night-moon":
+    if payload["configuration"]["mode"] == "paper" and payload["lights"] == "night-moon":
         raise InputError("lights: too dark for the paper")
     offset = len(payload["scene"]) + 0.1 * len(payload["lights"]) + payload["seed"]
     return {"loss": payload["configuration"]["light"]["sampling"] + 0.01 * offset, "psnr": 30.0}

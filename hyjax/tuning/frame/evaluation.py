@@ -59,7 +59,8 @@ def evaluate(payload: Mapping[str, Any]) -> Scores:
     """Mean scores of a configuration, as a task of plain data.
 
     Args:
-        payload: `scene` (see `open_tuning_scene`), `lights`, `configuration` (as JSON's types), `frames`, `size`.
+        payload: `scene`, `size` and `seed` (see `open_tuning_scene`), `lights`, `configuration` (as JSON's types),
+            `frames`.
 
     Raises:
         InputError: any of these cannot be used.
@@ -84,7 +85,7 @@ def _opened(payload: Mapping[str, Any]) -> tuple[TuningScene, Configuration]:
     import json
 
     configuration = Configuration.from_json(json.dumps(payload["configuration"]))
-    return _scene(payload["scene"], payload.get("size")), configuration
+    return _scene(payload["scene"], payload.get("size"), payload.get("seed", 0)), configuration
 
 
 _scene = functools.lru_cache(maxsize=KEPT_SCENES)(open_tuning_scene)

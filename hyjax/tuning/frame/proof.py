@@ -124,13 +124,17 @@ def examples(bench: FrameBench, front: Sequence[FrameCandidate]) -> list[tuple[s
 
 def effects(trials: Sequence[Trial]) -> list[Effect]:
     """What each choice that was tried by itself costs and brings."""
-    base = next((t for t in trials if t.phase == "ranges"), trials[0])
-    found = []
-    for trial in trials:
-        if trial.phase != "screening":
-            continue
+    starts = [t for t in trials if t.phase in ("default", "ranges")] or list(trials[:1])
+    screened = [t for t in trials if t.phase == "screening"]
+
+    def changed_from(base: Trial, trial: Trial) -> list[str]:
         shared = base.choices.keys() & trial.choices.keys()
-        changed = [name for name in shared if base.choices[name] != trial.choices[name]]
+        return [name for name in shared if base.choices[name] != trial.choices[name]]
+
+    base = max(starts, key=lambda start: sum(len(changed_from(start, t)) == 1 for t in screened))
+    found = []
+    for trial in screened:
+        changed = changed_from(base, trial)
         if len(changed) == 1:
             (name,) = changed
             first = len(min(trial.losses, base.losses, key=len))

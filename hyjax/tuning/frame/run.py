@@ -15,7 +15,17 @@ from hyjax.tuning.frame.clock import FrameClock, FrameTime
 from hyjax.tuning.frame.evaluation import Judge
 from hyjax.tuning.frame.evaluator import StudyEvaluator
 from hyjax.tuning.frame.loss import PictureLoss
-from hyjax.tuning.frame.proof import BASE_ROUNDS, best_within, check_reachable, effects, examples, front_of, prove
+from hyjax.tuning.frame.proof import (
+    BASE_ROUNDS,
+    MOST_SECONDS,
+    ROUNDS,
+    best_within,
+    check_reachable,
+    effects,
+    examples,
+    front_of,
+    prove,
+)
 from hyjax.tuning.frame.refinement import refine_numbers
 from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
 from hyjax.tuning.frame.search import FrameSearch, Trial
@@ -26,13 +36,14 @@ from hyjax.tuning.result import Budget
 from hyjax.tuning.settings import TuneSettings
 from hyjax.util.environment import cores, environment, peak_memory_mib
 from hyjax.util.errors import InputError
-from hyjax.util.files import make_writable
+from hyjax.util.files import digest, make_writable
 
 EXTRA = (0.35, 0.5, 0.7, 1.0, 1.5)
 """Further points of the front, in times of the default."""
 FEWEST = 6
 """Cases of the first batch, at least."""
 POLISH_CASES = 12
+ATTEMPTS = 3
 ROOM = 0.98
 """Share of a budget that is aimed at: a p95 is a noisy number."""
 
@@ -80,7 +91,13 @@ class FrameRun:
         self.space = Space.of(truth=truth)
         self.machine = environment()
         told = {name: self.machine["versions"][name] for name in ("jax", "jaxlib")}
-        machine = ", ".join([self.machine["device"], f"{cores()} cores", *(f"{n} {v}" for n, v in told.items())])
+        machine = ", ".join(
+            [
+                f"{bench.lights}, {self.machine['device']}",
+                f"{cores()} cores",
+                *(f"{n} {v}" for n, v in told.items()),
+            ]
+        )
         self._study = functools.partial(Study, settings.out, settings=self._decisive(), machine=machine)
 
     def run(self) -> FrameTuned:
@@ -141,13 +158,13 @@ class FrameRun:
         return [*asked, *(EXTRA if self.settings.extra else ())]
 
     def _finalists(self, search: FrameSearch, base: FrameTime) -> list[Configuration]:
-        """The best of each budget, refined level by level, then the front's."""
+        """The best of each budget, refined level by level."""
         found: dict[str, Configuration] = {}
         for limit in self._limits(base):
             known = [t for t in search.trials.values() if len(t.losses) >= len(self.bench.cases)]
             fitting = [t for t in known if t.time is not None and t.time <= limit]
             for trial in sorted(fitting, key=lambda t: t.loss)[:1]:
-                name = f"tuned-{trial.time:.2f}"
+                name = f"tuned-{trial.time:.3f}"
                 if name not in found:
                     found[name] = self._polished(self.space.configuration(trial.choices, name))
         return list(found.values())
@@ -181,7 +198,7 @@ class FrameRun:
         usable = [c for c in (*tuned, *known) if c.form == "hyjax"]
         best = []
         for budget in self.budgets:
-            chosen = best_within(budget, usable)
+            chosen = self._timed_again(budget, usable)
             best.append(dataclasses.replace(chosen, configuration=self._measured(chosen, budget)))
         front = front_of(usable)
         errors = [abs(guess / true - 1) for guess, true in search.predictions]
@@ -211,6 +228,18 @@ class FrameRun:
             record,
         )
 
+    def _timed_again(self, budget: Budget, usable: Sequence[FrameCandidate]) -> FrameCandidate:
+        """The best within a budget, timed once more: of several, one may have fitted by luck."""
+        left = list(usable)
+        for _ in range(ATTEMPTS):
+            chosen = best_within(budget, left)
+            (time,) = self.clock.times([chosen.configuration], ROUNDS, most_seconds=MOST_SECONDS)
+            again = dataclasses.replace(chosen, time=time)
+            if len(left) == 1 or not time.p95 > budget.milliseconds >= chosen.time.p95:
+                break
+            left = [c for c in left if c is not chosen]
+        return again
+
     def _measured(self, candidate: FrameCandidate, budget: Budget) -> Configuration:
         time, scene = candidate.time, self.bench.scenes[0].scene
         size = scene.frame(0).camera.intrinsics.shape
@@ -222,14 +251,22 @@ class FrameRun:
             p95_ms=round(time.p95, 3),
             default_ms=round(time.default, 3),
         )
-        name = candidate.name if candidate.name in PRESETS else f"tuned-{budget.slug}"
+        name = f"tuned-{budget.slug}" if candidate.name.startswith("tuned-") else candidate.name
         return dataclasses.replace(candidate.configuration, name=name, measured=told)
 
     def _decisive(self) -> dict[str, Any]:
         """All that decides the losses, for the study; the machine decides on the times."""
         scenes = self.bench.scenes
+        surfaces = [
+            [each.scene.caster.arrays.key, None if each.accurate is None else each.accurate.caster.arrays.key]
+            for each in scenes
+        ]
+        setups = {name: [digest([str(each.setup(name))]) for each in scenes] for name in self.settings.set_ups()}
         return {
             "scenes": [[scene.name, scene.scene.capture.fingerprint] for scene in scenes],
+            "surfaces": surfaces,
+            "sizes": [None if each.scene.size is None else list(each.scene.size) for each in scenes],
+            "lights": setups,
             "cases": [list(case) for case in self.bench.cases],
             "lpips": self.settings.frame.lpips,
             "seed": self.settings.scene.seed,

@@ -24,7 +24,7 @@ from hyjax.util.errors import InputError
 from hyjax.util.sizes import parse_size
 
 ROOM_SIZE = "320x240"
-KEPT_MAPS = 6
+KEPT_MAPS = 10
 """Sets of shadow maps that are kept of a scene."""
 
 
@@ -102,27 +102,32 @@ def with_photo_light(configuration: Configuration) -> Configuration:
     return dataclasses.replace(configuration, light=light)
 
 
-def open_room(name: str, size: str | None = None) -> TuningScene:
+def open_room(name: str, size: str | None = None, seed: int = 0) -> TuningScene:
     """Room of known truth; photographed on first use, which takes a minute, and kept in the cache folder.
+
+    Args:
+        name: see `check_room`.
+        size: width x height of its pictures.
+        seed: of its simulated scan.
 
     Raises:
         InputError: there is no such room, or the size is out of range.
     """
     height, width = parse_size(size or ROOM_SIZE) or (0, 0)
     capture = load_truth_room(check_room(name), ROOM_PHOTOS, width, height)
-    return TuningScene(name, Scene.open(SceneSettings(), capture=capture))
+    return TuningScene(name, Scene.open(SceneSettings(seed=seed), capture=capture))
 
 
-def open_tuning_scene(source: str, size: str | None = None) -> TuningScene:
+def open_tuning_scene(source: str, size: str | None = None, seed: int = 0) -> TuningScene:
     """Scene by name: `room:NAME`, the folder of a capture, or `built-in`.
 
     Raises:
         InputError: it cannot be used.
     """
     if source.startswith(ROOM):
-        return open_room(source.removeprefix(ROOM), size)
+        return open_room(source.removeprefix(ROOM), size, seed)
     capture = None if source == "built-in" else Path(source)
-    scene, accurate = open_scenes(SceneSettings(capture, size=size))
+    scene, accurate = open_scenes(SceneSettings(capture, size=size, seed=seed))
     if accurate is None:
         raise InputError(f"{source}: has no depth, so no accurate surface; a frame cannot be judged on it")
     return TuningScene(source, scene, accurate)

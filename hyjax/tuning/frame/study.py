@@ -9,6 +9,7 @@ Losses hold on any machine. Times are kept by machine: a search that goes on els
 
 import importlib
 import importlib.util
+import math
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     import optuna
 
 NAME = "study.log"
+UNUSABLE = 1e9
+"""Stands for a loss that is not a number."""
 VERSION = 1
 """Of what is kept. Add one whenever it means something else."""
 
@@ -105,7 +108,10 @@ class Study:
         if name not in self._results:
             self._results[name] = as_json(compute())
             if not expired():
-                self._study.set_user_attr(name, self._results[name])
+                try:
+                    self._study.set_user_attr(name, self._results[name])
+                except OSError as error:
+                    raise _unwritable(error) from None
         return self._results[name]
 
     def add(
@@ -124,13 +130,17 @@ class Study:
                 optuna.trial.create_trial(
                     params=dict(choices),
                     distributions={name: _distribution(known[name]) for name in choices},
-                    values=[loss, time],
+                    values=[loss if math.isfinite(loss) else UNUSABLE, time],
                     user_attrs={"phase": phase, "key": key_of(choices), "results": as_json(results)},
                 )
             )
         except OSError as error:
-            raise InputError(f"{NAME}: cannot write ({error.strerror or error}); --resume goes on") from None
+            raise _unwritable(error) from None
         self._results |= as_json(results)
+
+
+def _unwritable(error: OSError) -> InputError:
+    return InputError(f"{NAME}: cannot write ({error.strerror or error}); --resume goes on")
 
 
 def _cut_to_lines(path: Path) -> None:
