@@ -46,7 +46,7 @@ def test_a_sweep_of_everything(tmp_path: Path) -> None:
     assert default.means["median_ms"] == 5.0 and len(default.losses) == 2
     first, second = csv.DictReader((out / "summary.csv").read_text().splitlines())
     assert (first["configuration"], second["configuration"]) == ("default", "paper")
-    assert float(first["loss"]) == pytest.approx(paper.means["loss"], 1e-5) and first["psnr"] == "30"
+    assert float(first["loss"]) == pytest.approx(default.means["loss"], 1e-5) and first["psnr"] == "30"
     assert (out / "sweep.png").stat().st_size > 1000
     with pytest.raises(InputError, match="holds the rows of a sweep; add --resume"):
         sweep(write(tmp_path), out)
