@@ -7,8 +7,9 @@ Searches all choices of a frame (`hyjax tune`) on four rooms of known truth and 
 the presets as they come with hyjax and the paper's form, as it is and tuned (`--paper-trials`), are timed in turns
 with the default configuration in one run. *Loss* is relative to the default's on the same frames.
 
-`--presets` writes what comes out as the presets: `balanced` is the best at the default's time, `fast` the fastest
-that is at least as good as the default, `quality` the best at half again the default's time; by tuning rooms alone.
+`--presets` writes what comes out as the presets, by loss on the tuning rooms: `quality` is the best within half
+again the default's time, `balanced` the fastest that is at least as good as the default, `fast` the fastest that
+loses no more than a twentieth. They are timed and judged once more, in turns, as they come with hyjax.
 
 `--transfer N` tunes on each of N report rooms by itself, too: how far is a configuration tuned on other rooms from
 one tuned on this one? Both are judged on frames of the room that the second was not tuned on.
@@ -37,9 +38,12 @@ from hyjax.configuration import FOLDER, PRESETS, Configuration
 from hyjax.data.frames import spread
 from hyjax.scene.settings import parse_size
 from hyjax.synthetic.truth import CHOOSE, REPORT
+from hyjax.tuning.frame.bench import open_frame_bench
+from hyjax.tuning.frame.clock import FrameClock
 from hyjax.tuning.frame.evaluation import Judge
 from hyjax.tuning.frame.loss import PictureLoss
-from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
+from hyjax.tuning.frame.proof import prove
+from hyjax.tuning.frame.result import FrameCandidate
 from hyjax.tuning.frame.run import tune_frame
 from hyjax.tuning.frame.scene import open_room, spread_cases
 from hyjax.tuning.settings import SETUPS, FrameOptions, TuneScene, TuneSettings
@@ -47,6 +51,8 @@ from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
 
 UNLIMITED_MS = 1e4
+MOST_TIME, MOST_LOSS = 1.5, 0.05
+"""Of a preset: time over the default's, and share of loss beyond the default's."""
 SAME_TIME = 1.02
 """Of the default, that counts as its time: two measurements of the same differ by so much."""
 TRANSFER_FRAMES = 3
@@ -84,14 +90,16 @@ def main(config: Config, start: Start) -> None:
     done = of_kind(results.rows, "candidate")
     if not done:
         tuned = tune_frame(settings_of(config, config.rooms, config.report, config.trials, results.out / "search"))
-        if config.presets:
-            write_presets(tuned)
         for candidate in tuned.candidates:
             results.add(kind="candidate", front=candidate in tuned.front, **described(candidate))
         for effect in tuned.effects:
             results.add(kind="effect", **dataclasses.asdict(effect))
         results.add(kind="search", **{k: v for k, v in tuned.record.items() if k in SEARCH})
         shutil.copy(results.out / "search" / "contact_sheet.png", results.out / "contact_sheet.png")
+    if config.presets:
+        write_presets(of_kind(results.rows, "candidate"))
+    if not of_kind(results.rows, "preset"):
+        add_presets(results, config)
     finished = {row["room"] for row in of_kind(results.rows, "transfer")}
     for room in config.report[: config.transfer]:
         if room not in finished:
@@ -122,24 +130,45 @@ def described(candidate: FrameCandidate) -> dict[str, Any]:
     return candidate.row() | {"configuration": candidate.configuration.to_json()}
 
 
-def chosen_presets(tuned: FrameTuned) -> dict[str, FrameCandidate]:
+def chosen_presets(candidates: Sequence[Row]) -> dict[str, Row]:
     """Preset → candidate, by loss on the tuning rooms and time alone."""
-    default = next(c for c in tuned.references if c.name == "default")
-    usable = [c for c in tuned.candidates if c.form == "hyjax" and c.name not in PRESETS]
+    usable = [row for row in candidates if row["form"] == "hyjax" and row["name"] not in PRESETS]
 
-    def best(limit: float) -> FrameCandidate:
-        fitting = [c for c in usable if c.time.ratio <= limit]
-        return min(fitting or [default], key=lambda c: c.tuning["relative"])
+    def ratio(row: Row) -> float:
+        return row["median_ms"] / row["default_ms"]
 
-    as_good = [c for c in usable if c.tuning["relative"] <= 1.0]
-    return {"quality": best(1.5), "balanced": best(SAME_TIME), "fast": min(as_good, key=lambda c: c.time.median)}
+    def loss(row: Row) -> float:
+        return row["tuning"]["relative"]
+
+    return {
+        "quality": min((row for row in usable if ratio(row) <= MOST_TIME), key=loss),
+        "balanced": min((row for row in usable if loss(row) <= 1.0), key=ratio),
+        "fast": min((row for row in usable if loss(row) <= 1.0 + MOST_LOSS), key=ratio),
+    }
 
 
-def write_presets(tuned: FrameTuned) -> None:
+def write_presets(candidates: Sequence[Row]) -> None:
     """Write the presets of the package."""
-    for name, candidate in chosen_presets(tuned).items():
-        chosen = dataclasses.replace(candidate.configuration, name=name, measured=None)
+    for name, row in chosen_presets(candidates).items():
+        configuration = Configuration.from_json(row["configuration"])
+        own = dataclasses.replace(configuration.schedule, name=name)
+        shadow = dataclasses.replace(configuration.shadow_schedule, name=f"{name}-shadow")
+        chosen = dataclasses.replace(configuration, name=name, schedule=own, shadow_schedule=shadow, measured=None)
         write_text(FOLDER / f"{name}.json", chosen.to_json() + "\n")
+
+
+def add_presets(results: Results, config: Config) -> None:
+    """Time and judge the default, the presets and the paper's form, in turns."""
+    bench = open_frame_bench(
+        settings_of(config, config.rooms, config.report, config.trials, results.out / "search")
+    )
+    configurations = [Configuration(), *map(Configuration.preset, PRESETS), Configuration.paper()]
+    for row in of_kind(results.rows, "candidate"):
+        if row["name"] == "paper-tuned":
+            configurations.append(Configuration.from_json(row["configuration"]))
+    judge, clock = Judge(bench.scenes, PictureLoss()), FrameClock(bench.scenes[0], bench.lights)
+    for candidate in prove(configurations, bench, judge, clock, progress=True):
+        results.add(kind="preset", front=False, **described(candidate))
 
 
 def add_transfer(results: Results, config: Config, room: str) -> None:
@@ -166,28 +195,16 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     candidates = of_kind(rows, "candidate")
     if not candidates:
         return ["Nothing has been tuned yet."]
-    lines = []
-    for row in sorted(candidates, key=lambda r: r["median_ms"]):
-        held = row["held_out"] or {}
-        lines.append(
-            [
-                row["name"],
-                f"{row['median_ms']:.1f}",
-                f"{row['p95_ms']:.1f}",
-                f"{row['median_ms'] / row['default_ms']:.2f}",
-                percent(row["tuning"]["relative"]),
-                percent(held.get("relative")),
-                *(f"{held[name]:.2f}" if name in held else "–" for name in ("psnr_raw", "psnr")),
-            ]
-        )
     settings = candidates[0]["settings"]
     caption = (
         f"Whole frames of {settings['size']}, one at a time, median and p95 in turns with the default; tuned on "
         f"{', '.join(settings['rooms'])}, reported on {', '.join(settings['report'])}, {len(SETUPS)} set-ups each; "
         f"{machine(candidates[0])}."
     )
-    header = ["configuration", "ms", "p95", "of default", "loss, tuning", "loss, held out", "PSNR raw", "fitted"]
-    made: list[Block] = [Table(caption, header, lines)]
+    made: list[Block] = []
+    if presets := of_kind(rows, "preset"):
+        made.append(table(f"Presets. {caption}", presets))
+    made.append(table(f"What the search found. {caption}", candidates))
     for search in of_kind(rows, "search"):
         errors = np.array(search["prediction errors"] or [0.0])
         made.append(
@@ -203,8 +220,34 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         made.append(Table("Choices by themselves.", ["choice", "change", "loss", "time"], shown, names=2))
     if transfer := of_kind(rows, "transfer"):
         made.append(transfer_table(transfer))
-    made.append(Plot(main.name, "Loss on held-out rooms against time; lines: the front.", figure(candidates)))
+    made.append(
+        Plot(
+            main.name,
+            "Loss on held-out rooms against time; lines: the front.",
+            figure([*candidates, *of_kind(rows, "preset")]),
+        )
+    )
     return made
+
+
+def table(caption: str, rows: Sequence[Row]) -> Table:
+    """Configurations with times and losses, by time."""
+    lines = []
+    for row in sorted(rows, key=lambda r: r["median_ms"]):
+        held = row["held_out"] or {}
+        lines.append(
+            [
+                row["name"],
+                f"{row['median_ms']:.1f}",
+                f"{row['p95_ms']:.1f}",
+                f"{row['median_ms'] / row['default_ms']:.2f}",
+                percent(row["tuning"]["relative"]),
+                percent(held.get("relative")),
+                *(f"{held[name]:.2f}" if name in held else "–" for name in ("psnr_raw", "psnr")),
+            ]
+        )
+    header = ["configuration", "ms", "p95", "of default", "loss, tuning", "loss, held out", "PSNR raw", "fitted"]
+    return Table(caption, header, lines)
 
 
 def transfer_table(rows: Sequence[Row]) -> Table:

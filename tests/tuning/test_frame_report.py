@@ -36,7 +36,7 @@ def candidate(name: str, ms: float, relative: float, *, held_out: bool = True, *
         dataclasses.replace(Configuration(), name=name, **choices),
         scores(relative),
         scores(1.02 * relative) if held_out else None,
-        FrameTime(ms, 1.1 * ms, BASE_MS),
+        FrameTime(ms, 1.1 * ms, BASE_MS, ms / BASE_MS),
     )
 
 

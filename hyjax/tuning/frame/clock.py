@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,10 +10,11 @@ import numpy as np
 from hyjax.configuration import Configuration
 from hyjax.light.color import to_display_bytes
 from hyjax.tuning.frame.scene import TuningScene
-from hyjax.util.clock import measure_each
+from hyjax.util.clock import Stopwatch
 
 FRAMES = 6
 DEFAULT = "default"
+FEWEST_ROUNDS = 10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,16 +24,14 @@ class FrameTime:
     Attributes:
         median, p95: milliseconds.
         default: median of the default configuration, in turns with it.
+        ratio: median over the rounds of its time over the default's in the same round: other work on the machine
+            changes it less than the medians.
     """
 
     median: float
     p95: float
     default: float
-
-    @property
-    def ratio(self) -> float:
-        """Median over the default's: other work on the machine changes it less than the median."""
-        return self.median / self.default
+    ratio: float
 
 
 class FrameClock:
@@ -59,23 +58,46 @@ class FrameClock:
         Args:
             configurations: each.
             repeats: frames of each, after as many that warm up as there are frames.
-            most_seconds: see `hyjax.util.clock.measure_each`.
+            most_seconds: begin no further round after so long a time, if each has run ten times by then.
         """
         calls = {str(number): self._call(each) for number, each in enumerate(configurations)}
         calls[DEFAULT] = self._call(Configuration())
         for call in calls.values():
             for _ in self._frames:  # what shines is composed by a program of its own, in some frames only
                 call()
-        found = measure_each(calls, repeats, most_seconds=most_seconds)
-        default = found[DEFAULT]["median_ms"]
+        rounds = {
+            name: 1e3 * np.array(seconds) for name, seconds in rounds_of(calls, repeats, most_seconds).items()
+        }
+        default = rounds[DEFAULT]
         return [
-            FrameTime(found[str(n)]["median_ms"], found[str(n)]["p95_ms"], default)
-            for n in range(len(configurations))
+            FrameTime(
+                float(np.median(own)),
+                float(np.percentile(own, 95)),
+                float(np.median(default)),
+                float(np.median(own / default)),
+            )
+            for own in (rounds[str(number)] for number in range(len(configurations)))
         ]
 
     def _call(self, configuration: Configuration) -> Callable[[], Any]:
         relighter, frames = self.scene.relighter(self.lights, configuration), itertools.cycle(self._frames)
         return lambda: np.asarray(to_display_bytes(relighter.picture(0, next(frames))))
+
+
+def rounds_of(
+    calls: Mapping[str, Callable[[], Any]], repeats: int, most_seconds: float | None = None
+) -> dict[str, list[float]]:
+    """Seconds of each call in each round, A B C A B C ...; arguments as of `FrameClock.times`."""
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
+    total = Stopwatch()
+    for count in range(repeats):
+        if most_seconds is not None and count >= FEWEST_ROUNDS and total.seconds > most_seconds:
+            break
+        for name, call in calls.items():
+            watch = Stopwatch()
+            call()
+            seconds[name].append(watch.seconds)
+    return seconds
 
 
 def slowest_setup(scene: TuningScene, lights: Sequence[str]) -> str:

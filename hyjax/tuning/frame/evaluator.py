@@ -13,7 +13,7 @@ from hyjax.tuning.frame.search import Trial
 from hyjax.tuning.frame.space import Choices, Space, key_of, structure
 from hyjax.tuning.frame.study import Study
 
-ROUNDS = 15
+ROUNDS = 25
 """Frames that a trial is timed on, in turns with the default."""
 
 

@@ -29,7 +29,8 @@ HOPE = 0.5
 """Standard deviations by which a loss may turn out better than predicted."""
 CASE_NOISE = 0.06
 """Standard deviation of a loss relative to the default's between cases."""
-TIME_NOISE = 0.02
+TIME_NOISE = 0.05
+"""Likewise of a time, relative to the default's."""
 RETAINED = 3
 """One in so many goes on to the next batch."""
 
