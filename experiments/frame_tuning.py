@@ -220,13 +220,8 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         made.append(Table("Choices by themselves.", ["choice", "change", "loss", "time"], shown, names=2))
     if transfer := of_kind(rows, "transfer"):
         made.append(transfer_table(transfer))
-    made.append(
-        Plot(
-            main.name,
-            "Loss on held-out rooms against time; lines: the front.",
-            figure([*candidates, *of_kind(rows, "preset")]),
-        )
-    )
+    drawn = figure(candidates, of_kind(rows, "preset"))
+    made.append(Plot(main.name, "Loss on held-out rooms against time; both axes logarithmic.", drawn))
     return made
 
 
@@ -270,25 +265,29 @@ def percent(relative: float | None) -> str:
     return "–" if relative is None else f"{100 * (relative - 1):+.1f} %"
 
 
-def figure(candidates: Sequence[Row]) -> Figure:
+def figure(candidates: Sequence[Row], presets: Sequence[Row]) -> Figure:
     """Held-out loss against time."""
     fig = new_figure(7.5, 5)
     axes = fig.subplots()
-    known = [row for row in candidates if row["held_out"]]
-    front = sorted((row for row in known if row["front"]), key=lambda row: row["median_ms"])
-    axes.plot(
-        [r["median_ms"] for r in front], [r["held_out"]["relative"] for r in front], color="C0", label="front"
-    )
-    for row in known:
-        x, y = row["median_ms"], row["held_out"]["relative"]
-        kind = "s" if row["form"] == "paper" else "o"
-        color = "C3" if row["form"] == "paper" else "C0" if row["front"] else "0.4"
-        axes.plot(x, y, kind, color=color)
-        if not row["name"].startswith("tuned-") or not row["front"]:
-            axes.annotate(row["name"], (x, y), xytext=(6, 4), textcoords="offset points", fontsize=8)
+    front = sorted((row for row in candidates if row["front"] and row["held_out"]), key=lambda r: r["median_ms"])
+    line = np.array([[row["median_ms"], row["held_out"]["relative"]] for row in front]).reshape(-1, 2)
+    axes.plot(*line.T, "o-", color="C0", label="front of the search")
+    for row in presets or candidates:
+        if not row["held_out"]:
+            continue
+        x, y, paper = row["median_ms"], row["held_out"]["relative"], row["form"] == "paper"
+        axes.plot(x, y, "s" if paper else "D", color="C3" if paper else "C1")
+        place = (8, -12) if row["name"] == "paper-tuned" else (8, 5)
+        axes.annotate(row["name"], (x, y), xytext=place, textcoords="offset points", fontsize=9)
     axes.axhline(1.0, color="0.7", linewidth=0.8)
-    axes.set(xlabel="ms a frame, median", ylabel="loss on held-out rooms, over the default's")
-    axes.legend()
+    axes.set(
+        xscale="log", yscale="log", xlabel="ms a frame, median", ylabel="loss on held-out rooms, of the default's"
+    )
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("{x:g}")
+    axes.tick_params(which="minor", labelsize=8)
+    axes.legend(loc="upper left")
     return fig
 
 
