@@ -72,7 +72,7 @@ class Known:
     def __init__(self, evaluator: StudyEvaluator, space: Space, cases: int) -> None:
         self.evaluator, self.space, self.cases = evaluator, space, cases
         self._losses: dict[str, list[float]] = {}
-        self._times: dict[str, float] = {}
+        self._times: dict[str, float] = {structure(space.default, space): 1.0}
 
     def losses(self, choices: Choices, first: int, last: int) -> list[float]:
         key = key_of(choices)

@@ -103,7 +103,7 @@ def test_shipped_guides_by_name() -> None:
     small, half = open_guide("small"), open_guide("small-half")
     assert half.name == "small-half" and isinstance(half, ReducedGuide) and half.guide.name == "small"
     assert half.fingerprint == f"{small.fingerprint}-half"
-    with pytest.raises(InputError, match="one of rgb, small, small-half"):
+    with pytest.raises(InputError, match="one of rgb, none, small, small-half"):
         open_guide("small-hal")
 
 
