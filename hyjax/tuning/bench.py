@@ -16,7 +16,7 @@ from hyjax.scene.scene import Scene, view_of
 from hyjax.scene.settings import SceneSettings
 from hyjax.scene.surfaces import rough_mesh
 from hyjax.tuning.cases import Case, raw_filter, refined_filter
-from hyjax.tuning.settings import CONVERGED, TuneSettings
+from hyjax.tuning.settings import CONVERGED, DIFFUSION_LIGHTS, TuneSettings
 from hyjax.util.errors import InputError
 
 CONVERGED_SCHEDULE = "naive-1000"
@@ -110,7 +110,7 @@ def open_bench(
         InputError: any of these cannot be used.
     """
     scene, accurate = open_scenes(settings.scene, settings.target, capture=capture, progress=not settings.quiet)
-    return Workbench(scene, accurate, (accurate or scene).lights(settings.set_ups()[0]), guide)
+    return Workbench(scene, accurate, (accurate or scene).lights(settings.lights or DIFFUSION_LIGHTS), guide)
 
 
 def open_scenes(

@@ -80,7 +80,7 @@ def tune_bench(
     record: dict[str, Any] = {
         "capture": bench.scene.capture.name,
         "guide": bench.guide.name,
-        "stage": settings.tuned_stage,
+        "stage": settings.stage or "cascade",
         "seed": settings.scene.seed,
         "settings": settings.record() | {"meshes": bench.description},
     }

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 BudgetStage = Literal["cascade", "frame"]
 SETUPS = ("evening-lamps", "two-colors", "golden-hour", "night-moon")
 """Light set-ups that frames are tuned under by default."""
+DIFFUSION_LIGHTS = "two-colors"
+"""The set-up that the diffusion alone is tuned under by default."""
 ROOM_PHOTOS = 12
 """Of a room of known truth."""
 CONVERGED = "converged"
@@ -203,7 +205,7 @@ class TuneSettings(Settings):
     def set_ups(self) -> tuple[str, ...]:
         """Set-ups of lights by name or file."""
         if self.lights is None:
-            return SETUPS if self.tunes_frame else ("two-colors",)
+            return SETUPS if self.tunes_frame else (DIFFUSION_LIGHTS,)
         return tuple(dict.fromkeys(name.strip() for name in self.lights.split(",") if name.strip())) or ("",)
 
     def budgets(self) -> list["Budget"]:

@@ -451,6 +451,7 @@ def test_the_command_on_the_real_clock(folder: Path, surroundings: dict[str, Any
     meshes = ["--mesh", surroundings["mesh"], "--repair-mesh"]
     common = ["--quiet", "--capture", str(folder), "--size", "64", *meshes]
     command = [hyjax, "tune", *common, "--target", surroundings["target"], "--frames", "0", "--holdout", "3"]
+    command += ["--stage", "cascade"]
     command += ["--budget-ms", "50", "5", "--time-limit", "1", "--no-extra", "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT, timeout=400, check=False)
     assert done.returncode == 0, done.stderr
