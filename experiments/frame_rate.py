@@ -24,7 +24,6 @@ import itertools
 import resource
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 
 import jax
@@ -44,8 +43,7 @@ from hyjax.data.capture import Frame
 from hyjax.data.frames import fit, spread
 from hyjax.light.color import to_display_bytes
 from hyjax.metrics import psnr
-from hyjax.pipeline import relight_stages
-from hyjax.relighting.frame_shader import FrameShader
+from hyjax.relighting.frame_relighter import FrameRelighter, refine
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
@@ -68,6 +66,8 @@ class Config(RunConfig):
     """By default the built-in room with its simulated scan."""
     lights: str = "noon-window"
     """A named set-up, or a file of lights."""
+    configuration: str = "default"
+    """A configuration by name, or a file, see `hyjax relight`."""
     frames: int = 120
     """Whole frames for each row."""
     samplings: tuple[int, ...] = (2, 1)
@@ -103,24 +103,27 @@ class WholeFrames:
     def __init__(
         self, scene: Scene, config: Config, size: int, sampling: int, *, keep_photo_light: bool = False
     ) -> None:
-        settings = RelightSettings(lights=config.lights, sampling=sampling, keep_photo_light=keep_photo_light)
-        self.clock, self._scene, self._schedule = StageClock(), scene, settings.open_schedule()
+        settings = RelightSettings(
+            lights=config.lights,
+            configuration=config.configuration,
+            sampling=sampling,
+            keep_photo_light=keep_photo_light,
+        )
+        self.clock, chosen = StageClock(), settings.open_configuration()
         setup = scene.lights(config.lights, at_photo_sources=not keep_photo_light)
-        self._shader = FrameShader(scene, setup, settings, self._schedule, StageClock(), ExitStack())
-        if self._shader.sampling != sampling:
-            raise InputError(f"samplings: schedule {self._schedule.name} allows {self._shader.sampling} at most")
-        chosen = spread(range(len(scene)), 24)
-        self._frames = [fit(scene.capture[index], (size, size)) for index in chosen]
+        self._relighter = FrameRelighter(scene, setup, chosen, settings)
+        if self._relighter.shader.sampling != sampling:
+            raise InputError(f"samplings: {chosen.name} allows {self._relighter.shader.sampling} at most")
+        self._frames = [fit(scene.capture[index], (size, size)) for index in spread(range(len(scene)), 24)]
 
     def picture(self, numbered: tuple[int, Frame]) -> float:
         """Bytes of a relit frame; the seconds that they took."""
         (number, frame), watch = numbered, Stopwatch()
         with self.clock("G-buffer"):
-            gbuffer = jax.block_until_ready(self._scene.gbuffer(frame.camera))
+            gbuffer = jax.block_until_ready(self._relighter.gbuffer(frame.camera))
         with self.clock("light"):
-            view, shaded = self._shader(number, frame, gbuffer)
-        stages = relight_stages(view, shaded, view.display, self._schedule)
-        image = self.clock.follow(stages, until="composite")
+            lit = self._relighter.prepare(number, frame, gbuffer)
+        image = self.clock.follow(refine(lit, self._relighter.configuration), until="composite")
         with self.clock("bytes"):
             np.asarray(to_display_bytes(image))
         return watch.seconds

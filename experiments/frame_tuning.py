@@ -122,7 +122,7 @@ def settings_of(
         paper_form=config.paper_trials and bool(report),
     )
     scene = TuneScene(seed=config.seed)
-    return TuneSettings(scene, options, budget_ms=(UNLIMITED_MS,), out=out, resume=out.exists())
+    return TuneSettings(scene, frame=options, budget_ms=(UNLIMITED_MS,), out=out, resume=out.exists())
 
 
 def described(candidate: FrameCandidate) -> dict[str, Any]:

@@ -115,8 +115,8 @@ class TuneSettings(Settings):
     The one that makes the best picture on this machine or another device."""
 
     scene: TuneScene = dataclasses.field(default_factory=TuneScene)
-    frame: FrameOptions = dataclasses.field(default_factory=FrameOptions)
     target_device: OtherDevice = dataclasses.field(default_factory=OtherDevice)
+    frame: FrameOptions = dataclasses.field(default_factory=FrameOptions)
     fps: tuple[float, ...] = ()
     """Frame rates to reach, such as 60, or several: 30 60 120."""
     budget_ms: tuple[float, ...] = ()

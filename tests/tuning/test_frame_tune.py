@@ -155,7 +155,7 @@ def test_frames_are_timed_in_turns(scene: TuningScene) -> None:
 def options(tmp_path_factory: pytest.TempPathFactory) -> TuneSettings:
     return TuneSettings(
         TuneScene(size=None),
-        FrameOptions(trials=4),
+        frame=FrameOptions(trials=4),
         budget_ms=(1e4,),
         lights="two-colors",
         frames="0,2",
