@@ -147,6 +147,7 @@ def workers_of(folder: Path) -> list[int]:
     return [int(path.stem.split("-")[-2]) for path in files if path.stat().st_size]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("distributed")
 def test_killed_workers_and_a_killed_driver_lose_nothing(tmp_path: Path) -> None:
     killed, undisturbed, count = tmp_path / "killed", tmp_path / "undisturbed", 120
@@ -166,6 +167,7 @@ def test_killed_workers_and_a_killed_driver_lose_nothing(tmp_path: Path) -> None
     assert set(times_done(killed).values()) == {1} and RowStore(killed).duplicates() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("distributed")
 def test_a_task_that_takes_its_workers_along(tmp_path: Path) -> None:
     """It is given up, all others are done; timing then finds the device, and a full disk ends the run."""

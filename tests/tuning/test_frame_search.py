@@ -107,6 +107,7 @@ def test_the_best_is_found(budget: float) -> None:
     assert true_loss(best.choices) < 1 or budget < 0.6
 
 
+@pytest.mark.slow
 def test_several_budgets_share_the_trials() -> None:
     budgets = (0.4, 0.8, 1.5)
     search = searched(budgets, 60)
@@ -127,6 +128,7 @@ def test_out_of_reach() -> None:
     assert fastest <= 1.05 * slow[0], "it looked for the fastest"
 
 
+@pytest.mark.slow
 def test_the_same_seed_makes_the_same_trials() -> None:
     one, again, other = (
         search((0.5,), 40, seed) for search, seed in ((searched, 0), (search_anew, 0), (searched, 1))
@@ -167,6 +169,7 @@ def test_starts_are_tried() -> None:
     assert search.trials[key_of(start)].phase == "start"
 
 
+@pytest.mark.slow
 def test_times_are_predicted() -> None:
     predicted, measured = np.array(searched((0.4, 0.8, 1.5), 60).predictions).T
     assert len(predicted) >= 8 and np.median(np.abs(predicted / measured - 1)) < 0.05

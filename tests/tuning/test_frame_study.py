@@ -67,6 +67,7 @@ def run(
     return search, evaluator
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_goes_on(tmp_path: Path) -> None:
     """And ends as one that was not interrupted, computing each thing once."""
     whole, alone = run(None, 14)
