@@ -16,9 +16,8 @@ one tuned on this one? Both are judged on frames of the room that the second was
 
 Takes about forty minutes on two cores, and two minutes more for each room that is not in the cache.
 
-Expect: at the default's time a tenth less loss than the default on rooms that nothing was chosen on, most of it by
-the numbers (κ, α, the exponent of the photo's light); its quality in two thirds of its time. A configuration tuned
-on the room itself gains a percent or two more.
+Expect: at the default's time a few percent less loss than the default on rooms that nothing was chosen on, most of
+it by the numbers (κ, α, the exponent of the photo's light); its quality in a little more than half of its time.
 """
 
 import dataclasses

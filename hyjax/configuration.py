@@ -170,6 +170,22 @@ class Configuration:
             )
         return cls.from_json((FOLDER / f"{name}{SUFFIX}").read_text(encoding="utf-8"))
 
+    @classmethod
+    def open_linear(cls, text: str | None, where: str) -> "Configuration":
+        """`open`, or the default, for what does not show the paper's form.
+
+        Args:
+            text: name or file; None for the default.
+            where: what does not show it, for the message.
+
+        Raises:
+            InputError: see `open`; or it is of the paper's form.
+        """
+        chosen = cls.open(text or DEFAULT)
+        if chosen.mode == "paper":
+            raise InputError(f"configuration {chosen.name}: is of the paper's form, {where}")
+        return chosen
+
     @property
     def sampling(self) -> int:
         """Sampling that its schedules allow."""

@@ -103,12 +103,9 @@ class ExportSettings(Settings):
         Raises:
             InputError: no such configuration, or one of the paper's form.
         """
-        from hyjax.configuration import DEFAULT, Configuration
+        from hyjax.configuration import Configuration
 
-        chosen = Configuration.open(self.configuration or DEFAULT)
-        if chosen.mode == "paper":
-            raise InputError(f"configuration {chosen.name}: is of the paper's form, which is not exported")
-        return chosen
+        return Configuration.open_linear(self.configuration, "which is not exported")
 
     def record(self) -> dict[str, Any]:
         """Options as a record of the export has them."""

@@ -69,11 +69,9 @@ class TourSettings(Settings):
         """
         import msgspec
 
-        from hyjax.configuration import DEFAULT, Configuration
+        from hyjax.configuration import Configuration
 
-        chosen = Configuration.open(self.configuration or DEFAULT)
-        if chosen.mode == "paper":
-            raise InputError(f"configuration {chosen.name}: is of the paper's form, which tours do not show")
+        chosen = Configuration.open_linear(self.configuration, "which tours do not show")
         if self.guide is not None:
             guide = msgspec.structs.replace(chosen.guide, name=self.guide, size=None)
             chosen = dataclasses.replace(chosen, guide=guide)

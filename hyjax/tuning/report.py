@@ -2,11 +2,11 @@
 
 import csv
 import io
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from hyjax.metrics import plain_metrics
+from hyjax.tuning.report_files import file_stem, write_folder
 from hyjax.tuning.report_html import page
 from hyjax.tuning.report_pictures import Example, contact_sheet_rows
 from hyjax.tuning.report_plots import draw_pareto
@@ -20,7 +20,7 @@ from hyjax.tuning.report_text import (
     summary,
 )
 from hyjax.tuning.result import Milliseconds, Scores, Tuned
-from hyjax.util.files import atomic_write, make_writable, remove, write_text
+from hyjax.util.files import atomic_write, write_text
 
 __all__ = [
     "CSV_COLUMNS",
@@ -58,7 +58,7 @@ def write_schedules(out: Path, tuned: Tuned) -> list[Path]:
     texts = {"schedule.json": tuned.schedule.to_json()}
     if len(tuned.budgets) > 1:
         for budget, best in zip(tuned.budgets, tuned.best, strict=True):
-            slug = _file_name(budget.slug)
+            slug = file_stem(budget.slug, "schedule")
             name, count = f"schedule-{slug}.json", 2
             while name in texts:
                 name, count = f"schedule-{slug}-{count}.json", count + 1
@@ -74,17 +74,8 @@ def write_front(folder: Path, tuned: Tuned) -> None:
     Raises:
         InputError: a file cannot be written.
     """
-    make_writable(folder)
-    texts = {f"{_file_name(c.name)}.json": c.schedule.to_json() + "\n" for c in tuned.front}
-    for path in folder.glob("tuned-*.json"):
-        if path.name not in texts:
-            remove(path)  # beaten since
-    for name, text in texts.items():
-        write_text(folder / name, text)
-
-
-def _file_name(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.") or "schedule"
+    texts = {f"{file_stem(c.name, 'schedule')}.json": c.schedule.to_json() + "\n" for c in tuned.front}
+    write_folder(folder, texts, "tuned-*.json")  # what is left was beaten since
 
 
 def write_pareto_csv(path: Path, tuned: Tuned) -> None:

@@ -1,6 +1,7 @@
 """Quality of configurations on frames with known pictures, and as tasks of plain data."""
 
 import functools
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -82,8 +83,6 @@ def time_frames(payload: Mapping[str, Any]) -> Scores:
 
 
 def _opened(payload: Mapping[str, Any]) -> tuple[TuningScene, Configuration]:
-    import json
-
     configuration = Configuration.from_json(json.dumps(payload["configuration"]))
     return _scene(payload["scene"], payload.get("size"), payload.get("seed", 0)), configuration
 

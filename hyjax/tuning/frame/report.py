@@ -2,7 +2,6 @@
 
 import csv
 import io
-import re
 from pathlib import Path
 
 from hyjax.tuning.frame.report_html import page
@@ -16,12 +15,14 @@ from hyjax.tuning.frame.report_text import (
     summary,
 )
 from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
+from hyjax.tuning.report_files import file_stem, write_folder
 from hyjax.tuning.report_pictures import Example, contact_sheet_rows
 from hyjax.util.contact_sheet import write_contact_sheet
-from hyjax.util.files import atomic_write, make_writable, remove, write_text
+from hyjax.util.files import atomic_write, write_text
 
 __all__ = ["CSV_COLUMNS", "summary", "write_results"]
 
+CONFIGURATION = "configuration"
 SCORES = ("relative", "loss", "psnr", "ssim", "lpips", "psnr_raw")
 CSV_COLUMNS = (
     *("name", "kind", "best_for", "front", "choices", "cases", "relative_loss", "relative_time"),
@@ -68,7 +69,9 @@ def write_configurations(out: Path, tuned: FrameTuned) -> list[Path]:
     texts = {"configuration.json": tuned.configuration.to_json()}
     if len(tuned.budgets) > 1:
         for budget, best in zip(tuned.budgets, tuned.best, strict=True):
-            texts[_free(f"configuration-{_slug(budget.slug)}", texts)] = best.configuration.to_json()
+            texts[_free(f"configuration-{file_stem(budget.slug, CONFIGURATION)}", texts)] = (
+                best.configuration.to_json()
+            )
     for name, text in texts.items():
         write_text(out / name, text + "\n")
     return [out / name for name in texts]
@@ -80,19 +83,10 @@ def write_front(folder: Path, tuned: FrameTuned) -> None:
     Raises:
         InputError: a file cannot be written.
     """
-    make_writable(folder)
     texts: dict[str, str] = {}
     for candidate in tuned.front:
-        texts[_free(_slug(candidate.name), texts)] = candidate.configuration.to_json() + "\n"
-    for path in folder.glob("*.json"):
-        if path.name not in texts:
-            remove(path)
-    for name, text in texts.items():
-        write_text(folder / name, text)
-
-
-def _slug(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.") or "configuration"
+        texts[_free(file_stem(candidate.name, CONFIGURATION), texts)] = candidate.configuration.to_json() + "\n"
+    write_folder(folder, texts, "*.json")
 
 
 def _free(stem: str, taken: dict[str, str]) -> str:

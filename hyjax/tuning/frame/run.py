@@ -127,6 +127,10 @@ class FrameRun:
             write_results(self.settings.out, result)
         return result
 
+    @functools.cached_property
+    def _polish_study(self) -> Study:
+        return self._study("polish", resume=True)
+
     def _search(self, space: Space, study: Study, limits: Sequence[float]) -> FrameSearch:
         count, first = len(self.bench.cases), max(FEWEST, len(self.bench.scenes))
         batches = sorted({min(first, count), min(2 * first, count), count})
@@ -189,7 +193,7 @@ class FrameRun:
             )
             return (better if after < before else configuration).to_json()
 
-        study = self._study("polish", resume=True)
+        study = self._polish_study
         return Configuration.from_json(study.remember(study_key, compute, expired=self.monitor.expired))
 
     def _result(
