@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +25,7 @@ from hyjax.geometry.camera import Camera
 from hyjax.guide.choose import RGB, FrameGuide, open_guide
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.relit import Relit
+from hyjax.light.setup import LightSetup
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.metrics import LpipsWeights
 from hyjax.pipeline import Mode, TemporalFilter
@@ -49,6 +50,8 @@ OWN_GROUP: dict[Mode, str] = dict(zip(METHODS, GROUPS))
 """What each mode multiplies its filter with when it is used as it is meant."""
 KAPPA: dict[Mode, float | None] = {"paper": PAPER_KAPPA, "linear": None}
 """Best for the RGB guide on tuning frames; None: what the schedule brings."""
+PointPlace = Literal["room", "view"]
+"""Place of the first benchmark's light: the middle of the room, as in the paper, or near what the cameras look at."""
 ANY = Schedule.uniform([(16, 1)])
 """For the accurate surface, of which only the raw filter is looked at."""
 SHEET = ("frame", "bare mesh", "paper's method", "ours", "accurate surface", "relied on")
@@ -68,6 +71,7 @@ class Bench:
         guide: what guides the diffusion.
         kappa: mode → κ, of features as the guide gives them; None for the schedule's own.
         own: schedule of our mode; the preset `hyjax` if None.
+        point: place of the first benchmark's light.
 
     Raises:
         InputError: any of these cannot be used.
@@ -85,6 +89,7 @@ class Bench:
         guide: FrameGuide = RGB,
         kappa: Mapping[Mode, float | None] = KAPPA,
         own: Schedule | None = None,
+        point: PointPlace = "room",
     ) -> None:
         check_size(size)
         for mode, value in kappa.items():
@@ -97,6 +102,8 @@ class Bench:
         self.schedules: dict[Mode, Schedule] = {"paper": schedule, "linear": own or Schedule.preset("hyjax")}
         self.rough, self.reference = self.scene.caster, open_reference(capture, reference)
         self.setups = {name: self.scene.lights(name) for name in dict.fromkeys(BENCHMARKS.values())}
+        if point == "room":
+            self.setups["center-point"] = in_the_middle(self.setups["center-point"], self.scene.mesh.bounds)
         self._stack, self._blender = contextlib.ExitStack(), []
         if renderer == "blender":
             lights = [light for setup in self.setups.values() for light in setup.lights]
@@ -255,6 +262,9 @@ class BenchConfig(RunConfig):
     """Pixels a side."""
     seed: int = 1
     """Of the built-in room and of the simulated scan."""
+    point: PointPlace = "room"
+    """Where the light of mesh error correction stands: in the middle of the room, as in the paper, or near what the
+    cameras look at."""
 
     def start(self, start: Start) -> tuple[Capture, Results]:
         """The capture, and the results in a folder of its name."""
@@ -264,9 +274,8 @@ class BenchConfig(RunConfig):
     def bench(self, capture: Capture, schedule: Schedule, renderer: Renderer = "shadow_map") -> Bench:
         """Both surfaces of the capture."""
         surfaces = self.mesh, self.reference, self.size, self.seed
-        return Bench(
-            capture, schedule, *surfaces, renderer, open_guide(self.guide), self.kappas, self.preset_of_ours
-        )
+        ours = open_guide(self.guide), self.kappas, self.preset_of_ours
+        return Bench(capture, schedule, *surfaces, renderer, *ours, self.point)
 
     @property
     def kappas(self) -> Mapping[Mode, float | None]:
@@ -297,6 +306,12 @@ class KappaConfig(BenchConfig):
     @property
     def preset_of_ours(self) -> Schedule:
         return Schedule.preset(self.ours)
+
+
+def in_the_middle(setup: LightSetup, bounds: Float[np.ndarray, "2 3"]) -> LightSetup:
+    """The set-up with its lamp in the middle of a box, in the world's axes and metres."""
+    (lamp,) = setup.lights
+    return dataclasses.replace(setup, lights=(dataclasses.replace(lamp, position=bounds.mean(axis=0)),))
 
 
 def reported(capture: Capture, frames: str | None = None) -> list[int]:

@@ -5,7 +5,9 @@ Tables, figures and pages are made from these rows alone (`experiments.report`).
 """
 
 import dataclasses
+import datetime
 import math
+import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -27,9 +29,9 @@ Row = dict[str, Any]
 class Results:
     """The rows of one run.
 
-    Every row carries `experiment`, `settings`, `seed`, `commit`, `device`, `cpu_count` and `versions` besides its
-    own values. The last row of a finished run is `{"kind": "finished"}`. A finished run that is there already is
-    replaced with the first row, not before.
+    Every row carries `experiment`, `settings`, `seed`, `commit`, `date`, `device`, `cpu_count` and `versions`
+    besides its own values. The last row of a finished run is `{"kind": "finished"}`, with the load that the machine
+    had when the run began. A finished run that is there already is replaced with the first row, not before.
 
     Attributes:
         out: the run's folder.
@@ -50,6 +52,7 @@ class Results:
     def __init__(self, out: Path, experiment: str, config: Any, *, resume: bool = False) -> None:
         make_writable(out)
         self.out, self.path = out, out / FILE
+        self._load = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None  # not on Windows
         settings = {key: value for key, value in dataclasses.asdict(config).items() if key not in UNSETTLED}
         self._stamp = _clean(
             {
@@ -57,6 +60,7 @@ class Results:
                 "settings": settings,
                 "seed": settings.get("seed"),
                 "commit": commit(ROOT),
+                "date": datetime.date.today().isoformat(),
             }
             | environment()
         )
@@ -96,7 +100,7 @@ class Results:
 
     def finish(self) -> list[Row]:
         """Mark the run as finished and return its rows."""
-        self.add(kind="finished", peak_memory_mib=round(peak_memory_mib()))
+        self.add(kind="finished", peak_memory_mib=round(peak_memory_mib()), load=self._load)
         return self.rows
 
 
