@@ -1,6 +1,7 @@
 """hyjax beside others' ways to do the same, in one run: torch, OpenCV, ONNX Runtime, and a loop in C as the floor.
 
     python -m experiments.bench_peers [--capture PATH] [--cores N] [--guard] [--out results/bench_peers]
+    python -m experiments.bench_peers --parts quality --choose-on PATH    # the filters held out by scene
 
 Every comparison is timed in turns (A B A B ...) after a first call that compiles, each time after an untimed call
 of the same, so that nobody pays for what the one before left behind; medians and 95th percentiles. That all compute
@@ -14,7 +15,8 @@ the same is measured first, and part of the guard.
   compiled a step at a time. Also frames in batches, and how time grows with pixels.
 - *Quality*: OpenCV's edge-aware filters do another thing, so they are compared by what comes out: the relit frame's
   distance to that of the accurate surface, on frames held out. Each filters (w y, w) as ours does; its strength and
-  reach are chosen on tuning frames, by PSNR. Ours are presets, of which nothing is chosen here.
+  reach are chosen by PSNR on tuning frames of the same capture, or of another one (`--choose-on`). Ours are
+  presets, of which nothing is chosen here.
 - *Guide*: the small network, ours, in torch and in ONNX Runtime.
 - *Frame*: the G-buffer of a mesh of 200 000 triangles and more; a frame from its G-buffer, and whole, to the bytes
   of its picture.
@@ -31,9 +33,10 @@ time.
 import dataclasses
 import functools
 import itertools
+import typing
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -69,6 +72,7 @@ CASCADES = ("paper-50", "paper-80", "naive-1000", "hyjax")
 OPERATIONS = 13  # of a step, a pixel and channel: four differences, four products, four sums, one by λ
 MOST_VALUES = 2**24
 LAM = 0.2
+Part = Literal["steps", "cascades", "quality", "guide", "frames"]
 MOST_SECONDS = 30.0
 
 
@@ -80,6 +84,10 @@ class Config(RunConfig):
     """Side lengths of square pictures."""
     channels: tuple[int, ...] = (1, 3, 16)
     batches: tuple[int, ...] = (1, 4, 16)
+    parts: tuple[Part, ...] = typing.get_args(Part)
+    """What is measured."""
+    choose_on: Path | None = None
+    """Another capture to choose the filters' strengths on, or `room`, the built-in one. Default: earlier frames."""
     frames: int = 4
     """How many to choose strengths on, and how many to report on."""
     repeats: int = 20
@@ -104,12 +112,17 @@ def main(config: Config, start: Start) -> str | None:
     floor = peers.Floor()
     bench = open_bench(TuneSettings(TuneScene(capture=config.capture)))
     results = start()
-    results.add(kind="conditions", cores=cores(), capture=bench.scene.capture.name, meshes=bench.description)
-    time_steps(config, results, floor, torch)
-    time_cascades(config, results, torch)
-    judge_filters(config, results, bench)
-    time_guides(config, results)
-    time_frames(config, results, bench)
+    where = {"capture": bench.scene.capture.name, "meshes": bench.description}
+    results.add(kind="conditions", cores=cores(), choose_on=config.choose_on, **where)
+    parts: dict[Part, Callable[[], None]] = {
+        "steps": lambda: time_steps(config, results, floor, torch),
+        "cascades": lambda: time_cascades(config, results, torch),
+        "quality": lambda: judge_filters(config, results, bench),
+        "guide": lambda: time_guides(config, results),
+        "frames": lambda: time_frames(config, results, bench),
+    }
+    for part in config.parts:
+        parts[part]()
     broken = [what for what, *_, holds in guard(results.rows) if not holds] if config.guard else []
     return f"beyond its limit: {'; '.join(broken)}" if broken else None
 
@@ -219,7 +232,12 @@ def time_cascades(config: Config, results: Results, torch: Any) -> None:
 def judge_filters(config: Config, results: Results, bench: Workbench) -> None:
     count = len(bench.scene)
     early, late = range(count - max(1, count // 4)), range(count - max(1, count // 4), count)
-    tuning, _ = bench.cases(spread(early, config.frames), "tuning")
+    if config.choose_on is None:
+        tuning, _ = bench.cases(spread(early, config.frames), "tuning")
+    else:
+        other = None if config.choose_on == Path("room") else config.choose_on
+        chosen_on = open_bench(TuneSettings(TuneScene(capture=other)))
+        tuning, _ = chosen_on.cases(spread(range(len(chosen_on.scene)), config.frames), "tuning")
     held_out, _ = bench.cases(spread(late, config.frames), "held-out")
     options: dict[str, list[tuple[float, float]]] = {
         who: list(itertools.product(peers.STRENGTHS, reaches))

@@ -276,8 +276,9 @@ def figure(candidates: Sequence[Row], presets: Sequence[Row]) -> Figure:
             continue
         x, y, paper = row["median_ms"], row["held_out"]["relative"], row["form"] == "paper"
         axes.plot(x, y, "s" if paper else "D", color="C3" if paper else "C1")
-        place = (8, -12) if row["name"] == "paper-tuned" else (8, 5)
-        axes.annotate(row["name"], (x, y), xytext=place, textcoords="offset points", fontsize=9)
+        beneath = row["name"] in ("paper-tuned", "quality")
+        side = {"xytext": (-8 if paper else 8, -13 if beneath else 5), "ha": "right" if paper else "left"}
+        axes.annotate(row["name"], (x, y), textcoords="offset points", fontsize=9, **side)
     axes.axhline(1.0, color="0.7", linewidth=0.8)
     axes.set(
         xscale="log", yscale="log", xlabel="ms a frame, median", ylabel="loss on held-out rooms, of the default's"

@@ -51,7 +51,7 @@ OWN_GROUP: dict[Mode, str] = dict(zip(METHODS, GROUPS))
 KAPPA: dict[Mode, float | None] = {"paper": PAPER_KAPPA, "linear": None}
 """Best for the RGB guide on tuning frames; None: what the schedule brings."""
 PointPlace = Literal["room", "view"]
-"""Place of the first benchmark's light: the middle of the room, as in the paper, or near what the cameras look at."""
+"""Place of the first benchmark's lamp: the middle of the room, as in the paper, or near what is looked at."""
 ANY = Schedule.uniform([(16, 1)])
 """For the accurate surface, of which only the raw filter is looked at."""
 SHEET = ("frame", "bare mesh", "paper's method", "ours", "accurate surface", "relied on")

@@ -75,9 +75,10 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         )
         for row in of_kind(rows, "quality")
     ]
+    where = conditions[0].get("choose_on") or "its earlier frames"
     caption = (
         f"Repair of two lights at 512 x 512, judged on held-out frames ({conditions[0]['capture']}; "
-        f"{conditions[0]['meshes']}); *: at an end of what was tried."
+        f"{conditions[0]['meshes']}); strengths chosen on {where}. *: at an end of what was tried."
     )
     shown.append(Table(caption, ["", "strength / reach", "PSNR dB", "loss", "ms", "p95"], quality))
     guides = [
@@ -94,6 +95,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         [what, f"{ratio:.2f}", f"{limit:g}", "yes" if holds else "NO"] for what, ratio, limit, holds in guard(rows)
     ]
     shown.append(Table("Ratios within this run.", ["", "ratio", "limit", "holds"], ratios))
+    shown = [block for block in shown if not isinstance(block, Table) or block.rows]  # parts that were left out
     if of_kind(rows, "step"):
         caption = (
             "A step's operations a second against its operations a byte, counting every array once. Lines: what "
