@@ -140,7 +140,7 @@ class SocketMonitor:
 
 
 @contextlib.contextmanager
-def served(size: int) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+def served(size: int | str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """A tour of the built-in room in a process of its own: its address and the process."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

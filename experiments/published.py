@@ -1,0 +1,108 @@
+"""Tables of the documentation: which kept rows, and which of their experiment's tables, a name stands for."""
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Published:
+    """A table on a page.
+
+    Attributes:
+        rows: name of the file in `evidence/`.
+        number: which of the tables that the experiment makes of these rows, from 0.
+        columns: which columns besides the names; all if empty.
+        lines: which lines, by their first cell; all if empty.
+        caption: instead of the experiment's own.
+    """
+
+    rows: str
+    number: int = 0
+    columns: tuple[str, ...] = ()
+    lines: tuple[str, ...] = ()
+    caption: str = ""
+
+
+TRUTH_COLUMNS = ("raw PSNR dB", "raw LPIPS", "fitted PSNR dB", "fitted LPIPS", "Δ fitted dB")
+TRUTH_LINES = (
+    "untouched photo",
+    "paper's method",
+    "OpenCV's global smoother",
+    "hyjax 0.1",
+    "0.1 / E_old",
+    "0.1 / E_old + bounces",
+    "**hyjax, all together**",
+    "all, sources not told",
+    "all, true E_old and bounces",
+    "true mesh, E_old and light",
+)
+TRUTH_CAPTION = (
+    "Rooms that nothing was chosen on: 32 pictures of four rooms under four set-ups of lights. *Δ*: mean difference to "
+    "hyjax 0.1, which leaves the photo's light in, with its 95 % interval over rooms and set-ups. *E_old*: the photo's "
+    "light."
+)
+
+TABLES: dict[str, Published] = {
+    # against the truth, and the photo's light
+    "truth-short": Published("truth", 0, TRUTH_COLUMNS, TRUTH_LINES, TRUTH_CAPTION),
+    "truth": Published("truth", 0),
+    "truth-setups": Published("truth", 1),
+    "truth-rooms": Published("truth", 2),
+    # the paper's tables
+    "directions-room": Published("paper_table_room", 0),
+    "directions-kitchen": Published("paper_table_kitchen", 0),
+    "correction-room": Published("paper_table_room", 1),
+    "correction-kitchen": Published("paper_table_kitchen", 1),
+    "consistency-room": Published("paper_table_room", 3),
+    "consistency-kitchen": Published("paper_table_kitchen", 3),
+    "fidelity-room": Published("paper_table_room", 5),
+    "fidelity-kitchen": Published("paper_table_kitchen", 5),
+    "fidelity-regions-room": Published("paper_table_room", 6),
+    "fidelity-regions-kitchen": Published("paper_table_kitchen", 6),
+    "kappa-room": Published("kappa_sweep_room"),
+    "kappa-kitchen": Published("kappa_sweep_kitchen"),
+    # beyond the paper
+    "beyond": Published("beyond"),
+    "flicker-room": Published("flicker_room"),
+    "flicker-kitchen": Published("flicker_kitchen"),
+    # frames a second
+    "frame-rate": Published("frame_rate", 0),
+    "frame-rate-stages": Published("frame_rate", 1),
+    "frame-rate-one-core": Published("frame_rate_one_core", 0),
+    "frame-rate-sizes": Published("frame_rate_sizes", 2),
+    "frame-rate-long": Published("frame_rate_long", 3),
+    "frame-rate-sampling": Published("frame_rate_sampling", 3),
+    "stage-times": Published("stage_times", 0),
+    "first-picture": Published("first_picture", 0),
+    "first-picture-stages": Published("first_picture", 1),
+    "gbuffer": Published("gbuffer_methods", 0),
+    "shadow-maps": Published("gbuffer_methods", 1),
+    "peers": Published("bench_peers"),
+    # tuning
+    "presets": Published("frame_tuning", 0),
+    "preset-search": Published("frame_tuning", 1),
+    "choices": Published("frame_tuning", 2),
+    "frame-rate-default": Published("frame_rate_default", 0),
+    "frame-rate-balanced": Published("frame_rate_balanced", 0),
+    "frame-rate-fast": Published("frame_rate_fast", 0),
+    "tuning-gain": Published("tuning_gain"),
+    # the learned guide
+    "conductances": Published("conductances_kitchen"),
+    "depth-middlebury": Published("depth_sr"),
+    "guide-difference": Published("guide_difference"),
+    "guide-worth-room": Published("guide_worth_room"),
+    "guide-worth-kitchen": Published("guide_worth_kitchen"),
+    "guide-speed-16": Published("guide_speed_16", 0),
+    "guide-speed-64": Published("guide_speed_64", 0),
+    # device and export
+    "exports": Published("export_formats"),
+    "roofline": Published("device_roofline", 0),
+    # live, tour, sweeps
+    "live": Published("live", 0),
+    "live-parts": Published("live", 1),
+    "live-chair": Published("live", 3),
+    "tour-latency": Published("tour_latency"),
+    "fusion-chair": Published("fusion_borders_chair", 0),
+    "fusion-room": Published("fusion_borders_room", 0),
+    # what does not carry over
+}
+"""Name on a page → table."""

@@ -1,0 +1,258 @@
+"""Tables of the documentation, written from kept rows by the functions that the experiments' own reports use.
+
+    python -m experiments.tables            # write them anew
+    python -m experiments.tables --check    # name those whose text and rows differ
+    python -m experiments.tables --keep results/truth/rows.jsonl --name truth
+
+A page has a table between `<!-- table: NAME -->` and `<!-- end -->`; `experiments.published` says which rows and
+which of an experiment's tables a name stands for. Rows are kept in `evidence/`, a file for each run: its first line
+has what all its rows share (experiment, settings, commit, date, device, versions), the others what each has
+besides. Numbers are rounded to five digits. With `--keep` a finished run's rows are put there.
+
+A file whose first line says `"source": "transcribed"` holds the cells of a table that was in an earlier README and
+whose rows were not kept; its text says so.
+
+Takes seconds.
+"""
+
+import dataclasses
+import datetime
+import functools
+import importlib
+import json
+import os
+import re
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from experiments.blocks import Table, markdown
+from experiments.command import Experiment, run
+from experiments.published import TABLES, Published
+from experiments.records import ROOT, UNSETTLED, Row, is_finished, machine, read_rows
+from hyjax.util.errors import InputError
+from hyjax.util.files import write_text
+
+KEPT = ROOT / "evidence"
+BETWEEN = re.compile(r"(?<=<!-- table: )([\w-]+)( -->\n)(.*?)(?=<!-- end -->)", re.DOTALL)
+"""Name, and the text of a table."""
+DIGITS = 5
+SHARED = ("experiment", "settings", "commit", "date", "device", "cpu_count", "versions", "seed")
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    check: bool = False
+    """Write nothing; end with status 1 if a table's text is not what its rows say."""
+    keep: Path | None = None
+    """Rows of a finished run, to be kept."""
+    name: str | None = None
+    """Of the kept file. Default: the experiment."""
+    load: str | None = None
+    """What else the machine did meanwhile, in words, where the run has not recorded its load."""
+
+
+def main(config: Config) -> None:
+    """Write or check all tables, or keep a run's rows.
+
+    Raises:
+        InputError: a page has a table that there is not, or rows cannot be read.
+    """
+    if config.keep is not None:
+        print(f"kept as {keep(config.keep, config.name, config.load)}")
+        return
+    texts = {name: text_of(published) for name, published in TABLES.items()}
+    wrong = [f"{page.relative_to(ROOT)}: {what}" for page in pages() for what in update(page, texts, config.check)]
+    used = {name for page in pages() for name, *_ in BETWEEN.findall(page.read_text(encoding="utf-8"))}
+    wrong += [f"{name}: is on no page" for name in texts if name not in used]
+    if not config.check:
+        print(f"{len(used)} tables")
+    elif wrong:
+        print("\n".join([*wrong, "write them anew with python -m experiments.tables"]), file=sys.stderr)
+        sys.exit(1)
+
+
+def pages() -> list[Path]:
+    """Pages that may have tables."""
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def update(page: Path, texts: Mapping[str, str], check: bool) -> list[str]:
+    """Tables of a page whose text differs from `texts`; unless `check` the page is written with the right ones.
+
+    Raises:
+        InputError: a table that is not among `texts`.
+    """
+    before, stale = page.read_text(encoding="utf-8"), []
+
+    def replaced(match: re.Match[str]) -> str:
+        name, middle, text = match.groups()
+        if name not in texts:
+            raise InputError(f"{page}: no table {name!r}; experiments/published.py has the names")
+        if text != texts[name]:
+            stale.append(f"table {name} is not what its rows say")
+        return name + middle + texts[name]
+
+    after = BETWEEN.sub(replaced, before)
+    if stale and not check:
+        write_text(page, after)
+    return stale
+
+
+def text_of(published: Published) -> str:
+    """Caption, table and where it comes from, in Markdown.
+
+    Raises:
+        InputError: no such rows, or no such table, columns or lines.
+    """
+    rows, tables = kept_run(published.rows)
+    return "\n" + markdown([selected(tables, published), provenance(rows)]) + "\n\n"
+
+
+@functools.cache
+def kept_run(name: str) -> tuple[list[Row], list[Table]]:
+    """Kept rows, and all tables that their experiment makes of them.
+
+    Raises:
+        InputError: no such rows.
+    """
+    rows = kept_rows(KEPT / f"{name}.jsonl")
+    return rows, tables_of(rows)
+
+
+def tables_of(rows: Sequence[Row]) -> list[Table]:
+    """All tables that the rows' experiment makes of them, or the one that was transcribed."""
+    if rows[0].get("source") == "transcribed":
+        first = rows[0]
+        return [Table(first["caption"], first["header"], [row["cells"] for row in rows], first["names"])]
+    return [block for block in experiment_of(rows).blocks(rows, KEPT) if isinstance(block, Table)]
+
+
+def experiment_of(rows: Sequence[Row]) -> Experiment:
+    """The experiment that has made rows."""
+    module: Any = importlib.import_module(f"experiments.{rows[0]['experiment']}")
+    found: Experiment = module.main
+    return found
+
+
+def selected(tables: Sequence[Table], published: Published) -> Table:
+    """The table that is asked for, with the columns and lines that are."""
+    if published.number >= len(tables):
+        raise InputError(f"{published.rows}: makes {len(tables)} tables; number {published.number} is asked for")
+    table = tables[published.number]
+    missing = [column for column in published.columns if column not in table.header]
+    missing += [line for line in published.lines if line not in (row[0] for row in table.rows)]
+    if missing:
+        raise InputError(f"{published.rows}: its table has no {missing[0]!r}; it has {', '.join(table.header)}")
+    columns = published.columns or tuple(table.header[table.names :])
+    places = [*range(table.names), *(list(table.header).index(column) for column in columns)]
+    lines = [row for row in table.rows if not published.lines or row[0] in published.lines]
+    header, rows = [table.header[i] for i in places], [[row[i] for i in places] for row in lines]
+    return Table(published.caption or table.caption, header, rows, table.names)
+
+
+def provenance(rows: Sequence[Row]) -> str:
+    """Command, date, commit, device and load of rows, in a sentence."""
+    first = rows[0]
+    if first.get("source") == "transcribed":
+        return (
+            f"Transcribed from the README of commit {short(first['commit'])} ({first['date']}); its rows were not "
+            f"kept. {first['origin']}"
+        )
+    commits = ", ".join(dict.fromkeys(short(row["commit"]) for row in rows))
+    finished = "" if is_finished(list(rows)) else " Interrupted before its end."
+    return f"`{command(first)}`; {first['date']}, commit {commits}; {machine(first)}; {load(rows)}.{finished}"
+
+
+def short(commit: str) -> str:
+    """Such as `0123456789` or `0123456789-dirty`, where files had changes that were not committed."""
+    return commit[:10] + commit[40:]
+
+
+def load(rows: Sequence[Row]) -> str:
+    """Load of the machine, as far as it is known."""
+    found = [row["load"] for row in rows if isinstance(row.get("load"), int | float)]
+    return rows[0].get("load_told") or (f"load before it up to {max(found):.1f}" if found else "load not recorded")
+
+
+def command(row: Row) -> str:
+    """Command line that makes such rows: all settings that are not the default."""
+    name = row["experiment"]
+    module: Any = importlib.import_module(f"experiments.{name}")
+    parts = [f"python -m experiments.{name}"]
+    for field in dataclasses.fields(module.Config):
+        value, usual = row["settings"].get(field.name), default_of(field)
+        if field.name in UNSETTLED or value is None or value == usual:
+            continue
+        option = field.name.replace("_", "-")
+        if isinstance(value, bool):
+            parts.append(f"--{option}" if value else f"--no-{option}")
+        else:
+            values = value if isinstance(value, list) else [value]
+            parts += [f"--{option}", *(quoted(str(one)) for one in values)]
+    return " ".join(parts)
+
+
+def default_of(field: "dataclasses.Field[Any]") -> Any:
+    """Default of an option, as a row has it."""
+    default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+    return list(default) if isinstance(default, tuple) else default
+
+
+def quoted(text: str) -> str:
+    """As a shell wants it, variables left alone."""
+    return f'"{text}"' if shlex.quote(text.replace("$", "")) != text.replace("$", "") else text
+
+
+def keep(path: Path, name: str | None = None, told: str | None = None) -> Path:
+    """Put a run's rows among those kept. Paths in the folder `$HYJAX_DATA` become relative to it.
+
+    Rows that have no date yet get that of their file.
+
+    Raises:
+        InputError: the rows cannot be read, or there is none.
+    """
+    rows = read_rows(path)
+    if not rows:
+        raise InputError(f"{path}: has no rows")
+    written = datetime.date.fromtimestamp(path.stat().st_mtime).isoformat()
+    shared = {"date": written} | {key: rows[0][key] for key in SHARED if key in rows[0]}
+    shared |= {"load_told": told} if told else {}
+    lines = [
+        shared,
+        *({key: row[key] for key in row if key not in shared or shared[key] != row[key]} for row in rows),
+    ]
+    text = "".join(json.dumps(rounded(line), ensure_ascii=False, separators=(",", ":")) + "\n" for line in lines)
+    KEPT.mkdir(exist_ok=True)
+    out = KEPT / f"{name or rows[0]['experiment']}.jsonl"
+    folder = os.environ.get("HYJAX_DATA")
+    write_text(out, text.replace(folder, "$HYJAX_DATA") if folder else text)
+    return out
+
+
+def kept_rows(path: Path) -> list[Row]:
+    """Rows of a kept file, each with what all share.
+
+    Raises:
+        InputError: no such file, or it holds no rows.
+    """
+    try:
+        shared, *rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: no kept rows ({error}); keep a run's with --keep") from None
+    return [shared | row for row in rows]
+
+
+def rounded(value: Any) -> Any:
+    """Numbers to `DIGITS` digits."""
+    if isinstance(value, dict):
+        return {key: rounded(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [rounded(item) for item in value]
+    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+
+
+if __name__ == "__main__":
+    run(main)
