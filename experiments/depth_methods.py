@@ -2,6 +2,7 @@
 
 Each has parameters, which `depth_sr` chooses among candidates on pairs that it does not report. OpenCV's filters
 smooth the bicubic interpolation and may afterwards be adjusted to the source, if that is better.
+`published_methods` are those of Metzger et al. without a learned guide, with the parameters of their code.
 """
 
 import dataclasses
@@ -13,9 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from scipy.interpolate import griddata
 
 from hyjax.core.schedule import Schedule
 from hyjax.core.superresolution import adjust, coarsen, super_resolve
+from hyjax.guide import normalise
 from hyjax.util.errors import InputError
 
 KAPPAS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
@@ -23,6 +26,10 @@ RADII = (0.25, 0.5, 1.0, 2.0)  # of the guided filter, in cells of the source
 EPSILONS = (1e-4, 1e-3, 1e-2, 1e-1)  # of the guided filter, for colours in [0, 1]
 LAMBDAS = (1.0, 10.0, 100.0, 1000.0)  # of the global smoother
 SIGMAS = (2.0, 5.0, 10.0, 20.0)  # of the global smoother, for colours in [0, 255]
+
+DADA = {"kappa": 0.03}
+DADA_STEPS = 8000
+DADA_SPREAD = 1.38605  # metres: standard deviation of depth in NYU, which theirs is divided by
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -92,6 +99,35 @@ def methods(guides: Sequence[str], schedule: Schedule, steps: int, peers: bool) 
         for name, own in ((f"{steps} steps", full), (schedule.name, schedule)):
             found.append(Method(f"{guide}, {name}", kappas, _diffusion(guide, own)))
     return found
+
+
+def published_methods(steps: int) -> list[Method]:
+    """Bicubic interpolation of the valid cells, and diffusion at full size under the frame and that depth.
+
+    Source: Metzger et al., CVPR 2023, and their published code, without a learned guide.
+    """
+    full = Schedule.uniform([(1, steps)], kappa=DADA["kappa"], norm="mean_abs", name="dada")
+
+    def diffused(task: Task, _: Options) -> Array:
+        start = scattered_bicubic(task)
+        guide = jnp.concatenate([normalise(jnp.asarray(task.image)), start / DADA_SPREAD], axis=-1)
+        positive = _positive(task, start)
+        return super_resolve(task.source, task.known, guide, full, task.factor, start=positive)
+
+    return [
+        Method("bicubic", [{}], lambda task, _: scattered_bicubic(task)),
+        Method(f"dada, rgb, {steps} steps", [DADA], diffused),
+    ]
+
+
+def scattered_bicubic(task: Task) -> Float[Array, "h w 1"]:
+    """Cubic interpolation between the centres of the cells that are known, the nearest of them outside."""
+    h, w = task.image.shape[:2]
+    known = np.asarray(task.known)
+    places = (np.argwhere(known) + 0.5) * task.factor - 0.5
+    values, pixels = np.asarray(task.source)[..., 0][known], np.indices((h, w)).reshape(2, -1).T
+    cubic, nearest = (griddata(places, values, pixels, method=method) for method in ("cubic", "nearest"))
+    return jnp.asarray(np.where(np.isnan(cubic), nearest, cubic).reshape(h, w, 1), task.source.dtype)
 
 
 def guided_filter(ximgproc: Any) -> Method:

@@ -4,6 +4,7 @@
 
     python -m experiments.depth_sr --pairs middlebury:/data/middlebury2005 "mosd:/data/mosd?frames=3:40:4" \\
         "capture:/data/kitchen?frames=225:300:5"
+    python -m experiments.depth_sr --protocol dada --pairs SPEC ...
 
 Depth is coarsened by 4, 8, 16 and 32 and super-resolved under the colour frame: bicubic interpolation, OpenCV's
 guided filter and fast global smoother, and diffusion with adjustment under the frame itself and under learned
@@ -14,9 +15,15 @@ each guide, those of the filters) are chosen by factor on the tuning pairs alone
 Takes minutes on two cores for the rooms. Metzger's convention (CVPR 2023, section 4, and the published code): depth
 is cut into tiles of 256² pixels from the top left corner, each of which is a picture of its own; sources are means
 of the valid pixels of their cells; squared and absolute errors are means over the valid pixels of a tile and then
-over tiles, in cm² and cm. So they are here, but for tiles with less than 30 % valid pixels, which are left out.
-Disparities stay disparities, where they convert them to depth. Their κ is for the mean of absolute differences,
-ours for the l2 norm; their guide also sees the coarse depth, ours the frame alone.
+over tiles, in cm² and cm; every step is followed by an adjustment. So they are here, but for tiles with less than
+30 % valid pixels, which are left out, and disparities, which stay as they are.
+
+`--protocol dada` runs their method without a learned guide as their code does: 8000 steps (`--steps`) at full size,
+κ 0.03 for the mean of absolute differences of normalised colours and of the depth that it starts from, which is
+interpolated between valid cells; every tile with four valid cells counts; nothing is tuned. What remains: their
+means are over batches of tiles, depth is divided by NYU's standard deviation whatever the pairs, NYU's depth counts
+only where it was read, and their test scenes are not at hand (Middlebury: Reindeer, Bowling1, Bowling2,
+Adirondack-perfect, Motorcycle-perfect; NYU's by a list of theirs, give `nyu:FILE.mat?frames=...`).
 
 Results are adjusted to every cell with a valid pixel, as theirs are. `--least` asks for more valid pixels; expect
 diffusion to do worse then on depth with holes, since cells that are not adjusted to drift away.
@@ -30,7 +37,7 @@ chosen on the rooms is not the best for other pairs: choose it on pairs of the s
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -39,7 +46,7 @@ from matplotlib.figure import Figure
 
 from experiments.blocks import Block, Picture, Plot, Table
 from experiments.command import RunConfig, Start, experiment, run
-from experiments.depth_methods import Method, Options, Task, make_task, methods
+from experiments.depth_methods import DADA_STEPS, Method, Options, Task, make_task, methods, published_methods
 from experiments.judging import beside_jump, summarise
 from experiments.plotting import new_figure
 from experiments.records import Results, Row, of_kind
@@ -50,7 +57,10 @@ from hyjax.pairs.registry import open_pairs
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
 
+Protocol = Literal["tuned", "dada"]
 LEAST_VALID = 0.3  # share of a tile
+FEWEST_CELLS = 4  # of a tile that counts
+STEPS = 1000
 BORDER = 3  # pixels around a depth jump
 UNITS = {"metres": ("cm", 100.0), "disparity": ("px", 1.0)}  # as reported
 BRIGHTEST = 3.0  # error that is white in pictures, in multiples of the bicubic RMSE
@@ -66,8 +76,10 @@ class Config(RunConfig):
     """Compared: `rgb`, names of shipped weights, files."""
     factors: tuple[int, ...] = (4, 8, 16, 32)
     schedule: str = "paper-80"
-    steps: int = 1000
-    """At full size."""
+    steps: int | None = None
+    """At full size. Default: 1000, by the protocol dada 8000."""
+    protocol: Protocol = "tuned"
+    """`dada`: Metzger's published evaluation of diffusion without a learned guide, see above."""
     tile: int = 256
     """Pixels a side."""
     least: float = 0.0
@@ -91,17 +103,25 @@ class Tile(NamedTuple):
 @experiment("Guided depth super-resolution")
 def main(config: Config, start: Start) -> None:
     check(config)
-    guides = [open_guide(name) for name in config.guides]
+    published = config.protocol == "dada"
+    guides = [] if published else [open_guide(name) for name in config.guides]
     if len({guide.name for guide in guides}) < len(guides):
         raise InputError(f"guides: {', '.join(guide.name for guide in guides)}; give each a file name of its own")
-    compared = methods([g.name for g in guides], Schedule.preset(config.schedule), config.steps, config.peers)
-    tuning = [tile for text in config.tuning for tile in tiles(text, config.tile)]
-    reported = [tile for text in config.pairs for tile in tiles(text, config.tile)]
+    least = 0.0 if published else LEAST_VALID
+    if published:
+        compared, tuning = published_methods(config.steps or DADA_STEPS), []
+    else:
+        named, schedule = [guide.name for guide in guides], Schedule.preset(config.schedule)
+        compared = methods(named, schedule, config.steps or STEPS, config.peers)
+        tuning = [tile for text in config.tuning for tile in tiles(text, config.tile, least)]
+    reported = [tile for text in config.pairs for tile in tiles(text, config.tile, least)]
     results = start()
-    chosen = choose(results, list(tasks(tuning, guides, config)), compared)
+    chosen = choose(results, list(tasks(tuning, guides, config)), config.factors, compared)
     sheet: dict[tuple[str, int], tuple[float, str, list[Float[np.ndarray, "s s 3"]]]] = {}
     for task, tile in tasks(reported, guides, config):
         factor = task.factor
+        if int(task.known.sum()) < FEWEST_CELLS:
+            continue
         estimates = {m.name: np.asarray(m.run(task, chosen[factor, m.name]))[..., 0] for m in compared}
         scores = {name: errors(estimate, tile) for name, estimate in estimates.items()}
         for name, values in scores.items():
@@ -121,7 +141,7 @@ def check(config: Config) -> None:
         raise InputError(f"tuning: {both[0]} is reported on as well; choose parameters on other pairs")
     if not config.pairs or not config.tuning or not config.factors or not config.guides:
         raise InputError("pairs, tuning, guides, factors: each needs at least one")
-    if config.steps < 1:
+    if config.steps is not None and config.steps < 1:
         raise InputError(f"steps: must be at least 1, got {config.steps}")
     levels = [level.factor for level in Schedule.preset(config.schedule).levels]
     for factor in config.factors:
@@ -133,8 +153,8 @@ def check(config: Config) -> None:
             raise InputError(f"factors: {factor} and the schedule's level {wrong[0]} must divide one another")
 
 
-def tiles(text: str, size: int) -> list[Tile]:
-    """Squares side by side from the top left corner of each pair, where enough of their depth is valid.
+def tiles(text: str, size: int, least: float = LEAST_VALID) -> list[Tile]:
+    """Squares side by side from the top left corner of each pair, where so much of their depth is valid.
 
     Raises:
         InputError: there is none, or what `open_pairs` finds wrong.
@@ -146,12 +166,12 @@ def tiles(text: str, size: int) -> list[Tile]:
         h, w = pair.depth.shape
         for index, (i, j) in enumerate(np.ndindex(h // size, w // size)):
             cut = slice(i * size, (i + 1) * size), slice(j * size, (j + 1) * size)
-            if pair.valid[cut].mean() >= LEAST_VALID:
+            if pair.valid[cut].mean() >= max(least, 1 / size**2):
                 found.append(
                     Tile(text, pair.name, index, pair.unit, pair.image[cut], pair.depth[cut], pair.valid[cut])
                 )
     if not found:
-        raise InputError(f"{text}: no tile of {size} pixels a side with {LEAST_VALID:.0%} of valid depth")
+        raise InputError(f"{text}: no tile of {size} pixels a side with {least:.0%} of valid depth")
     return found
 
 
@@ -164,22 +184,22 @@ def tasks(tiles: Sequence[Tile], guides: Sequence[FrameGuide], config: Config) -
 
 
 def choose(
-    results: Results, tuning: Sequence[tuple[Task, Tile]], compared: Sequence[Method]
+    results: Results, tuning: Sequence[tuple[Task, Tile]], factors: Sequence[int], compared: Sequence[Method]
 ) -> dict[tuple[int, str], Options]:
     """For each factor and method the candidate with the least RMSE, with a row for every candidate.
 
-    The mean over tiles is the geometric one, so that no single tile decides.
+    Without tuning pairs it is the first. The mean over tiles is the geometric one, so that no single tile decides.
     """
     chosen = {}
-    for factor in dict.fromkeys(task.factor for task, _ in tuning):
+    for factor in factors:
         own = [(task, tile) for task, tile in tuning if task.factor == factor]
         for method in compared:
             means = []
-            for options in method.candidates:
+            for options in method.candidates if own else ():
                 squared = [errors(np.asarray(method.run(task, options))[..., 0], tile)["mse"] for task, tile in own]
                 means.append(float(np.exp(0.5 * np.mean(np.log(np.add(squared, 1e-12))))))
                 results.add(kind="tuning", factor=factor, method=method.name, options=options, rmse=means[-1])
-            chosen[factor, method.name] = method.candidates[int(np.argmin(means))]
+            chosen[factor, method.name] = method.candidates[int(np.argmin(means)) if means else 0]
             results.add(kind="chosen", factor=factor, method=method.name, options=chosen[factor, method.name])
     return chosen
 

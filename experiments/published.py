@@ -36,9 +36,9 @@ TRUTH_LINES = (
     "true mesh, E_old and light",
 )
 TRUTH_CAPTION = (
-    "Rooms that nothing was chosen on: 32 pictures of four rooms under four set-ups of lights. *Δ*: mean difference to "
-    "hyjax 0.1, which leaves the photo's light in, with its 95 % interval over rooms and set-ups. *E_old*: the photo's "
-    "light."
+    "Rooms that nothing was chosen on: 32 pictures of four rooms under four set-ups of lights. *Δ*: mean "
+    "difference to hyjax 0.1, which leaves the photo's light in, with its 95 % interval over rooms and set-ups. "
+    "*E_old*: the photo's light."
 )
 
 TABLES: dict[str, Published] = {

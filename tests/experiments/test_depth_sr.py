@@ -11,7 +11,7 @@ from reference.arkit_export import write_depth
 
 from experiments import depth_sr
 from experiments.blocks import html, markdown
-from experiments.depth_methods import Method, Task, make_task, methods
+from experiments.depth_methods import DADA, Method, Task, make_task, methods, scattered_bicubic
 from experiments.depth_sr import Config, Tile, choose, errors, main, per_pair, tiles
 from experiments.records import FILE, Results, of_kind, read_rows
 from hyjax.core.pyramid import downsample
@@ -90,10 +90,30 @@ def test_parameters_are_the_best_on_the_tuning_pairs(tmp_path: Path, config: Con
         return np.ones((64, 64, 1)) + off
 
     results = Results(tmp_path / "out", "depth_sr", config)
-    assert choose(results, tuning, [Method("m", options, run)]) == {(4, "m"): options[1], (8, "m"): options[0]}
+    chosen = choose(results, tuning, (4, 8), [Method("m", options, run)])
+    assert chosen == {(4, "m"): options[1], (8, "m"): options[0]}
     np.testing.assert_allclose(
         [row["rmse"] for row in of_kind(results.rows, "tuning")], [0.3, 0.1, 0.2, 0.7, 0.9, 0.8], rtol=1e-6
     )
+
+
+def test_the_published_protocol_tunes_nothing_and_keeps_to_the_source(config: Config) -> None:
+    rows = main(dataclasses.replace(config, protocol="dada"))
+    assert not of_kind(rows, "tuning")
+    assert [row["options"] for row in of_kind(rows, "chosen")] == [{}, DADA]
+    scores = of_kind(rows, "score")
+    assert [row["method"] for row in scores[:2]] == ["bicubic", "dada, rgb, 60 steps"]
+    assert all(row["mae"] > 0 and row["mae"] ** 2 <= row["mse"] for row in scores)
+
+
+def test_interpolation_of_cells_reproduces_a_plane_also_beside_unknown_ones() -> None:
+    rows, columns = np.indices((32, 32))
+    depth, valid = 1.0 + 0.02 * rows + 0.01 * columns, np.ones((32, 32), bool)
+    valid[8:16, 12:20] = False
+    task = make_task(np.zeros((32, 32, 3)), np.where(valid, depth, 0.0), valid, {}, 4, 0.0)
+    assert int(np.sum(~np.asarray(task.known))) == 4
+    inside = slice(2, 30), slice(2, 30)
+    np.testing.assert_allclose(scattered_bicubic(task)[..., 0][inside], depth[inside], atol=1e-5)
 
 
 def test_errors_are_means_over_what_is_valid() -> None:
