@@ -31,7 +31,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     """A temporary name beside `path` to write to: renamed to it if the block ends well and the file is whole.
 
     Raises:
-        InputError: the file cannot be written, or is not whole: the disk is full. What was at `path` is still there.
+        InputError: the file cannot be written, or is not whole: the disk is full. What was there before stays.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{_mark()}{PART}{path.suffix}")
