@@ -21,6 +21,7 @@ from hyjax.tour.settings import TourSettings
 from hyjax.training.settings import TrainSettings, paper_settings
 from hyjax.tuning.settings import TuneSettings
 from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 from hyjax.util.interrupts import defer_interrupts, exit_now
 
 RENAMED_VALUES = {("--renderer", "hyjax"): "shadow_map"}
@@ -212,6 +213,7 @@ def run_train(command: Train) -> None:
         if command.coordinator is None:
             raise InputError("coordinator: give --coordinator ADDRESS:PORT of host 0, the same on every host")
         jax.distributed.initialize(command.coordinator, command.hosts, command.host)
+    optional_module("grain", "train", "train")
     from hyjax.training.run import train
 
     _keep_for_later()
@@ -239,12 +241,8 @@ def run_tour(settings: TourSettings) -> None:
     """`hyjax tour`."""
     import threading
 
-    try:
-        import astral  # noqa: F401
-        import av  # noqa: F401
-        import viser  # noqa: F401
-    except ImportError as error:
-        raise InputError(f"tour: needs the package {error.name}; install it with: pip install '.[tour]'") from None
+    for module in ("astral", "av", "viser"):
+        optional_module(module, "tour", "tour")
     from hyjax.tour.page import Tour
 
     _keep_for_later()

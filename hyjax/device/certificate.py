@@ -7,7 +7,7 @@ import ssl
 import tempfile
 from pathlib import Path
 
-from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 
 DAYS = 30
 
@@ -21,14 +21,11 @@ def tls_context(host: str) -> ssl.SSLContext:
     Raises:
         InputError: the package cryptography is missing.
     """
-    try:
-        from cryptography import x509
-        from cryptography.hazmat.primitives import hashes, serialization
-        from cryptography.hazmat.primitives.asymmetric import ec
-    except ImportError:
-        raise InputError(
-            "https: needs the package cryptography; install it with: pip install '.[device]'"
-        ) from None
+    optional_module("cryptography", "device", "https")
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "hyjax")])
     try:
@@ -68,10 +65,7 @@ def qr_code(address: str) -> str:
     Raises:
         InputError: the package segno is missing.
     """
-    try:
-        import segno
-    except ImportError:
-        raise InputError("qr code: needs the package segno; install it with: pip install '.[device]'") from None
+    segno = optional_module("segno", "device", "qr code")
     text = io.StringIO()
     segno.make(address, error="l", micro=False).terminal(out=text, compact=True, border=2)
     return text.getvalue()

@@ -1,13 +1,10 @@
 """Result of a conversion: files in memory, and a way to run them."""
 
 import dataclasses
-import importlib
 import sys
 from collections.abc import Mapping
-from types import ModuleType
 
 from hyjax.export.graph import Run
-from hyjax.util.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,27 +27,6 @@ class Artifact:
         names = list(self.files)
         folder = names[0].partition("/")[0]
         return sum(len(self.files[name]) for name in names if name.partition("/")[0] == folder)
-
-
-def load(module: str, extra: str, *, besides: str = "") -> ModuleType:
-    """An optional package's module.
-
-    Args:
-        module: its full name.
-        extra: of hyjax, that brings it.
-        besides: a command that is needed after that of the extra.
-
-    Raises:
-        InputError: it is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        missing = (error.name or module).partition(".")[0]
-        also = f", then: {besides}" if besides else ""
-        raise InputError(
-            f"export: needs the package {missing}; install it with: pip install '.[{extra}]'{also}"
-        ) from None
 
 
 def say(text: str, *, quiet: bool) -> None:

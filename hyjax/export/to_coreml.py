@@ -10,9 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hyjax.export.artifact import Artifact, load
+from hyjax.export.artifact import Artifact
 from hyjax.export.graph import Graph, lower_text
 from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 
 EXTRA = "export-coreml"
 PACKAGES = ("stablehlo-coreml", "coremltools")
@@ -31,7 +32,8 @@ def convert(graph: Graph, triple: str | None = None) -> Artifact:
 
 
 def _convert(graph: Graph) -> Artifact:
-    tools, converter = load("coremltools", EXTRA), load("stablehlo_coreml", EXTRA)
+    tools = optional_module("coremltools", EXTRA, "export")
+    converter = optional_module("stablehlo_coreml", EXTRA, "export")
     from jax._src.interpreters import mlir
     from jax._src.lib.mlir import ir
 

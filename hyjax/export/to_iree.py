@@ -3,9 +3,10 @@
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.export.artifact import Artifact, load
+from hyjax.export.artifact import Artifact
 from hyjax.export.graph import Graph, Named, lower_text
 from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 
 EXTRA = "export-iree"
 PACKAGES = ("iree-base-compiler", "iree-base-runtime")
@@ -19,7 +20,8 @@ def convert(graph: Graph, triple: str | None = None) -> Artifact:
         graph: what to convert.
         triple: LLVM's name of another machine; the module then cannot be checked here.
     """
-    compiler, runtime = load("iree.compiler", EXTRA), load("iree.runtime", EXTRA)
+    compiler = optional_module("iree.compiler", EXTRA, "export")
+    runtime = optional_module("iree.runtime", EXTRA, "export")
     machine = "--iree-llvmcpu-target-cpu=host" if triple is None else f"--iree-llvmcpu-target-triple={triple}"
     try:
         content = compiler.compile_str(

@@ -7,9 +7,10 @@ and does well without: it is installed without its dependencies.
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.export.artifact import Artifact, load
+from hyjax.export.artifact import Artifact
 from hyjax.export.graph import Graph, Named, lower_text
 from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 
 EXTRA = "export-litert"
 BESIDES = "pip install --no-deps litert-converter==0.5.0"
@@ -18,7 +19,7 @@ PACKAGES = ("litert-converter", "ai-edge-litert")
 
 def convert(graph: Graph, triple: str | None = None) -> Artifact:
     """The function as a flatbuffer."""
-    interpreter = load("ai_edge_litert.interpreter", EXTRA, besides=BESIDES)
+    interpreter = optional_module("ai_edge_litert.interpreter", EXTRA, "export", besides=BESIDES)
     content = flatbuffer(graph)
     runner = interpreter.Interpreter(model_content=content).get_signature_runner(graph.name)
 
@@ -31,7 +32,7 @@ def convert(graph: Graph, triple: str | None = None) -> Artifact:
 def flatbuffer(graph: Graph) -> bytes:
     """The function as the bytes of a .tflite file, with a signature of the graph's names."""
     ir, passes, api = (
-        load(f"litert_converter.{name}", EXTRA, besides=BESIDES)
+        optional_module(f"litert_converter.{name}", EXTRA, "export", besides=BESIDES)
         for name in ("mlir.ir", "mlir.passmanager", "converter_api_ext")
     )
     context = ir.Context()

@@ -3,8 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.export.artifact import Artifact, load
+from hyjax.export.artifact import Artifact
 from hyjax.export.graph import Graph, Named
+from hyjax.util.extras import optional_module
 
 EXTRA = "export-onnx"
 PACKAGES = ("onnx", "onnxruntime")
@@ -12,8 +13,8 @@ PACKAGES = ("onnx", "onnxruntime")
 
 def convert(graph: Graph, triple: str | None = None) -> Artifact:
     """The function as an ONNX model."""
-    runtime = load("onnxruntime", EXTRA)
-    load("onnx", EXTRA)
+    runtime = optional_module("onnxruntime", EXTRA, "export")
+    optional_module("onnx", EXTRA, "export")
     from hyjax.export.onnx_writer import write_onnx
 
     content = write_onnx(graph)

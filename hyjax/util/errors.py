@@ -1,17 +1,57 @@
 """Input errors: the exception for wrong input, which the command line tells from a bug."""
 
 import difflib
+import reprlib
 from collections.abc import Iterable
+from typing import Any
+
+LONGEST = 600
+"""Characters of a message; what is beyond is left out of its middle."""
+
+_short = reprlib.Repr()
+_short.maxlevel, _short.maxlist, _short.maxtuple, _short.maxstring, _short.maxother = 3, 8, 8, 80, 80
 
 
 class InputError(ValueError):
     """Wrong input: it cannot be used.
 
-    The message is one line that says what is wrong, where, and what would be right.
+    The message is one line that says what is wrong, where, and what would be right. Texts of files and of users may
+    be in it: line ends and control characters are escaped, and the middle of a long one is left out.
+
+    Args:
+        message: the line.
+
+    Example:
+        >>> str(InputError("lamp.yaml: unknown key 'a\\nb'"))
+        "lamp.yaml: unknown key 'a\\\\nb'"
     """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(one_line(str(message)))
+
+
+def one_line(text: str, most: int = LONGEST) -> str:
+    """A text as one line that a terminal can show: what is not printable escaped, its middle left out if long."""
+    if len(text) > most:
+        text = f"{text[: most * 2 // 3]} … {text[-(most // 3 - 3) :]}"
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def shown(value: Any) -> str:
+    """A value for a message: as Python has it, cut off where it is long or deep.
+
+    >>> shown([0] * 1000)
+    '[0, 0, 0, 0, 0, 0, 0, 0, ...]'
+    """
+    try:
+        return _short.repr(value)
+    except Exception:  # of the value's own `__repr__`
+        return f"a {type(value).__name__}"
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """` (did you mean 'position'?)` for the known word nearest to a misspelt one; empty if none is near."""
-    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
+    close = difflib.get_close_matches(word[:200], list(known), n=1, cutoff=0.5)
     return f" (did you mean {close[0]!r}?)" if close else ""

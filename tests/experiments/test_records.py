@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.records import FILE, Results, is_finished, read_rows
+from experiments.records import FILE, ROOT, Results, is_finished, read_rows
 from hyjax.util.checkout import commit
 from hyjax.util.errors import InputError
 
@@ -55,7 +55,7 @@ def test_every_row_says_what_it_takes_to_make_it_again(tmp_path: Path) -> None:
     for row in rows:
         assert row["experiment"] == "some_experiment"
         assert row["settings"] == {"size": [128, 128], "kappa": 0.03, "capture": "some/room", "seed": 7}
-        assert row["seed"] == 7 and row["commit"] == commit()
+        assert row["seed"] == 7 and row["commit"] == commit(ROOT)
         assert row["device"].startswith("cpu") and row["cpu_count"] == os.cpu_count()
         assert {"hyjax", "python", "jax", "numpy"} <= row["versions"].keys()
     assert rows[0]["loss"] == 0.5

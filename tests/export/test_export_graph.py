@@ -13,7 +13,6 @@ from hyjax.cli import main
 from hyjax.core.schedule import Schedule
 from hyjax.export import run as export_run
 from hyjax.export import to_stablehlo
-from hyjax.export.artifact import load
 from hyjax.export.graph import build_graph, cascade_graph, check_parity, measure_parity
 from hyjax.export.run import export_file
 from hyjax.export.settings import ExportSettings, Target
@@ -22,6 +21,7 @@ from hyjax.export.unroll import unrolled
 from hyjax.guide.choose import RGB
 from hyjax.scene.settings import SceneSettings
 from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 
 SMALL = SceneSettings(size="64x48")
 
@@ -130,7 +130,7 @@ def test_a_target_that_is_unknown() -> None:
 
 def test_a_missing_package_is_named() -> None:
     with pytest.raises(InputError) as caught:
-        load("no_such_package.inner", "export-onnx")
+        optional_module("no_such_package.inner", "export-onnx", "export")
     expected = "export: needs the package no_such_package; install it with: pip install '.[export-onnx]'"
     assert str(caught.value) == expected
 

@@ -7,8 +7,6 @@ fits is told by the measured time alone.
 Losses hold on any machine. Times are kept by machine: a search that goes on elsewhere measures them anew.
 """
 
-import importlib
-import importlib.util
 import math
 import warnings
 from collections.abc import Callable
@@ -18,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from hyjax.tuning.frame.search import Trial
 from hyjax.tuning.frame.space import Choices, Parameter, Space, key_of
 from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 from hyjax.util.run_log import as_json, check_same_settings
 
 if TYPE_CHECKING:
@@ -195,8 +194,6 @@ def _distribution(parameter: Parameter) -> "optuna.distributions.BaseDistributio
 
 def check_installed() -> None:
     """Raise `InputError` unless Optuna is there."""
-    if importlib.util.find_spec("optuna") is None:
-        raise InputError("tune: needs the package optuna; install it with: pip install '.[tune]'")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of tqdm, in notebooks without widgets
-        importlib.import_module("optuna")
+        optional_module("optuna", "tune", "tune")

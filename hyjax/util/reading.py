@@ -1,0 +1,237 @@
+"""Texts, JSON and YAML of files that may be damaged or come from strangers.
+
+Every reader of the package reads through these: what they return is plain data of bounded size and depth, and
+whatever is wrong is one `InputError`.
+"""
+
+import errno
+import json
+import math
+import os
+import stat
+from pathlib import Path
+from typing import Any, BinaryIO, NoReturn
+
+from hyjax.util.errors import InputError, shown
+
+LARGEST_TEXT = 1 << 28
+"""Bytes; poses and intrinsics of a hundred thousand frames have less."""
+LARGEST_WRITTEN_BY_HAND = 1 << 18
+"""Bytes of a YAML file, which takes three seconds to read; a large one is better JSON."""
+DEEPEST = 64
+"""Lists and mappings within each other."""
+MOST_DIGITS = 19
+"""Of a whole number: those of 64 bits."""
+MOST_NODES = 100_000
+"""Values of a YAML file, each alias counted with all that it stands for."""
+
+
+def open_regular(path: Path, where: str | None = None) -> BinaryIO:
+    """A file opened for reading; pipes, devices and folders are refused and not waited for.
+
+    Args:
+        path: of the file; links are followed.
+        where: what messages call it, if not by its path.
+
+    Raises:
+        InputError: there is none, it cannot be read, or it is no regular file.
+    """
+    where = where or str(path)
+    try:
+        # Without O_NONBLOCK, opening a pipe waits for somebody who writes.
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
+    except FileNotFoundError:
+        raise InputError(f"{where}: no such file") from None
+    except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
+        raise InputError(f"{where}: cannot read ({_reason(error)})") from None
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(descriptor)
+        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe, socket or device"
+        raise InputError(f"{where}: is {kind}, not a file")
+    return os.fdopen(descriptor, "rb")
+
+
+def check_regular(path: Path, where: str | None = None) -> None:
+    """Raise `InputError` for what libraries cannot read at once: no regular file, or one that may not be read."""
+    open_regular(path, where).close()
+
+
+def read_bytes(path: Path, where: str | None = None, most: int = LARGEST_TEXT) -> bytes:
+    """Content of a file.
+
+    Raises:
+        InputError: see `open_regular`; or it has more than `most` bytes.
+    """
+    where = where or str(path)
+    with open_regular(path, where) as file:
+        try:
+            content = file.read(most + 1)
+        except OSError as error:
+            raise InputError(f"{where}: cannot read ({_reason(error)})") from None
+    if len(content) > most:
+        raise InputError(f"{where}: has over {_size(most)}; too large for its kind")
+    return content
+
+
+def read_text(path: Path, where: str | None = None, most: int = LARGEST_TEXT) -> str:
+    """A text file (UTF-8, with or without a byte order mark).
+
+    Raises:
+        InputError: see `read_bytes`; or it is not UTF-8.
+    """
+    return as_text(read_bytes(path, where, most), where or str(path))
+
+
+def as_text(content: bytes, where: str) -> str:
+    """Bytes of UTF-8 as a text.
+
+    Raises:
+        InputError: they are none.
+    """
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{where}: not a text file (byte {error.start} is not UTF-8)") from None
+
+
+def read_json(path: Path, where: str | None = None, most: int = LARGEST_TEXT) -> Any:
+    """Plain data of a JSON file; see `parse_json`."""
+    return parse_json(read_text(path, where, most), where or str(path))
+
+
+def parse_json(text: str | bytes, where: str) -> Any:
+    """Plain data of a JSON text.
+
+    Raises:
+        InputError: no text, no JSON, whole numbers beyond 64 bits, or lists and mappings more than 64 deep.
+
+    Example:
+        >>> parse_json('{"size": [640, 480]}', "camera.json")
+        {'size': [640, 480]}
+    """
+    if isinstance(text, bytes):
+        text = as_text(text, where)
+    if not isinstance(text, str):
+        raise InputError(f"{where}: need JSON text, got {shown(text)}")
+
+    def whole(digits: str) -> int:
+        if len(digits.lstrip("-")) > MOST_DIGITS:
+            raise InputError(f"{where}: a whole number of {len(digits)} digits")
+        return int(digits)
+
+    try:
+        value = json.loads(text, parse_int=whole)
+    except RecursionError:
+        raise InputError(f"{where}: lists and mappings more than {DEEPEST} deep") from None
+    except json.JSONDecodeError as error:
+        raise InputError(f"{where}: not JSON (line {error.lineno}: {error.msg})") from None
+    if _depth(value) > DEEPEST:
+        raise InputError(f"{where}: lists and mappings more than {DEEPEST} deep")
+    return value
+
+
+def read_yaml(path: Path, where: str | None = None) -> Any:
+    """Plain data of a YAML or JSON file; see `parse_yaml`."""
+    return parse_yaml(read_text(path, where, LARGEST_WRITTEN_BY_HAND), where or str(path))
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """Plain data of a YAML text; JSON is a part of YAML.
+
+    Raises:
+        InputError: neither, whole numbers beyond 64 bits, more than 64 deep, or aliases that stand for more than
+            100 000 values.
+
+    Example:
+        >>> parse_yaml("lights:\\n  - {type: point, lux: 80}", "lamps.yaml")
+        {'lights': [{'type': 'point', 'lux': 80}]}
+    """
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        """YAML's safe loader, which refuses what is too deep while it reads."""
+
+        depth = 0
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            self.depth += 1
+            if self.depth > DEEPEST:
+                raise InputError(f"{where}: lists and mappings more than {DEEPEST} deep")
+            node = super().compose_node(parent, index)
+            self.depth -= 1
+            return node
+
+    try:
+        value = yaml.load(text, Loader)
+    except InputError:
+        raise
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" (line {mark.line + 1}: {getattr(error, 'problem', '')})" if mark else ""
+        raise InputError(f"{where}: neither YAML nor JSON{line}") from None
+    except Exception as error:  # the constructors of scalars: `2026-99-99`, `!!int x`, `0b_`
+        raise InputError(f"{where}: a value that YAML cannot make ({error})") from None
+    _check_values(value, where)
+    return value
+
+
+def _check_values(value: Any, where: str) -> None:
+    left, count = [(value, 1)], 0
+    while left:
+        inner, depth = left.pop()
+        count += 1
+        if count > MOST_NODES or depth > DEEPEST:  # a list that holds itself is as deep as one likes
+            raise InputError(f"{where}: aliases that stand for over {MOST_NODES} values")
+        if isinstance(inner, dict):
+            left += [(part, depth + 1) for pair in inner.items() for part in pair]
+        elif isinstance(inner, list | tuple | set):
+            left += [(part, depth + 1) for part in inner]
+        elif isinstance(inner, int) and abs(inner) >= 10**MOST_DIGITS:
+            raise InputError(f"{where}: a whole number beyond 64 bits")
+
+
+def _depth(value: Any) -> int:
+    """How many lists and mappings are within each other; stops where they are too many."""
+    depth, layer = 0, [value]
+    while layer and depth <= DEEPEST:
+        layer = [
+            part
+            for outer in layer
+            if isinstance(outer, dict | list)
+            for part in (outer.values() if isinstance(outer, dict) else outer)
+            if isinstance(part, dict | list)
+        ]
+        depth += 1
+    return depth
+
+
+def finite(value: Any, where: str, *, least: float = -math.inf, most: float = math.inf) -> float:
+    """A number of a file as a float.
+
+    Raises:
+        InputError: no number (a truth value or a text is none), not finite, or outside of `least` to `most`.
+
+    Example:
+        >>> finite(50, "lens.json, fx", least=1e-3)
+        50.0
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{where}: must be a number, got {shown(value)}")
+    if not least <= value <= most:
+        raise InputError(f"{where}: must be {least:g} to {most:g}, got {shown(value)}")
+    return float(value)
+
+
+def disk_error(path: Path | str, error: OSError) -> NoReturn:
+    """Raise the `InputError` for a file or folder that cannot be written."""
+    hint = "; free some space, or write elsewhere" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+    raise InputError(f"{path}: cannot write ({_reason(error)}{hint})") from None
+
+
+def _reason(error: Exception) -> str:
+    return str(getattr(error, "strerror", None) or error)
+
+
+def _size(count: int) -> str:
+    return f"{count >> 20} MiB" if count >> 20 else f"{count} bytes"
