@@ -13,6 +13,7 @@ from hyjax.core.cascade import largest_sampling
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.pipeline import Mode
 from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.reading import parse_json, read_text
 
 _log = logging.getLogger(__name__)
 SUFFIX = ".json"
@@ -261,9 +262,10 @@ class Configuration:
         Raises:
             InputError: not JSON, a field missing, unknown or out of range, or anything `check` refuses.
         """
+        content = parse_json(text, "configuration", only_finite=True)
         try:
-            file = msgspec.json.decode(text, type=_File)
-        except (msgspec.DecodeError, RecursionError) as error:  # also of a field that does not fit
+            file = msgspec.convert(content, _File, str_keys=True)
+        except msgspec.ValidationError as error:
             hint = "; it is a schedule: give it as --schedule" if '"levels"' in str(text)[:400] else ""
             raise InputError(f"configuration: {error}{hint}") from None
         own, shadow = (_schedule(file, part) for part in ("schedule", "shadow_schedule"))
@@ -280,12 +282,9 @@ class Configuration:
         """
         if not text.lower().endswith(SUFFIX):
             return cls.preset(text)
+        content = read_text(Path(text), f"configuration {text}")
         try:
-            return cls.from_json(Path(text).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(
-                f"{text}: cannot read the configuration ({getattr(error, 'strerror', error)})"
-            ) from None
+            return cls.from_json(content)
         except InputError as error:
             raise InputError(f"{text}: {error}") from None
 

@@ -16,6 +16,7 @@ from jaxtyping import ArrayLike, Float
 from hyjax.core.diffusion import Norm, check_fidelity, check_kappa, check_step_sizes
 from hyjax.core.step_size import DEFAULT_LAM
 from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.reading import parse_json
 from hyjax.util.tracing import concrete
 
 Pooling = Literal["edges", "guide"]
@@ -248,10 +249,7 @@ class Schedule:
         Raises:
             InputError: not JSON, a key missing or unknown, or anything `check` refuses.
         """
-        try:
-            content = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise InputError(f"schedule: not JSON (line {error.lineno}: {error.msg})") from None
+        content = parse_json(text, "schedule")
         names = ("name", "pooling", "norm", "upsampling")
         content = _keys("schedule", content, {"levels"}, set(names))
         if not isinstance(content["levels"], list):

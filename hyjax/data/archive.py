@@ -15,8 +15,9 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
-from hyjax.data.file_tree import IGNORED, FileTree, digest_of, opened
+from hyjax.data.file_tree import IGNORED, LARGEST_READ, FileTree, digest_of
 from hyjax.util.errors import InputError
+from hyjax.util.reading import check_most, check_regular, open_regular
 
 ARCHIVES = (".zip", ".r3d")
 MOST_FILES = 1_000_000
@@ -30,9 +31,10 @@ class Archive(FileTree):
     """A ZIP archive. Threads may read from it at the same time."""
 
     def __init__(self, path: Path) -> None:
+        check_regular(path)
         try:
             self._zip = zipfile.ZipFile(path)
-        except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
+        except Exception as error:  # BadZipFile, OSError, NotImplementedError, struct.error, UnicodeDecodeError, …
             raise InputError(f"{path}: not a readable ZIP archive ({error})") from None
         entries = [entry for entry in self._zip.infolist() if not entry.is_dir()]
         if len(entries) > MOST_FILES:
@@ -58,12 +60,13 @@ class Archive(FileTree):
             folder = tempfile.mkdtemp(prefix="hyjax-")
             weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
             self._copies[name] = self._copy(name, folder)
-        with opened(self._copies[name], self.where(name)) as file:
+        with open_regular(self._copies[name], self.where(name)) as file:
             yield file
 
     def read(self, name: str) -> bytes:
         if name not in self:
             raise InputError(f"{self.where(name)}: no such file")
+        check_most(self.size(name), LARGEST_READ, self.where(name))
         try:
             # With a count, zipfile unpacks no more than the size that was checked; without, all that is packed.
             with self._lock, self._zip.open(name) as packed:

@@ -4,7 +4,11 @@ Source: the data pages of ARKitScenes' repository.
 """
 
 import csv
+import io
 from pathlib import Path
+
+from hyjax.util.errors import InputError
+from hyjax.util.reading import read_bytes
 
 SPLITS = ("raw_train_val_splits.csv", "metadata.csv")
 """Tables of video and visit: the repository's, and the one that the downloader leaves beside the scans."""
@@ -26,7 +30,10 @@ def _visit(table: Path, video: str) -> str | None:
     """The visit in which a video was made, from a table with columns video_id and visit_id."""
     if not table.is_file():
         return None
-    with table.open(newline="", encoding="utf-8", errors="replace") as file:
-        rows = [row for row in csv.DictReader(file) if row.get("video_id") == video]
+    text = read_bytes(table).decode("utf-8", errors="replace")
+    try:
+        rows = [row for row in csv.DictReader(io.StringIO(text)) if row.get("video_id") == video]
+    except csv.Error as error:
+        raise InputError(f"{table}: not a table ({error})") from None
     visit = (rows[0].get("visit_id") or "") if rows else ""
     return visit.removesuffix(".0") or None  # pandas writes a column with gaps as floats

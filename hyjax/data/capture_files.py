@@ -1,7 +1,6 @@
 """Helpers of the readers of captures: numbers in text, pictures, files named by time, fingerprints."""
 
-import hashlib
-import json
+import contextlib
 import os
 import re
 import tempfile
@@ -12,10 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from hyjax.data.file_tree import FileTree
+from hyjax.data.file_tree import FileTree, digest_of
 from hyjax.util.errors import InputError
 from hyjax.util.images import picture_shape, read_depth, read_image, read_labels
+from hyjax.util.reading import parse_json, read_text
 
+LARGEST_OF_NUMBERS = 1 << 16
+"""Bytes of a text file that holds one matrix."""
 TIMED = re.compile(r"(?:\d+_)?(\d+\.\d+)")
 
 
@@ -25,20 +27,14 @@ def read_numbers(path: Path, shape: tuple[int, ...], meaning: str = "row by row"
     Raises:
         InputError: the file cannot be read, holds anything but numbers, or another number of them.
     """
-    try:
-        text = path.read_text()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file; need {np.prod(shape)} plain numbers") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot read ({error.strerror})") from None
-    return parse_numbers(text, str(path), shape, meaning)
+    return parse_numbers(read_text(path, most=LARGEST_OF_NUMBERS), str(path), shape, meaning)
 
 
 def tree_numbers(
     tree: FileTree, name: str, shape: tuple[int, ...], meaning: str = "row by row"
 ) -> Float[np.ndarray, "*shape"]:
     """All numbers of a text file of a tree; see `read_numbers`."""
-    return parse_numbers(tree.text(name), tree.where(name), shape, meaning)
+    return parse_numbers(tree.text(name, LARGEST_OF_NUMBERS), tree.where(name), shape, meaning)
 
 
 def parse_numbers(
@@ -91,12 +87,7 @@ def tree_json(tree: FileTree, name: str) -> Any:
     Raises:
         InputError: it cannot be read, or is no JSON.
     """
-    try:
-        return json.loads(tree.text(name))
-    except (ValueError, RecursionError) as error:  # JSONDecodeError, and numbers of thousands of digits
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{tree.where(name)}: not readable as JSON ({error})") from None
+    return parse_json(tree.text(name), tree.where(name))
 
 
 def looks_whole(tree: FileTree, name: str) -> bool:
@@ -218,9 +209,9 @@ def timed_files(folder: Path, suffix: str) -> TimedFiles:
 
 def fingerprint(root: Path, folders: Iterable[Path]) -> str:
     """For `Capture.fingerprint`: from names, sizes and times of all files in `folders`, which costs no reading."""
-    files = sorted(
-        f"{Path(entry.path).relative_to(root)} {entry.stat().st_size} {entry.stat().st_mtime_ns}"
-        for folder in folders
-        for entry in os.scandir(folder)
-    )
-    return hashlib.sha256("\n".join([str(root), *files]).encode()).hexdigest()
+    files = []
+    for entry in (entry for folder in folders for entry in os.scandir(folder)):
+        with contextlib.suppress(OSError):  # a link that leads nowhere
+            stat = entry.stat()
+            files.append(f"{Path(entry.path).relative_to(root)} {stat.st_size} {stat.st_mtime_ns}")
+    return digest_of(str(root), sorted(files))

@@ -13,10 +13,11 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
 from hyjax.util.errors import InputError
+from hyjax.util.reading import LARGEST_TEXT, as_text, check_most, open_regular
 
+LARGEST_READ = 1 << 30
+"""Bytes of a file that is read whole."""
 IGNORED = ("__MACOSX", ".DS_Store", "Thumbs.db")
-LARGEST_TEXT = 1 << 28
-"""Bytes; poses and intrinsics of a hundred thousand frames have less."""
 
 
 class FileTree(abc.ABC):
@@ -84,7 +85,7 @@ class FileTree(abc.ABC):
         Raises:
             InputError: there is none of this name, or it cannot be read.
         """
-        with self.local(name) as path, opened(path, self.where(name)) as file:
+        with self.local(name) as path, open_regular(path, self.where(name)) as file:
             yield file
 
     def ends(self, name: str, count: int) -> tuple[bytes, bytes]:
@@ -109,34 +110,19 @@ class FileTree(abc.ABC):
         """
         raise InputError(f"{self.path}: this layout is not read from an archive; unpack it and give its folder")
 
-    def text(self, name: str) -> str:
-        """A text file.
+    def text(self, name: str, most: int = LARGEST_TEXT) -> str:
+        """A text file of at most so many bytes.
 
         Raises:
             InputError: it cannot be read, is no UTF-8, or is larger than any capture's.
         """
-        if name in self and self.size(name) > LARGEST_TEXT:
-            raise InputError(f"{self.where(name)}: has over {LARGEST_TEXT >> 20} MiB; too large for its kind")
-        try:
-            return self.read(name).decode("utf-8-sig")
-        except UnicodeDecodeError:
-            raise InputError(f"{self.where(name)}: not a text file") from None
+        if name in self:
+            check_most(self.size(name), most, self.where(name))
+        return as_text(self.read(name), self.where(name))
 
     def subtree(self, folder: str) -> "FileTree":
         """The files below a folder."""
         return _Subtree(self, folder)
-
-
-def opened(path: Path, where: str) -> BinaryIO:
-    """A file opened for reading.
-
-    Raises:
-        InputError: it cannot be.
-    """
-    try:
-        return path.open("rb")
-    except OSError as error:
-        raise InputError(f"{where}: cannot read ({error.strerror})") from None
 
 
 class _Subtree(FileTree):

@@ -1,32 +1,9 @@
-"""Hand-written files: YAML or JSON, and the first thing that is wrong with the keys of a mapping in them."""
+"""Mappings of hand-written files: the first thing that is wrong with their keys."""
 
 from collections.abc import Collection
-from pathlib import Path
 from typing import Any
 
-from hyjax.util.errors import InputError, did_you_mean
-
-
-def read_plain(path: Path, kind: str) -> Any:
-    """Plain data of a YAML or JSON file.
-
-    Args:
-        path: of the file.
-        kind: what it should be, for the error.
-
-    Raises:
-        InputError: no such file, or neither YAML nor JSON.
-    """
-    import yaml
-
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))  # JSON is a part of YAML
-    except OSError:
-        raise InputError(f"{path}: no such {kind}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" (line {mark.line + 1}: {getattr(error, 'problem', '')})" if mark else ""
-        raise InputError(f"{path}: neither YAML nor JSON{line}") from None
+from hyjax.util.errors import InputError, did_you_mean, shown
 
 
 def check_keys(where: str, content: Any, known: Collection[str], required: Collection[str]) -> None:
@@ -46,7 +23,7 @@ def check_keys(where: str, content: Any, known: Collection[str], required: Colle
     for key in content:
         if key not in known:
             hint = did_you_mean(str(key), known)
-            raise InputError(f"{where}: unknown key {key!r}{hint}; there are {', '.join(known)}")
+            raise InputError(f"{where}: unknown key {shown(key)}{hint}; there are {', '.join(known)}")
     for key in required:
         if key not in content:
             raise InputError(f"{where}: key {key!r} is missing")

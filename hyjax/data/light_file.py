@@ -44,12 +44,13 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.data.hand_written import check_keys, read_plain
+from hyjax.data.hand_written import check_keys
 from hyjax.light.kinds import LIGHT_KINDS, AmbientLight, Light, kind_name
 from hyjax.light.kinds.file_keys import LARGEST, REQUIRED, FileKey, plain
 from hyjax.light.setup import REFERENCE_LUX, LightSetup
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.files import write_text
+from hyjax.util.reading import read_yaml
 
 _log = logging.getLogger(__name__)
 
@@ -89,7 +90,7 @@ def read_lights(path: Path, up: Float[np.ndarray, "3"], *, warn: bool = True) ->
         InputError: no such file, not YAML or JSON, or anything `parse_lights` refuses; the message names the file.
     """
     path = Path(path)
-    return parse_lights(read_plain(path, "lights file"), up, str(path), warn=warn)
+    return parse_lights(read_yaml(path), up, str(path), warn=warn)
 
 
 def parse_lights(

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.util.errors import InputError
+from hyjax.util.reading import read_text
 
 COLUMNS = "timestamp rx ry rz tx ty tz"
 LARGEST_GAP = 0.5
@@ -85,12 +86,7 @@ def read_trajectory(path: Path) -> Trajectory:
         InputError: the file cannot be read, a row is not seven finite numbers, times do not ascend, or there are
             fewer than two poses.
     """
-    try:
-        lines = path.read_text().splitlines()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file; need rows of {COLUMNS}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot read ({error.strerror})") from None
+    lines = read_text(path).splitlines()
     while lines and not lines[-1].strip():
         lines.pop()
     if not lines:

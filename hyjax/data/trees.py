@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hyjax.data.archive import ARCHIVES, MOST_FILES, Archive
-from hyjax.data.file_tree import IGNORED, FileTree, digest_of
+from hyjax.data.file_tree import IGNORED, LARGEST_READ, FileTree, digest_of
 from hyjax.util.errors import InputError
+from hyjax.util.reading import open_regular, read_bytes
 
 
 def open_tree(path: Path) -> FileTree:
@@ -58,10 +59,7 @@ class Folder(FileTree):
         return self._root / name
 
     def read(self, name: str) -> bytes:
-        try:
-            return self._file(name).read_bytes()
-        except OSError as error:
-            raise InputError(f"{self.where(name)}: cannot read ({error.strerror})") from None
+        return read_bytes(self._file(name), self.where(name), LARGEST_READ)
 
     @contextlib.contextmanager
     def local(self, name: str) -> Iterator[Path]:
@@ -69,7 +67,7 @@ class Folder(FileTree):
 
     def ends(self, name: str, count: int) -> tuple[bytes, bytes]:
         try:
-            with self._file(name).open("rb") as file:
+            with open_regular(self._file(name), self.where(name)) as file:
                 head = file.read(count)
                 file.seek(-min(count, self.size(name)), os.SEEK_END)
                 return head, file.read(count)

@@ -29,6 +29,7 @@ from hyjax.relighting.pictures import HEADINGS, sheet_row
 from hyjax.scene.scene import Scene
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
+from hyjax.util.reading import read_json
 
 PAGE_FORMAT = 1
 """Version of page.json. Add one whenever older scripts could not read it."""
@@ -199,8 +200,8 @@ def check_page_folder(out: Path) -> None:
 
 def _is_page(folder: Path) -> bool:
     try:
-        content = json.loads((folder / _PAGE_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        content = read_json(folder / _PAGE_FILE)
+    except InputError:
         return False
     return isinstance(content, dict) and content.get("made_by") == "hyjax"
 

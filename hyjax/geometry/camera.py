@@ -14,6 +14,11 @@ from hyjax.util.errors import InputError
 
 # A pose read from a text file carries six or seven digits; scanners' trackers are orthonormal to about 1e-4.
 RIGID_TOLERANCE = 1e-3
+LARGEST_SIDE = 1 << 20
+SHORTEST_FOCAL = 1e-3
+"""Pixels; at 1e-300 nothing that follows is a number."""
+LARGEST_VALUE = 1e7
+"""Pixels, of focal lengths and of the principal point."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,8 +36,17 @@ class Intrinsics:
         values = (self.fx, self.fy, self.cx, self.cy)
         if self.width < 1 or self.height < 1:
             raise InputError(f"intrinsics: image size {self.width}x{self.height} must be at least 1x1")
+        if max(self.width, self.height) > LARGEST_SIDE:
+            raise InputError(
+                f"intrinsics: image size {self.width}x{self.height} must be at most {LARGEST_SIDE} a side"
+            )
         if not np.all(np.isfinite(values)) or self.fx <= 0 or self.fy <= 0:
             raise InputError(f"intrinsics: focal lengths fx={self.fx}, fy={self.fy} must be > 0, all values finite")
+        if min(self.fx, self.fy) < SHORTEST_FOCAL or np.abs(values).max() > LARGEST_VALUE:
+            raise InputError(
+                f"intrinsics: fx={self.fx:g}, fy={self.fy:g}, cx={self.cx:g}, cy={self.cy:g} are no camera's; must "
+                f"be {SHORTEST_FOCAL:g} to {LARGEST_VALUE:g} pixels"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:

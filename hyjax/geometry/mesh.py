@@ -14,6 +14,7 @@ from trimesh.exchange.ply import export_ply
 
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
+from hyjax.util.reading import check_regular
 from hyjax.util.vectors import SHORTEST, unit
 
 READABLE = (".ply", ".obj", ".glb", ".gltf")
@@ -44,8 +45,8 @@ def load_mesh(path: Path, repair: bool = False, content: bytes | None = None) ->
     path = Path(path)
     if path.suffix.lower() not in READABLE:
         raise InputError(f"{path}: unknown mesh format '{path.suffix}'; known are {', '.join(READABLE)}")
-    if content is None and not path.is_file():
-        raise InputError(f"{path}: no such file")
+    if content is None:
+        check_regular(path)
     vertices, faces, normals = _concatenate(list(_parts(path, content)))
     if len(faces) == 0:
         raise InputError(f"{path}: has no faces (truncated, or a point cloud?); need a triangle mesh")

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.util.errors import InputError
+from hyjax.util.reading import open_regular
 
 ROWS = 1 << 21  # points of a piece
 TEXT_ROWS = 1 << 18  # the same as lines of text, which take more memory
@@ -69,9 +70,7 @@ def read_points(path: Path) -> Iterator[Float[np.ndarray, "n 3"]]:
             malformed line, more than one point in a hundred NaN or infinite.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         order, elements = _read_header(path, file)
         vertex = _vertices_next(path, file, order, elements)
         kind = np.result_type(np.float32, *(vertex.dtype("")[axis] for axis in "xyz"))

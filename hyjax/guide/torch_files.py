@@ -8,6 +8,7 @@ Source of the format: https://github.com/pytorch/pytorch/blob/v2.8.0/torch/seria
 
 import collections
 import io
+import math
 import pickle
 import zipfile
 from collections.abc import Callable, Mapping
@@ -19,6 +20,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from hyjax.util.errors import InputError
+from hyjax.util.reading import check_regular
 
 STORAGES = {
     "DoubleStorage": np.float64,
@@ -32,6 +34,10 @@ STORAGES = {
     "ByteStorage": np.uint8,
     "BoolStorage": np.bool_,
 }
+HARMLESS = 1 << 24
+"""Bytes that any file may unpack to."""
+LARGEST_RATIO = 8
+"""Of the bytes of all tensors, and of what is unpacked, to those of the file; torch packs nothing."""
 WRAPPERS = ("state_dict", "model_state_dict", "model")
 """Keys under which training programs keep a state dict beside other things."""
 
@@ -45,11 +51,10 @@ def read_state_dict(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
     Raises:
         InputError: no such file, a damaged one, or one that holds more than tensors.
     """
+    check_regular(path)
     try:
         with zipfile.ZipFile(path) as archive:
             found = _Tensors(archive).load()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
     except Exception as error:  # a damaged pickle can raise anything
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: not a state dict that torch has saved ({reason})") from None
@@ -68,6 +73,9 @@ class _Tensors(pickle.Unpickler):
         pickles = [name for name in archive.namelist() if name.endswith("data.pkl")]
         if len(pickles) != 1:
             raise pickle.UnpicklingError("the archive has no data.pkl")
+        self._left = HARMLESS + LARGEST_RATIO * sum(entry.compress_size for entry in archive.infolist())
+        if sum(entry.file_size for entry in archive.infolist()) > self._left:
+            raise pickle.UnpicklingError("it unpacks to far more than it is packed in")
         super().__init__(io.BytesIO(archive.read(pickles[0])))
         self._archive = archive
         self._folder = pickles[0].removesuffix("data.pkl")
@@ -77,7 +85,7 @@ class _Tensors(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         allowed: dict[tuple[str, str], Callable[..., Any]] = {
             ("collections", "OrderedDict"): collections.OrderedDict,
-            ("torch._utils", "_rebuild_tensor_v2"): _tensor,
+            ("torch._utils", "_rebuild_tensor_v2"): self._tensor,
             ("torch._utils", "_rebuild_parameter"): lambda data, *_: data,
         }
         if module == "torch" and name in STORAGES:
@@ -91,12 +99,19 @@ class _Tensors(pickle.Unpickler):
         dtype = np.dtype(kind).newbyteorder(self._order) if np.dtype(kind).isbuiltin == 1 else np.dtype(kind)
         return np.frombuffer(self._archive.read(f"{self._folder}data/{key}"), dtype, count)
 
-
-def _tensor(
-    storage: Shaped[np.ndarray, "n"], offset: int, shape: tuple[int, ...], strides: tuple[int, ...], *_: Any
-) -> Shaped[np.ndarray, "..."]:
-    last = offset + sum((n - 1) * stride for n, stride in zip(shape, strides)) if 0 not in shape else offset - 1
-    if offset < 0 or min(strides, default=0) < 0 or last >= storage.size:
-        raise pickle.UnpicklingError("a tensor reaches beyond its storage")
-    steps = [stride * storage.itemsize for stride in strides]
-    return np.array(np.lib.stride_tricks.as_strided(storage[offset:], shape, steps))
+    def _tensor(
+        self,
+        storage: Shaped[np.ndarray, "n"],
+        offset: int,
+        shape: tuple[int, ...],
+        strides: tuple[int, ...],
+        *_: Any,
+    ) -> Shaped[np.ndarray, "..."]:
+        last = offset + sum((n - 1) * stride for n, stride in zip(shape, strides)) if 0 not in shape else offset - 1
+        if offset < 0 or min((*shape, *strides), default=0) < 0 or last >= storage.size:
+            raise pickle.UnpicklingError("a tensor reaches beyond its storage")
+        self._left -= math.prod(shape) * storage.itemsize
+        if self._left < 0:
+            raise pickle.UnpicklingError("its tensors are far larger than the file")
+        steps = [stride * storage.itemsize for stride in strides]
+        return np.array(np.lib.stride_tricks.as_strided(storage[offset:], shape, steps))

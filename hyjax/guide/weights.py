@@ -23,6 +23,7 @@ from hyjax.guide.network import ENCODERS, GuideNetwork
 from hyjax.guide.torch_files import read_state_dict
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
+from hyjax.util.reading import check_regular, open_regular
 
 Arrays = dict[str, Shaped[np.ndarray, "..."]]
 Dtype = Literal["float16", "float32"]
@@ -184,8 +185,7 @@ def read_weights(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, str]]:
         InputError: no such file, or it is damaged.
     """
     file = _downloaded(os.fspath(path)) if os.fspath(path).startswith(HUB) else Path(path)
-    if not file.is_file():
-        raise InputError(f"{path}: no such file; it should hold weights of a guide network")
+    check_regular(file, os.fspath(path))
     metadata: dict[str, str] = {}
     if _is_zip(file):
         arrays = read_state_dict(file)
@@ -194,9 +194,7 @@ def read_weights(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, str]]:
             with safetensors.safe_open(file, framework="numpy") as opened:
                 metadata = opened.metadata() or {}
                 arrays = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118, no mapping
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-        except (safetensors.SafetensorError, TypeError, ValueError) as error:
+        except Exception as error:  # SafetensorError, OSError, KeyError, …: of a damaged header
             reason = " ".join(str(error).split())
             raise InputError(f"{path}: neither safetensors nor a torch state dict, or damaged ({reason})") from None
     # Networks trained in parallel by torch have every name prefixed.
@@ -247,11 +245,8 @@ def _recognised(path: str | os.PathLike[str], arrays: Arrays) -> str:
 
 
 def _is_zip(file: Path) -> bool:
-    try:
-        with file.open("rb") as opened:
-            return opened.read(2) == b"PK"
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror})") from None
+    with open_regular(file) as opened:
+        return opened.read(2) == b"PK"
 
 
 def _downloaded(address: str) -> Path:

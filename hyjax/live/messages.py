@@ -21,6 +21,7 @@ from hyjax.data.capture_files import read_colour
 from hyjax.data.recording import rigid
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.util.errors import InputError
+from hyjax.util.reading import parse_json
 
 KIND = "hyjax-live-1"
 LONGEST_LINE = 16_384
@@ -82,8 +83,8 @@ def _header(line: bytes) -> dict[str, Any] | None:
     """A message's first line; None if it is none. A damaged part before it may end in its line."""
     start = line.find(b'{"kind": "' + KIND.encode())
     try:
-        header = json.loads(line[start:]) if start >= 0 else None
-    except (ValueError, RecursionError):
+        header = parse_json(line[start:], "live") if start >= 0 else None
+    except InputError:
         return None
     if not isinstance(header, dict):
         return None

@@ -16,8 +16,11 @@ from jaxtyping import Array, Float
 
 from hyjax.metrics.networks import NETWORKS, Net
 from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.reading import read_bytes
 
 VARIABLE = "HYJAX_LPIPS"
+LARGEST = 1 << 30
+"""Bytes of a file of weights."""
 PACKAGE_FILES = {"alex": "alexnet.ckpt", "vgg": "vgg16.ckpt"}
 # What a pickled array is made of.
 PICKLED = {"_reconstruct": np.empty(0).__reduce__()[0], "ndarray": np.ndarray, "dtype": np.dtype}
@@ -94,10 +97,7 @@ def _find(net: Net) -> Path:
 
 def _read(path: Path) -> dict[str, Any]:
     """Arrays by their full name."""
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    content = read_bytes(path, most=LARGEST)
     try:
         if content.startswith(b"PK"):
             with np.load(io.BytesIO(content), allow_pickle=False) as archive:

@@ -56,14 +56,14 @@ class FilePairs:
 
 
 def named(folder: Path, ending: str = "", suffixes: tuple[str, ...] = PICTURES) -> dict[str, Path]:
-    """Files of a folder whose stem ends in `ending`, by what stands before it.
+    """Files of a folder whose stem ends in `ending`, by what stands before it; links that lead nowhere are none.
 
     Raises:
         InputError: two files of the same name.
     """
     found: dict[str, Path] = {}
     for file in sorted(folder.iterdir()):
-        if file.suffix.lower() in suffixes and file.stem.endswith(ending):
+        if file.suffix.lower() in suffixes and file.stem.endswith(ending) and file.is_file():
             name = file.stem.removesuffix(ending)
             if name in found:
                 raise InputError(f"{file}: there is also {found[name].name}; keep one of the two")

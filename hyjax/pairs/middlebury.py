@@ -22,12 +22,16 @@ from jaxtyping import Bool, Float
 
 from hyjax.pairs.depth_pairs import PairsKind
 from hyjax.pairs.files import PICTURES, FilePairs, Files, folders, matched, named
-from hyjax.util.errors import InputError
+from hyjax.util.errors import InputError, shown
 from hyjax.util.images import read_image
+from hyjax.util.reading import finite, read_bytes
 
 VIEWS = {"disp0": ("im0",), "disp1": ("view1", "im1"), "disp2": ("im2",), "disp5": ("view5",), "disp6": ("im6",)}
 """Names of the picture that belongs to each disparity map."""
-PFM_HEADER = re.compile(rb"Pf\s+(\d+)\s+(\d+)\s+(-?[\d.eE+-]+)\s")
+LARGEST_CALIBRATION = 1 << 16
+LARGEST_OFFSET = 1e6
+"""Pixels."""
+PFM_HEADER = re.compile(rb"Pf\s+(\d{1,9})\s+(\d{1,9})\s+(-?[\d.eE+-]+)\s")
 
 
 def open_middlebury(path: Path) -> FilePairs:
@@ -77,12 +81,14 @@ def _offset(scene: Path) -> float:
     for name, pattern in (("dmin.txt", r"^\s*(\S+)"), ("calib.txt", r"^doffs=(\S+)")):
         file = scene / name
         if file.is_file():
-            match = re.search(pattern, file.read_text(encoding="utf-8", errors="replace"), re.MULTILINE)
+            match = re.search(
+                pattern, read_bytes(file, most=LARGEST_CALIBRATION).decode("utf-8", errors="replace"), re.MULTILINE
+            )
             text = match[1] if match else "0"
             try:
-                return float(text)
+                return finite(float(text), str(file), least=-LARGEST_OFFSET, most=LARGEST_OFFSET)
             except ValueError:
-                raise InputError(f"{file}: need a number of pixels, got {text!r}") from None
+                raise InputError(f"{file}: need a number of pixels, got {shown(text)}") from None
     return 0.0
 
 
@@ -92,10 +98,7 @@ def read_pfm(path: Path) -> Float[np.ndarray, "h w"]:
     Raises:
         InputError: the file is missing, truncated or no such map.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read ({error.strerror})") from None
+    content = read_bytes(path)
     header = PFM_HEADER.match(content)
     if header is None:
         raise InputError(f"{path}: not a one-channel PFM; its header must be Pf, width, height, scale")

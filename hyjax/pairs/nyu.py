@@ -12,7 +12,9 @@ Source: Silberman et al., "Indoor segmentation and support inference from RGBD i
 cs.nyu.edu/~fergus/datasets/nyu_depth_v2.html.
 """
 
+import contextlib
 import importlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ import numpy as np
 from hyjax.pairs.depth_pairs import DepthPair, PairsKind, Unit, masked_pair
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
+from hyjax.util.reading import check_regular
 
 ARRAYS = {"images": 4, "depths": 3, "rawDepths": 3}
 """Names and how many axes they have."""
@@ -37,7 +40,7 @@ class NyuPairs:
 
     def __init__(self, path: Path) -> None:
         self.name, self._path = path.stem, path
-        with self._open() as file:
+        with self._opened("damaged") as file:
             for name, axes in ARRAYS.items():
                 if name not in file or getattr(file[name], "ndim", 0) != axes:
                     raise InputError(
@@ -64,26 +67,31 @@ class NyuPairs:
             InputError: the file is damaged, or there is no depth at all.
         """
         index = range(self._count)[index]
-        try:
-            with self._open() as file:
-                image, depth, raw = (np.asarray(file[name][index]).T for name in ARRAYS)
-        except OSError as error:
-            raise InputError(f"{self._path}: damaged at picture {index} ({error})") from None
+        with self._opened(f"damaged at picture {index}") as file:
+            image, depth, raw = (np.asarray(file[name][index]).T for name in ARRAYS)
         image = image.astype(np.float32) / 255
         where = f"{self._path} {index}"
         return masked_pair(f"{index:04d}", image, depth, self.unit, where=where, valid=raw > 0)
 
-    def _open(self) -> Any:
+    @contextlib.contextmanager
+    def _opened(self, damage: str) -> Iterator[Any]:
+        """The file; whatever h5py raises of it is an `InputError`."""
         try:
             h5py = importlib.import_module("h5py")
         except ModuleNotFoundError:
             raise InputError(f"{self._path}: needs h5py; install it with: pip install 'hyjax[nyu]'") from None
-        if not self._path.is_file():
-            raise InputError(f"{self._path}: no such file; give nyu_depth_v2_labeled.mat")
+        check_regular(self._path)
         try:
-            return h5py.File(self._path, "r")
-        except OSError:
+            file = h5py.File(self._path, "r")
+        except Exception:  # OSError, RuntimeError, KeyError: damage shows itself in many ways
             raise InputError(f"{self._path}: not a readable HDF5 file (MATLAB 7.3); download it again") from None
+        with file:
+            try:
+                yield file
+            except InputError:
+                raise
+            except Exception as error:  # as above
+                raise InputError(f"{self._path}: {damage} ({error})") from None
 
 
 KIND = PairsKind("nyu", lambda path, options: NyuPairs(path))

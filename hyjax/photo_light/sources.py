@@ -26,10 +26,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hyjax.data.capture import Frame
-from hyjax.data.hand_written import check_keys, read_plain
+from hyjax.data.hand_written import check_keys
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture
 from hyjax.util.errors import InputError
+from hyjax.util.reading import read_yaml
 from hyjax.util.vectors import unit
 
 Vector = Float[np.ndarray, "3"]
@@ -206,7 +207,7 @@ def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarr
         InputError: no such file, malformed, a window off the walls or inside out, a lamp outside the scan.
     """
     path = Path(path)
-    content = read_plain(path, "file of windows and lamps")
+    content = read_yaml(path)
     lists = _converted(str(path), content, _File)
     windows = [
         _checked_window(f"{path}: window {i}", _converted(f"{path}: window {i}", entry, _Window), i, up)

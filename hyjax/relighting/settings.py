@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hyjax.scene.settings import Occluders, SceneSettings, check_lights_name
 from hyjax.util.errors import InputError
+from hyjax.util.reading import read_text
 from hyjax.util.settings import Settings
 
 if TYPE_CHECKING:
@@ -190,9 +191,8 @@ def read_schedule(path: Path) -> "Schedule":
     """
     from hyjax.core.schedule import Schedule
 
+    text = read_text(path)
     try:
-        return Schedule.from_json(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot read the schedule ({getattr(error, 'strerror', error)})") from None
+        return Schedule.from_json(text)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

@@ -8,12 +8,13 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import msgspec
 
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
+from hyjax.util.reading import open_regular, parse_json, read_text
 
 try:
     import fcntl
@@ -25,6 +26,7 @@ ERROR = "error"
 """Kind of a row that says why there is no result."""
 DRIVER = "driver.txt"
 """File with the identity of the driver whose batches may write."""
+LONGEST_DRIVER = 1000
 PATIENCE = 900.0
 """Seconds for which a driver waits for batches of an earlier one."""
 
@@ -39,9 +41,6 @@ class _Place(NamedTuple):
     start: int
     length: int
     is_error: bool
-
-
-_decode = msgspec.json.Decoder(_Head).decode
 
 
 class RowStore:
@@ -74,7 +73,7 @@ class RowStore:
             try:
                 if path.stat().st_size <= start:
                     continue
-                with path.open("rb") as file:
+                with open_regular(path) as file:
                     file.seek(start)
                     for line in file:
                         if not line.endswith(b"\n"):
@@ -88,8 +87,8 @@ class RowStore:
 
     def _add(self, path: Path, start: int, line: bytes) -> None:
         try:
-            head = _decode(line)
-        except msgspec.MsgspecError:
+            head = msgspec.convert(parse_json(line, str(path)), _Head)
+        except (InputError, msgspec.ValidationError):  # of a line that a kill cut off
             return
         place = _Place(path, start, len(line), head.kind == ERROR)
         before = self._places.get(head.key)
@@ -114,20 +113,17 @@ class RowStore:
         if key not in self._places:
             return None
         place = self._places[key]
-        with place.path.open("rb") as file:
-            file.seek(place.start)
-            row: Row = json.loads(file.read(place.length))
-        return row
+        with open_regular(place.path) as file:
+            return _row(file, place)
 
     def read(self) -> Iterator[Row]:
         """One row for each key, file by file."""
         self.refresh()
         for path in self.files():
             own = [place for place in self._places.values() if place.path == path]
-            with path.open("rb") as file:
+            with open_regular(path) as file:
                 for place in own:
-                    file.seek(place.start)
-                    yield json.loads(file.read(place.length))
+                    yield _row(file, place)
 
     def duplicates(self) -> int:
         """Keys with more than one result."""
@@ -154,9 +150,15 @@ class RowStore:
     def driver(self) -> str:
         """Identity of the driver whose batches may write."""
         try:
-            return (self.folder / DRIVER).read_text(encoding="utf-8")
-        except OSError:
+            return read_text(self.folder / DRIVER, most=LONGEST_DRIVER)
+        except InputError:
             return ""
+
+
+def _row(file: BinaryIO, place: _Place) -> Row:
+    file.seek(place.start)
+    row: Row = parse_json(file.read(place.length), str(place.path))
+    return row
 
 
 class RowWriter:

@@ -21,9 +21,12 @@ from hyjax.sweep.summary import Line, draw, lines_of, write_csv
 from hyjax.sweep.task import Task
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
+from hyjax.util.reading import read_bytes
 
 RESULT, TIME = "result", "time"
 DPI = 120
+LARGEST_INPUT = 1 << 32
+"""Bytes of a file of lights or of a guide's weights."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,7 +100,7 @@ def tasks_of(spec: Spec, configurations: list[dict[str, Any]]) -> Iterator[Task]
 @functools.cache
 def content_key(path: str) -> str:
     """Hash of a file's content."""
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()[:16]
+    return hashlib.sha256(read_bytes(Path(path), most=LARGEST_INPUT)).hexdigest()[:16]
 
 
 def contents(names: Sequence[str]) -> list[str]:

@@ -20,13 +20,14 @@ import msgspec
 
 from hyjax.configuration import Configuration
 from hyjax.data.frames import spread
-from hyjax.data.hand_written import check_keys, read_plain
+from hyjax.data.hand_written import check_keys
 from hyjax.data.light_file import is_light_file
 from hyjax.scene.settings import check_lights_name
 from hyjax.tuning.frame.rooms import ROOM, check_room
 from hyjax.tuning.frame.space import random_configurations
 from hyjax.tuning.settings import ROOM_PHOTOS
 from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.reading import read_yaml
 from hyjax.util.sizes import parse_size
 
 SPACES = ("default",)
@@ -89,7 +90,7 @@ def read_spec(path: Path) -> Spec:
             key, a value of the wrong form, or a room, set-up or file that does not exist.
     """
     where = str(path)
-    content = read_plain(path, "sweep")
+    content = read_yaml(path)
     check_keys(where, content, list(FORMS), ["scenes", "lights", "configurations"])
     draws = content["configurations"]
     if isinstance(draws, dict):

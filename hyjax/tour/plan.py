@@ -5,7 +5,6 @@ Everything that comes from a browser or a file passes `check` before it is used.
 
 import dataclasses
 import datetime
-import json
 import re
 from typing import Annotated, Any, Literal
 
@@ -16,6 +15,7 @@ from msgspec import inspect
 
 from hyjax.tour.sky import Sky, Weather, sky_at
 from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.reading import parse_json
 
 MOST_WINDOWS, MOST_LAMPS, MOST_PIECES = 8, 16, 8
 YEARS = 1900, 2100
@@ -185,11 +185,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Raises:
             InputError: not JSON, an unknown key, or anything `check` refuses.
         """
-        try:
-            content = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise InputError(f"plan: not JSON (line {error.lineno}: {error.msg})") from None
-        plan = _converted(content)
+        plan = _converted(parse_json(text, "plan"))
         plan._check_geometry()
         return plan
 

@@ -14,6 +14,7 @@ from hyjax.tour.render_queue import RenderQueue
 from hyjax.tour.renderer import Renderer
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, write_text
+from hyjax.util.reading import read_text
 
 PLAN_FILE = "tour.json"
 SAVE_DELAY = 0.5
@@ -148,10 +149,10 @@ class Session:
         file = self.out / PLAN_FILE
         if not file.is_file():
             return self.renderer.first_plan()
+        text = read_text(file)
         try:
-            plan = TourPlan.from_json(file.read_text(encoding="utf-8"))
-            return self._known_sources(plan, file)
-        except (InputError, UnicodeDecodeError) as error:
+            return self._known_sources(TourPlan.from_json(text), file)
+        except InputError as error:
             raise InputError(f"{file}: {error}; remove it to begin anew, or choose another --out") from None
 
     def _known_sources(self, plan: TourPlan, file: Path) -> TourPlan:

@@ -7,6 +7,7 @@ from typing import Any
 from hyjax.training.settings import TrainSettings
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
+from hyjax.util.reading import read_json
 from hyjax.util.run_log import Line, RunLog, as_json, check_same_settings, read_lines
 
 NAME = "log.jsonl"
@@ -38,7 +39,7 @@ class TrainingLog:
         before = _read_settings(self._settings_path)
         check_same_settings(folder, before, self._settings, ignored=GROWING, option=_option)
         if self._path.exists():
-            self._log.lines = read_lines(self._path, lambda line: "iteration" in line, "a line of a training run")
+            self._log.lines = read_lines(self._path, _is_line, "a line of a training run")
 
     @property
     def lines(self) -> list[Line]:
@@ -83,11 +84,18 @@ def _option(name: str, value: Any) -> str:
     return f"--{option} {' '.join(map(str, value)) if isinstance(value, list) else value}"
 
 
+def _is_line(line: Line) -> bool:
+    """Whether a line has what later code asks for."""
+    validation = line.get("validation", {"loss": 0.0})
+    return (
+        type(line.get("iteration")) is int
+        and isinstance(validation, dict)
+        and isinstance(validation.get("loss"), int | float)
+    )
+
+
 def _read_settings(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); choose another --out") from None
+    content = read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("settings"), dict):
         raise InputError(f"{path}: holds no settings of a training run; choose another --out")
     return content["settings"]

@@ -14,6 +14,7 @@ from hyjax.tuning.result import Milliseconds
 from hyjax.tuning.workload import Workload, schedule_key
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
+from hyjax.util.reading import parse_json, read_bytes
 
 FORMAT: Literal[1] = 1
 """Version of the file and of the request for it. Counted up when an older reader would misunderstand one."""
@@ -267,15 +268,12 @@ def parse_latency(text: str | bytes, name: str = "latency file") -> DeviceLatenc
     Raises:
         InputError: not of this format; the message says where.
     """
-    try:
-        plain = msgspec.json.decode(text)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{name}: no JSON ({error}); NaN and Infinity are none") from None
+    plain = parse_json(text, name, only_finite=True)
     found = plain.get("format") if isinstance(plain, dict) else None
     if found != FORMAT:
         raise InputError(f"{name}: format {found!r:.40}; this version of hyjax reads format {FORMAT}")
     try:
-        latency = msgspec.json.decode(text, type=DeviceLatency)
+        latency = msgspec.convert(plain, DeviceLatency, str_keys=True)
         latency.check()
     except msgspec.ValidationError as error:
         raise InputError(f"{name}: {str(error).splitlines()[0]}") from None
@@ -290,12 +288,7 @@ def read_latency(path: Path) -> DeviceLatency:
     Raises:
         InputError: it cannot be read, is too large, or is not of this format.
     """
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise InputError(f"{path}: larger than {MOST_BYTES >> 20} MiB; is it a latency file?")
-        return parse_latency(path.read_bytes(), str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the latency file ({error.strerror or error})") from None
+    return parse_latency(read_bytes(path, most=MOST_BYTES), str(path))
 
 
 def write_latency(path: Path, latency: DeviceLatency) -> None:

@@ -28,8 +28,10 @@ class Journal:
         if path is not None and path.exists():
             check_free(path.parent, resume)
             before, *entries = read_lines(path, _is_line, "an entry of a journal") or [header]
+            if "settings" not in before or any("key" not in line for line in entries):
+                raise InputError(f"{path}: must begin with its settings, and have results below; remove it")
             if entries:
-                check_same_settings(path.parent, before.get("settings", {}), header["settings"])
+                check_same_settings(path.parent, before["settings"], header["settings"])
         self._log = RunLog(path, [header, *entries])
         self._results = {line["key"]: line["value"] for line in entries}
 
@@ -50,4 +52,6 @@ def check_free(folder: Path, resume: bool) -> None:
 
 
 def _is_line(line: Line) -> bool:
-    return "settings" in line or {"key", "value"} <= line.keys()
+    if "settings" in line:
+        return isinstance(line["settings"], dict)
+    return isinstance(line.get("key"), str) and "value" in line

@@ -24,6 +24,7 @@ from hyjax.util.cache import cache_folder
 from hyjax.util.environment import cores, environment
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
+from hyjax.util.reading import parse_json, read_text
 
 log = logging.getLogger(__name__)
 
@@ -114,7 +115,7 @@ class LatencyTable:
             InputError: not JSON, of another format version, or something missing or not what it should be.
         """
         try:
-            content = msgspec.json.decode(text)
+            content = parse_json(text, "latency table", only_finite=True)
             found = content.pop("format", None) if isinstance(content, dict) else None
             if found != FORMAT:
                 raise InputError(f"format {found!r}, need {FORMAT}")
@@ -122,8 +123,8 @@ class LatencyTable:
             table = msgspec.convert(content, cls)
             if unknown := content["workload"].keys() - vars(table.workload).keys():
                 raise InputError(f"workload: unknown key {min(unknown)!r}")
-        except ValueError as error:  # msgspec's, of the parts, and of undecodable text
-            raise InputError(f"latency table: {str(error).splitlines()[0]}") from None
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:  # msgspec's, of the parts
+            raise InputError(f"latency table: {str(error).removeprefix('latency table: ')}") from None
         return table
 
 
@@ -287,14 +288,10 @@ def _from_cache(workload: Workload, factors: tuple[int, ...]) -> LatencyTable | 
     """The stored table, or why there is none to use."""
     key = _key(workload, factors, *_device_and_versions())
     path = _path(key)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
+    if not path.exists():
         return "none in the cache for this device, size and these versions"
-    except (OSError, UnicodeError) as error:
-        return f"{path.name} in the cache cannot be read ({error.__class__.__name__})"
     try:
-        table = LatencyTable.from_json(text)
+        table = LatencyTable.from_json(read_text(path))
     except InputError as error:
         return f"{path.name} in the cache is broken ({error})"
     if table.key() != key:

@@ -3,6 +3,8 @@
 OpenImageIO is imported where it is used: kept in a module that outlives it at exit, it complains on stderr.
 """
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +13,8 @@ from jaxtyping import Float, UInt8
 
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
+from hyjax.util.picture_header import check_picture, check_size
 
-MOST_PIXELS = 1 << 28
-"""Of a picture; a small file may announce any number of them."""
 PNG_LEVEL = 4
 """Compression of PNG: a third of the time of the usual 6, for files 5 % larger."""
 
@@ -26,7 +27,8 @@ def read_image(path: Path, where: str | None = None) -> Float[np.ndarray, "h w c
         where: what messages call it, if not by its path.
 
     Raises:
-        InputError: the file is missing, truncated or not a picture.
+        InputError: the file is missing, truncated, not a picture, or too large a one (see
+            `hyjax.util.picture_header`).
     """
     return _read(path, where, "float").astype(np.float32, copy=False)
 
@@ -44,12 +46,10 @@ def picture_shape(path: Path, where: str | None = None) -> tuple[int, int]:
     """(height, width) of a picture, from its header alone.
 
     Raises:
-        InputError: the file is missing or not a picture.
+        InputError: the file is missing, not a picture, or too large a one.
     """
-    source = _open(Path(path), where or str(path))
-    spec = source.spec()
-    source.close()
-    return spec.height, spec.width
+    with _opened(Path(path), where or str(path)) as source:
+        return source.spec().height, source.spec().width
 
 
 def read_depth(path: Path, unit: float = 0.001, where: str | None = None) -> Float[np.ndarray, "h w"]:
@@ -70,46 +70,41 @@ def read_depth(path: Path, unit: float = 0.001, where: str | None = None) -> Flo
     return np.where(raw[..., 0] == 65535, 0.0, depth).astype(np.float32)
 
 
-def _open(path: Path, where: str) -> Any:
+@contextlib.contextmanager
+def _opened(path: Path, where: str) -> Iterator[Any]:
+    """OpenImageIO's reader of a picture; what it raises in the block is an `InputError`."""
     import OpenImageIO as oiio
 
-    if not path.is_file():
-        raise InputError(f"{where}: no such file")
-    # libpng complains on stderr by itself, beside our one line. A PNG that was cut off has lost its last chunk.
-    if path.suffix.lower() == ".png" and not _ends_with(path, b"IEND"):
-        raise InputError(f"{where}: damaged or truncated picture (its end is missing)")
-    source = oiio.ImageInput.open(str(path))
-    if source is None:
-        raise InputError(f"{where}: not a readable picture ({_first_line(_error(oiio))})")
-    width, height = source.spec().width, source.spec().height
-    if width * height > MOST_PIXELS:
-        source.close()
-        raise InputError(f"{where}: {width}x{height} pixels; at most {MOST_PIXELS >> 20} million are read")
-    return source
+    check_picture(path, where)
+    source = None
+    try:
+        source = oiio.ImageInput.open(str(path))
+        if source is None:
+            raise InputError(f"{where}: not a readable picture ({_first_line(_error(oiio))})")
+        spec = source.spec()
+        check_size(spec.width, spec.height, spec.nchannels, where)
+        yield source
+    except UnicodeDecodeError:  # of a damaged header's texts
+        raise InputError(f"{where}: damaged picture (its header is not UTF-8)") from None
+    except MemoryError:
+        raise InputError(f"{where}: needs more memory than there is") from None
+    finally:
+        if source is not None:
+            source.close()
 
 
 def _read(path: Path, where: str | None, kind: str, only: str | None = None) -> np.ndarray:
     where = where or str(path)
-    source = _open(Path(path), where)
-    stored = str(source.spec().format)
-    if only is not None and stored != only:
-        source.close()
-        raise InputError(f"{where}: stored as {stored}, must be {only}")
-    try:
+    with _opened(Path(path), where) as source:
+        stored = str(source.spec().format)
+        if only is not None and stored != only:
+            raise InputError(f"{where}: stored as {stored}, must be {only}")
         pixels = source.read_image(kind)
         error = _error(source)
-    finally:
-        source.close()
     # A truncated JPEG is padded with grey and only reported as an error, so the error decides, not the pixels.
     if pixels is None or error:
         raise InputError(f"{where}: damaged or truncated picture ({_first_line(error)})")
     return pixels
-
-
-def _ends_with(path: Path, mark: bytes, within: int = 64) -> bool:
-    with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - within))
-        return mark in file.read()
 
 
 def write_png(path: Path, display: Float[np.ndarray, "h w c"]) -> None:

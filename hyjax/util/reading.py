@@ -69,9 +69,14 @@ def read_bytes(path: Path, where: str | None = None, most: int = LARGEST_TEXT) -
             content = file.read(most + 1)
         except OSError as error:
             raise InputError(f"{where}: cannot read ({_reason(error)})") from None
-    if len(content) > most:
-        raise InputError(f"{where}: has over {_size(most)}; too large for its kind")
+    check_most(len(content), most, where)
     return content
+
+
+def check_most(size: int, most: int, where: str) -> None:
+    """Raise `InputError` for a file of more than `most` bytes."""
+    if size > most:
+        raise InputError(f"{where}: has over {_size(most)}; too large for its kind")
 
 
 def read_text(path: Path, where: str | None = None, most: int = LARGEST_TEXT) -> str:
@@ -100,8 +105,13 @@ def read_json(path: Path, where: str | None = None, most: int = LARGEST_TEXT) ->
     return parse_json(read_text(path, where, most), where or str(path))
 
 
-def parse_json(text: str | bytes, where: str) -> Any:
+def parse_json(text: str | bytes, where: str, *, only_finite: bool = False) -> Any:
     """Plain data of a JSON text.
+
+    Args:
+        text: of the file.
+        where: what messages call it.
+        only_finite: refuse NaN and infinite numbers too, which Python writes though JSON has none.
 
     Raises:
         InputError: no text, no JSON, whole numbers beyond 64 bits, or lists and mappings more than 64 deep.
@@ -120,8 +130,15 @@ def parse_json(text: str | bytes, where: str) -> Any:
             raise InputError(f"{where}: a whole number of {len(digits)} digits")
         return int(digits)
 
+    def real(digits: str) -> float:
+        number = float(digits)
+        if not math.isfinite(number):
+            raise InputError(f"{where}: not JSON ({shown(digits)} is no number of it)")
+        return number
+
+    strict: dict[str, Any] = {"parse_float": real, "parse_constant": real} if only_finite else {}
     try:
-        value = json.loads(text, parse_int=whole)
+        value = json.loads(text, parse_int=whole, **strict)
     except RecursionError:
         raise InputError(f"{where}: lists and mappings more than {DEEPEST} deep") from None
     except json.JSONDecodeError as error:

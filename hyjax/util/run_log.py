@@ -7,6 +7,7 @@ from typing import Any
 
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
+from hyjax.util.reading import parse_json, read_bytes
 
 Line = dict[str, Any]
 
@@ -61,15 +62,12 @@ def read_lines(path: Path, is_line: Callable[[Line], object], what: str) -> list
     Raises:
         InputError: the file cannot be read, or a line before the last is broken.
     """
-    try:
-        texts = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read ({error.strerror or error})") from None
+    texts = read_bytes(path).splitlines()
     lines: list[Line] = []
     for number, text in enumerate(texts, start=1):
         try:
-            line = json.loads(text)
-        except json.JSONDecodeError:
+            line = parse_json(text, str(path))
+        except InputError:
             line = None
         if isinstance(line, dict) and is_line(line):
             lines.append(line)

@@ -12,6 +12,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
+MOST_CHUNKS = 1 << 18
+"""Of a PNG: libraries write eight kilobytes or more in each."""
+LONGEST_NAME = 255
+"""Letters of an EXR attribute's name."""
+MOST_ATTRIBUTES = 1000
+LARGEST_ATTRIBUTE = 1 << 24
+"""Bytes of its value: a preview picture is the largest."""
+
 
 def check_whole(path: Path, where: str) -> None:
     """Check what was written at a path, by its suffix; files of other formats pass.
@@ -30,17 +38,21 @@ def check_whole(path: Path, where: str) -> None:
         size = os.fstat(file.fileno()).st_size
         try:
             whole = check(file, size)
-        except (struct.error, ValueError, KeyError, UnboundLocalError):
+        except (struct.error, ValueError, KeyError, IndexError):
             whole = False
     if not whole:
         raise OSError(errno.ENOSPC, "not all of it was written", where)
 
 
-def _png(file: BinaryIO, size: int) -> bool:
-    """Whether all chunks are there with their checksums, the last one at the end of the file."""
+def is_whole_png(file: BinaryIO, size: int) -> bool:
+    """Whether all chunks are there with their checksums, the last one at the end of the file.
+
+    Raises:
+        struct.error: the file ends within a chunk.
+    """
     if file.read(8) != b"\x89PNG\r\n\x1a\n":
         return False
-    while True:
+    for _ in range(MOST_CHUNKS):
         length, kind = struct.unpack(">I4s", file.read(8))
         content = file.read(length)
         (checksum,) = struct.unpack(">I", file.read(4))
@@ -48,6 +60,7 @@ def _png(file: BinaryIO, size: int) -> bool:
             return False
         if kind == b"IEND":
             return file.tell() == size
+    return False
 
 
 def _exr(file: BinaryIO, size: int) -> bool:
@@ -55,16 +68,9 @@ def _exr(file: BinaryIO, size: int) -> bool:
 
     The layout is that of a file of one part in lines: <https://openexr.com/en/latest/OpenEXRFileLayout.html>.
     """
-    if file.read(4) != b"v/1\x01":
-        return False
-    file.read(4)
-    while name := _text(file):  # attributes, up to an empty name
-        kind, length = _text(file), struct.unpack("<i", file.read(4))[0]
-        value = file.read(length)
-        if (name, kind) == (b"dataWindow", b"box2i"):
-            _, top, _, bottom = struct.unpack("<4i", value)
-        elif name == b"compression":
-            lines = {0: 1, 1: 1, 2: 1, 3: 16}[value[0]]  # none, RLE, ZIP of single lines, ZIP
+    attributes = exr_attributes(file)
+    _, top, _, bottom = struct.unpack("<4i", attributes[b"dataWindow"][1])
+    lines = {0: 1, 1: 1, 2: 1, 3: 16}[attributes[b"compression"][1][0]]  # none, RLE, ZIP of single lines, ZIP
     count = -(-(bottom - top + 1) // lines)
     offsets = struct.unpack(f"<{count}Q", file.read(8 * count))
     if 0 in offsets:
@@ -77,13 +83,34 @@ def _exr(file: BinaryIO, size: int) -> bool:
     return max(ends) == size
 
 
+def exr_attributes(file: BinaryIO) -> dict[bytes, tuple[bytes, bytes]]:
+    """(type, value) of each attribute in the header of an EXR file, by name; the file is left behind it.
+
+    Raises:
+        ValueError: it is none, or its header is damaged.
+        struct.error: the file ends within its header.
+    """
+    if file.read(4) != b"v/1\x01":
+        raise ValueError("not an EXR file")
+    file.read(4)
+    found: dict[bytes, tuple[bytes, bytes]] = {}
+    for _ in range(MOST_ATTRIBUTES):
+        if not (name := _text(file)):  # the end of the header
+            return found
+        kind, length = _text(file), struct.unpack("<I", file.read(4))[0]
+        if length > LARGEST_ATTRIBUTE:
+            raise ValueError("the header is damaged")
+        found[name] = kind, file.read(length)
+    raise ValueError("the header has no end")
+
+
 def _text(file: BinaryIO) -> bytes:
     letters = bytearray()
-    while letter := file.read(1):
-        if letter == b"\0":
-            return bytes(letters)
+    while (letter := file.read(1)) != b"\0":
+        if not letter or len(letters) > LONGEST_NAME:
+            raise ValueError("the header has no end")
         letters += letter
-    raise ValueError("the header has no end")
+    return bytes(letters)
 
 
 def _mp4(file: BinaryIO, size: int) -> bool:
@@ -101,4 +128,4 @@ def _mp4(file: BinaryIO, size: int) -> bool:
     return place == size and {b"ftyp", b"moov", b"mdat"} <= kinds
 
 
-_CHECKS: dict[str, Callable[[BinaryIO, int], bool]] = {".png": _png, ".exr": _exr, ".mp4": _mp4}
+_CHECKS: dict[str, Callable[[BinaryIO, int], bool]] = {".png": is_whole_png, ".exr": _exr, ".mp4": _mp4}

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hyjax.data import file_tree, trees
+from hyjax.data import trees
 from hyjax.data.capture_files import by_number
 from hyjax.data.registry import open_capture
 from hyjax.data.trees import open_tree
@@ -149,10 +149,9 @@ def test_a_folder_of_everything_is_refused(folder: Path, monkeypatch: pytest.Mon
         open_tree(folder)
 
 
-def test_text_that_is_too_large_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(file_tree, "LARGEST_TEXT", 2)
+def test_text_that_is_too_large_is_refused(folder: Path) -> None:
     with pytest.raises(InputError, match=r"a\.txt: has over"):
-        open_tree(folder).text("a.txt")
+        open_tree(folder).text("a.txt", 2)
 
 
 def test_numbers_of_any_length_are_sorted() -> None:

@@ -240,12 +240,12 @@ def test_files_that_are_neither_yaml_nor_json(tmp_path: Path, content: bytes) ->
     with pytest.raises(InputError) as caught:
         read_lights(path, UP)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
-    assert "neither YAML nor JSON" in str(caught.value)
+    assert "neither YAML nor JSON" in str(caught.value) or "not a text file" in str(caught.value)
 
 
 def test_missing_and_empty_files(tmp_path: Path) -> None:
     for path in (tmp_path / "none.yaml", tmp_path):
-        with pytest.raises(InputError, match="no such lights file"):
+        with pytest.raises(InputError, match=r"no such file|is a folder"):
             read_lights(path, UP)
     (tmp_path / "empty.yaml").write_text("")
     with pytest.raises(InputError, match="must be a mapping"):

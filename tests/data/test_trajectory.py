@@ -113,7 +113,7 @@ def test_bad_files_are_one_line(tmp_path: Path, content: str, problem: str) -> N
 def test_files_that_are_not_text(tmp_path: Path) -> None:
     (tmp_path / "a.traj").write_bytes(bytes(range(128, 256)))
     refuses(tmp_path / "a.traj", "not a text file")
-    refuses(tmp_path / "none.traj", "cannot read")
+    refuses(tmp_path / "none.traj", "no such file")
 
 
 def test_blank_lines_at_the_end_are_no_rows(tmp_path: Path) -> None:

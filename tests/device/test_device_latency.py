@@ -107,7 +107,7 @@ def changed(content: dict[str, Any], path: str, value: Any) -> str:
         ("format", ..., ["format None"]),
         ("measured.0.milliseconds.3", -1.0, ["> 0", "measured[0].milliseconds[3]"]),
         ("measured.0.milliseconds.3", 0.0, ["> 0", "measured[0].milliseconds[3]"]),
-        ("measured.0.milliseconds.3", float("nan"), ["no JSON", "NaN"]),
+        ("measured.0.milliseconds.3", float("nan"), ["not JSON", "NaN"]),
         ("measured.0.milliseconds.3", "fast", ["float", "measured[0].milliseconds[3]"]),
         ("measured.0.milliseconds", [1.0] * 4, ["measured[0]", "4 samples are too few", "10"]),
         ("measured.0.milliseconds", [1.0] * 11, ["measured[0]", "11 samples in 20 rounds"]),
@@ -147,7 +147,7 @@ def test_what_is_no_file_is_refused(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "bad.json").write_bytes(content)
     with pytest.raises(InputError, match=r"bad\.json"):
         read_latency(tmp_path / "bad.json")
-    with pytest.raises(InputError, match="cannot read"):
+    with pytest.raises(InputError, match="no such file"):
         read_latency(tmp_path / "missing.json")
 
 
@@ -228,7 +228,7 @@ def test_options_that_exclude_each_other(tmp_path: Path) -> None:
         (OtherDevice(device=True, latency=path), "cascade", "not both"),
         (OtherDevice(device=True), "frame", "the diffusion alone"),
         (OtherDevice(device=True, port=-1), "cascade", "port"),
-        (OtherDevice(latency=tmp_path / "missing.json"), "cascade", "cannot read"),
+        (OtherDevice(latency=tmp_path / "missing.json"), "cascade", "no such file"),
     ):
         with pytest.raises(InputError, match=words):
             TuneSettings(target_device=other, stage=stage, fps=(60.0,)).check()

@@ -98,7 +98,7 @@ def test_a_figure_of_many_names_none(tmp_path: Path) -> None:
         ({"scenes": ["nowhere"]}, "no capture .*nowhere; a room of known truth is called room:NAME"),
         ({"lights": ["noon-windo"]}, r"no set-up 'noon-windo' \(did you mean 'noon-window'"),
         ({"lights": ["two-colors", "two-colors"]}, r"'lights' must name each once"),
-        ({"lights": ["none.yaml"]}, "no such lights file"),
+        ({"lights": ["none.yaml"]}, "no such file"),
         ({"configurations": ["defualt"]}, r"no preset 'defualt' \(did you mean 'default'"),
         ({"configurations": ["none.json"]}, "cannot read the configuration"),
         ({"configurations": {"space": "default", "conut": 3}}, r"did you mean 'count'"),

@@ -97,5 +97,5 @@ def test_best_is_the_lowest_validation_so_far(tmp_path: Path) -> None:
 
 def test_an_unreadable_settings_file_ends_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "settings.json").write_text("{")
-    with pytest.raises(InputError, match=r"settings\.json: cannot be read"):
+    with pytest.raises(InputError, match=r"settings\.json: not JSON"):
         TrainingLog(tmp_path, SETTINGS, resume=True)

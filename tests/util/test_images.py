@@ -7,7 +7,6 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from hyjax.util import images
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_depth, read_image, resize, write_exr, write_png
 
@@ -145,14 +144,17 @@ def test_a_giant_picture_is_refused_by_its_header(
     tmp_path: Path, picture: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_png(tmp_path / "a.png", picture)
-    monkeypatch.setattr(images, "MOST_PIXELS", 8)
-    with pytest.raises(InputError, match=r"a\.png: \d+x\d+ pixels; at most"):
+    monkeypatch.setenv("HYJAX_MOST_MEGAPIXELS", "8e-6")
+    with pytest.raises(InputError, match=r"a\.png: \d+x\d+ pixels of .* set HYJAX_MOST_MEGAPIXELS"):
+        read_image(tmp_path / "a.png")
+    monkeypatch.setenv("HYJAX_MOST_MEGAPIXELS", "many")
+    with pytest.raises(InputError, match="HYJAX_MOST_MEGAPIXELS: must be millions of pixels"):
         read_image(tmp_path / "a.png")
 
 
 def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
     refuses(tmp_path / "none.png", "no such file")
-    refuses(tmp_path, "no such file")
+    refuses(tmp_path, "is a folder")
     refuses(tmp_path / "none.png", "no such file", read=read_depth)
 
 

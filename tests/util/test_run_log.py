@@ -65,7 +65,7 @@ def test_a_file_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "log.jsonl").mkdir()
     with pytest.raises(InputError, match=r"log\.jsonl: cannot write"):
         log.add({"k": 3})
-    with pytest.raises(InputError, match=r"log\.jsonl: cannot read"):
+    with pytest.raises(InputError, match=r"log\.jsonl: is a folder"):
         read(tmp_path / "log.jsonl")
 
 
