@@ -2,10 +2,10 @@
 
     python -m experiments.tour_load [--minutes 60] [--size 256] [--out results/tour_load]
 
-Takes as many minutes as it is told, and a core. Needs the extra `tour`. The tour of the built-in room runs in a process
-of its own; the visitors speak its page's protocol over websockets, without a browser. A round is one change (hour,
-sky, exposure, frame, a lamp put somewhere and removed), after which every visitor waits for its picture. Now and then
-a visitor breaks its connection and comes back, an upload breaks off halfway, and meshes come that are good, that are
+Takes as many minutes as it is told, and a core. Needs the extra `tour`. The tour of the built-in room runs in a
+process of its own; the visitors speak its page's protocol over websockets, without a browser. A round is one change
+(hour, sky, exposure, or a lamp put somewhere), after which every visitor waits for its picture. Now and then a
+visitor breaks its connection and comes back, an upload breaks off halfway, and meshes come that are good, that are
 none at the largest size allowed, or larger.
 
 Expect: memory and open files that stay where they were after the first five minutes, within 5 %, and a picture for
@@ -41,6 +41,8 @@ WAIT = 60.0
 """Seconds for a picture, after which it counts as not answered."""
 QUIET = 0.4
 """Seconds without a picture until the next change, so that a finer picture is not taken for the next one's."""
+LONGEST_REST = 10.0
+"""Seconds that are waited for such a pause."""
 VISITORS = 2
 UPLOAD = "Bring a mesh"
 
@@ -107,9 +109,9 @@ class Load:
         number = self.counts["rounds"]
         if number % 25 == 0:
             self._come_back()
-        if number % 60 == 0:
+        if number % 60 == 30:
             self._upload("stool.ply", self._box)
-        if number % 150 == 0:
+        if number % 150 == 10:
             self._upload("noise.ply", bytes(MOST_UPLOADED))
             self._upload("large.ply", bytes(MOST_UPLOADED + 1))
         if number % 90 == 0:
@@ -138,7 +140,7 @@ class Load:
         ]
 
     def _put_lamp(self, visitor: Visitor) -> None:
-        visitor.set(str(self._random.choice(["Bulb", "Candle", "Spot"])), True)
+        visitor.set(str(self._random.choice(["Bulb", "Spot", "Strip"])), True)
         time.sleep(0.1)
         angle = self._random.uniform(0, 2 * np.pi)
         visitor.click((float(np.cos(angle)), float(np.sin(angle)), -0.5), ORIGIN)
@@ -159,7 +161,7 @@ class Load:
 
     def _settle(self) -> None:
         """Wait until no more pictures come."""
-        end = time.monotonic() + WAIT
+        end = time.monotonic() + LONGEST_REST
         while time.monotonic() < end:
             if all(each.pictures and time.monotonic() - each.last > QUIET for each in self._visitors):
                 return
@@ -226,8 +228,8 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     counts = last["counts"]
     header = ["", f"after {settled / 60:.1f} minutes", "in the last minute", "change", "most"]
     text = (
-        f"{counts['rounds']} changes in {last['seconds'] / 60:.0f} minutes by {VISITORS} visitors; {machine(last)}. "
-        f"{counts['answered']} of {counts['asked']} pictures came. {counts['breaks']} connections broke off, "
+        f"{counts['rounds']} changes in {last['seconds'] / 60:.0f} minutes by {VISITORS} visitors; "
+        f"{machine(last)}. {counts['answered']} of {counts['asked']} pictures came. {counts['breaks']} connections broke off, "
         f"{counts['broken uploads']} uploads with them; of {counts['uploads']} whole uploads "
         f"{counts['refused uploads']} were refused."
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hyjax.util.errors import InputError
-from hyjax.util.files import write_text
+from hyjax.util.files import append_line, write_text
 
 Line = dict[str, Any]
 
@@ -37,11 +37,7 @@ class RunLog:
         if not self._written:
             self.write()
             return
-        try:
-            with self.path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line) + "\n")
-        except OSError as error:
-            raise InputError(f"{self.path}: cannot write ({error.strerror or error})") from None
+        append_line(self.path, json.dumps(line))
 
     def write(self) -> None:
         """Write the file anew, with all lines."""
