@@ -35,6 +35,7 @@ EXPERIMENTS = (
     "fusion_borders",
     "bench_peers",
     "tour_latency",
+    "tour_load",
     "live",
     "sweep_scale",
 )

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, NamedTuple
 import msgspec
 
 from hyjax.util.errors import InputError
-from hyjax.util.files import write_text
+from hyjax.util.files import append, write_text
 from hyjax.util.reading import open_regular, parse_json, read_text
 
 try:
@@ -205,12 +205,8 @@ class RowWriter:
         """
         line = (json.dumps(_finite(row)) + "\n").encode()
         try:
-            written = 0
-            while written < len(line):
-                written += os.write(self._file, line[written:])
+            append(self._file, line)
         except OSError as error:
-            with contextlib.suppress(OSError):
-                os.ftruncate(self._file, self._end)
             raise _full(self.path, error) from None
         self._end += len(line)
 

@@ -17,7 +17,8 @@ from hyjax.tour.placement import north_for_bearing
 from hyjax.tour.plan import KINDS, MOST_LEFT, TourPlan
 from hyjax.tour.session import Session
 from hyjax.tour.sky import Weather
-from hyjax.tour.tools import add_mesh
+from hyjax.tour.tools import MOST_UPLOADED, add_mesh, too_large
+from hyjax.tour.uploads import limit_uploads, taken
 from hyjax.tour.viewer import Viewer
 
 POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
@@ -112,8 +113,14 @@ class Controls:
             bring = gui.add_upload_button("Bring a mesh", icon=viser.Icon.UPLOAD, hint="PLY, OBJ or GLB, in metres")
 
         def uploaded(viewer: Viewer, event: Any) -> None:
-            add_mesh(self.session, viewer.frame, event.target.value.name, event.target.value.content)
+            add_mesh(self.session, viewer.frame, *taken(event.target))
 
+        def refuse(number: int, name: str, size: int) -> None:
+            viewer = self._viewers.get(number)
+            if viewer is not None:
+                viewer.notices.refuse(too_large(name, size))
+
+        limit_uploads(gui, MOST_UPLOADED, refuse)
         bring.on_upload(task_handler(self._viewers, uploaded))
 
     def _add_exports(self) -> None:

@@ -1,6 +1,6 @@
 """Tools that point at the scene: put a lamp or a window there, pick furniture up; and meshes that are uploaded."""
 
-import time
+import secrets
 from pathlib import Path
 from typing import Any
 
@@ -61,8 +61,8 @@ def add_mesh(session: Session, frame: int, name: str, content: bytes) -> None:
     if suffix not in UPLOADS:
         raise InputError(f"{Path(name).name}: give a mesh as {', '.join(UPLOADS)}, in metres")
     if not 0 < len(content) <= MOST_UPLOADED:
-        raise InputError(f"{Path(name).name}: {len(content)} bytes; give a mesh of at most 64 MiB")
-    file = f"mesh-{int(time.time() * 1e3):x}{suffix}"
+        raise too_large(name, len(content))
+    file = f"mesh-{secrets.token_hex(6)}{suffix}"
     with atomic_write(session.out / file) as temporary:
         temporary.write_bytes(content)
     try:
@@ -72,6 +72,11 @@ def add_mesh(session: Session, frame: int, name: str, content: bytes) -> None:
         if isinstance(error, InputError):
             raise InputError(str(error).replace(str(session.out / file), Path(name).name)) from None
         raise
+
+
+def too_large(name: str, size: int) -> InputError:
+    """What to say of a file of so many bytes, too many or none."""
+    return InputError(f"{Path(name).name}: {size} bytes; give a mesh of at most {MOST_UPLOADED >> 20} MiB")
 
 
 def _select_furniture(session: Session, number: int | None, point: Float[np.ndarray, "3"]) -> None:

@@ -15,6 +15,7 @@ import tempfile
 import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import NoReturn
 
 from hyjax.util.errors import InputError
 from hyjax.util.reading import disk_error
@@ -22,8 +23,10 @@ from hyjax.util.whole_files import check_whole
 
 PART = ".part"
 """Before the suffix of a file, or after the name of a folder, that is not yet whole."""
+OLD = ".old"
+"""After the name of a folder that is being replaced."""
 _HOST = re.sub(r"\W", "_", platform.node())[:32] or "host"
-_TEMPORARY = re.compile(rf"\..+\.(?P<host>\w+)-(?P<process>\d+)-\d+{re.escape(PART)}(\..*)?")
+_TEMPORARY = re.compile(r"\.(?P<name>.+)\.(?P<host>\w+)-(?P<process>\d+)-\d+(?P<kind>\.part|\.old)(\..*)?")
 
 
 @contextlib.contextmanager
@@ -40,50 +43,86 @@ def atomic_write(path: Path) -> Iterator[Path]:
         _to_disk(temporary)
         check_whole(temporary, str(path))
         temporary.replace(path)
-    except OSError as error:
-        disk_error(path, error)
+    except Exception as error:
+        _raise_for(error, path)
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
-def new_folder(out: Path) -> Iterator[Path]:
+def new_folder(out: Path, *, replace: bool = False) -> Iterator[Path]:
     """A temporary folder beside `out` to fill: renamed to it if the block ends well, removed if not.
 
+    Args:
+        out: the folder.
+        replace: whether one that is there is replaced.
+
     Raises:
-        InputError: `out` is there and not an empty folder, or cannot be written.
+        InputError: `out` is there and neither to be replaced nor an empty folder, cannot be written, or a file in
+            it is not whole.
     """
     out = Path(out)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if not replace and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is there already and not an empty folder; choose another")
-    temporary = out.with_name(f".{out.name}.{_mark()}{PART}")
+    temporary, old = (out.with_name(f".{out.name}.{_mark()}{kind}") for kind in (PART, OLD))
     try:
         remove_stale(out.parent)
         temporary.mkdir(parents=True)
         yield temporary
-        if out.is_dir():
+        for file in sorted(temporary.rglob("*")):
+            if file.is_file():
+                _to_disk(file)
+                check_whole(file, str(out / file.relative_to(temporary)))
+        if replace and out.exists():
+            out.rename(old)
+        elif out.is_dir():
             out.rmdir()
         temporary.rename(out)
-    except OSError as error:
-        disk_error(out, error)
+    except InputError as error:  # of a file in it
+        raise InputError(str(error).replace(str(temporary), str(out))) from None
+    except Exception as error:
+        _raise_for(error, out)
     finally:
+        _clear(old, out)
         shutil.rmtree(temporary, ignore_errors=True)
 
 
 def remove_stale(folder: Path) -> None:
     """Remove temporary files and folders that killed processes of this machine left in a folder.
 
-    Those of processes that still run, and of other machines that share the folder, stay.
+    Those of processes that still run, and of other machines that share the folder, stay. A folder that was being
+    replaced when its process was killed gets its name back.
     """
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             found = _TEMPORARY.fullmatch(entry.name)
             if found and found["host"] == _HOST and not _runs(int(found["process"])):
-                if entry.is_dir(follow_symlinks=False):
-                    shutil.rmtree(entry.path, ignore_errors=True)
+                path = Path(entry.path)
+                if found["kind"] == OLD:
+                    _clear(path, path.with_name(found["name"]))
+                elif entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(path, ignore_errors=True)
                 else:
-                    remove(Path(entry.path))
+                    remove(path)
+
+
+def _clear(old: Path, out: Path) -> None:
+    """Remove what was replaced, or put it back where nothing came in its place."""
+    with contextlib.suppress(OSError):
+        if old.exists() and not out.exists():
+            old.rename(out)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _raise_for(error: Exception, path: Path) -> NoReturn:
+    """Raise the `InputError` for an error of the disk, FFmpeg's among them, and any other as it is."""
+    number = getattr(error, "errno", None)
+    if isinstance(error, OSError):
+        disk_error(path, error)
+    if isinstance(number, int) and number > 0:
+        disk_error(path, OSError(number, os.strerror(number)))
+    raise error
 
 
 def _mark() -> str:
@@ -128,11 +167,44 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def append_line(path: Path, text: str) -> None:
+    """Append a line to a file that is there: whole, or not at all.
+
+    Raises:
+        InputError: it cannot be written, as on a full disk.
+    """
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_APPEND)
+        try:
+            append(descriptor, f"{text}\n".encode())
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        disk_error(path, error)
+
+
+def append(descriptor: int, content: bytes) -> None:
+    """Append to an open file of this process alone; what could only be written in part is taken back.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    end = os.fstat(descriptor).st_size
+    try:
+        while content:
+            content = content[os.write(descriptor, content) :]
+    except OSError:
+        with contextlib.suppress(OSError):
+            os.ftruncate(descriptor, end)
+        raise
+
+
 def make_writable(out: Path) -> None:
     """Make the output folder, or raise `InputError` if files cannot be written there.
 
     What killed processes left in it under temporary names is removed.
     """
+    out = Path(out)
     try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=out):

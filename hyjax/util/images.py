@@ -15,6 +15,8 @@ from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
 from hyjax.util.picture_header import check_picture, check_size
 
+NO_DATE = "1970:01:01 00:00:00"
+"""In an EXR, which otherwise has the time of writing: equal pictures are equal files."""
 PNG_LEVEL = 4
 """Compression of PNG: a third of the time of the usual 6, for files 5 % larger."""
 
@@ -133,7 +135,7 @@ def write_labels(path: Path, labels: UInt8[np.ndarray, "h w"]) -> None:
 def write_exr(path: Path, linear: Float[np.ndarray, "h w c"]) -> None:
     """Write linear values as a half-float EXR (ZIP compressed). Values beyond half range are clipped to it."""
     pixels = np.clip(np.asarray(linear, dtype=np.float32), -65504.0, 65504.0).astype(np.float16)
-    _write(path, pixels, "half", {"oiio:ColorSpace": "lin_rec709_scene", "compression": "zip"})
+    _write(path, pixels, "half", {"oiio:ColorSpace": "lin_rec709_scene", "compression": "zip", "DateTime": NO_DATE})
 
 
 def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str | int]) -> None:

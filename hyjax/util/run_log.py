@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hyjax.util.errors import InputError
-from hyjax.util.files import write_text
+from hyjax.util.files import append_line, write_text
 from hyjax.util.reading import parse_json, read_bytes
 
 Line = dict[str, Any]
@@ -38,11 +38,7 @@ class RunLog:
         if not self._written:
             self.write()
             return
-        try:
-            with self.path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line) + "\n")
-        except OSError as error:
-            raise InputError(f"{self.path}: cannot write ({error.strerror or error})") from None
+        append_line(self.path, json.dumps(line))
 
     def write(self) -> None:
         """Write the file anew, with all lines."""

@@ -1,0 +1,168 @@
+"""Runs in processes of their own, killed with all that they started."""
+
+import dataclasses
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from hyjax.util.errors import InputError
+from hyjax.util.files import PART
+from hyjax.util.images import read_image
+from hyjax.util.reading import read_json
+from hyjax.util.whole_files import check_whole
+
+from .commands import CAPTURE, Command, differences, entries, prepare
+
+LONGEST = 900.0
+"""Seconds of one run."""
+ROOT = Path(__file__).parents[2]
+
+
+@dataclasses.dataclass
+class Outcome:
+    """What came of the kills of one command.
+
+    Attributes:
+        command: its name.
+        seconds: of an undisturbed run.
+        kills: runs that were killed.
+        spared: runs that ended before.
+        finished: runs that were brought to their end and compared.
+        wrong: what differed, was cut off, left over or refused; one text each.
+    """
+
+    command: str
+    seconds: float = 0.0
+    kills: int = 0
+    spared: int = 0
+    finished: int = 0
+    wrong: list[str] = dataclasses.field(default_factory=list)
+
+
+class Killer:
+    """Kills of commands, in a folder of their own.
+
+    Args:
+        folder: for the runs; the undisturbed ones and the capture are kept in it.
+        seed: of the moments.
+    """
+
+    def __init__(self, folder: Path, seed: int = 0) -> None:
+        self.folder, self._random = folder, random.Random(seed)
+        (folder / "tmp").mkdir(parents=True, exist_ok=True)
+        arguments = prepare(folder)
+        if not (folder / CAPTURE).exists():
+            self.run(arguments)
+
+    def run(self, arguments: list[str], *, kill_after: float | None = None) -> tuple[int, str]:
+        """Run `python -m ...`; its status (-9 if it was killed) and what it said on stderr."""
+        environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(self.folder / "tmp")}
+        said = self.folder / "stderr.txt"
+        with said.open("w") as stderr:
+            process = subprocess.Popen(
+                [sys.executable, "-m", *arguments],
+                stdout=subprocess.DEVNULL,
+                stderr=stderr,
+                start_new_session=True,
+                env=environment,
+                cwd=self.folder,
+            )
+            try:
+                process.wait(LONGEST if kill_after is None else kill_after)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                if kill_after is None:
+                    return -1, f"took more than {LONGEST:.0f} s"
+        return process.wait(), said.read_text(errors="replace")
+
+    def undisturbed(self, command: Command) -> tuple[Path, float]:
+        """Folder and seconds of a run that nobody disturbs: the second one, when everything is compiled."""
+        seconds = 0.0
+        for number in range(2):
+            out = self.folder / command.name / f"undisturbed-{number}"
+            if not out.exists():
+                begun = time.monotonic()
+                status, said = self.run(command.arguments(self.folder, out))
+                seconds = time.monotonic() - begun
+                if status:
+                    raise RuntimeError(f"{command.name} fails by itself: {said[-2000:]}")
+                (out.parent / "seconds.txt").write_text(str(seconds))
+        return out, float((out.parent / "seconds.txt").read_text())
+
+    def kill(self, command: Command, kills: int, *, in_a_row: int = 2) -> Outcome:
+        """Kill a command so many times, bring the runs to their end, and compare them.
+
+        Args:
+            command: which.
+            kills: how many times.
+            in_a_row: of them on one run, which goes on in between.
+        """
+        model, seconds = self.undisturbed(command)
+        outcome, number = Outcome(command.name, seconds), 0
+        expected = command.result(model)
+        while outcome.kills < kills and number < 3 * kills:
+            out = self.folder / command.name / f"killed-{number}"
+            number += 1
+            for _ in range(min(in_a_row, kills - outcome.kills)):
+                status, said = self._go_on(command, out, self._random.uniform(0.0, seconds))
+                outcome.spared += status == 0
+                outcome.kills += status == -signal.SIGKILL
+                outcome.wrong += [f"{out.name}: {text}" for text in damages(out)]
+                if status not in (0, -signal.SIGKILL):
+                    outcome.wrong.append(f"{out.name}: status {status}, {said.strip()[-300:]}")
+            status, said = self._go_on(command, out, None)
+            outcome.finished += 1
+            if status or "Traceback" in said:
+                outcome.wrong.append(f"{out.name}: at last status {status}, {said.strip()[-300:]}")
+                continue
+            wrong = differences(command.result(out), expected) + damages(out) + leftovers(out)
+            if command.name == "tune":
+                one, other = entries(out), entries(model)
+                wrong += [f"entry {key}" for key in one.keys() & other.keys() if one[key] != other[key]]
+            outcome.wrong += [f"{out.name}: {text}" for text in wrong]
+            if not wrong:
+                _remove(out)
+        return outcome
+
+    def _go_on(self, command: Command, out: Path, kill_after: float | None) -> tuple[int, str]:
+        if command.is_finished(out):
+            return 0, ""
+        again = command.going_on if out.exists() else ()
+        return self.run([*command.arguments(self.folder, out), *again], kill_after=kill_after)
+
+
+def damages(out: Path) -> list[str]:
+    """Files under their final names that are not whole."""
+    found = []
+    for file in sorted(out.rglob("*")):
+        inside = file.relative_to(out).parts
+        if not file.is_file() or any(PART in part or part.startswith(".") or "tmp" in part for part in inside):
+            continue
+        try:
+            check_whole(file, file.name)
+            if file.suffix in (".png", ".exr"):
+                read_image(file)
+            elif file.suffix == ".json":
+                read_json(file)
+            elif file.suffix in (".md", ".html", ".csv", ".safetensors") and not file.stat().st_size:
+                raise InputError(f"{file}: empty")
+        except (OSError, InputError) as error:
+            found.append(f"damaged: {error}")
+    return found
+
+
+def leftovers(out: Path) -> list[str]:
+    """Temporary names in a finished run's folder or beside it that are this run's."""
+    names = [str(file.relative_to(out.parent)) for file in out.rglob("*")]
+    names += [file.name for file in out.parent.glob(f".{out.name}.*")]
+    return [f"left over: {name}" for name in names if PART in name or "orbax-checkpoint-tmp" in name]
+
+
+def _remove(folder: Path) -> None:
+    import shutil
+
+    shutil.rmtree(folder)
