@@ -229,8 +229,8 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     header = ["", f"after {settled / 60:.1f} minutes", "in the last minute", "change", "most"]
     text = (
         f"{counts['rounds']} changes in {last['seconds'] / 60:.0f} minutes by {VISITORS} visitors; "
-        f"{machine(last)}. {counts['answered']} of {counts['asked']} pictures came. {counts['breaks']} connections broke off, "
-        f"{counts['broken uploads']} uploads with them; of {counts['uploads']} whole uploads "
+        f"{machine(last)}. {counts['answered']} of {counts['asked']} pictures came. {counts['breaks']} connections "
+        f"broke off, {counts['broken uploads']} uploads with them; of {counts['uploads']} whole uploads "
         f"{counts['refused uploads']} were refused."
     )
     return [
