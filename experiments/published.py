@@ -41,6 +41,8 @@ TRUTH_CAPTION = (
     "*E_old*: the photo's light."
 )
 
+FILTERS = ("strength / reach", "PSNR dB", "loss")
+
 TABLES: dict[str, Published] = {
     # against the truth, and the photo's light
     "truth-short": Published("truth", 0, TRUTH_COLUMNS, TRUTH_LINES, TRUTH_CAPTION),
@@ -103,6 +105,11 @@ TABLES: dict[str, Published] = {
     "tour-latency": Published("tour_latency"),
     "fusion-chair": Published("fusion_borders_chair", 0),
     "fusion-room": Published("fusion_borders_room", 0),
+    "sweep": Published("sweep_scale", 0),
+    "sweep-kills": Published("sweep_scale", 1),
     # what does not carry over
+    "peers-room": Published("peers_room", 0, FILTERS),
+    "peers-room-by-kitchen": Published("peers_room_by_kitchen", 0, FILTERS),
+    "peers-kitchen": Published("peers_kitchen", 0, FILTERS),
 }
 """Name on a page → table."""
