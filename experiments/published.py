@@ -90,6 +90,8 @@ TABLES: dict[str, Published] = {
     # the learned guide
     "conductances": Published("conductances_kitchen"),
     "depth-middlebury": Published("depth_sr"),
+    "dada-mosd": Published("depth_sr_dada", 0),
+    "dada-kitchen": Published("depth_sr_dada", 1),
     "guide-difference": Published("guide_difference"),
     "guide-worth-room": Published("guide_worth_room"),
     "guide-worth-kitchen": Published("guide_worth_kitchen"),
@@ -111,5 +113,6 @@ TABLES: dict[str, Published] = {
     "peers-room": Published("peers_room", 0, FILTERS),
     "peers-room-by-kitchen": Published("peers_room_by_kitchen", 0, FILTERS),
     "peers-kitchen": Published("peers_kitchen", 0, FILTERS),
+    "peers-kitchen-by-room": Published("peers_kitchen_by_room", 0, FILTERS),
 }
 """Name on a page → table."""
