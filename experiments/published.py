@@ -41,6 +41,7 @@ TRUTH_CAPTION = (
     "*E_old*: the photo's light."
 )
 
+LIGHT = ("paper's method, times light", "ours, times light")
 FILTERS = ("strength / reach", "PSNR dB", "loss")
 
 TABLES: dict[str, Published] = {
@@ -62,6 +63,8 @@ TABLES: dict[str, Published] = {
     "fidelity-regions-kitchen": Published("paper_table_kitchen", 6),
     "kappa-room": Published("kappa_sweep_room"),
     "kappa-kitchen": Published("kappa_sweep_kitchen"),
+    "ablation-shadow-room": Published("ablation_shadow_room", 1),
+    "ablation-shadow-rough-room": Published("ablation_shadow_room", 0),
     # beyond the paper
     "beyond": Published("beyond"),
     "flicker-room": Published("flicker_room"),
@@ -110,6 +113,7 @@ TABLES: dict[str, Published] = {
     "sweep": Published("sweep_scale", 0),
     "sweep-kills": Published("sweep_scale", 1),
     # what does not carry over
+    "fidelity-short": Published("paper_table_kitchen", 5, ("LPIPS", "PSNR dB"), LIGHT),
     "peers-room": Published("peers_room", 0, FILTERS),
     "peers-room-by-kitchen": Published("peers_room_by_kitchen", 0, FILTERS),
     "peers-kitchen": Published("peers_kitchen", 0, FILTERS),
