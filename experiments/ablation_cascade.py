@@ -30,7 +30,8 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table
 from experiments.command import Start, experiment, run
 from experiments.judging import summarise
-from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, View, reported
+from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, reported
+from experiments.paper_view import View
 from experiments.plotting import new_figure
 from experiments.records import Row
 from hyjax import metrics

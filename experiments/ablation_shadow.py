@@ -36,7 +36,8 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table
 from experiments.command import Start, experiment, run
 from experiments.judging import summarise
-from experiments.paper_bench import METHODS, Bench, KappaConfig, View, reported
+from experiments.paper_bench import METHODS, Bench, KappaConfig, reported
+from experiments.paper_view import View
 from experiments.plotting import new_figure
 from experiments.records import Row
 from hyjax.core.schedule import Schedule

@@ -36,18 +36,8 @@ from experiments.beyond_ideas import BASE, IDEAS, KAPPAS, OURS, equivalents, kno
 from experiments.blocks import Block, Picture, Plot, Table
 from experiments.command import Start, experiment, run
 from experiments.judging import REGIONS, judge, pick, regions, summarise, text_of, tuning_curve
-from experiments.paper_bench import (
-    ANY,
-    BENCHMARKS,
-    Bench,
-    BenchConfig,
-    View,
-    linear_filter,
-    mean_colour,
-    multiplied,
-    reported,
-    with_kappa,
-)
+from experiments.paper_bench import ANY, BENCHMARKS, Bench, BenchConfig, reported
+from experiments.paper_view import View, linear_filter, mean_colour, multiplied, with_kappa
 from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
 from hyjax.core.schedule import Schedule, guided_schedule

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 import hyjax
 from experiments.judging import JUMP
-from experiments.paper_bench import View, with_kappa
+from experiments.paper_view import View, with_kappa
 from hyjax.core.cycles import longest_time, shortest_cycle
 from hyjax.core.diffusion import edge_stopping, guide_distance
 from hyjax.core.pyramid import downsample, level_shape, upsample

@@ -30,7 +30,8 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table
 from experiments.command import Start, experiment, run
 from experiments.judging import summarise
-from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, View, linear_filter, multiplied, reported
+from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, reported
+from experiments.paper_view import View, linear_filter, multiplied
 from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
 from hyjax.core.schedule import Schedule

@@ -98,7 +98,7 @@ PICTURES: dict[str, Committed] = {
     ),
     "structure.jpg": Committed("python -m experiments.structure", (Cells("structure.png"),)),
     "shadow_pass.jpg": Committed(
-        "python -m experiments.ablation_shadow", (Cells("side_by_side.png", (2, 3)),), 1700
+        "python -m experiments.ablation_shadow", (Cells("side_by_side.png", (4, 5)),), 1700
     ),
 }
 """File → how it is made."""

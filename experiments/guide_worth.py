@@ -24,7 +24,8 @@ from matplotlib.figure import Figure
 from experiments.blocks import Block, Plot, Table
 from experiments.command import Start, experiment, run
 from experiments.judging import summarise, tuning_curve
-from experiments.paper_bench import ANY, METHODS, OWN_GROUP, Bench, BenchConfig, View, linear_filter, multiplied
+from experiments.paper_bench import ANY, METHODS, OWN_GROUP, Bench, BenchConfig
+from experiments.paper_view import View, linear_filter, multiplied
 from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
 from hyjax.core.schedule import Schedule

@@ -21,16 +21,8 @@ from matplotlib.figure import Figure
 from experiments.blocks import Block, Plot, Table
 from experiments.command import Start, experiment, run
 from experiments.judging import tuning_curve
-from experiments.paper_bench import (
-    ANY,
-    METHODS,
-    OWN_GROUP,
-    BenchConfig,
-    View,
-    linear_filter,
-    mean_colour,
-    multiplied,
-)
+from experiments.paper_bench import ANY, METHODS, OWN_GROUP, BenchConfig
+from experiments.paper_view import View, linear_filter, mean_colour, multiplied
 from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
 from hyjax.core.diffusion import Norm

@@ -8,22 +8,21 @@ from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 from tqdm import tqdm
 
 import hyjax
 from experiments.command import RunConfig, Start
 from experiments.judging import check_size, judge, regions
+from experiments.paper_view import View, linear_filter, mean_colour, multiplied, with_kappa
 from experiments.records import Results
 from experiments.references import open_reference
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.data.builtin_room import load_room
-from hyjax.data.capture import Capture, Frame
+from hyjax.data.capture import Capture
 from hyjax.data.frames import fit, select_frames
 from hyjax.data.registry import open_capture
-from hyjax.geometry.camera import Camera
 from hyjax.guide.choose import RGB, FrameGuide, open_guide
-from hyjax.light.gbuffer import GBuffer
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.light.shadow_map import ShadowMap
@@ -138,7 +137,7 @@ class Bench:
         meshes = f"{self.source} against {self.reference.description}"
         return base | {"meshes": meshes, "shares": shares, "relied on": relied, "scores": scores}
 
-    def view(self, index: int) -> "View":
+    def view(self, index: int) -> View:
         """A frame with what its camera sees of both surfaces."""
         frame = self.capture[index]
         fitted = fit(frame, self.scene.size)
@@ -152,7 +151,7 @@ class Bench:
         display = jnp.asarray(fitted.image)
         return View(frame, display, self.guide.features(display), fitted.camera, *seen, valid, shading)
 
-    def views(self, indices: Sequence[int], doing: str) -> Iterator["View"]:
+    def views(self, indices: Sequence[int], doing: str) -> Iterator[View]:
         """The views of frames that see both surfaces, with a progress bar.
 
         Raises:
@@ -171,7 +170,7 @@ class Bench:
         """Error for a capture of which no frame sees both surfaces."""
         return InputError(f"{self.capture.name}: no ray of any frame met both surfaces; are they in one world?")
 
-    def pictures(self, view: "View", lights: str) -> dict[str, dict[str, Float[Array, "h w 3"]]]:
+    def pictures(self, view: View, lights: str) -> dict[str, dict[str, Float[Array, "h w 3"]]]:
         """Group → method → the relit frame, display values.
 
         All filters are multiplied both ways, so that what refining does is not mixed up with what multiplying does.
@@ -193,7 +192,7 @@ class Bench:
 
     def relight(
         self,
-        view: "View",
+        view: View,
         lights: str,
         mode: Mode,
         schedule: Schedule,
@@ -214,7 +213,7 @@ class Bench:
 
     def shaded(
         self,
-        view: "View",
+        view: View,
         lights: str,
         *,
         accurate: bool = False,
@@ -324,58 +323,3 @@ def reported(capture: Capture, frames: str | None = None) -> list[int]:
         return select_frames(frames, len(capture))
     quarter = len(capture) - max(1, len(capture) // 4)
     return list(range(quarter if capture.reference() is None else 0, len(capture)))
-
-
-def linear_filter(relit: Relit, mode: Mode) -> Float[Array, "h w 3"]:
-    """The refined filter, without shadows, as a factor of light."""
-    return hyjax.to_linear(relit.refined) if mode == "paper" else relit.refined
-
-
-def mean_colour(view: "View", relight_filter: Float[Array, "h w 3"], group: str) -> Float[Array, "h w 3"]:
-    """One colour for the whole frame: the filter's mean, as the group has it, where the mesh has a surface."""
-    known, display = view.rough.hit[..., None], group == "display values"
-    averaged = hyjax.to_display(relight_filter) if display else relight_filter
-    mean = jnp.sum(averaged * known, axis=(0, 1)) / jnp.maximum(jnp.sum(known), 1)
-    return jnp.broadcast_to(hyjax.to_linear(mean) if display else mean, relight_filter.shape)
-
-
-def multiplied(view: "View", relight_filter: Float[Array, "h w 3"], group: str) -> Float[Array, "h w 3"]:
-    """The frame times a linear filter, display values."""
-    if group == "display values":
-        return view.display * hyjax.to_display(relight_filter)
-    return hyjax.to_display(hyjax.to_linear(view.display) * relight_filter)
-
-
-def with_kappa(schedule: Schedule, kappa: float) -> Schedule:
-    """The schedule with one κ for all levels."""
-    levels = tuple(dataclasses.replace(level, kappa=kappa) for level in schedule.levels)
-    return dataclasses.replace(schedule, levels=levels)
-
-
-@dataclasses.dataclass(frozen=True)
-class View:
-    """One frame, at the size that is worked at.
-
-    Attributes:
-        frame: as captured.
-        display: its picture.
-        guide: features of that.
-        camera: of `display`.
-        rough: what the camera sees of the rough surface.
-        accurate: and of the accurate one.
-        valid: where the accurate one is relied on.
-        shading: lux on both from the lights of all set-ups, if Blender has rendered it.
-    """
-
-    frame: Frame
-    display: Float[Array, "h w 3"]
-    guide: Float[Array, "h w f"]
-    camera: Camera
-    rough: GBuffer
-    accurate: GBuffer
-    valid: Bool[np.ndarray, "h w"]
-    shading: Sequence[Float[Array, "h w l"]] = ()
-
-    @property
-    def blind(self) -> bool:
-        return not (bool(self.rough.hit.any()) and bool(self.valid.any()))

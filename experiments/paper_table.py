@@ -58,8 +58,8 @@ PAPER = {
 }
 """The paper's own table: ARKit mesh, their method; 596 frames of ARKitScenes 47333462."""
 POINT: dict[PointPlace, str] = {
-    "room": ", the lamp in the middle of the room as in the paper",
-    "view": ", the lamp near what the cameras look at",
+    "room": "; the lamp in the middle of the room as in the paper",
+    "view": "; the lamp near what the cameras look at",
 }
 FEWEST = 5  # frames, below which no direction is claimed
 LITTLE = 0.5  # share of the pixels that the accurate surface is relied on, below which something is amiss
@@ -145,7 +145,7 @@ def whole(frames: Sequence[Row], benchmark: str) -> Table:
     header = ["", *(metric.label for metric in METRICS.values())]
     header += [f"the paper's {METRICS[name].label}" for name in PAPER[benchmark]]
     where = POINT[frames[0]["settings"].get("point", "view")] if benchmark == "mesh error correction" else ""
-    return Table(f"{benchmark.capitalize()}{where}: mean over frames ± 95 % interval.", header, rows)
+    return Table(f"{benchmark.capitalize()}: mean over frames ± 95 % interval{where}.", header, rows)
 
 
 def by_region(frames: Sequence[Row], benchmark: str) -> Table:

@@ -41,6 +41,9 @@ TRUTH_CAPTION = (
     "*E_old*: the photo's light."
 )
 
+LIGHT = ("paper's method, times light", "ours, times light")
+FILTERS = ("strength / reach", "PSNR dB", "loss")
+
 TABLES: dict[str, Published] = {
     # against the truth, and the photo's light
     "truth-short": Published("truth", 0, TRUTH_COLUMNS, TRUTH_LINES, TRUTH_CAPTION),
@@ -60,6 +63,8 @@ TABLES: dict[str, Published] = {
     "fidelity-regions-kitchen": Published("paper_table_kitchen", 6),
     "kappa-room": Published("kappa_sweep_room"),
     "kappa-kitchen": Published("kappa_sweep_kitchen"),
+    "ablation-shadow-room": Published("ablation_shadow_room", 1),
+    "ablation-shadow-rough-room": Published("ablation_shadow_room", 0),
     # beyond the paper
     "beyond": Published("beyond"),
     "flicker-room": Published("flicker_room"),
@@ -88,6 +93,8 @@ TABLES: dict[str, Published] = {
     # the learned guide
     "conductances": Published("conductances_kitchen"),
     "depth-middlebury": Published("depth_sr"),
+    "dada-mosd": Published("depth_sr_dada", 0),
+    "dada-kitchen": Published("depth_sr_dada", 1),
     "guide-difference": Published("guide_difference"),
     "guide-worth-room": Published("guide_worth_room"),
     "guide-worth-kitchen": Published("guide_worth_kitchen"),
@@ -103,6 +110,13 @@ TABLES: dict[str, Published] = {
     "tour-latency": Published("tour_latency"),
     "fusion-chair": Published("fusion_borders_chair", 0),
     "fusion-room": Published("fusion_borders_room", 0),
+    "sweep": Published("sweep_scale", 0),
+    "sweep-kills": Published("sweep_scale", 1),
     # what does not carry over
+    "fidelity-short": Published("paper_table_kitchen", 5, ("LPIPS", "PSNR dB"), LIGHT),
+    "peers-room": Published("peers_room", 0, FILTERS),
+    "peers-room-by-kitchen": Published("peers_room_by_kitchen", 0, FILTERS),
+    "peers-kitchen": Published("peers_kitchen", 0, FILTERS),
+    "peers-kitchen-by-room": Published("peers_kitchen_by_room", 0, FILTERS),
 }
 """Name on a page → table."""

@@ -146,11 +146,14 @@ def selected(tables: Sequence[Table], published: Published) -> Table:
     missing += [line for line in published.lines if line not in (row[0] for row in table.rows)]
     if missing:
         raise InputError(f"{published.rows}: its table has no {missing[0]!r}; it has {', '.join(table.header)}")
-    columns = published.columns or tuple(table.header[table.names :])
-    places = [*range(table.names), *(list(table.header).index(column) for column in columns)]
+    header = list(table.header)
+    if twice := [column for column in published.columns if header.count(column) > 1]:
+        raise InputError(f"{published.rows}: its table has {twice[0]!r} twice, so it cannot be chosen by its name")
+    chosen = [*range(table.names), *map(header.index, published.columns)]
+    places = chosen if published.columns else range(len(header))
     lines = [row for row in table.rows if not published.lines or row[0] in published.lines]
-    header, rows = [table.header[i] for i in places], [[row[i] for i in places] for row in lines]
-    return Table(published.caption or table.caption, header, rows, table.names)
+    rows = [[row[i] for i in places] for row in lines]
+    return Table(published.caption or table.caption, [header[i] for i in places], rows, table.names)
 
 
 def provenance(rows: Sequence[Row]) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments import peers
-from experiments.paper_bench import with_kappa
+from experiments.paper_view import with_kappa
 from experiments.peers_report import SMOOTHER
 from experiments.truth_bench import TruthBench
 from experiments.truth_camera import Exposed, camera_response, exposed_light

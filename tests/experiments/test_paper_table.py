@@ -12,7 +12,7 @@ from reference.laser_export import export_laser_scans
 import hyjax
 from experiments import paper_table
 from experiments.judging import pick
-from experiments.paper_bench import BENCHMARKS, GROUPS, METHODS, Bench
+from experiments.paper_bench import BENCHMARKS, GROUPS, METHODS, Bench, in_the_middle
 from experiments.paper_table import Config, main
 from experiments.records import read_rows
 from hyjax.core.schedule import Schedule
@@ -20,6 +20,7 @@ from hyjax.data.builtin_room import RoomCapture
 from hyjax.data.registry import open_capture
 from hyjax.geometry.mesh import drop_faces
 from hyjax.light.gbuffer import GBuffer
+from hyjax.light.setup import LightSetup
 from hyjax.util.errors import InputError
 
 SIZE = 96
@@ -141,6 +142,13 @@ def test_interrupted_and_resumed(
     main(dataclasses.replace(own, resume=True))
     again = read_rows(tmp_path / "rows.jsonl")
     assert [row.get("scores") for row in again] == [row.get("scores") for row in rows]
+
+
+def test_the_first_benchmark_has_its_lamp_in_the_middle_of_the_room() -> None:
+    lamp = hyjax.PointLight(np.zeros(3), 9000.0, np.ones(3))
+    moved = in_the_middle(LightSetup((lamp,), 300.0), np.array([[0.0, 1.0, -2.0], [4.0, 2.0, 6.0]]))
+    assert np.array_equal(moved.lights[0].position, [2.0, 1.5, 2.0])
+    assert moved.lights[0].luminous_flux == 9000.0 and moved.reference_lux == 300.0
 
 
 @pytest.mark.parametrize(

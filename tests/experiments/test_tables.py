@@ -100,6 +100,10 @@ def test_columns_and_lines_of_a_table_are_chosen_by_name() -> None:
     made = Table("All.", ["", "dB", "ms"], [["ours", "30.1", "3"], ["theirs", "29.0", "9"]])
     chosen = tables.selected([made], Published("rows", 0, ("ms",), ("theirs",), "Some."))
     assert chosen == Table("Some.", ["", "ms"], [["theirs", "9"]])
+    twice = Table("Twice.", ["", "dB", "dB"], [["ours", "30.1", "27.3"]])
+    assert tables.selected([twice], Published("rows")) == twice
+    with pytest.raises(InputError, match="'dB' twice"):
+        tables.selected([twice], Published("rows", 0, ("dB",)))
     for wrong in (Published("rows", 1), Published("rows", 0, ("s",)), Published("rows", 0, (), ("nobody",))):
         with pytest.raises(InputError, match="rows: "):
             tables.selected([made], wrong)
