@@ -13,6 +13,7 @@ each change.
 """
 
 import dataclasses
+import functools
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -46,6 +47,8 @@ QUIET = 0.4
 LONGEST_REST = 10.0
 """Seconds that are waited for such a pause."""
 VISITORS = 2
+LAMPS = "Bulb", "Spot", "Strip"
+"""Not candles, whose pictures follow each other without an end."""
 UPLOAD, REFUSAL = "Bring a mesh", "That does not work"
 """Label of a button, and title of a notice."""
 ORIGIN = (0.0, 0.0, 1.4)
@@ -105,7 +108,11 @@ class Load:
         for visitor in self._visitors:
             visitor.wait_for_controls("Hour", "Weather", "Exposure", UPLOAD, "Begin anew")
         self._box = _box()
-        self._ask(lambda visitor: visitor.set("Hour", 9.3), FIRST_WAIT)  # when all is compiled
+        for lamp in LAMPS:  # until all is compiled
+            self._ask(functools.partial(self._put_lamp, lamp=lamp), FIRST_WAIT)
+        for change in self._changes():
+            self._ask(change, FIRST_WAIT)
+        self.counts = dict.fromkeys(self.counts, 0)
 
     def round(self) -> None:
         """One change, and the pictures after it."""
@@ -147,8 +154,8 @@ class Load:
         kinds = get_args(Weather)  # the same one again would be no change
         visitor.set("Weather", kinds[self.counts["rounds"] % len(kinds)])
 
-    def _put_lamp(self, visitor: Visitor) -> None:
-        visitor.set(str(self._random.choice(["Bulb", "Spot", "Strip"])), True)
+    def _put_lamp(self, visitor: Visitor, lamp: str | None = None) -> None:
+        visitor.set(lamp or str(self._random.choice(LAMPS)), True)
         time.sleep(0.1)
         angle = self._random.uniform(0, 2 * np.pi)
         visitor.click((float(np.cos(angle)), float(np.sin(angle)), -0.5), ORIGIN)
