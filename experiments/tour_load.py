@@ -44,6 +44,8 @@ FIRST_WAIT = 900.0
 """Seconds for the first one."""
 QUIET = 0.4
 """Seconds without a picture until the next change, so that a finer picture is not taken for the next one's."""
+REACTION = 0.5
+"""Seconds between choosing a lamp and the click that puts it."""
 LONGEST_REST = 10.0
 """Seconds that are waited for such a pause."""
 VISITORS = 2
@@ -156,7 +158,7 @@ class Load:
 
     def _put_lamp(self, visitor: Visitor, lamp: str | None = None) -> None:
         visitor.set(lamp or str(self._random.choice(LAMPS)), True)
-        time.sleep(0.1)
+        time.sleep(REACTION)  # or the click comes first, and puts nothing
         angle = self._random.uniform(0, 2 * np.pi)
         visitor.click((float(np.cos(angle)), float(np.sin(angle)), -0.5), ORIGIN)
 

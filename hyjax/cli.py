@@ -21,6 +21,7 @@ from hyjax.sweep.settings import SweepSettings
 from hyjax.tour.settings import TourSettings
 from hyjax.training.settings import TrainSettings, paper_settings
 from hyjax.tuning.settings import TuneSettings
+from hyjax.util.claims import claimed
 from hyjax.util.errors import InputError
 from hyjax.util.interrupts import defer_interrupts, exit_now
 from hyjax.util.terminal import quiet_libraries, shortened
@@ -262,6 +263,8 @@ def run_tour(settings: TourSettings) -> None:
 
     _keep_for_later()
     tour = Tour.open(settings)
+    alone = contextlib.ExitStack()  # until the process ends
+    alone.enter_context(claimed(settings.out))
     if not settings.is_local:
         print(
             f"hyjax: listening at {settings.host}: anybody who reaches it can see and change this tour",
