@@ -4,6 +4,7 @@ A run writes `rows.jsonl` in its own folder, a line at a time, so that an interr
 Tables, figures and pages are made from these rows alone (`experiments.report`).
 """
 
+import contextlib
 import dataclasses
 import datetime
 import math
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hyjax.util.checkout import commit
+from hyjax.util.claims import claimed
 from hyjax.util.environment import environment, peak_memory_mib
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable
@@ -45,12 +47,14 @@ class Results:
         resume: go on with the rows that are there.
 
     Raises:
-        InputError: the folder cannot be written, holds an interrupted run and `resume` is not set, or was written
-            with other settings.
+        InputError: the folder cannot be written, another process writes there, it holds an interrupted run and
+            `resume` is not set, or was written with other settings.
     """
 
     def __init__(self, out: Path, experiment: str, config: Any, *, resume: bool = False) -> None:
         make_writable(out)
+        self._claim = contextlib.ExitStack()
+        self._claim.enter_context(claimed(out))
         self.out, self.path = out, out / FILE
         self._load = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None  # not on Windows
         settings = {key: value for key, value in dataclasses.asdict(config).items() if key not in UNSETTLED}
@@ -101,6 +105,7 @@ class Results:
     def finish(self) -> list[Row]:
         """Mark the run as finished and return its rows."""
         self.add(kind="finished", peak_memory_mib=round(peak_memory_mib()), load=self._load)
+        self._claim.close()
         return self.rows
 
 

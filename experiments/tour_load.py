@@ -13,6 +13,7 @@ each change.
 """
 
 import dataclasses
+import functools
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -37,14 +38,23 @@ EVERY = 10.0
 """Seconds between two samples."""
 SETTLED = 300.0
 """Seconds after which memory must no longer grow."""
-WAIT = 60.0
+WAIT = 120.0
 """Seconds for a picture, after which it counts as not answered."""
+FIRST_WAIT = 900.0
+"""Seconds for the first one."""
 QUIET = 0.4
 """Seconds without a picture until the next change, so that a finer picture is not taken for the next one's."""
+REACTION = 0.5
+"""Seconds between choosing a lamp and the click that puts it."""
 LONGEST_REST = 10.0
 """Seconds that are waited for such a pause."""
 VISITORS = 2
-UPLOAD = "Bring a mesh"
+LAMPS = "Bulb", "Spot", "Strip"
+"""Not candles, whose pictures follow each other without an end."""
+UPLOAD, REFUSAL = "Bring a mesh", "That does not work"
+"""Label of a button, and title of a notice."""
+ORIGIN = (0.0, 0.0, 1.4)
+"""Within the built-in room, which clicks start from."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,8 +109,12 @@ class Load:
         self._visitors = [Visitor(url, 1.0 + 0.5 * number) for number in range(VISITORS)]
         for visitor in self._visitors:
             visitor.wait_for_controls("Hour", "Weather", "Exposure", UPLOAD, "Begin anew")
-        self._settle()
         self._box = _box()
+        for lamp in LAMPS:  # until all is compiled
+            self._ask(functools.partial(self._put_lamp, lamp=lamp), FIRST_WAIT)
+        for change in self._changes():
+            self._ask(change, FIRST_WAIT)
+        self.counts = dict.fromkeys(self.counts, 0)
 
     def round(self) -> None:
         """One change, and the pictures after it."""
@@ -121,8 +135,7 @@ class Load:
         if number % 40 == 0:
             visitor.set("Begin anew", True)
             self._settle()
-        change = self._changes()[self._random.integers(len(self._changes()))]
-        self._ask(change)
+        self._ask(self._changes()[self._random.integers(len(self._changes()))])
 
     def leave(self) -> None:
         """Close all pages."""
@@ -133,27 +146,33 @@ class Load:
         draw = self._random.uniform
         return [
             lambda visitor: visitor.set("Hour", round(draw(6, 20), 1)),
-            lambda visitor: visitor.set("Weather", str(self._random.choice(get_args(Weather)))),
+            self._turn_weather,
             lambda visitor: visitor.set("Exposure", round(draw(-2, 2), 1)),
             lambda visitor: visitor.set("North", float(self._random.integers(360))),
             self._put_lamp,
         ]
 
-    def _put_lamp(self, visitor: Visitor) -> None:
-        visitor.set(str(self._random.choice(["Bulb", "Spot", "Strip"])), True)
-        time.sleep(0.1)
+    def _turn_weather(self, visitor: Visitor) -> None:
+        kinds = get_args(Weather)  # the same one again would be no change
+        visitor.set("Weather", kinds[self.counts["rounds"] % len(kinds)])
+
+    def _put_lamp(self, visitor: Visitor, lamp: str | None = None) -> None:
+        visitor.set(lamp or str(self._random.choice(LAMPS)), True)
+        time.sleep(REACTION)  # or the click comes first, and puts nothing
         angle = self._random.uniform(0, 2 * np.pi)
         visitor.click((float(np.cos(angle)), float(np.sin(angle)), -0.5), ORIGIN)
 
-    def _ask(self, change: Callable[[Visitor], None]) -> None:
-        """Make a change as one visitor, and wait until all have a picture of it."""
+    def _ask(self, change: Callable[[Visitor], None], wait: float = WAIT) -> None:
+        """Make a change as one visitor, and wait until all have a picture of it, or it was refused."""
         visitor = self._visitors[self.counts["rounds"] % VISITORS]
-        before = [each.pictures for each in self._visitors]
+        before, refused = [each.pictures for each in self._visitors], visitor.answers.get(REFUSAL, 0)
         change(visitor)
-        end = time.monotonic() + WAIT
+        end = time.monotonic() + wait
         waiting = set(range(VISITORS))
         while waiting and time.monotonic() < end:
             waiting -= {k for k in waiting if self._visitors[k].pictures > before[k]}
+            if visitor.answers.get(REFUSAL, 0) > refused:  # a lamp that would hang nowhere
+                waiting.clear()
             time.sleep(0.005)
         self.counts["asked"] += VISITORS
         self.counts["answered"] += VISITORS - len(waiting)
@@ -189,11 +208,6 @@ class Load:
                 break
             time.sleep(0.05)
         self._settle()
-
-
-REFUSAL = "That does not work"
-ORIGIN = (0.0, 0.0, 1.4)
-"""Within the built-in room, which clicks start from."""
 
 
 def _box() -> bytes:

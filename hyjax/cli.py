@@ -1,7 +1,8 @@
 """The commands. Thin: everything here is one call into the package."""
 
+import contextlib
 import dataclasses
-import logging
+import io
 import os
 import sys
 import warnings
@@ -20,9 +21,11 @@ from hyjax.sweep.settings import SweepSettings
 from hyjax.tour.settings import TourSettings
 from hyjax.training.settings import TrainSettings, paper_settings
 from hyjax.tuning.settings import TuneSettings
+from hyjax.util.claims import claimed
 from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
 from hyjax.util.interrupts import defer_interrupts, exit_now
+from hyjax.util.terminal import quiet_libraries, shortened
 
 RENAMED_VALUES = {("--renderer", "hyjax"): "shadow_map"}
 
@@ -76,13 +79,25 @@ def parse() -> Command:
         | Annotated[ConvertSettings, tyro.conf.subcommand("convert")]
         | Annotated[InfoSettings, tyro.conf.subcommand("info")]
     )
-    return tyro.cli(
-        commands,
-        args=_renamed(sys.argv[1:]),
-        prog="hyjax",
-        description="Relight camera frames of real rooms.",
-        config=(tyro.conf.OmitArgPrefixes,),
-    )
+
+    def read(arguments: list[str]) -> Command:
+        return tyro.cli(
+            commands,
+            args=arguments,
+            prog="hyjax",
+            description="Relight camera frames of real rooms.",
+            config=(tyro.conf.OmitArgPrefixes,),
+        )
+
+    arguments = _renamed(sys.argv[1:])
+    if (short := shortened(arguments)) == arguments:
+        return read(arguments)
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):
+            return read(arguments)
+    except SystemExit:
+        read(short)  # says the same without all of a long argument
+        raise
 
 
 def _renamed(arguments: list[str]) -> list[str]:
@@ -101,8 +116,7 @@ def _renamed(arguments: list[str]) -> list[str]:
 
 def main() -> None:
     """Entry point of the `hyjax` command. Bad input: one line on stderr and exit status 2."""
-    logging.basicConfig(level=logging.WARNING, format="hyjax: %(message)s")
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    quiet_libraries()
     if sys.argv[1:] == ["--version"]:
         print(f"hyjax {hyjax.__version__}")
         return
@@ -247,6 +261,8 @@ def run_tour(settings: TourSettings) -> None:
 
     _keep_for_later()
     tour = Tour.open(settings)
+    alone = contextlib.ExitStack()  # until the process ends
+    alone.enter_context(claimed(settings.out))
     if not settings.is_local:
         print(
             f"hyjax: listening at {settings.host}: anybody who reaches it can see and change this tour",

@@ -135,7 +135,8 @@ LAYERS: list[set[str]] = [
     {"tour"},
     {"export"},
     {"info"},
-    {"cli", "__main__"},
+    {"cli"},
+    {"__main__"},
 ]
 LAYER = {module: level for level, row in enumerate(LAYERS) for module in row}
 PURE = {"core", "light", "pipeline", "video"}

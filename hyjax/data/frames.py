@@ -32,6 +32,8 @@ def fit(frame: Frame, size: tuple[int, int] | None) -> Frame:
     h, w = frame.camera.intrinsics.shape
     scale = min(h / height, w / width)
     window_h, window_w = min(h, round(height * scale)), min(w, round(width * scale))
+    if min(window_h, window_w) < 1:
+        raise InputError(f"size: {width}x{height} is no part of a {w}x{h} picture; its proportions are too far off")
     top, left = (h - window_h) // 2, (w - window_w) // 2
     linear = np.asarray(to_linear(jnp.asarray(frame.image[top : top + window_h, left : left + window_w])))
     image = np.asarray(to_display(jnp.asarray(resize(linear, height, width))))

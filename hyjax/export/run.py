@@ -1,7 +1,5 @@
 """Export of one function for one runtime: convert, check against JAX, write."""
 
-import contextlib
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,8 +8,7 @@ from hyjax.export.graph import build_graph, check_parity
 from hyjax.export.readme import write_readme
 from hyjax.export.settings import ExportSettings
 from hyjax.export.targets import open_target
-from hyjax.util.errors import InputError
-from hyjax.util.files import atomic_write, make_writable, write_text
+from hyjax.util.files import atomic_write, make_writable, new_folder, write_text
 
 
 def export_file(settings: ExportSettings) -> Path:
@@ -57,20 +54,8 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
             with atomic_write(folder / top) as temporary:
                 temporary.write_bytes(inside[top])
         else:
-            _write_folder(folder / top, {name.partition("/")[2]: content for name, content in inside.items()})
-
-
-def _write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
-    part = folder.with_name(f".{folder.name}.part")
-    try:
-        shutil.rmtree(part, ignore_errors=True)
-        for name, content in files.items():
-            (part / name).parent.mkdir(parents=True, exist_ok=True)
-            (part / name).write_bytes(content)
-        shutil.rmtree(folder, ignore_errors=True)
-        part.replace(folder)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot write ({error.strerror or error})") from None
-    finally:
-        with contextlib.suppress(OSError):
-            shutil.rmtree(part, ignore_errors=True)
+            with new_folder(folder / top, replace=True) as temporary:
+                for name, content in inside.items():
+                    file = temporary / name.partition("/")[2]
+                    file.parent.mkdir(parents=True, exist_ok=True)
+                    file.write_bytes(content)

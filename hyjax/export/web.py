@@ -1,12 +1,9 @@
 """Page: a folder that any web server shows, in which a browser's GPU relights the frames of a scene."""
 
-import contextlib
 import dataclasses
 import json
 import logging
-import os
-import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
@@ -21,7 +18,7 @@ from hyjax.data.frames import select_frames, spread
 from hyjax.device.frame_program import frame_program
 from hyjax.device.program import Precision, columns_rows, shader_text
 from hyjax.device.scene_arrays import scene_arrays
-from hyjax.export.page_scene import PackedArrays, describe_scene, light_keys, pack_scene, setup_content
+from hyjax.export.page_scene import describe_scene, light_keys, pack_scene, setup_content
 from hyjax.export.page_sun import sun_table
 from hyjax.light.setup import REFERENCE_LUX, LightSetup
 from hyjax.pipeline import relight
@@ -29,6 +26,7 @@ from hyjax.relighting.pictures import HEADINGS, sheet_row
 from hyjax.scene.scene import Scene
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
+from hyjax.util.files import new_folder
 from hyjax.util.reading import read_json
 
 PAGE_FORMAT = 1
@@ -133,7 +131,8 @@ def write_page(
     if not frames:
         raise InputError("web: no frames; choose at least one")
     steps = tqdm(total=len(frames) + 4, desc="page", unit="step", disable=not progress)
-    with _replacing(out) as folder, steps:
+    check_page_folder(out)
+    with new_folder(out, replace=True) as folder, steps:
         arrays = scene_arrays(scene, rays=rays, photo_exponent=photo_exponent)
         packed = pack_scene(arrays)
         (folder / _SCENE_FILE).write_bytes(packed.content)
@@ -185,7 +184,6 @@ def write_page(
         steps.update()
         _write_scripts(folder)
         (folder / "README.md").write_text(_readme(content), encoding="utf-8")
-        _check(folder, content, packed)
         steps.update()
     return content
 
@@ -204,26 +202,6 @@ def _is_page(folder: Path) -> bool:
     except InputError:
         return False
     return isinstance(content, dict) and content.get("made_by") == "hyjax"
-
-
-@contextlib.contextmanager
-def _replacing(out: Path) -> Iterator[Path]:
-    """A temporary folder beside `out`, renamed to it if the block ends well, removed if not."""
-    check_page_folder(out)
-    temporary, old = (out.with_name(f".{out.name}.{os.getpid()}.{end}") for end in ("part", "old"))
-    try:
-        temporary.mkdir(parents=True)
-        yield temporary
-        if out.exists():
-            out.rename(old)
-        temporary.rename(out)
-    except OSError as error:
-        raise InputError(f"{out}: cannot write ({error.strerror or error})") from None
-    finally:
-        if old.exists() and not out.exists():
-            old.rename(out)
-        for left in (temporary, old):
-            shutil.rmtree(left, ignore_errors=True)
 
 
 def _write_frame(frame: Frame, folder: Path, lossless: bool) -> dict[str, Any]:
@@ -276,17 +254,6 @@ def _write_scripts(folder: Path) -> None:
     for file in resources.files("hyjax.device").joinpath("page").iterdir():
         if Path(file.name).suffix in (".html", ".css", ".js", ".svg") and file.name not in _OF_TIMING:
             (folder / file.name).write_bytes(file.read_bytes())
-
-
-def _check(folder: Path, content: dict[str, Any], packed: PackedArrays) -> None:
-    """Raise `InputError` if a file is missing or another than it was written: a full disk."""
-    names = [entry["file"] for entry in content["frames"]]
-    for name in (*names, _SCENE_FILE, _PAGE_FILE, "index.html", "main.js", "contact_sheet.png", "README.md"):
-        file = folder / name
-        if not file.is_file() or not file.stat().st_size:
-            raise InputError(f"{file.name}: was not written; is the disk full?")
-    if (folder / _SCENE_FILE).stat().st_size != len(packed.content):
-        raise InputError(f"{_SCENE_FILE}: was cut off; is the disk full?")
 
 
 def _readme(content: dict[str, Any]) -> str:

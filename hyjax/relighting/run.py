@@ -31,6 +31,7 @@ from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.scene import Scene
+from hyjax.util.claims import claimed
 from hyjax.util.clock import StageClock, Stopwatch
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.environment import environment, peak_memory_mib
@@ -128,7 +129,7 @@ def relight_capture(
     for stale in ("run.json", "lights.json", "contact_sheet.png"):
         remove(out / stale)  # of an earlier run, whose pictures are about to be replaced
     sampling = 1
-    with ExitStack() as stack:
+    with claimed(out), ExitStack() as stack:
         if settings.renderer == "webgpu":
             configuration.tell_unused("webgpu", DEVICE_USED)
             frames = _relight_on_device(scene, chosen, setup, settings, configuration, guide, clock, device)

@@ -2,8 +2,10 @@
 
 import contextlib
 import io
+import logging
 import socket
 from collections.abc import Mapping
+from traceback import walk_tb
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -22,6 +24,8 @@ def open_server(host: str, port: int) -> viser.ViserServer:
     check_port(host, port)
     with contextlib.redirect_stdout(io.StringIO()):  # viser draws a box
         server = viser.ViserServer(host, port, label="hyjax room tour", verbose=False)
+    for name in ("websockets.server", "asyncio"):
+        logging.getLogger(name).addFilter(_shorten)
     server.request_share_url = _no_tunnel  # type: ignore[method-assign]
 
     async def same_site(connection: Any) -> None:
@@ -54,6 +58,16 @@ def check_port(host: str, port: int) -> None:
         raise InputError(
             f"port {port} on {host}: {error.strerror or error}; choose another --port or --host"
         ) from None
+
+
+def _shorten(record: logging.LogRecord) -> bool:
+    """One line for a message that no page sends; errors in this package's own code keep their traceback."""
+    error = record.exc_info[1] if record.exc_info else None
+    modules = [frame.f_globals.get("__name__", "") for frame, _ in walk_tb(error.__traceback__ if error else None)]
+    if error is not None and not any(name.startswith("hyjax.") for name in modules):
+        record.msg, record.args = "tour: left out a message that no page of it sends (%s)", (type(error).__name__,)
+        record.exc_info = record.exc_text = None
+    return True
 
 
 def _no_tunnel(verbose: bool = True) -> None:

@@ -35,6 +35,7 @@ from hyjax.training.log import TrainingLog
 from hyjax.training.settings import TrainSettings
 from hyjax.training.state import Progress, TrainState, Updater
 from hyjax.training.validation import Validation, sample_of
+from hyjax.util.claims import claimed
 from hyjax.util.environment import environment
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable
@@ -74,8 +75,9 @@ def train(
     """
     settings = settings.check()
     make_writable(out)
-    log = TrainingLog(out, settings, resume)
-    with contextlib.closing(Checkpoints(out / "checkpoints")) as checkpoints:
+    alone = out if jax.process_index() == 0 else None  # hosts share the folder
+    with claimed(alone), contextlib.closing(Checkpoints(out / "checkpoints")) as checkpoints:
+        log = TrainingLog(out, settings, resume)
         return _train(settings, out, log, checkpoints, resume, command, progress)
 
 

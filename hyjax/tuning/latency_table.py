@@ -23,7 +23,7 @@ from hyjax.util import clock as latency
 from hyjax.util.cache import cache_folder
 from hyjax.util.environment import cores, environment
 from hyjax.util.errors import InputError
-from hyjax.util.files import write_text
+from hyjax.util.files import remove_stale, write_text
 from hyjax.util.reading import parse_json, read_text
 
 log = logging.getLogger(__name__)
@@ -246,6 +246,7 @@ def save_table(table: LatencyTable) -> None:
     path = _path(table.key())
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        remove_stale(path.parent)
         write_text(path, table.to_json())
     except (OSError, InputError) as error:
         log.warning("latency table is not kept: %s", error)

@@ -20,6 +20,7 @@ from hyjax.tuning.result import Tuned
 from hyjax.tuning.run import tune_bench
 from hyjax.tuning.search import Effort
 from hyjax.tuning.settings import TuneSettings
+from hyjax.util.claims import claimed
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, write_text
 
@@ -95,7 +96,7 @@ def tune_schedule(
     if settings.out is not None:
         make_writable(settings.out)
         check_free(settings.out, settings.resume)
-    with _latency_source(settings) as latency:
+    with claimed(settings.out), _latency_source(settings) as latency:
         bench = open_bench(settings, capture=capture, guide=guide)
         return tune_bench(bench, settings, effort=effort, latency=latency)
 

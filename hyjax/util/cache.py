@@ -11,7 +11,7 @@ import numpy as np
 import platformdirs
 
 from hyjax.util.errors import InputError
-from hyjax.util.files import atomic_write
+from hyjax.util.files import atomic_write, remove_stale
 
 T = TypeVar("T")
 Arrays = Mapping[str, np.ndarray]
@@ -49,13 +49,19 @@ def cached_arrays(
     arrays = make()
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
+        remove_stale(file.parent)
         with atomic_write(file) as part:
             (np.savez_compressed if compressed else np.savez)(part, **arrays)  # type: ignore[arg-type]
     except (OSError, InputError) as error:
-        if file.parent not in _refused:
-            _refused.add(file.parent)
-            _log.warning("%s: cannot keep this for the next time (%s)", file, error)
+        tell_unkept(file.parent, error)
     return parse(arrays)
+
+
+def tell_unkept(folder: Path, error: Exception) -> None:
+    """Warn, once for each folder, that what can be computed again cannot be kept there."""
+    if folder not in _refused:
+        _refused.add(folder)
+        _log.warning("%s: cannot keep there what the next start could use (%s)", folder, error)
 
 
 def touch(file: Path) -> None:

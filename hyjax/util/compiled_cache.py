@@ -12,7 +12,7 @@ from typing import Any
 
 import jax
 
-from hyjax.util.cache import cache_folder
+from hyjax.util.cache import cache_folder, tell_unkept
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable
 from hyjax.util.programs import keep_programs
@@ -23,9 +23,12 @@ _log = logging.getLogger(__name__)
 
 def keep_compiled() -> None:
     """From now on keep what XLA compiles in the cache folder; one that cannot be written costs time only."""
-    with contextlib.suppress(InputError):
-        folder = cache_folder() / "compiled"
+    folder = cache_folder() / "compiled"
+    try:
         make_writable(folder)
+    except InputError as error:
+        tell_unkept(folder, error)
+    else:
         keep_programs(folder)
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

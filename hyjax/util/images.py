@@ -4,6 +4,7 @@ OpenImageIO is imported where it is used: kept in a module that outlives it at e
 """
 
 import contextlib
+import errno
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -151,12 +152,14 @@ def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str 
     with atomic_write(path) as temporary:
         target = oiio.ImageOutput.create(str(temporary))
         if target is None or not target.open(str(temporary), spec):
-            raise InputError(f"{path}: cannot write ({_first_line(_error(oiio))})")
+            raise InputError(
+                f"{path}: cannot write ({_first_line(_error(oiio)).replace(str(temporary), str(path))})"
+            )
         written = target.write_image(np.ascontiguousarray(pixels))
-        closed = target.close()  # where a full disk shows
-        error = _error(target)
+        closed = target.close()
+        _error(target)  # or it complains on stderr; its text does not say why
         if not (written and closed):
-            raise InputError(f"{path}: cannot write ({_first_line(error)})")
+            raise OSError(errno.ENOSPC, "not all of it was written")
 
 
 def _error(where: Any) -> str:

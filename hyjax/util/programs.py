@@ -24,8 +24,9 @@ import jax
 import numpy as np
 from jax.experimental import serialize_executable
 
-from hyjax.util.cache import remove_oldest, touch
-from hyjax.util.files import atomic_write
+from hyjax.util.cache import remove_oldest, tell_unkept, touch
+from hyjax.util.errors import InputError
+from hyjax.util.files import atomic_write, remove_stale
 
 P = ParamSpec("P")
 T = TypeVar("T", covariant=True)
@@ -106,7 +107,9 @@ class KeptFunction(Generic[P, T]):
         try:
             _write(file, compiled)
             remove_oldest(_folder, "*.program", MOST_BYTES)
-        except Exception as error:  # of JAX, for what cannot be serialised, or of a full disk: costs time only
+        except InputError as error:  # of a full disk
+            tell_unkept(file.parent, error)
+        except Exception as error:  # of JAX, for what cannot be serialised: costs time only
             _log.info("%s: not kept (%s)", file, error)
         return compiled
 
@@ -139,6 +142,7 @@ def _write(file: Path, compiled: jax.stages.Compiled) -> None:
     payload, _, out_tree = serialize_executable.serialize(compiled)
     content = pickle.dumps((payload, out_tree))
     file.parent.mkdir(parents=True, exist_ok=True)
+    remove_stale(file.parent)
     with atomic_write(file) as part:
         part.write_bytes(hashlib.sha256(content).digest() + content)
 

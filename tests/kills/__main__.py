@@ -19,17 +19,23 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--out", type=Path, default=Path("results/kills"))
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--together", action="store_true", help="run each twice at the same time instead")
     options = parser.parse_args()
     if unknown := set(options.commands) - COMMANDS.keys():
         parser.error(f"no command {sorted(unknown)[0]!r}; there are {', '.join(COMMANDS)}")
     killer = Killer(options.out.resolve(), options.seed)
     outcomes = []
     for name in options.commands or COMMANDS:
+        if options.together:
+            wrong = killer.together(COMMANDS[name])
+            print(f"{name}: {len(wrong)} wrong", *wrong, sep="\n", flush=True)
+            continue
         outcomes.append(killer.kill(COMMANDS[name], options.kills))
         with (options.out / "kills.jsonl").open("a") as file:
             file.write(json.dumps(dataclasses.asdict(outcomes[-1])) + "\n")
         print(*outcomes[-1].wrong, sep="\n", flush=True)
-    print(table(outcomes))
+    if outcomes:
+        print(table(outcomes))
 
 
 def table(outcomes: list[Outcome]) -> str:

@@ -3,10 +3,12 @@
 import dataclasses
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from hyjax.util.errors import InputError
@@ -58,11 +60,13 @@ class Killer:
         if not (folder / CAPTURE).exists():
             self.run(arguments)
 
-    def run(self, arguments: list[str], *, kill_after: float | None = None) -> tuple[int, str]:
+    def run(
+        self, arguments: list[str], *, kill_after: float | None = None, said: str = "stderr.txt"
+    ) -> tuple[int, str]:
         """Run `python -m ...`; its status (-9 if it was killed) and what it said on stderr."""
         environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(self.folder / "tmp")}
-        said = self.folder / "stderr.txt"
-        with said.open("w") as stderr:
+        errors = self.folder / said
+        with errors.open("w") as stderr:
             process = subprocess.Popen(
                 [sys.executable, "-m", *arguments],
                 stdout=subprocess.DEVNULL,
@@ -77,7 +81,7 @@ class Killer:
                 os.killpg(process.pid, signal.SIGKILL)
                 if kill_after is None:
                     return -1, f"took more than {LONGEST:.0f} s"
-        return process.wait(), said.read_text(errors="replace")
+        return process.wait(), errors.read_text(errors="replace")
 
     def undisturbed(self, command: Command) -> tuple[Path, float]:
         """Folder and seconds of a run that nobody disturbs: the second one, when everything is compiled."""
@@ -125,8 +129,30 @@ class Killer:
                 wrong += [f"entry {key}" for key in one.keys() & other.keys() if one[key] != other[key]]
             outcome.wrong += [f"{out.name}: {text}" for text in wrong]
             if not wrong:
-                _remove(out)
+                shutil.rmtree(out)
         return outcome
+
+    def together(self, command: Command, apart: float = 0.5) -> list[str]:
+        """Run a command twice at the same time into one folder; what is wrong with what they come to.
+
+        One may be refused with a line, if the other then does all.
+        """
+        model, _ = self.undisturbed(command)
+        out = self.folder / command.name / "together"
+        shutil.rmtree(out, ignore_errors=True)
+        with ThreadPoolExecutor() as pool:
+            runs = []
+            for number in range(2):
+                runs.append(pool.submit(self.run, command.arguments(self.folder, out), said=f"stderr-{number}.txt"))
+                time.sleep(apart)
+            ended = [run.result() for run in runs]
+        wrong = [f"status {status}: {said[-500:]}" for status, said in ended if status not in (0, 2)]
+        for status, said in ended:
+            if status == 2 and len(said.strip().split("\r")[-1].strip().splitlines()) != 1:
+                wrong.append(f"refused with more than a line: {said[-500:]}")
+        if all(status for status, _ in ended):
+            wrong.append("both were refused")
+        return wrong + differences(command.result(out), command.result(model)) + damages(out) + leftovers(out)
 
     def _go_on(self, command: Command, out: Path, kill_after: float | None) -> tuple[int, str]:
         if command.is_finished(out):
@@ -160,9 +186,3 @@ def leftovers(out: Path) -> list[str]:
     names = [str(file.relative_to(out.parent)) for file in out.rglob("*")]
     names += [file.name for file in out.parent.glob(f".{out.name}.*")]
     return [f"left over: {name}" for name in names if PART in name or "orbax-checkpoint-tmp" in name]
-
-
-def _remove(folder: Path) -> None:
-    import shutil
-
-    shutil.rmtree(folder)

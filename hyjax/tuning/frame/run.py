@@ -34,6 +34,7 @@ from hyjax.tuning.frame.study import Study, check_installed
 from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.result import Budget
 from hyjax.tuning.settings import TuneSettings
+from hyjax.util.claims import claimed
 from hyjax.util.environment import cores, environment, peak_memory_mib
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest, make_writable
@@ -67,8 +68,9 @@ def tune_frame(settings: TuneSettings, *, capture: Capture | None = None) -> Fra
     budgets, monitor = settings.budgets(), RunMonitor(settings.time_limit, not settings.quiet)
     if settings.out is not None:
         make_writable(settings.out)
-    bench = open_frame_bench(settings, capture)
-    return FrameRun(bench, settings, budgets, monitor).run()
+    with claimed(settings.out):
+        bench = open_frame_bench(settings, capture)
+        return FrameRun(bench, settings, budgets, monitor).run()
 
 
 class FrameRun:

@@ -1,0 +1,29 @@
+"""Start of the `hyjax` command: an interrupt is one line even while its modules load."""
+
+import os
+import signal
+from typing import NoReturn
+
+INTERRUPTED = b"hyjax: interrupted; the files written so far are whole\n"
+
+
+def main() -> None:
+    """Entry point; see `hyjax.cli.main`."""
+    # Nothing is written while modules load, and an exception in the middle of it may become any other.
+    waits = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # a background job ignores it
+    if waits:
+        signal.signal(signal.SIGINT, _end)
+    from hyjax import cli
+
+    if waits:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    cli.main()
+
+
+def _end(*_: object) -> NoReturn:
+    os.write(2, INTERRUPTED)
+    os._exit(130)
+
+
+if __name__ == "__main__":
+    main()

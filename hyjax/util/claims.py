@@ -1,0 +1,66 @@
+"""Folders that one process at a time writes its results to."""
+
+import contextlib
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+from hyjax.util.errors import InputError
+from hyjax.util.reading import disk_error
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+_held: dict[tuple[int, int], list[int]] = {}
+"""Of folders that this process has claimed: descriptor, and how often."""
+_changes = threading.Lock()
+
+
+@contextlib.contextmanager
+def claimed(folder: Path | None) -> Iterator[None]:
+    """A folder for this process alone, which may claim it several times; a kill ends the claim.
+
+    None is no folder. The system keeps the claim with the open folder, so nothing is written. File systems without
+    locks, and Windows, grant it always.
+
+    Raises:
+        InputError: another process has claimed it, or it cannot be opened.
+    """
+    if fcntl is None or folder is None:
+        yield
+        return
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        disk_error(folder, error)
+    status = os.fstat(descriptor)
+    key = status.st_dev, status.st_ino
+    with _changes:
+        if key in _held:
+            os.close(descriptor)
+            _held[key][1] += 1
+        else:
+            _lock(descriptor, folder)
+            _held[key] = [descriptor, 1]
+    try:
+        yield
+    finally:
+        with _changes:
+            _held[key][1] -= 1
+            if not _held[key][1]:
+                os.close(_held.pop(key)[0])
+
+
+def _lock(descriptor: int, folder: Path) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise InputError(
+            f"{folder}: another run writes there; wait until it has ended, or choose another --out"
+        ) from None
+    except OSError:  # a file system without locks
+        pass

@@ -1,0 +1,69 @@
+"""What commands say on stderr: one line, from their first moment on."""
+
+import logging
+import subprocess
+import sys
+import warnings
+
+import pytest
+
+from hyjax import cli
+from hyjax.util.terminal import OneLine, quiet_libraries
+
+INTERRUPTED_WHILE_LOADING = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.{handler})
+
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == "tyro":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupt())
+sys.argv = ["hyjax", "--version"]
+from hyjax.__main__ import main
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("handler", "status", "said"),
+    [("default_int_handler", 130, "hyjax: interrupted; the files written so far are whole\n"), ("SIG_IGN", 0, "")],
+)
+def test_an_interrupt_while_modules_load_is_one_line(handler: str, status: int, said: str) -> None:
+    code = INTERRUPTED_WHILE_LOADING.format(handler=handler)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (status, said)
+
+
+@pytest.mark.parametrize("option", ["--nosuch", "--renderer", "--size"])
+def test_long_arguments_are_not_repeated(
+    option: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["hyjax", "relight", option, "9" * 5000])
+    monkeypatch.setattr(cli, "run_relight", lambda settings: settings.check())
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    said = capsys.readouterr().err
+    assert 0 < said.count("9") < 650
+
+
+def test_a_logged_message_is_one_line_and_a_traceback_below_it_is_not() -> None:
+    formatter = OneLine("hyjax: %(message)s")
+    record = logging.LogRecord("a", logging.WARNING, "a.py", 1, "%s: damaged", ("a\nb" * 1000,), None)
+    text = formatter.format(record)
+    assert "\n" not in text and len(text) < 1300 and text.startswith("hyjax: a\\nb")
+    record.exc_info = (ValueError, ValueError("told"), None)
+    assert formatter.format(record).splitlines()[-1] == "ValueError: told"
+
+
+def test_warnings_are_one_line_and_those_of_numbers_none(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "warnoptions", [])
+    with warnings.catch_warnings():
+        warnings.resetwarnings()
+        quiet_libraries()
+        warnings.warn("invalid value encountered in divide", RuntimeWarning, stacklevel=1)
+        warnings.warn("a\nb", UserWarning, stacklevel=1)
+    assert capsys.readouterr().err == "hyjax: a\\nb\n"

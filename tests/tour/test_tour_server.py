@@ -1,0 +1,94 @@
+"""The tour's server by itself: noise, and uploads that are too large."""
+
+import logging
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec.msgpack
+import pytest
+
+viser = pytest.importorskip("viser")
+
+from hyjax.tour.server import open_server  # noqa: E402
+from hyjax.tour.uploads import limit_uploads, taken  # noqa: E402
+
+NOISE = (
+    b"",
+    b"[" * 1000,
+    msgspec.msgpack.encode({"type": "NoSuchMessage"}),
+    msgspec.msgpack.encode({"type": "GuiUpdateMessage"}),
+    msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": [1], "updates": 3}),
+)
+
+
+@pytest.fixture
+def server() -> Iterator[Any]:
+    server = open_server("127.0.0.1", 0)
+    yield server
+    server.stop()
+
+
+def connected(server: Any) -> Any:
+    from websockets.sync.client import connect
+
+    protocols: Any = [f"viser-v{viser.__version__}"]
+    return connect(f"ws://127.0.0.1:{server.get_port()}", subprotocols=protocols)
+
+
+def until(condition: Any) -> None:
+    end = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_noise_is_a_line_each(server: Any, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        for count, noise in enumerate(NOISE, start=1):
+            with connected(server) as wire:
+                wire.send(noise)
+                until(lambda count=count: len(caplog.records) >= count)
+    for record in caplog.records:
+        assert record.getMessage().startswith("tour: left out a message that no page of it sends (")
+        assert record.exc_info is None and record.exc_text is None
+
+
+def test_an_error_of_our_own_keeps_its_traceback(server: Any, caplog: pytest.LogCaptureFixture) -> None:
+    try:
+        taken(None)  # type: ignore[arg-type]
+    except AttributeError as error:
+        logging.getLogger("asyncio").error("failed", exc_info=error)
+    assert caplog.records[0].exc_info is not None and caplog.records[0].getMessage() == "failed"
+
+
+def upload(server: Any, button: Any, content: bytes, told: int | None = None) -> None:
+    """Send a file that is said to have so many bytes, in parts of 40."""
+    ids = {"source_component_uuid": button._impl.uuid, "transfer_uuid": "a"}
+    parts = [content[at : at + 40] for at in range(0, len(content), 40)]
+    start = {"filename": "a.ply", "mime_type": "", "part_count": len(parts)}
+    size = len(content) if told is None else told
+    with connected(server) as wire:
+        for message in (
+            {"type": "FileTransferStartUpload", **start, "size_bytes": size},
+            *({"type": "FileTransferPart", "part_index": k, "content": part} for k, part in enumerate(parts)),
+        ):
+            wire.send(msgspec.msgpack.encode(message | ids))
+        camera = {"wxyz": (1, 0, 0, 0), "position": (0, 0, 0), "look_at": (0, 0, 1), "up_direction": (0, 1, 0)}
+        camera |= {"fov": 1.0, "near": 0.1, "far": 10.0, "image_height": 1, "image_width": 1}
+        clients = len(server.get_clients())
+        wire.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage"} | camera))
+        until(lambda: len(server.get_clients()) > clients)  # what was sent before has been handled
+
+
+def test_uploads_beyond_the_limit_are_refused_and_none_is_kept(server: Any) -> None:
+    refused: list[tuple[str, int]] = []
+    limit_uploads(server.gui, 100, lambda client, name, size: refused.append((name, size)))
+    button = server.gui.add_upload_button("Bring a mesh")
+    upload(server, button, bytes(101))
+    assert refused == [("a.ply", 101)]
+    upload(server, button, bytes(300), told=90)  # more than it says
+    assert button.value.content == b"" and not server.gui._current_file_upload_states
+    upload(server, button, b"ply" * 33)
+    assert refused == [("a.ply", 101)] and button.value.content == b"ply" * 33
+    assert taken(button) == ("a.ply", b"ply" * 33) and button.value.content == b""
