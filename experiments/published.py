@@ -69,6 +69,8 @@ TABLES: dict[str, Published] = {
     "ablation-cascade-times": Published("ablation_cascade_times"),
     "ablation-shadow-room": Published("ablation_shadow_room", 1),
     "ablation-shadow-rough-room": Published("ablation_shadow_room", 0),
+    "ablation-shadow-kitchen": Published("ablation_shadow_kitchen", 1),
+    "ablation-shadow-rough-kitchen": Published("ablation_shadow_kitchen", 0),
     # beyond the paper
     "beyond": Published("beyond"),
     "flicker-room": Published("flicker_room"),
