@@ -93,9 +93,7 @@ PICTURES: dict[str, Committed] = {
     "best_and_worst.jpg": Committed(
         "python -m experiments.beyond --capture $HYJAX_DATA/kitchen", (Cells("best_and_worst.png"),), 1461
     ),
-    "conductances.jpg": Committed(
-        "python -m experiments.conductances", (Cells("conductances.png", (0, 1), height=240),), 1300
-    ),
+    "conductances.jpg": Committed("python -m experiments.conductances", (Cells("conductances.png"),), 1300),
     "structure.jpg": Committed("python -m experiments.structure", (Cells("structure.png"),)),
     "shadow_pass.jpg": Committed(
         "python -m experiments.ablation_shadow", (Cells("side_by_side.png", (4, 5)),), 1700

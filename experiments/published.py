@@ -42,6 +42,7 @@ TRUTH_CAPTION = (
 )
 
 LIGHT = ("paper's method, times light", "ours, times light")
+DISTANCES = ("to converged", "to accurate surface", "relit PSNR dB")
 FILTERS = ("strength / reach", "PSNR dB", "loss")
 
 TABLES: dict[str, Published] = {
@@ -63,8 +64,13 @@ TABLES: dict[str, Published] = {
     "fidelity-regions-kitchen": Published("paper_table_kitchen", 6),
     "kappa-room": Published("kappa_sweep_room"),
     "kappa-kitchen": Published("kappa_sweep_kitchen"),
+    "ablation-cascade-room": Published("ablation_cascade_room", 0, DISTANCES),
+    "ablation-cascade-kitchen": Published("ablation_cascade_kitchen", 0, DISTANCES),
+    "ablation-cascade-times": Published("ablation_cascade_times"),
     "ablation-shadow-room": Published("ablation_shadow_room", 1),
     "ablation-shadow-rough-room": Published("ablation_shadow_room", 0),
+    "ablation-shadow-kitchen": Published("ablation_shadow_kitchen", 1),
+    "ablation-shadow-rough-kitchen": Published("ablation_shadow_kitchen", 0),
     # beyond the paper
     "beyond": Published("beyond"),
     "flicker-room": Published("flicker_room"),
