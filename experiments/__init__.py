@@ -5,6 +5,7 @@ EXPERIMENTS = (
     "paper_difference",
     "beyond",
     "truth",
+    "readme_picture",
     "flicker",
     "ablation_cascade",
     "ablation_shadow",

@@ -2,7 +2,7 @@
 
     python -m experiments.stage_times [--capture PATH] [--repeats 30] [--out results/stage_times]
 
-Takes about a minute on two cores (more the first time, when the built-in room is made). Prints the README's table.
+Takes about a minute on two cores (more the first time, when the built-in room is made). Prints its table.
 The first call contains the compilation, with no cache to help it; the rest are timed one by one, waiting for each
 result.
 

@@ -109,7 +109,7 @@ class Load:
         self._visitors = [Visitor(url, 1.0 + 0.5 * number) for number in range(VISITORS)]
         for visitor in self._visitors:
             visitor.wait_for_controls("Hour", "Weather", "Exposure", UPLOAD, "Begin anew")
-        self._box = _box()
+        self._box, self._weather = _box(), 0
         for lamp in LAMPS:  # until all is compiled
             self._ask(functools.partial(self._put_lamp, lamp=lamp), FIRST_WAIT)
         for change in self._changes():
@@ -134,6 +134,7 @@ class Load:
             self._come_back()
         if number % 40 == 0:
             visitor.set("Begin anew", True)
+            self._weather = 0
             self._settle()
         self._ask(self._changes()[self._random.integers(len(self._changes()))])
 
@@ -144,17 +145,17 @@ class Load:
 
     def _changes(self) -> list[Callable[[Visitor], None]]:
         draw = self._random.uniform
-        return [
-            lambda visitor: visitor.set("Hour", round(draw(6, 20), 1)),
+        return [  # not rounded: the same value again would be no change
+            lambda visitor: visitor.set("Hour", draw(6, 20)),
             self._turn_weather,
-            lambda visitor: visitor.set("Exposure", round(draw(-2, 2), 1)),
-            lambda visitor: visitor.set("North", float(self._random.integers(360))),
+            lambda visitor: visitor.set("Exposure", draw(-2, 2)),
+            lambda visitor: visitor.set("North", draw(0, 360)),
             self._put_lamp,
         ]
 
     def _turn_weather(self, visitor: Visitor) -> None:
-        kinds = get_args(Weather)  # the same one again would be no change
-        visitor.set("Weather", kinds[self.counts["rounds"] % len(kinds)])
+        self._weather = (self._weather + 1) % len(get_args(Weather))
+        visitor.set("Weather", get_args(Weather)[self._weather])
 
     def _put_lamp(self, visitor: Visitor, lamp: str | None = None) -> None:
         visitor.set(lamp or str(self._random.choice(LAMPS)), True)

@@ -36,7 +36,12 @@ class Train:
 
     settings: TrainSettings
     paper: bool = False
-    """The paper's recipe as the default of all settings; it wants a GPU. With --help, it shows them."""
+    """The paper's recipe as the default of all settings; it wants a GPU. With --help, it shows them. It differs
+    from the published code of Metzger et al. in weight decay (none; there 1e-5), loss (not times 10), lowering of
+    the learning rate (every 1000 updates; every 100 epochs), kappa at the start (1; 0.03), norm of guide
+    differences (L2; mean absolute value), start of the diffusion (bilinear; bicubic), rotation of crops (none; 15
+    degrees), encoder at the start (random unless --start is given; ImageNet's), scale of depth (each crop's mean;
+    the data set's) and steps when judged (a random number; all)."""
     hosts: int = 1
     """How many computers train together; each runs the same command with its own --host."""
     host: int = 0

@@ -21,7 +21,7 @@ class TrainSettings(Settings):
         encoder: `mobilenetv4_conv_small`, `mobilenetv4_conv_medium`, or one that is registered as they are.
         features: channels of the guide.
         pairs: what to learn from, each drawn from equally often: `rooms` (generated, needs no file), `folder:PATH`
-            (your own), or `mosd:`, `diml:`, `nyu:`, `middlebury:`, `capture:PATH`; the README has their options.
+            (your own), or `mosd:`, `diml:`, `nyu:`, `middlebury:`, `capture:PATH`; docs/guide.md has their options.
         start: file with weights to start from, of a whole guide or of an encoder alone as timm has it; random ones
             if empty.
         validation: what to judge by, named as pairs are; other crops of the same pictures if empty.
@@ -130,7 +130,10 @@ class TrainSettings(Settings):
 
 
 def paper_settings() -> TrainSettings:
-    """The paper's training section; it does not say how often the learning rate is stepped down."""
+    """The paper's training section; it does not say how often the learning rate is stepped down.
+
+    docs/guide.md and `hyjax train --help` list where this differs from the code that Metzger et al. published.
+    """
     return TrainSettings(
         size=512,
         batch=8,

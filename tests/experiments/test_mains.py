@@ -25,6 +25,7 @@ from experiments import (
     kappa_sweep,
     kinect_registration,
     live,
+    readme_picture,
     reference_quality,
     shadow_overlap,
     stage_times,
@@ -356,6 +357,16 @@ def test_truth(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     ]
     with pytest.raises(InputError, match="frames: must be between 1 and photos"):
         truth.main(dataclasses.replace(config, frames=4))
+
+
+@pytest.mark.slow
+def test_readme_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(readme_picture, "KEPT", tmp_path / "readme.jpg")
+    config = readme_picture.Config(
+        room="builtin-0", shown=("evening-lamps:1",), photos=3, size=(96, 72), quality=0.25, keep=True, out=tmp_path
+    )
+    (picture,) = of_kind(rows_of(readme_picture.main, config, "readme.png", "readme.jpg"), "picture")
+    assert 10 < picture["psnr_db"] < 40
 
 
 @pytest.mark.slow

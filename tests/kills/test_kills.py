@@ -1,5 +1,8 @@
 """Commands that are killed, and two that write to one folder; `python -m tests.kills` does more of it."""
 
+import shutil
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,6 +29,24 @@ def test_killed_runs_come_to_the_same(name: str, killer: Killer) -> None:
 @pytest.mark.parametrize("name", ["relight", "convert"])
 def test_two_runs_into_one_folder(name: str, killer: Killer) -> None:
     assert not killer.together(COMMANDS[name])
+
+
+@pytest.mark.slow
+def test_a_folder_that_vanishes_during_a_run_is_one_line(killer: Killer) -> None:
+    out = killer.folder / "vanishing"
+    watch = threading.Thread(target=remove_when_begun, args=(out,))
+    watch.start()
+    status, said = killer.run(COMMANDS["relight"].arguments(killer.folder, out))
+    watch.join()
+    assert status == 2 and len(said.splitlines()) == 1
+    assert said.startswith(f"hyjax: {out}") and "cannot write (No such file or directory)" in said
+
+
+def remove_when_begun(out: Path) -> None:
+    end = time.monotonic() + 300
+    while not list(out.glob("*.png")) and time.monotonic() < end:
+        time.sleep(0.005)
+    shutil.rmtree(out, ignore_errors=True)
 
 
 def test_damage_is_found(tmp_path: Path) -> None:

@@ -9,7 +9,12 @@ from hyjax.light.kinds.file_keys import ILLUMINANCE
 
 @pytree
 class AmbientLight(Light):
-    """The same illuminance on every surface: what is left of light that has bounced many times. No shadow."""
+    """The same illuminance on every surface: what is left of light that has bounced many times. No shadow.
+
+    Attributes:
+        illuminance: lux on every surface.
+        color: linear RGB; multiplies the strength.
+    """
 
     UNIFORM = True
     KEYS = (ILLUMINANCE,)

@@ -16,7 +16,13 @@ PARALLEL = 1e-3
 
 @pytree
 class Aperture:
-    """An opening, such as a window: the rectangle with corners centre ± right ± up."""
+    """An opening, such as a window: the rectangle with corners centre ± right ± up.
+
+    Attributes:
+        center: world metres.
+        right: half-axis in metres.
+        up: half-axis in metres.
+    """
 
     center: Vector
     right: Vector

@@ -28,6 +28,13 @@ class DirectionalLight(Light):
     E = E₀ cos θ. `angular_radius` of the disc softens its shadows (sun and moon: 0.0047). With an `aperture` the
     light comes in through that opening alone, and the shadow map says where it falls: a scanned room has no outer
     walls to keep the sun out, and often no hole where the window is.
+
+    Attributes:
+        direction: unit vector along which the light travels.
+        illuminance: lux on a surface that faces it.
+        color: linear RGB; multiplies the strength.
+        angular_radius: of the disc in radians.
+        aperture: opening that it comes in through; None for everywhere.
     """
 
     KEYS = (

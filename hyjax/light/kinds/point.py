@@ -20,6 +20,13 @@ class PointLight(Light):
     """Shines equally in all directions; a small ball of `radius` when shadows are cast.
 
     E = Φ/(4π) · cos θ / r². Nothing nearer than `clearance` casts a shadow (the lamp's own shade).
+
+    Attributes:
+        position: world metres.
+        luminous_flux: lumens, of the whole lamp.
+        color: linear RGB; multiplies the strength.
+        radius: of the bulb in metres; softens its shadows.
+        clearance: metres; nothing nearer than this casts a shadow.
     """
 
     KEYS = (FileKey("position", "vector"), LUMINOUS_FLUX, RADIUS, CLEARANCE)

@@ -25,6 +25,13 @@ class RectLight(Light):
 
     `right` and `up` are half-axes: the corners are centre ± right ± up. Radiance is L = Φ/(π A); illuminance is
     exact, by Lambert's formula for polygons with the part below the surface's horizon cut off.
+
+    Attributes:
+        center: world metres.
+        right: half-axis in metres.
+        up: half-axis in metres.
+        luminous_flux: lumens, of the whole rectangle.
+        color: linear RGB; multiplies the strength.
     """
 
     KEYS = (*RECTANGLE, LUMINOUS_FLUX)

@@ -21,6 +21,11 @@ class SkyLight(Light):
     """A uniform sky: light from the whole hemisphere around `up`; `illuminance` is on an open surface facing up.
 
     E = E₀ (1 + n·up)/2.
+
+    Attributes:
+        up: unit vector to the middle of the hemisphere.
+        illuminance: lux on an open surface that faces it.
+        color: linear RGB; multiplies the strength.
     """
 
     KEYS = (FileKey("up", "direction", default=None), ILLUMINANCE)

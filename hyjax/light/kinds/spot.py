@@ -25,6 +25,16 @@ class SpotLight(Light):
 
     Intensity I(θ) = I₀ s(cos θ) with s a smoothstep between the two cosines; I₀ = Φ / (2π (1 − mean of the two
     cosines)) makes the whole cone emit exactly Φ.
+
+    Attributes:
+        position: world metres.
+        direction: unit vector along which it shines.
+        luminous_flux: lumens, of the whole cone.
+        color: linear RGB; multiplies the strength.
+        inner_angle: half angle of the full cone in radians.
+        outer_angle: half angle beyond which it is dark, in radians.
+        radius: of the lamp in metres; softens its shadows.
+        clearance: metres; nothing nearer than this casts a shadow.
     """
 
     KEYS = (

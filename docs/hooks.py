@@ -1,0 +1,61 @@
+"""Build hooks of the documentation site: equations as MathML, figures from the experiments, pages of a folder.
+
+Equations stay TeX in the pages and need no JavaScript in the browser. Figures lie beside the experiments that make
+them; a page links them as `../experiments/figures/NAME`, which also works where the page is read as a file.
+"""
+
+import html
+import re
+from pathlib import Path
+from typing import Any
+
+import latex2mathml.converter
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parents[1]
+FIGURES = ROOT / "experiments" / "figures"
+EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
+FIGURE_LINK = re.compile(r"\]\((\.\./)+experiments/figures/")
+
+
+def on_config(config: Any) -> Any:
+    """Put the pages of a folder into the navigation where it names the folder, and leave out what is not there."""
+    docs = Path(config["docs_dir"])
+    config["nav"] = [entry for entry in (_expanded(entry, docs) for entry in config["nav"]) if entry]
+    return config
+
+
+def _expanded(entry: Any, docs: Path) -> Any:
+    if isinstance(entry, str):
+        return entry if (docs / entry).is_file() else None
+    ((title, target),) = entry.items()
+    if isinstance(target, str) and target.endswith("/"):
+        pages = sorted((docs / target).glob("*.md"), key=lambda page: (page.stem != "index", page.stem))
+        return {title: [page.relative_to(docs).as_posix() for page in pages]} if pages else None
+    if isinstance(target, str):
+        return entry if (docs / target).is_file() else None
+    return {title: [inner for inner in (_expanded(each, docs) for each in target) if inner]}
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the experiments' figures to the site."""
+    for path in sorted(FIGURES.glob("*.*")):
+        files.append(File.generated(config, f"figures/{path.name}", abs_src_path=str(path)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Turn links to the figures' files into links to the site's."""
+    up = "../" * page.file.src_uri.count("/")
+    return FIGURE_LINK.sub(f"]({up}figures/", markdown)
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Turn equations into MathML."""
+    return EQUATION.sub(_mathml, content)
+
+
+def _mathml(found: re.Match[str]) -> str:
+    display = "inline" if found[1] == "span" else "block"
+    mathml = latex2mathml.converter.convert(html.unescape(found[3]).strip(), display=display)
+    return mathml if display == "inline" else f'<div class="equation">{mathml}</div>'

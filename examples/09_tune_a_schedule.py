@@ -1,0 +1,44 @@
+"""Tuning a schedule: the one of the diffusion that makes the best picture within a time budget on this machine.
+
+    python examples/09_tune_a_schedule.py [SIZE]
+
+Picture: the scan's raw filter; refined by the schedule that was found; the accurate surface's filter.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import hyjax
+from hyjax.tuning.search import Effort
+from hyjax.tuning.settings import TuneScene
+
+SIZE = sys.argv[1] if len(sys.argv) > 1 else "320x240"
+OUT = Path("out/examples/09_tune_a_schedule.png")
+
+settings = hyjax.TuneSettings(
+    scene=TuneScene(size=SIZE),
+    budget_ms=(20.0,),  # or fps=(60,)
+    frames="2,8",
+    holdout="20",
+    extra=False,  # no other points of the curve of quality against time
+    quiet=True,
+)
+# A short search; leave `effort` out for the full one.
+effort = Effort(sampled=4, relaxed=1, iterations=5, rounded=6, polished=1, polishing=3, descents=1)
+tuned = hyjax.tune_schedule(settings=settings, effort=effort)
+best = tuned.best[0]
+print(f"{best.measured.p95:.1f} ms (95 %), loss {best.tuning.loss:.4f} on the tuning frames")
+for known in tuned.baselines:
+    print(f"beside it {known.name}: {known.predicted.median:.1f} ms predicted, loss {known.tuning.loss:.4f}")
+print(tuned.schedule)
+
+scan, true = (hyjax.Scene.open(hyjax.SceneSettings(size=SIZE, mesh=mesh)) for mesh in ("scan", "true"))
+view, setup = scan.view(20), scan.lights("two-colors")
+raw, target = (hyjax.shade(s.view(20).gbuffer, setup.lights) / setup.reference_lux for s in (scan, true))
+refined = hyjax.cascade_known(raw, view.gbuffer.hit[..., None], view.display, tuned.schedule)
+
+OUT.parent.mkdir(parents=True, exist_ok=True)
+hyjax.write_png(OUT, np.concatenate([hyjax.to_display(x) for x in (raw, refined, target)], axis=1))
+OUT.with_suffix(".json").write_text(tuned.schedule.to_json())  # for `hyjax relight --schedule`

@@ -1,0 +1,1 @@
+"""Examples, numbered: each a program of its own that leaves a picture in out/examples."""

@@ -1,0 +1,47 @@
+"""Examples: short, numbered, in the gallery with a small picture, and running."""
+
+import ast
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from examples.__main__ import DOCS, FOLDER, GALLERY, MOST_BYTES, examples, run_example
+from examples.gallery import gallery_page
+
+EXAMPLES = examples()
+each_example = pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+
+
+def test_they_are_numbered() -> None:
+    assert len(EXAMPLES) >= 12
+    assert [path.name[:2] for path in EXAMPLES] == [f"{number:02}" for number in range(1, len(EXAMPLES) + 1)]
+
+
+@each_example
+def test_examples_are_short_and_public(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert 20 <= text.count("\n") <= 90
+    imports = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
+    private = [alias.name for node in imports for alias in node.names if alias.name.startswith("_")]
+    assert not private
+
+
+@each_example
+def test_the_gallery_has_their_pictures(path: Path) -> None:
+    picture = GALLERY / f"{path.stem}.jpg"
+    assert 1000 < picture.stat().st_size <= MOST_BYTES
+    Image.open(picture).verify()
+
+
+def test_the_gallery_is_of_these_examples() -> None:
+    assert (DOCS / "gallery.md").read_text(encoding="utf-8") == gallery_page(EXAMPLES), "python -m examples --keep"
+    assert {path.stem for path in GALLERY.glob("[0-9]*.jpg")} == {path.stem for path in FOLDER.glob("[0-9]*.py")}
+
+
+@pytest.mark.slow
+@each_example
+def test_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    picture = run_example(path, ["160x120"])
+    assert picture.stat().st_size > 1000
