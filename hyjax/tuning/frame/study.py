@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from hyjax.tuning.frame.search import Trial
 from hyjax.tuning.frame.space import Choices, Parameter, Space, key_of
 from hyjax.util.errors import InputError
+from hyjax.util.reading import check_regular
 from hyjax.util.run_log import as_json, check_same_settings
 
 if TYPE_CHECKING:
@@ -78,13 +79,18 @@ class Study:
                 "gone on with, choose another --out"
             )
         if told and folder is not None:
-            check_same_settings(folder, told.get("settings", {}), as_json(settings))
+            if not isinstance(told.get("settings"), dict):
+                raise InputError(f"{path}: has no settings of a study; remove it")
+            check_same_settings(folder, told["settings"], as_json(settings))
         if not told:
             self._study.set_user_attr("settings", as_json(settings))
             self._study.set_user_attr("version", VERSION)
         self._results: dict[str, Any] = {}
-        for trial in self._study.get_trials(deepcopy=False):
-            self._results |= trial.user_attrs.get("results", {})
+        try:
+            for trial in self._study.get_trials(deepcopy=False):
+                self._results |= trial.user_attrs.get("results", {})
+        except Exception as error:  # as above
+            raise InputError(f"{path}: holds a trial that is none ({type(error).__name__}); remove it") from None
         self._results |= {key: value for key, value in told.items() if key.startswith("result ")}
         self.resumed = len(self._results)
 
@@ -145,6 +151,7 @@ def _unwritable(error: OSError) -> InputError:
 
 def _cut_to_lines(path: Path) -> None:
     """Take away a last line that a crash has cut off: what is appended would become part of it."""
+    check_regular(path)
     with path.open("rb+") as file:
         content = file.read()
         if not content.endswith(b"\n"):
@@ -167,20 +174,17 @@ def kept_trials(path: Path, name: str = "frame") -> list[Trial]:
     from optuna.storages.journal import JournalFileBackend
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
+    check_regular(path)
+    found: dict[str, Trial] = {}
     try:
         study = optuna.load_study(study_name=name, storage=JournalStorage(JournalFileBackend(str(path))))
-        kept = study.get_trials(deepcopy=False)
-    except Exception as error:  # whatever a damaged journal makes of Optuna
-        raise InputError(f"{path}: has no trials of {name!r} ({type(error).__name__})") from None
-    found: dict[str, Trial] = {}
-    for each in kept:
-        key, values = each.user_attrs["key"], each.values
-        trial = found.setdefault(key, Trial(dict(each.params), each.user_attrs["phase"], [], values[1]))
-        trial.losses += [
-            loss for of, losses in each.user_attrs["results"].items() if of.startswith("losses ") for loss in losses
-        ]
+        for each in study.get_trials(deepcopy=False):
+            key, values = each.user_attrs["key"], each.values
+            trial = found.setdefault(key, Trial(dict(each.params), each.user_attrs["phase"], [], values[1]))
+            results = each.user_attrs["results"].items()
+            trial.losses += [loss for of, losses in results if of.startswith("losses ") for loss in losses]
+    except Exception as error:  # whatever a damaged journal makes of Optuna, and of what is asked for
+        raise InputError(f"{path}: has no trials of {name!r}, or is damaged ({type(error).__name__})") from None
     return list(found.values())
 
 
