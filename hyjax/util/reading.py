@@ -61,6 +61,14 @@ def check_regular(path: Path, where: str | None = None) -> None:
     open_regular(path, where).close()
 
 
+def exists(path: Path) -> bool:
+    """Whether there is a file or folder of a name; none has a name that is too long, or with a NUL in it."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
 def read_bytes(path: Path, where: str | None = None, most: int = LARGEST_TEXT) -> bytes:
     """Content of a file.
 
@@ -246,11 +254,15 @@ def finite(value: Any, where: str, *, least: float = -math.inf, most: float = ma
         >>> finite(50, "lens.json, fx", least=1e-3)
         50.0
     """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    known = isinstance(value, int | float) and not isinstance(value, bool)
+    if not known or (isinstance(value, float) and not math.isfinite(value)):
         raise InputError(f"{where}: must be a number, got {shown(value)}")
     if not least <= value <= most:
         raise InputError(f"{where}: must be {least:g} to {most:g}, got {shown(value)}")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise InputError(f"{where}: a whole number that is too large") from None
 
 
 def disk_error(path: Path | str, error: OSError) -> NoReturn:

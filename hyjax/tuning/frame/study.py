@@ -7,11 +7,12 @@ fits is told by the measured time alone.
 Losses hold on any machine. Times are kept by machine: a search that goes on elsewhere measures them anew.
 """
 
+import contextlib
 import importlib
 import importlib.util
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,14 @@ VERSION = 1
 """Of what is kept. Add one whenever it means something else."""
 
 
+@contextlib.contextmanager
+def _quietly() -> Iterator[None]:
+    """Without the warnings that Optuna gives of a damaged journal, beside our one line."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
 class Study:
     """Results of a search by key, on disk as it goes.
 
@@ -46,6 +55,7 @@ class Study:
             made with other settings or by another version.
     """
 
+    @_quietly()
     def __init__(
         self, folder: Path | None, name: str, settings: dict[str, Any], *, machine: str = "", resume: bool = False
     ) -> None:
@@ -158,6 +168,7 @@ def _cut_to_lines(path: Path) -> None:
             file.truncate(content.rfind(b"\n") + 1)
 
 
+@_quietly()
 def kept_trials(path: Path, name: str = "frame") -> list[Trial]:
     """Trials of a journal, of whatever machine and settings they are: to look at.
 
