@@ -156,8 +156,9 @@ class Killer:
             ended = [run.result() for run in runs]
         wrong = [f"status {status}: {said[-500:]}" for status, said in ended if status not in (0, 2)]
         for status, said in ended:
-            if status == 2 and len(said.strip().split("\r")[-1].strip().splitlines()) != 1:
-                wrong.append(f"refused with more than a line: {said[-500:]}")
+            lines = said.replace("\r", "\n").split("\n")  # with those of progress bars
+            if status == 2 and ("Traceback" in said or sum(": /" in line for line in lines) != 1):
+                wrong.append(f"refused with something else than a line: {said[-500:]}")
         if all(status for status, _ in ended):
             wrong.append("both were refused")
         return wrong + differences(command.result(out), command.result(model)) + damages(out) + leftovers(out)
