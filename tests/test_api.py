@@ -144,6 +144,7 @@ JAX_ONLY = {"jax", "jaxtyping", "numpy"}  # and the standard library: what the p
 PURE_UTIL = {
     "errors",
     "geometry",
+    "reading",
     "vectors",
     "tracing",
     "environment",

@@ -338,7 +338,7 @@ def _read_level(index: int, content: Any) -> Level:
         with np.errstate(over="ignore"):  # infinite, and refused as such
             kappa = np.float32(content["kappa"] + 0.0)  # a list or a text has no sum with a number
             fidelity = None if content.get("fidelity") is None else np.float32(content["fidelity"] + 0.0)
-        step_sizes = np.zeros(0, np.float32) if steps == 0 else np.asarray(lam, np.float32)
+            step_sizes = np.zeros(0, np.float32) if steps == 0 else np.asarray(lam, np.float32)
     except (TypeError, ValueError):
         raise InputError(f"{where}: 'kappa', 'lam' and 'fidelity' must be numbers") from None
     if step_sizes.ndim == 0:

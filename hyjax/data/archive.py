@@ -34,9 +34,9 @@ class Archive(FileTree):
         check_regular(path)
         try:
             self._zip = zipfile.ZipFile(path)
+            entries = [entry for entry in self._zip.infolist() if not entry.is_dir()]  # fails for an empty name
         except Exception as error:  # BadZipFile, OSError, NotImplementedError, struct.error, UnicodeDecodeError, …
             raise InputError(f"{path}: not a readable ZIP archive ({error})") from None
-        entries = [entry for entry in self._zip.infolist() if not entry.is_dir()]
         if len(entries) > MOST_FILES:
             raise InputError(f"{path}: holds {len(entries)} files; at most {MOST_FILES} are read")
         for entry in entries:

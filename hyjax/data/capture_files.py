@@ -18,6 +18,8 @@ from hyjax.util.reading import parse_json, read_text
 
 LARGEST_OF_NUMBERS = 1 << 16
 """Bytes of a text file that holds one matrix."""
+LARGEST_NUMBER = 1e16
+"""Of any in a capture's file; microseconds since 1970 are the largest that any app writes."""
 TIMED = re.compile(r"(?:\d+_)?(\d+\.\d+)")
 
 
@@ -48,6 +50,8 @@ def parse_numbers(
     if numbers.size != np.prod(shape):
         expected = "x".join(map(str, shape))
         raise InputError(f"{path}: has {numbers.size} numbers, need {expected}: {meaning}")
+    if (np.isfinite(numbers) & (np.abs(numbers) > LARGEST_NUMBER)).any():
+        raise InputError(f"{path}: has a number beyond {LARGEST_NUMBER:g}; need plain ones, {meaning}")
     return numbers.reshape(shape)
 
 

@@ -6,12 +6,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.data.capture_files import tree_json
+from hyjax.data.capture_files import LARGEST_NUMBER, tree_json
 from hyjax.data.file_tree import FileTree
 from hyjax.util.errors import InputError
-
-LARGEST = 1e16
-"""Of a number in a capture's file; microseconds since 1970 are the largest that any app writes."""
 
 
 def json_object(tree: FileTree, name: str) -> dict[str, Any]:
@@ -180,8 +177,8 @@ def _number(value: Any, what: str, finite: bool) -> float:
         if finite:
             raise InputError(f"{what}: need a finite number, got {value}")
         return float("nan")
-    if abs(value) > LARGEST:
-        raise InputError(f"{what}: need a number of at most {LARGEST:g}, got a larger one")
+    if abs(value) > LARGEST_NUMBER:
+        raise InputError(f"{what}: need a number of at most {LARGEST_NUMBER:g}, got a larger one")
     return float(value)
 
 

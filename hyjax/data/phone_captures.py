@@ -31,7 +31,7 @@ def pose_from_quaternion(
     quaternion: Float[np.ndarray, "4"], position: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"] | None:
     """A pose from a unit quaternion x y z w and a position; None if they are not finite or not of unit length."""
-    if not np.all(np.isfinite((*quaternion, *position))) or abs(np.linalg.norm(quaternion) - 1.0) > 0.01:
+    if not np.abs((*quaternion, *position)).max() < 1e16 or abs(np.linalg.norm(quaternion) - 1.0) > 0.01:
         return None
     pose = np.eye(4)
     from scipy.spatial.transform import Rotation  # SciPy is slow to load

@@ -1,8 +1,11 @@
 """Tables of poses and of pictures over time, as data sets have them in text files."""
 
+import math
+
 import numpy as np
 from jaxtyping import Float
 
+from hyjax.data.capture_files import LARGEST_NUMBER
 from hyjax.data.file_tree import FileTree
 from hyjax.util.errors import InputError
 
@@ -18,15 +21,16 @@ def table_rows(tree: FileTree, name: str) -> list[list[str]]:
 
 
 def floats(words: list[str], where: str, row: int) -> list[float]:
-    """Numbers of a row, NaN and infinite ones too.
+    """Numbers of a row, NaN and infinite ones too; those that no capture has are infinite.
 
     Raises:
         InputError: a word is none.
     """
     try:
-        return [float(word) for word in words]
+        numbers = [float(word) for word in words]
     except ValueError:
         raise InputError(f"{where}: row {row} has a word that is no number: {' '.join(words)[:60]!r}") from None
+    return [number if abs(number) <= LARGEST_NUMBER else number * math.inf for number in numbers]
 
 
 def pose_of(

@@ -16,7 +16,7 @@ from hyjax.data.capture import Capture, Frame
 from hyjax.data.file_tree import FileTree
 from hyjax.data.lens import Distortion, undistorted
 from hyjax.data.orientation import turn_frame, turns_upright
-from hyjax.geometry.camera import Camera, Intrinsics, check_pose
+from hyjax.geometry.camera import FARTHEST, Camera, Intrinsics, check_pose
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.depth_sensor import UNKNOWN, DepthSensor
 from hyjax.util.errors import InputError
@@ -232,7 +232,9 @@ def mean_up(poses: Sequence[Float[np.ndarray, "4 4"]], where: Path | str) -> Flo
 def rigid(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
     """The rigid motion nearest to a pose that was rounded; None if it is none (NaN, infinite, mirrored, scaled)."""
     pose = np.asarray(pose, np.float64)
-    if pose.shape != (4, 4) or not np.all(np.isfinite(pose)) or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-3):
+    if pose.shape != (4, 4) or not np.abs(pose).max() <= FARTHEST:
+        return None
+    if not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-3):
         return None
     left, scale, right = np.linalg.svd(pose[:3, :3])
     if np.abs(scale - 1.0).max() > 0.01 or np.linalg.det(left @ right) < 0:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from hyjax.data.capture_files import LARGEST_NUMBER
 from hyjax.util.errors import InputError
 from hyjax.util.reading import read_text
 
@@ -108,6 +109,6 @@ def _row(path: Path, number: int, line: str) -> list[float]:
         values = [float(word) for word in line.split()]
     except ValueError:
         values = []
-    if len(values) != 7 or not np.all(np.isfinite(values)):
+    if len(values) != 7 or not np.abs(values).max() <= LARGEST_NUMBER:
         raise InputError(f"{path}: row {number} is not seven finite numbers, {COLUMNS}: {line.strip()[:60]!r}")
     return values

@@ -53,7 +53,7 @@ class VideoFrames:
                 self._stream.thread_type = "AUTO"
                 context = self._stream.codec_context
                 self.shape = (int(context.height), int(context.width))
-            except (*self._errors, IndexError) as error:
+            except (*self._errors, IndexError, AttributeError) as error:  # of a stream without a decoder
                 raise InputError(f"{self._where}: not a readable video ({_line(error)})") from None
             if not self._times or not self._keys or min(self.shape) < 1:
                 raise InputError(f"{self._where}: holds no video pictures")

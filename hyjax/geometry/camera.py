@@ -14,6 +14,8 @@ from hyjax.util.errors import InputError
 
 # A pose read from a text file carries six or seven digits; scanners' trackers are orthonormal to about 1e-4.
 RIGID_TOLERANCE = 1e-3
+FARTHEST = 1e9
+"""Metres, or what other unit the poses have: beyond, float32 tells no two corners of a room apart."""
 LARGEST_SIDE = 1 << 20
 SHORTEST_FOCAL = 1e-3
 """Pixels; at 1e-300 nothing that follows is a number."""
@@ -127,6 +129,8 @@ def check_pose(pose: Float[np.ndarray, "4 4"], where: str = "pose") -> None:
     """Raise `InputError` unless `pose` is a rigid motion (rotation and translation)."""
     if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
         raise InputError(f"{where}: need a finite 4x4 camera-to-world matrix, got shape {pose.shape}")
+    if np.abs(pose).max() > FARTHEST:
+        raise InputError(f"{where}: has numbers up to {np.abs(pose).max():.3g}; a pose's are at most {FARTHEST:g}")
     rotation = pose[:3, :3]
     if not np.allclose(pose[3], (0, 0, 0, 1), atol=RIGID_TOLERANCE):
         raise InputError(f"{where}: last row is {pose[3].tolist()}, must be [0, 0, 0, 1]")

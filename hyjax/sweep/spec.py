@@ -27,7 +27,7 @@ from hyjax.tuning.frame.rooms import ROOM, check_room
 from hyjax.tuning.frame.space import random_configurations
 from hyjax.tuning.settings import ROOM_PHOTOS
 from hyjax.util.errors import InputError, did_you_mean
-from hyjax.util.reading import read_yaml
+from hyjax.util.reading import exists, read_yaml
 from hyjax.util.sizes import parse_size
 
 SPACES = ("default",)
@@ -137,7 +137,7 @@ def _scene(scene: str, folder: Path) -> str:
     if scene.startswith(ROOM):
         check_room(scene.removeprefix(ROOM))
         return scene
-    if not (folder / scene).exists():
+    if not exists(folder / scene):
         raise InputError(f"scenes: no capture {folder / scene}; a room of known truth is called {ROOM}NAME")
     return str(folder / scene)
 

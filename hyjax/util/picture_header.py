@@ -26,6 +26,8 @@ MOST_PER_BYTE = 500
 """Pixels in a byte of a larger one; a photo has 2 to 20, a blank PNG a thousand."""
 MOST_PASSES = 1 << 30
 """Pixels times scans of a JPEG: a progressive one is gone through once for each scan, of which it needs ten."""
+HEAD = 1 << 16
+"""Bytes of a PNG within which its palette begins."""
 MOST_MARKERS = 1 << 16
 """Before a JPEG's size: a large colour profile takes some hundred."""
 LARGEST_FILE = 1 << 30
@@ -94,12 +96,15 @@ def _most_pixels() -> float:
 
 
 def _png(file: BinaryIO, size: int) -> Declared | None:
-    head = file.read(26)
-    if head[12:16] != b"IHDR":
+    head = file.read(28)
+    if head[8:16] != b"\0\0\0\x0dIHDR" or (head[25], head[24]) not in PNG_FORMS or head[26:28] != b"\0\0":
         return None
     width, height = struct.unpack_from(">2I", head, 16)
     file.seek(0)
-    return Declared(width, height) if is_whole_png(file, size) else None
+    whole = is_whole_png(file, size)
+    file.seek(0)
+    has_colours = head[25] != 3 or b"PLTE" in file.read(HEAD)
+    return Declared(width, height) if whole and has_colours else None
 
 
 def _jpeg(file: BinaryIO, size: int) -> Declared | None:
@@ -141,6 +146,11 @@ def _pnm(file: BinaryIO, size: int) -> Declared | None:
     return Declared(int(words[1]), int(words[2]))
 
 
+PNG_FORMS = {
+    *((kind, bits) for kind in (0, 2, 3, 4, 6) for bits in (8, 16)),
+    *((kind, bits) for kind in (0, 3) for bits in (1, 2, 4)),
+} - {(3, 16)}
+"""Kinds of colour and bits of each channel that a PNG may have."""
 FORMATS: dict[bytes, Callable[[BinaryIO, int], Declared | None]] = {
     b"\x89PNG\r\n\x1a\n": _png,
     b"\xff\xd8\xff": _jpeg,

@@ -52,14 +52,19 @@ def is_whole_png(file: BinaryIO, size: int) -> bool:
     """
     if file.read(8) != b"\x89PNG\r\n\x1a\n":
         return False
+    order = b""  # of the chunks that decoders need; libpng writes to stderr if it is another
     for _ in range(MOST_CHUNKS):
         length, kind = struct.unpack(">I4s", file.read(8))
-        content = file.read(length)
+        content = file.read(min(length, size))  # all that is announced is set aside
         (checksum,) = struct.unpack(">I", file.read(4))
-        if len(content) != length or zlib.crc32(content, zlib.crc32(kind)) != checksum:
+        if not kind.isalpha() or len(content) != length or zlib.crc32(content, zlib.crc32(kind)) != checksum:
+            return False
+        if kind[:1].isupper() and not (kind == b"IDAT" and order.endswith(b"IDAT")):
+            order += kind
+        if kind == b"PLTE" and (length % 3 or not 3 <= length <= 768):
             return False
         if kind == b"IEND":
-            return file.tell() == size
+            return file.tell() == size and order in (b"IHDRIDATIEND", b"IHDRPLTEIDATIEND")
     return False
 
 

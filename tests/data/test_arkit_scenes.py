@@ -244,6 +244,13 @@ def test_laser_scans_of_the_venue(scan: Path, tmp_path: Path) -> None:
     assert open_arkit_scenes(scan).laser_folder == own
 
 
+def test_links_that_lead_nowhere_are_passed_over(scan: Path) -> None:
+    for name in ("vga_wide/41000000_1.000.png", "gone.ply", "lowres_depth/x.png"):
+        (scan / name).symlink_to(scan / "nowhere")
+    capture = open_arkit_scenes(scan)
+    assert capture.fingerprint and capture[0].image.ndim == 3
+
+
 def test_the_fingerprint_follows_the_files(scan: Path) -> None:
     seen = [open_arkit_scenes(scan).fingerprint]
     assert open_arkit_scenes(scan).fingerprint == seen[0]

@@ -143,6 +143,16 @@ def test_names_that_are_no_utf8_have_a_fingerprint(folder: Path) -> None:
     assert len(open_tree(folder).fingerprint()) == 64
 
 
+def test_an_archive_with_a_file_without_name_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        archive.writestr("b", "x")
+    content = (tmp_path / "a.zip").read_bytes()
+    at = content.index(b"PK\x01\x02")
+    (tmp_path / "a.zip").write_bytes(content[: at + 28] + b"\0" + content[at + 29 :])
+    with pytest.raises(InputError, match=r"a\.zip: "):
+        open_tree(tmp_path / "a.zip")
+
+
 def test_a_folder_of_everything_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trees, "MOST_FILES", 3)
     with pytest.raises(InputError, match="holds over 3 files; give the folder of one capture"):

@@ -266,7 +266,7 @@ def test_truncated_safetensors(saved: Path, kept: int) -> None:
 def test_no_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         load_network(tmp_path / "x.safetensors")
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match="is a folder"):
         load_network(tmp_path)
 
 
@@ -301,6 +301,20 @@ def test_a_pickle_that_runs_code(tmp_path: Path) -> None:
     path = archive(tmp_path / "x.pth", pickle.dumps({"a": Call(eval, "1 + 1")}))
     with pytest.raises(InputError, match=r"it holds a builtins.eval, not only tensors"):
         read_state_dict(path)
+
+
+def test_a_tensor_far_larger_than_its_file(tmp_path: Path) -> None:
+    """A stride of 0 repeats one number; an archive may unpack to a thousand times its size."""
+    tensor = (
+        b"\x80\x02}X\x01\0\0\0actorch._utils\n_rebuild_tensor_v2\n((X\x07\0\0\0storagectorch\nFloatStorage\n"
+        b"X\x01\0\0\x000X\x03\0\0\0cpuK\x01tQK\0(J\0\0\0\x7ft(K\0tI00\nccollections\nOrderedDict\n)RtRs."
+    )
+    with pytest.raises(InputError, match="far larger than the file"):
+        read_state_dict(archive(tmp_path / "x.pth", tensor, {"0": bytes(4)}))
+    with zipfile.ZipFile(tmp_path / "y.pth", "w", zipfile.ZIP_DEFLATED) as opened:
+        opened.writestr("x/data.pkl", bytes(1 << 26))
+    with pytest.raises(InputError, match="unpacks to far more"):
+        read_state_dict(tmp_path / "y.pth")
 
 
 @pytest.mark.parametrize("content", [{"epoch": 3}, [1, 2], OrderedDict()])

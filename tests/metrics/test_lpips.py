@@ -326,11 +326,12 @@ def contents(arrays: dict[str, np.ndarray]) -> dict[str, bytes]:
         "text": b"these are\nno weights",
         "truncated": whole[: len(whole) // 2],
         "list": pickle.dumps([1, 2]),
+        "type of objects": pickle.dumps({"a": np.ones(3, "f4")}, 3).replace(b"f4", b"O8"),
         "zip": b"PK\x03\x04 no archive",
     }
 
 
-@pytest.mark.parametrize("kind", ["empty", "text", "truncated", "list", "zip"])
+@pytest.mark.parametrize("kind", ["empty", "text", "truncated", "list", "zip", "type of objects"])
 def test_files_that_are_none(tmp_path: Path, arrays: dict[str, np.ndarray], kind: str) -> None:
     path = tmp_path / "weights.bin"
     path.write_bytes(contents(arrays)[kind])

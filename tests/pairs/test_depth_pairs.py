@@ -1,5 +1,6 @@
 """Pairs of pictures and depth: masks, selection, specs, and every published layout on files as it has them."""
 
+import contextlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -324,6 +325,31 @@ def test_nyu(tmp_path: Path) -> None:
     pairs = open_pairs(f"nyu:{file}?frames=1:")
     assert (len(pairs), pairs.unit, pairs[0].name) == (2, "metres", "0001")
     same(pairs[0], picture(1), metres(1))
+
+
+def test_damage_anywhere_in_nyu_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """h5py raises RuntimeError, KeyError and others besides OSError."""
+    pytest.importorskip("h5py", reason="h5py is not installed (extra nyu)")
+    file = tmp_path / "nyu.mat"
+    export.export_nyu(file, [picture()], [metres()], [metres()])
+    content = file.read_bytes()
+    for at in range(512, 4500, 9):
+        file.write_bytes(content[:at] + bytes([content[at] ^ 0xFF]) + content[at + 1 :])
+        with contextlib.suppress(InputError):
+            _ = open_pairs(f"nyu:{file}")[0]
+    assert capfd.readouterr().err == ""
+
+
+def test_links_that_lead_nowhere_are_no_pictures(folder: Path) -> None:
+    before = len(open_pairs(f"folder:{folder}"))
+    (folder / "z_rgb.png").symlink_to(folder / "gone.png")
+    (folder / "z_depth.png").symlink_to(folder / "gone.png")
+    pairs = open_pairs(f"folder:{folder}")
+    assert len(pairs) == before and pairs.fingerprint
+    export.export_folder(folder, "y", picture(), metres())
+    (folder / "y_depth.png").unlink()
+    (folder / "y_depth.png").symlink_to(folder / "gone.png")
+    refuses_pairs(f"folder:{folder}", "y_rgb.png", "has no partner")
 
 
 def test_nyu_that_cannot_be_used(tmp_path: Path) -> None:

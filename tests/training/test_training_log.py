@@ -95,6 +95,23 @@ def test_best_is_the_lowest_validation_so_far(tmp_path: Path) -> None:
     assert best == [True, True, False, True]
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        '{"iteration": "x"}',
+        "[1]",
+        '{"iteration": 1, "validation": {"loss": "x"}}',
+        "9" * 5000,
+    ],
+)
+def test_a_line_that_is_none_is_named(tmp_path: Path, line: str) -> None:
+    run_of(tmp_path, 2)
+    file = tmp_path / "log.jsonl"
+    file.write_text(f"{line}\n{file.read_text()}")
+    with pytest.raises(InputError, match=r"log\.jsonl: line 1 is not a line of a training run"):
+        TrainingLog(tmp_path, SETTINGS, resume=True)
+
+
 def test_an_unreadable_settings_file_ends_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "settings.json").write_text("{")
     with pytest.raises(InputError, match=r"settings\.json: not JSON"):

@@ -42,6 +42,24 @@ def test_in_memory_nothing_is_written(tmp_path: Path, monkeypatch: pytest.Monkey
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"settings": [1]}\n{"key": "a", "value": 2}\n',
+        '{"settings": {}}\n{"key": [1], "value": 2}\n{"key": "a", "value": 2}\n',
+        '{"settings": {}}\n{"key": "a"}\n{"key": "a", "value": 2}\n',
+        '{"key": "a", "value": 2}\n',
+        '{"settings": {}}\n{"settings": {}}\n',
+        "[" * 100_000 + "\n{}\n",
+        f'{{"settings": {{}}, "x": {"9" * 5000}}}\n{{}}\n',
+    ],
+)
+def test_a_journal_of_something_else_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / NAME).write_text(text)
+    with pytest.raises(InputError, match=NAME):
+        Journal(tmp_path, SETTINGS, resume=True)
+
+
 def test_resumes(tmp_path: Path) -> None:
     filled(tmp_path)
     again = Journal(tmp_path, SETTINGS, resume=True)

@@ -296,7 +296,7 @@ def stored() -> Path:
     return path
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe", b'{"format": 1}'])
+@pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe", b'{"format": 1}', b"[" * 100_000, b"9" * 5000])
 def test_a_broken_file_is_calibrated_over(content: bytes, machine: FakeMachine) -> None:
     load_table(WORKLOAD, progress=False)
     stored().write_bytes(content)

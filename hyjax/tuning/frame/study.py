@@ -7,9 +7,10 @@ fits is told by the measured time alone.
 Losses hold on any machine. Times are kept by machine: a search that goes on elsewhere measures them anew.
 """
 
+import contextlib
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from hyjax.tuning.frame.search import Trial
 from hyjax.tuning.frame.space import Choices, Parameter, Space, key_of
 from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
+from hyjax.util.reading import check_regular
 from hyjax.util.run_log import as_json, check_same_settings
 
 if TYPE_CHECKING:
@@ -27,6 +29,14 @@ UNUSABLE = 1e9
 """Stands for a loss that is not a number."""
 VERSION = 1
 """Of what is kept. Add one whenever it means something else."""
+
+
+@contextlib.contextmanager
+def _quietly() -> Iterator[None]:
+    """Without the warnings that Optuna gives of a damaged journal, beside our one line."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 class Study:
@@ -44,6 +54,7 @@ class Study:
             made with other settings or by another version.
     """
 
+    @_quietly()
     def __init__(
         self, folder: Path | None, name: str, settings: dict[str, Any], *, machine: str = "", resume: bool = False
     ) -> None:
@@ -77,13 +88,18 @@ class Study:
                 "gone on with, choose another --out"
             )
         if told and folder is not None:
-            check_same_settings(folder, told.get("settings", {}), as_json(settings))
+            if not isinstance(told.get("settings"), dict):
+                raise InputError(f"{path}: has no settings of a study; remove it")
+            check_same_settings(folder, told["settings"], as_json(settings))
         if not told:
             self._study.set_user_attr("settings", as_json(settings))
             self._study.set_user_attr("version", VERSION)
         self._results: dict[str, Any] = {}
-        for trial in self._study.get_trials(deepcopy=False):
-            self._results |= trial.user_attrs.get("results", {})
+        try:
+            for trial in self._study.get_trials(deepcopy=False):
+                self._results |= trial.user_attrs.get("results", {})
+        except Exception as error:  # as above
+            raise InputError(f"{path}: holds a trial that is none ({type(error).__name__}); remove it") from None
         self._results |= {key: value for key, value in told.items() if key.startswith("result ")}
         self.resumed = len(self._results)
 
@@ -144,12 +160,14 @@ def _unwritable(error: OSError) -> InputError:
 
 def _cut_to_lines(path: Path) -> None:
     """Take away a last line that a crash has cut off: what is appended would become part of it."""
+    check_regular(path)
     with path.open("rb+") as file:
         content = file.read()
         if not content.endswith(b"\n"):
             file.truncate(content.rfind(b"\n") + 1)
 
 
+@_quietly()
 def kept_trials(path: Path, name: str = "frame") -> list[Trial]:
     """Trials of a journal, of whatever machine and settings they are: to look at.
 
@@ -166,20 +184,17 @@ def kept_trials(path: Path, name: str = "frame") -> list[Trial]:
     from optuna.storages.journal import JournalFileBackend
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
+    check_regular(path)
+    found: dict[str, Trial] = {}
     try:
         study = optuna.load_study(study_name=name, storage=JournalStorage(JournalFileBackend(str(path))))
-        kept = study.get_trials(deepcopy=False)
-    except Exception as error:  # whatever a damaged journal makes of Optuna
-        raise InputError(f"{path}: has no trials of {name!r} ({type(error).__name__})") from None
-    found: dict[str, Trial] = {}
-    for each in kept:
-        key, values = each.user_attrs["key"], each.values
-        trial = found.setdefault(key, Trial(dict(each.params), each.user_attrs["phase"], [], values[1]))
-        trial.losses += [
-            loss for of, losses in each.user_attrs["results"].items() if of.startswith("losses ") for loss in losses
-        ]
+        for each in study.get_trials(deepcopy=False):
+            key, values = each.user_attrs["key"], each.values
+            trial = found.setdefault(key, Trial(dict(each.params), each.user_attrs["phase"], [], values[1]))
+            results = each.user_attrs["results"].items()
+            trial.losses += [loss for of, losses in results if of.startswith("losses ") for loss in losses]
+    except Exception as error:  # whatever a damaged journal makes of Optuna, and of what is asked for
+        raise InputError(f"{path}: has no trials of {name!r}, or is damaged ({type(error).__name__})") from None
     return list(found.values())
 
 

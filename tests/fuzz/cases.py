@@ -1,0 +1,145 @@
+"""A case: one mutated file, read once; what came of it, how long it took, what was written to stderr."""
+
+import contextlib
+import os
+import random
+import resource
+import shutil
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from hyjax.util.errors import InputError
+
+from .mutations import CLASSICS, mutated
+from .readers import READERS
+
+SEED = 0
+
+
+class Outcome(NamedTuple):
+    """What came of a case.
+
+    Attributes:
+        kind: "result", "InputError" or "other".
+        seconds: that it took.
+        note: of another one, what it was.
+    """
+
+    kind: str
+    seconds: float
+    note: str = ""
+
+
+class Bench:
+    """A reader with its seeds, to be given mutated files.
+
+    Args:
+        name: of the reader.
+        folder: an empty folder for the seeds and the mutated file; one in memory is fastest.
+    """
+
+    def __init__(self, name: str, folder: Path) -> None:
+        self.name, self.reader, self._folder = name, READERS[name], folder / "case"
+        seeds = folder / "seeds"
+        seeds.mkdir(parents=True)
+        self.reader.make(seeds)
+        files = sorted(path for path in seeds.rglob("*") if path.is_file())
+        self.files = {path.relative_to(seeds).as_posix(): path.read_bytes() for path in files}
+        shutil.copytree(seeds, self._folder)
+
+    def case(self, number: int, seed: int = SEED) -> tuple[str, bytes]:
+        """Name and content of the file of a case; the same for the same numbers. The first ones are `CLASSICS`."""
+        source = random.Random(f"{self.name} {seed} {number}")
+        names = list(self.files)
+        if number < len(CLASSICS):
+            return names[number % len(names)], CLASSICS[number]
+        name = source.choice(names)
+        return name, mutated(self.files[name], [self.files[other] for other in names], source)
+
+    def run(self, name: str, content: bytes) -> Outcome:
+        """Read a mutated file."""
+        path = self._folder / name
+        path.write_bytes(content)
+        with written_to_stderr() as noise, warnings.catch_warnings():
+            warnings.simplefilter("always")
+            begin = time.perf_counter()
+            kind, note = "result", ""
+            try:
+                self.reader.read(self._folder if self.reader.whole else path)
+            except InputError as error:
+                kind = "InputError"
+                if "\n" in str(error) or len(str(error)) > 700:
+                    kind, note = "other", f"a message of {len(str(error))} characters or several lines"
+            except BaseException as error:
+                if isinstance(error, KeyboardInterrupt):
+                    raise
+                kind, note = "other", f"{type(error).__name__}: {str(error)[:300]} ({_place(error)})"
+            seconds = time.perf_counter() - begin
+        if noise and kind != "other":
+            kind, note = "other", f"stderr: {noise[0][:300]}"
+        self._restore(name)
+        return Outcome(kind, seconds, note)
+
+    def _restore(self, name: str) -> None:
+        """Undo the case, and what a reader has written beside it."""
+        (self._folder / name).write_bytes(self.files[name])
+        if not self.reader.writes:
+            return
+        for path in self._folder.iterdir():
+            if path.name not in self.files:
+                path.unlink()
+        for inside, content in self.files.items():
+            (self._folder / inside).write_bytes(content)
+
+
+def _place(error: BaseException) -> str:
+    """Where in the package an exception came from."""
+    found, trace = "", error.__traceback__
+    while trace is not None:
+        file = trace.tb_frame.f_code.co_filename
+        if "/hyjax/" in file or not found:
+            found = f"{Path(file).name}:{trace.tb_lineno}"
+        trace = trace.tb_next
+    return found
+
+
+@contextlib.contextmanager
+def written_to_stderr() -> Iterator[list[str]]:
+    """What the block writes to file descriptor 2, as libraries do: filled when it ends, empty if nothing."""
+    found: list[str] = []
+    with os.fdopen(os.memfd_create("stderr"), "r+b") as file:
+        before = os.dup(2)
+        os.dup2(file.fileno(), 2)
+        try:
+            yield found
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
+        if os.fstat(file.fileno()).st_size:
+            file.seek(0)
+            found.append(file.read(2000).decode(errors="replace"))
+
+
+def limit_memory(most: int) -> None:
+    """Let this process take so many bytes more than it has now."""
+    now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (now + most, resource.RLIM_INFINITY))
+
+
+class Peak:
+    """Most memory that this process has had since this was made."""
+
+    def __init__(self) -> None:
+        Path("/proc/self/clear_refs").write_text("5")
+        self._before = self._highest()
+
+    def mib(self) -> int:
+        """More than there was at first."""
+        return (self._highest() - self._before) >> 10
+
+    def _highest(self) -> int:
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))

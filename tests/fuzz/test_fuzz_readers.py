@@ -1,0 +1,32 @@
+"""Every reader takes any bytes and gives a result or an `InputError`, within 5 s and 2 GiB."""
+
+from pathlib import Path
+
+import pytest
+
+from .cases import Bench
+from .mutations import CLASSICS
+from .readers import READERS
+from .runner import run
+
+FEW, MANY = 20, 300
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_intact_files_are_read_and_a_few_mutated_ones_too(name: str, tmp_path: Path) -> None:
+    """Were intact ones refused, mutated ones would test nothing."""
+    bench = Bench(name, tmp_path)
+    for file, content in bench.files.items():
+        assert bench.run(file, content).kind == "result", file
+    for number in range(len(CLASSICS), len(CLASSICS) + FEW):
+        outcome = bench.run(*bench.case(number, seed=1))
+        assert outcome.kind != "other", f"case {number}: {outcome.note}"
+
+
+@pytest.mark.slow
+def test_mutated_files_are_read_or_refused(tmp_path: Path) -> None:
+    """The same, and no process dies of one, takes too long or too much."""
+    rows = list(run(list(READERS), range(MANY), 0, tmp_path))
+    others = [f"{row['reader']}: {other}" for row in rows for other in row["others"]]
+    assert not others, "\n".join(others)
+    assert [(row["reader"], row["cases"]) for row in rows] == [(name, MANY) for name in READERS]
