@@ -118,7 +118,6 @@ class Load:
 
     def round(self) -> None:
         """One change, and the pictures after it."""
-        visitor = self._visitors[self.counts["rounds"] % VISITORS]
         self.counts["rounds"] += 1
         number = self.counts["rounds"]
         if number % 25 == 0:
@@ -129,11 +128,11 @@ class Load:
             self._upload("noise.ply", bytes(MOST_UPLOADED))
             self._upload("large.ply", bytes(MOST_UPLOADED + 1))
         if number % 90 == 0:
-            visitor.upload(UPLOAD, "half.ply", bytes(8 << 20), share=0.5)
+            self._visitors[self.counts["breaks"] % VISITORS].upload(UPLOAD, "half.ply", bytes(8 << 20), share=0.5)
             self.counts["broken uploads"] += 1
             self._come_back()
         if number % 40 == 0:
-            visitor.set("Begin anew", True)
+            self._visitors[0].set("Begin anew", True)
             self._weather = 0
             self._settle()
         self._ask(self._changes()[self._random.integers(len(self._changes()))])

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hyjax.tour.viewer import Viewer
+from hyjax.util.memory import release_freed_memory
 
 
 def change_handler(viewers: Mapping[int, Viewer], handler: Callable[[Any], None]) -> Callable[[Any], Any]:
@@ -29,5 +30,6 @@ def task_handler(viewers: Mapping[int, Viewer], handler: Callable[[Viewer, Any],
         if viewer is not None:
             with viewer.show_errors():
                 handler(viewer, event)
+            release_freed_memory()  # of a mesh or a video
 
     return handle

@@ -20,14 +20,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/kills"))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--together", action="store_true", help="run each twice at the same time instead")
+    parser.add_argument("--full", type=int, help="run each on so many full disks instead")
     options = parser.parse_args()
     if unknown := set(options.commands) - COMMANDS.keys():
         parser.error(f"no command {sorted(unknown)[0]!r}; there are {', '.join(COMMANDS)}")
     killer = Killer(options.out.resolve(), options.seed)
     outcomes = []
     for name in options.commands or COMMANDS:
-        if options.together:
-            wrong = killer.together(COMMANDS[name])
+        if options.together or options.full:
+            command = COMMANDS[name]
+            wrong = killer.fill(command, options.full) if options.full else killer.together(command)
             print(f"{name}: {len(wrong)} wrong", *wrong, sep="\n", flush=True)
             continue
         outcomes.append(killer.kill(COMMANDS[name], options.kills))

@@ -1,8 +1,10 @@
 """Runs in processes of their own, killed with all that they started."""
 
 import dataclasses
+import functools
 import os
 import random
+import resource
 import shutil
 import signal
 import subprocess
@@ -61,7 +63,12 @@ class Killer:
             self.run(arguments)
 
     def run(
-        self, arguments: list[str], *, kill_after: float | None = None, said: str = "stderr.txt"
+        self,
+        arguments: list[str],
+        *,
+        kill_after: float | None = None,
+        said: str = "stderr.txt",
+        largest: int = resource.RLIM_INFINITY,
     ) -> tuple[int, str]:
         """Run `python -m ...`; its status (-9 if it was killed) and what it said on stderr."""
         environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(self.folder / "tmp")}
@@ -72,6 +79,7 @@ class Killer:
                 stdout=subprocess.DEVNULL,
                 stderr=stderr,
                 start_new_session=True,
+                preexec_fn=functools.partial(resource.setrlimit, resource.RLIMIT_FSIZE, (largest, largest)),
                 env=environment,
                 cwd=self.folder,
             )
@@ -148,11 +156,29 @@ class Killer:
             ended = [run.result() for run in runs]
         wrong = [f"status {status}: {said[-500:]}" for status, said in ended if status not in (0, 2)]
         for status, said in ended:
-            if status == 2 and len(said.strip().split("\r")[-1].strip().splitlines()) != 1:
-                wrong.append(f"refused with more than a line: {said[-500:]}")
+            lines = said.replace("\r", "\n").split("\n")  # with those of progress bars
+            if status == 2 and ("Traceback" in said or sum(": /" in line for line in lines) != 1):
+                wrong.append(f"refused with something else than a line: {said[-500:]}")
         if all(status for status, _ in ended):
             wrong.append("both were refused")
         return wrong + differences(command.result(out), command.result(model)) + damages(out) + leftovers(out)
+
+    def fill(self, command: Command, count: int) -> list[str]:
+        """Run a command where no file may have more than so many bytes, at some sizes; what is wrong then."""
+        model, _ = self.undisturbed(command)
+        sizes = sorted({file.stat().st_size for file in model.rglob("*") if file.is_file()})
+        wrong = []
+        for number in range(count):
+            largest = sizes[number * (len(sizes) - 1) // count]  # at least one file does not fit
+            out = self.folder / command.name / f"full-{largest}"
+            shutil.rmtree(out, ignore_errors=True)
+            status, said = self.run(command.arguments(self.folder, out), largest=largest)
+            last = said.replace("\r", "\n").strip().splitlines()[-1:]
+            if status != 2 or "Traceback" in said or "cannot write" not in "".join(last):
+                wrong.append(f"{largest} bytes: status {status}, {said[-500:]}")
+            if out.exists():
+                wrong += [f"{largest} bytes: {text}" for text in damages(out) + leftovers(out)]
+        return wrong
 
     def _go_on(self, command: Command, out: Path, kill_after: float | None) -> tuple[int, str]:
         if command.is_finished(out):

@@ -32,6 +32,12 @@ def test_two_runs_into_one_folder(name: str, killer: Killer) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["relight", "convert"])
+def test_a_full_disk_is_a_line_and_leaves_whole_files(name: str, killer: Killer) -> None:
+    assert not killer.fill(COMMANDS[name], 2)
+
+
+@pytest.mark.slow
 def test_a_folder_that_vanishes_during_a_run_is_one_line(killer: Killer) -> None:
     out = killer.folder / "vanishing"
     watch = threading.Thread(target=remove_when_begun, args=(out,))

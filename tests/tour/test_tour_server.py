@@ -68,6 +68,7 @@ def upload(server: Any, button: Any, content: bytes, told: int | None = None) ->
     parts = [content[at : at + 40] for at in range(0, len(content), 40)]
     start = {"filename": "a.ply", "mime_type": "", "part_count": len(parts)}
     size = len(content) if told is None else told
+    until(lambda: not server.get_clients())
     with connected(server) as wire:
         for message in (
             {"type": "FileTransferStartUpload", **start, "size_bytes": size},
@@ -76,9 +77,8 @@ def upload(server: Any, button: Any, content: bytes, told: int | None = None) ->
             wire.send(msgspec.msgpack.encode(message | ids))
         camera = {"wxyz": (1, 0, 0, 0), "position": (0, 0, 0), "look_at": (0, 0, 1), "up_direction": (0, 1, 0)}
         camera |= {"fov": 1.0, "near": 0.1, "far": 10.0, "image_height": 1, "image_width": 1}
-        clients = len(server.get_clients())
         wire.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage"} | camera))
-        until(lambda: len(server.get_clients()) > clients)  # what was sent before has been handled
+        until(server.get_clients)  # what was sent before has been handled
 
 
 def test_uploads_beyond_the_limit_are_refused_and_none_is_kept(server: Any) -> None:
