@@ -100,7 +100,7 @@ def test_a_figure_of_many_names_none(tmp_path: Path) -> None:
         ({"lights": ["two-colors", "two-colors"]}, r"'lights' must name each once"),
         ({"lights": ["none.yaml"]}, "no such file"),
         ({"configurations": ["defualt"]}, r"no preset 'defualt' \(did you mean 'default'"),
-        ({"configurations": ["none.json"]}, "cannot read the configuration"),
+        ({"configurations": ["none.json"]}, "none.json: no such file"),
         ({"configurations": {"space": "default", "conut": 3}}, r"did you mean 'count'"),
         ({"configurations": {"space": "default", "count": 0}}, r"'count' must be a whole number >= 1, got 0"),
         ({"configurations": {"space": "defualt", "count": 3}}, r"no space 'defualt' \(did you mean"),
