@@ -67,29 +67,29 @@ class Killer:
         arguments: list[str],
         *,
         kill_after: float | None = None,
-        said: str = "stderr.txt",
         largest: int = resource.RLIM_INFINITY,
     ) -> tuple[int, str]:
         """Run `python -m ...`; its status (-9 if it was killed) and what it said on stderr."""
         environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(self.folder / "tmp")}
-        errors = self.folder / said
-        with errors.open("w") as stderr:
-            process = subprocess.Popen(
-                [sys.executable, "-m", *arguments],
-                stdout=subprocess.DEVNULL,
-                stderr=stderr,
-                start_new_session=True,
-                preexec_fn=functools.partial(resource.setrlimit, resource.RLIMIT_FSIZE, (largest, largest)),
-                env=environment,
-                cwd=self.folder,
-            )
-            try:
-                process.wait(LONGEST if kill_after is None else kill_after)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGKILL)
-                if kill_after is None:
-                    return -1, f"took more than {LONGEST:.0f} s"
-        return process.wait(), errors.read_text(errors="replace")
+        process = subprocess.Popen(
+            [sys.executable, "-m", *arguments],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,  # which no limit of a file's size cuts off
+            start_new_session=True,
+            preexec_fn=functools.partial(resource.setrlimit, resource.RLIMIT_FSIZE, (largest, largest)),
+            env=environment,
+            cwd=self.folder,
+            text=True,
+            errors="replace",
+        )
+        try:
+            _, said = process.communicate(timeout=LONGEST if kill_after is None else kill_after)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            _, said = process.communicate()
+            if kill_after is None:
+                return -1, f"took more than {LONGEST:.0f} s"
+        return process.returncode, said
 
     def undisturbed(self, command: Command) -> tuple[Path, float]:
         """Folder and seconds of a run that nobody disturbs: the second one, when everything is compiled."""
@@ -150,8 +150,8 @@ class Killer:
         shutil.rmtree(out, ignore_errors=True)
         with ThreadPoolExecutor() as pool:
             runs = []
-            for number in range(2):
-                runs.append(pool.submit(self.run, command.arguments(self.folder, out), said=f"stderr-{number}.txt"))
+            for _ in range(2):
+                runs.append(pool.submit(self.run, command.arguments(self.folder, out)))
                 time.sleep(apart)
             ended = [run.result() for run in runs]
         wrong = [f"status {status}: {said[-500:]}" for status, said in ended if status not in (0, 2)]

@@ -21,8 +21,7 @@ from hyjax.util.files import atomic_write, new_folder, write_text
 from hyjax.util.images import write_depth, write_exr, write_labels, write_png
 from hyjax.util.run_log import RunLog, read_lines
 
-RANDOM = np.random.default_rng(0)
-PICTURE = RANDOM.random((40, 50, 3)).astype(np.float32)
+PICTURE = np.random.default_rng(0).random((40, 50, 3)).astype(np.float32)
 LINES = [{"iteration": number, "text": "x" * 40} for number in range(20)]
 
 
@@ -43,12 +42,12 @@ def write_plot(path: Path) -> None:
 
 
 def write_video(path: Path) -> None:
-    av = pytest.importorskip("av")
+    av, random = pytest.importorskip("av"), np.random.default_rng(0)
     with atomic_write(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         stream = container.add_stream("mpeg4", rate=30)
         stream.width, stream.height, stream.pix_fmt = 50, 40, "yuv420p"
         for _ in range(4):
-            pixels = RANDOM.integers(0, 256, (40, 50, 3), dtype=np.uint8)
+            pixels = random.integers(0, 256, (40, 50, 3), dtype=np.uint8)
             container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
         container.mux(stream.encode())
 
