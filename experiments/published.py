@@ -62,6 +62,7 @@ TABLES: dict[str, Published] = {
     "fidelity-kitchen": Published("paper_table_kitchen", 5),
     "fidelity-regions-room": Published("paper_table_room", 6),
     "fidelity-regions-kitchen": Published("paper_table_kitchen", 6),
+    "reference-quality": Published("reference_quality"),
     "kappa-room": Published("kappa_sweep_room"),
     "kappa-kitchen": Published("kappa_sweep_kitchen"),
     "ablation-cascade-room": Published("ablation_cascade_room", 0, DISTANCES),
@@ -98,7 +99,9 @@ TABLES: dict[str, Published] = {
     "tuning-gain": Published("tuning_gain"),
     # the learned guide
     "conductances": Published("conductances_kitchen"),
-    "depth-middlebury": Published("depth_sr"),
+    "depth-middlebury": Published("depth_sr", 0),
+    "depth-mosd": Published("depth_sr", 1),
+    "depth-kitchen": Published("depth_sr", 2),
     "dada-mosd": Published("depth_sr_dada", 0),
     "dada-kitchen": Published("depth_sr_dada", 1),
     "guide-difference": Published("guide_difference"),

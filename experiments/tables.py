@@ -50,6 +50,8 @@ class Config:
     """Rows of a finished run, to be kept."""
     name: str | None = None
     """Of the kept file. Default: the experiment."""
+    drop: tuple[str, ...] = ()
+    """Kinds of rows that no table needs, to be left out of the kept file."""
     load: str | None = None
     """What else the machine did meanwhile, in words, where the run has not recorded its load."""
 
@@ -61,7 +63,7 @@ def main(config: Config) -> None:
         InputError: a page has a table that there is not, or rows cannot be read.
     """
     if config.keep is not None:
-        print(f"kept as {keep(config.keep, config.name, config.load)}")
+        print(f"kept as {keep(config.keep, config.name, config.load, config.drop)}")
         return
     texts = {name: text_of(published) for name, published in TABLES.items()}
     wrong = [f"{page.relative_to(ROOT)}: {what}" for page in pages() for what in update(page, texts, config.check)]
@@ -209,15 +211,15 @@ def quoted(text: str) -> str:
     return f'"{text}"' if shlex.quote(text.replace("$", "")) != text.replace("$", "") else text
 
 
-def keep(path: Path, name: str | None = None, told: str | None = None) -> Path:
-    """Put a run's rows among those kept. Paths in the folder `$HYJAX_DATA` become relative to it.
+def keep(path: Path, name: str | None = None, told: str | None = None, drop: Sequence[str] = ()) -> Path:
+    """Put a run's rows among those kept, but for kinds to `drop`.
 
-    Rows that have no date yet get that of their file.
+    Paths in the folder `$HYJAX_DATA` become relative to it. Rows that have no date yet get that of their file.
 
     Raises:
         InputError: the rows cannot be read, or there is none.
     """
-    rows = read_rows(path)
+    rows = [row for row in read_rows(path) if row.get("kind") not in drop]
     if not rows:
         raise InputError(f"{path}: has no rows")
     written = datetime.date.fromtimestamp(path.stat().st_mtime).isoformat()

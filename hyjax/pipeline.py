@@ -12,7 +12,7 @@ well be lit or shadowed as their neighbours are.
 
 import warnings
 from collections.abc import Callable, Iterator
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,7 @@ from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
 from hyjax.light.upscaled import upscaled_picture, upscaled_stages
 from hyjax.light.view import View
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.programs import KeptFunction
 from hyjax.util.tracing import concrete
@@ -43,9 +44,9 @@ def relight(
     view: View,
     shaded: Shaded,
     guide: Float[Array, "h w f"],
-    schedule: Schedule,
+    schedule: Schedule | str,
     *,
-    shadow_schedule: Schedule | None = None,
+    shadow_schedule: Schedule | str | None = None,
     temporal_filter: TemporalFilter | None = None,
     mode: Mode = "linear",
     full: Float[Array, "fh fw 3"] | None = None,
@@ -56,18 +57,20 @@ def relight(
         view: the camera's picture with the surface that it shows.
         shaded: light on that surface, see `View.shade`.
         guide: features that say where light may flow; `view.display` is the "RGB guide".
-        schedule: cascade for the shading.
-        shadow_schedule: cascade for the visibility; default the preset `hyjax-scan-shadow`, in mode `"paper"`
-            `shadow`.
+        schedule: cascade for the shading, or a preset's name.
+        shadow_schedule: cascade for the visibility, likewise; default the preset `hyjax-scan-shadow`, in mode
+            `"paper"` `shadow`.
         temporal_filter: function of the refined illuminance and visibility of each light that returns what to take
             instead. See `hyjax.video`; not in mode `"paper"`.
         mode: `"linear"` multiplies linear light and treats pixels without surface as unknown; `"paper"` clips and
             display-encodes the filter, leaves holes black, trusts all else, and multiplies display values.
         full: the frame at full size, display-encoded, where the view is at a whole part of it: the filter is
-            brought to that size, see `hyjax.light.upscaled`. Not in mode `"paper"`.
+            brought to that size, see `hyjax.light.upscaled`. Bytes are divided by 255. Not in mode `"paper"`.
 
     Returns:
-        All stages; `image` and `unrefined` are linear in both modes.
+        All stages; `image` and `unrefined` are linear in both modes. Pixels of the frame that are not finite are
+        black, and nothing flows through cells of the guide that are not finite: neither affects the rest of the
+        picture but for the nearest cells.
 
     Raises:
         InputError: sizes differ, unknown mode, or a schedule that cannot be run.
@@ -94,13 +97,14 @@ def relight(
     return relit
 
 
+@checked_arguments(display=["full"])
 def relight_stages(
     view: View,
     shaded: Shaded,
     guide: Float[Array, "h w f"],
-    schedule: Schedule,
+    schedule: Schedule | str,
     *,
-    shadow_schedule: Schedule | None = None,
+    shadow_schedule: Schedule | str | None = None,
     temporal_filter: TemporalFilter | None = None,
     mode: Mode = "linear",
     full: Float[Array, "fh fw 3"] | None = None,
@@ -112,8 +116,10 @@ def relight_stages(
 
     To time, look at or stop between the stages. Arguments and errors are those of `relight`.
     """
-    if mode not in get_args(Mode):
-        raise InputError(f"mode: {mode!r} is unknown; use one of {', '.join(get_args(Mode))}")
+    schedule = Schedule.of(schedule)
+    if shadow_schedule is None:
+        shadow_schedule = default_shadow_schedule(mode)
+    shadow_schedule = Schedule.of(shadow_schedule, where="shadow_schedule")
     if temporal_filter is not None and mode == "paper":
         raise InputError("relight: temporal_filter works on channels of lights, which mode 'paper' does not have")
     if mode == "paper" and (shaded.surface_fields or shaded.emission is not None):
@@ -122,8 +128,7 @@ def relight_stages(
     if mode == "paper" and shaded.sampling > 1:
         raise InputError("relight: mode 'paper' takes the light of every pixel; shade with sampling=1")
     if shaded.sampling > 1:
-        shadows = shadow_schedule or default_shadow_schedule(mode)
-        check_sampling([schedule, shadows, Schedule.preset(FILLING)], shaded.sampling)
+        check_sampling([schedule, shadow_schedule, Schedule.preset(FILLING)], shaded.sampling)
     samples = level_shape((size[0], size[1]), shaded.sampling)
     if not size == hit == guide.shape[:2] or lit[:2] != samples:
         raise InputError(
@@ -139,8 +144,6 @@ def relight_stages(
             f"relight: visibility {shaded.visibility.shape}, colours {shaded.colors.shape} and confidence "
             f"{shaded.confidence.shape} do not fit the illuminance {lit}"
         )
-    if shadow_schedule is None:
-        shadow_schedule = default_shadow_schedule(mode)
     for used in (schedule, shadow_schedule):
         used.check(dtype=shaded.illuminance.dtype)
     known = concrete(view.gbuffer.hit if mode == "paper" else shaded.confidence)

@@ -143,6 +143,8 @@ PURE = {"core", "light", "pipeline", "video"}
 JAX_ONLY = {"jax", "jaxtyping", "numpy"}  # and the standard library: what the pure layers may import
 PURE_UTIL = {
     "errors",
+    "arguments",
+    "array_arguments",
     "geometry",
     "reading",
     "vectors",

@@ -3,7 +3,6 @@
 import functools
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -11,7 +10,8 @@ from hyjax.core.diffusion import diffuse, edge_stopping, guide_distance
 from hyjax.core.pyramid import cell_pyramid, level_shape, max_pool, upsample
 from hyjax.core.schedule import Schedule
 from hyjax.core.stencil import CoarseEdges
-from hyjax.core.upsampling import guided_upsample
+from hyjax.core.upsampling import upsample_between
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.programs import KeptFunction
 
@@ -21,8 +21,9 @@ LEAST_SAMPLES = 2
 """Samples along each side of a cell that a picture may enter by."""
 
 
+@checked_arguments
 def cascade(
-    y: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule, *, sampling: int = 1
+    y: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule | str, *, sampling: int = 1
 ) -> Float[Array, "h w c"]:
     """Diffuse coarse to fine under a guide (Eq. 4).
 
@@ -38,8 +39,9 @@ def cascade(
 
     Args:
         y: the filter to repair, any number of channels.
-        guide: features of the frame, same height and width.
-        schedule: levels with their steps, λ and κ.
+        guide: features of the frame, same height and width. Nothing flows through cells that hold values that
+            are not finite; they affect nothing beyond.
+        schedule: levels with their steps, λ and κ, or a preset's name.
         sampling: `y` has a value for each block of so many by so many pixels of the guide. See `largest_sampling`.
 
     Returns:
@@ -49,13 +51,11 @@ def cascade(
         InputError: sizes of `y` and `guide` differ, the schedule cannot be run (see `Schedule.check`), or it takes
             the filter at a level that is finer than the sampling.
     """
-    schedule.check(dtype=y.dtype)
+    schedule = Schedule.of(schedule).check(dtype=y.dtype)
     check_sampling([schedule], sampling)
-    if y.ndim != 3 or guide.ndim != 3 or y.shape[:2] != level_shape((guide.shape[0], guide.shape[1]), sampling):
+    if y.shape[:2] != level_shape((guide.shape[0], guide.shape[1]), sampling):
         same = "same H x W" if sampling == 1 else f"the filter {sampling} times smaller"
         raise InputError(f"cascade: filter {y.shape} and guide {guide.shape} must both be H x W x channels, {same}")
-    if not (jnp.issubdtype(y.dtype, jnp.floating) and jnp.issubdtype(guide.dtype, jnp.floating)):
-        raise InputError(f"cascade: filter and guide must be floating point, got {y.dtype} and {guide.dtype}")
     return _cascade(y, guide, schedule, sampling=sampling)
 
 
@@ -113,10 +113,8 @@ def _cascade(
     def upsample_to(state: Array, factor: int) -> Array:
         """From the last level that was diffused to a finer one."""
         if schedule.upsampling == "guide":
-            cells = guides[coarser]
-            return guided_upsample(
-                state, coarser // factor, guides[factor], kappa, coarse=cells, norm=schedule.norm
-            )
+            cells, finer = guides[coarser], guides[factor]
+            return upsample_between(state, coarser // factor, finer, cells, kappa, norm=schedule.norm)
         return upsample(state, coarser // factor, level_shape(full, factor))
 
     for level, edges in zip(schedule.levels, level_edges(guide, schedule), strict=True):
@@ -127,13 +125,15 @@ def _cascade(
     return upsample_to(state, 1)
 
 
-def level_edges(guide: Float[Array, "h w f"], schedule: Schedule) -> list[CoarseEdges]:
+@checked_arguments
+def level_edges(guide: Float[Array, "h w f"], schedule: Schedule | str) -> list[CoarseEdges]:
     """The conductances C^(l) of every level of a schedule, coarse to fine (Eq. 4).
 
     >>> schedule = Schedule.uniform([(4, 1), (2, 1)])
     >>> [vertical.shape for vertical, _ in level_edges(jnp.zeros((8, 8, 3)), schedule)]
     [(1, 2), (3, 4)]
     """
+    schedule = Schedule.of(schedule)
     if schedule.pooling == "guide":
         guides = cell_pyramid(guide, [level.factor for level in schedule.levels])
         distances = [guide_distance(guides[level.factor], norm=schedule.norm) for level in schedule.levels]

@@ -24,6 +24,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import ArrayLike, Float
 
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 
 LARGEST_EIGENVALUE = 8.0
@@ -57,6 +58,7 @@ def shortest_cycle(time: float) -> int:
     return max(1, math.ceil(math.sqrt(3.0 * time / LIMIT + 0.25) - 0.5 - 1e-9))
 
 
+@checked_arguments
 def step_cycle(n: int, time: float) -> Float[np.ndarray, "n"]:
     """Step sizes of one cycle of fast explicit diffusion, in an order that keeps rounding errors small.
 
@@ -71,7 +73,7 @@ def step_cycle(n: int, time: float) -> Float[np.ndarray, "n"]:
     Raises:
         InputError: another number of steps, or a time that n steps cannot cover (see `longest_time`).
     """
-    if int(n) != n or not 1 <= n <= LONGEST:
+    if not 1 <= n <= LONGEST:
         raise InputError(f"cycle: need 1 to {LONGEST} steps, got {n}")
     most = longest_time(n)
     if not 0 < time < math.inf:

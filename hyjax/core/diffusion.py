@@ -18,14 +18,13 @@ from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
-from jax.typing import DTypeLike
 from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.backends import select_backend, with_fast_values
-from hyjax.core.cycles import stable_cycle
+from hyjax.core.checks import check_edges, check_fidelity, check_kappa, check_step_sizes
 from hyjax.core.stencil import Edges, divergence, gradient
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
-from hyjax.util.tracing import concrete
 
 Norm = Literal["l2", "mean_abs"]
 
@@ -94,7 +93,7 @@ def _sum_channels(x: Float[Array, "h w f"]) -> Float[Array, "h w"]:
 
 @jax.jit
 def edge_stopping(distance: Edges, kappa: Float[ArrayLike, ""]) -> Edges:
-    """κ² / (κ² + d²) on every edge (Eq. 3), from the squared distances of `guide_distance`.
+    """κ² / (κ² + d²) on every edge (Eq. 3), from the squared distances of `guide_distance`; 0 if not finite.
 
     >>> vertical, _ = edge_stopping((jnp.array([[0.0, 0.01]]), jnp.ones((2, 1))), 0.1)
     >>> vertical.round(3).tolist()
@@ -107,11 +106,13 @@ def edge_stopping(distance: Edges, kappa: Float[ArrayLike, ""]) -> Edges:
     scale = jnp.maximum(jnp.asarray(kappa, dtype), 1.01 * float(jnp.finfo(dtype).tiny) ** 0.5) ** -2
 
     def conductance_of(squared: Array) -> Array:
-        return (1.0 / (1.0 + squared.astype(dtype) * scale)).astype(squared.dtype)
+        scaled = squared.astype(dtype) * scale
+        return jnp.where(scaled < jnp.inf, 1.0 / (1.0 + scaled), 0.0).astype(squared.dtype)
 
     return conductance_of(vertical), conductance_of(horizontal)
 
 
+@checked_arguments
 def conductance(guide: Float[Array, "h w f"], kappa: Float[ArrayLike, ""], *, norm: Norm = "l2") -> Edges:
     """Conductance between neighbouring pixels, c(g^p, g^n): how freely light flows (Eq. 3).
 
@@ -120,15 +121,15 @@ def conductance(guide: Float[Array, "h w f"], kappa: Float[ArrayLike, ""], *, no
     [1.0, 0.1]
 
     Args:
-        guide: features, any number of channels.
+        guide: features, any number of channels; nothing flows to or from pixels that are not finite.
         kappa: edge sensitivity κ > 0, in the guide's units; c = 1/2 where the guide differs by κ.
         norm: see `guide_distance`.
 
     Returns:
-        (vertical, horizontal) in (0, 1], shapes (H−1, W) and (H, W−1).
+        (vertical, horizontal) in [0, 1], shapes (H−1, W) and (H, W−1).
 
     Raises:
-        InputError: κ ≤ 0 or not finite, unknown `norm`, guide that is not H×W×F.
+        InputError: κ ≤ 0 or not finite, unknown `norm`, guide that is not H×W×F floats.
     """
     check_kappa(kappa)
     return edge_stopping(guide_distance(guide, norm=norm), kappa)
@@ -216,6 +217,7 @@ def _steps(
 _diffuse = jax.jit(with_fast_values(_steps, select_backend(_steps)))
 
 
+@checked_arguments
 def diffuse_step(y: Float[Array, "h w c"], edges: Edges, lam: Float[ArrayLike, ""]) -> Float[Array, "h w c"]:
     """One explicit step of guided diffusion, zero flux through the border (Eq. 2).
 
@@ -234,6 +236,7 @@ def diffuse_step(y: Float[Array, "h w c"], edges: Edges, lam: Float[ArrayLike, "
     return diffuse(y, edges, jnp.reshape(jnp.asarray(lam, y.dtype), (1,)))
 
 
+@checked_arguments
 def diffuse(
     y: Float[Array, "h w c"],
     edges: Edges,
@@ -274,68 +277,3 @@ def diffuse(
             raise InputError(f"source: shape {source.shape} is not that of what is diffused, {y.shape}")
         source = source.astype(y.dtype)
     return _diffuse(y, edges, jnp.asarray(step_sizes, y.dtype), fidelity, source)
-
-
-def check_edges(y: Float[Array, "h w c"], edges: Edges) -> None:
-    """Raise `InputError` unless the edges are those of a picture of y's size.
-
-    >>> check_edges(jnp.ones((4, 5, 3)), (jnp.ones((3, 5)), jnp.ones((4, 4))))
-    """
-    h, w = y.shape[:2]
-    if edges[0].shape != (h - 1, w) or edges[1].shape != (h, w - 1):
-        raise InputError(
-            f"edges: shapes {edges[0].shape} and {edges[1].shape} do not belong to a picture of {h}x{w} pixels, "
-            f"which has {(h - 1, w)} and {(h, w - 1)}"
-        )
-
-
-def check_kappa(kappa: Float[ArrayLike, ""], where: str = "kappa") -> None:
-    """Raise `InputError` unless κ > 0. Values known only while tracing are let through.
-
-    >>> check_kappa(0.0)
-    Traceback (most recent call last):
-    hyjax.util.errors.InputError: kappa: ...
-    """
-    value = concrete(kappa)
-    if value is not None and not (value > 0 and value < float("inf")):
-        raise InputError(f"{where}: must be finite and > 0, got {value}")
-
-
-def check_fidelity(fidelity: Float[ArrayLike, ""], where: str = "fidelity") -> None:
-    """Raise `InputError` unless α ≥ 0. Values known only while tracing are let through.
-
-    >>> check_fidelity(-1.0)
-    Traceback (most recent call last):
-    hyjax.util.errors.InputError: fidelity: ...
-    """
-    value = concrete(fidelity)
-    if value is not None and not (value >= 0 and value < float("inf")):
-        raise InputError(f"{where}: must be finite and >= 0, got {value}")
-
-
-def check_step_sizes(
-    step_sizes: Float[ArrayLike, "*n"] | Sequence[float], where: str = "lam", dtype: DTypeLike = jnp.float32
-) -> None:
-    """Raise `InputError` unless every λ is in (0, 1/4), or all together are a stable cycle in this precision.
-
-    Values known only while tracing are let through.
-
-    >>> check_step_sizes(jnp.array([0.3]))
-    Traceback (most recent call last):
-    hyjax.util.errors.InputError: lam: ...
-    """
-    values = concrete(step_sizes)
-    if values is None:
-        return
-    bad = values[~((values > 0) & (values < 0.25))]
-    if not bad.size or stable_cycle(values, dtype):
-        return
-    if stable_cycle(values, jnp.float64):
-        raise InputError(
-            f"{where}: these {values.size} steps amplify rounding errors too much for {jnp.dtype(dtype).name}; use "
-            f"shorter cycles, or float32"
-        )
-    raise InputError(
-        f"{where}: a step size must lie inside (0, 1/4) to be stable, or belong to a cycle as step_cycle makes it, "
-        f"got {bad.flat[0]:g}"
-    )

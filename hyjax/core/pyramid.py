@@ -15,10 +15,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.core.stencil import CoarseEdges, Edges
-from hyjax.util.errors import InputError
+from hyjax.util.arguments import checked_arguments
+from hyjax.util.errors import InputError, shown
 
 # Ratio up to which upsampling is written out by phases, which is slow to compile for many phases.
 MOST_PHASES = 16
+LARGEST_FACTOR = 1 << 16
+"""Pixels that a cell may be wide."""
 
 
 def level_shape(shape: tuple[int, int], factor: int) -> tuple[int, int]:
@@ -30,6 +33,7 @@ def level_shape(shape: tuple[int, int], factor: int) -> tuple[int, int]:
     return -(-shape[0] // factor), -(-shape[1] // factor)
 
 
+@checked_arguments
 @functools.partial(jax.jit, static_argnames="factor")
 def downsample(y: Float[Array, "h w c"], factor: int) -> Float[Array, "ch cw c"]:
     """Mean over each cell (the ↓ of Eq. 4). Cells cut off by the border average the pixels they have.
@@ -80,6 +84,7 @@ def cell_pixels(shape: tuple[int, int], factor: int) -> Float[np.ndarray, "ch cw
     return np.outer(*(_pixels(length, factor) for length in shape))[..., None]
 
 
+@checked_arguments
 @functools.partial(jax.jit, static_argnames=("factor", "shape"))
 def upsample(y: Float[Array, "ch cw c"], factor: int, shape: tuple[int, int]) -> Float[Array, "h w c"]:
     """Bilinear interpolation between cell centres (the ↑ of Eq. 4), constant beyond the outermost centres.
@@ -98,7 +103,7 @@ def upsample(y: Float[Array, "ch cw c"], factor: int, shape: tuple[int, int]) ->
     _check_factor(factor)
     if level_shape(shape, factor) != y.shape[:2]:
         raise InputError(
-            f"upsample: {y.shape[0]}x{y.shape[1]} cells times {factor} make no picture of {shape[0]}x{shape[1]}"
+            f"shape: {y.shape[0]}x{y.shape[1]} cells times {factor} make no picture of {shape[0]}x{shape[1]}"
         )
     if factor == 1:
         return y
@@ -139,6 +144,7 @@ def _lerp_phases(y: Array, factor: int, length: int, axis: int) -> Array:
     return jax.lax.slice_in_dim(jnp.stack(phases, axis=axis + 1).reshape(shape), 0, length, axis=axis)
 
 
+@checked_arguments
 def min_pool(edges: Edges, factor: int) -> CoarseEdges:
     """Conductances between the cells of a level: the smallest that lies between two cell centres (Eq. 4).
 
@@ -195,6 +201,8 @@ def _pool_vertical(
 ) -> Float[Array, "ch_1 cw"]:
     h, w = edges.shape[0] + 1, edges.shape[1]
     rows, columns = level_shape((h, w), factor)
+    if rows == 1:
+        return jnp.zeros((0, columns), edges.dtype)
     edges = _reduce_cells(edges, factor if columns > 1 else w, columns, 1, reduce, fill)
     # Edge e lies between pixels e and e+1. Cell centres are at pixel f·I + (f−1)/2, hence the first edge:
     first = (factor - 1) // 2
@@ -232,5 +240,5 @@ def _fit(x: Array, length: int, axis: int, fill: float) -> Array:
 
 
 def _check_factor(factor: int) -> None:
-    if factor < 1:
-        raise InputError(f"factor: a downsampling factor is a whole number >= 1, got {factor}")
+    if not 1 <= factor <= LARGEST_FACTOR:
+        raise InputError(f"factor: must be a whole number in 1..{LARGEST_FACTOR}, got {shown(factor)}")

@@ -9,6 +9,8 @@ from jaxtyping import Array, Bool, Float
 from hyjax.core.cascade import FILLING, cascade, check_sampling
 from hyjax.core.pyramid import cell_pixels, downsample
 from hyjax.core.schedule import Schedule
+from hyjax.util.arguments import checked_arguments
+from hyjax.util.errors import InputError
 from hyjax.util.geometry import TINY
 from hyjax.util.programs import KeptFunction
 
@@ -16,12 +18,12 @@ from hyjax.util.programs import KeptFunction
 HOLE_FLOOR = 1e-3
 
 
-@functools.partial(KeptFunction, static="sampling")
+@checked_arguments
 def cascade_known(
     y: Float[Array, "sh sw c"],
     confidence: Float[Array, "sh sw k"] | Bool[Array, "sh sw k"],
     guide: Float[Array, "h w f"],
-    schedule: Schedule,
+    schedule: Schedule | str,
     *,
     sampling: int = 1,
 ) -> Float[Array, "h w c"]:
@@ -45,8 +47,26 @@ def cascade_known(
             ones have none to keep.
         sampling: see `cascade`.
 
+    Raises:
+        InputError: sizes that differ, or a schedule that cannot be run; see `cascade`.
+
     Source: Knutsson and Westin, *Normalized and differential convolution*, CVPR 1993.
     """
+    schedule = Schedule.of(schedule).check(dtype=y.dtype)
+    if confidence.shape[-1] not in (1, y.shape[-1]):
+        raise InputError(f"confidence: must have 1 channel or {y.shape[-1]} as the filter, got {confidence.shape}")
+    return _cascade_known(y, confidence, guide, schedule, sampling=sampling)
+
+
+@functools.partial(KeptFunction, static="sampling")
+def _cascade_known(
+    y: Float[Array, "sh sw c"],
+    confidence: Float[Array, "sh sw k"] | Bool[Array, "sh sw k"],
+    guide: Float[Array, "h w f"],
+    schedule: Schedule,
+    *,
+    sampling: int,
+) -> Float[Array, "h w c"]:
     check_sampling([schedule], sampling)
     weight, channels = confidence.astype(y.dtype), y.shape[-1]
     usable = jnp.isfinite(y)
@@ -75,9 +95,9 @@ def _all_channels(x: Bool[Array, "h w c"]) -> Bool[Array, "h w 1"]:
     return together
 
 
-@functools.partial(KeptFunction, static="sampling")
+@checked_arguments
 def shadow_pass(
-    raw: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule, *, sampling: int = 1
+    raw: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule | str, *, sampling: int = 1
 ) -> Float[Array, "h w c"]:
     """Refine visibility by few steps at high resolution, which softens shadows and keeps their shape.
 
@@ -93,11 +113,14 @@ def shadow_pass(
         guide: as for `cascade`.
         schedule: few steps at factor 1 or 2, such as `Schedule.preset("shadow")`.
         sampling: see `cascade`.
+
+    Raises:
+        InputError: see `cascade`.
     """
     return cascade(raw, guide, schedule, sampling=sampling)
 
 
-@functools.partial(KeptFunction, static="sampling")
+@checked_arguments
 def fill_visibility(
     raw: Float[Array, "sh sw l"], known: Bool[Array, "sh sw l"], guide: Float[Array, "h w f"], *, sampling: int = 1
 ) -> Float[Array, "sh sw l"]:
@@ -116,7 +139,17 @@ def fill_visibility(
         known: where it means anything.
         guide: as for `cascade`.
         sampling: see `cascade`; the result has the samples of `raw`.
+
+    Raises:
+        InputError: see `cascade`.
     """
+    return _fill_visibility(raw, known, guide, sampling=sampling)
+
+
+@functools.partial(KeptFunction, static="sampling")
+def _fill_visibility(
+    raw: Float[Array, "sh sw l"], known: Bool[Array, "sh sw l"], guide: Float[Array, "h w f"], *, sampling: int
+) -> Float[Array, "sh sw l"]:
     known, schedule = known & jnp.isfinite(raw), Schedule.preset(FILLING)
     check_sampling([schedule], sampling)
     if sampling > 1:  # the same levels, over the means of the guide

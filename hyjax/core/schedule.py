@@ -13,61 +13,25 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import ArrayLike, Float
 
-from hyjax.core.diffusion import Norm, check_fidelity, check_kappa, check_step_sizes
+from hyjax.core.checks import check_fidelity, check_kappa, check_step_sizes
+from hyjax.core.diffusion import Norm
+from hyjax.core.presets import DEFAULT_KAPPA as DEFAULT_KAPPA
+from hyjax.core.presets import GUIDED_FIDELITY as GUIDED_FIDELITY
+from hyjax.core.presets import GUIDED_KAPPA as GUIDED_KAPPA
+from hyjax.core.presets import GUIDED_OPTIONS, PRESETS
+from hyjax.core.presets import PAPER_KAPPA as PAPER_KAPPA
 from hyjax.core.step_size import DEFAULT_LAM
-from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.arguments import checked_arguments
+from hyjax.util.errors import InputError, did_you_mean, shown
 from hyjax.util.reading import parse_json
 from hyjax.util.tracing import concrete
 
 Pooling = Literal["edges", "guide"]
 Upsampling = Literal["bilinear", "guide"]
 
-# The paper names no κ; these are for display-encoded RGB guides in [0, 1] and
-# norm l2: with pooled edges by experiments/kappa_sweep.py (best for our mode 0.005 to 0.02, the paper's 0.05 to
-# 0.2). κ, α and steps of our presets were chosen together, by hand, on tuning frames of 7-Scenes' kitchen (five of
-# its first three quarters) and of the built-in room (seed 0): a flat optimum; experiments/beyond.py looks along κ.
-DEFAULT_KAPPA = 0.02
-PAPER_KAPPA = 0.05
-GUIDED_KAPPA = 0.05
-GUIDED_FIDELITY = 0.1
-
-MOST_STEPS = 1_000_000
+MOST_STEPS = 100_000
+"""Of all levels together."""
 COARSEST = 4096
-
-
-@dataclasses.dataclass(frozen=True)
-class Preset:
-    """Steps and options of a named schedule.
-
-    Attributes:
-        steps: (downsampling factor of the full frame, steps); the paper writes 512/factor instead.
-        options: of `Schedule.uniform`, where they are not its defaults.
-    """
-
-    steps: tuple[tuple[int, int], ...]
-    options: dict[str, Any] = dataclasses.field(default_factory=dict)
-
-
-_GUIDED: dict[str, Any] = {
-    "kappa": GUIDED_KAPPA,
-    "fidelity": GUIDED_FIDELITY,
-    "pooling": "guide",
-    "upsampling": "guide",
-}
-
-PRESETS: dict[str, Preset] = {
-    # Ours: of the shading, of the visibility, and of a scan's, whose rims are frayed by centimetres.
-    "hyjax": Preset(((16, 3), (8, 4), (4, 6)), _GUIDED),
-    "hyjax-shadow": Preset(((1, 2),)),
-    "hyjax-scan-shadow": Preset(((4, 5), (1, 2))),
-    # The paper's.
-    "paper-50": Preset(((16, 5), (8, 10), (4, 15), (2, 20))),
-    "paper-80": Preset(((16, 10), (8, 15), (4, 25), (2, 30))),
-    # Of this one it says "reducing the number of iterations and maintaining operation at higher resolutions".
-    "shadow": Preset(((1, 8),)),
-    "naive-50": Preset(((2, 50),)),
-    "naive-1000": Preset(((2, 1000),)),
-}
 
 
 @functools.partial(
@@ -123,6 +87,28 @@ class Schedule:
     upsampling: Upsampling = "bilinear"
 
     @classmethod
+    def of(cls, schedule: "Schedule | str", where: str = "schedule") -> "Schedule":
+        """A schedule as it is, or a preset by its name.
+
+        >>> Schedule.of("hyjax").name
+        'hyjax'
+
+        Raises:
+            InputError: neither of them; the message begins with `where`.
+        """
+        if isinstance(schedule, Schedule):
+            return schedule
+        if not isinstance(schedule, str):
+            raise InputError(f"{where}: must be a Schedule or the name of a preset, got {shown(schedule)}")
+        if schedule not in PRESETS:
+            known = ", ".join(PRESETS)
+            raise InputError(
+                f"{where}: no preset {shown(schedule)}{did_you_mean(schedule, PRESETS)}; there are {known}"
+            )
+        return cls.preset(schedule)
+
+    @classmethod
+    @checked_arguments
     def uniform(
         cls,
         steps: Iterable[tuple[int, int]],
@@ -147,10 +133,14 @@ class Schedule:
         Raises:
             InputError: anything `check` refuses.
         """
+        if not steps:
+            raise InputError(f"steps: schedule {name} needs at least one level")
         levels = []
         for factor, count in steps:
-            if count < 0:
-                raise InputError(f"schedule {name}: number of steps must be >= 0, got {count} at factor {factor}")
+            if not 0 <= count <= MOST_STEPS:
+                raise InputError(
+                    f"steps: schedule {name} must have 0 to {MOST_STEPS} steps, got {count} at factor {factor}"
+                )
             alpha = None if fidelity is None else np.float32(fidelity)
             levels.append(Level(factor, np.full(count, lam, np.float32), np.float32(kappa), alpha))
         return cls(tuple(levels), pooling, norm, name, upsampling).check()
@@ -171,10 +161,9 @@ class Schedule:
         Raises:
             InputError: unknown name.
         """
-        if name not in PRESETS:
-            raise InputError(
-                f"schedule: no preset {name!r}{did_you_mean(name, PRESETS)}; there are {', '.join(PRESETS)}"
-            )
+        if not isinstance(name, str) or name not in PRESETS:
+            hint = did_you_mean(name, PRESETS) if isinstance(name, str) else ""
+            raise InputError(f"schedule: no preset {shown(name)}{hint}; there are {', '.join(PRESETS)}")
         preset = PRESETS[name]
         options = preset.options if kappa is None else preset.options | {"kappa": kappa}
         return cls.uniform(preset.steps, lam=lam, name=name, **options)
@@ -188,19 +177,21 @@ class Schedule:
 
         Raises:
             InputError: no level, factor < 1, factors not falling or not multiples, κ ≤ 0, λ outside (0, 1/4) and no
-                stable cycle, α < 0, unknown pooling, norm or upsampling.
+                stable cycle, α < 0, more than `MOST_STEPS` steps in all, unknown pooling, norm or upsampling.
         """
         where = f"schedule {self.name}"
+        if not (isinstance(self.levels, tuple | list) and all(isinstance(level, Level) for level in self.levels)):
+            raise InputError(f"{where}: levels must be a tuple of Level, got {shown(self.levels)}")
         if not self.levels:
             raise InputError(f"{where}: needs at least one level")
         named = ((self.pooling, Pooling), (self.norm, Norm), (self.upsampling, Upsampling))
         for value, known in ((value, get_args(names)) for value, names in named):
-            if value not in known:
-                raise InputError(f"{where}: {value!r} is unknown; use one of {', '.join(known)}")
+            if not isinstance(value, str) or value not in known:
+                raise InputError(f"{where}: {shown(value)} is unknown; use one of {', '.join(known)}")
         factors = [level.factor for level in self.levels]
         for factor in factors:
             if not isinstance(factor, int) or isinstance(factor, bool) or factor < 1:
-                raise InputError(f"{where}: a factor is a whole number >= 1, got {factor!r}")
+                raise InputError(f"{where}: a factor is a whole number >= 1, got {shown(factor)}")
             if factor > COARSEST:
                 raise InputError(f"{where}: factor {factor} is too coarse for any picture; at most {COARSEST}")
         for coarse, fine in itertools.pairwise(factors):
@@ -214,6 +205,8 @@ class Schedule:
             check_step_sizes(level.step_sizes, f"{at}, lam", dtype)
             if level.fidelity is not None:
                 check_fidelity(level.fidelity, f"{at}, fidelity")
+        if (total := sum(level.steps for level in self.levels)) > MOST_STEPS:
+            raise InputError(f"{where}: {total} steps in all are too many; at most {MOST_STEPS}")
         return self
 
     def to_json(self) -> str:
@@ -287,7 +280,7 @@ def guided_schedule(steps: Iterable[tuple[int, int]], *, name: str = "custom", *
         name: what tables call it.
         options: of `Schedule.uniform`, instead of the presets'.
     """
-    return Schedule.uniform(steps, name=name, **(_GUIDED | options))
+    return Schedule.uniform(steps, name=name, **(GUIDED_OPTIONS | options))
 
 
 def _float(value: ArrayLike) -> float:
@@ -331,16 +324,20 @@ def _read_level(index: int, content: Any) -> Level:
     content = _keys(where, content, {"factor", "steps", "kappa"}, {"lam", "fidelity"})
     factor, steps, lam = content["factor"], content["steps"], content.get("lam", DEFAULT_LAM)
     if not isinstance(steps, int) or isinstance(steps, bool) or steps < 0:
-        raise InputError(f"{where}: 'steps' must be a whole number >= 0, got {steps!r}")
+        raise InputError(f"{where}: 'steps' must be a whole number >= 0, got {shown(steps)}")
     if steps > MOST_STEPS:
         raise InputError(f"{where}: {steps} steps are too many; at most {MOST_STEPS}")
+    kappa, fidelity = content["kappa"], content.get("fidelity")
+    for key, value in (("kappa", kappa), ("fidelity", 0.0 if fidelity is None else fidelity), ("lam", lam)):
+        numbers = value if key == "lam" and isinstance(value, list) else [value]
+        if not all(type(x) in (int, float) or (x is None and steps == 0) for x in numbers):
+            raise InputError(f"{where}: {key!r} must be numbers, got {shown(value)}")
     try:
         with np.errstate(over="ignore"):  # infinite, and refused as such
-            kappa = np.float32(content["kappa"] + 0.0)  # a list or a text has no sum with a number
-            fidelity = None if content.get("fidelity") is None else np.float32(content["fidelity"] + 0.0)
-            step_sizes = np.zeros(0, np.float32) if steps == 0 else np.asarray(lam, np.float32)
-    except (TypeError, ValueError):
-        raise InputError(f"{where}: 'kappa', 'lam' and 'fidelity' must be numbers") from None
+            kappa, fidelity = np.float32(kappa), None if fidelity is None else np.float32(fidelity)
+            step_sizes = np.asarray([] if steps == 0 else lam, np.float32)
+    except OverflowError:
+        raise InputError(f"{where}: 'kappa', 'lam' or 'fidelity' is too large") from None
     if step_sizes.ndim == 0:
         step_sizes = np.full(steps, step_sizes)
     if step_sizes.shape != (steps,):

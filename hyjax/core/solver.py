@@ -18,8 +18,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from hyjax.core.diffusion import check_edges, check_fidelity
+from hyjax.core.checks import check_edges, check_fidelity
 from hyjax.core.stencil import Edges, divergence, gradient
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.tracing import concrete
 
@@ -27,6 +28,7 @@ TOLERANCE = 1e-6
 MOST_ITERATIONS = 1000
 
 
+@checked_arguments
 def solve(
     source: Float[Array, "h w c"],
     edges: Edges,
@@ -54,8 +56,6 @@ def solve(
         InputError: α ≤ 0, a source that is not floating point, or edges or a start that do not belong to it.
     """
     check_edges(source, edges)
-    if not jnp.issubdtype(source.dtype, jnp.floating):
-        raise InputError(f"source: must be floating point, got {source.dtype}")
     if start is not None and start.shape != source.shape:
         raise InputError(f"start: shape {start.shape} is not that of the source, {source.shape}")
     check_fidelity(fidelity)

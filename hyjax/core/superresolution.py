@@ -19,22 +19,25 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from hyjax.core.cascade import level_edges
-from hyjax.core.diffusion import channels_first, check_edges, check_step_sizes, diffuse, explicit_step, scan_steps
-from hyjax.core.pyramid import downsample, level_shape, upsample
+from hyjax.core.checks import check_edges, check_step_sizes
+from hyjax.core.diffusion import channels_first, diffuse, explicit_step, scan_steps
+from hyjax.core.pyramid import LARGEST_FACTOR, downsample, level_shape, upsample
 from hyjax.core.schedule import Schedule
 from hyjax.core.stencil import Edges
-from hyjax.util.errors import InputError
+from hyjax.util.arguments import checked_arguments
+from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 
 # Metzger's guard against division by zero.
 EPSILON = 1e-8
 
 
+@checked_arguments
 def super_resolve(
     source: Float[Array, "ch cw c"],
     known: Bool[Array, "ch cw"],
     guide: Float[Array, "h w f"],
-    schedule: Schedule,
+    schedule: Schedule | str,
     factor: int,
     *,
     start: Float[Array, "h w c"] | None = None,
@@ -56,7 +59,7 @@ def super_resolve(
             since that takes part in the diffusion; see `coarsen`.
         known: cells that the result must agree with.
         guide: features of the frame at full size.
-        schedule: each level's factor must divide `factor` or be a multiple of it.
+        schedule: or a preset's name; each level's factor must divide `factor` or be a multiple of it.
         factor: how much coarser the source is.
         start: picture whose cell means enter at the coarsest level; by default the source's own, or the source
             interpolated bilinearly where the level is finer.
@@ -66,7 +69,7 @@ def super_resolve(
         InputError: shapes that do not belong together, or a schedule that cannot be run, does not fit the factor,
             or has cycles of steps, a data term or guided upsampling.
     """
-    schedule.check()
+    schedule = Schedule.of(schedule).check()
     if schedule.upsampling != "bilinear" or any(level.fidelity is not None for level in schedule.levels):
         raise InputError(
             f"super_resolve: schedule {schedule.name} has a data term or guided upsampling, which do nothing for a "
@@ -273,8 +276,8 @@ def check_source(
 
     >>> check_source((4, 4), jnp.ones((2, 2, 1)), jnp.ones((2, 2), bool), 2)
     """
-    if factor < 1:
-        raise InputError(f"factor: a source is coarser by a whole number >= 1, got {factor}")
+    if not 1 <= factor <= LARGEST_FACTOR:
+        raise InputError(f"factor: must be a whole number in 1..{LARGEST_FACTOR}, got {shown(factor)}")
     cells = level_shape(shape, factor)
     if source.ndim != 3 or source.shape[:2] != cells or known.shape != cells:
         raise InputError(

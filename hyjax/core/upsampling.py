@@ -9,18 +9,21 @@ Source: Kopf, Cohen, Lischinski and Uyttendaele, *Joint bilateral upsampling*, S
 
 import functools
 import itertools
-from typing import get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from hyjax.core.diffusion import Norm, check_kappa
-from hyjax.core.pyramid import downsample, level_shape
-from hyjax.util.errors import InputError
+from hyjax.core.checks import check_kappa
+from hyjax.core.diffusion import Norm
+from hyjax.core.finite import finite_or_zero
+from hyjax.core.pyramid import LARGEST_FACTOR, downsample, level_shape
+from hyjax.util.arguments import checked_arguments
+from hyjax.util.errors import InputError, shown
 
 
+@checked_arguments
 def guided_upsample(
     y: Float[Array, "ch cw c"],
     factor: int,
@@ -42,7 +45,7 @@ def guided_upsample(
     Args:
         y: cells of a level.
         factor: how many times finer the result is.
-        guide: features of the finer picture; its size is the result's.
+        guide: features of the finer picture; its size is the result's. Values that are not finite count as zero.
         kappa: edge sensitivity κ > 0, in the guide's units.
         coarse: features of the cells; by default the means of `guide` over them.
         norm: of guide differences, see `guide_distance`.
@@ -52,25 +55,17 @@ def guided_upsample(
             unknown norm.
     """
     check_kappa(kappa)
-    if norm not in get_args(Norm):
-        raise InputError(f"norm: {norm!r} is unknown; use one of {', '.join(get_args(Norm))}")
-    if guide.ndim != 3 or guide.shape[-1] == 0:
-        raise InputError(f"guide: need H x W x F features, got shape {guide.shape}")
-    if factor < 1 or level_shape((guide.shape[0], guide.shape[1]), factor) != y.shape[:2]:
+    if not 1 <= factor <= LARGEST_FACTOR or level_shape((guide.shape[0], guide.shape[1]), factor) != y.shape[:2]:
         raise InputError(
-            f"guided_upsample: {y.shape[0]}x{y.shape[1]} cells times {factor} make no picture of "
+            f"factor: {y.shape[0]}x{y.shape[1]} cells times {shown(factor)} make no picture of "
             f"{guide.shape[0]}x{guide.shape[1]}"
         )
-    if factor == 1:
-        return y
-    if y.shape[:2] == (1, 1):  # however much wider than the picture the cell is
-        return jnp.broadcast_to(y, (*guide.shape[:2], y.shape[-1]))
     cells = downsample(guide, factor) if coarse is None else coarse
-    return _guided_upsample(y, factor, guide, cells, kappa, norm=norm)
+    return upsample_between(y, factor, guide, cells, kappa, norm=norm)
 
 
 @functools.partial(jax.jit, static_argnames=("factor", "norm"))
-def _guided_upsample(
+def upsample_between(
     y: Float[Array, "ch cw c"],
     factor: int,
     guide: Float[Array, "h w f"],
@@ -79,7 +74,18 @@ def _guided_upsample(
     *,
     norm: Norm,
 ) -> Float[Array, "h w c"]:
+    """`guided_upsample` without its checks.
+
+    >>> y, guide = jnp.array([[[0.0], [1.0]]]), jnp.zeros((1, 4, 1))
+    >>> upsample_between(y, 2, guide, guide[:, ::2], 1.0, norm="l2").shape
+    (1, 4, 1)
+    """
+    if factor == 1:
+        return y
+    if y.shape[:2] == (1, 1):  # however much wider than the picture the cell is
+        return jnp.broadcast_to(y, (*guide.shape[:2], y.shape[-1]))
     (rows, columns, _), (height, width, _) = y.shape, guide.shape
+    guide, coarse = finite_or_zero(guide), finite_or_zero(coarse)
     start = (factor + 1) // 2  # pixels between the centre of the cell before the first one and the picture
     # Planes: channels innermost leave the CPU's vector units half empty. Pixels between four cell centres together.
     missing = [(start, (cells + 1) * factor - start - n) for cells, n in ((rows, height), (columns, width))]

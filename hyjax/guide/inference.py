@@ -13,10 +13,12 @@ import numpy as np
 from flax import nnx
 from jaxtyping import Array, Float
 
+from hyjax.core.finite import finite_or_zero
 from hyjax.core.schedule import DEFAULT_KAPPA
 from hyjax.guide.layers import ConvNorm
 from hyjax.guide.network import GuideNetwork, normalise
 from hyjax.guide.weights import kappa_of, load_network, save_guide
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 
 
@@ -68,11 +70,12 @@ class Guide:
         self._unfolded, self._kappa = network, kappa
         self._graph, self._state = nnx.split(self.network)
 
+    @checked_arguments(display=["display"])
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
         """Guide features of a frame, of which `DEFAULT_KAPPA` is a sensible κ; each but for a constant.
 
         Args:
-            display: display-encoded, in [0, 1], of any size.
+            display: display-encoded, in [0, 1], of any size; one of bytes is divided by 255.
 
         Raises:
             InputError: not an H×W×3 picture in floating point.
@@ -80,6 +83,7 @@ class Guide:
         check_display(display)
         return _features(self._graph, self._state, display)
 
+    @checked_arguments(display=["display"])
     def trunk(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w t"]:
         """Input of the network's last layer; see `features`."""
         check_display(display)
@@ -140,9 +144,9 @@ def check_display(display: Float[Array, "h w 3"]) -> None:
 
 @functools.partial(jax.jit, static_argnums=0)
 def _features(graph: Any, state: Any, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
-    return nnx.merge(graph, state)(normalise(display)[None])[0]
+    return nnx.merge(graph, state)(normalise(finite_or_zero(display))[None])[0]
 
 
 @functools.partial(jax.jit, static_argnums=0)
 def _trunk(graph: Any, state: Any, display: Float[Array, "h w 3"]) -> Float[Array, "h w t"]:
-    return nnx.merge(graph, state).trunk(normalise(display)[None])[0]
+    return nnx.merge(graph, state).trunk(normalise(finite_or_zero(display))[None])[0]

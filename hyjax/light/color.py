@@ -7,20 +7,23 @@ An image called `linear` holds amounts of light, one called `display` holds what
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int, UInt8
 
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.programs import KeptFunction
 
 # Luminance of linear Rec. 709 red, green and blue.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
+@checked_arguments(display=["display"])
 @KeptFunction
 def to_linear(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Display-encoded values in [0, 1] → linear light in [0, 1]."""
+    """Display-encoded values in [0, 1] → linear light in [0, 1]. Bytes are divided by 255."""
     # Both branches are evaluated and differentiated: the power sees only values from its own side.
     power = ((jnp.maximum(display, 0.04045) + 0.055) / 1.055) ** 2.4
     return jnp.where(display <= 0.04045, display / 12.92, power)
 
 
+@checked_arguments
 @KeptFunction
 def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Linear light → display-encoded values in [0, 1]; anything brighter than 1 is clipped to white."""
@@ -35,11 +38,13 @@ def to_display_bytes(linear: Float[Array, "*s"]) -> UInt8[Array, "*s"]:
     return jnp.round(255.0 * to_display(linear)).astype(jnp.uint8)
 
 
+@checked_arguments
 def luminance(linear: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
     """Luminance of linear RGB (Rec. 709 weights)."""
     return sum(weight * linear[..., k] for k, weight in enumerate(LUMINANCE))  # type: ignore[return-value]
 
 
+@checked_arguments
 @KeptFunction
 def blackbody(kelvin: Float[ArrayLike, ""] | Int[ArrayLike, ""]) -> Float[Array, "3"]:
     """Linear RGB of luminance 1 with the hue of a black body; for 1667 to 25000 K.

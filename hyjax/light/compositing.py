@@ -3,9 +3,11 @@
 import jax
 from jaxtyping import Array, Float
 
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 
 
+@checked_arguments
 def composite(relight_filter: Float[Array, "h w c"], frame: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
     """The relit picture S = R ⊙ C (Eq. 1).
 

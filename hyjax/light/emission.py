@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from hyjax.core.finite import finite_or_zero
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.util.geometry import cross, dot, unit
@@ -168,6 +169,7 @@ def emission(
 
     Args: see `source_pixels`.
     """
+    frame = finite_or_zero(frame)
     return shine(emitters, source_pixels(emitters, frame, gbuffer, pose, intrinsics), frame)
 
 

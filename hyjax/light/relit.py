@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from hyjax.core.finite import finite_or_zero
 from hyjax.light.color import to_display, to_linear
 from hyjax.light.compositing import composite
 from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
@@ -62,7 +63,11 @@ def relit_picture(
     illuminance: Float[Array, "h w c"],
     visibility: Float[Array, "h w l"],
 ) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
-    """Relight filter and relit picture, linear; arguments as of `composite_linear`."""
+    """Relight filter and relit picture, linear; arguments as of `composite_linear`.
+
+    Pixels of the frame that are not finite are black.
+    """
+    frame = finite_or_zero(frame)
     direct, fields = _split(illuminance, shaded)
     light = _light(direct * visibility, shaded, fields)
     relight_filter = _or_ambient(_divide(light, shaded, fields), shaded)
@@ -79,6 +84,7 @@ def compared(
     image: Float[Array, "h w 3"],
 ) -> Relit:
     """All stages of a relit frame, from its picture; arguments as of `composite_linear` and `relit_picture`."""
+    frame = finite_or_zero(frame)
     samples = (
         _divide(_light(channels, shaded, shaded.surface_fields), shaded, shaded.surface_fields)
         for channels in (shaded.illuminance, shaded.illuminance * shaded.visibility)
@@ -152,7 +158,7 @@ def composite_display(
         refined: filter after the cascade.
         visible: what the refined shadows leave of it.
     """
-    display, relight_filter = to_display(frame), refined * visible
+    display, relight_filter = to_display(finite_or_zero(frame)), refined * visible
     unrefined, image = (to_linear(composite(f, display)) for f in (raw_shadowed, relight_filter))
     return Relit(raw, refined, visible, relight_filter, unrefined, image)
 

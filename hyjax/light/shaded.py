@@ -9,7 +9,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hyjax.light.emission import Emission
 from hyjax.light.kinds import Light
-from hyjax.light.setup import LightSetup
+from hyjax.light.setup import LightSetup, check_lights
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.programs import KeptFunction
 
@@ -51,9 +52,10 @@ class Shaded:
         return tuple(field for field in (self.bounced, self.photo_light) if field is not None)
 
     @classmethod
+    @checked_arguments
     def of(
         cls,
-        setup: LightSetup | Sequence[Light],
+        setup: LightSetup | Sequence[Light] | Light,
         illuminance: Float[Array, "h w l"],
         visibility: Float[Array, "h w l"],
         hit: Bool[Array, "h w"],
@@ -64,7 +66,7 @@ class Shaded:
         """Light of a set-up, however it was computed.
 
         Args:
-            setup: the lights.
+            setup: the lights, or a single one.
             illuminance: lux of each, without shadows.
             visibility: what shadows leave of it.
             hit: where the mesh has a surface.
@@ -98,12 +100,6 @@ def _complete(
     """Confidence, colours and ambient filter."""
     known = jnp.where(hit[..., None], 1.0 if confidence is None else confidence, 0.0)
     return known, jnp.stack([light.color for light in lights]), ambient_filter(lights, reference_lux)
-
-
-def check_lights(lights: Sequence[Light]) -> None:
-    """Raise `InputError` if there are no lights."""
-    if not lights:
-        raise InputError("lights: none given; give at least one")
 
 
 def ambient_filter(lights: Sequence[Light], reference_lux: Float[ArrayLike, ""]) -> Float[Array, "3"]:

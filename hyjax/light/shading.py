@@ -8,10 +8,13 @@ from jaxtyping import Array, Float
 
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
+from hyjax.light.setup import check_lights
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.programs import KeptFunction
 
 
+@checked_arguments
 def shade(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w 3"]:
     """Illuminance on every visible surface point from all lights together, nothing in the way.
 
@@ -28,25 +31,36 @@ def shade(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w 3"]:
     Raises:
         InputError: no lights.
     """
-    if not lights:
-        raise InputError("shade: no lights; give at least one")
+    check_lights(lights)
     return colored(shade_each(gbuffer, lights), lights)
 
 
+@checked_arguments
 @KeptFunction
 def shade_each(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w l"]:
     """Illuminance from each light by itself, before its colour; see `shade`.
 
     Returns:
         Lux, a channel for each light; zero where the camera's ray missed the mesh.
+
+    Raises:
+        InputError: no lights.
     """
+    check_lights(lights)
     each = [jnp.where(gbuffer.hit, light.illuminance_at(gbuffer.position, gbuffer.normal), 0.0) for light in lights]
     return jnp.stack(each, axis=-1)
 
 
+@checked_arguments
 @KeptFunction
 def colored(each: Float[Array, "h w l"], lights: Sequence[Light]) -> Float[Array, "h w 3"]:
-    """Sum of one channel for each light, times the lights' colours."""
+    """Sum of one channel for each light, times the lights' colours.
+
+    Raises:
+        InputError: another number of lights than channels.
+    """
+    if each.shape[-1] != len(lights):
+        raise InputError(f"lights: {len(lights)} for {each.shape[-1]} channels; give one for each")
     return mix_channels(each, [light.color for light in lights])
 
 

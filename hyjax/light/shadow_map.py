@@ -22,6 +22,9 @@ from jaxtyping import Array, Float
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.kinds.shadow_views import Projection
+from hyjax.light.setup import check_lights
+from hyjax.util.arguments import checked_arguments
+from hyjax.util.errors import InputError
 from hyjax.util.geometry import inner
 from hyjax.util.programs import KeptFunction
 
@@ -115,6 +118,7 @@ def _fold(x: Array, y: Array) -> tuple[Array, Array]:
     return (1.0 - jnp.abs(y)) * jnp.where(x < 0, -1.0, 1.0), (1.0 - jnp.abs(x)) * jnp.where(y < 0, -1.0, 1.0)
 
 
+@checked_arguments
 @functools.partial(KeptFunction, static="interleave")
 def visibility(
     gbuffer: GBuffer, light: Light, shadow_map: ShadowMap | None, *, interleave: int = 1
@@ -257,10 +261,18 @@ def _filtered_comparison(
     return upper + (y - row) * (lower - upper)
 
 
+@checked_arguments
 def visibilities(
     gbuffer: GBuffer, lights: Sequence[Light], shadow_maps: Sequence[ShadowMap | None], *, interleave: int = 1
 ) -> Float[Array, "h w l"]:
-    """`visibility` of each light, a channel for each."""
+    """`visibility` of each light, a channel for each.
+
+    Raises:
+        InputError: no lights, or another number of shadow maps.
+    """
+    check_lights(lights)
+    if len(lights) != len(shadow_maps):
+        raise InputError(f"shadow_maps: {len(shadow_maps)} for {len(lights)} lights; give one for each")
     pairs = zip(lights, shadow_maps, strict=True)
     each = [visibility(gbuffer, light, shadow_map, interleave=interleave) for light, shadow_map in pairs]
     return _stacked(each)

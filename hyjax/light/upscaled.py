@@ -6,6 +6,7 @@ import functools
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from hyjax.core.finite import finite_or_zero
 from hyjax.core.upsampling import guided_upsample
 from hyjax.light.color import to_linear
 from hyjax.light.compositing import composite
@@ -41,11 +42,11 @@ def upscaled_picture(
 
     Source: Kopf, Cohen, Lischinski and Uyttendaele, *Joint bilateral upsampling*, SIGGRAPH 2007.
     """
-    frame = to_linear(display)
+    frame = finite_or_zero(to_linear(display))
     if emission is None:
         whole = guided_upsample(relight_filter, factor, display, kappa, coarse=view.display)
         return whole, composite(whole, frame)
-    shining = image - (1.0 - emission.weight) * composite(relight_filter, view.frame)
+    shining = image - (1.0 - emission.weight) * composite(relight_filter, finite_or_zero(view.frame))
     together = jnp.concatenate([relight_filter, shining, emission.weight], axis=-1)
     whole = guided_upsample(together, factor, display, kappa, coarse=view.display)
     relight_filter, shining, weight = whole[..., :3], whole[..., 3:6], whole[..., 6:]

@@ -13,10 +13,11 @@ from hyjax.light.emission import emission, may_show
 from hyjax.light.gbuffer import GBuffer, sample_pixels
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight, add_surface_light
-from hyjax.light.setup import LightSetup
-from hyjax.light.shaded import Shaded, check_lights
+from hyjax.light.setup import LightSetup, check_lights
+from hyjax.light.shaded import Shaded
 from hyjax.light.shading import shade_each
 from hyjax.light.shadow_map import ShadowMap, visibilities
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 
 
@@ -40,6 +41,7 @@ class View:
     intrinsics: Float[ArrayLike, "3 3"] | None = None
 
     @classmethod
+    @checked_arguments(display=["display"])
     def of(
         cls,
         display: Float[Array, "h w 3"],
@@ -51,7 +53,7 @@ class View:
         """A view from a display-encoded picture.
 
         Args:
-            display: camera picture, display-encoded.
+            display: camera picture, display-encoded; one of bytes is divided by 255.
             gbuffer: surface points seen by the camera, of the picture's size.
             pose: camera-to-world.
             intrinsics: calibration matrix in pixels.
@@ -60,12 +62,13 @@ class View:
             InputError: picture and G-buffer differ in size.
         """
         if gbuffer.hit.shape != display.shape[:2]:
-            raise InputError(f"view: picture {display.shape[:2]} and G-buffer {gbuffer.hit.shape} differ in size")
+            raise InputError(f"view: display {display.shape[:2]} and gbuffer {gbuffer.hit.shape} differ in size")
         return cls(to_linear(display), display, gbuffer, pose, intrinsics)
 
+    @checked_arguments
     def shade(
         self,
-        lights: LightSetup | Sequence[Light],
+        lights: LightSetup | Sequence[Light] | Light,
         *,
         shadow_maps: Sequence[ShadowMap | None] | None = None,
         confidence: Float[Array, "h w 1"] | None = None,
@@ -75,7 +78,7 @@ class View:
         """Light of a set-up on the visible surface.
 
         Args:
-            lights: a set-up, or lights under the usual reference.
+            lights: a set-up, or lights (a single one, too) under the usual reference.
             shadow_maps: one for each light (None: casts no shadow); None for no shadows at all.
             confidence: how far the shading can be trusted, of each sample; 1 by default, 0 in holes.
             surface_light: photo's own light and bounces, see `Scene.surface_light`; None for even light and none.
@@ -83,8 +86,8 @@ class View:
                 soft light with many are shared among such blocks; see `hyjax.core.cascade.largest_sampling`.
 
         Raises:
-            InputError: no lights, another number of shadow maps than lights, or a confidence of another size
-                than the light's.
+            InputError: no lights, a light whose values make no sense, another number of shadow maps than lights,
+                or a confidence of another size than the light's.
         """
         *_, (_, shaded) = self.shade_stages(
             lights,
@@ -95,9 +98,10 @@ class View:
         )
         return shaded
 
+    @checked_arguments
     def shade_stages(
         self,
-        lights: LightSetup | Sequence[Light],
+        lights: LightSetup | Sequence[Light] | Light,
         *,
         shadow_maps: Sequence[ShadowMap | None] | None = None,
         confidence: Float[Array, "h w 1"] | None = None,

@@ -27,6 +27,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hyjax.core.pyramid import downsample
 from hyjax.core.stencil import Edges, divergence, gradient
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.tracing import concrete
 
@@ -68,6 +69,7 @@ class LossWeights:
                 raise InputError(f"{field.name}: a loss weight must be finite and >= 0, got {value}")
 
 
+@checked_arguments
 def charbonnier(x: Float[Array, "*s"], *, epsilon: Float[ArrayLike, ""] = EPSILON) -> Float[Array, "*s"]:
     """√(x² + ε²) − ε: |x| for large x, x²/2ε near zero, smooth throughout.
 
@@ -91,6 +93,7 @@ def charbonnier(x: Float[Array, "*s"], *, epsilon: Float[ArrayLike, ""] = EPSILO
     return squared / (jnp.sqrt(squared + epsilon**2) + epsilon)
 
 
+@checked_arguments
 @jax.jit
 def display_unclipped(relight_filter: Float[Array, "*s"], frame: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Filter times frame, encoded for display without clipping.
@@ -115,6 +118,7 @@ def display_unclipped(relight_filter: Float[Array, "*s"], frame: Float[Array, "*
     return jnp.where(linear <= 0.0031308, linear * 12.92, power)
 
 
+@checked_arguments
 def filter_loss(
     relight_filter: Float[Array, "h w 3"],
     target: Float[Array, "h w 3"],
@@ -147,11 +151,11 @@ def filter_loss(
     Raises:
         InputError: sizes differ, or a perceptual weight without its function.
     """
-    _check_sizes(valid, filter=relight_filter, target=target, frame=frame)
     picture, target_picture = (_display_where(valid, f, frame) for f in (relight_filter, target))
     return display_loss(picture, target_picture, valid, weights=weights, perceptual=perceptual)
 
 
+@checked_arguments
 def display_loss(
     picture: Float[Array, "h w 3"],
     target_picture: Float[Array, "h w 3"],
@@ -181,7 +185,6 @@ def display_loss(
     Raises:
         InputError: sizes differ, or a perceptual weight without its function.
     """
-    _check_sizes(valid, picture=picture, target=target_picture)
     weights = LossWeights() if weights is None else weights
     d = jnp.where(valid[..., None], picture - target_picture, 0.0)
     v = valid.astype(d.dtype)
@@ -293,11 +296,3 @@ def _downsample_adjoint(cells: Float[Array, "c ch cw"], ratio: int) -> Float[Arr
 def _reciprocal(x: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """1/x; 0 where there is nothing to divide by."""
     return jnp.where(x > 0.0, 1.0 / jnp.where(x > 0.0, x, 1.0), 0.0)
-
-
-def _check_sizes(valid: Array, **pictures: Array) -> None:
-    for name, picture in pictures.items():
-        if picture.ndim != 3 or picture.shape[-1] != 3 or picture.shape[:2] != valid.shape:
-            raise InputError(
-                f"loss: {name} of shape {picture.shape} does not fit `valid` of shape {valid.shape}; need H x W x 3"
-            )

@@ -17,6 +17,7 @@ from jaxtyping import Array, ArrayLike, Float
 from hyjax.metrics.networks import NETWORKS
 from hyjax.metrics.pictures import as_pictures
 from hyjax.metrics.weights import LpipsWeights
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 
 # Mean and deviation of each channel that version 0.1 takes off, of values in [−1, 1].
@@ -27,6 +28,7 @@ EPSILON = 1e-10  # beside the length of a feature
 Features = list[Float[Array, "_ _ _"]]
 
 
+@checked_arguments(display=["image", "reference"])
 def lpips(
     image: Float[ArrayLike, "h w 3"], reference: Float[ArrayLike, "h w 3"], weights: LpipsWeights
 ) -> Float[Array, ""]:
@@ -53,6 +55,7 @@ def lpips(
     return lpips_distance(*_features_of_both(image, reference, weights), weights)
 
 
+@checked_arguments(display=["image", "reference"])
 def lpips_map(
     image: Float[ArrayLike, "h w 3"], reference: Float[ArrayLike, "h w 3"], weights: LpipsWeights
 ) -> Float[Array, "h w"]:
@@ -78,6 +81,7 @@ def lpips_map(
     return lpips_distance_map(*_features_of_both(image, reference, weights), weights, shape=jnp.shape(image)[:2])
 
 
+@checked_arguments(display=["image"])
 def lpips_features(image: Float[ArrayLike, "h w 3"], weights: LpipsWeights) -> Features:
     """Features that LPIPS compares: some layers of the network, of unit length at every place.
 

@@ -7,8 +7,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hyjax.metrics.pictures import as_pictures, check_valid
+from hyjax.util.arguments import checked_arguments
 
 
+@checked_arguments(display=["image", "reference"])
 def psnr(
     image: Float[ArrayLike, "h w c"],
     reference: Float[ArrayLike, "h w c"],
@@ -46,6 +48,7 @@ def _psnr(image: Array, reference: Array, valid: Array | None) -> Array:
     return jnp.where(differs, -10.0 * jnp.log10(jnp.where(differs, error, 1.0)), jnp.inf)
 
 
+@checked_arguments(display=["image", "reference"])
 def squared_error_map(
     image: Float[ArrayLike, "h w c"], reference: Float[ArrayLike, "h w c"]
 ) -> Float[Array, "h w"]:

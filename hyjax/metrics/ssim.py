@@ -17,12 +17,14 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hyjax.metrics.pictures import as_pictures, check_valid
+from hyjax.util.arguments import checked_arguments
 
 SIGMA = 1.5  # pixels
 RADIUS = 5  # pixels, so the window is 11 wide
 K1, K2 = 0.01, 0.03
 
 
+@checked_arguments(display=["image", "reference"])
 def ssim_map(image: Float[ArrayLike, "h w c"], reference: Float[ArrayLike, "h w c"]) -> Float[Array, "h w"]:
     """Structural similarity around every pixel, mean over channels (Wang et al. 2004, Eq. 13).
 
@@ -45,6 +47,7 @@ def ssim_map(image: Float[ArrayLike, "h w c"], reference: Float[ArrayLike, "h w 
     return _ssim_map(*as_pictures(image=image, reference=reference, smallest=2 * RADIUS + 1))
 
 
+@checked_arguments(display=["image", "reference"])
 def ssim(
     image: Float[ArrayLike, "h w c"],
     reference: Float[ArrayLike, "h w c"],

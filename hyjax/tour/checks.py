@@ -6,13 +6,24 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.util.errors import InputError
+from hyjax.util.errors import InputError, shown
 
 
 def clamp_number(value: Any, low: float, high: float) -> float:
     """A number brought into [low, high]; the value nearest to 0 in that range if it is no finite number."""
     number = float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
     return min(max(number, low), high)
+
+
+def checked_flag(value: Any) -> bool:
+    """True or False; anything else is refused, for text such as "no" would count as true.
+
+    Raises:
+        InputError: it is neither.
+    """
+    if not isinstance(value, bool):
+        raise InputError(f"must be true or false, got {shown(value)}")
+    return value
 
 
 def check_rays(origin: Any, directions: Any) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "*n 3"]]:

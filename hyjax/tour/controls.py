@@ -10,7 +10,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from hyjax.tour.checks import clamp_number
+from hyjax.tour.checks import checked_flag, clamp_number
 from hyjax.tour.events import change_handler, task_handler
 from hyjax.tour.exports import save_setup, save_video, save_view
 from hyjax.tour.placement import north_for_bearing
@@ -186,12 +186,12 @@ class Controls:
                 bind(gui.add_slider("Lumen", 0.0, max(most, thing.lumen), step, thing.lumen), "lumen")
                 kelvin = round(clamp_number(thing.kelvin, *KELVIN))
                 bind(gui.add_slider("Kelvin", *KELVIN, 50, kelvin), "kelvin")
-                bind(gui.add_checkbox("On", thing.on), "on", bool)
+                bind(gui.add_checkbox("On", thing.on), "on", checked_flag)
             elif kind == "windows":
                 add_size("Width", "width", 5.0)
                 add_size("Height", "height", 4.0)
             else:
-                bind(gui.add_checkbox("Taken away", thing.removed), "removed", bool)
+                bind(gui.add_checkbox("Taken away", thing.removed), "removed", checked_flag)
             done = gui.add_button("Done", icon=viser.Icon.CHECK)
             label = "Put back" if kind == "pieces" else "Remove"
             remove = gui.add_button(label, icon=viser.Icon.TRASH, color="gray")

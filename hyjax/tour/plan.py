@@ -27,6 +27,10 @@ Point = tuple[Metres, Metres, Metres]
 MOST_LEFT = 1.5
 """Of a source of the photo, relative to what it was."""
 Factor = Annotated[float, msgspec.Meta(ge=0, le=MOST_LEFT)]
+FILE_NAME = r"^(?!\.{1,2}$)[^/\\\x00-\x1f\x7f]*\Z"
+"""A name in a folder: no path, no control characters, not the folder itself or its parent."""
+SOURCE_NAME = r"^[^\x00-\x1f\x7f]*\Z"
+"""A name of a source of the photo: no control characters."""
 Side = Annotated[float, msgspec.Meta(ge=0.05, le=20)]
 
 
@@ -89,7 +93,7 @@ class Piece(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         np.eye(4).reshape(-1).tolist()
     )
     removed: bool = False
-    file: Annotated[str, msgspec.Meta(pattern=r"^[^/\\]*$")] = ""
+    file: Annotated[str, msgspec.Meta(max_length=255, pattern=FILE_NAME)] = ""
 
     @property
     def matrix(self) -> Float[np.ndarray, "4 4"]:
@@ -123,7 +127,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     windows: Annotated[tuple[Window, ...], msgspec.Meta(max_length=MOST_WINDOWS)] = ()
     lamps: Annotated[tuple[Lamp, ...], msgspec.Meta(max_length=MOST_LAMPS)] = ()
     pieces: Annotated[tuple[Piece, ...], msgspec.Meta(max_length=MOST_PIECES)] = ()
-    existing: dict[Annotated[str, msgspec.Meta(max_length=80)], Factor] = {}
+    existing: dict[Annotated[str, msgspec.Meta(max_length=80, pattern=SOURCE_NAME)], Factor] = {}
 
     def check(self) -> "TourPlan":
         """Return self if it is valid.
@@ -203,7 +207,7 @@ def _converted(content: Any) -> TourPlan:
 
 def _explain(error: str, content: Any) -> str:
     """One line on what msgspec refuses: where it is, what is there, and what would be right."""
-    message, _, path = error.partition(" - at `$")
+    message, _, path = error.replace(" - at `key` in `$", " - at `$").partition(" - at `$")
     kind: type[msgspec.Struct] = TourPlan
     value, where = content, ""
     for name, number in re.findall(r"\.(\w+)(?:\[(\d+)\])?", path):

@@ -102,7 +102,7 @@ def compile_all(schedules: Sequence[Schedule], arguments: Arguments, *, progress
     def compiled(schedule: Schedule) -> Callable[[], Any]:
         schedule = jax.device_put(schedule)
         return functools.partial(
-            cascade_known.lower(y, confidence, guide, schedule).compile(), y, confidence, guide, schedule
+            jax.jit(cascade_known).lower(y, confidence, guide, schedule).compile(), y, confidence, guide, schedule
         )
 
     with concurrent.futures.ThreadPoolExecutor(min(2, cores())) as pool:

@@ -9,6 +9,8 @@ from hyjax.util.errors import InputError
 
 TUNING_FRAMES = 4
 HELD_OUT_FRAMES = 4
+LEAST_MS, MOST_MS = 1e-6, 1e7
+"""Of a budget."""
 
 
 def parse_budgets(fps: Sequence[float], budget_ms: Sequence[float]) -> list[Budget]:
@@ -23,6 +25,8 @@ def parse_budgets(fps: Sequence[float], budget_ms: Sequence[float]) -> list[Budg
             if not (math.isfinite(value) and value > 0):
                 raise InputError(f"{unit}: a budget must be finite and > 0, got {value:g}")
             time = 1e3 / value if unit == "fps" else value
+            if not LEAST_MS <= time <= MOST_MS:
+                raise InputError(f"{unit}: a budget must lie in {LEAST_MS:g} to {MOST_MS:g} ms, got {time:g} ms")
             budgets[f"{value:g} {unit}"] = Budget(f"{value:g} {unit}", time)
     if not budgets:
         raise InputError("budget: none given; ask for --fps 60 or --budget-ms 16.7")

@@ -9,6 +9,7 @@ from hyjax.scene.settings import SceneSettings, check_lights_name
 from hyjax.util.errors import InputError
 from hyjax.util.hosts import LOCAL
 from hyjax.util.settings import Settings
+from hyjax.util.sizes import parse_size
 
 if TYPE_CHECKING:
     from hyjax.tuning.result import Budget
@@ -18,6 +19,7 @@ SETUPS = ("evening-lamps", "two-colors", "golden-hour", "night-moon")
 """Light set-ups that frames are tuned under by default."""
 DIFFUSION_LIGHTS = "two-colors"
 """The set-up that the diffusion alone is tuned under by default."""
+MOST_TRIALS = 100_000
 ROOM_PHOTOS = 12
 """Of a room of known truth."""
 CONVERGED = "converged"
@@ -100,8 +102,9 @@ class FrameOptions(Settings):
             raise InputError(f"holdout rooms: {', '.join(sorted(both))} is tuned on as well; leave it out of one")
         if self.holdout_rooms and not self.rooms:
             raise InputError("holdout rooms: go with --rooms; of a capture give --holdout")
-        if self.trials < 4:
-            raise InputError(f"trials: must be at least 4, got {self.trials}")
+        parse_size(self.room_size)
+        if not 4 <= self.trials <= MOST_TRIALS:
+            raise InputError(f"trials: must lie in 4..{MOST_TRIALS}, got {self.trials}")
         if not 1 <= self.room_frames <= ROOM_PHOTOS:
             raise InputError(f"room frames: must be between 1 and {ROOM_PHOTOS}, got {self.room_frames}")
         if not (math.isfinite(self.lpips) and self.lpips >= 0):
@@ -164,8 +167,8 @@ class TuneSettings(Settings):
         if self.target_device.request is None:
             self.budgets()
         self.target_device.check(self.tuned_stage)
-        if self.time_limit is not None and not self.time_limit > 0:
-            raise InputError(f"time limit: must be > 0 seconds, got {self.time_limit:g}")
+        if self.time_limit is not None and not 0 < self.time_limit < math.inf:
+            raise InputError(f"time limit: must be finite and > 0 seconds, got {self.time_limit:g}")
         several = self.set_ups()
         if len(several) > 1 and not self.tunes_frame:
             raise InputError(f"lights: the diffusion is tuned under one set-up, got {', '.join(several)}")

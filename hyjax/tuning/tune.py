@@ -20,6 +20,7 @@ from hyjax.tuning.result import Tuned
 from hyjax.tuning.run import tune_bench
 from hyjax.tuning.search import Effort
 from hyjax.tuning.settings import TuneSettings
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.claims import claimed
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, write_text
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from hyjax.tuning.frame.result import FrameTuned
 
 
+@checked_arguments
 def tune(
     *,
     settings: TuneSettings | None = None,
@@ -56,6 +58,7 @@ def tune(
     return tune_frame(_settings(settings, fps, budget_ms), capture=capture)
 
 
+@checked_arguments
 def tune_schedule(
     *,
     settings: TuneSettings | None = None,

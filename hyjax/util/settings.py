@@ -24,12 +24,21 @@ class Settings:
                 guess = did_you_mean(str(value), known)
                 raise InputError(f"{name}: {value!r} is unknown{guess}; use one of {', '.join(known)}")
             # Most fields have their default, or are plainly of their type: typeguard takes a while to load.
+            if isinstance(value, int | float | tuple):
+                _check_numbers(name, value, hint)
             default = value is getattr(type(self), name, dataclasses.MISSING)
             if not (default or _is_plain(value, hint) or _is_of_type(value, hint)):
                 wanted = str(getattr(hint, "__name__", hint) if isinstance(hint, type) else hint)
                 wanted = wanted.replace("pathlib._local.", "").replace("pathlib.", "").replace("typing.", "")
                 raise InputError(f"{name.replace('_', ' ')}: must be {wanted}, got {value!r:.80}")
             object.__setattr__(self, name, value)
+
+
+def _check_numbers(name: str, value: Any, hint: Any) -> None:
+    """Raise `InputError` for True or False in the place of a number."""
+    for each in value if isinstance(value, tuple) else (value,):
+        if isinstance(each, bool) and bool not in _kinds(hint):
+            raise InputError(f"{name.replace('_', ' ')}: must be a number, got {each}")
 
 
 def _kinds(hint: Any) -> set[Any]:

@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import Schedule
 from hyjax.light.view import View
-from hyjax.util.errors import InputError
+from hyjax.util.arguments import checked_arguments
+from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 from hyjax.video.temporal_filter import Memory, fill_depth, recall
 
@@ -38,9 +39,10 @@ class CarriedGuide:
     _age: int = 0
 
     def __post_init__(self) -> None:
-        if self.every < 1:
-            raise InputError(f"every: must be at least 1, got {self.every}")
+        if isinstance(self.every, bool) or not isinstance(self.every, int) or self.every < 1:
+            raise InputError(f"every: must be a whole number of 1 or more, got {shown(self.every)}")
 
+    @checked_arguments
     def features(self, view: View, make: Callable[[], Float[Array, "h w f"]]) -> Float[Array, "h w f"]:
         """Features of the next frame.
 

@@ -25,7 +25,8 @@ from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.setup import REFERENCE_LUX, LightSetup, same_setup
 from hyjax.light.view import View
-from hyjax.util.errors import InputError
+from hyjax.util.arguments import checked_arguments
+from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 
 KEEP = 0.8
@@ -61,18 +62,24 @@ class Memory:
     existing: Mapping[str, tuple[float, float, float]] = dataclasses.field(default_factory=dict)
 
 
-@jax.jit
-def fill_depth(gbuffer: GBuffer, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w"]:
+@checked_arguments
+def fill_depth(gbuffer: GBuffer, guide: Float[Array, "h w f"], schedule: Schedule | str) -> Float[Array, "h w"]:
     """Depth everywhere, in metres: that of holes from their surroundings; 0 if no pixel has any.
 
     1/depth is what is diffused: on a plane that is linear in the picture.
     """
+    return _fill_depth(gbuffer, guide, Schedule.of(schedule))
+
+
+@jax.jit
+def _fill_depth(gbuffer: GBuffer, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w"]:
     hit = gbuffer.hit
     inverse = jnp.where(hit, 1.0 / jnp.where(hit, gbuffer.depth, 1.0), 0.0)[..., None]
     filled = cascade_known(inverse, hit[..., None], guide, schedule)[..., 0]
     return jnp.where(hit, gbuffer.depth, jnp.where(filled > 0, 1.0 / jnp.where(filled > 0, filled, 1.0), 0.0))
 
 
+@checked_arguments
 @jax.jit
 def recall(
     memory: Memory, depth: Float[Array, "h w"], pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
@@ -123,6 +130,7 @@ def recall(
     return total / jnp.where(found, weights, 1.0)[..., None], found
 
 
+@checked_arguments
 @jax.jit
 def steady(
     channels: Float[Array, "h w c"],
@@ -151,7 +159,7 @@ def steady(
     return jnp.where(usable, mean, channels)
 
 
-def remembers(memory: Memory | None, shape: tuple[int, ...], lights: LightSetup | Sequence[Light]) -> bool:
+def remembers(memory: Memory | None, shape: tuple[int, ...], lights: LightSetup | Sequence[Light] | Light) -> bool:
     """Whether a memory is of frames of this size, under just this set-up."""
     if memory is None or memory.channels.shape != shape:
         return False
@@ -178,11 +186,16 @@ class Video:
     memory: Memory | None = None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.keep < 1:
-            raise InputError(f"keep: must lie in [0, 1), got {self.keep:g}")
+        if isinstance(self.keep, bool) or not isinstance(self.keep, int | float) or not 0 <= self.keep < 1:
+            raise InputError(f"keep: must lie in [0, 1), got {shown(self.keep)}")
 
+    @checked_arguments
     def filter(
-        self, view: View, lights: LightSetup | Sequence[Light], guide: Float[Array, "h w f"], schedule: Schedule
+        self,
+        view: View,
+        lights: LightSetup | Sequence[Light] | Light,
+        guide: Float[Array, "h w f"],
+        schedule: Schedule | str,
     ) -> Callable[[Array, Array], tuple[Array, Array]]:
         """Function that keeps the next frame's refined illuminance and visibility still, and remembers them.
 

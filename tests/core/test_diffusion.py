@@ -331,15 +331,13 @@ def test_bad_step_sizes_are_refused(lam: float) -> None:
 
 def test_foreign_edges_and_guides_are_refused() -> None:
     y, edges = jnp.zeros((3, 4, 1)), conductance(jnp.zeros((4, 3, 1)), 1.0)
-    with pytest.raises(
-        InputError, match=r"^edges: shapes \(3, 3\) and \(4, 2\) .*3x4 pixels.*\(2, 4\) and \(3, 3\)$"
-    ):
+    with pytest.raises(InputError, match=r"^edges\[0\]: .* got float32 of shape \(3, 3\); w is 4 by y$"):
         diffuse(y, edges, np.array([0.1]))
-    with pytest.raises(InputError, match=r"^edges: "):
+    with pytest.raises(InputError, match=r"^edges"):
         diffuse_step(y, edges[::-1], 0.1)
-    with pytest.raises(InputError, match=r"(?m)^guide: need H x W x F features, got shape \(3, 4\)$"):
+    with pytest.raises(InputError, match=r"(?m)^guide: .* of shape h x w x f, got float32 of shape \(3, 4\)$"):
         conductance(jnp.zeros((3, 4)), 1.0)
-    with pytest.raises(InputError, match=r"(?m)^norm: 'l1' is unknown; use one of l2, mean_abs$"):
+    with pytest.raises(InputError, match=r"(?m)^norm: 'l1' is unknown .*; use one of l2, mean_abs$"):
         conductance(jnp.zeros((3, 4, 1)), 1.0, norm="l1")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"need H x W x F features, got shape \(3, 4, 0\)"):
         guide_distance(jnp.zeros((3, 4, 0)))

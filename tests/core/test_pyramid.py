@@ -213,7 +213,7 @@ def test_constants_stay(factor: int) -> None:
 def test_bad_factors_and_shapes_are_refused() -> None:
     y, edges = jnp.zeros((5, 7, 1)), (jnp.ones((4, 7)), jnp.ones((5, 6)))
     for factor in (0, -2):
-        message = rf"(?m)^factor: a downsampling factor is a whole number >= 1, got {factor}$"
+        message = rf"(?m)^factor: must be a whole number in 1..65536, got {factor}$"
         for call in (
             lambda f=factor: downsample(y, f),
             lambda f=factor: upsample(y, f, (5, 7)),
@@ -223,7 +223,7 @@ def test_bad_factors_and_shapes_are_refused() -> None:
             with pytest.raises(InputError, match=message):
                 call()
     for shape in ((10, 15), (8, 14), (11, 14), (5, 7)):
-        with pytest.raises(InputError, match=rf"(?m)^upsample: 5x7 cells times 2 make .* {shape[0]}x{shape[1]}$"):
+        with pytest.raises(InputError, match=rf"(?m)^shape: 5x7 cells times 2 make .* {shape[0]}x{shape[1]}$"):
             upsample(y, 2, shape)
     assert upsample(y, 2, (9, 13)).shape == (9, 13, 1)
 

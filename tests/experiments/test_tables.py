@@ -83,9 +83,10 @@ def test_an_unknown_table_is_bad_input(page: Path) -> None:
 def test_kept_rows_are_those_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     results = Results(tmp_path, "stage_times", RunConfig())
     results.add(kind="time", values=[1.0, 2.5], note="ü")
+    results.add(kind="tried", values=[3.0])
     monkeypatch.setattr(tables, "KEPT", tmp_path / "kept")
-    found = tables.kept_rows(tables.keep(results.path, "name", "idle"))
-    assert found == [row | {"load_told": "idle"} for row in results.rows]
+    found = tables.kept_rows(tables.keep(results.path, "name", "idle", ("tried",)))
+    assert found == [row | {"load_told": "idle"} for row in results.rows[:1]]
     assert tables.load(found) == "idle"
 
 

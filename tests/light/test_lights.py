@@ -243,5 +243,5 @@ def test_shade_adds_up_and_leaves_misses_dark() -> None:
     for k, light in enumerate(ALL):
         expected = illuminance(light, position, normal)[hit][:, 0] / light.color[0]
         np.testing.assert_allclose(each[hit][:, k], expected, rtol=2e-3, atol=1.0)
-    with pytest.raises(InputError, match=r"^shade: no lights; give at least one$"):
+    with pytest.raises(InputError, match=r"^lights: none given; give at least one$"):
         shade(gbuffer, [])

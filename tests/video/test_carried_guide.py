@@ -52,5 +52,5 @@ def test_a_view_without_its_camera_is_refused() -> None:
     flat = View(grey, grey, wall(camera()))
     with pytest.raises(InputError, match="pose and intrinsics"):
         CarriedGuide(2).features(flat, lambda: grey)
-    with pytest.raises(InputError, match="at least 1"):
+    with pytest.raises(InputError, match="1 or more"):
         CarriedGuide(0)

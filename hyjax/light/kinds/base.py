@@ -1,6 +1,7 @@
 """Base class of all kinds of light, and their registry."""
 
 import dataclasses
+import weakref
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias, TypeVar, dataclass_transform
 
@@ -12,6 +13,7 @@ from hyjax.light.color import blackbody
 from hyjax.light.kinds.emitter import Emitter
 from hyjax.light.kinds.file_keys import FileKey, fields_of, plain, values_of
 from hyjax.light.kinds.shadow_views import ShadowViews
+from hyjax.light.kinds.values import check_fields
 from hyjax.util.errors import InputError
 
 T = TypeVar("T")
@@ -78,6 +80,16 @@ class Light:
             return None
         raise InputError(f"blender: cannot render a {type(self).__name__}; its kind declares no emitter")
 
+    def check_values(self, name: str) -> None:
+        """Raise `InputError` for values that make no sense; once for each light. Traced values are let through.
+
+        Args:
+            name: what messages call the light.
+        """
+        if self not in _CHECKED:
+            check_fields(self, self.KEYS, name)
+            _CHECKED.add(self)
+
     @classmethod
     def from_entry(cls, values: Mapping[str, Any], world_up: Vector) -> Self:
         """The light of an entry in a lights file.
@@ -101,6 +113,7 @@ class Light:
         return dataclasses.replace(self, color=white, **{self.STRENGTH: one})  # type: ignore[type-var]
 
 
+_CHECKED: "weakref.WeakSet[Light]" = weakref.WeakSet()
 LIGHT_KINDS: dict[str, type[Light]] = {}
 """All kinds by the name that a lights file has for them; `register_light` adds to it."""
 

@@ -1,0 +1,271 @@
+"""Whatever a public function is given, it returns a result or an `InputError` that names the argument."""
+
+import dataclasses
+import json
+import logging
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hyjax
+from hyjax import metrics, video
+from hyjax.util import array_arguments
+
+H, W = 12, 16
+RNG = np.random.default_rng(0)
+PICTURE = jnp.asarray(RNG.random((H, W, 3)), jnp.float32)
+MASK = jnp.ones((H, W), bool)
+EDGES = (jnp.ones((H - 1, W)), jnp.ones((H, W - 1)))
+CELLS = jnp.asarray(RNG.random((H // 2, W // 2, 3)), jnp.float32)
+SCHEDULE = hyjax.Schedule.uniform([(4, 1), (2, 1)])
+LIGHT = hyjax.PointLight(jnp.array([0.5, 0.5, 2.0]), jnp.asarray(800.0), jnp.ones(3))
+GBUFFER = hyjax.GBuffer(PICTURE, jnp.zeros((H, W, 3)).at[..., 2].set(1.0), jnp.ones((H, W)), MASK)
+CAMERA = {"pose": jnp.eye(4), "intrinsics": jnp.array([[10.0, 0.0, 8.0], [0.0, 10.0, 6.0], [0.0, 0.0, 1.0]])}
+VIEW = hyjax.View.of(PICTURE, GBUFFER, **CAMERA)
+SHADED = hyjax.Shaded.of([LIGHT], PICTURE[..., :1], PICTURE[..., :1], MASK)
+MEMORY = video.Memory(PICTURE[..., :2], jnp.ones((H, W)), *CAMERA.values(), (LIGHT,))
+
+Call = tuple[Callable[..., Any], dict[str, Any]]
+CALLS: dict[str, Call] = {
+    "conductance": (hyjax.conductance, {"guide": PICTURE, "kappa": 0.1}),
+    "diffuse": (hyjax.diffuse, {"y": PICTURE, "edges": EDGES, "step_sizes": jnp.full(2, 0.2), "source": PICTURE}),
+    "diffuse_step": (hyjax.diffuse_step, {"y": PICTURE, "edges": EDGES, "lam": 0.2}),
+    "downsample": (hyjax.downsample, {"y": PICTURE, "factor": 2}),
+    "upsample": (hyjax.upsample, {"y": CELLS, "factor": 2, "shape": (H, W)}),
+    "min_pool": (hyjax.min_pool, {"edges": EDGES, "factor": 2}),
+    "cascade": (hyjax.cascade, {"y": PICTURE, "guide": PICTURE, "schedule": SCHEDULE, "sampling": 1}),
+    "level_edges": (hyjax.level_edges, {"guide": PICTURE, "schedule": SCHEDULE}),
+    "cascade_known": (
+        hyjax.cascade_known,
+        {"y": PICTURE, "confidence": MASK[..., None], "guide": PICTURE, "schedule": SCHEDULE},
+    ),
+    "shadow_pass": (hyjax.shadow_pass, {"raw": PICTURE, "guide": PICTURE, "schedule": SCHEDULE}),
+    "fill_visibility": (hyjax.fill_visibility, {"raw": PICTURE, "known": PICTURE > 0.5, "guide": PICTURE}),
+    "solve": (hyjax.solve, {"source": PICTURE, "edges": EDGES, "fidelity": 1.0, "start": PICTURE}),
+    "super_resolve": (
+        hyjax.super_resolve,
+        {"source": CELLS, "known": MASK[::2, ::2], "guide": PICTURE, "schedule": SCHEDULE, "factor": 2},
+    ),
+    "guided_upsample": (hyjax.guided_upsample, {"y": CELLS, "factor": 2, "guide": PICTURE, "kappa": 0.1}),
+    "step_cycle": (hyjax.step_cycle, {"n": 4, "time": 1.5}),
+    "uniform": (hyjax.Schedule.uniform, {"steps": [(2, 1)], "kappa": 0.1, "lam": 0.2, "norm": "l2"}),
+    "blackbody": (hyjax.blackbody, {"kelvin": 3000.0}),
+    "luminance": (hyjax.luminance, {"linear": PICTURE}),
+    "to_linear": (hyjax.to_linear, {"display": PICTURE}),
+    "to_display": (hyjax.to_display, {"linear": PICTURE}),
+    "composite": (hyjax.composite, {"relight_filter": PICTURE, "frame": PICTURE}),
+    "shade": (hyjax.shade, {"gbuffer": GBUFFER, "lights": [LIGHT]}),
+    "shade_each": (hyjax.shade_each, {"gbuffer": GBUFFER, "lights": [LIGHT]}),
+    "colored": (hyjax.colored, {"each": PICTURE[..., :1], "lights": [LIGHT]}),
+    "visibility": (hyjax.visibility, {"gbuffer": GBUFFER, "light": LIGHT, "shadow_map": None}),
+    "visibilities": (hyjax.visibilities, {"gbuffer": GBUFFER, "lights": [LIGHT], "shadow_maps": [None]}),
+    "View.of": (hyjax.View.of, {"display": PICTURE, "gbuffer": GBUFFER}),
+    "View.shade": (VIEW.shade, {"lights": [LIGHT], "sampling": 1}),
+    "Shaded.of": (
+        hyjax.Shaded.of,
+        {"setup": [LIGHT], "illuminance": PICTURE[..., :1], "visibility": PICTURE[..., :1], "hit": MASK},
+    ),
+    "relight": (
+        hyjax.relight,
+        {"view": VIEW, "shaded": SHADED, "guide": PICTURE, "schedule": SCHEDULE, "shadow_schedule": SCHEDULE},
+    ),
+    "psnr": (metrics.psnr, {"image": PICTURE, "reference": PICTURE, "valid": MASK}),
+    "ssim": (metrics.ssim, {"image": PICTURE, "reference": PICTURE, "valid": MASK}),
+    "filter_loss": (
+        metrics.losses.filter_loss,
+        {"relight_filter": PICTURE, "target": PICTURE, "frame": PICTURE, "valid": MASK},
+    ),
+    "charbonnier": (metrics.losses.charbonnier, {"x": PICTURE, "epsilon": 0.1}),
+    "fill_depth": (video.fill_depth, {"gbuffer": GBUFFER, "guide": PICTURE, "schedule": SCHEDULE}),
+    "recall": (video.recall, {"memory": MEMORY, "depth": jnp.ones((H, W)), **CAMERA}),
+    "steady": (
+        video.steady,
+        {"channels": PICTURE[..., :2], "depth": jnp.ones((H, W)), **CAMERA, "memory": MEMORY, "keep": 0.5},
+    ),
+    "tune": (hyjax.tune, {"settings": None, "fps": 60.0, "budget_ms": None}),
+    "tune_schedule": (hyjax.tune_schedule, {"settings": None, "fps": 60.0, "budget_ms": None}),
+}
+DEFAULTS = {"source", "start", "shadow_schedule", "valid"}
+"""Arguments that None stands for a default of."""
+NONSENSE: dict[str, Any] = {
+    "text": "abc",
+    "number": -1.5,
+    "huge": 1e300,
+    "huge_int": 10**400,
+    "nan": float("nan"),
+    "complex": 1j,
+    "bool": True,
+    "mapping": {"a": 1},
+    "ragged": [[1.0, 2.0], [3.0]],
+    "words": ["a", "b"],
+    "object": object(),
+    "class": int,
+    "empty": np.zeros((0, 0, 3), np.float32),
+    "int_array": np.ones((H, W, 3), np.int32),
+    "complex_array": np.ones((H, W, 3), np.complex64),
+    "no_channels": np.ones((H, W), np.float32),
+    "many_axes": np.ones((2, H, W, 3), np.float32),
+    "other_size": np.ones((H + 1, W, 3), np.float32),
+    "texts": np.array([["a"]]),
+    "key": jax.random.key(0),
+}
+MAY_MAKE_SENSE = {"number", "nan", "empty", "no_channels", "many_axes", "other_size", "bool", "None", "text"}
+"""Of some argument or other: all else is refused wherever it is given."""
+SYNONYMS = {"setup": "lights", "lam": "lam"}
+
+
+def hostile() -> Iterator[Any]:
+    for name, (_, given) in CALLS.items():
+        for argument in given:
+            yield pytest.param(name, argument, id=f"{name}-{argument}")
+
+
+@pytest.mark.parametrize(("name", "argument"), [*hostile()])
+def test_nonsense_is_refused_by_name(name: str, argument: str) -> None:
+    """Sizes that disagree may be laid to any of the arguments."""
+    function, given = CALLS[name]
+    for kind, value in {"None": None, **NONSENSE}.items():
+        if kind == "None" and (given[argument] is None or argument in DEFAULTS):
+            continue
+        if name.startswith("tune") and kind in MAY_MAKE_SENSE - {"text"} and argument == "budget_ms":
+            continue
+        try:
+            function(**given | {argument: value})
+        except hyjax.InputError as error:
+            message = str(error)
+            named = [argument, SYNONYMS.get(argument, argument)] + ([*given] if kind == "other_size" else [])
+            assert "\n" not in message and any(word.split("_")[0] in message for word in named), (kind, message)
+        except Exception as error:
+            raise AssertionError(f"{name}({argument}={kind}): {type(error).__name__}: {error}") from error
+        else:
+            assert kind in MAY_MAKE_SENSE, f"{name}({argument}={kind}) is taken"
+            assert kind != "text" or argument == "schedule"
+
+
+CHEAP = ("conductance", "diffuse_step", "downsample", "composite", "luminance", "to_linear", "charbonnier")
+LISTED = [
+    pytest.param(name, marks=[] if name in CHEAP else [pytest.mark.slow])
+    for name, (_, given) in CALLS.items()
+    if any(isinstance(value, jax.Array) for value in given.values()) and name not in ("recall", "steady")
+]
+
+
+@pytest.mark.parametrize("name", LISTED)
+def test_lists_and_double_precision_are_taken(name: str) -> None:
+    """With the result that arrays in single precision have."""
+    function, given = CALLS[name]
+    arrays = [argument for argument, value in given.items() if isinstance(value, jax.Array)]
+    usual = function(**given)
+    for convert in (
+        lambda x: x.tolist(),
+        lambda x: np.asarray(x, float) if x.dtype == jnp.float32 else np.asarray(x),
+    ):
+        result = function(**given | {argument: convert(given[argument]) for argument in arrays})
+        for a, b in zip(jax.tree.leaves(usual), jax.tree.leaves(result), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-6)
+            assert a.dtype == b.dtype
+
+
+@pytest.mark.parametrize("name", ["View.of", "to_linear", "psnr", "ssim"])
+def test_pictures_of_bytes_are_scaled_and_that_is_said_once(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    function, given = CALLS[name]
+    argument = next(iter(given))
+    frame = np.asarray(255 * PICTURE).astype(np.uint8)
+    array_arguments._told.clear()
+    with caplog.at_level(logging.WARNING):
+        results = [
+            function(**given | {argument: value}) for value in (frame, frame, frame.astype(np.float32) / 255)
+        ]
+    first, _, usual = map(jax.tree.leaves, results)
+    assert all(np.allclose(a, b, atol=1e-6) for a, b in zip(first, usual))
+    assert [record.message.split(":")[0] for record in caplog.records] == [argument]
+
+
+def test_a_guide_of_bytes_is_refused() -> None:
+    with pytest.raises(hyjax.InputError, match=r"^guide: must be a float array .* got uint8 of shape .* by 255$"):
+        hyjax.conductance(np.zeros((H, W, 3), np.uint8), 20.0)
+
+
+def test_a_preset_by_name_and_a_single_light() -> None:
+    by_name, usual = (hyjax.level_edges(PICTURE, s) for s in ("shadow", hyjax.Schedule.preset("shadow")))
+    assert all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(by_name), jax.tree.leaves(usual)))
+    one, several = (hyjax.shade_each(GBUFFER, lights) for lights in (LIGHT, [LIGHT]))
+    assert np.array_equal(one, several)
+    assert hyjax.LightSetup.of(LIGHT).lights == (LIGHT,)
+    with pytest.raises(hyjax.InputError, match=r"^shadow_schedule: no preset 'shadw' \(did you mean 'shadow'\?\)"):
+        hyjax.relight(VIEW, SHADED, PICTURE, SCHEDULE, shadow_schedule="shadw")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"position": jnp.array([0.0, jnp.nan, 0.0])}, r"position: must be three finite numbers"),
+        (
+            {"position": jnp.zeros(2)},
+            r"position: must be three finite numbers, .* got float32 of shape \(2,\)",
+        ),
+        ({"position": [0.0, 0.0, 1.0]}, r"position: must be three finite numbers, as an array"),
+        ({"position": np.array(["a", "b", "c"])}, r"position: must be three finite numbers"),
+        ({"color": -jnp.ones(3)}, r"color: must be three finite numbers, none negative"),
+        ({"luminous_flux": float("inf")}, r"luminous_flux: must be a finite number"),
+        ({"luminous_flux": None}, r"luminous_flux: must be a finite number"),
+        ({"direction": np.zeros(3)}, r"direction: must not be the zero vector"),
+        ({"outer_angle": 3.0}, r"outer_angle: must lie in"),
+        ({"radius": -0.1}, r"radius: must lie in"),
+    ],
+)
+def test_values_of_lights_are_checked_where_they_are_used(change: dict[str, Any], message: str) -> None:
+    down, up = np.array([0.0, 0.0, -1.0], np.float32), np.array([0.5, 0.5, 2.0], np.float32)
+    spot = hyjax.SpotLight(up, down, 800.0, np.ones(3, np.float32), 0.3, 0.6)
+    VIEW.shade(spot)
+    bad = dataclasses.replace(spot, **change)
+    for use in (lambda: VIEW.shade([LIGHT, bad]), lambda: VIEW.shade(hyjax.LightSetup((LIGHT, bad)))):
+        with pytest.raises(hyjax.InputError, match=rf"^lights\[1\]\.{message}"):
+            use()
+
+
+def test_traced_lights_and_pictures_pass() -> None:
+    def mean(flux: jax.Array, guide: jax.Array) -> jax.Array:
+        light = dataclasses.replace(LIGHT, luminous_flux=flux)
+        return jnp.mean(VIEW.shade(light).illuminance) + jnp.mean(hyjax.conductance(guide, flux)[0])
+
+    value, slope = jax.jit(jax.value_and_grad(mean))(jnp.float32(800.0), PICTURE)
+    assert np.isfinite(value) and slope > 0
+    each = jax.vmap(mean, (0, None))(jnp.array([1.0, 800.0]), PICTURE)
+    assert each.shape == (2,) and np.isclose(each[1], value)
+
+
+@pytest.mark.parametrize("steps", [[(4, 10**12)], [(8, 60_000), (4, 60_000)]])
+def test_steps_are_bounded(steps: list[tuple[int, int]]) -> None:
+    with pytest.raises(hyjax.InputError, match="100000"):
+        hyjax.Schedule.uniform(steps)
+
+
+@pytest.mark.parametrize("level", [{"lam": "0.1"}, {"kappa": True}, {"fidelity": False}, {"lam": [0.1, True]}])
+def test_text_and_truth_values_are_no_numbers_of_a_schedule(level: dict[str, Any]) -> None:
+    text = json.dumps({"levels": [{"factor": 2, "steps": 2, "kappa": 0.1} | level]})
+    with pytest.raises(hyjax.InputError, match=f"'{next(iter(level))}' must be numbers"):
+        hyjax.Schedule.from_json(text)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        lambda: hyjax.TuneSettings(fps=(True,)),
+        lambda: hyjax.TuneSettings(fps=("60",)),  # type: ignore[arg-type]
+        lambda: hyjax.TuneSettings(fps=(60.0,), time_limit=float("nan")).check(),
+        lambda: hyjax.TuneSettings(fps=(60.0,), time_limit=float("inf")).check(),
+        lambda: hyjax.TuneSettings(fps=(1e300,)).check(),
+        lambda: hyjax.RelightSettings(kappa=float("inf")).check(),
+        lambda: hyjax.RelightSettings(sampling=True),
+        lambda: hyjax.tune(fps="60"),  # type: ignore[arg-type]
+        lambda: hyjax.tune(fps=[60, "30"]),  # type: ignore[list-item]
+    ],
+)
+def test_settings_are_checked_before_any_work(settings: Callable[[], Any]) -> None:
+    with pytest.raises(hyjax.InputError):
+        settings()
