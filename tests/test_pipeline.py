@@ -515,9 +515,9 @@ def test_refusals(frame: jax.Array, gbuffer: GBuffer, maps: tuple) -> None:
     view = View.of(frame, gbuffer)
     shaded = view.shade(LIGHTS)
     for change in ({"visibility": shaded.visibility[..., :2]}, {"colors": shaded.colors[:2]}):
-        with pytest.raises(InputError, match=r"^shaded.visibility: .* l is 3 by shaded.illuminance$"):
+        with pytest.raises(InputError, match=r"^shaded.(visibility|colors): .* l is 3 by shaded.illuminance$"):
             relight(view, dataclasses.replace(shaded, **change), frame, SCHEDULE)
-    with pytest.raises(InputError, match=r"^view: picture \(44, 62\) and G-buffer \(45, 62\) differ in size$"):
+    with pytest.raises(InputError, match=r"^view: display \(44, 62\) and gbuffer \(45, 62\) differ in size$"):
         View.of(frame[1:], gbuffer)
 
 

@@ -20,7 +20,7 @@ from hyjax.util.errors import InputError, shown
 
 # Ratio up to which upsampling is written out by phases, which is slow to compile for many phases.
 MOST_PHASES = 16
-LARGEST_FACTOR = 1 << 16
+LARGEST_FACTOR = 1 << 30
 """Pixels that a cell may be wide."""
 
 

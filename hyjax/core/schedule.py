@@ -87,7 +87,7 @@ class Schedule:
     upsampling: Upsampling = "bilinear"
 
     @classmethod
-    def of(cls, schedule: "Schedule | str", where: str = "schedule") -> "Schedule":
+    def of(cls, schedule: "Schedule | str", *, where: str = "schedule") -> "Schedule":
         """A schedule as it is, or a preset by its name.
 
         >>> Schedule.of("hyjax").name

@@ -41,6 +41,8 @@ COLOUR = {0: "raw", 1: ".png", 2: ".jpg"}
 DEPTH = {0: "raw", 1: "zlib", 2: "occi"}
 LARGEST_SIDE = 16384
 LONGEST_NAME = 4096
+MOST_STEPS = 1e9
+"""Of depth in a metre; a thousand in real files."""
 MESHES = ("_vh_clean.ply", "_vh_clean_2.ply")
 
 Matrix = Float[np.ndarray, "4 4"]
@@ -131,8 +133,8 @@ def _read_header(file: BinaryIO, where: str) -> _Header:
     if DEPTH.get(depth_packing) not in ("raw", "zlib"):
         kind = DEPTH.get(depth_packing, depth_packing)
         raise InputError(f"{where}: depth is packed as {kind}; read are raw_ushort and zlib_ushort (0, 1)")
-    if not (np.isfinite(steps) and steps > 0):
-        raise InputError(f"{where}: has {steps:g} steps of depth a metre, must be > 0")
+    if not 1e-3 <= steps <= MOST_STEPS:
+        raise InputError(f"{where}: has {steps:g} steps of depth a metre, must be > 0 and at most {MOST_STEPS:g}")
     return _Header(
         _lens(colour, cw, ch, f"{where}: colour"),
         _lens(depth, dw, dh, f"{where}: depth"),
