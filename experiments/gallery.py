@@ -90,9 +90,6 @@ PICTURES: dict[str, Committed] = {
     ),
     "tour.jpg": Committed("python -m experiments.gallery tour", tour_picture, 1800),
     "pareto.png": Committed("python -m experiments.gallery pareto", pareto, 900),
-    "best_and_worst.jpg": Committed(
-        "python -m experiments.beyond --capture $HYJAX_DATA/kitchen", (Cells("best_and_worst.png"),), 1461
-    ),
     "conductances.jpg": Committed("python -m experiments.conductances", (Cells("conductances.png"),), 1300),
     "structure.jpg": Committed("python -m experiments.structure", (Cells("structure.png"),)),
     "shadow_pass.jpg": Committed(
