@@ -10,7 +10,7 @@ from hyjax.light.shading import mix_channels
 
 
 def test_an_array_without_channels_is_refused() -> None:
-    with pytest.raises(jaxtyping.TypeCheckError):
+    with pytest.raises(hyjax.InputError, match=r"^each: must be a float array of shape h x w x l"):
         hyjax.colored(jnp.zeros((4, 5)), [hyjax.AmbientLight(jnp.asarray(1.0), jnp.ones(3))])
 
 

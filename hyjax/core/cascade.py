@@ -32,6 +32,7 @@ def cascade(
     hold on to its own cell means (`Level.fidelity`), which brings back detail that coarser levels have lost, and
     may interpolate under the guide (`Schedule.upsampling`).
 
+    >>> import jax.numpy as jnp
     >>> y, guide = jnp.ones((8, 8, 1)).at[4, 4].set(9.0), jnp.zeros((8, 8, 3))
     >>> refined = cascade(y, guide, Schedule.uniform([(4, 8), (2, 8)]))
     >>> refined.shape, round(float(refined.mean()), 3), float(refined.max()) < 2.0
@@ -129,6 +130,7 @@ def _cascade(
 def level_edges(guide: Float[Array, "h w f"], schedule: Schedule | str) -> list[CoarseEdges]:
     """The conductances C^(l) of every level of a schedule, coarse to fine (Eq. 4).
 
+    >>> import jax.numpy as jnp
     >>> schedule = Schedule.uniform([(4, 1), (2, 1)])
     >>> [vertical.shape for vertical, _ in level_edges(jnp.zeros((8, 8, 3)), schedule)]
     [(1, 2), (3, 4)]

@@ -22,6 +22,9 @@ from hyjax.core.pyramid import LARGEST_FACTOR, downsample, level_shape
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, shown
 
+FARTHEST = 1e30
+"""Of squared distances in units of κ: weights of four cells beyond it are alike, and their sum is not 0."""
+
 
 @checked_arguments
 def guided_upsample(
@@ -103,7 +106,7 @@ def upsample_between(
             return x[:, down : down + rows + 1, None, right : right + columns + 1, None]
 
         near = jnp.asarray(np.outer(shares[down], shares[right])[None, :, None, :], scale.dtype)
-        weight = near / (1.0 + scale * _distance(pixels, corner(cells), norm))
+        weight = near / (1.0 + jnp.minimum(scale * _distance(pixels, corner(cells), norm), FARTHEST))
         total, weights = total + weight[None] * corner(values), weights + weight
     result = (total / weights[None]).reshape(-1, (rows + 1) * factor, (columns + 1) * factor)
     result = result[:, start : start + height, start : start + width].astype(y.dtype)

@@ -47,10 +47,12 @@ def checked_arguments(function: Any = None, *, display: Sequence[str] = ()) -> A
     """
     if function is None:
         return functools.partial(checked_arguments, display=display)
-    positional: list[tuple[str, Rule | None]] = []
-    rules: dict[str, Rule] = {}
+    known: tuple[list[tuple[str, Rule | None]], dict[str, Rule]] | None = None
 
-    def prepare() -> None:  # at the first call, when all that annotations name is there
+    def prepare() -> tuple[list[tuple[str, Rule | None]], dict[str, Rule]]:
+        """Rules by position and by name; at the first call, when all that annotations name is there."""
+        positional: list[tuple[str, Rule | None]] = []
+        rules: dict[str, Rule] = {}
         plain: Any = inspect.unwrap(function)
         given = {name: hint for name, hint in plain.__annotations__.items() if name != "return"}
         hints = typing.get_type_hints(types.SimpleNamespace(__annotations__=given), plain.__globals__)
@@ -60,11 +62,14 @@ def checked_arguments(function: Any = None, *, display: Sequence[str] = ()) -> A
                 rules[parameter.name] = rule
             if parameter.kind is parameter.POSITIONAL_OR_KEYWORD:
                 positional.append((parameter.name, rule))
+        return positional, rules
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        if not positional and not rules:
-            prepare()
+        nonlocal known
+        if known is None:  # several threads may come here at once: each makes whole ones
+            known = prepare()
+        positional, rules = known
         sizes: Sizes = {}
         given = [
             value if rule is None else rule(name, value, sizes) for (name, rule), value in zip(positional, args)

@@ -70,3 +70,11 @@ def test_conductances_around_it_are_finite() -> None:
         assert np.isfinite(edges).all() and (np.asarray(edges) != np.asarray(usual)).sum() == 2
     with pytest.raises(hyjax.InputError, match=r"^kappa"):
         hyjax.conductance(guide, np.nan)
+
+
+def test_a_huge_value_under_a_small_kappa() -> None:
+    """All four weights of a pixel are next to nothing; their mean is one all the same."""
+    guide = GUIDE.copy()
+    guide[5, 7] = 9e14
+    up = hyjax.guided_upsample(LIGHT[::2, ::2], 2, guide, 1e-4)
+    assert np.isfinite(up).all() and float(up.min()) >= LIGHT.min() and float(up.max()) <= LIGHT.max()

@@ -97,7 +97,7 @@ def test_wide_gaps_are_not_bridged() -> None:
         (f"{ROW.format(1.0)} 9\n{ROW.format(1.1)}", "row 1 is not seven finite numbers"),
         (f"{ROW.format(1.0)}\n{ROW.format(1.1)}\n1.2 0 x 0 1 2 3", "row 3 is not seven finite numbers"),
         (f"{ROW.format(1.0)}\n1.1 0 nan 0 1 2 3", "row 2 is not seven finite numbers"),
-        (f"{ROW.format(1.0)}\n1.1 0 1e300 0 1 2 3", "turns by 1e+300 radians"),
+        (f"{ROW.format(1.0)}\n1.1 0 1e15 0 1 2 3", "turns by 1e+15 radians"),
         (f"{ROW.format(1.0)}\n{ROW.format('inf')}", "row 2 is not seven finite numbers"),
         (f"{ROW.format(1.0)}\n\n{ROW.format(1.1)}", "row 2 is not seven finite numbers"),
         ("\n".join(map(ROW.format, (1.0, 1.2, 1.1, 1.3))), "row 3: time 1.1 is before that of the row above, 1.2"),

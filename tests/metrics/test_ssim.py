@@ -141,10 +141,10 @@ BORDER = np.pad(np.zeros((2, 4), bool), 5, constant_values=True)
     [
         (GOOD + 1, GOOD, None, r"image: display values must lie in \[0, 1\], got 1.5 to 1.5"),
         (GOOD, GOOD * np.nan, None, "reference: has values that are not numbers"),
-        (GOOD[1:], GOOD, None, "must be of the same shape"),
+        (GOOD[1:], GOOD, None, "h is 11 by image"),
         (GOOD[:10], GOOD[:10], None, "image: must be at least 11 x 11 pixels, got 10 x 14"),
         (GOOD, GOOD, BORDER, "valid: no pixel, 5 pixels or more from the border, is valid"),
-        (GOOD, GOOD, BORDER[1:], r"valid: must be booleans of shape \(12, 14\), got bool of shape \(11, 14\)"),
+        (GOOD, GOOD, BORDER[1:], r"valid: must be a bool array of shape h x w, got bool of shape \(11, 14\)"),
     ],
 )
 def test_bad_input(image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None, message: str) -> None:

@@ -74,4 +74,6 @@ def _field_shapes(cls: Any) -> Iterator[tuple[str, tuple[int, ...] | None]]:
     for field in dataclasses.fields(cls):
         hint = hints[field.name]
         arrays = [part for part in (hint, *typing.get_args(hint)) if hasattr(part, "dim_str")]
-        yield field.name, (3,) * len(arrays[0].dim_str) if arrays else None
+        sides = arrays[0].dim_str.split() if arrays else []
+        if all(side.isdecimal() for side in sides):  # a shape with names is the kind's own matter
+            yield field.name, tuple(map(int, sides)) if arrays else None
