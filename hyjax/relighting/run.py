@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from hyjax.configuration import PRESETS, Configuration
 from hyjax.core.schedule import Schedule
-from hyjax.data.capture import Frame
+from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import select_frames
 from hyjax.data.light_file import write_lights
 from hyjax.guide.choose import FrameGuide, configured_guide
@@ -103,33 +103,38 @@ def relight_capture(
 
         device = open_device()
     clock, progress, out = StageClock(), not settings.quiet, settings.out
-    if scene is None:
-        if settings.scene.capture is None:
-            make_writable(out)  # rendering the room takes a while
+
+    def open_capture() -> Capture:
         with clock("capture"):
-            capture = settings.scene.open_capture(progress=progress)
-        make_writable(out)
-        chosen = select_frames(settings.frames, len(capture))
-        scene = Scene.open(settings.scene, capture=capture, clock=clock, progress=progress)
-    else:
-        make_writable(out)
-        chosen = select_frames(settings.frames, len(scene))
-        record |= dict.fromkeys(ANOTHERS)  # another scene's
-        record["capture"] = scene.capture.name
-    divides = settings.divides_photo_light
-    setup = scene.lights(settings.lights if lights is None else lights, at_photo_sources=divides)
-    setup.check_existing(divided=divides)
-    if setup.existing:
-        scene.photo_light.kept(setup.existing)
-    for light in setup.lights:
-        kind_name(light)  # it can be written in the end
-    record |= {"mesh": scene.source, "guide": guide.name}
-    if lights is not None:
-        record["lights"] = str(lights) if isinstance(lights, str | Path) else "lights.json"
-    for stale in ("run.json", "lights.json", "contact_sheet.png"):
-        remove(out / stale)  # of an earlier run, whose pictures are about to be replaced
-    sampling = 1
+            return settings.scene.open_capture(progress=progress)
+
+    capture = None
+    if scene is None and settings.scene.capture is not None:
+        capture = open_capture()  # one that cannot be used makes no folder
+    make_writable(out)
     with claimed(out), ExitStack() as stack:
+        if scene is None:
+            if capture is None:
+                capture = open_capture()
+            chosen = select_frames(settings.frames, len(capture))
+            scene = Scene.open(settings.scene, capture=capture, clock=clock, progress=progress)
+        else:
+            chosen = select_frames(settings.frames, len(scene))
+            record |= dict.fromkeys(ANOTHERS)  # another scene's
+            record["capture"] = scene.capture.name
+        divides = settings.divides_photo_light
+        setup = scene.lights(settings.lights if lights is None else lights, at_photo_sources=divides)
+        setup.check_existing(divided=divides)
+        if setup.existing:
+            scene.photo_light.kept(setup.existing)
+        for light in setup.lights:
+            kind_name(light)  # it can be written in the end
+        record |= {"mesh": scene.source, "guide": guide.name}
+        if lights is not None:
+            record["lights"] = str(lights) if isinstance(lights, str | Path) else "lights.json"
+        for stale in ("run.json", "lights.json", "contact_sheet.png"):
+            remove(out / stale)  # of an earlier run, whose pictures are about to be replaced
+        sampling = 1
         if settings.renderer == "webgpu":
             configuration.tell_unused("webgpu", DEVICE_USED)
             frames = _relight_on_device(scene, chosen, setup, settings, configuration, guide, clock, device)
@@ -138,36 +143,36 @@ def relight_capture(
             sampling = relighter.shader.sampling  # as the schedule allows it
             frames = _relight_frames(scene, chosen, relighter, clock)
         summary = _write_frames(frames, len(chosen), settings, clock)
-    if not summary.written:
-        if not summary.skipped:
-            raise InputError(f"{scene.capture.name}: none of the chosen frames can be read")
-        raise InputError(
-            f"{scene.capture.name}: no ray of any chosen frame met the mesh; are the mesh and the poses in the "
-            "same coordinates (metres, camera-to-world)?"
-        )
-    write_contact_sheet(out / "contact_sheet.png", summary.rows, HEADINGS)
-    write_lights(out / "lights.json", setup)
-    run = {
-        "frames": summary.written,
-        "frames_without_surface": summary.skipped,
-        "mesh_faces": len(scene.caster.arrays.faces),
-        "size": summary.size,
-        "mode": settings.mode,
-        "video": settings.video,
-        "guide": guide.name,
-        "renderer": settings.renderer,
-        "sampling": sampling,
-        "configuration": json.loads(configuration.to_json()),
-        "schedule": json.loads(schedule.to_json()),
-        "reference_lux": setup.reference_lux,
-        "photo_light": scene.photo_light.record() if settings.divides_photo_light else None,
-        "settings": record,
-        "milliseconds": clock.summary(),
-        "frames_per_second": summary.frames_per_second,
-        "peak_memory_mib": round(peak_memory_mib(), 1),
-    } | environment()
-    write_text(out / "run.json", json.dumps(run, indent=2) + "\n")
-    return run
+        if not summary.written:
+            if not summary.skipped:
+                raise InputError(f"{scene.capture.name}: none of the chosen frames can be read")
+            raise InputError(
+                f"{scene.capture.name}: no ray of any chosen frame met the mesh; are the mesh and the poses in the "
+                "same coordinates (metres, camera-to-world)?"
+            )
+        write_contact_sheet(out / "contact_sheet.png", summary.rows, HEADINGS)
+        write_lights(out / "lights.json", setup)
+        run = {
+            "frames": summary.written,
+            "frames_without_surface": summary.skipped,
+            "mesh_faces": len(scene.caster.arrays.faces),
+            "size": summary.size,
+            "mode": settings.mode,
+            "video": settings.video,
+            "guide": guide.name,
+            "renderer": settings.renderer,
+            "sampling": sampling,
+            "configuration": json.loads(configuration.to_json()),
+            "schedule": json.loads(schedule.to_json()),
+            "reference_lux": setup.reference_lux,
+            "photo_light": scene.photo_light.record() if settings.divides_photo_light else None,
+            "settings": record,
+            "milliseconds": clock.summary(),
+            "frames_per_second": summary.frames_per_second,
+            "peak_memory_mib": round(peak_memory_mib(), 1),
+        } | environment()
+        write_text(out / "run.json", json.dumps(run, indent=2) + "\n")
+        return run
 
 
 def tell_of_another_device(configuration: Configuration) -> None:

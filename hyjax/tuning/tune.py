@@ -98,10 +98,12 @@ def tune_schedule(
         check_joint(guide, settings.out)
     if settings.out is not None:
         make_writable(settings.out)
-        check_free(settings.out, settings.resume)
-    with claimed(settings.out), _latency_source(settings) as latency:
-        bench = open_bench(settings, capture=capture, guide=guide)
-        return tune_bench(bench, settings, effort=effort, latency=latency)
+    with claimed(settings.out):
+        if settings.out is not None:
+            check_free(settings.out, settings.resume)
+        with _latency_source(settings) as latency:
+            bench = open_bench(settings, capture=capture, guide=guide)
+            return tune_bench(bench, settings, effort=effort, latency=latency)
 
 
 @contextlib.contextmanager

@@ -1,11 +1,20 @@
 """Folders that one process at a time writes to."""
 
+import contextlib
+import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from hyjax.relighting.run import relight_capture
+from hyjax.relighting.settings import RelightSettings
+from hyjax.scene.settings import SceneSettings
+from hyjax.tuning.journal import NAME
+from hyjax.tuning.settings import TuneSettings
+from hyjax.tuning.tune import tune_schedule
 from hyjax.util.claims import claimed
 from hyjax.util.errors import InputError
 
@@ -48,3 +57,35 @@ def test_no_folder_and_a_missing_one(tmp_path: Path) -> None:
         pass
     with pytest.raises(InputError, match="missing: cannot write"), claimed(tmp_path / "missing"):
         pass
+
+
+@contextlib.contextmanager
+def of_another(folder: Path) -> Iterator[None]:
+    """A folder that somebody else has claimed: locks are of open files, not of processes."""
+    fcntl = pytest.importorskip("fcntl", reason="no locks of files on this system")
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def test_a_relighting_that_is_refused_leaves_the_files_of_the_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[SceneSettings] = []
+    monkeypatch.setattr(SceneSettings, "open_capture", lambda self, **_: opened.append(self))
+    files = {tmp_path / name for name in ("run.json", "lights.json", "contact_sheet.png")}
+    for file in files:
+        file.write_text(file.name)
+    with of_another(tmp_path), pytest.raises(InputError, match="another run writes there"):
+        relight_capture(RelightSettings(out=tmp_path, quiet=True))
+    assert not opened  # refused before the room is rendered
+    assert {file for file in tmp_path.iterdir() if file.read_text() == file.name} == files
+
+
+def test_a_tuning_of_a_folder_in_use_does_not_say_that_it_can_go_on(tmp_path: Path) -> None:
+    (tmp_path / NAME).write_text("{}\n")
+    with of_another(tmp_path), pytest.raises(InputError, match="another run writes there"):
+        tune_schedule(settings=TuneSettings(fps=(30.0,), out=tmp_path, quiet=True))
