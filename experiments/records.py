@@ -53,8 +53,6 @@ class Results:
 
     def __init__(self, out: Path, experiment: str, config: Any, *, resume: bool = False) -> None:
         make_writable(out)
-        self._claim = contextlib.ExitStack()
-        self._claim.enter_context(claimed(out))
         self.out, self.path = out, out / FILE
         self._load = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None  # not on Windows
         settings = {key: value for key, value in dataclasses.asdict(config).items() if key not in UNSETTLED}
@@ -68,6 +66,14 @@ class Results:
             }
             | environment()
         )
+        with contextlib.ExitStack() as claim:
+            claim.enter_context(claimed(out))
+            self._log = RunLog(self.path, self._rows_before(config, resume))
+            self._claim = claim.pop_all()  # until the run is finished
+
+    def _rows_before(self, config: Any, resume: bool) -> list[Row]:
+        """Rows to go on with; none for a run of its own."""
+        experiment, out = self._stamp["experiment"], self.out
         rows: list[Row] = []
         earlier = read_rows(self.path) if self.path.is_file() else []
         if resume:
@@ -82,7 +88,7 @@ class Results:
             )
         elif earlier:
             print(f"{experiment}: replacing the finished run in {out}", file=sys.stderr)
-        self._log = RunLog(self.path, rows)
+        return rows
 
     @property
     def rows(self) -> list[Row]:

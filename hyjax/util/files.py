@@ -10,6 +10,7 @@ import hashlib
 import os
 import platform
 import re
+import secrets
 import shutil
 import tempfile
 import threading
@@ -25,8 +26,13 @@ PART = ".part"
 """Before the suffix of a file, or after the name of a folder, that is not yet whole."""
 OLD = ".old"
 """After the name of a folder that is being replaced."""
+WINDOWS = os.name == "nt"
 _HOST = re.sub(r"\W", "_", platform.node())[:32] or "host"
-_TEMPORARY = re.compile(r"\.(?P<name>.+)\.(?P<host>\w+)-(?P<process>\d+)-\d+(?P<kind>\.part|\.old)(\..*)?")
+_RUN = secrets.token_hex(3)
+"""Tells this process from an earlier one of the same id: a restarted container counts its processes anew."""
+_TEMPORARY = re.compile(
+    r"\.(?P<name>.+)\.(?P<host>\w+)-(?P<process>\d+)-(?P<run>\w+)-\d+(?P<kind>\.part|\.old)(\..*)?"
+)
 
 
 @contextlib.contextmanager
@@ -43,8 +49,9 @@ def atomic_write(path: Path) -> Iterator[Path]:
         _to_disk(temporary)
         check_whole(temporary, str(path))
         temporary.replace(path)
+        _names_to_disk(path.parent)
     except Exception as error:
-        _raise_for(error, path)
+        _raise_for(error, path, temporary)
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -79,10 +86,11 @@ def new_folder(out: Path, *, replace: bool = False) -> Iterator[Path]:
         elif out.is_dir():
             out.rmdir()
         temporary.rename(out)
+        _names_to_disk(out.parent)
     except InputError as error:  # of a file in it
         raise InputError(str(error).replace(str(temporary), str(out))) from None
     except Exception as error:
-        _raise_for(error, out)
+        _raise_for(error, out, temporary)
     finally:
         _clear(old, out)
         shutil.rmtree(temporary, ignore_errors=True)
@@ -97,7 +105,7 @@ def remove_stale(folder: Path) -> None:
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             found = _TEMPORARY.fullmatch(entry.name)
-            if found and found["host"] == _HOST and not _runs(int(found["process"])):
+            if found and found["host"] == _HOST and not _runs(int(found["process"]), found["run"]):
                 path = Path(entry.path)
                 if found["kind"] == OLD:
                     _clear(path, path.with_name(found["name"]))
@@ -115,25 +123,39 @@ def _clear(old: Path, out: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _raise_for(error: Exception, path: Path) -> NoReturn:
+def _raise_for(error: Exception, path: Path, temporary: Path) -> NoReturn:
     """Raise the `InputError` for an error of the disk, FFmpeg's among them, and any other as it is."""
     number = getattr(error, "errno", None)
     if isinstance(error, OSError):
+        if isinstance(error.filename, str | os.PathLike) and _is_other(Path(error.filename), path, temporary):
+            reason = error.strerror or error
+            raise InputError(f"{error.filename}: cannot open ({reason}), which {path} needs") from None
         disk_error(path, error)
     if isinstance(number, int) and number > 0:
         disk_error(path, OSError(number, os.strerror(number)))
     raise error
 
 
+def _is_other(named: Path, path: Path, temporary: Path) -> bool:
+    """Whether an error names a file that is not the written one, in it, beside it for its library, or around it."""
+    named, path, temporary = named.absolute(), path.absolute(), temporary.absolute()
+    own = str(named).startswith(str(temporary)) or named.is_relative_to(path) or path.is_relative_to(named)
+    return not own
+
+
 def _mark() -> str:
-    """Whose temporary name it is: machine, process and thread."""
-    return f"{_HOST}-{os.getpid()}-{threading.get_ident()}"
+    """Whose temporary name it is: machine, process, its run, and thread."""
+    return f"{_HOST}-{os.getpid()}-{_RUN}-{threading.get_ident()}"
 
 
-def _runs(process: int) -> bool:
+def _runs(process: int, run: str) -> bool:
+    if process == os.getpid():
+        return run == _RUN
+    if WINDOWS:  # signal 0 is Ctrl-C there
+        return True
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
+    except (ProcessLookupError, OverflowError):
         return False
     except OSError:  # of another user
         return True
@@ -142,11 +164,18 @@ def _runs(process: int) -> bool:
 
 def _to_disk(path: Path) -> None:
     """Wait until the disk has a file (0.4 ms on a local one): some disks say only then that they are full."""
-    descriptor = os.open(path, os.O_RDONLY)
+    # Windows does so for what may be written alone; elsewhere a file may be a copy that may not.
+    descriptor = os.open(path, os.O_RDWR if WINDOWS else os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def _names_to_disk(folder: Path) -> None:
+    """Wait until the disk has the names in a folder, where the system can: a power cut may undo a rename."""
+    with contextlib.suppress(OSError):
+        _to_disk(folder)
 
 
 def remove(path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from experiments.records import FILE, ROOT, Results, is_finished, read_rows
+from hyjax.util import claims
 from hyjax.util.checkout import commit
 from hyjax.util.errors import InputError
 
@@ -126,6 +127,13 @@ def test_an_interrupted_run_is_not_overwritten(tmp_path: Path) -> None:
     interrupted(tmp_path)
     message = refusal(tmp_path)
     assert str(tmp_path) in message and "3 rows" in message and "--resume" in message and "--out" in message
+
+
+def test_a_refused_run_keeps_no_claim(tmp_path: Path) -> None:
+    interrupted(tmp_path)
+    with pytest.raises(InputError) as kept:  # with the frames of the refused call
+        start(tmp_path)
+    assert kept.tb is not None and (tmp_path.stat().st_dev, tmp_path.stat().st_ino) not in claims._held
 
 
 def test_no_resume_is_offered_where_there_is_none(tmp_path: Path) -> None:
