@@ -97,12 +97,17 @@ def parse() -> Command:
     arguments = _renamed(sys.argv[1:])
     if (short := shortened(arguments)) == arguments:
         return read(arguments)
+    said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(io.StringIO()):
-            return read(arguments)
-    except SystemExit:
-        read(short)  # says the same without all of a long argument
+        with contextlib.redirect_stderr(said):
+            command = read(arguments)
+    except SystemExit as end:
+        if end.code:
+            read(short)  # says the same without all of a long argument
+            raise InputError("one of the arguments of over 200 characters cannot be used") from None
         raise
+    sys.stderr.write(said.getvalue())
+    return command
 
 
 def _renamed(arguments: list[str]) -> list[str]:

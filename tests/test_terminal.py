@@ -8,6 +8,7 @@ import warnings
 import pytest
 
 from hyjax import cli
+from hyjax.util.errors import InputError
 from hyjax.util.terminal import OneLine, quiet_libraries
 
 INTERRUPTED_WHILE_LOADING = """
@@ -46,6 +47,32 @@ def test_long_arguments_are_not_repeated(
         cli.main()
     said = capsys.readouterr().err
     assert 0 < said.count("9") < 650
+
+
+def test_help_beside_a_long_argument_comes_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["hyjax", "relight", "--help", "9" * 5000])
+    with pytest.raises(SystemExit, match="0"):
+        cli.parse()
+    assert capsys.readouterr().out.count("usage: hyjax") == 1
+
+
+def test_what_is_said_of_long_arguments_is_not_lost(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def read(*_: object, args: list[str], **__: object) -> str:
+        print("a note", file=sys.stderr)
+        if "…" not in args[0] and args[0].startswith("wrong"):
+            raise SystemExit(2)
+        return args[0]
+
+    monkeypatch.setattr(cli.tyro, "cli", read)
+    monkeypatch.setattr(sys, "argv", ["hyjax", "right" * 100])
+    assert cli.parse() == "right" * 100 and capsys.readouterr().err == "a note\n"
+    monkeypatch.setattr(sys, "argv", ["hyjax", "wrong" * 100])
+    with pytest.raises(InputError, match="over 200 characters"):  # though the shortened one is right
+        cli.parse()
 
 
 def test_a_logged_message_is_one_line_and_a_traceback_below_it_is_not() -> None:

@@ -36,6 +36,10 @@ class _Head(msgspec.Struct):
     kind: str
 
 
+_heads = msgspec.json.Decoder(_Head)
+"""A resumed sweep reads all rows at its start: their heads alone, and each row whole where it is used."""
+
+
 class _Place(NamedTuple):
     path: Path
     start: int
@@ -87,8 +91,8 @@ class RowStore:
 
     def _add(self, path: Path, start: int, line: bytes) -> None:
         try:
-            head = msgspec.convert(parse_json(line, str(path)), _Head)
-        except (InputError, msgspec.ValidationError):  # of a line that a kill cut off
+            head = _heads.decode(line)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # of a line that a kill cut off
             return
         place = _Place(path, start, len(line), head.kind == ERROR)
         before = self._places.get(head.key)

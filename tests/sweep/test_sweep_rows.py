@@ -65,6 +65,14 @@ def test_the_first_result_counts_and_stands_before_errors(tmp_path: Path) -> Non
     assert store.duplicates() == 1 and store.done() == {"a", "b"} and len(store) == 3
 
 
+def test_finding_rows_does_not_decode_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(tmp_path, row("a"), row("b"))
+    lines = [b"{", b'{"key": 1, "kind": "a"}', b'{"key": "\xff", "kind": ""}', b"[" * 100_000, path.read_bytes()]
+    path.write_bytes(b"\n".join(lines))
+    monkeypatch.setattr("hyjax.sweep.rows.parse_json", lambda *_: pytest.fail("decoded a row"))
+    assert RowStore(tmp_path).refresh().done() == {"a", "b"}
+
+
 def test_a_store_reads_on(tmp_path: Path) -> None:
     writer, store = RowWriter(tmp_path), RowStore(tmp_path)
     for count, key in enumerate("abc", start=1):
