@@ -17,8 +17,8 @@ from hyjax.tour.placement import north_for_bearing
 from hyjax.tour.plan import KINDS, MOST_LEFT, TourPlan
 from hyjax.tour.session import Session
 from hyjax.tour.sky import Weather
-from hyjax.tour.tools import MOST_UPLOADED, add_mesh, too_large
-from hyjax.tour.uploads import limit_uploads, taken
+from hyjax.tour.tools import MOST_UPLOADED, add_mesh, too_large, too_many
+from hyjax.tour.uploads import Upload, take_uploads
 from hyjax.tour.viewer import Viewer
 
 POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
@@ -112,16 +112,15 @@ class Controls:
             pick.on_click(self._tool_button("furniture"))
             bring = gui.add_upload_button("Bring a mesh", icon=viser.Icon.UPLOAD, hint="PLY, OBJ or GLB, in metres")
 
-        def uploaded(viewer: Viewer, event: Any) -> None:
-            add_mesh(self.session, viewer.frame, *taken(event.target))
+        def uploaded(viewer: Viewer, upload: Upload) -> None:
+            add_mesh(self.session, viewer.frame, upload.name, upload.content)
 
         def refuse(number: int, name: str, size: int) -> None:
             viewer = self._viewers.get(number)
             if viewer is not None:
-                viewer.notices.refuse(too_large(name, size))
+                viewer.notices.refuse(too_large(name, size) if size > MOST_UPLOADED else too_many(name))
 
-        limit_uploads(gui, MOST_UPLOADED, refuse)
-        bring.on_upload(task_handler(self._viewers, uploaded))
+        take_uploads(bring, MOST_UPLOADED, task_handler(self._viewers, uploaded), refuse)
 
     def _add_exports(self) -> None:
         gui = self._gui

@@ -1,6 +1,7 @@
 """Web server of a tour: where it listens, and which pages may talk to it."""
 
 import contextlib
+import functools
 import io
 import logging
 import socket
@@ -9,10 +10,15 @@ from traceback import walk_tb
 from typing import Any
 from urllib.parse import urlsplit
 
+import msgspec
 import viser
+from websockets.exceptions import InvalidHandshake
 
 from hyjax.util.errors import InputError
 from hyjax.util.hosts import LOCAL
+
+UNREADABLE = (msgspec.MsgspecError, KeyError, TypeError, ValueError, AttributeError, AssertionError)
+"""What viser raises over a message that is none of its own."""
 
 
 def open_server(host: str, port: int) -> viser.ViserServer:
@@ -24,8 +30,17 @@ def open_server(host: str, port: int) -> viser.ViserServer:
     check_port(host, port)
     with contextlib.redirect_stdout(io.StringIO()):  # viser draws a box
         server = viser.ViserServer(host, port, label="hyjax room tour", verbose=False)
-    for name in ("websockets.server", "asyncio"):
-        logging.getLogger(name).addFilter(_shorten)
+    loggers = [logging.getLogger(name) for name in ("websockets.server", "asyncio")]
+    shorten, stop = functools.partial(_shorten), server.stop  # a filter of this server's own
+
+    def stop_all() -> None:
+        stop()
+        for logger in loggers:
+            logger.removeFilter(shorten)
+
+    for logger in loggers:
+        logger.addFilter(shorten)
+    server.stop = stop_all  # type: ignore[method-assign]
     server.request_share_url = _no_tunnel  # type: ignore[method-assign]
 
     async def same_site(connection: Any) -> None:
@@ -61,12 +76,19 @@ def check_port(host: str, port: int) -> None:
 
 
 def _shorten(record: logging.LogRecord) -> bool:
-    """One line for a message that no page sends; errors in this package's own code keep their traceback."""
+    """One line for what no page sends; all other errors keep their traceback."""
     error = record.exc_info[1] if record.exc_info else None
-    modules = [frame.f_globals.get("__name__", "") for frame, _ in walk_tb(error.__traceback__ if error else None)]
-    if error is not None and not any(name.startswith("hyjax.") for name in modules):
-        record.msg, record.args = "tour: left out a message that no page of it sends (%s)", (type(error).__name__,)
-        record.exc_info = record.exc_text = None
+    if error is None:
+        return True
+    packages = {str(frame.f_globals.get("__name__")).split(".")[0] for frame, _ in walk_tb(error.__traceback__)}
+    if isinstance(error, InvalidHandshake):
+        left_out = "a connection that is no page's"
+    elif isinstance(error, UNREADABLE) and "viser" in packages and "hyjax" not in packages:
+        left_out = "a message that no page of it sends"
+    else:
+        return True
+    record.msg, record.args = "tour: left out %s (%s)", (left_out, type(error).__name__)
+    record.exc_info = record.exc_text = None
     return True
 
 

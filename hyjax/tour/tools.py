@@ -79,6 +79,11 @@ def too_large(name: str, size: int) -> InputError:
     return InputError(f"{Path(name).name}: {size} bytes; give a mesh of at most {MOST_UPLOADED >> 20} MiB")
 
 
+def too_many(name: str) -> InputError:
+    """What to say of a file that comes while others are still on their way."""
+    return InputError(f"{Path(name).name}: too many files at once; bring it when the others have arrived")
+
+
 def _select_furniture(session: Session, number: int | None, point: Float[np.ndarray, "3"]) -> None:
     if number is None:
         x, y, z = (round(float(v), 4) for v in point)

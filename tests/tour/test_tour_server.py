@@ -1,8 +1,9 @@
 """The tour's server by itself: noise, and uploads that are too large."""
 
+import json
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import msgspec.msgpack
@@ -10,8 +11,10 @@ import pytest
 
 viser = pytest.importorskip("viser")
 
-from hyjax.tour.server import open_server  # noqa: E402
-from hyjax.tour.uploads import limit_uploads, taken  # noqa: E402
+from viser import _messages as messages  # noqa: E402
+
+from hyjax.tour.server import address, open_server  # noqa: E402
+from hyjax.tour.uploads import Upload, take_uploads  # noqa: E402
 
 NOISE = (
     b"",
@@ -54,12 +57,26 @@ def test_noise_is_a_line_each(server: Any, caplog: pytest.LogCaptureFixture) -> 
         assert record.exc_info is None and record.exc_text is None
 
 
-def test_an_error_of_our_own_keeps_its_traceback(server: Any, caplog: pytest.LogCaptureFixture) -> None:
-    try:
-        taken(None)  # type: ignore[arg-type]
-    except AttributeError as error:
-        logging.getLogger("asyncio").error("failed", exc_info=error)
-    assert caplog.records[0].exc_info is not None and caplog.records[0].getMessage() == "failed"
+def raised(act: Callable[[], object]) -> Exception:
+    with pytest.raises(Exception) as caught:
+        act()
+    return caught.value
+
+
+def test_only_messages_that_cannot_be_read_are_shortened_and_only_while_it_runs(
+    server: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    def log(act: Callable[[], object]) -> bool:
+        """Whether an error keeps its traceback."""
+        logging.getLogger("asyncio").error("failed", exc_info=raised(act))
+        return caplog.records[-1].exc_info is not None and caplog.records[-1].getMessage() == "failed"
+
+    read = messages.Message.deserialize
+    assert not log(lambda: read(b""))
+    assert log(lambda: address("a", None))  # type: ignore[arg-type]  # our own
+    assert log(lambda: json.loads("{"))  # none of viser's
+    server.stop()
+    assert log(lambda: read(b""))
 
 
 def upload(server: Any, button: Any, content: bytes, told: int | None = None) -> None:
@@ -83,12 +100,44 @@ def upload(server: Any, button: Any, content: bytes, told: int | None = None) ->
 
 def test_uploads_beyond_the_limit_are_refused_and_none_is_kept(server: Any) -> None:
     refused: list[tuple[str, int]] = []
-    limit_uploads(server.gui, 100, lambda client, name, size: refused.append((name, size)))
+    taken: list[Upload] = []
     button = server.gui.add_upload_button("Bring a mesh")
+    take_uploads(button, 100, taken.append, lambda client, name, size: refused.append((name, size)))
     upload(server, button, bytes(101))
     assert refused == [("a.ply", 101)]
     upload(server, button, bytes(300), told=90)  # more than it says
-    assert button.value.content == b"" and not server.gui._current_file_upload_states
+    assert not taken and not server.gui._current_file_upload_states
     upload(server, button, b"ply" * 33)
-    assert refused == [("a.ply", 101)] and button.value.content == b"ply" * 33
-    assert taken(button) == ("a.ply", b"ply" * 33) and button.value.content == b""
+    until(lambda: taken)
+    upload(server, button, b"")
+    until(lambda: taken[1:])
+    assert refused == [("a.ply", 101)] and button.value.content == b""
+    assert [(each.name, each.content) for each in taken] == [("a.ply", b"ply" * 33), ("a.ply", b"")]
+
+
+def test_uploads_that_arrive_together_are_told_apart(server: Any) -> None:
+    """Their messages are handled one after the other, before the first thread looks at the button."""
+    taken: list[Upload] = []
+    refused: list[str] = []
+    button = server.gui.add_upload_button("Bring a mesh")
+    take_uploads(button, 100, taken.append, lambda client, name, size: refused.append(name))
+    handlers = server.gui._websock_interface._incoming_handlers
+    (begin,) = handlers[messages.FileTransferStartUpload]
+    (go_on,) = handlers[messages.FileTransferPart]
+    for number in range(5):
+        begin(
+            number,
+            messages.FileTransferStartUpload(
+                source_component_uuid=button._impl.uuid,
+                transfer_uuid=f"{number}",
+                filename=f"{number}.ply",
+                mime_type="",
+                part_count=1,
+                size_bytes=100,
+            ),
+        )
+    assert refused == ["4.ply"]  # 400 bytes are on their way
+    for number in range(5):
+        go_on(number, messages.FileTransferPart(button._impl.uuid, f"{number}", 0, bytes([number]) * 100))
+    until(lambda: len(taken) == 4)
+    assert sorted(taken) == [Upload(number, f"{number}.ply", bytes([number]) * 100) for number in range(4)]
