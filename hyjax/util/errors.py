@@ -32,11 +32,11 @@ class InputError(ValueError):
 
 def one_line(text: str, most: int = LONGEST) -> str:
     """A text as one line that a terminal can show: what is not printable escaped, its middle left out if long."""
-    if len(text) > most:
-        text = f"{text[: most * 2 // 3]} … {text[-(most // 3 - 3) :]}"
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+    if len(text) > 4 * most:  # what is escaped would be cut anyway
+        text = text[: 2 * most] + text[-2 * most :]
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+    return text if len(text) <= most else f"{text[: most * 2 // 3]} … {text[-(most // 3 - 3) :]}"
 
 
 def shown(value: Any) -> str:

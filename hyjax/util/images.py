@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8
 
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
-from hyjax.util.picture_header import check_picture, check_size
+from hyjax.util.picture_header import check_packing, check_picture, check_size
 
 NO_DATE = "1970:01:01 00:00:00"
 """In an EXR, which otherwise has the time of writing: equal pictures are equal files."""
@@ -49,7 +49,9 @@ def read_labels(path: Path, where: str | None = None) -> UInt8[np.ndarray, "h w"
 
 
 def picture_shape(path: Path, where: str | None = None) -> tuple[int, int]:
-    """(height, width) of a picture, from its header alone.
+    """(height, width) of a picture; its pixels are not decoded.
+
+    A PNG and a JPEG are gone through to their end all the same: damaged ones are refused.
 
     Raises:
         InputError: the file is missing, not a picture, or too large a one.
@@ -88,7 +90,10 @@ def _opened(path: Path, where: str) -> Iterator[Any]:
         if source is None:
             raise InputError(f"{where}: not a readable picture ({_first_line(_error(oiio))})")
         spec = source.spec()
-        check_size(spec.width, spec.height, spec.nchannels, where)
+        check_size(max(spec.width, spec.tile_width), max(spec.height, spec.tile_height), spec.nchannels, where)
+        check_packing(spec.width, spec.height, path.stat().st_size, where)
+        if spec.depth > 1:
+            raise InputError(f"{where}: a volume of {spec.depth} layers, not a picture")
         yield source
     except UnicodeDecodeError:  # of a damaged header's texts
         raise InputError(f"{where}: damaged picture (its header is not UTF-8)") from None

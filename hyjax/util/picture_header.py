@@ -1,7 +1,8 @@
 """What a picture's file says of itself, checked before any library reads it.
 
 A small file may announce any number of pixels, and a library that believes it takes all memory; libpng writes of
-damaged chunks to stderr. Formats are known by their first bytes, whatever the name: PNG, JPEG, OpenEXR and PNM.
+damaged chunks to stderr. Formats are known by their first bytes, whatever the name: PNG, JPEG, OpenEXR and PNM are
+looked at here; of TIFF, WebP and BMP the size that OpenImageIO finds is checked.
 """
 
 import os
@@ -29,7 +30,7 @@ MOST_PASSES = 1 << 30
 HEAD = 1 << 16
 """Bytes of a PNG within which its palette begins."""
 MOST_MARKERS = 1 << 16
-"""Before a JPEG's size: a large colour profile takes some hundred."""
+"""Of a JPEG, without those of restarts: a large colour profile takes some hundred."""
 LARGEST_FILE = 1 << 30
 
 
@@ -42,7 +43,7 @@ class Declared(NamedTuple):
 
 
 def check_picture(path: Path, where: str) -> None:
-    """Raise `InputError` unless a file begins as a picture does, of a size that can be read.
+    """Raise `InputError` unless a file begins as a picture does, of a size that can be read if its header is known.
 
     Args:
         path: of the file.
@@ -52,10 +53,12 @@ def check_picture(path: Path, where: str) -> None:
         size = os.fstat(file.fileno()).st_size
         if size > LARGEST_FILE:
             raise InputError(f"{where}: has over {LARGEST_FILE >> 20} MiB; too large for a picture")
-        start = file.read(8)
+        start = file.read(12)
+        if OTHERS.match(start):
+            return
         kind = next((kind for mark, kind in FORMATS.items() if start.startswith(mark)), None)
         if kind is None:
-            raise InputError(f"{where}: not a readable picture; read are PNG, JPEG, OpenEXR and PNM")
+            raise InputError(f"{where}: not a readable picture; read are {READ}")
         file.seek(0)
         try:
             declared = kind(file, size)
@@ -67,11 +70,7 @@ def check_picture(path: Path, where: str) -> None:
     if pixels * declared.passes > MOST_PASSES:
         raise InputError(f"{where}: {declared.width}x{declared.height} pixels in {declared.passes} scans; too many")
     check_size(declared.width, declared.height, 1, where)
-    if pixels > PACKED_FREELY and pixels > MOST_PER_BYTE * size:
-        raise InputError(
-            f"{where}: {declared.width}x{declared.height} pixels in {size} bytes; of so large a picture at most "
-            f"{MOST_PER_BYTE} a byte are read"
-        )
+    check_packing(declared.width, declared.height, size, where)
 
 
 def check_size(width: int, height: int, channels: int, where: str) -> None:
@@ -81,6 +80,15 @@ def check_size(width: int, height: int, channels: int, where: str) -> None:
         raise InputError(
             f"{where}: {width}x{height} pixels of {channels} channel(s); at most {most / 1e6:g} million are read, "
             f"of {MOST_CHANNELS} channels: set {VARIABLE} to read larger ones"
+        )
+
+
+def check_packing(width: int, height: int, size: int, where: str) -> None:
+    """Raise `InputError` for a large picture with more pixels in a byte of its file than are read."""
+    if width * height > PACKED_FREELY and width * height > MOST_PER_BYTE * size:
+        raise InputError(
+            f"{where}: {width}x{height} pixels in {size} bytes; of so large a picture at most {MOST_PER_BYTE} a "
+            "byte are read"
         )
 
 
@@ -101,34 +109,33 @@ def _png(file: BinaryIO, size: int) -> Declared | None:
         return None
     width, height = struct.unpack_from(">2I", head, 16)
     file.seek(0)
-    whole = is_whole_png(file, size)
+    whole = is_whole_png(file, size, foreign=True)
     file.seek(0)
     has_colours = head[25] != 3 or b"PLTE" in file.read(HEAD)
     return Declared(width, height) if whole and has_colours else None
 
 
 def _jpeg(file: BinaryIO, size: int) -> Declared | None:
-    """The size in the first frame header, and how many scans there are."""
+    """The size in the first frame header, and the scans up to the picture's end: phones put films behind it."""
     content = file.read()
-    at = 2
+    at, scans, sides = 2, 0, None
     for _ in range(MOST_MARKERS):
-        mark, kind = content[at], content[at + 1]
-        if mark != 0xFF:
-            return None
-        if kind == 0xFF:  # fill bytes may stand before a marker
-            at += 1
-        elif kind in STANDALONE:
-            at += 2
-        elif kind in FRAME_HEADERS:
-            height, width = struct.unpack_from(">2H", content, at + 5)
-            return Declared(width, height, max(1, content.count(b"\xff\xda", at)))
-        else:
-            at += 2 + struct.unpack_from(">H", content, at + 2)[0]
+        found = MARKER.search(content, at)
+        if found is None or found[0] == END:
+            return None if sides is None else Declared(*sides, max(1, scans))
+        at, kind = found.end(), found[0][1]
+        if kind in FRAME_HEADERS and sides is None:
+            height, width = struct.unpack_from(">2H", content, at + 3)
+            sides = width, height
+        scans += kind == 0xDA
+        if kind >= 0xC0 and kind != 0xD8:  # libjpeg takes no length of others, and looks for markers behind them
+            at += struct.unpack_from(">H", content, at)[0]
     return None
 
 
-STANDALONE = (0x01, *range(0xD0, 0xD9))
-"""JPEG's markers without a length."""
+MARKER = re.compile(rb"\xff[^\0\xd0-\xd7\xff]")
+"""A JPEG's marker that is none of a restart; between two of them are the bytes of a scan."""
+END = b"\xff\xd9"
 FRAME_HEADERS = tuple(kind for kind in range(0xC0, 0xD0) if kind not in (0xC4, 0xC8, 0xCC))
 """JPEG's markers of headers with the size."""
 
@@ -158,3 +165,6 @@ FORMATS: dict[bytes, Callable[[BinaryIO, int], Declared | None]] = {
     **{b"P" + digit: _pnm for digit in (b"1", b"2", b"3", b"4", b"5", b"6")},
 }
 """How a file of each format begins, and what reads its header."""
+OTHERS = re.compile(rb"II[*+]\0|MM\0[*+]|RIFF.{4}WEBP|BM", re.DOTALL)
+"""How those begin whose headers OpenImageIO alone reads."""
+READ = "PNG, JPEG, OpenEXR, PNM, TIFF, WebP and BMP"

@@ -22,8 +22,8 @@ LARGEST_WRITTEN_BY_HAND = 1 << 18
 PIECE = 1 << 20
 DEEPEST = 64
 """Lists and mappings within each other."""
-MOST_DIGITS = 19
-"""Of a whole number: those of 64 bits."""
+MOST_DIGITS = 20
+"""Of a whole number; it must have at most 64 bits too, with a sign or without."""
 HALF_LETTER = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
 """What a JSON text with such a letter contains; pairs of them too, which are fine."""
 MOST_NODES = 100_000
@@ -143,8 +143,8 @@ def parse_json(text: str | bytes, where: str, *, only_finite: bool = False) -> A
 
     def whole(digits: str) -> int:
         if len(digits.lstrip("-")) > MOST_DIGITS:
-            raise InputError(f"{where}: a whole number of {len(digits)} digits")
-        return int(digits)
+            raise InputError(f"{where}: a whole number of {len(digits)} digits; at most {MOST_DIGITS} are read")
+        return _of_64_bits(int(digits), where)
 
     def real(digits: str) -> float:
         number = float(digits)
@@ -175,8 +175,8 @@ def parse_yaml(text: str, where: str) -> Any:
     """Plain data of a YAML text; JSON is a part of YAML.
 
     Raises:
-        InputError: neither, whole numbers beyond 64 bits, more than 64 deep, or aliases that stand for more than
-            100 000 values.
+        InputError: neither, whole numbers beyond 64 bits, more than 64 deep, aliases that stand for more than
+            100 000 values, or merge keys (`<<`), which stand for as many.
 
     Example:
         >>> parse_yaml("lights:\\n  - {type: point, lux: 80}", "lamps.yaml")
@@ -191,6 +191,8 @@ def parse_yaml(text: str, where: str) -> Any:
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth > DEEPEST:
                 raise InputError(f"{where}: lists and mappings more than {DEEPEST} deep")
+            if _is_merge(event):  # expanded while it is loaded, before anything can be counted
+                raise InputError(f"{where}: a merge key (<<); write out what it stands for")
         value = yaml.load(text, loader)
     except InputError:
         raise
@@ -204,6 +206,18 @@ def parse_yaml(text: str, where: str) -> Any:
     return value
 
 
+def _is_merge(event: Any) -> bool:
+    """Whether an event of YAML is a merge key: by how it is written, or by its tag."""
+    tag, value = getattr(event, "tag", None), getattr(event, "value", None)
+    return (value == "<<" and event.implicit[0]) or (tag or "").endswith(":merge")
+
+
+def _of_64_bits(number: int, where: str) -> int:
+    if not -(1 << 63) <= number < 1 << 64:
+        raise InputError(f"{where}: a whole number beyond 64 bits")
+    return number
+
+
 def _check_values(value: Any, where: str) -> None:
     left, count = [(value, 1)], 0
     while left:
@@ -215,8 +229,8 @@ def _check_values(value: Any, where: str) -> None:
             left += [(part, depth + 1) for pair in inner.items() for part in pair]
         elif isinstance(inner, list | tuple | set):
             left += [(part, depth + 1) for part in inner]
-        elif isinstance(inner, int) and abs(inner) >= 10**MOST_DIGITS:
-            raise InputError(f"{where}: a whole number beyond 64 bits")
+        elif isinstance(inner, int):
+            _of_64_bits(inner, where)
         elif isinstance(inner, str):
             _check_letters(inner, where)
 

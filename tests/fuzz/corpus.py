@@ -43,6 +43,25 @@ def pnms(folder: Path) -> None:
     (folder / "c.ppm").write_text("P3\n# a comment\n2 1 255\n0 1 2 3 4 5\n")
 
 
+def tiffs(folder: Path) -> None:
+    picture = Image.fromarray(np.uint8(255 * PIXELS))
+    picture.save(folder / "a.tif")
+    picture.save(folder / "b.tif", compression="tiff_lzw")
+    Image.fromarray(PIXELS[..., 0]).save(folder / "c.tif", compression="tiff_adobe_deflate")
+
+
+def webps(folder: Path) -> None:
+    picture = Image.fromarray(np.uint8(255 * PIXELS))
+    picture.save(folder / "a.webp")
+    picture.save(folder / "b.webp", lossless=True)
+
+
+def bmps(folder: Path) -> None:
+    picture = Image.fromarray(np.uint8(255 * PIXELS))
+    picture.save(folder / "a.bmp")
+    picture.convert("P").save(folder / "b.bmp")
+
+
 def depths(folder: Path) -> None:
     write_depth(folder / "a.png", 3 * PIXELS[..., 0])
 
@@ -52,7 +71,7 @@ def labels(folder: Path) -> None:
 
 
 def pictures(folder: Path) -> None:
-    for make in (pngs, jpegs, exrs, pnms):
+    for make in (pngs, jpegs, exrs, pnms, tiffs, webps, bmps):
         make(folder)
 
 

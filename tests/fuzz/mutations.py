@@ -47,6 +47,8 @@ CLASSICS = [
     b'{"settings": [1]}\n{"key": [1], "value": 2}\n{}\n',
     b'{"key": [1], "value": 2}\n{"key": "a"}\n',
     b"a: &a [1, 2]\nb: [*a, *a]\n" + b"".join(b"c%d: &c%d [*a, *a, *a, *a]\n" % (n, n) for n in range(50)),
+    b"a0: &a0 {x: 1}\n"
+    + b"".join(b"a%d: &a%d {<<: [%s]}\n" % (n, n, b", ".join([b"*a%d" % (n - 1)] * 9)) for n in range(1, 9)),
     b"PK\x05\x06" + bytes(18),
     b"\x89PNG\r\n\x1a\n",
     b"\xff\xd8\xff\xe0" + bytes(100),

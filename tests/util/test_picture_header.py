@@ -14,6 +14,7 @@ from PIL import Image
 from hyjax.util import picture_header
 from hyjax.util.errors import InputError
 from hyjax.util.images import picture_shape, read_image, write_exr, write_png
+from hyjax.util.whole_files import check_whole
 
 PIXELS = np.linspace(0.0, 1.0, 12 * 16 * 3, dtype=np.float32).reshape(12, 16, 3)
 
@@ -64,6 +65,16 @@ def test_a_jpeg_of_a_thousand_scans(tmp_path: Path) -> None:
     scan = content[content.index(b"\xff\xda") : -2]
     (tmp_path / "a.jpg").write_bytes(content[:-2] + 1000 * scan + content[-2:])
     refuses(tmp_path / "a.jpg", r"4000x4000 pixels in \d+ scans; too many")
+
+
+@pytest.mark.parametrize("options", [{}, {"progressive": True}, {"restart_marker_blocks": 1}])
+def test_what_follows_a_jpegs_end_is_no_scan(
+    tmp_path: Path, options: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As phones write it: a film or a second picture."""
+    monkeypatch.setattr(picture_header, "MOST_PASSES", 4000)
+    (tmp_path / "a.jpg").write_bytes(jpeg(**options) + 100 * b"\xff\xda\0\2")
+    assert read_image(tmp_path / "a.jpg").shape == (12, 16, 3)
 
 
 def test_a_png_that_says_it_is_giant(tmp_path: Path) -> None:
@@ -122,12 +133,35 @@ def test_no_chunk_of_a_png_makes_libpng_talk(tmp_path: Path, capfd: pytest.Captu
         assert capfd.readouterr().err == "", number
 
 
+def test_pngs_of_other_programs_may_have_more_behind_them_and_damaged_comments(tmp_path: Path) -> None:
+    write_png(tmp_path / "a.png", PIXELS)
+    content = (tmp_path / "a.png").read_bytes()
+    comment = struct.pack(">I4s", 3, b"tEXt") + b"a\0b" + bytes(4)
+    for number, other in enumerate((content + b"\n", content[:33] + comment + content[33:])):
+        (tmp_path / f"{number}.png").write_bytes(other)
+        np.testing.assert_array_equal(read_image(tmp_path / f"{number}.png"), read_image(tmp_path / "a.png"))
+        with pytest.raises(OSError, match="not all of it"):  # of one's own
+            check_whole(tmp_path / f"{number}.png", "a.png")
+
+
 def test_formats_are_known_by_their_content(tmp_path: Path) -> None:
     for name, content in {"a.png": jpeg(), "a.tif": jpeg(), "a": jpeg()}.items():
         (tmp_path / name).write_bytes(content)
         assert read_image(tmp_path / name).shape == (12, 16, 3)
-    Image.fromarray(np.uint8(255 * PIXELS)).save(tmp_path / "b.tiff")
-    refuses(tmp_path / "b.tiff", "read are PNG, JPEG, OpenEXR and PNM")
+    Image.fromarray(np.uint8(255 * PIXELS)).save(tmp_path / "b.gif")
+    refuses(tmp_path / "b.gif", "read are PNG, JPEG, OpenEXR, PNM, TIFF, WebP and BMP")
+
+
+@pytest.mark.parametrize("form", ["TIFF", "WebP", "BMP"])
+def test_formats_whose_headers_openimageio_reads(
+    form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picture = np.uint8(255 * PIXELS)
+    Image.fromarray(picture).save(tmp_path / "a", form, lossless=True)
+    np.testing.assert_allclose(255 * read_image(tmp_path / "a"), picture, atol=1e-4)
+    assert picture_shape(tmp_path / "a") == (12, 16)
+    monkeypatch.setenv("HYJAX_MOST_MEGAPIXELS", "1e-4")
+    refuses(tmp_path / "a", "16x12 pixels of 3 channel")
 
 
 def test_whole_steps_are_scaled_as_openimageio_does(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from hyjax.util.run_log import read_lines
 BOMB = "a0: &a0 [1, 2]\n" + "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12))
 """Aliases of aliases, which stand for 9^11 values."""
 JSON = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | st.text(),
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats(allow_nan=False) | st.text(),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
     max_leaves=12,
 )
@@ -44,7 +44,8 @@ def test_what_json_writes_comes_back(value: object) -> None:
         ("[" * 100_000, "64 deep"),
         ("[" * (DEEPEST + 1) + "]" * (DEEPEST + 1), "64 deep"),
         ('{"a":' * 100_000, "64 deep"),
-        ("9" * 5000, "whole number of 5000 digits"),
+        ("9" * 5000, "whole number of 5000 digits; at most 20"),
+        (str(2**64), "beyond 64 bits"),
         ('{"a": -' + "9" * 400 + "}", "digits"),
         ('["\\ud800"]', "lone surrogate"),
         ("{", "line 1"),
@@ -76,6 +77,20 @@ def test_yaml_that_nobody_writes_is_one_line(text: str) -> None:
         parse_yaml(text, "a.yaml")
 
 
+@pytest.mark.parametrize("key", ["<<", "! '<<'", "!!merge x", "? <<\n  "])
+def test_merge_keys_are_refused_before_they_are_expanded(key: str) -> None:
+    bomb = "".join(f"a{k}: &a{k}\n  {key}: [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 4))
+    with pytest.raises(InputError, match="merge key"):
+        parse_yaml(f"a0: &a0 {{x: 1}}\n{bomb}", "a.yaml")
+    assert parse_yaml("'<<': 1", "a.yaml") == {"<<": 1}
+
+
+def test_whole_numbers_of_64_bits_are_read() -> None:
+    assert parse_json("[18446744073709551615]", "a.json") == parse_yaml("[18446744073709551615]", "a.yaml")
+    with pytest.raises(InputError, match="64 bits"):
+        parse_yaml("18446744073709551616", "a.yaml")
+
+
 def readers() -> dict[str, object]:
     return {
         "bytes": read_bytes,
@@ -97,7 +112,7 @@ def readers() -> dict[str, object]:
 def test_pipes_and_folders_are_refused_and_not_waited_for(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     os.mkfifo(path)
-    with pytest.raises(InputError, match=r"pipe|no such"):
+    with pytest.raises(InputError, match="pipe"):
         readers()[name](path)  # type: ignore[operator]
     if name != "archive.zip":  # a folder is a tree
         path.unlink()

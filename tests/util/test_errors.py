@@ -1,0 +1,21 @@
+"""Messages: one line of bounded length, whatever is in it."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hyjax.util.errors import LONGEST, one_line
+
+
+@given(st.text())
+def test_short_texts_keep_what_can_be_shown(text: str) -> None:
+    assert one_line(text).isprintable()
+    assert not text.isprintable() or one_line(text) == text
+
+
+@pytest.mark.parametrize("letter", ["a", "\n", "\x00", "\u200b", "\U000e0001"])
+@pytest.mark.parametrize("count", [LONGEST // 4, LONGEST + 1, 100_000])
+def test_long_texts_keep_their_ends_within_the_limit(letter: str, count: int) -> None:
+    line = one_line(f"begin{letter * count}end")
+    assert line.isprintable() and len(line) <= LONGEST
+    assert line.startswith("begin") and line.endswith("end")
