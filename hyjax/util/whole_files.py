@@ -64,7 +64,7 @@ def is_whole_png(file: BinaryIO, size: int, *, foreign: bool = False) -> bool:
         content = file.read(min(length, size))  # all that is announced is set aside
         (checksum,) = struct.unpack(">I", file.read(4))
         needed = kind[:1].isupper()
-        if not kind.isalpha() or len(content) != length:
+        if not (kind.isalpha() and kind[2:3].isupper()) or len(content) != length:  # libpng writes to stderr
             return False
         if (needed or not foreign) and zlib.crc32(content, zlib.crc32(kind)) != checksum:
             return False

@@ -124,7 +124,8 @@ def test_no_chunk_of_a_png_makes_libpng_talk(tmp_path: Path, capfd: pytest.Captu
     chunks = chunks_of(content)
     contents = [content[:at] + bytes([content[at] ^ 0x55]) + content[at + 1 :] for at in range(0, len(content), 7)]
     contents += [png(chunks[:k] + chunks[k + 1 :]) for k, (kind, _) in enumerate(chunks) if kind != b"IDAT"]
-    contents += [png([*chunks[:k], (kind, b"\0"), *chunks[k:]]) for k in range(1, 9) for kind in (b"ABCD", b"PLTE")]
+    kinds = (b"ABCD", b"PLTE", b"cHrM")
+    contents += [png([*chunks[:k], (kind, b"\0"), *chunks[k:]]) for k in range(1, 9) for kind in kinds]
     contents += [png([(b"IHDR", chunks[0][1][:8] + bytes(form)), *chunks[1:]]) for form in ((8, 3), (1, 2), (7, 7))]
     for number, damaged in enumerate(contents):
         (tmp_path / "b.png").write_bytes(damaged)
