@@ -40,6 +40,7 @@ TemporalFilter = Callable[
 ]
 
 
+@checked_arguments(display=["full"])
 def relight(
     view: View,
     shaded: Shaded,

@@ -58,8 +58,8 @@ def cached_arrays(
 
 
 def tell_unkept(folder: Path, error: Exception) -> None:
-    """Warn, once for each folder, that what can be computed again cannot be kept there."""
-    if folder not in _refused:
+    """Warn, once for a folder and those in it, that what can be computed again cannot be kept there."""
+    if not any(folder == told or told in folder.parents or folder in told.parents for told in _refused):
         _refused.add(folder)
         _log.warning("%s: cannot keep there what the next start could use (%s)", folder, error)
 

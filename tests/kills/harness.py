@@ -76,12 +76,13 @@ class Killer:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,  # which no limit of a file's size cuts off
             start_new_session=True,
-            preexec_fn=functools.partial(resource.setrlimit, resource.RLIMIT_FSIZE, (largest, largest)),
             env=environment,
             cwd=self.folder,
             text=True,
             errors="replace",
         )
+        if largest != resource.RLIM_INFINITY:  # before it has loaded anything
+            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (largest, largest))
         try:
             _, said = process.communicate(timeout=LONGEST if kill_after is None else kill_after)
         except subprocess.TimeoutExpired:
