@@ -1,7 +1,6 @@
 """Runs in processes of their own, killed with all that they started."""
 
 import dataclasses
-import functools
 import os
 import random
 import resource
