@@ -116,6 +116,7 @@ def test_diffuse_takes_it(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(diffuse(y, edges, sizes), _steps(y, edges, sizes, None, None), atol=2e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize(
     ("shape", "count"), [((1, 1, 1), 1), ((33, 17, 2), 0), ((33, 17, 2), 11), ((140, 150, 1), 11), ((200, 5, 1), 8)]

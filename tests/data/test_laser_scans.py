@@ -64,6 +64,7 @@ def test_scans_come_back_in_the_worlds_axes(tmp_path: Path, kind: Kind) -> None:
     np.testing.assert_allclose(cloud.points.max(axis=0), rooms.bounds[1], atol=0.02)
 
 
+@pytest.mark.slow
 def test_the_room_from_its_scans_against_its_mesh() -> None:
     """The tolerances leave room for silhouettes, a disc (here 2 cm) fatter, and for edges, round by as much."""
     mesh = make_room(0).mesh

@@ -102,6 +102,7 @@ def test_older_files_do_not_tell_the_size_of_depth(unpacked: Path) -> None:
     agree(open_capture(unpacked), FRAMES)
 
 
+@pytest.mark.slow
 def test_damaged_depth_is_named(unpacked: Path) -> None:
     (unpacked / "rgbd" / "1.depth").write_bytes(b"bvx2 and nothing")
     refuses(unpacked, "rgbd/1.depth", "LZFSE")

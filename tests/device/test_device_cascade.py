@@ -52,6 +52,7 @@ def picture(
     return np.moveaxis(planes, 0, 2).reshape(*shape, -1)[..., :channels]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in PRESETS if name != "naive-1000"])
 @pytest.mark.parametrize("shape", [(64, 48), (45, 67)])
 def test_presets(device: Any, name: str, shape: tuple[int, int]) -> None:
@@ -60,6 +61,7 @@ def test_presets(device: Any, name: str, shape: tuple[int, int]) -> None:
     assert np.abs(result - np.asarray(cascade(jnp.asarray(source), jnp.asarray(guide), schedule))).max() < EXACT
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(
     shape=st.tuples(st.integers(1, 70), st.integers(1, 70)),
@@ -132,6 +134,7 @@ def test_half_precision(device: Any) -> None:
     assert 1e-6 < np.abs(result - expected).max() < 2e-3
 
 
+@pytest.mark.slow
 def test_filling(device: Any) -> None:
     """(value, weight) of four lights, completed where nothing is known, and far from it."""
     shape, lights = (40, 56), 4

@@ -102,6 +102,7 @@ def renderer_of(scene: Scene, setup: LightSetup, device: Any, keep: bool, **opti
     )
 
 
+@pytest.mark.slow
 def test_lights_of_every_kind(scene: Scene, device: Any) -> None:
     """Illuminance and visibility of each light at each pixel; where a ray grazes an edge they may differ."""
     setup = all_kinds(scene)
@@ -126,6 +127,7 @@ def test_lights_of_every_kind(scene: Scene, device: Any) -> None:
     assert np.abs(picture - np.asarray(relit.image)).mean() < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lights", ["evening-lamps", "golden-hour"])
 @pytest.mark.parametrize("keep", [True, False])
 def test_whole_frame(scene: Scene, device: Any, lights: str, keep: bool) -> None:
@@ -192,6 +194,7 @@ def test_lights_without_a_shader(scene: Scene) -> None:
         light_records([lamp] * 33, scene.mesh)
 
 
+@pytest.mark.slow
 def test_relight_by_webgpu(scene: Scene, device: Any, tmp_path: Path) -> None:
     """The command's pictures are those of the other renderer."""
     write_lights(tmp_path / "lamp.json", LightSetup((all_kinds(scene).lights[0],), 250.0))

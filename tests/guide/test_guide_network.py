@@ -140,6 +140,7 @@ def test_gradients_and_statistics_are_torchs(pair: tuple[GuideNetwork, Any]) -> 
             assert np.abs(result - expected).max() < tolerance * scale, name
 
 
+@pytest.mark.slow
 def test_starts_as_torchs() -> None:
     """Initial weights have the same spread, layer for layer, and the same range where they are uniform."""
     reference = pytest.importorskip("reference.torch_unet")

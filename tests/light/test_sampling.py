@@ -38,6 +38,7 @@ def gbuffer_of(position: np.ndarray, normal: np.ndarray, hit: np.ndarray) -> GBu
     return GBuffer(*(jnp.asarray(x) for x in (position, normal, depth, hit)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hyjax", "hyjax-scan-shadow", "paper-50"])
 @settings(deadline=None, max_examples=6)
 @given(blocks=st.sampled_from([(8, 12), (9, 5)]), seed=SEEDS)
@@ -175,6 +176,7 @@ def test_what_all_views_say_is_dark_is_not_lit(seed: int, size: tuple[int, int])
             assert shared[block].max() == 0.0
 
 
+@pytest.mark.slow
 def test_a_relit_frame_hardly_changes() -> None:
     """Quarter of the pixels, quarter of the views: what a smooth room shows stays."""
     from hyjax.data.builtin_room import load_room

@@ -49,6 +49,7 @@ def relit(shaded: Shaded, display: Float[Array, "h w 3"], factor: int, **options
     return relight(view, shaded, view.display, SCHEDULE, shadow_schedule=SHADOWS, full=display, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("height", "width", "factor"), SIZES)
 def test_a_constant_filter_is_exact(height: int, width: int, factor: int) -> None:
     """And so what relighting at full size makes of the frame."""

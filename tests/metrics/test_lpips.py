@@ -113,6 +113,7 @@ def test_random_networks_are_torchs(net: Net, size: tuple[int, int]) -> None:
 # ---- properties ----
 
 
+@pytest.mark.slow
 @given(seeds)
 @settings(max_examples=10)
 def test_a_distance(random_alex: LpipsWeights, seed: int) -> None:

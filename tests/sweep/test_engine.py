@@ -185,6 +185,7 @@ def test_a_task_that_takes_its_workers_along(tmp_path: Path) -> None:
     assert len(run_here(tmp_path, standins.double, tasks(12, bytes=10))) == 9
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("distributed")
 def test_a_scheduler_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from distributed import LocalCluster

@@ -45,6 +45,7 @@ def test_the_photo_comes_back(builtin: TruthRoom) -> None:
     np.testing.assert_array_equal(depth, same_depth)
 
 
+@pytest.mark.slow
 def test_light_adds_up(random: TruthRoom) -> None:
     """All sources at once give what each gives alone, in light maps and at single points."""
     together = random.photo_light
@@ -143,6 +144,7 @@ def test_names_and_keys(builtin: TruthRoom) -> None:
     assert len({source_key([x]) for x in lamps}) == 2 and source_key(lamps) == source_key(list(lamps))
 
 
+@pytest.mark.slow
 def test_capture(tmp_path) -> None:
     name = "random-5-6-day"
     capture = load_truth_room(name, 3, 80, 60, tmp_path, LOW)

@@ -46,6 +46,7 @@ def test_a_capture_forgets_every_second_frame_when_it_is_full() -> None:
     assert capture[3].depth is None
 
 
+@pytest.mark.slow
 def test_pictures_follow_the_surface(tmp_path: Path) -> None:
     scene, cameras = LiveScene(voxel=0.05), looking(MIDDLE, 20)
     before, after = frames(room(), cameras), frames(room(box=False), cameras, first=20)

@@ -64,6 +64,7 @@ def seed_of(renderer: Renderer, plan: TourPlan) -> Piece:
     return Piece(tuple(hit.origin.tolist()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keep_photo_light", [False, True])
 def test_a_picture_is_what_relight_makes_of_its_lights(
     renderer: Renderer, keeping: Renderer, plan: TourPlan, tmp_path: Path, keep_photo_light: bool

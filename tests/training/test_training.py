@@ -98,6 +98,7 @@ def guide_with(strength: float, column: int = SIZE // 2) -> jax.Array:
 # ---- objective ----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("through", ["cascade", "steps"])
 def test_the_right_guide_loses_least(through: str) -> None:
     settings = dataclasses.replace(SETTINGS, through=through, steps_without_gradient=5, steps_with_gradient=20)
@@ -121,6 +122,7 @@ def test_losses_of_weight_zero_are_left_out_of_the_sum() -> None:
     assert total(losses, settings) == losses.depth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("through", ["cascade", "steps"])
 def test_gradient_against_finite_differences(through: str) -> None:
     settings = dataclasses.replace(SETTINGS, through=through, steps_without_gradient=0, steps_with_gradient=8)
@@ -227,6 +229,7 @@ def test_a_run_goes_on_after_its_checkpoint_and_not_beyond_its_end(folder: Path,
         train(settings_for(folder), tmp_path, resume=True, progress=False)
 
 
+@pytest.mark.slow
 def test_training_lowers_the_loss_and_leaves_a_guide(folder: Path, tmp_path: Path) -> None:
     settings = settings_for(folder, iterations=20, learning_rate=1e-2, validate_every=10)
     last = train(settings, tmp_path, command="hyjax train", progress=False)
@@ -325,6 +328,7 @@ def test_too_little_memory_names_what_to_lower(
     train(settings_for(folder, iterations=1), tmp_path, progress=False)  # what was refused blocks nothing
 
 
+@pytest.mark.slow
 def test_a_batch_that_no_devices_can_share_is_refused() -> None:
     Updater(dataclasses.replace(SETTINGS, batch=3))  # one device takes any
     code = (

@@ -216,6 +216,7 @@ def test_effects_are_named() -> None:
 # ---- page ----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held_out", [True, False])
 def test_the_page_stands_alone(held_out: bool, tmp_path: Path) -> None:
     tuned = fake([FPS60, FPS100, RUDEST], held_out=held_out)

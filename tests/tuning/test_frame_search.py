@@ -96,6 +96,7 @@ def search_anew(budgets: tuple[float, ...], count: int = 40, seed: int = 0, **op
 searched = functools.cache(search_anew)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("budget", [0.3, 0.5, math.inf])
 def test_the_best_is_found(budget: float) -> None:
     """40 of 1 152 combinations, for one budget: within 3 % of the best loss, and never over the budget."""

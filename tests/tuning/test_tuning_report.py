@@ -260,6 +260,7 @@ def test_the_plot_is_written(suffix: str, tmp_path: Path) -> None:
 # ---- page ----
 
 
+@pytest.mark.slow
 def test_the_page_stands_alone(tuned: Tuned, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     report.write_report(path, tuned, examples())
