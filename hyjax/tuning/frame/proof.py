@@ -77,11 +77,12 @@ def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, cl
         zip(clock.times(fastest, BASE_ROUNDS), fastest, strict=True), key=lambda pair: pair[0].p95
     )
     if time.p95 > least.milliseconds:
+        busy = "; other work on the machine disturbs the clock" if time.p95 >= base.p95 else ""
         steps = " ".join(f"{level.factor}:{level.steps}" for level in configuration.schedule.levels)
         raise InputError(
             f"budget {least.milliseconds:.3g} ms: out of reach on this device; the fastest that was found takes "
             f"{time.p95:.2f} ms (p95; scale {configuration.scale}, cascade {steps}, no shadow pass), the default "
-            f"{base.p95:.2f}; give at least --budget-ms {1.1 * time.p95:.3g}, or a smaller --size"
+            f"{base.p95:.2f}; give at least --budget-ms {1.1 * time.p95:.3g}, or a smaller --size{busy}"
         )
 
 
