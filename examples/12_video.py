@@ -2,7 +2,8 @@
 
     python examples/12_video.py [SIZE]
 
-Picture: four frames that follow each other, relit with the memory.
+Picture: four frames, relit with the memory. They are farther apart than those of a recording, so outlines of
+earlier frames are left at jumps of depth, and do not fade.
 """
 
 import sys

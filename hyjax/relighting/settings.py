@@ -43,7 +43,7 @@ class RelightSettings(Settings):
     keep_photo_light: bool = False
     """Leave the light that the frames were taken under in the picture, as the paper does, and bounces out."""
     video: bool = False
-    """The frames follow each other: carry refined light from each to the next, so that it does not flicker."""
+    """For neighbouring frames of a recording: carry refined light from each to the next, against flicker."""
     shadows: bool = True
     """Whether lights cast shadows."""
     occluders: Occluders = "completed"
