@@ -120,6 +120,7 @@ TABLES: dict[str, Published] = {
     "live-parts": Published("live", 1),
     "live-chair": Published("live", 3),
     "tour-latency": Published("tour_latency"),
+    "tour-load": Published("tour_load", 0),
     "fusion-chair": Published("fusion_borders_chair", 0),
     "fusion-room": Published("fusion_borders_room", 0),
     "sweep": Published("sweep_scale", 0),

@@ -248,8 +248,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         f"{counts['refused uploads']} were refused."
     )
     return [
-        Table("Medians of a minute.", header, rows_of),
-        text,
+        Table(f"Medians of a minute; {text}", header, rows_of),
         Plot("load", "Memory and open files of the tour.", draw(samples)),
     ]
 
