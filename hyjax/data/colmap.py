@@ -36,6 +36,7 @@ from hyjax.data.recording import DepthAndConfidence, Recording, Shot, rigid
 from hyjax.data.scaled import ScaledCapture
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 
 MODELS = ("sparse/0/", "sparse/", "colmap/sparse/0/", "colmap/sparse/", "")
 WORKSPACES = ("dense/", "dense/0/")
@@ -136,12 +137,7 @@ def _workspace(tree: FileTree, model: str) -> str:
 
 def _read_model(tree: FileTree, folder: str, kind: str) -> Any:
     """The model, read by pycolmap from a copy of its three files alone."""
-    try:
-        import pycolmap
-    except ImportError:
-        raise InputError(
-            f"{tree.path}: a COLMAP model needs the package pycolmap; install it with: pip install '.[captures]'"
-        ) from None
+    pycolmap = optional_module("pycolmap", "captures", str(tree.path))
     with tempfile.TemporaryDirectory(prefix="hyjax-") as copy:
         for part in PARTS:
             content = tree.read(f"{folder}{part}{kind}")

@@ -16,6 +16,7 @@ from jaxtyping import Float, UInt8
 
 from hyjax.data.file_tree import FileTree
 from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 
 if TYPE_CHECKING:
     import av
@@ -134,11 +135,7 @@ def import_av(what: str) -> Any:
     Raises:
         InputError: it is not installed.
     """
-    try:
-        import av
-    except ImportError:
-        raise InputError(f"{what}: needs the package av; install it with: pip install '.[captures]'") from None
-    return av
+    return optional_module("av", "captures", what)
 
 
 def _line(error: BaseException) -> str:

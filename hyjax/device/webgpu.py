@@ -10,6 +10,7 @@ import numpy as np
 
 from hyjax.device.program import Buffer, Launch, Program
 from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 
 TIMESTAMPS = "timestamp-query"
 FAR = {"depth_clear_value": 0.0}
@@ -23,10 +24,7 @@ def open_device(precision: str = "f32") -> Any:
     """
     os.environ.setdefault("WGPU_FORCE_OFFSCREEN", "1")
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # else drivers complain on stderr
-    try:
-        import wgpu
-    except ImportError:
-        raise InputError("webgpu: needs the package wgpu; install it with: pip install '.[device]'") from None
+    wgpu = optional_module("wgpu", "device", "webgpu")
     try:
         adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
     except RuntimeError as error:

@@ -19,7 +19,6 @@ from hyjax.guide.layers import ConvNorm
 from hyjax.guide.network import GuideNetwork, normalise
 from hyjax.guide.weights import kappa_of, load_network, save_guide
 from hyjax.util.arguments import checked_arguments
-from hyjax.util.errors import InputError
 
 
 def fold(network: GuideNetwork, *, kappa: float = DEFAULT_KAPPA) -> GuideNetwork:
@@ -80,13 +79,11 @@ class Guide:
         Raises:
             InputError: not an H×W×3 picture in floating point.
         """
-        check_display(display)
         return _features(self._graph, self._state, display)
 
     @checked_arguments(display=["display"])
     def trunk(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w t"]:
         """Input of the network's last layer; see `features`."""
-        check_display(display)
         return _trunk(self._graph, self._state, display)
 
     @property
@@ -132,14 +129,6 @@ def load_guide(path: str | os.PathLike[str], name: str | None = None) -> Guide:
         fingerprint=digest.hexdigest()[:16],
         metadata=metadata,
     )
-
-
-def check_display(display: Float[Array, "h w 3"]) -> None:
-    """Raise `InputError` unless this is an H×W×3 picture."""
-    if display.ndim != 3 or display.shape[-1] != 3 or 0 in display.shape:
-        raise InputError(f"guide: need a display-encoded H x W x 3 picture, got shape {display.shape}")
-    if not jnp.issubdtype(display.dtype, jnp.floating):
-        raise InputError(f"guide: need a picture in [0, 1], got {display.dtype}; divide 8 bits by 255")
 
 
 @functools.partial(jax.jit, static_argnums=0)
