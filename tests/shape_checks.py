@@ -42,6 +42,8 @@ def checked(target: Any = None, **_: Any) -> Any:
     """
     if target is None:
         return checked
+    if target == "context":  # of the package's own checks
+        return ORIGINAL(target)
     if isinstance(target, type) or "<locals>" in getattr(target, "__qualname__", ""):
         return target
     if isinstance(target, classmethod | staticmethod):

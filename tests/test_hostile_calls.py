@@ -14,7 +14,7 @@ import pytest
 
 import hyjax
 from hyjax import metrics, video
-from hyjax.util import array_arguments
+from hyjax.util import arguments
 
 H, W = 12, 16
 RNG = np.random.default_rng(0)
@@ -177,7 +177,7 @@ def test_pictures_of_bytes_are_scaled_and_that_is_said_once(name: str, caplog: p
     function, given = CALLS[name]
     argument = next(iter(given))
     frame = np.asarray(255 * PICTURE).astype(np.uint8)
-    array_arguments._told.clear()
+    arguments._told.clear()
     with caplog.at_level(logging.WARNING):
         results = [
             function(**given | {argument: value}) for value in (frame, frame, frame.astype(np.float32) / 255)
@@ -190,6 +190,13 @@ def test_pictures_of_bytes_are_scaled_and_that_is_said_once(name: str, caplog: p
 def test_a_guide_of_bytes_is_refused() -> None:
     with pytest.raises(hyjax.InputError, match=r"^guide: must be a float array .* got uint8 of shape .* by 255$"):
         hyjax.conductance(np.zeros((H, W, 3), np.uint8), 20.0)
+
+
+def test_lists_of_whole_numbers_are_no_display_picture() -> None:
+    """Values from 0 to 255 may be meant, which bytes would say."""
+    with pytest.raises(hyjax.InputError, match=r"^display: must be a float array"):
+        hyjax.to_linear([[[255, 128, 0]]])  # type: ignore[arg-type]
+    assert np.array_equal(hyjax.to_linear([[[1, 0, 0]]]), [[[1.0, 0.0, 0.0]]])  # type: ignore[arg-type]
 
 
 def test_a_preset_by_name_and_a_single_light() -> None:

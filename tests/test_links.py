@@ -57,5 +57,16 @@ def test_every_page_is_in_the_navigation() -> None:
     assert not {page for page in pages if page not in named and page.rpartition("/")[0] + "/" not in named}
 
 
+COMMAND = re.compile(r"^(?: {4}| {6}- run: )(python3 -m venv \.venv .*)$", re.MULTILINE)
+"""README's two commands, which `.ci/run` takes out of it likewise."""
+
+
+@pytest.mark.parametrize("name", ["docs/start.md", "CONTRIBUTING.md", ".github/workflows/ci.yml"])
+def test_the_two_commands_are_readmes(name: str) -> None:
+    main, tests = COMMAND.findall((ROOT / "README.md").read_text(encoding="utf-8"))
+    assert main.endswith(".venv/bin/hyjax relight") and tests.endswith(".venv/bin/pytest")
+    assert COMMAND.findall((ROOT / name).read_text(encoding="utf-8")) == [main, tests]
+
+
 def test_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= README_LINES

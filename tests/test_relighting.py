@@ -294,16 +294,16 @@ def test_several_devices_make_the_same_pictures(run: tuple[dict, Path], tmp_path
     code = f"""
 import sys
 sys.path[:0] = {[str(Path(__file__).parents[0])]!r}
-import hyjax.relighting.frame_relighter as frame_relighter
+import hyjax.scene.relighter as relighter
 import jax
 import test_relighting as t
 assert jax.device_count() == 2
 used = set()
-real = frame_relighter.relight_stages
+real = relighter.relight_stages
 def noted(view, *arguments, **options):
     used.add(view.frame.device)
     return real(view, *arguments, **options)
-frame_relighter.relight_stages = noted
+relighter.relight_stages = noted
 out = t.Path({str(tmp_path)!r})
 summary = t.relight(t.make_wall(), t.make_setup(), out, capture=t.Twice())
 assert len(used) == 2 and summary["frames"] == ["f0", "f2", "g0", "g2"], (used, summary["frames"])

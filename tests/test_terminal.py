@@ -37,6 +37,28 @@ def test_an_interrupt_while_modules_load_is_one_line(handler: str, status: int, 
     assert (done.returncode, done.stderr) == (status, said)
 
 
+@pytest.mark.parametrize(
+    ("redirection", "status", "said"),
+    [
+        (">&-", 0, ""),
+        ("2>&- >/dev/null", 0, ""),
+        (">/dev/full", 2, "hyjax: stdout: cannot be written to: No space"),
+    ],
+)
+def test_output_that_goes_nowhere(redirection: str, status: int, said: str) -> None:
+    command = f"exec {sys.executable} -m hyjax info {redirection}"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60)
+    assert done.returncode == status and done.stderr.startswith(said) and done.stderr.count("\n") == bool(said)
+
+
+def test_live_frames_from_a_closed_stdin_are_none() -> None:
+    code = "from hyjax.util.terminal import open_closed_streams as open; open()\n"
+    code += "from hyjax.live.source import live_frames; print(list(live_frames('-')))"
+    command = f'exec {sys.executable} -c "{code}" <&-'
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "[]\n", "")
+
+
 @pytest.mark.parametrize("option", ["--nosuch", "--renderer", "--size"])
 def test_long_arguments_are_not_repeated(
     option: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

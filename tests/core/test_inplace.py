@@ -130,12 +130,11 @@ def test_tiles_are_the_plain_form(shape: tuple[int, int, int], count: int, held:
 
 
 @pytest.mark.parametrize("size", [64, 300])
-def test_tiles_become_a_gpu_kernel(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tiles_become_a_gpu_kernel(size: int) -> None:
     """As far as that can be seen without a GPU: `diffuse`, asked to, is lowered to Triton's code for CUDA."""
     y, edges, sizes, _ = example(6, size, size, 2, 11)
     checks = [export.DisabledSafetyCheck.custom_call("__gpu$xla.gpu.triton")]
-    for wanted in ("1", "0"):
-        monkeypatch.setenv("HYJAX_GPU_KERNEL", wanted)
-        form = jax.jit(select_backend(_steps))
+    for wanted in (True, False):
+        form = jax.jit(select_backend(_steps, gpu_kernel=wanted))
         exported = export.export(form, platforms=["cuda"], disabled_checks=checks)(y, edges, sizes, None, None)
-        assert ("xla.gpu.triton" in exported.mlir_module()) == (wanted == "1")
+        assert ("xla.gpu.triton" in exported.mlir_module()) == wanted

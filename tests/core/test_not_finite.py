@@ -1,5 +1,8 @@
 """A value that is not finite, in a guide or a frame, stays where it is."""
 
+import dataclasses
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -72,9 +75,34 @@ def test_conductances_around_it_are_finite() -> None:
         hyjax.conductance(guide, np.nan)
 
 
+def test_the_derivative_by_kappa_is_finite_beside_it() -> None:
+    guide = jnp.asarray(GUIDE).at[3, 4].set(jnp.nan)
+
+    def inflow(kappa: float, guide: jax.Array) -> jax.Array:
+        return sum(jnp.sum(edges) for edges in hyjax.conductance(guide, kappa))  # type: ignore[return-value]
+
+    usual, beside = (float(jax.grad(inflow)(0.1, g)) for g in (jnp.asarray(GUIDE), guide))
+    assert 0 < beside < usual
+
+
 def test_a_huge_value_under_a_small_kappa() -> None:
     """All four weights of a pixel are next to nothing; their mean is one all the same."""
     guide = GUIDE.copy()
     guide[5, 7] = 9e14
     up = hyjax.guided_upsample(LIGHT[::2, ::2], 2, guide, 1e-4)
     assert np.isfinite(up).all() and float(up.min()) >= LIGHT.min() and float(up.max()) <= LIGHT.max()
+
+
+@pytest.mark.parametrize("fidelity", [0.1, 1e5])
+def test_bright_light_in_half_precision(fidelity: float) -> None:
+    """Sums over cells and λ α times the light are beyond half precision; neither becomes infinite."""
+    light, guide = jnp.full((16, 16, 1), 300.0, jnp.float16), jnp.asarray(GUIDE[:16, :16], jnp.float16)
+    schedule = hyjax.Schedule.uniform([(16, 2), (4, 2)], fidelity=fidelity)
+    for pooling in ("edges", "guide"):
+        ours = dataclasses.replace(schedule, pooling=pooling)
+        for smooth in (
+            hyjax.cascade(light, guide, ours),
+            hyjax.cascade_known(light, jnp.ones_like(light), guide, ours),
+        ):
+            assert smooth.dtype == light.dtype
+            np.testing.assert_allclose(smooth.astype(jnp.float32), 300.0, rtol=0.01)

@@ -223,7 +223,9 @@ def test_bad_factors_and_shapes_are_refused() -> None:
             with pytest.raises(InputError, match=message):
                 call()
     for shape in ((10, 15), (8, 14), (11, 14), (5, 7)):
-        with pytest.raises(InputError, match=rf"(?m)^shape: 5x7 cells times 2 make .* {shape[0]}x{shape[1]}$"):
+        with pytest.raises(
+            InputError, match=rf"(?m)^shape: 5x7 cells times 2 do not make .* {shape[0]}x{shape[1]}$"
+        ):
             upsample(y, 2, shape)
     assert upsample(y, 2, (9, 13)).shape == (9, 13, 1)
 

@@ -73,3 +73,11 @@ def test_refusals() -> None:
         solve(source, edges, 0.0)
     with pytest.raises(InputError, match=r"^edges"):
         solve(source[:2], edges, 0.1)
+    for tolerance in (-1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match=r"^tolerance: must be finite and >= 0, got"):
+            solve(source, edges, 0.1, tolerance=tolerance)
+    with pytest.raises(InputError, match=r"^most_iterations: must be at least 1, got 0"):
+        solve(source, edges, 0.1, most_iterations=0)
+    for beyond in ((edges[0] + 2.0, edges[1]), (edges[0], edges[1] - 2.0)):
+        with pytest.raises(InputError, match=r"^edges: conductances lie in \[0, 1\]"):
+            solve(source, beyond, 0.1)

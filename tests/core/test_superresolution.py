@@ -129,7 +129,8 @@ def test_it_finds_a_border_that_the_guide_shows() -> None:
 
 def test_metzger() -> None:
     """The published algorithm, from its paper and in torch, on the same features."""
-    metzger = pytest.importorskip("reference.torch_metzger")
+    from reference import torch_metzger as metzger
+
     torch, factor, size = metzger.torch, 8, (48, 64)
     rng = np.random.default_rng(0)
     coarse = torch.tensor(rng.uniform(size=(1, 16, 6, 8)), dtype=torch.float32)  # smooth, with some noise

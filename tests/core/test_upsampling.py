@@ -184,7 +184,7 @@ def test_factor_one_changes_nothing() -> None:
     [(2, (10, 15)), (2, (8, 14)), (2, (11, 14)), (2, (5, 7)), (1, (5, 8)), (0, (5, 7)), (-2, (10, 14))],
 )
 def test_bad_factors_and_sizes_are_refused(factor: int, size: tuple[int, int]) -> None:
-    message = rf"(?m)^factor: 5x7 cells times {factor} make no picture of {size[0]}x{size[1]}$"
+    message = rf"(?m)^factor: 5x7 cells times {factor} do not make a picture of {size[0]}x{size[1]}$"
     with pytest.raises(InputError, match=message):
         guided_upsample(jnp.zeros((5, 7, 1)), factor, jnp.zeros((*size, 3)), 0.1)
     assert guided_upsample(jnp.zeros((5, 7, 1)), 2, jnp.zeros((9, 13, 3)), 0.1).shape == (9, 13, 1)

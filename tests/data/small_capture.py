@@ -1,7 +1,6 @@
 """A small capture to be written in every layout: three posed pictures with depth, and its folder as a ZIP."""
 
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ from PIL import Image
 
 from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Intrinsics, look_at
-from hyjax.util.errors import InputError
 
 LENS = Intrinsics(64, 48, 60.0, 58.0, 31.0, 25.0)
 UP = np.array([0.0, 0.0, 1.0])
@@ -78,30 +76,3 @@ def check_same(path: Path, *, has_depth: bool = True, tolerance: float = 0.02, s
             assert frame.depth is not None
             np.testing.assert_allclose(frame.depth, depth(index), atol=1e-6)
     assert capture.depth_count == (COUNT if has_depth else 0)
-
-
-def result_or_refusal(open_it: Callable[[], object]) -> None:
-    """A call ends well or in an `InputError` of one line."""
-    try:
-        open_it()
-    except InputError as error:
-        assert "\n" not in str(error) and len(str(error)) < 1000
-
-
-def first_frame(path: Path) -> object:
-    """What opening a capture and reading a frame of it gives."""
-    return open_capture(path, progress=False)[0]
-
-
-def mutated(content: bytes, place: int, byte: int, kind: int) -> bytes:
-    """The content with a byte changed, cut off, doubled or without some bytes; or with a value replaced."""
-    place %= max(len(content), 1)
-    value = (b"-1e400", b"null", b"NaN", b'"x"', b"[]", b"9" * 30, b"\xff" * 8)[byte % 7]
-    changes = (
-        content[:place] + bytes([byte]) + content[place + 1 :],
-        content[:place],
-        content[:place] + content[place // 2 :],
-        content[:place] + content[place + 1 + byte % 9 :],
-        content[:place] + value + content[place:],
-    )
-    return changes[kind % len(changes)]

@@ -16,7 +16,7 @@ from hyjax.data.registry import known_formats, open_capture, register_format
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.mesh import save_mesh
-from hyjax.scene.light_setups import survey_capture
+from hyjax.scene.light_places import survey_capture
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.scene.surfaces import rough_mesh

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import small_capture as small
+from extras import need
 
 from hyjax.data.lens import Distortion, undistorted
 from hyjax.geometry.camera import Intrinsics
@@ -31,7 +32,9 @@ def inner(image: np.ndarray) -> np.ndarray:
     ],
 )
 def test_browns_model_is_opencvs(radial: tuple[float, ...], tangential: tuple[float, float]) -> None:
-    cv2 = pytest.importorskip("cv2")
+    need("experiments")
+    import cv2
+
     image = small.picture(0, LENS)
     ours = undistorted(image, LENS, Distortion("brown", radial, tangential))
     k = [*radial, *(0.0,) * (6 - len(radial))]
@@ -42,7 +45,9 @@ def test_browns_model_is_opencvs(radial: tuple[float, ...], tangential: tuple[fl
 
 @pytest.mark.parametrize("radial", [(0.1, 0.0, 0.0, 0.0), (-0.05, 0.02, -0.01, 0.003)])
 def test_the_fisheye_is_opencvs(radial: tuple[float, ...]) -> None:
-    cv2 = pytest.importorskip("cv2")
+    need("experiments")
+    import cv2
+
     image = small.picture(0, LENS)
     ours = undistorted(image, LENS, Distortion("fisheye", radial))
     k = opencv_matrix()

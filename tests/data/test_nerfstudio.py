@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import small_capture as small
-from hypothesis import given
-from hypothesis import strategies as st
 from PIL import Image
 
 from hyjax.data.registry import open_capture
@@ -201,13 +199,3 @@ def test_a_point_cloud_beside_it_is_no_mesh(folder: Path) -> None:
     change(folder, ply_file_path="sparse_pc.ply")
     (folder / "sparse_pc.ply").write_text("ply\n")
     assert not open_capture(folder).has_mesh
-
-
-@given(st.integers(0, 5000), st.integers(0, 255), st.integers(0, 4))
-def test_any_damage_ends_in_a_result_or_one_line(
-    tmp_path_factory: pytest.TempPathFactory, place: int, byte: int, kind: int
-) -> None:
-    folder = tmp_path_factory.mktemp("damaged") / "office"
-    content = (write(folder) / "transforms.json").read_bytes()
-    (folder / "transforms.json").write_bytes(small.mutated(content, place, byte, kind))
-    small.result_or_refusal(lambda: small.first_frame(folder))

@@ -1,13 +1,9 @@
 """Polycam's raw data, on small scans written to its layout."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from reference.json_mutations import mutated
 from reference.phone_layouts import agree, box_room, edit_json, sideways, write_polycam, zipped
 
 from hyjax.data.registry import open_capture
@@ -114,18 +110,3 @@ def test_bad_content_names_file_and_key(folder: Path, key: str, value: object) -
 def test_pictures_of_another_size_are_refused(folder: Path) -> None:
     edit_json(cameras(folder)[2], width=192, height=144, cx=96, cy=72)
     refuses(folder, "96x72", "192x144")
-
-
-@given(data=st.data())
-def test_random_content_gives_frames_or_one_line(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
-    folder = write_polycam(tmp_path_factory.mktemp("scan"), FRAMES[:2])
-    file = cameras(folder)[1]
-    file.write_text(json.dumps(data.draw(mutated(json.loads(file.read_text())))))
-    try:
-        frames = list(open_capture(folder))
-    except InputError as error:
-        assert "\n" not in str(error)
-    else:
-        assert frames

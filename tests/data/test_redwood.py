@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_capture as small
-from hypothesis import given
-from hypothesis import strategies as st
 
 from hyjax.data.registry import open_capture
 from hyjax.geometry.depth_sensor import KINECT
@@ -106,15 +104,3 @@ def test_a_log_that_is_cut_off_is_refused(folder: Path) -> None:
     small.cut(folder / "trajectory.log")
     with pytest.raises(InputError, match=r"trajectory.log: pose 1 is not three numbers"):
         open_capture(folder)
-
-
-@given(st.sampled_from(["trajectory.log", "camera_primesense.json"]), st.integers(0, 2000), st.data())
-def test_any_damage_ends_in_a_result_or_one_line(
-    tmp_path_factory: pytest.TempPathFactory, name: str, place: int, data: st.DataObject
-) -> None:
-    folder = write(tmp_path_factory.mktemp("damaged") / "lounge")
-    content = small.mutated(
-        (folder / name).read_bytes(), place, data.draw(st.integers(0, 255)), data.draw(st.integers(0, 4))
-    )
-    (folder / name).write_bytes(content)
-    small.result_or_refusal(lambda: small.first_frame(folder))

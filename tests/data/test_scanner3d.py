@@ -5,9 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from reference.json_mutations import mutated
 from reference.phone_layouts import agree, box_room, edit_json, sideways, write_scanner3d, zipped
 
 from hyjax.data.registry import open_capture
@@ -150,21 +147,6 @@ def test_without_any_picture(folder: Path) -> None:
     for picture in folder.glob("*.jpg"):
         picture.unlink()
     refuses(folder, "no pictures")
-
-
-@given(data=st.data())
-def test_random_content_gives_frames_or_one_line(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
-    folder = write_scanner3d(tmp_path_factory.mktemp("scan"), FRAMES[:2])
-    file = folder / "frame_00001.json"
-    file.write_text(json.dumps(data.draw(mutated(json.loads(file.read_text())))))
-    try:
-        frames = list(open_capture(folder))
-    except InputError as error:
-        assert "\n" not in str(error)
-    else:
-        assert frames
 
 
 # ---- the real scan ----

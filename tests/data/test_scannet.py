@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_capture as small
-from hypothesis import given
-from hypothesis import strategies as st
 from PIL import Image
 
 from hyjax.data.capture import Capture
@@ -180,14 +178,3 @@ def test_opening_a_long_file_holds_no_pictures(tmp_path: Path) -> None:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert len(capture) == 400 and peak < 2_500_000
-
-
-@given(st.integers(0, 6000), st.integers(0, 255), st.integers(0, 4))
-def test_any_damage_ends_in_a_result_or_one_line(
-    tmp_path_factory: pytest.TempPathFactory, place: int, byte: int, kind: int
-) -> None:
-    folder = write(
-        tmp_path_factory.mktemp("damaged") / "scene",
-        small.mutated(sens(), place if byte % 2 else place % 400, byte, kind),
-    )
-    small.result_or_refusal(lambda: small.first_frame(folder))

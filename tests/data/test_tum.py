@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_capture as small
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hyjax.data.json_fields import json_number
@@ -165,15 +163,3 @@ def test_unknown_sizes_without_intrinsics_are_refused(folder: Path) -> None:
     (folder / "camera.txt").unlink()
     with pytest.raises(InputError, match=r"camera.txt: missing.*64x48"):
         open_capture(folder)
-
-
-@given(st.sampled_from(["rgb.txt", "depth.txt", "groundtruth.txt", "camera.txt"]), st.integers(0, 2000), st.data())
-def test_any_damage_ends_in_a_result_or_one_line(
-    tmp_path_factory: pytest.TempPathFactory, name: str, place: int, data: st.DataObject
-) -> None:
-    folder = write(tmp_path_factory.mktemp("damaged") / "desk")
-    content = small.mutated(
-        (folder / name).read_bytes(), place, data.draw(st.integers(0, 255)), data.draw(st.integers(0, 4))
-    )
-    (folder / name).write_bytes(content)
-    small.result_or_refusal(lambda: small.first_frame(folder))

@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from extras import need
 
 from hyjax.device.webgpu import open_device
 from hyjax.util.errors import InputError
@@ -10,6 +11,7 @@ from hyjax.util.errors import InputError
 
 @pytest.fixture(scope="session")
 def device() -> Any:
+    need("device")
     try:
         return open_device()
     except InputError as error:

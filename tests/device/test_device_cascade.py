@@ -16,8 +16,7 @@ from hyjax.core.upsampling import guided_upsample
 from hyjax.device.cascade_program import CascadeWriter
 from hyjax.device.program import Groups, Program
 from hyjax.device.renderer import channel_groups
-from hyjax.device.webgpu import Engine, open_device
-from hyjax.util.errors import InputError
+from hyjax.device.webgpu import ShaderEngine
 
 EXACT = 1e-5
 
@@ -29,14 +28,14 @@ def pictures(shape: tuple[int, int], channels: int, features: int) -> tuple[np.n
 
 def run(
     device: Any, schedule: Schedule, source: np.ndarray, guide: np.ndarray, precision: Any = "f32"
-) -> tuple[Engine, str]:
+) -> tuple[ShaderEngine, str]:
     """Engine after a cascade, and the buffer of its result."""
     dtype = np.float32 if precision == "f32" else np.float16
     program, groups = Program(source.shape[:2], precision), Groups(-(-source.shape[2] // 4))
     program.picture("source", program.size, groups)
     program.picture("guide", program.size, Groups(-(-guide.shape[2] // 4)))
     name = CascadeWriter(program, "guide", guide.shape[2]).cascade("cascade", "source", schedule, groups)
-    engine = Engine(program, 0, {}, device)
+    engine = ShaderEngine(program, 0, {}, device)
     engine.upload("source", channel_groups(source).astype(dtype))
     engine.upload("guide", channel_groups(guide).astype(dtype))
     engine.run("frame")
@@ -44,7 +43,7 @@ def run(
 
 
 def picture(
-    engine: Engine, name: str, shape: tuple[int, int], channels: int, dtype: Any = np.float32
+    engine: ShaderEngine, name: str, shape: tuple[int, int], channels: int, dtype: Any = np.float32
 ) -> np.ndarray:
     planes = engine.download(name, dtype)
     size = 4 * shape[0] * shape[1]
@@ -80,12 +79,14 @@ def test_presets(device: Any, name: str, shape: tuple[int, int]) -> None:
     ),
 )
 def test_any_schedule(
-    shape: tuple[int, int], channels: int, features: int, steps: list[int], factor: int, options: dict[str, Any]
+    device: Any,
+    shape: tuple[int, int],
+    channels: int,
+    features: int,
+    steps: list[int],
+    factor: int,
+    options: dict[str, Any],
 ) -> None:
-    try:
-        device = open_device()
-    except InputError as error:
-        pytest.skip(str(error))
     schedule = Schedule.uniform([(4 * factor, steps[0]), (2 * factor, steps[1]), (factor, steps[2])], **options)
     source, guide = pictures(shape, channels, features)
     result = picture(*run(device, schedule, source, guide), shape, channels)
@@ -150,7 +151,7 @@ def test_filling(device: Any) -> None:
     result = program.picture("result", shape, Groups(0, 1))
     bind, pixels = [source, filled, "filling totals", result], {"pixels": shape[0] * shape[1]}
     program.launch("frame", "filling", ["filled", "fill"], bind, (256, 1), Groups(0, 1), constants=pixels)
-    engine = Engine(program, lights, {}, device)
+    engine = ShaderEngine(program, lights, {}, device)
     engine.upload(
         "visibility", np.concatenate([channel_groups(raw * known), channel_groups(known.astype(np.float32))])
     )

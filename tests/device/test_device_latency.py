@@ -16,7 +16,6 @@ from hyjax import InputError, Schedule
 from hyjax import tune_schedule as tune
 from hyjax.core.schedule import guided_schedule
 from hyjax.data.builtin_room import load_room
-from hyjax.device.roofline import HARDWARE, kind_of, launch_work, least_milliseconds, work_by_kind
 from hyjax.tuning.cost_model import CostModel
 from hyjax.tuning.device_estimator import FRAME_STAGES, DeviceEstimator, latency_table
 from hyjax.tuning.device_latency import (
@@ -266,18 +265,6 @@ def test_a_schedule_for_a_device_that_is_not_here(tmp_path: Path) -> None:
     assert "p95, predicted" in page and "Phone" in page
     with pytest.raises(InputError, match=r"budget 0\.5 ms: out of reach"):
         tune(settings=dataclasses.replace(settings, out=None), budget_ms=0.5, capture=room, effort=effort)
-
-
-def test_least_times() -> None:
-    workload = DeviceWorkload(height=96, width=128, lights=2)
-    programs = {n: measure_program(workload, [guided_schedule([(2, n)])]) for n in (4, 8)}
-    few, many = (work_by_kind(program, 2)["diffuse"] for program in programs.values())
-    assert many.operations > 1.5 * few.operations and many.passes == 2 * few.passes
-    cells = next(launch for launch in programs[4].launches if kind_of(launch) == "cells")
-    work = launch_work(programs[4], cells, 2)  # three groups of four channels, single precision
-    assert (work.read, work.written) == (96 * 128 * 48, 48 * 64 * 48)
-    times = [least_milliseconds(programs[4], 2, hardware) for hardware in HARDWARE]
-    assert times == sorted(times, reverse=True) and times[-1] > 0
 
 
 def test_the_example_of_the_documentation_is_right() -> None:

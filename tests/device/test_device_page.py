@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 from experiments.browser import browser
 from hyjax import Schedule
 from hyjax.data.builtin_room import load_room
-from hyjax.device.server import Folder, Server
+from hyjax.device.server import FolderSite, Server
 from hyjax.export.bench import write_bench
 from hyjax.tuning import device_request
 from hyjax.tuning.bench import open_bench
@@ -35,10 +34,8 @@ AMPLE = 2000.0
 
 
 @pytest.fixture
-def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def page(browser_wanted: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """An empty page of a browser with WebGPU, and jobs that take seconds."""
-    if not os.environ.get("HYJAX_BROWSER"):
-        pytest.skip("set HYJAX_BROWSER=1 to drive a browser, with -n 0: it takes two cores for itself")
     monkeypatch.setattr(device_request, "ROUNDS", 10)
     monkeypatch.setattr(device_request, "WARM_UP_SECONDS", 0.0)
     monkeypatch.setattr(device_request, "SAMPLE_MS", 1.0)
@@ -105,7 +102,7 @@ def test_a_schedule_for_the_browser_keeps_its_budget(page: Any, tmp_path: Path) 
 @pytest.mark.slow
 def test_a_page_on_any_host_saves_what_tune_reads(page: Any, tmp_path: Path) -> None:
     folder = write_bench(tmp_path, DeviceWorkload(height=48, width=64, lights=2))
-    server = Server(Folder(folder, "measure.html"))
+    server = Server(FolderSite(folder, "measure.html"))
     try:
         page.goto(server.address)
         page.get_by_label("Name of this device").fill("Test browser")
@@ -123,7 +120,9 @@ def test_a_page_on_any_host_saves_what_tune_reads(page: Any, tmp_path: Path) -> 
 
 
 def test_a_page_without_webgpu_says_so(page: Any, tmp_path: Path) -> None:
-    server = Server(Folder(write_bench(tmp_path, DeviceWorkload(height=48, width=64, lights=2)), "measure.html"))
+    server = Server(
+        FolderSite(write_bench(tmp_path, DeviceWorkload(height=48, width=64, lights=2)), "measure.html")
+    )
     try:
         page.add_init_script("Object.defineProperty(Navigator.prototype, 'gpu', { value: undefined })")
         page.goto(server.address)

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from extras import need
 
 from hyjax import InputError
 from hyjax.core.schedule import guided_schedule
 from hyjax.device.serve import ServeSettings, open_folder
-from hyjax.device.server import MOST_BODY, Folder, Server
+from hyjax.device.server import MOST_BODY_BYTES, FolderSite, Server
 from hyjax.tuning import device_measuring as measuring
 from hyjax.tuning.device_latency import DeviceWorkload
 from hyjax.tuning.device_measuring import ConnectedDevice
@@ -56,7 +57,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def server(folder: Path) -> Iterator[Server]:
-    server = Server(Folder(folder))
+    server = Server(FolderSite(folder))
     yield server
     server.stop()
 
@@ -97,14 +98,14 @@ def test_sizes_and_kinds_of_what_is_sent(server: Server) -> None:
     origin = {"Origin": f"http://localhost:{server.port}"}
     assert ask(server, "/job", b"{}", origin)[0] == 405
     assert ask(server, "/job", b"{}", {"Content-Type": "text/plain"})[0] == 415
-    assert ask(server, "/job", b"", {"Content-Length": str(MOST_BODY + 1)})[0] == 413
+    assert ask(server, "/job", b"", {"Content-Length": str(MOST_BODY_BYTES + 1)})[0] == 413
     assert ask(server, "/job", b"", {"Content-Length": "-1"})[0] == 413
     assert ask(server, "/job", b"", {"Content-Length": "many"})[0] == 411
 
 
 def test_a_port_that_is_taken(server: Server, folder: Path) -> None:
     with pytest.raises(InputError, match=rf"port {server.port} .*choose another --port"):
-        Server(Folder(folder), port=server.port)
+        Server(FolderSite(folder), port=server.port)
     with pytest.raises(InputError, match="no such folder"):
         open_folder(ServeSettings(folder / "missing"))
     with pytest.raises(InputError, match=r"no index\.html"):
@@ -114,9 +115,8 @@ def test_a_port_that_is_taken(server: Server, folder: Path) -> None:
 
 
 def test_other_machines_need_the_token(folder: Path) -> None:
-    pytest.importorskip("cryptography", reason="needs the extra 'device'")
-    pytest.importorskip("segno", reason="needs the extra 'device'")
-    server = Server(Folder(folder), "127.0.0.2", secret=True)  # no name of this machine to the server
+    need("device")
+    server = Server(FolderSite(folder), "127.0.0.2", secret=True)  # no name of this machine to the server
     try:
         path = f"/{server.token}/"
         assert server.address == f"https://127.0.0.2:{server.port}{path}" and len(server.token) > 12

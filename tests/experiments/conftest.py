@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from reference.arkit_export import export_arkit_scan
+from safetensors.numpy import save_file
 
 from hyjax.data.builtin_room import RoomCapture, load_room
 
@@ -32,6 +33,6 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
         arrays[f"AlexNet_0.Conv_{i}.kernel"] = rng.normal(0, scale, (width, width, fan_in, channels))
         arrays[f"AlexNet_0.Conv_{i}.bias"] = np.zeros(channels)
         arrays[f"NetLinLayer_{i}.Conv_0.kernel"] = rng.uniform(0, 1, (1, 1, channels, 1))
-    file = tmp_path_factory.mktemp("weights") / "random.npz"
-    np.savez(file, **{name: array.astype(np.float32) for name, array in arrays.items()})  # type: ignore[arg-type]
+    file = tmp_path_factory.mktemp("weights") / "random.safetensors"
+    save_file({name: array.astype(np.float32) for name, array in arrays.items()}, file)
     return file

@@ -7,6 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from extras import need
 from reference.arkit_export import write_depth
 
 from experiments import depth_sr
@@ -143,7 +144,7 @@ def test_tiles_lie_side_by_side_where_depth_is_valid(tmp_path: Path) -> None:
 
 
 def test_peers_smooth_and_keep_to_the_source() -> None:
-    pytest.importorskip("cv2.ximgproc", reason="only wanted to compare with; opencv-contrib-python-headless")
+    need("experiments")
     rng = np.random.default_rng(0)
     image, valid = rng.uniform(size=(32, 32, 3)).astype(np.float32), np.ones((32, 32), bool)
     depth = rng.uniform(1, 3, (32, 32)).astype(np.float32)

@@ -11,17 +11,18 @@ import pytest
 from reference.arkit_export import write_depth
 from reference.seven_scenes_export import export_seven_scenes
 
-from experiments import EXPERIMENTS, fusion, report
+from experiments import EXPERIMENTS, report, structure
 from experiments.blocks import html, markdown
 from experiments.command import Experiment, run
 from experiments.records import FILE, is_finished, of_kind, read_rows
+from hyjax.core.schedule import PAPER_KAPPA
 from hyjax.data.builtin_room import load_room
 
 
 @pytest.fixture
 def capture(tmp_path: Path) -> Path:
     """Three frames of the built-in room in the 7-Scenes layout."""
-    room = load_room()
+    room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
     frames = [room[i] for i in (0, 1, 2)]
     folder = export_seven_scenes(frames, room.up, tmp_path / "some_room")
     for number, frame in enumerate(frames):
@@ -52,20 +53,20 @@ def test_an_experiment_describes_itself_and_makes_blocks(name: str, tmp_path: Pa
 
 
 def test_from_the_command_to_the_page(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out = tmp_path / "results" / "fusion"
-    options = ["--capture", str(capture), "--voxel", "0.1", "--out", str(out)]
-    call(monkeypatch, fusion.main, *options)
+    out = tmp_path / "results" / "structure"
+    call(monkeypatch, structure.main, "--capture", str(capture), "--size", "64", "--out", str(out))
     rows = read_rows(out / FILE)
-    assert is_finished(rows) and len(rows) == 2
-    (row,) = of_kind(rows, "fusion")
-    assert row["capture"] == "some_room" and row["frames"] == 3 and row["faces"] > 100 and row["seconds"] > 0
-    assert row["settings"] == {"capture": str(capture), "voxel": 0.1, "frames": None} and row["seed"] is None
-    assert f"| some_room | 3 | {row['faces']} | " in (out / "fusion.md").read_text()
+    found = of_kind(rows, "spread")
+    assert is_finished(rows) and len(rows) == len(found) + 1 and found[0]["schedule"] == "noise"
+    settings = {"capture": str(capture), "frame": 0, "size": 64, "kappa": PAPER_KAPPA, "seed": 0}
+    assert all(row["settings"] == settings and row["seed"] == 0 for row in rows)
+    share = f"{100 * found[-1]['variance'] / found[0]['variance']:.3g} %"
+    assert f"| paper-80 | {share} | " in (out / "structure.md").read_text()
 
     page = tmp_path / "report.html"
     call(monkeypatch, report.main, "--results", str(tmp_path / "results"), "--out", str(page))
     text = page.read_text()
-    assert f'<td class="n">{row["faces"]}</td>' in text and text.count("<img ") == 1
+    assert f'<td class="n">{share}</td>' in text and text.count("<img ") == 1
     assert str(tmp_path / "results") not in text
 
 
@@ -74,7 +75,7 @@ def test_bad_input_ends_in_one_line(
 ) -> None:
     out = tmp_path / "out"
     with pytest.raises(SystemExit) as caught:
-        call(monkeypatch, fusion.main, "--capture", str(tmp_path / "nowhere"), "--out", str(out))
+        call(monkeypatch, structure.main, "--capture", str(tmp_path / "nowhere"), "--out", str(out))
     said = capsys.readouterr().err
-    assert caught.value.code == 2 and said.startswith("fusion: ") and said.count("\n") == 1 and "nowhere" in said
+    assert caught.value.code == 2 and said.startswith("structure: ") and said.count("\n") == 1 and "nowhere" in said
     assert not (out / FILE).exists()

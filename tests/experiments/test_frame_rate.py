@@ -11,7 +11,9 @@ from hyjax.util.errors import InputError
 
 
 @pytest.mark.slow
-def test_a_small_run(tmp_path: Path) -> None:
+def test_a_small_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frame_rate, "RATE_SIZE", 128)
+    monkeypatch.setattr(frame_rate, "WARM_UP", 1)
     config = frame_rate.Config(frames=4, triangles=(30_000,), sizes=(64, 128), long=10, long_size=64, out=tmp_path)
     rows = frame_rate.main(config)
     rates = of_kind(rows, "rate")

@@ -33,7 +33,9 @@ def test_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
 
 @pytest.mark.slow
 def test_against_torch(tmp_path: Path) -> None:
-    pytest.importorskip("reference.torch_unet").torch_unet("mobilenetv4_conv_small")
+    from reference.torch_unet import torch_unet
+
+    torch_unet("mobilenetv4_conv_small")
     main(Config(encoders=("small",), sizes=(32,), repeats=2, out=tmp_path))
     rows = [row for row in read_rows(tmp_path / FILE) if row["kind"] == "time"]
     others = {row["who"] for row in rows}

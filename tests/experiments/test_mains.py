@@ -1,53 +1,40 @@
 """Every experiment that no other file runs, from its options to rows, tables and figures, as small as it goes."""
 
 import dataclasses
-import math
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from reference.arkit_export import write_depth
-from reference.seven_scenes_export import export_seven_scenes
+from extras import need
 from test_depth_sr import write_pairs
 
 from experiments import (
-    before_after,
     bench_peers,
     beyond,
     conductances,
-    device_roofline,
     export_formats,
     first_picture,
     flicker,
     guide_worth,
     kappa_sweep,
-    kinect_registration,
     live,
     readme_picture,
     reference_quality,
-    shadow_overlap,
+    same_pictures,
     stage_times,
     sweep_scale,
     tour_latency,
     truth,
     tuning_gain,
-    tuning_optimum,
-    tuning_promise,
-    tuning_race,
-    tuning_transfer,
 )
 from experiments.command import Experiment
 from experiments.paper_bench import METHODS
 from experiments.records import FILE, Row, of_kind, read_rows
 from experiments.truth_methods import METHODS as METHODS_OF_TRUTH
 from experiments.truth_methods import OPENCV, PHOTO, TRUE_ALL
-from hyjax.data.builtin_room import RoomCapture
-from hyjax.data.capture import Frame
-from hyjax.data.seven_scenes import KINECT
-from hyjax.geometry.camera import Camera
-from hyjax.geometry.raycast import RayCaster
+from hyjax.relighting.settings import RelightSettings
 from hyjax.tuning import workload
 from hyjax.tuning.search import Effort
 from hyjax.util.errors import InputError
@@ -84,8 +71,7 @@ def test_beyond(scan: Path, weights: Path, tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the runtimes' own
 def test_export_formats(tmp_path: Path) -> None:
-    for module in ("onnx", "onnxruntime"):
-        pytest.importorskip(module, reason="needs pip install '.[export-onnx]'")
+    need("export-onnx")
     config = export_formats.Config(
         targets=("stablehlo", "onnx"), functions=("cascade, hyjax",), size="32x24", repeats=2, out=tmp_path
     )
@@ -165,30 +151,8 @@ def test_reference_quality(weights: Path, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 @pytest.mark.slow
-def test_kinect_registration(room: RoomCapture, tmp_path: Path) -> None:
-    """Depth of one camera and pictures of the other: borders meet the most contrast where that stands."""
-    caster, frames = RayCaster(room.reference()), []
-    for k in range(2):
-        camera = Camera(KINECT, room[k].camera.pose)
-        depth = np.asarray(caster.gbuffer(camera).depth)
-        frame = Frame(f"frame-{k:06d}", np.zeros((480, 640, 3), np.float32), camera, time=float(k), depth=depth)
-        seen = caster.gbuffer(kinect_registration.camera_of(frame, kinect_registration.KNOWN))
-        image = np.where(np.asarray(seen.hit)[..., None], 0.5 + 0.5 * np.asarray(seen.normal), 0.0)
-        frames.append(dataclasses.replace(frame, image=image.astype(np.float32)))
-    folder = export_seven_scenes(frames, room.up, tmp_path / "kinect")
-    for k, frame in enumerate(frames):
-        assert frame.depth is not None
-        write_depth(folder / f"frame-{k:06d}.depth.png", 1000 * frame.depth)
-    config = kinect_registration.Config(capture=folder, fit="0", judge="1", out=tmp_path / "out")
-    found = of_kind(rows_of(kinect_registration.main, config, "borders.png"), "placement")
-    contrast = {row["name"]: row["contrast"] for row in found}
-    assert contrast["hyjax.data.kinect"][1] > 1.2 * contrast["as recorded"][1]
-    assert contrast["fitted to the first"][0] > 0.8 * contrast["hyjax.data.kinect"][0]
-
-
-@pytest.mark.slow
-def test_first_picture(tmp_path: Path) -> None:
-    config = first_picture.Config(repeats=1, cold=1, size="64", out=tmp_path)
+def test_first_picture(scan: Path, tmp_path: Path) -> None:
+    config = first_picture.Config(repeats=1, cold=1, size="64", capture=scan, out=tmp_path)
     rows = rows_of(first_picture.main, config, "first_picture.png")
     assert {row["start"] for row in of_kind(rows, "stages")} == {first_picture.COLD, first_picture.SECOND}
     assert all(row["seconds"] > 0 and row["cpu_seconds"] > 0 for row in of_kind(rows, "start"))
@@ -200,13 +164,6 @@ def test_stage_times(scan: Path, tmp_path: Path) -> None:
     stages = {row["stage"]: row["median_ms"] for row in of_kind(rows, "stage")}
     assert {"shading", "cascade paper-80", "shadow pass", "composite"} < set(stages)
     assert all(time > 0 for time in stages.values()) and len(of_kind(rows, "part")) == 8
-
-
-def test_device_roofline(tmp_path: Path) -> None:
-    config = device_roofline.Config(size=64, presets=("hyjax", "paper-50"), out=tmp_path)
-    rows = rows_of(device_roofline.main, config, "device_roofline.png")
-    ours, paper = of_kind(rows, "total")
-    assert all(0 < ours["milliseconds"][name] < time for name, time in paper["milliseconds"].items())
 
 
 def check_schedules(rows: list[Row], scenes: set[str], tuned: str) -> None:
@@ -231,56 +188,8 @@ def test_tuning_gain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_tuning_transfer(scan: Path, tmp_path: Path) -> None:
-    common: dict[str, Any] = {"size": (SIZE, SIZE), "frames": 1, "holdout": 1, "repeats": 10, "effort": LITTLE}
-    config = tuning_transfer.Config(**common, kitchen=scan, budget_ms=AMPLE, out=tmp_path)
-    rows = rows_of(tuning_transfer.main, config, "tuning_transfer.png")
-    check_schedules(rows, {"room", scan.name}, "tuned on")
-
-
-@pytest.mark.slow
-def test_tuning_promise(tmp_path: Path) -> None:
-    config = tuning_promise.Config(
-        fps=(), budget_ms=(1e-6, AMPLE), size=(SIZE, SIZE), frames=1, repeats=10, effort=LITTLE, out=tmp_path
-    )
-    rows = rows_of(tuning_promise.main, config, "tuning_promise.png")
-    impossible, ample = of_kind(rows, "choice")
-    assert "out_of_reach" in impossible and "schedule" in ample
-    (time,) = of_kind(rows, "time")
-    assert 0 < time["median"] <= time["p95"] < AMPLE
-
-
-@pytest.mark.slow
-def test_tuning_optimum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workload, "FEWEST_CELLS", 4)
-    config = tuning_optimum.Config(
-        size=SIZE, frames=1, ladder=(4, 2), counts=(0, 1, 2), budgets=1, out=tmp_path, kappa=0.1
-    )
-    rows = rows_of(tuning_optimum.main, config, "tuning_optimum.png")
-    (brute,), (budget,) = of_kind(rows, "brute force"), of_kind(rows, "budget")
-    assert len(brute["losses"]) == len(brute["costs_ms"]) == 3**2 - 1
-    assert all(0 < loss < 10 for loss in brute["losses"])
-    within = [loss for loss, cost in zip(brute["losses"], brute["costs_ms"]) if cost <= budget["budget_ms"]]
-    assert budget["brute_force"]["loss"] == pytest.approx(min(within))
-
-
-@pytest.mark.slow
-def test_tuning_race(tmp_path: Path) -> None:
-    pytest.importorskip("optuna")
-    config = tuning_race.Config(budget_ms=AMPLE, seconds=1.0, seeds=1, size=SIZE, frames=1, out=tmp_path)
-    runs = of_kind(rows_of(tuning_race.main, config, "tuning_race.png"), "run")
-    assert [row["method"] for row in runs] == list(tuning_race.METHODS)
-    for row in runs:
-        losses = [loss for _, loss in row["curve"]]
-        assert losses == sorted(losses, reverse=True)
-        # A method that evaluated nothing before the clock ran out has no loss.
-        assert row["loss"] == (losses[-1] if losses else math.inf)
-    assert any(math.isfinite(row["loss"]) for row in runs)
-
-
-@pytest.mark.slow
 def test_bench_peers(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("cv2.ximgproc")
+    need("experiments")
     found = bench_peers.peers.optional
     # torch takes minutes to compile, and is compared with in tests of its own.
     monkeypatch.setattr(bench_peers.peers, "optional", lambda name: None if name == "torch" else found(name))
@@ -307,20 +216,8 @@ def test_bench_peers(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.slow
-def test_shadow_overlap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shadow_overlap, "SETUPS", ("center-point",))
-    monkeypatch.setattr(shadow_overlap, "SCANNED", 12)
-    config = shadow_overlap.Config(rooms=("random:0:0",), frames=1, size=SIZE, out=tmp_path)
-    rows = of_kind(shadow_overlap.main(config), "score")
-    assert [row["occluders"] for row in rows] == ["surface", "closed", "completed"]
-    assert all(0 <= row["both"] <= row["either"] <= row["counted"] for row in rows)
-    with pytest.raises(InputError, match="rooms: 'attic' must be"):
-        shadow_overlap.open_place("attic", config)
-
-
-@pytest.mark.slow
 def test_sweep_scale(tmp_path: Path) -> None:
-    pytest.importorskip("distributed", reason="needs pip install '.[tune]'")
+    need("tune")
     config = sweep_scale.Config(tasks=40, task_ms=5.0, workers=2, kill_tasks=200, out=tmp_path)
     rows = rows_of(sweep_scale.main, config)
     (scale,) = of_kind(rows, "scale")
@@ -394,24 +291,22 @@ def test_tour_latency(tmp_path: Path) -> None:
     assert (tmp_path / "page.png").stat().st_size > 1000 and (tmp_path / "waits.png").is_file()
 
 
-def test_before_after(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """The commands of two checkouts; what they write stands in for hyjax here."""
+def test_same_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Pictures of two runs; a number stands in for what the command makes."""
     shift = {"before": 0.0, "same": 0.0, "near": 0.5e-6, "far": 1e-3}
-
-    def call(config: before_after.Config, name: str, arguments: list[str]) -> None:
-        (config.out / name).mkdir(exist_ok=True)
-        value = 0.5 + shift[config.out.name] * (name == "train")
-        (config.out / name / "journal.jsonl").write_text(f'{{}}\n{{"value": {{"loss": {value!r}}}}}\n')
-
-    monkeypatch.setattr(before_after, "call", call)
+    monkeypatch.setattr("hyjax.Scene.open", lambda settings: None)
 
     def run(name: str, against: Path | None) -> None:
-        before_after.main(before_after.Config(capture=None, out=tmp_path / name, against=against))
+        def relit(settings: RelightSettings, scene: None) -> dict[str, np.ndarray]:
+            return {"000.relit": np.full((2, 2, 3), 0.5 + shift[name] * settings.video)}
+
+        monkeypatch.setattr(same_pictures, "relit", relit)
+        same_pictures.main(same_pictures.Config(data=tmp_path, out=tmp_path / name, against=against))
 
     run("before", None)
-    assert len(list((tmp_path / "before").iterdir())) == len(before_after.SETUPS) * len(before_after.MODES) + 2
+    assert len(list((tmp_path / "before").iterdir())) == len(same_pictures.SETUPS) * len(same_pictures.MODES)
     run("same", tmp_path / "before")
-    assert "runs agree; largest difference 0" in capsys.readouterr().out
+    assert "largest difference 0\n" in capsys.readouterr().out
     run("near", tmp_path / "before")
-    with pytest.raises(InputError, match=r"train: journal\.jsonl differs by 0\.001, more than 1e-06"):
+    with pytest.raises(InputError, match=r"more than 1e-06: .*room-noon-window-video 0\.001"):
         run("far", tmp_path / "before")

@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from extras import need
 
 from experiments import peers
 from experiments.peers_report import COPY, FLOOR, OURS, PLAIN, SMOOTHER, TORCH, blocks, guard
@@ -48,7 +49,9 @@ def test_without_a_compiler_one_line_says_so(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_torchs_cascade_is_ours() -> None:
-    torch = pytest.importorskip("torch")
+    need("torch")
+    import torch
+
     y, guide = example(64, 48, 2)
     schedule = dataclasses.replace(Schedule.uniform([(4, 3), (2, 2)], kappa=0.3), pooling="guide")
     inputs = [torch.tensor(np.moveaxis(x, -1, 0)[None].copy()) for x in (y, guide)]

@@ -8,6 +8,7 @@ from pathlib import Path
 import hypothesis
 import hypothesis.strategies as st
 import pytest
+from extras import need
 
 from hyjax.core.schedule import Schedule
 from hyjax.export.graph import build_graph, cascade_graph, measure_parity
@@ -18,13 +19,6 @@ from hyjax.guide.choose import RGB
 from hyjax.scene.settings import SceneSettings
 from hyjax.util.errors import InputError
 
-MODULES = {
-    "stablehlo": (),
-    "onnx": ("onnx", "onnxruntime"),
-    "litert": ("litert_converter.converter_api_ext", "ai_edge_litert.interpreter"),
-    "iree": ("iree.compiler", "iree.runtime"),
-    "coreml": ("stablehlo_coreml", "coremltools"),
-}
 # Their own code warns: of Python's protocols, of versions of other packages.
 pytestmark = pytest.mark.filterwarnings("default")
 
@@ -38,9 +32,9 @@ SCHEDULES = {
 }
 
 
-def need(target: str) -> None:
-    for module in MODULES[target]:
-        pytest.importorskip(module, reason=f"needs pip install '.[export-{target}]'")
+def need_runtime(target: str) -> None:
+    if target != "stablehlo":
+        need(f"export-{target}")
 
 
 def tiny(target: str, out: Path) -> ExportSettings:
@@ -64,7 +58,7 @@ def test_parity_of_cascades(target: str, name: str) -> None:
 
 
 def check_parity(target: str, schedule: Schedule, *, known: bool) -> None:
-    need(target)
+    need_runtime(target)
     graph = cascade_graph(schedule, RGB, (45, 61), channels=2, known=known)
     assert measure_parity(graph, open_target(target).convert(graph).run) < 1e-5
 
@@ -73,7 +67,7 @@ def check_parity(target: str, schedule: Schedule, *, known: bool) -> None:
 @hypothesis.settings(max_examples=4)
 @hypothesis.given(height=st.integers(8, 33), width=st.integers(8, 33))
 def test_onnx_of_any_size(height: int, width: int) -> None:
-    need("onnx")
+    need("export-onnx")
     for name in ("hyjax", "paper-50"):
         graph = cascade_graph(Schedule.preset(name), RGB, (height, width), channels=1)
         assert measure_parity(graph, open_target("onnx").convert(graph).run) < 1e-5
@@ -82,7 +76,7 @@ def test_onnx_of_any_size(height: int, width: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("target", ["onnx", "litert"])
 def test_parity_of_the_network(target: str) -> None:
-    need(target)
+    need_runtime(target)
     scene = SceneSettings(size="101x96")
     graph = build_graph(ExportSettings(to=target, what="guide", guide="small", scene=scene))  # type: ignore[arg-type]
     assert measure_parity(graph, open_target(target).convert(graph).run) < 1e-4
@@ -90,7 +84,7 @@ def test_parity_of_the_network(target: str) -> None:
 
 @pytest.mark.parametrize("target", ["stablehlo", "onnx", "litert"])
 def test_the_readme_s_python_runs(target: str, tmp_path: Path) -> None:
-    need(target)
+    need_runtime(target)
     folder = export_file(tiny(target, tmp_path))
     (code,) = re.findall(r"```python\n(.*?)```", (folder / "README.md").read_text(), re.DOTALL)
     done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=300)
@@ -100,7 +94,7 @@ def test_the_readme_s_python_runs(target: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("target", ["onnx", "iree"])
 def test_examples_that_nobody_compiles_say_so(target: str, tmp_path: Path) -> None:
-    need(target)
+    need_runtime(target)
     text = (export_file(tiny(target, tmp_path)) / "README.md").read_text()
     examples = re.findall(r"## .*\n\n(.*neither compile nor run it\.)?\n*```(\w+)\n", text)
     assert examples and all(bool(note) == (language != "python") for note, language in examples)
@@ -108,7 +102,7 @@ def test_examples_that_nobody_compiles_say_so(target: str, tmp_path: Path) -> No
 
 def test_iree_names_its_function(tmp_path: Path) -> None:
     """In the C example, by the full name that is in the module, and with the inputs' shapes."""
-    need("iree")
+    need("export-iree")
     from iree import runtime
 
     folder = export_file(tiny("iree", tmp_path))
@@ -121,7 +115,7 @@ def test_iree_names_its_function(tmp_path: Path) -> None:
 
 
 def test_iree_of_a_machine_that_is_none() -> None:
-    need("iree")
+    need("export-iree")
     graph = cascade_graph(Schedule.preset("shadow"), RGB, (16, 16))
     with pytest.raises(InputError, match=r"^export: IREE cannot compile cascade .*$"):
         open_target("iree").convert(graph, "no-such-machine")
@@ -129,7 +123,7 @@ def test_iree_of_a_machine_that_is_none() -> None:
 
 @pytest.mark.slow
 def test_core_ml_is_converted_and_not_checked(tmp_path: Path) -> None:
-    need("coreml")
+    need("export-coreml")
     settings = tiny("coreml", tmp_path)
     folder = export_file(settings)
     assert {path.name for path in folder.iterdir()} == {"cascade.mlpackage", "README.md"}

@@ -6,7 +6,6 @@ import functools
 import http.server
 import io
 import json
-import os
 import re
 import shutil
 import threading
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import need
 from PIL import Image
 
 from experiments.browser import NAMES
@@ -179,9 +179,8 @@ def served(folder: Path) -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def driver() -> Iterator[Any]:
-    if not os.environ.get("HYJAX_BROWSER"):
-        pytest.skip("set HYJAX_BROWSER=1 to drive a browser, with -n 0: it takes two cores for itself")
+def driver(browser_wanted: None) -> Iterator[Any]:
+    need("playwright")
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as driver:

@@ -123,14 +123,6 @@ def trajectory(folder: Path) -> None:
     shutil.rmtree(folder / "x")
 
 
-def laser(folder: Path) -> None:
-    from reference.laser_export import write_point_ply
-
-    cloud = np.random.default_rng(0).normal(size=(60, 3))
-    write_point_ply(folder / "1.ply", cloud, "binary_little_endian")
-    np.savetxt(folder / "1_pose.txt", np.eye(4)[:, :3])
-
-
 # ---- pairs ----
 
 

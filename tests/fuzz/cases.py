@@ -17,6 +17,12 @@ from .mutations import CLASSICS, mutated
 from .readers import READERS
 
 SEED = 0
+MOST_MIB = 2048
+"""Memory that one case may take."""
+ODD_FILES = ["/proc/self/mem", "/proc/self/maps", "/dev/zero", "/dev/full", "pipe", "folder", "itself", "nowhere"]
+"""Places that a link takes the file's place for, and files that are none."""
+FIRST_CASES = len(CLASSICS) + len(ODD_FILES)
+"""Number of cases that are the same for each reader."""
 
 
 class Outcome(NamedTuple):
@@ -25,11 +31,13 @@ class Outcome(NamedTuple):
     Attributes:
         kind: "result", "InputError" or "other".
         seconds: that it took.
+        mib: memory that it took.
         note: of another one, what it was.
     """
 
     kind: str
     seconds: float
+    mib: int
     note: str = ""
 
 
@@ -50,19 +58,28 @@ class Bench:
         self.files = {path.relative_to(seeds).as_posix(): path.read_bytes() for path in files}
         shutil.copytree(seeds, self._folder)
 
-    def case(self, number: int, seed: int = SEED) -> tuple[str, bytes]:
-        """Name and content of the file of a case; the same for the same numbers. The first ones are `CLASSICS`."""
+    def case(self, number: int, seed: int = SEED) -> tuple[str, bytes | str]:
+        """Name and content of the file of a case, or what lies in its place; the same for the same numbers."""
         source = random.Random(f"{self.name} {seed} {number}")
         names = list(self.files)
         if number < len(CLASSICS):
             return names[number % len(names)], CLASSICS[number]
         name = source.choice(names)
+        if not self.reader.stream:
+            if number < FIRST_CASES:
+                return name, ODD_FILES[number - len(CLASSICS)]
+            if source.random() < 0.01:
+                return name, source.choice(ODD_FILES)
         return name, mutated(self.files[name], [self.files[other] for other in names], source)
 
-    def run(self, name: str, content: bytes) -> Outcome:
-        """Read a mutated file."""
+    def run(self, name: str, content: bytes | str) -> Outcome:
+        """Read a mutated file, or an odd one."""
         path = self._folder / name
-        path.write_bytes(content)
+        if isinstance(content, bytes):
+            path.write_bytes(content)
+        else:
+            _put_odd_file(path, content)
+        peak = Peak()
         with written_to_stderr() as noise, warnings.catch_warnings():
             warnings.simplefilter("always")
             begin = time.perf_counter()
@@ -78,14 +95,19 @@ class Bench:
                     raise
                 kind, note = "other", f"{type(error).__name__}: {str(error)[:300]} ({_place(error)})"
             seconds = time.perf_counter() - begin
+        if (taken := peak.mib()) > MOST_MIB:
+            kind, note = "other", f"took {taken} MiB"
         if noise and kind != "other":
             kind, note = "other", f"stderr: {noise[0][:300]}"
         self._restore(name)
-        return Outcome(kind, seconds, note)
+        return Outcome(kind, seconds, taken, note)
 
     def _restore(self, name: str) -> None:
         """Undo the case, and what a reader has written beside it."""
-        (self._folder / name).write_bytes(self.files[name])
+        path = self._folder / name
+        if path.is_symlink() or not path.is_file():
+            path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
+        path.write_bytes(self.files[name])
         if not self.reader.writes:
             return
         for path in self._folder.iterdir():
@@ -93,6 +115,16 @@ class Bench:
                 path.unlink()
         for inside, content in self.files.items():
             (self._folder / inside).write_bytes(content)
+
+
+def _put_odd_file(path: Path, kind: str) -> None:
+    path.unlink()
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        path.symlink_to(path if kind == "itself" else kind)
 
 
 def _place(error: BaseException) -> str:
@@ -124,7 +156,7 @@ def written_to_stderr() -> Iterator[list[str]]:
 
 
 def limit_memory(most: int) -> None:
-    """Let this process take so many bytes more than it has now."""
+    """Let this process take so many bytes more than it has now; a case that wants more is a fault, not a result."""
     now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (now + most, resource.RLIM_INFINITY))
 

@@ -3,13 +3,12 @@
 import base64
 import io
 import json
-import pickle
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from PIL import Image
+from safetensors.numpy import save_file
 
 from hyjax.geometry.mesh import save_mesh
 from hyjax.util.images import write_depth, write_exr, write_labels, write_png
@@ -181,12 +180,12 @@ def sweep_specs(folder: Path) -> None:
 
 
 def sweep_rows(folder: Path) -> None:
-    from hyjax.sweep.rows import DRIVER
+    from hyjax.sweep.rows import DRIVER_FILE
 
     rows = [{"key": f"{k}", "kind": kind, "loss": 0.1 * k, "task": {"a": [k]}} for k, kind in enumerate("ab")]
     text = "".join(json.dumps(row) + "\n" for row in [*rows, rows[0] | {"kind": "error"}])
     (folder / "rows-host-1-0.jsonl").write_text(text)
-    (folder / DRIVER).write_text("host-1-abc")
+    (folder / DRIVER_FILE).write_text("host-1-abc")
 
 
 def run_logs(folder: Path) -> None:
@@ -214,11 +213,10 @@ def journal(folder: Path) -> None:
 def study(folder: Path) -> None:
     from hyjax.tuning.frame.space import Space
     from hyjax.tuning.frame.study import Study
+    from hyjax.tuning.frame.trial import Trial
 
     kept, space = Study(folder, "frame", {"seed": 0}), Space.of(truth=True)
-    kept.add(
-        space, {space.parameters[0].name: space.parameters[0].values[0]}, "draw", 0.5, 2.0, {"losses a": [0.1]}
-    )
+    kept.add(space, Trial({space.parameters[0].name: space.parameters[0].values[0]}, "default", (0.1,), 0.5))
     kept.remember("refined", lambda: {"kappa": 3})
 
 
@@ -236,29 +234,13 @@ def web_page(folder: Path) -> None:
 
 
 def safetensors(folder: Path) -> None:
-    from safetensors.numpy import save_file
-
     arrays = {f"encoder.model.{k}.weight": np.ones((2, 3, 1, 1), np.float32) for k in range(3)}
     save_file(arrays, folder / "a.safetensors", metadata={"encoder": "conv-small"})
 
 
-def state_dict(folder: Path) -> None:
-    """As torch saves one, written by hand: torch is not needed."""
-    numbers = np.arange(6, dtype="<f4").tobytes()
-    tensor = (
-        b"ctorch._utils\n_rebuild_tensor_v2\n((X\x07\0\0\0storagectorch\nFloatStorage\nX\x01\0\0\x000X\x03\0\0\0cpuK\x06t"
-        b"QK\0(K\x02K\x03t(K\x03K\x01tI00\nccollections\nOrderedDict\n)RtR"
-    )
-    content = b"\x80\x02}(X\x08\0\0\0a.weight" + tensor + b"X\x05\0\0\0epochK\x03u."
-    with zipfile.ZipFile(folder / "a.pth", "w") as archive:
-        archive.writestr("x/data.pkl", content)
-        archive.writestr("x/data/0", numbers)
-
-
 def lpips_weights(folder: Path) -> None:
     arrays = {"params.a.kernel": np.ones((3, 3, 3, 4), np.float32), "params.a.bias": np.zeros(4, np.float32)}
-    np.savez(folder / "a.npz", **arrays)
-    (folder / "b.ckpt").write_bytes(pickle.dumps({"params": {"a": {"kernel": arrays["params.a.kernel"]}}}, 3))
+    save_file(arrays, folder / "a.safetensors")
 
 
 def arrays(folder: Path) -> None:
@@ -288,14 +270,6 @@ def _gltf(mesh: trimesh.Trimesh) -> bytes:
         content = base64.b64encode(files[buffer["uri"]]).decode()
         buffer["uri"] = f"data:application/octet-stream;base64,{content}"
     return json.dumps(tree).encode()
-
-
-def points(folder: Path) -> None:
-    from reference.laser_export import write_point_ply
-
-    cloud = np.random.default_rng(0).normal(size=(30, 3))
-    for name, kind in (("a", "ascii"), ("b", "binary_little_endian"), ("c", "binary_big_endian")):
-        write_point_ply(folder / f"{name}.ply", cloud, kind)  # type: ignore[arg-type]
 
 
 def live_messages(folder: Path) -> None:

@@ -20,12 +20,16 @@ class Reader(NamedTuple):
         read: takes the path of a mutated file; or, if `whole`, that of the folder with one file mutated.
         whole: whether all files belong together.
         writes: whether reading changes files or leaves new ones beside them.
+        extra: that it needs; empty for none.
+        stream: whether it reads from a stream, and no file.
     """
 
     make: Callable[[Path], None]
     read: Callable[[Path], object]
     whole: bool = False
     writes: bool = False
+    extra: str = ""
+    stream: bool = False
 
 
 def _capture(path: Path) -> object:
@@ -172,7 +176,7 @@ def _study(path: Path) -> object:
     from hyjax.tuning.frame.study import Study
 
     kept = Study(path, "frame", {"seed": 0}, resume=True)
-    return kept.resumed, kept.known("losses a")
+    return kept.trials, kept.remember("refined", lambda: 1)
 
 
 def _kept_trials(path: Path) -> object:
@@ -222,13 +226,6 @@ def _trajectory(path: Path) -> object:
     return trajectory.pose_at(trajectory.times[0])
 
 
-def _laser(path: Path) -> object:
-    from hyjax.data.laser_scans import _read_pose
-    from hyjax.geometry.ply import load_points
-
-    return _read_pose(path / "1_pose.txt"), load_points(path / "1.ply")
-
-
 def _colmap_map(path: Path) -> object:
     from hyjax.data.colmap_files import read_array
     from hyjax.util.reading import read_bytes
@@ -274,12 +271,6 @@ def _mesh(path: Path) -> object:
     return load_mesh(path, repair=True)
 
 
-def _points(path: Path) -> object:
-    from hyjax.geometry.ply import load_points
-
-    return load_points(path)
-
-
 READERS: dict[str, Reader] = {
     "png": Reader(corpus.pngs, _read_image),
     "jpeg": Reader(corpus.jpegs, _read_image),
@@ -295,8 +286,8 @@ READERS: dict[str, Reader] = {
     "configuration": Reader(corpus.configurations, _configuration),
     "latency table": Reader(corpus.latency_tables, _latency_table),
     "device latency": Reader(corpus.device_latencies, _device_latency),
-    "device message": Reader(_messages_of_devices, _measuring),
-    "tour plan": Reader(corpus.tour_plans, _tour_plan),
+    "device message": Reader(_messages_of_devices, _measuring, stream=True),
+    "tour plan": Reader(corpus.tour_plans, _tour_plan, extra="tour"),
     "lights": Reader(corpus.lights, _lights),
     "photo sources": Reader(corpus.photo_sources, _photo_sources),
     "sweep spec": Reader(corpus.sweep_specs, _sweep_spec),
@@ -304,39 +295,36 @@ READERS: dict[str, Reader] = {
     "run log": Reader(corpus.run_logs, _run_log),
     "training run": Reader(corpus.training_run, _training_run, True, True),
     "tuning journal": Reader(corpus.journal, _journal, True, True),
-    "study": Reader(corpus.study, _study, True, True),
-    "kept trials": Reader(corpus.study, _kept_trials, writes=True),
+    "study": Reader(corpus.study, _study, True, True, extra="tune"),
+    "kept trials": Reader(corpus.study, _kept_trials, writes=True, extra="tune"),
     "results": Reader(corpus.rows_of_results, _results),
     "web page": Reader(corpus.web_page, _web_page, True),
-    "live messages": Reader(corpus.live_messages, _live),
+    "live messages": Reader(corpus.live_messages, _live, stream=True),
     "7-Scenes": Reader(captures.seven_scenes, _capture, True),
     "ARKitScenes": Reader(captures.arkit, _capture, True),
     "3D Scanner App": Reader(captures.scanner3d, _capture, True),
     "Record3D": Reader(captures.record3d, _capture, True),
-    "Record3D archive": Reader(captures.r3d, _capture, True),
-    "Stray Scanner": Reader(captures.stray, _capture, True),
+    "Record3D archive": Reader(captures.r3d, _capture, True, extra="captures"),
+    "Stray Scanner": Reader(captures.stray, _capture, True, extra="captures"),
     "Polycam": Reader(captures.polycam, _capture, True),
     "nerfstudio": Reader(captures.published("test_nerfstudio"), _capture, True),
-    "COLMAP text": Reader(captures.published("test_colmap", binary=False), _capture, True),
-    "COLMAP binary": Reader(captures.published("test_colmap"), _capture, True),
-    "COLMAP depth": Reader(captures.colmap_map, _colmap_map),
+    "COLMAP text": Reader(captures.published("test_colmap", binary=False), _capture, True, extra="captures"),
+    "COLMAP binary": Reader(captures.published("test_colmap"), _capture, True, extra="captures"),
+    "COLMAP depth": Reader(captures.colmap_map, _colmap_map, extra="captures"),
     "TUM": Reader(captures.published("test_tum"), _capture, True),
     "ScanNet": Reader(captures.scannet, _capture, True),
     "Redwood": Reader(captures.published("test_redwood"), _capture, True),
     "ZIP archive": Reader(captures.archive, _capture, True),
     "trajectory": Reader(captures.trajectory, _trajectory),
-    "laser scans": Reader(captures.laser, _laser, True),
-    "video": Reader(captures.video, _video),
+    "video": Reader(captures.video, _video, extra="captures"),
     "pairs in a folder": Reader(captures.pairs_folder, _pairs("folder"), True),
     "DIML": Reader(captures.diml, _pairs("diml"), True),
     "Middlebury": Reader(captures.middlebury, _pairs("middlebury"), True),
     "Middlebury 2014": Reader(captures.middlebury_pfm, _pairs("middlebury"), True),
-    "NYU": Reader(captures.nyu, _pairs("nyu")),
+    "NYU": Reader(captures.nyu, _pairs("nyu"), extra="nyu"),
     "safetensors": Reader(corpus.safetensors, _weights),
-    "torch state dict": Reader(corpus.state_dict, _weights),
     "LPIPS weights": Reader(corpus.lpips_weights, _lpips),
     "mesh": Reader(corpus.meshes, _mesh),
-    "point cloud": Reader(corpus.points, _points),
     "cached arrays": Reader(corpus.arrays, _cache, writes=True),
     "fusion checkpoint": Reader(corpus.volume, _volume, writes=True),
 }

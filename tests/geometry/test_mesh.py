@@ -1,7 +1,10 @@
 """Meshes in and out: what is kept, what is refused, what repair does."""
 
+import base64
 import json
+import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,3 +131,66 @@ def test_saving_where_it_cannot_be(tmp_path: Path, sphere: trimesh.Trimesh) -> N
         save_mesh(tmp_path / "mesh.stl", sphere)
     with pytest.raises(InputError, match=r"nowhere.*cannot write"):
         save_mesh(tmp_path / "nowhere" / "mesh.ply", sphere)
+
+
+def gltf(nodes: list[dict[str, Any]], roots: list[int], faces: int = 2, uri: str | None = None) -> bytes:
+    """A strip of triangles in these nodes; its numbers in a file beside it, if it has a name."""
+    vertices = np.random.default_rng(0).random((faces + 2, 3)).astype("<f4")
+    corners = (np.arange(faces)[:, None] + np.arange(3)).astype("<u4")
+    content = vertices.tobytes() + corners.tobytes()
+    buffer = uri or f"data:application/octet-stream;base64,{base64.b64encode(content).decode()}"
+    views = [(0, vertices.nbytes), (vertices.nbytes, corners.nbytes)]
+    tree = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": roots}],
+        "nodes": nodes,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "buffers": [{"byteLength": len(content), "uri": buffer}],
+        "bufferViews": [{"buffer": 0, "byteOffset": start, "byteLength": size} for start, size in views],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": len(vertices), "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5125, "count": corners.size, "type": "SCALAR"},
+        ],
+    }
+    return json.dumps(tree).encode()
+
+
+def nested(depth: int) -> list[dict[str, Any]]:
+    return [{"children": [k + 1]} for k in range(depth - 1)] + [{"mesh": 0}]
+
+
+def test_small_files_that_ask_for_much(tmp_path: Path) -> None:
+    """A mesh placed many times, and nodes whose reading takes hours."""
+    file = tmp_path / "room.gltf"
+    twice = [{"mesh": 0}, {"mesh": 0, "translation": [2.0, 0.0, 0.0]}]
+    for nodes, roots, count in ((twice, [0, 1], 4), (nested(60), [0], 2)):
+        file.write_bytes(gltf(nodes, roots))
+        assert len(load_mesh(file).faces) == count
+    copies: list[dict[str, Any]] = [{"mesh": 0}] * 600
+    for nodes, roots, faces, reason in (
+        (nested(3000), [0], 2, r"nested over 64 deep$"),
+        ([{"children": [2]}, {"children": [2]}, {"mesh": 0}], [0, 1], 2, r"a node lies in more than one other"),
+        (copies, list(range(600)), 2000, r"places its meshes 600 times, 1200000 faces in all; at most"),
+    ):
+        file.write_bytes(gltf(nodes, roots, faces))
+        with pytest.raises(InputError, match=reason):
+            load_mesh(file)
+
+
+@pytest.mark.parametrize("uri", ["pipe", "../outside.bin", "/proc/self/mem", "inside.bin"])
+def test_files_that_a_mesh_names_are_regular_ones_beside_it(tmp_path: Path, uri: str) -> None:
+    """None other is opened: a pipe would never end."""
+    folder = tmp_path / "capture"
+    folder.mkdir()
+    os.mkfifo(folder / "pipe")
+    whole = json.loads(gltf([{"mesh": 0}], [0]))["buffers"][0]["uri"].partition("base64,")[2]
+    for place in (tmp_path / "outside.bin", folder / "inside.bin"):
+        place.write_bytes(base64.b64decode(whole))
+    (folder / "room.gltf").write_bytes(gltf([{"mesh": 0}], [0], uri=uri))
+    (folder / "room.obj").write_text("mtllib pipe\nusemtl x\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert len(load_mesh(folder / "room.obj").faces) == 1
+    if uri == "inside.bin":
+        assert len(load_mesh(folder / "room.gltf").faces) == 2
+        return
+    with pytest.raises(InputError, match=r"room\.gltf|pipe"):
+        load_mesh(folder / "room.gltf")

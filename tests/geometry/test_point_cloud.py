@@ -1,7 +1,4 @@
-"""Point clouds: positions in PLY files, thinning, normals and spacing."""
-
-import logging
-from pathlib import Path
+"""Point clouds as meshes of discs: thinning, normals, and what a camera sees of them."""
 
 import numpy as np
 import pytest
@@ -9,165 +6,40 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyjax.geometry import ply
-from hyjax.geometry.ply import load_points
-from hyjax.geometry.point_cloud import make_point_cloud
-from hyjax.geometry.voxels import REACH, VoxelMean, voxel_coordinates, voxel_keys
+from hyjax import GBuffer
+from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.geometry.point_cloud import disc_mesh, thinned
+from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.voxels import REACH, voxel_coordinates, voxel_keys
 from hyjax.util.errors import InputError
-from tests.reference.laser_export import Kind, write_point_ply
 
-KINDS: list[Kind] = ["ascii", "binary_little_endian", "binary_big_endian"]
-XYZ = "property float x\nproperty float y\nproperty float z\n"
-ROW = b"1 2 3\n"
+seeds = st.integers(0, 2**31)
+K = Intrinsics(120, 90, 100.0, 104.0, 58.7, 46.1)
 
 
-def some_points(count: int = 100) -> np.ndarray:
-    return np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
+def fields(g: GBuffer) -> tuple[np.ndarray, ...]:
+    return tuple(np.asarray(a) for a in (g.position, g.normal, g.depth, g.hit))
 
 
-def ascii_ply(header: str, rows: bytes) -> bytes:
-    return f"ply\nformat ascii 1.0\n{header}end_header\n".encode() + rows
+def centres(mesh: trimesh.Trimesh) -> np.ndarray:
+    """The points that a mesh of discs was made of."""
+    return np.asarray(mesh.vertices).reshape(-1, 4, 3).mean(axis=1)
 
 
-def refused(path: Path, *parts: str) -> None:
-    with pytest.raises(InputError) as caught:
-        load_points(path)
-    assert "\n" not in str(caught.value)
-    for part in (path.name, *parts):
-        assert part in str(caught.value)
+def wall(x: tuple[float, float], y: tuple[float, float], z: float, count: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.stack([rng.uniform(*x, count), rng.uniform(*y, count), np.full(count, z)], axis=-1)
 
 
-# ---- files ----
+def crossing(camera: Camera) -> np.ndarray:
+    """Where the rays meet the plane z = 0."""
+    rays = camera.rays()
+    return camera.origin + rays * (-camera.origin[2] / rays[..., 2])[..., None]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_all_kinds_give_the_same_points(tmp_path: Path, kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
-    points = some_points()
-    write_point_ply(tmp_path / "scan.ply", points, kind)
-    np.testing.assert_array_equal(load_points(tmp_path / "scan.ply"), points)
-    monkeypatch.setattr(ply, "ROWS", 7)
-    monkeypatch.setattr(ply, "TEXT_ROWS", 50)
-    np.testing.assert_array_equal(load_points(tmp_path / "scan.ply"), points)
-
-
-@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
-def test_a_mesh_is_read_as_its_vertices(tmp_path: Path, encoding: str) -> None:
-    """With normals, and with lists of faces behind."""
-    mesh = trimesh.creation.icosphere(1)
-    (tmp_path / "mesh.ply").write_bytes(mesh.export(file_type="ply", encoding=encoding, vertex_normal=True))
-    np.testing.assert_allclose(load_points(tmp_path / "mesh.ply"), mesh.vertices, atol=1e-7)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_other_elements_other_order_other_types(tmp_path: Path, kind: Kind) -> None:
-    """Another element comes first, coordinates are doubles among other properties, lines end as on Windows."""
-    order = ">" if kind == "binary_big_endian" else "<"
-    stands = np.zeros(3, [("id", f"{order}i4"), ("height", f"{order}f8")])
-    rows = np.zeros(20, [("quality", "u1"), ("z", f"{order}f8"), ("x", f"{order}f8"), ("y", f"{order}f8")])
-    points = np.random.default_rng(0).normal(size=(20, 3)) + 1e4
-    rows["x"], rows["y"], rows["z"] = points.T
-    header = (
-        f"ply\nformat {kind} 1.0\ncomment by hand\nobj_info none\n"
-        "element stand 3\nproperty int32 id\nproperty float64 height\n"
-        "element vertex 20\nproperty uint8 quality\nproperty double z\nproperty double x\nproperty double y\n"
-        "end_header\n"
-    )
-    body = stands.tobytes() + rows.tobytes()
-    if kind == "ascii":
-        body = b"".join(" ".join(map(repr, row)).encode() + b"\r\n" for row in [*stands.tolist(), *rows.tolist()])
-    (tmp_path / "scan.ply").write_bytes(header.replace("\n", "\r\n").encode() + body)
-    read = load_points(tmp_path / "scan.ply")
-    assert read.dtype == np.float64  # single precision would move these points by a millimetre
-    np.testing.assert_array_equal(read, points)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@given(share=st.floats(0, 0.99))
-def test_a_file_cut_off_anywhere_is_refused(
-    tmp_path_factory: pytest.TempPathFactory, kind: Kind, share: float
-) -> None:
-    path = tmp_path_factory.mktemp("cut") / "scan.ply"
-    write_point_ply(path, some_points(), kind)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: int(share * len(whole))])
-    refused(path)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_how_much_is_left_is_said(tmp_path: Path, kind: Kind) -> None:
-    path = tmp_path / "scan.ply"
-    write_point_ply(path, some_points(), kind)
-    whole = path.read_bytes()
-    rows_begin = whole.index(b"end_header\n") + 11
-    end = [i for i, byte in enumerate(whole) if byte == 10][-31] + 1 if kind == "ascii" else rows_begin + 70 * 15
-    path.write_bytes(whole[:end])
-    refused(path, "truncated, has 70 of 100 vertices")
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"", "not a PLY file"),
-        (b"\x89PNG\r\n\x1a\n" + bytes(100), "not a PLY file"),
-        (b"ply\n" + bytes(100_000), "not a PLY header"),
-        (b"ply\n" + b"comment a\n" * 20_000, "not a PLY header"),
-        (ascii_ply("element vertex many\n" + XYZ, ROW), "'element vertex many'"),
-        (ascii_ply("element vertex -1\n" + XYZ, ROW), "'element vertex -1'"),
-        (ascii_ply("element vertex 1\nproperty quaternion x\n", ROW), "'property quaternion x'"),
-        (ascii_ply(f"element vertex 1\n{XYZ}property float y\n", b"1 2 3 4\n"), "'property float y'"),
-        (ascii_ply(f"element camera {10**20}\nelement vertex 1\n{XYZ}", ROW), "truncated, has 0 of 1"),
-        (
-            f"ply\nformat binary_little_endian 1.0\nelement camera {10**20}\nproperty float a\n".encode()
-            + f"element vertex 1\n{XYZ}end_header\n".encode()
-            + bytes(12),
-            "truncated, has 0 of 1",
-        ),
-        (ascii_ply("property float x\n", ROW), "'property float x'"),
-        (b"ply\nformat binary_middle_endian 1.0\nend_header\n", "binary_middle_endian"),
-        (f"ply\nelement vertex 1\n{XYZ}end_header\n".encode() + ROW, "no 'format' line"),
-        (ascii_ply("element face 1\nproperty list uchar int vertex_indices\n", b"3 0 1 2\n"), "has no vertices"),
-        (ascii_ply("element vertex 0\n" + XYZ, b""), "has no vertices"),
-        (ascii_ply("element vertex 1\nproperty float x\nproperty float y\n", b"1 2\n"), "they have x, y"),
-        (ascii_ply(f"element vertex 1\n{XYZ}property list uchar int seen_by\n", b"1 2 3 1 7\n"), "no lists"),
-        (ascii_ply("element vertex 2\n" + XYZ, ROW + b"1 2\n"), "malformed or truncated after vertex 0"),
-        (ascii_ply("element vertex 2\n" + XYZ, ROW + b"\n"), "malformed or truncated after vertex 0"),
-        (ascii_ply("element vertex 2\n" + XYZ, b"1 2\n1 2\n"), "each needs 3 numbers"),
-        (ascii_ply("element vertex 2\n" + XYZ, ROW + b"1 2 here\n"), "malformed or truncated after vertex 0"),
-        (
-            b"ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list uchar int vertex_indices\n"
-            b"element vertex 1\n" + XYZ.encode() + b"end_header\n" + bytes(100),
-            "'face' with its lists comes before the vertices",
-        ),
-        (
-            b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999999999\n"
-            + XYZ.encode()
-            + b"end_header\n"
-            + bytes(120),
-            "has 10 of 999999999999999999",
-        ),
-    ],
-)
-def test_what_is_no_point_cloud_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
-    path = tmp_path / "scan.ply"
-    path.write_bytes(content)
-    refused(path, said)
-
-
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    refused(tmp_path / "scan.ply", "no such file")
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_few_points_may_be_no_numbers(tmp_path: Path, kind: Kind, caplog: pytest.LogCaptureFixture) -> None:
-    points = some_points(1000)
-    points[[3, 5], [0, 2]] = np.nan, np.inf
-    write_point_ply(tmp_path / "scan.ply", points, kind)
-    with caplog.at_level(logging.WARNING):
-        np.testing.assert_array_equal(load_points(tmp_path / "scan.ply"), np.delete(points, [3, 5], axis=0))
-    assert "dropped 2 points" in caplog.text
-    points[:11, 1] = np.nan
-    write_point_ply(tmp_path / "scan.ply", points, kind)
-    refused(tmp_path / "scan.ply", "11 of 1000 points are NaN or infinite")
+def grid(n: int, spacing: float) -> np.ndarray:
+    i, j = np.mgrid[:n, :n]
+    return np.stack([i, j, np.zeros_like(i)], axis=-1).reshape(-1, 3) * spacing
 
 
 # ---- thinning ----
@@ -181,64 +53,58 @@ def test_voxel_keys_are_unique_and_ordered() -> None:
     np.testing.assert_array_equal(voxel_coordinates(keys), cells)
 
 
-@given(st.integers(0, 2**31), st.integers(1, 5))
-def test_thinning_is_the_mean_of_each_cell_however_it_comes(seed: int, pieces: int) -> None:
+@given(seeds)
+def test_thinning_is_the_mean_of_each_cell(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points, voxel = rng.normal(size=(300, 3)), rng.uniform(0.1, 2.0)
-    thinner = VoxelMean(voxel)
-    for piece in np.array_split(points, pieces):
-        thinner.add(piece)
     cells: dict[tuple[int, ...], list[np.ndarray]] = {}
     for point in points:
         cells.setdefault(tuple(np.floor(point / voxel).astype(int)), []).append(point)
     means = [np.mean(cells[cell], axis=0) for cell in sorted(cells)]
-    np.testing.assert_allclose(thinner.points(), means, atol=1e-5)
+    np.testing.assert_allclose(thinned(points, voxel), means, atol=1e-5)
 
 
 @pytest.mark.parametrize("voxel", [0.0, -1.0, np.nan, np.inf])
 def test_a_voxel_that_is_no_length_is_refused(voxel: float) -> None:
     with pytest.raises(InputError, match=r"voxel: must be > 0"):
-        VoxelMean(voxel)
+        thinned(np.ones((1, 3)), voxel)
 
 
 def test_points_beyond_the_grid_are_refused() -> None:
-    VoxelMean(0.005).add(np.full((1, 3), 5000.0))
+    thinned(np.full((1, 3), 5000.0), 0.005)
     with pytest.raises(InputError, match="are they in metres"):
-        VoxelMean(0.005).add(np.full((1, 3), 1e6))
+        thinned(np.full((1, 3), 1e6), 0.005)
 
 
-# ---- normals and spacing ----
-
-
-def grid(n: int, spacing: float) -> np.ndarray:
-    i, j = np.mgrid[:n, :n]
-    return np.stack([i, j, np.zeros_like(i)], axis=-1).reshape(-1, 3) * spacing
+# ---- discs ----
 
 
 def test_a_plane() -> None:
-    cloud = make_point_cloud(grid(30, 0.02), progress=False)
-    assert len(cloud) == 900
-    np.testing.assert_allclose(np.abs(cloud.normals), np.broadcast_to([0, 0, 1.0], (900, 3)), atol=1e-6)
-    inner = ((cloud.points > 0.03) & (cloud.points < 0.55))[:, :2].all(axis=1)
-    np.testing.assert_allclose(cloud.radius[inner], 0.02 * np.sqrt(2), rtol=1e-5)  # its four diagonal neighbours
+    mesh = disc_mesh(grid(30, 0.02), progress=False)
+    np.testing.assert_allclose(np.abs(mesh.vertex_normals), np.broadcast_to([0, 0, 1.0], (3600, 3)), atol=1e-6)
+    points, areas = centres(mesh), mesh.area_faces.reshape(-1, 2).sum(axis=1)
+    inner = ((points > 0.03) & (points < 0.55))[:, :2].all(axis=1)
+    np.testing.assert_allclose(points, grid(30, 0.02), atol=1e-6)
+    radius = 0.02 * np.sqrt(2)  # to the four diagonal neighbours
+    np.testing.assert_allclose(areas[inner], np.pi * radius**2, rtol=1e-4)
 
 
 def test_a_sphere_thinned() -> None:
     points, _ = trimesh.sample.sample_surface(trimesh.creation.icosphere(5), 200_000, seed=0)
-    cloud = make_point_cloud(points, voxel=0.04, progress=False)
-    assert 3000 < len(cloud) < 4 * np.pi / 0.04**2 * 2
-    cosine = np.abs(np.sum(cloud.normals * cloud.points, axis=1)) / np.linalg.norm(cloud.points, axis=1)
+    mesh = disc_mesh(points, voxel=0.04, progress=False)
+    found = centres(mesh)
+    assert 3000 < len(found) < 4 * np.pi / 0.04**2 * 2
+    normals = np.asarray(mesh.vertex_normals)[::4]
+    cosine = np.abs(np.sum(normals * found, axis=1)) / np.linalg.norm(found, axis=1)
     assert np.degrees(np.arccos(np.quantile(cosine, 0.05))) < 4.0
-    np.testing.assert_allclose(np.linalg.norm(cloud.normals, axis=1), 1.0, rtol=1e-5)
-    assert np.all((cloud.radius > 0.02) & (cloud.radius < 0.12))
 
 
 def test_isolated_points_go_and_sparse_parts_stay() -> None:
     """A scanner's points lie a hundred times sparser on a far wall: that is no reason to drop them."""
     dense, sparse = grid(40, 0.005), grid(15, 0.05) + np.array([3.0, 0, 0])
     stray = np.array([[0.1, 0.1, 0.2], [0.102, 0.1, 0.2], [0.05, 0.1, -0.5]])
-    cloud = make_point_cloud(np.concatenate([dense, sparse, stray]), progress=False)
-    np.testing.assert_array_equal(cloud.points, np.concatenate([dense, sparse]).astype(np.float32))
+    mesh = disc_mesh(np.concatenate([dense, sparse, stray]), progress=False)
+    np.testing.assert_allclose(centres(mesh), np.concatenate([dense, sparse]), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -251,9 +117,66 @@ def test_isolated_points_go_and_sparse_parts_stay() -> None:
 )
 def test_points_that_make_no_surface_are_refused(points: np.ndarray, said: str) -> None:
     with pytest.raises(InputError, match=said):
-        make_point_cloud(points, progress=False)
+        disc_mesh(points, progress=False)
 
 
 def test_too_coarse_a_voxel_is_named() -> None:
     with pytest.raises(InputError, match=r"1 points at a voxel of 5 m"):
-        make_point_cloud(np.random.default_rng(0).uniform(1, 4, (1000, 3)), voxel=5.0, progress=False)
+        disc_mesh(np.random.default_rng(0).uniform(1, 4, (1000, 3)), voxel=5.0, progress=False)
+
+
+# ---- what a camera sees ----
+
+
+@given(seeds)
+def test_a_sphere_against_its_mesh(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    eye = rng.normal(size=3)
+    camera = Camera(K, look_at(2.5 * eye / np.linalg.norm(eye), rng.normal(size=3) * 0.2, rng.normal(size=3)))
+    truth = fields(RayCaster(trimesh.creation.icosphere(5)).gbuffer(camera))
+    _, normal, depth, hit = fields(SPHERE.gbuffer(camera))
+    assert np.mean(hit == truth[3]) > 0.97
+    assert np.all(hit[truth[3]])  # fatter by half a disc, never thinner, no holes
+    both, reach = truth[3], 0.044  # half a diagonal, metres: discs are flat, and the nearest is seen
+    assert np.median(np.abs(depth - truth[2])[both]) < reach**2
+    cosine = np.clip(np.sum(normal * truth[1], axis=-1)[both], -1, 1)
+    assert np.arccos(np.median(cosine)) < reach
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.6, 1.2])
+def test_nothing_shows_through_a_wall(tilt: float) -> None:
+    """Points several pixels apart, a dense wall close behind: where a disc of the front is, the back is not."""
+    front = disc_mesh(wall((-3, 3), (-2, 2), 0.0, 8000), progress=False)
+    back = disc_mesh(wall((-6, 6), (-4, 4), 0.3, 60_000, seed=1), progress=False)
+    eye = 2.5 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+    camera = Camera(K, look_at(eye, np.zeros(3), np.array([0.0, -1.0, 0.0])))
+    alone, together = (fields(RayCaster(mesh).gbuffer(camera)) for mesh in (front, front + back))
+    hit = alone[3]
+    x, y, _ = np.moveaxis(crossing(camera), -1, 0)
+    assert hit[(np.abs(x) < 2.8) & (np.abs(y) < 1.8)].mean() > 0.99
+    np.testing.assert_allclose(together[0][hit], alone[0][hit], atol=1e-5)
+    assert np.median(np.abs(alone[0][hit][:, 2])) < 1e-5
+
+
+def test_a_doorway_stays_open() -> None:
+    points = wall((-3, 3), (-1.5, 1.5), 0.0, 200_000)
+    inside = (np.abs(points[:, 0]) < 0.5) & (points[:, 1] > -0.5)  # 1 m by 2 m, down to the floor
+    caster = RayCaster(disc_mesh(points[~inside], progress=False))
+    camera = Camera(K, look_at(np.array([0.4, 0.0, -2.5]), np.zeros(3), np.array([0.0, -1.0, 0.0])))
+    _, _, _, hit = fields(caster.gbuffer(camera))
+    x, y, _ = np.moveaxis(crossing(camera), -1, 0)
+    x = np.abs(x)
+    margin = 0.04  # twice the radius of a disc
+    opening = (x < 0.5 - margin) & (y > -0.5 + margin) & (y < 1.5 - margin)
+    wall_around = ((x > 0.5 + margin) | (y < -0.5 - margin)) & (x < 2.9) & (np.abs(y) < 1.4)
+    assert opening.sum() > 1000 and wall_around.sum() > 2000
+    assert not hit[opening].any()
+    assert hit[wall_around].mean() > 0.995  # points strewn at random leave a gap here and there
+
+
+def _sphere(count: int = 20_000) -> RayCaster:
+    points = np.random.default_rng(0).normal(size=(count, 3))
+    return RayCaster(disc_mesh(points / np.linalg.norm(points, axis=1, keepdims=True), progress=False))
+
+
+SPHERE = _sphere()

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import nnx
+from safetensors.numpy import save_file
 
 from hyjax.guide import ENCODERS, GuideNetwork, load_network, register_encoder
 from hyjax.guide.convolution import convolve, convolve_depthwise, convolve_upsampled, parity_kernels, upsample
@@ -52,10 +53,11 @@ def pictures(*shape: int) -> np.ndarray:
 @pytest.fixture(scope="module", params=[SMALL, MEDIUM])
 def pair(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[GuideNetwork, Any]:
     """The same network, ours and torch's."""
-    reference = pytest.importorskip("reference.torch_unet")
+    from reference import torch_unet as reference
+
     theirs = reference.torch_unet(request.param)
-    path: Path = tmp_path_factory.mktemp("weights") / "unet.pth"
-    reference.torch.save(theirs.state_dict(), path)
+    path: Path = tmp_path_factory.mktemp("weights") / "unet.safetensors"
+    save_file({name: tensor.numpy() for name, tensor in theirs.state_dict().items()}, path)
     return load_network(path)[0], theirs
 
 
@@ -143,7 +145,8 @@ def test_gradients_and_statistics_are_torchs(pair: tuple[GuideNetwork, Any]) -> 
 @pytest.mark.slow
 def test_starts_as_torchs() -> None:
     """Initial weights have the same spread, layer for layer, and the same range where they are uniform."""
-    reference = pytest.importorskip("reference.torch_unet")
+    from reference import torch_unet as reference
+
     theirs = reference.torch_unet(SMALL, initial=True).state_dict()
     ours = named_variables(GuideNetwork(SMALL, rngs=nnx.Rngs(1)))
     assert set(ours) == {name for name in theirs if not name.endswith("num_batches_tracked")}

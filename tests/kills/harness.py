@@ -12,11 +12,12 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from hyjax.data.trees import open_tree
+from hyjax.data.video_frames import VideoFrames
 from hyjax.util.errors import InputError
 from hyjax.util.files import PART
 from hyjax.util.images import read_image
 from hyjax.util.reading import read_json
-from hyjax.util.whole_files import check_whole
 
 from .commands import CAPTURE, Command, differences, entries, prepare
 
@@ -195,11 +196,12 @@ def damages(out: Path) -> list[str]:
         if not file.is_file() or any(PART in part or part.startswith(".") or "tmp" in part for part in inside):
             continue
         try:
-            check_whole(file, file.name)
             if file.suffix in (".png", ".exr"):
                 read_image(file)
             elif file.suffix == ".json":
                 read_json(file)
+            elif file.suffix == ".mp4":
+                VideoFrames(open_tree(file), file.name)
             elif file.suffix in (".md", ".html", ".csv", ".safetensors") and not file.stat().st_size:
                 raise InputError(f"{file}: empty")
         except (OSError, InputError) as error:

@@ -55,6 +55,12 @@ def test_blackbody_has_luminance_one(kelvin: float) -> None:
     assert np.all(np.asarray(rgb) >= 0)
 
 
+@pytest.mark.parametrize("kelvin", [0, -5, float("nan"), 1600.0, 25001])
+def test_blackbody_out_of_range(kelvin: float) -> None:
+    with pytest.raises(InputError, match=r"^kelvin: must be from 1667 to 25000 K, got"):
+        blackbody(kelvin)
+
+
 def test_blackbody_hue() -> None:
     """Lamps are orange, D65 is about white, the sky is blue, and there is no jump where the fits meet."""
     lamp, day, sky = np.asarray(blackbody(2700.0)), np.asarray(blackbody(6504.0)), np.asarray(blackbody(15000.0))

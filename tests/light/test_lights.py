@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference.differences import assert_gradients
 
+import hyjax
 from hyjax import (
     AmbientLight,
     DirectionalLight,
@@ -245,3 +246,21 @@ def test_shade_adds_up_and_leaves_misses_dark() -> None:
         np.testing.assert_allclose(each[hit][:, k], expected, rtol=2e-3, atol=1.0)
     with pytest.raises(InputError, match=r"^lights: none given; give at least one$"):
         shade(gbuffer, [])
+
+
+def test_a_set_up_is_an_argument_of_a_jitted_function() -> None:
+    """And has gradients: of strength and reference alike."""
+    position = jnp.zeros((2, 2, 3)).at[..., 0].set(jnp.arange(4.0).reshape(2, 2))
+    normal, ones = jnp.zeros((2, 2, 3)).at[..., 2].set(1.0), jnp.ones((2, 2))
+    view = hyjax.View.of(jnp.full((2, 2, 3), 0.5), hyjax.GBuffer(position, normal, ones, ones > 0))
+    lamp = hyjax.PointLight(jnp.array([0.0, 0.0, 2.0]), jnp.asarray(800.0), jnp.ones(3))
+
+    def brightness(setup: hyjax.LightSetup) -> jax.Array:
+        shaded = view.shade(setup)
+        return jnp.mean(shaded.illuminance) / shaded.reference_lux
+
+    setup = hyjax.LightSetup((lamp,), 200.0)
+    value, slope = jax.jit(jax.value_and_grad(brightness))(setup)
+    np.testing.assert_allclose(value, brightness(setup), rtol=1e-5)
+    np.testing.assert_allclose(slope.lights[0].luminous_flux, value / 800.0, rtol=1e-4)
+    np.testing.assert_allclose(slope.reference_lux, -value / 200.0, rtol=1e-4)

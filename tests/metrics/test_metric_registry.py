@@ -1,6 +1,8 @@
 """The registry of metrics: one added from outside the package is judged, scored and reported like the others."""
 
+import csv
 from collections.abc import Iterator
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +12,20 @@ from jaxtyping import Array, Bool, Float
 
 from experiments.judging import better_text, judge, text_of
 from hyjax import InputError
+from hyjax.configuration import Configuration
+from hyjax.light.color import to_linear
 from hyjax.light.shaded import Shaded
 from hyjax.metrics import METRICS, LpipsWeights, Metric, plain_metrics, register_metric
 from hyjax.tuning import report
 from hyjax.tuning.cases import Case, scores
+from hyjax.tuning.frame import report as frame_report
+from hyjax.tuning.frame.clock import FrameTime
+from hyjax.tuning.frame.evaluation import mean_scores
+from hyjax.tuning.frame.loss import PictureLoss
+from hyjax.tuning.frame.report_html import page as frame_page
+from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
+from hyjax.tuning.frame.scene import Target
+from hyjax.tuning.result import Budget
 
 SIZE = 32
 EVERYWHERE = np.ones((SIZE, SIZE), bool)
@@ -69,6 +81,25 @@ def test_a_metric_from_outside_is_one_of_the_tuners_scores(mae: Metric) -> None:
     assert list(worse.row()) == ["loss", "psnr", "ssim", "mae"]
     assert worse.metrics["mae"] > 0.05 and worse.metrics["ssim"] < 1.0
     assert {"tuning_mae", "held_out_mae", "tuning_psnr_db"} <= set(report.score_columns())
+
+
+def test_a_metric_from_outside_is_in_reports_of_frames_and_in_rows_of_sweeps(
+    mae: Metric, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scores of a frame are what `tune` reports and what a sweep's rows hold."""
+    rng = np.random.default_rng(0)
+    shown = rng.uniform(0.1, 0.8, (SIZE, SIZE, 3)).astype(np.float32)
+    target = Target(shown, EVERYWHERE, False)
+    found = PictureLoss().scores(np.asarray(to_linear(jnp.asarray(shown))) * 1.1, target)
+    assert set(found) == {"loss", "psnr", "ssim", "mae", "psnr_raw"} and 0 < found["mae"] < 0.1
+    assert mean_scores([found, found])["mae"] == pytest.approx(found["mae"])
+    time = FrameTime(10.0, 11.0, 20.0, 0.5)
+    candidate = FrameCandidate(Configuration(), found | {"relative": 1.0}, None, time)
+    tuned = FrameTuned(Configuration(), [candidate], [Budget("9 ms", 9.0)], [candidate], [], [], [], [], {})
+    frame_report.write_pareto_csv(tmp_path / "pareto.csv", tuned)
+    (row,) = csv.DictReader((tmp_path / "pareto.csv").read_text(encoding="utf-8").splitlines())
+    assert float(row["tuning_mae"]) == pytest.approx(found["mae"], rel=1e-4) and row["held_out_mae"] == ""
+    assert "MAE, tuning" in frame_page(tuned, [])
 
 
 def test_scores_are_those_of_the_metrics_themselves() -> None:

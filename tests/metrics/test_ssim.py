@@ -144,7 +144,7 @@ BORDER = np.pad(np.zeros((2, 4), bool), 5, constant_values=True)
         (GOOD[1:], GOOD, None, "h is 11 by image"),
         (GOOD[:10], GOOD[:10], None, "image: must be at least 11 x 11 pixels, got 10 x 14"),
         (GOOD, GOOD, BORDER, "valid: no pixel, 5 pixels or more from the border, is valid"),
-        (GOOD, GOOD, BORDER[1:], r"valid: must be a bool array of shape h x w, got bool of shape \(11, 14\)"),
+        (GOOD, GOOD, BORDER[1:], r"must be a bool array of shape h x w or None, got bool of shape \(11, 14\)"),
     ],
 )
 def test_bad_input(image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None, message: str) -> None:

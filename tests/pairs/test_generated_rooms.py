@@ -15,7 +15,7 @@ from hyjax.geometry.camera import Camera
 from hyjax.pairs.depth_pairs import DepthPair
 from hyjax.pairs.generated_rooms import DEPTH_STEP, VERSION, GeneratedRooms
 from hyjax.synthetic.random_room import LitRoom, make_random_room, photograph
-from hyjax.synthetic.random_room.views import NEAREST, draw_view
+from hyjax.synthetic.random_room.views import LEAST_DEPTH, draw_view
 from hyjax.util.errors import InputError
 
 SIZE = 96
@@ -114,28 +114,28 @@ def edges(pair: DepthPair) -> tuple[np.ndarray, np.ndarray]:
     assert pair.normal is not None
     grey = pair.image.mean(-1)
     inner = (slice(1, -1), slice(1, -1))
-    colour = np.hypot(grey[1:-1, 2:] - grey[1:-1, :-2], grey[2:, 1:-1] - grey[:-2, 1:-1])
+    color = np.hypot(grey[1:-1, 2:] - grey[1:-1, :-2], grey[2:, 1:-1] - grey[:-2, 1:-1])
     disparity = np.where(pair.valid, 1 / np.maximum(pair.depth, 0.1), 0)
     jump = maximum_filter(disparity, 3) > 1.06 * disparity + 1e-6
     bend = np.stack([maximum_filter(pair.normal[..., k], 3) - pair.normal[..., k] for k in range(3)]).max(0) > 0.3
-    return colour > 0.12, (jump | bend | ~pair.valid)[inner]
+    return color > 0.12, (jump | bend | ~pair.valid)[inner]
 
 
 def test_texture_is_no_border_and_borders_are_seen() -> None:
     """What the pairs are for: plenty of edges in the picture where the surface has none, and not the reverse."""
     rooms = GeneratedRooms(0, size=160, views=1)
-    colour, border = (np.stack(a) for a in zip(*(edges(rooms[k]) for k in range(12))))
+    color, border = (np.stack(a) for a in zip(*(edges(rooms[k]) for k in range(12))))
     near_border = np.stack([maximum_filter(b, 5) for b in border])
-    near_colour = np.stack([maximum_filter(c, 5) for c in colour])
-    assert colour.mean() > 0.05 and 0.02 < border.mean() < 0.4
-    assert (colour & ~near_border).sum() > 0.2 * colour.sum()
-    seen = (border & near_colour).sum() / border.sum()
+    near_color = np.stack([maximum_filter(c, 5) for c in color])
+    assert color.mean() > 0.05 and 0.02 < border.mean() < 0.4
+    assert (color & ~near_border).sum() > 0.2 * color.sum()
+    seen = (border & near_color).sum() / border.sum()
     assert 0.5 < seen < 0.98  # some have next to no contrast, as in real rooms
 
 
 def test_nothing_is_in_the_way_of_the_camera(pairs: list[DepthPair], lit: LitRoom) -> None:
     for pair in pairs:
-        assert pair.depth[pair.valid].min() > 0.5 * NEAREST
+        assert pair.depth[pair.valid].min() > 0.5 * LEAST_DEPTH
     for view in range(4):
         camera = camera_of(lit, view)
         rays = camera.rays().reshape(-1, 3)

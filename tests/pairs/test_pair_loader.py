@@ -13,7 +13,7 @@ from PIL import Image
 
 from hyjax.pairs import augmentation
 from hyjax.pairs import loader as pair_loader
-from hyjax.pairs.augmentation import LEAST_VALID, Packed, colour_matrix, random_crop, recoloured
+from hyjax.pairs.augmentation import LEAST_VALID, Packed, color_matrix, random_crop, recolored
 from hyjax.pairs.depth_pairs import DepthPair, Unit, masked_pair
 from hyjax.pairs.loader import Batch, PairLoader
 from hyjax.util.errors import InputError
@@ -206,14 +206,14 @@ def test_pairs_are_read_once() -> None:
 def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     expected = take(loader(Numbered("a", 5)), 10)
     one = HEIGHT * WIDTH * (3 + 4 + 3)
-    monkeypatch.setattr(pair_loader, "MEMORY", 2 * one + 1)
+    monkeypatch.setattr(pair_loader, "MEMORY_BYTES", 2 * one + 1)
     source = Numbered("a", 5)
     assert equal(take(loader(source), 10), expected)
     assert sorted(source.read.values()) == [1, 1, 8, 8, 8], "two are kept, the others read each time"
 
 
 def test_endless_sources_are_read_in_order_and_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pair_loader, "ENDLESS", 50)
+    monkeypatch.setattr(pair_loader, "GENERATED_COUNT", 50)
     source = Numbered("rooms", 50)
     drawn = [n for batch in take(loader(source), 5) for n in numbers(batch)]
     assert drawn == list(range(20)) and set(source.read.values()) == {1}
@@ -234,7 +234,7 @@ def test_plain_crops_are_windows_of_the_pair() -> None:
 
 def test_picture_depth_and_normals_stay_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the scale and on whichever side: what the picture says of its place is what the depth says."""
-    monkeypatch.setattr(augmentation, "recoloured", lambda picture, rng: np.asarray(picture, np.float32) / 255)
+    monkeypatch.setattr(augmentation, "recolored", lambda picture, rng: np.asarray(picture, np.float32) / 255)
     mirrored, scales, off = set(), [], []
     for batch in take(loader(Numbered("a", 5)), 20):
         for image, depth, normal in zip(batch.image, batch.depth, batch.normal):
@@ -287,28 +287,28 @@ def test_crops_of_holes_are_drawn_again() -> None:
 # ---- colours ----
 
 
-def test_recoloured_pictures_are_pictures() -> None:
+def test_recolored_pictures_are_pictures() -> None:
     rng = np.random.default_rng(0)
     picture = Image.fromarray(rng.integers(0, 256, (40, 50, 3)).astype(np.uint8))
-    seen = [recoloured(picture, np.random.default_rng(seed)) for seed in range(60)]
+    seen = [recolored(picture, np.random.default_rng(seed)) for seed in range(60)]
     assert all(x.dtype == np.float32 and x.shape == (40, 50, 3) and 0 <= x.min() <= x.max() <= 1 for x in seen)
-    assert np.array_equal(seen[3], recoloured(picture, np.random.default_rng(3)))
+    assert np.array_equal(seen[3], recolored(picture, np.random.default_rng(3)))
     means = np.array([x.mean(axis=(0, 1)) for x in seen])
     assert np.ptp(means.mean(axis=1)) > 0.3, "exposure varies"
     assert np.ptp(means[:, 0] / means[:, 2]) > 0.3, "white balance varies"
 
 
-def test_recolouring_moves_no_border() -> None:
+def test_recoloring_moves_no_border() -> None:
     pixels = np.full((64, 64, 3), 60, np.uint8)
     pixels[:, 40:] = 160
     for seed in range(60):
-        image = recoloured(Image.fromarray(pixels), np.random.default_rng(seed))
+        image = recolored(Image.fromarray(pixels), np.random.default_rng(seed))
         step = np.abs(np.diff(image.mean(axis=(0, 2))))
         assert abs(np.argmax(step) - 39) <= 1
 
 
-def test_colour_matrix() -> None:
-    np.testing.assert_allclose(colour_matrix(1.0, 0.0), np.eye(3), atol=1e-6)
-    np.testing.assert_allclose(colour_matrix(0.0, 1.0), np.full((3, 3), 1 / 3), atol=1e-6)
-    np.testing.assert_allclose(colour_matrix(1.0, 2 * np.pi / 3), np.eye(3)[[2, 0, 1]], atol=1e-6)
-    np.testing.assert_allclose(colour_matrix(1.7, 0.4) @ np.ones(3), np.ones(3), atol=1e-6)
+def test_color_matrix() -> None:
+    np.testing.assert_allclose(color_matrix(1.0, 0.0), np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(color_matrix(0.0, 1.0), np.full((3, 3), 1 / 3), atol=1e-6)
+    np.testing.assert_allclose(color_matrix(1.0, 2 * np.pi / 3), np.eye(3)[[2, 0, 1]], atol=1e-6)
+    np.testing.assert_allclose(color_matrix(1.7, 0.4) @ np.ones(3), np.ones(3), atol=1e-6)

@@ -14,9 +14,10 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import enclose, trace
 from hyjax.light.transport import Transport, bounce, gather, send
 from hyjax.photo_light.basis import BINS, make_basis, window_light
+from hyjax.photo_light.belief import FOLDS, LARGEST_SIDE, LEAST_SHARE, folds
 from hyjax.photo_light.estimate import estimate_arrays, read_estimate
 from hyjax.photo_light.fit import FitProblem, fit_sources, illuminance, loss
-from hyjax.photo_light.pairs import coplanar_pairs, held_out
+from hyjax.photo_light.pairs import coplanar_pairs
 from hyjax.photo_light.radiance import linear, vertex_radiance
 from hyjax.photo_light.sources import PhotoLamp, PhotoSources, PhotoWindow
 
@@ -144,7 +145,13 @@ def test_pairs_lie_on_one_plane_and_blocks_are_held_out_whole(lit: Lit) -> None:
     away = position[pairs[:, 1]] - position[pairs[:, 0]]
     assert len(pairs) > 1000
     assert np.abs(np.einsum("nk,nk->n", away, normal[pairs[:, 0]])).max() < 0.05
-    assert 0.1 < held_out(position).mean() < 0.6
+    for scale in (1.0, 0.3):  # the corner of a room needs smaller blocks than all of it
+        first = scale * position[pairs[:, 0]]
+        fold = folds(first)
+        assert np.bincount(fold, minlength=FOLDS).min() >= LEAST_SHARE * len(pairs)
+        if scale == 1.0:
+            _, block = np.unique(np.floor(first / LARGEST_SIDE).astype(int), axis=0, return_inverse=True)
+            assert all(len(set(fold[block.reshape(-1) == n])) == 1 for n in range(block.max() + 1))
 
 
 def frames_of(lit: Lit, gains: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)) -> list[Frame]:

@@ -8,8 +8,9 @@ import pytest
 
 from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.geometry.raycast import RayCaster
+from hyjax.photo_light.hints import hinted_sources, is_lit, shows_light
 from hyjax.photo_light.source_search import find_photo_sources, search_sources
-from hyjax.photo_light.sources import PhotoSources, hinted_sources, is_lit
+from hyjax.photo_light.sources import PhotoSources, PhotoWindow
 from hyjax.scene.scene import Scene
 from hyjax.util.errors import InputError
 
@@ -110,3 +111,15 @@ def test_bad_files_are_refused_in_one_line(text: str, said: str, scene: Scene, t
 
 def test_a_capture_without_hints_has_none(room: RoomCapture) -> None:
     assert hinted_sources({}, room.up, RayCaster(room.reference()), []).origin == "none"
+
+
+def test_a_hinted_window_on_a_plain_wall_is_doubted(room: RoomCapture, scene: Scene) -> None:
+    frames = [room[i] for i in range(0, 24, 3)]
+    true = room.anchors["window_0"]
+    size = float(true["width"]), float(true["height"])
+    window = PhotoWindow.facing("true", np.asarray(true["center"]), np.asarray(true["normal"]), room.up, *size)
+    assert shows_light(window, scene.caster, frames)
+    beside = np.asarray(true["center"], float) - [0.0, 2.2, 0.0]
+    wrong = PhotoWindow.facing("wrong", beside, np.asarray(true["normal"]), room.up, 0.8, 0.8)
+    assert shows_light(wrong, scene.caster, frames) is False
+    assert shows_light(wrong, scene.caster, []) is None

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
+from extras import need
 from jaxtyping import Float
 
 from hyjax.util.images import write_png
@@ -72,6 +73,7 @@ def export_middlebury_2014(scene: Path, view: int, image: Image, disparity: Dept
 
 def export_nyu(file: Path, images: list[Image], depths: list[Depth], raw: list[Depth]) -> None:
     """A labelled file as MATLAB 7.3 writes it: HDF5 with the axes in reverse order."""
+    need("nyu")
     import h5py
 
     with h5py.File(file, "w", userblock_size=512) as stored:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
+from extras import need
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
@@ -180,6 +181,7 @@ def write_record3d(
     (folder / ("metadata" if r3d else "metadata.json")).write_text(json.dumps(metadata))
     for number, frame in by_number.items():
         if r3d:
+            need("captures")
             import lzfse
 
             write_jpeg(folder / f"rgbd/{number}.jpg", frame)

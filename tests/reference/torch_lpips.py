@@ -6,19 +6,22 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pytest
+from extras import need
 
 from hyjax.metrics import LpipsWeights
 
 
 def torch_lpips(weights: LpipsWeights, *, spatial: bool) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """`lpips.LPIPS` as a function of two pictures, H x W x 3 in [0, 1]; skips the test where it is missing."""
-    torch = pytest.importorskip("torch", reason="torch is only wanted to compare LPIPS with; pip install torch")
+    need("torch", "lpips")
+    import torch
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import_torchvision(torch)
-        package = pytest.importorskip("lpips", reason="only wanted to compare with; pip install --no-deps lpips")
-        model = package.LPIPS(
+        import lpips
+
+        model = lpips.LPIPS(
             net=weights.net, version="0.1", pretrained=False, pnet_rand=True, spatial=spatial, verbose=False
         )
     convolutions = [m for m in model.net.modules() if isinstance(m, torch.nn.Conv2d)]
@@ -41,10 +44,9 @@ def torch_lpips(weights: LpipsWeights, *, spatial: bool) -> Callable[[np.ndarray
 
 def import_torchvision(torch: Any) -> None:
     """Its networks alone are wanted, which do without the operators that a wheel for other devices lacks."""
+    need("torchvision")
     try:
         import torchvision
-    except ImportError:
-        pytest.skip("no torchvision; pip install --no-deps torchvision")
     except RuntimeError:
         for name in [name for name in sys.modules if name.split(".")[0] == "torchvision"]:
             del sys.modules[name]

@@ -5,9 +5,10 @@ Batch × channel × row × column, in whatever precision the tensors come in.
 
 from typing import Any
 
-import pytest
+from extras import need
 
-torch: Any = pytest.importorskip("torch", reason="torch is only wanted to compare with; pip install torch")
+need("torch")
+import torch
 
 
 def bicubic(source: Any, factor: int) -> Any:

@@ -4,11 +4,12 @@ import warnings
 from typing import Any
 
 import numpy as np
-import pytest
+from extras import need
 
 from reference.torch_lpips import import_torchvision
 
-torch: Any = pytest.importorskip("torch", reason="torch is only wanted to compare networks with; pip install torch")
+need("torch")
+import torch
 
 
 def torch_unet(encoder: str, features: int = 64, *, seed: int = 0, initial: bool = False) -> Any:
@@ -23,11 +24,9 @@ def torch_unet(encoder: str, features: int = 64, *, seed: int = 0, initial: bool
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import_torchvision(torch)
-        reason = (
-            "only wanted to compare with; pip install --no-deps timm segmentation-models-pytorch huggingface_hub"
-        )
-        pytest.importorskip("timm", reason=reason)
-        smp = pytest.importorskip("segmentation_models_pytorch", reason=reason)
+        need("timm", "segmentation_models_pytorch")
+        import segmentation_models_pytorch as smp
+
         torch.manual_seed(seed)
         network = smp.Unet(f"tu-{encoder}", encoder_weights=None, classes=features)
     for module in network.modules():

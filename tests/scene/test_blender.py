@@ -39,7 +39,8 @@ from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.blender import BlenderRenderer, Rendering, blender_python, hexagons
-from hyjax.scene.light_setups import named_setup, survey_capture
+from hyjax.scene.light_places import survey_capture
+from hyjax.scene.light_setups import named_setup
 from hyjax.scene.scene import Scene
 from hyjax.util.images import read_image
 

@@ -176,7 +176,7 @@ def test_little_coverage_and_other_axes_are_told(caplog: pytest.LogCaptureFixtur
     assert not caplog.messages
     half = submesh(mesh, mesh.triangles_center[:, 1] > 0.15)
     tell_coverage(capture, "half", coverage_of(capture, half))
-    assert "walls: the half has" in caplog.text and "% of what has depth" in caplog.text
+    assert "walls: the half has" in caplog.text and "% of the depth readings" in caplog.text
     caplog.clear()
     aside = mesh.copy()
     aside.apply_translation([0, 100, 0])
@@ -250,7 +250,7 @@ def test_depth_without_a_reading_is_refused() -> None:
 def test_five_frames_of_a_kinect_are_covered(
     indices: range, kitchen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Most of what has depth, although it was seen once."""
+    """Most of the depth readings, although it was seen once."""
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path))
     files = sorted(kitchen.glob("frame-*.color.jpg"))
     folder = tmp_path / "five"

@@ -72,7 +72,7 @@ def test_what_a_capture_holds() -> None:
         "camera path: 0.5 m",
         "6 maps of 64x48 (phone LiDAR), 75 % of the pixels, 2 to 2 m, median 2 m",
         "mesh: 2 triangles",
-        "mesh to depth: 0.01 m (median); the mesh has 100 % of what has depth",
+        "mesh to depth: 0.01 m (median); the mesh has 100 % of the depth readings",
     ):
         assert part in text
 
@@ -81,7 +81,7 @@ def test_what_a_capture_holds() -> None:
     ("capture", "doubt"),
     [
         (Walk(wall(2.4)), r"mesh and depth lie 0\.4 m apart"),
-        (Walk(wall(-5.0)), "the mesh is met by 0 % of what has depth; same axes and units"),
+        (Walk(wall(-5.0)), "the mesh is met by 0 % of the depth readings; same axes and units"),
         (Walk(wall(2.0, scale=1000.0)), r"spans 1\.8e\+04 m; is it in metres"),
         (Walk(wall(), step=2.0), "the camera jumps by 2 m"),
         (Walk(step=0.001), "the camera hardly moves"),

@@ -8,10 +8,15 @@ import trimesh
 from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
-from hyjax.light.kinds import DirectionalLight, PointLight
+from hyjax.light.color import to_display
+from hyjax.light.kinds import DirectionalLight, PointLight, RectLight
 from hyjax.light.setup import LightSetup
+from hyjax.metrics.dark_share import dark_share
 from hyjax.scene.exposure import warn_of_missing
-from hyjax.scene.light_setups import SETUPS, LightAnchors, named_setup, survey
+from hyjax.scene.light_places import LightAnchors, survey
+from hyjax.scene.light_setups import SETUPS, named_setup
+from hyjax.scene.relighter import Relighter
+from hyjax.scene.scene import Scene
 from hyjax.util.errors import InputError
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -107,8 +112,9 @@ def test_every_set_up_lights_what_is_looked_at(name: str, room: RoomCapture, roo
 def test_anchors_are_used_where_there_are_any(room: RoomCapture, room_caster: RayCaster) -> None:
     cameras = [frame.camera for frame in room]
     stage = survey(room_caster, cameras, room.up, room.anchors)
-    np.testing.assert_allclose(stage.window, room.anchors["window_0"]["center"])
-    assert stage.width == room.anchors["window_0"]["width"]
+    (window,) = stage.windows
+    np.testing.assert_allclose(window.center, room.anchors["window_0"]["center"])
+    assert window.width == room.anchors["window_0"]["width"]
     np.testing.assert_allclose(stage.lamps, [room.anchors[f"lamp_{i}"]["position"] for i in (0, 1)])
     lamps = [
         np.asarray(x.position) for x in named_setup("evening-lamps", stage).lights if isinstance(x, PointLight)
@@ -116,13 +122,14 @@ def test_anchors_are_used_where_there_are_any(room: RoomCapture, room_caster: Ra
     np.testing.assert_allclose(lamps, stage.lamps, atol=1e-5)
     only_lamps = survey(room_caster, cameras, room.up, {"lamp_0": {"position": [1, 2, 1]}})
     np.testing.assert_allclose(only_lamps.lamps, [[1, 2, 1]])
-    assert np.isfinite(only_lamps.window).all()
+    assert np.isfinite(only_lamps.windows[0].center).all()
 
 
 def test_made_up_window_faces_what_is_looked_at(box: RayCaster) -> None:
     stage = survey(box, BOX_CAMERAS, UP)
-    assert abs(stage.inward @ UP) < 1e-6 and np.linalg.norm(stage.inward) == pytest.approx(1)
-    assert (stage.focus - stage.window) @ stage.inward > 0.3
+    (window,) = stage.windows
+    assert abs(window.inward @ UP) < 1e-6 and np.linalg.norm(window.inward) == pytest.approx(1)
+    assert (stage.focus - window.center) @ window.inward > 0.3
     assert stage.lamps is stage.points and len(stage.points) == 2
 
 
@@ -132,7 +139,7 @@ def test_the_sun_falls_downwards_through_its_window(room: RoomCapture, room_cast
     for name in ("noon-window", "golden-hour", "night-moon"):
         (sun,) = [light for light in named_setup(name, stage).lights if isinstance(light, DirectionalLight)]
         direction = np.asarray(sun.direction, float)
-        assert direction @ stage.inward > 0.3 and direction @ stage.up < 0
+        assert direction @ stage.windows[0].inward > 0.3 and direction @ stage.up < 0
         heights[name] = -np.rad2deg(np.arcsin(direction @ stage.up))
     assert heights == pytest.approx({"noon-window": 35, "golden-hour": 13, "night-moon": 38}, abs=0.1)
 
@@ -171,7 +178,8 @@ def test_the_sun_turns_to_what_is_seen_and_lamps_do_not_burn_out(box: RayCaster)
     (sun,) = [x for x in named_setup("golden-hour", stage).lights if isinstance(x, DirectionalLight)]
     assert stage.seen.lux([sun]).max() > 0
     evening = named_setup("evening-lamps", stage)
-    lux = stage.seen.lux(evening.lights).sum(axis=1)
+    direct = [light for light in evening.lights if not light.UNIFORM]  # the others only fill bounces up
+    lux = stage.seen.lux(direct).sum(axis=1)
     assert np.quantile(lux, 0.95) < 1.6 * float(evening.reference_lux)
 
 
@@ -187,3 +195,46 @@ def test_a_light_that_misses_the_view_is_told(box: RayCaster, caplog: pytest.Log
     assert [record.getMessage() for record in caplog.records] == [
         "mine: light 0 (PointLight) reaches no surface that the cameras see"
     ]
+
+
+def test_windows_shine_by_their_area_and_all_of_them(box: RayCaster) -> None:
+    place = {"normal": [1.0, 0.0, 0.0], "height": 1.0}
+    anchors = {
+        "window_0": place | {"center": [-2.0, 0.0, 1.3], "width": 2.0},
+        "window_1": place | {"center": [-2.0, 2.0, 1.3], "width": 0.5},
+    }
+    for name in ("noon-window", "golden-hour", "evening-lamps", "night-moon"):
+        setup = named_setup(name, survey(box, BOX_CAMERAS, UP, anchors))
+        large, small = (light for light in setup.lights if isinstance(light, RectLight))
+        assert float(large.luminous_flux) == pytest.approx(4 * float(small.luminous_flux), rel=1e-5)
+
+
+CORRIDOR = np.array([[-1.0, 0.0, 0.0], [1.0, 24.0, 2.4]])
+
+
+@pytest.fixture(scope="module")
+def corridor() -> RoomCapture:
+    """Grey photos along a corridor of 24 m."""
+    mesh = trimesh.creation.box(bounds=CORRIDOR)
+    mesh.invert()
+    mesh = mesh.subdivide_to_size(0.8)
+    eyes = [(0.2, y, 1.5) for y in np.linspace(1.0, 19.0, 7)]
+    cameras = [box_camera(eye, (0.0, eye[1] + 2.0, 1.2)) for eye in eyes]
+    photos = np.random.default_rng(0).integers(90, 140, (len(eyes), 48, 64, 3)).astype(np.uint8)
+    return RoomCapture(photos, np.zeros(photos.shape[:3], np.float32), cameras, mesh, {})
+
+
+def test_a_corridor_has_lights_all_along_and_no_black_pictures(corridor: RoomCapture) -> None:
+    scene = Scene(corridor, corridor.reference())
+    stage = survey(scene.caster, [corridor.camera(i) for i in range(len(corridor))], UP)
+    along = np.sort([lamp[1] for lamp in stage.lamps])
+    assert len(along) >= 4 and np.diff([0.0, *along, 24.0]).max() < 8.0
+    assert len(stage.windows) >= 2
+    for window in stage.windows:  # in the walls, which are outer ones
+        assert abs(abs(window.center[0]) - 1.0) < 0.05 or abs(window.center[1] - 12.0) == pytest.approx(
+            12, abs=0.05
+        )
+    relighter = Relighter(scene, named_setup("evening-lamps", stage), "fast")
+    for index in (0, 3, 6):
+        share = dark_share(scene.frame(index).image, np.asarray(to_display(relighter.picture(index))))
+        assert share.black_before == 0 and share.black < 0.3, f"frame {index}: {share}"

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import standins
+from extras import need
 
 from hyjax.sweep import batch as batches
 from hyjax.sweep.dispatch import Dispatch
@@ -122,9 +123,11 @@ def test_batches_take_about_half_a_second(tmp_path: Path) -> None:
     assert sizes == [1, 49, 50]  # the one that may have been the reason is alone
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def distributed() -> None:
-    pytest.importorskip("distributed", reason="needs pip install '.[tune]'")
+    """Dask, imported in the main thread as its configuration wants it."""
+    need("tune")
+    import distributed  # noqa: F401
 
 
 def start(folder: Path, *arguments: Any) -> subprocess.Popen[str]:
@@ -188,12 +191,13 @@ def test_a_task_that_takes_its_workers_along(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("distributed")
 def test_a_scheduler_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need("tune")
     from distributed import LocalCluster
 
     from hyjax.sweep import dask_pool
 
-    monkeypatch.setattr(dask_pool, "POLL", 0.1)
-    monkeypatch.setattr(dask_pool, "CONNECT", 1.0)
+    monkeypatch.setattr(dask_pool, "POLL_SECONDS", 0.1)
+    monkeypatch.setattr(dask_pool, "CONNECT_SECONDS", 1.0)
     told: list[str] = []
     options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
     with (

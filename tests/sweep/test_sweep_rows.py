@@ -114,7 +114,7 @@ def test_no_folder(tmp_path: Path) -> None:
 def test_a_driver_waits_for_workers_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("fcntl", reason="no locks of files on this system")
     writer, told = RowWriter(tmp_path), []
-    monkeypatch.setattr("hyjax.sweep.rows.PATIENCE", 0.2)
+    monkeypatch.setattr("hyjax.sweep.rows.TAKE_OVER_SECONDS", 0.2)
     with writer.locked(), pytest.raises(InputError, match="still writes"):
         RowStore(tmp_path).take_over("new", told.append)
     RowStore(tmp_path).take_over("newer", told.append)

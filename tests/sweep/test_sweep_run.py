@@ -9,7 +9,7 @@ import standins
 import yaml
 
 from hyjax import cli
-from hyjax.configuration import Configuration, LightOptions
+from hyjax.configuration import Configuration, ShadowOptions
 from hyjax.sweep import run, spec
 from hyjax.sweep.settings import SweepSettings
 from hyjax.sweep.summary import draw, lines_of
@@ -71,15 +71,15 @@ def test_a_sweep_goes_on_with_more_of_a_spec(tmp_path: Path) -> None:
 
 def test_draws_and_files_of_configurations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def drawn(count: int, seed: int) -> Sequence[Configuration]:
-        return [Configuration(name=str(k), light=LightOptions(sampling=seed + k + 1)) for k in range(count)]
+        return [Configuration(name=str(k), shadows=ShadowOptions(views=seed + k + 1)) for k in range(count)]
 
     monkeypatch.setattr(spec, "random_configurations", drawn)
     read = spec.read_spec(write(tmp_path, configurations={"space": "default", "count": 3, "seed": 2}))
     found = spec.configurations_of(read)
-    assert [found[f"default-2-{k}"]["light"]["sampling"] for k in range(3)] == [3, 4, 5]
+    assert [found[f"default-2-{k}"]["shadows"]["views"] for k in range(3)] == [3, 4, 5]
     (tmp_path / "mine.json").write_text(drawn(1, 6)[0].to_json())
     found = spec.configurations_of(spec.read_spec(write(tmp_path, configurations=["default", "mine.json"])))
-    assert found["mine"]["light"]["sampling"] == 7 and found["default"]["light"]["sampling"] == 2
+    assert found["mine"]["shadows"]["views"] == 7 and found["default"]["shadows"]["views"] is None
 
 
 def test_a_figure_of_many_names_none(tmp_path: Path) -> None:
@@ -97,7 +97,7 @@ def test_a_figure_of_many_names_none(tmp_path: Path) -> None:
         ({"scenes": ["room:bultin-0"]}, r"no room 'bultin-0' \(did you mean 'builtin-0'"),
         ({"scenes": ["nowhere"]}, "no capture .*nowhere; a room of known truth is called room:NAME"),
         ({"lights": ["noon-windo"]}, r"no set-up 'noon-windo' \(did you mean 'noon-window'"),
-        ({"lights": ["two-colors", "two-colors"]}, r"'lights' must name each once"),
+        ({"lights": ["two-colors", "two-colors"]}, r"'lights' must not repeat a name"),
         ({"lights": ["none.yaml"]}, "no such file"),
         ({"configurations": ["defualt"]}, r"no preset 'defualt' \(did you mean 'default'"),
         ({"configurations": ["none.json"]}, r"none\.json: no such file"),

@@ -12,10 +12,10 @@ from hyjax.light.setup import LightSetup
 from hyjax.synthetic.room import camera_path, make_room, render_room
 from hyjax.synthetic.shapes import panel
 from hyjax.synthetic.surface import Builder, Surface
-from hyjax.synthetic.truth import CHOOSE, REPORT, TruthRoom, lit_builtin_room, lit_room
+from hyjax.synthetic.truth import DEVELOPMENT_ROOMS, TEST_ROOMS, TruthRoom, lit_builtin_room, lit_room
 from hyjax.synthetic.truth.room import source_key
 from hyjax.synthetic.truth.source import Daylight, direct, unshadowed
-from hyjax.synthetic.truth.transport import Transport
+from hyjax.synthetic.truth.transport import TexelTransport
 from hyjax.util.errors import InputError
 
 LOW = 0.15
@@ -90,7 +90,7 @@ def test_white_furnace() -> None:
     """A lamp in a closed box: Φ in all on the walls, and after each bounce its albedo's share of that."""
     surface, caster = closed_box()
     albedo = np.full((len(surface.nodes), 3), 0.5, np.float32)
-    transport = Transport(surface, caster, albedo, [], 1.0, 5, 0)
+    transport = TexelTransport(surface, caster, albedo, [], 1.0, 5, 0)
     lamp = PointLight(np.ones(3, np.float32), 1000.0, WHITE)
     maps = transport.light(None, [], [lamp])
     area = np.bincount(surface.chart, surface.mesh.area_faces)[transport.texels.chart]
@@ -134,7 +134,7 @@ def test_windows_show_the_light_that_fills_them(builtin: TruthRoom) -> None:
 
 
 def test_names_and_keys(builtin: TruthRoom) -> None:
-    assert len(set(CHOOSE) | set(REPORT)) == len(CHOOSE) + len(REPORT)
+    assert len(set(DEVELOPMENT_ROOMS) | set(TEST_ROOMS)) == len(DEVELOPMENT_ROOMS) + len(TEST_ROOMS)
     for name in ("", "builtin", "random-1-2", "random-1-2-night"):
         with pytest.raises(InputError, match="no room"):
             lit_room(name)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 import trimesh
+from extras import need
 
-pytest.importorskip("astral", reason="needs the extra 'tour'")
+need("tour")
 
 from box_room import CUBE, TOP, box_room, moved
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import need
 from msgspec.structs import replace
 
-pytest.importorskip("viser", reason="needs the extra 'tour'")
-pytest.importorskip("astral", reason="needs the extra 'tour'")
+need("tour")
 
 sys.path.append(str(Path(__file__).parents[1] / "live"))
 

@@ -1,6 +1,5 @@
 """The live tour in a real browser: frames arrive in a folder, and the page follows them."""
 
-import os
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import need
 from PIL import Image
 
-pytest.importorskip("viser", reason="needs the extra 'tour'")
-pytest.importorskip("astral", reason="needs the extra 'tour'")
+need("tour")
 
 from browser import Page, until
 
@@ -26,9 +25,7 @@ FIRST, ALL = 15, 20
 
 
 @pytest.fixture
-def chromium() -> Iterator[Any]:
-    if not os.environ.get("HYJAX_BROWSER"):
-        pytest.skip("set HYJAX_BROWSER=1 to drive a browser, with -n 0: it takes two cores for itself")
+def chromium(browser_wanted: None) -> Iterator[Any]:
     with browser() as launched:
         yield launched
 

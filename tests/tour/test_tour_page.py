@@ -1,7 +1,6 @@
 """The tour in a real browser: what a visitor does, and what the page then shows."""
 
 import json
-import os
 import socket
 import subprocess
 import sys
@@ -12,11 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import need
 from msgspec.structs import replace
 
-pytest.importorskip("viser", reason="needs the extra 'tour'")
-pytest.importorskip("astral", reason="needs the extra 'tour'")
-pytest.importorskip("av", reason="needs the extra 'tour'")
+need("tour")
 
 from browser import Page, until
 
@@ -50,10 +48,8 @@ def room() -> RoomCapture:
 
 
 @pytest.fixture
-def chromium() -> Iterator[Any]:
+def chromium(browser_wanted: None) -> Iterator[Any]:
     """A browser for one test: without a GPU it takes both cores as long as it is open."""
-    if not os.environ.get("HYJAX_BROWSER"):
-        pytest.skip("set HYJAX_BROWSER=1 to drive a browser, with -n 0: it takes two cores for itself")
     with browser() as launched:  # asked for: one that is missing fails
         yield launched
 

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from extras import need
 from hypothesis import given
 from hypothesis import strategies as st
 
-pytest.importorskip("astral", reason="needs the extra 'tour'")
+need("tour")
 
 from hyjax.tour.checks import check_rays
 from hyjax.tour.placement import compass, draw_window, north_for_bearing, place_window, unit, upright

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import need
 from msgspec.structs import replace
 
-pytest.importorskip("astral", reason="needs the extra 'tour'")
+need("tour")
 
 from reference.tour_plans import WEST, afternoon, lamps
 

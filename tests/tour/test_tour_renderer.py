@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from extras import need
 from msgspec.structs import replace
 
-pytest.importorskip("astral", reason="needs the extra 'tour'")
+need("tour")
 
 from box_room import BoxCapture, box_room, moved
 

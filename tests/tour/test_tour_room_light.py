@@ -6,11 +6,10 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from extras import need
 from msgspec.structs import replace
 
-pytest.importorskip("viser", reason="needs the extra 'tour'")
-pytest.importorskip("astral", reason="needs the extra 'tour'")
-pytest.importorskip("av", reason="needs the extra 'tour'")
+need("tour")
 
 from box_room import TOP, BoxCapture, box_room, moved
 
@@ -109,7 +108,7 @@ def test_two_lamps_bounce_as_much_as_both(renderer: Renderer) -> None:
 
     def bounced(*lamps: object) -> np.ndarray:
         setup = setup_of(replace(NIGHT, lamps=lamps), UP, renderer.surface_area)
-        return np.asarray(light.surface_light(setup, ["fine"] * len(setup.lights), parts).bounced)
+        return np.asarray(light.surface_light(setup, ["fine"] * len(setup.lights), parts, jnp.zeros(3)).bounced)
 
     both = bounced(LAMP, other)
     assert both.min() > 0
@@ -123,7 +122,7 @@ def test_bounces_follow_furniture_that_moves(renderer: Renderer) -> None:
     away = replace(NIGHT, pieces=(replace(CUBE, pose=moved((-1.5, 0.9, 0.0))),))
     setup = setup_of(NIGHT, UP, renderer.surface_area)
     still, pushed = (
-        light.surface_light(setup, ["fine"] * len(setup.lights), renderer.scene.apply(plan))
+        light.surface_light(setup, ["fine"] * len(setup.lights), renderer.scene.apply(plan), jnp.zeros(3))
         for plan in (NIGHT, away)
     )
     change = np.abs(np.asarray(pushed.bounced) - np.asarray(still.bounced))

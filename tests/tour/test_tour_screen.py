@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from extras import need
 
-pytest.importorskip("viser", reason="needs the extra 'tour'")
+need("tour")
 
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.tour.screen import background_size, pad_to_aspect, quaternion, screen_rays, wipe_photo

@@ -8,13 +8,15 @@ from typing import Any
 
 import msgspec.msgpack
 import pytest
+from extras import need
 
-viser = pytest.importorskip("viser")
+need("tour")
 
-from viser import _messages as messages  # noqa: E402
+import viser
+from viser import _messages as messages
 
-from hyjax.tour.server import address, open_server  # noqa: E402
-from hyjax.tour.uploads import Upload, take_uploads  # noqa: E402
+from hyjax.tour.server import address, open_server
+from hyjax.tour.uploads import Upload, take_uploads
 
 NOISE = (
     b"",

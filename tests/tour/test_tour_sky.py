@@ -5,10 +5,11 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from extras import need
 from hypothesis import given
 from hypothesis import strategies as st
 
-pytest.importorskip("astral", reason="needs the extra 'tour'")
+need("tour")
 
 from hyjax.tour.sky import FULL_MOON_LUX, Weather, sky_at
 from hyjax.util.errors import InputError

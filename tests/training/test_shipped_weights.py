@@ -21,6 +21,7 @@ from hyjax.training.validation import sample_of
 SETTINGS = TrainSettings(factors=(16,))
 KAPPAS = (1, 2, 4, 8)
 """In multiples of the usual one; every guide gets the best of them."""
+MEASURE = jax.jit(functools.partial(batch_losses, settings=SETTINGS))
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +33,9 @@ def crops() -> Sample:
 
 def losses_of(guide: FrameGuide, crops: Sample) -> dict[str, float]:
     """Mean losses of super-resolution by 16 and of the borders, each at the guide's best κ."""
-    measure = jax.jit(functools.partial(batch_losses, settings=SETTINGS))
     features = jnp.stack([guide.features(image) for image in crops.image])
     found = [
-        measure(features, jnp.log(k * DEFAULT_KAPPA), crops, jax.random.key(0), jnp.asarray(0)) for k in KAPPAS
+        MEASURE(features, jnp.log(k * DEFAULT_KAPPA), crops, jax.random.key(0), jnp.asarray(0)) for k in KAPPAS
     ]
     return {name: min(float(getattr(losses, name)) for losses in found) for name in Losses._fields}
 

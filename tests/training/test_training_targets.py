@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hyjax.training.targets import (
-    AMBIENT,
-    REACH,
+    AMBIENT_SHARE,
+    STRAIGHT_PIXELS,
     TINT,
     Sample,
     borders,
@@ -64,10 +64,10 @@ def test_tinted_depth_is_depth_times_three_factors() -> None:
 
 def test_shading_is_ambient_where_normals_are_unknown_and_brighter_where_a_lamp_shines() -> None:
     unlit = flat(np.full((H, W), 2.0), normal=np.zeros((H, W, 3)))
-    np.testing.assert_allclose(random_shading(unlit, jax.random.key(0)), AMBIENT, rtol=1e-6)
+    np.testing.assert_allclose(random_shading(unlit, jax.random.key(0)), AMBIENT_SHARE, rtol=1e-6)
     lit = np.asarray(random_shading(flat(np.full((H, W), 2.0)), jax.random.key(0)))
-    assert lit.min() >= AMBIENT - 1e-6
-    assert lit.mean() > 2 * AMBIENT
+    assert lit.min() >= AMBIENT_SHARE - 1e-6
+    assert lit.mean() > 2 * AMBIENT_SHARE
     assert np.ptp(lit, axis=2).max() > 0.01  # lamps are coloured
 
 
@@ -118,10 +118,15 @@ def test_without_normals_borders_are_known_at_jumps_and_where_depth_goes_straigh
     (vertical, horizontal), (known_v, known_h) = borders(flat(depth, normal=np.zeros((H, W, 3))))
     assert np.asarray(horizontal)[:, 9].all() and np.asarray(horizontal).sum() == H
     assert not np.asarray(vertical).any()
-    across = [9, *range(10 + REACH, W - 1 - REACH)]  # the jump, and what is far from it and from the margin
+    across = [
+        9,
+        *range(10 + STRAIGHT_PIXELS, W - 1 - STRAIGHT_PIXELS),
+    ]  # the jump, and what is far from it and from the margin
     np.testing.assert_array_equal(np.flatnonzero(np.asarray(known_h).all(axis=0)), across)
     assert np.asarray(known_h).sum() == H * len(across)
-    np.testing.assert_array_equal(np.flatnonzero(np.asarray(known_v).all(axis=1)), range(REACH, H - 1 - REACH))
+    np.testing.assert_array_equal(
+        np.flatnonzero(np.asarray(known_v).all(axis=1)), range(STRAIGHT_PIXELS, H - 1 - STRAIGHT_PIXELS)
+    )
 
 
 @pytest.mark.parametrize("step, is_known", [(0.002, True), (0.01, False), (0.02, False), (0.028, False)])

@@ -1,5 +1,6 @@
 """The search, on a loss and a time that are known for all choices."""
 
+import dataclasses
 import functools
 import itertools
 import math
@@ -9,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyjax.tuning.frame.search import FrameSearch, Trial
+from hyjax.tuning.frame.search import State, init, propose, search, update, within
 from hyjax.tuning.frame.space import Choices, Parameter, Space, key_of
 from hyjax.tuning.frame.surrogate import Surrogate
+from hyjax.tuning.frame.trial import Trial, front_of_trials
 
 SPACE = Space(
     (
@@ -22,6 +24,7 @@ SPACE = Space(
         Parameter("bounces", (True, False), True),
         Parameter("size", (1, 2), 1, active=lambda choices: choices["guide"] == "small"),
         Parameter("kappa", (0.01, 1.0), 0.1, continuous=True),
+        Parameter("level_8", (0, 1, 2, 4, 6, 8), 4, ordered=True, cascade="level", factor=8),
     )
 )
 LOSS: dict[str, dict[Any, float]] = {
@@ -43,8 +46,9 @@ TIME: dict[str, dict[Any, float]] = {
 
 
 def true_loss(choices: Choices) -> float:
-    """Additive, but that `h` is worth nothing at a small scale; κ is best at 0.2."""
+    """Additive, but that `h` is worth nothing at a small scale; κ is best at 0.2, and 6 steps."""
     total = sum(LOSS[name][value] for name, value in choices.items() if name in LOSS)
+    total += 0.02 * (abs(math.log((1 + choices["level_8"]) / 7)) - math.log(7 / 5))
     total += 0.12 * (choices["cascade"] == "h" and choices["scale"] > 1)
     return math.exp(total + 0.03 * math.log(choices["kappa"] / 0.2) ** 2 - 0.03 * math.log(0.1 / 0.2) ** 2)
 
@@ -54,43 +58,49 @@ def true_time(choices: Choices) -> float:
 
 
 class Known:
-    """Evaluator that knows, with cases that differ a little; it counts what it is asked."""
+    """Judge that knows, with cases that differ a little; it counts what it is asked."""
 
     def __init__(self, noise: float = 0.02) -> None:
         self.noise, self.asked = noise, Counter[str]()
+        self.judged: dict[str, tuple[float, ...]] = {}
 
-    def losses(self, choices: Choices, first: int, last: int) -> list[float]:
+    def __call__(self, trial: Trial) -> Trial:
+        choices = trial.choices
+        if trial.improve:
+            choices = choices | {"kappa": 0.2} | ({"level_8": 6} if trial.improve == "relaxed" else {})
+        known = self.judged.get(key_of(choices), ())
+        more = self.losses(choices, len(known), max(trial.cases, len(known)))
+        self.judged[key_of(choices)] = known + more
+        return dataclasses.replace(trial, choices=choices, losses=known + more, time=true_time(choices))
+
+    def losses(self, choices: Choices, first: int, last: int) -> tuple[float, ...]:
         self.asked[key_of(choices)] += last - first
         seeds = (sum(map(ord, f"{key_of(choices)} {case}")) for case in range(first, last))
-        return [
+        return tuple(
             true_loss(choices) * math.exp(self.noise * np.random.default_rng(seed).standard_normal())
             if choices != SPACE.default
             else 1.0
             for seed in seeds
-        ]
-
-    def time(self, choices: Choices) -> float:
-        return true_time(choices)
-
-    def refine(self, choices: Choices, batch: int) -> Choices:
-        return choices | {"kappa": 0.2}
+        )
 
 
 def best_of_all(budget: float) -> float:
     """Least loss of all choices within a budget, at the best κ."""
-    discrete = [p for p in SPACE.parameters if not p.continuous]
+    discrete = [p for p in SPACE.parameters if not p.continuous and not p.factor]
     all_of_them = itertools.product(*(p.values for p in discrete))
     whole = [
-        SPACE.complete(dict(zip((p.name for p in discrete), values, strict=True)) | {"kappa": 0.2})
+        SPACE.complete(dict(zip((p.name for p in discrete), values, strict=True)) | {"kappa": 0.2, "level_8": 6})
         for values in all_of_them
     ]
     return min(true_loss(choices) for choices in whole if true_time(choices) <= budget)
 
 
-def search_anew(budgets: tuple[float, ...], count: int = 40, seed: int = 0, **options: Any) -> FrameSearch:
-    search = FrameSearch(SPACE, Known(), [4, 8, 16], seed=seed, **options)
-    search.run(budgets, count)
-    return search
+def begun(count: int = 40, seed: int = 0, **options: Any) -> State:
+    return init(SPACE, [4, 8, 16], count, seed=seed, **options)
+
+
+def search_anew(budgets: tuple[float, ...], count: int = 40, seed: int = 0, **options: Any) -> State:
+    return search(begun(count, seed), Known(), budgets, **options)
 
 
 searched = functools.cache(search_anew)
@@ -100,10 +110,10 @@ searched = functools.cache(search_anew)
 @pytest.mark.parametrize("budget", [0.3, 0.5, math.inf])
 def test_the_best_is_found(budget: float) -> None:
     """40 of 1 152 combinations, for one budget: within 3 % of the best loss, and never over the budget."""
-    search = searched((budget,), 40, 0)
-    best = search.best(budget, cases=16)
+    found = searched((budget,), 40, 0)
+    best = found.best(budget, cases=16)
     assert best is not None and best.time is not None and best.time <= budget
-    assert len(search.trials) <= 40
+    assert len(found.trials) <= 40
     assert true_loss(best.choices) <= 1.03 * best_of_all(budget)
     assert true_loss(best.choices) < 1 or budget < 0.6
 
@@ -111,20 +121,20 @@ def test_the_best_is_found(budget: float) -> None:
 @pytest.mark.slow
 def test_several_budgets_share_the_trials() -> None:
     budgets = (0.4, 0.8, 1.5)
-    search = searched(budgets, 60)
+    found = searched(budgets, 60)
     for budget in budgets:
-        best = search.best(budget, cases=16)
+        best = found.best(budget, cases=16)
         assert best is not None and best.time == true_time(best.choices) <= budget
         assert true_loss(best.choices) <= 1.05 * best_of_all(budget)
-    front = search.front()
+    front = front_of_trials(list(found.trials.values()), cases=16)
     assert [t.time for t in front] == sorted(t.time or 0 for t in front)
     assert [t.loss for t in front] == sorted((t.loss for t in front), reverse=True)
 
 
 def test_out_of_reach() -> None:
-    search = searched((0.01,))
-    assert search.best(0.01) is None
-    fastest = min(t.time or math.inf for t in search.trials.values())
+    found = searched((0.01,))
+    assert found.best(0.01) is None
+    fastest = min(t.time or math.inf for t in found.trials.values())
     slow = [true_time(SPACE.complete({"scale": 4, "cascade": "g", "shadows": "none", "guide": "none"}))]
     assert fastest <= 1.05 * slow[0], "it looked for the fastest"
 
@@ -132,42 +142,60 @@ def test_out_of_reach() -> None:
 @pytest.mark.slow
 def test_the_same_seed_makes_the_same_trials() -> None:
     one, again, other = (
-        search((0.5,), 40, seed) for search, seed in ((searched, 0), (search_anew, 0), (searched, 1))
+        begin((0.5,), 40, seed) for begin, seed in ((searched, 0), (search_anew, 0), (searched, 1))
     )
     assert list(one.trials) == list(again.trials) != list(other.trials)
 
 
 def test_the_best_get_more_cases() -> None:
-    search = searched((0.5,), 40, 0)
-    known: Known = search.evaluator  # type: ignore[assignment]
-    counts = Counter(len(t.losses) for t in search.trials.values())
+    known = Known()
+    found = search(begun(), known, (0.5,))
+    counts = Counter(len(t.losses) for t in found.trials.values())
     assert counts[4] > counts[8] + counts[16] and counts[16] >= 3
     assert max(known.asked.values()) == 16, "no case is judged twice"
-    fitting = [t for t in search.trials.values() if t.time is not None and t.time <= 0.5]
-    leading = sorted(fitting, key=lambda t: float(np.mean(np.log(t.losses[:4]))))[:3]
+    leading = sorted(within(found, 0.5), key=lambda t: float(np.mean(np.log(t.losses[:4]))))[:3]
     assert all(len(t.losses) >= 8 for t in leading), "the best of the first batch"
-    first = next(iter(search.trials.values()))
+    first = next(iter(found.trials.values()))
     assert first.choices == SPACE.default and len(first.losses) == 16
 
 
 def test_phases_come_in_their_order() -> None:
     told: list[Trial] = []
-    search = search_anew((0.5,), 22, report=told.append)
+    found = search(begun(24, relaxes=True), Known(), (0.5,), report=lambda _, trial: told.append(trial))
     phases = list(dict.fromkeys(trial.phase for trial in told))
-    assert phases == ["default", "ranges", "screening", "combining"]
-    count = Counter(t.phase for t in search.trials.values())
-    assert count["screening"] == 11 and count["combining"] >= 3
-    screened = [t.choices for t in told if t.phase == "screening"][:5]
+    assert phases == ["default", "ranges", "relaxed", "screening", "combining"]
+    count = Counter(t.phase for t in found.trials.values())
+    assert count["screening"] == 12 and count["combining"] >= 3
+    screened = [t.choices for t in told if t.phase == "screening"][:6]
     base = next(t.choices for t in told if t.phase == "ranges")
     names = [next(n for n in base | c if base.get(n) != c.get(n)) for c in screened]
-    assert sorted(names) == sorted(["scale", "cascade", "shadows", "guide", "bounces"]), "each is looked at first"
+    parts = ["scale", "cascade", "shadows", "guide", "bounces", "level_8"]
+    assert sorted(names) == sorted(parts), "each is looked at first"
+    relaxed = next(t for t in told if t.phase == "relaxed")
+    assert relaxed.choices["level_8"] == 6 and relaxed.improve and relaxed.budget == 0.5
 
 
 def test_starts_are_tried() -> None:
     start = SPACE.complete({"scale": 3, "cascade": "d"})
-    search = FrameSearch(SPACE, Known(), [4])
-    search.run([0.5], 10, [start])
-    assert search.trials[key_of(start)].phase == "start"
+    found = search(begun(10, starts=[start]), Known(), (0.5,))
+    assert found.trials[key_of(start)].phase == "start"
+
+
+@pytest.mark.parametrize("kept", [1, 3, 12, 20])
+def test_a_kept_search_goes_on_where_it_stopped(kept: int) -> None:
+    """Nothing but its trials has to be kept, and nothing that is known is asked again."""
+    whole: list[Trial] = []
+    end = search(begun(20, relaxes=True), Known(), (0.5,), report=lambda _, trial: whole.append(trial))
+    again = functools.reduce(update, whole[:kept], begun(20, relaxes=True))
+    rest: list[Trial] = []
+    resumed = search(again, Known(), (0.5,), report=lambda _, trial: rest.append(trial))
+    assert rest == whole[kept:] and dict(resumed.trials) == dict(end.trials)
+
+
+def test_proposals_change_nothing() -> None:
+    state = begun()
+    first, second = propose(state, (0.5,)), propose(state, (0.5,))
+    assert first == second and first is not None and not state.trials
 
 
 @pytest.mark.slow
@@ -178,8 +206,8 @@ def test_times_are_predicted() -> None:
 
 def test_expired_stops() -> None:
     calls = itertools.count()
-    search = search_anew((0.5,), expired=lambda: next(calls) >= 5)
-    assert 3 <= len(search.trials) <= 8
+    found = search_anew((0.5,), expired=lambda: next(calls) >= 5)
+    assert 3 <= len(found.trials) <= 8
     assert len(search_anew((0.5,), expired=lambda: True).trials) == 1, "the default alone"
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from hyjax.configuration import Configuration
+from hyjax.configuration import PRESETS, Configuration
+from hyjax.tuning.budget import MOST_STEPS
 from hyjax.tuning.frame.space import Parameter, Space, key_of, random_configurations, structure
 from hyjax.util.errors import InputError
 
@@ -24,8 +25,11 @@ def chosen(draw: st.DrawFn) -> tuple[Space, dict[str, Any]]:
 
 
 def _value(parameter: Parameter) -> st.SearchStrategy[Any]:
+    if parameter.factor:
+        return st.integers(0, MOST_STEPS)
     if parameter.continuous:
-        return st.floats(*parameter.values)
+        own = st.floats(*parameter.values)
+        return own | st.lists(own, min_size=1, max_size=4).map(tuple)
     return st.sampled_from(parameter.values)
 
 
@@ -34,8 +38,11 @@ def test_choices_make_configurations(given: tuple[Space, dict[str, Any]]) -> Non
     space, some = given
     choices = space.complete(some)
     assert space.complete(choices) == choices
-    assert {name: value for name, value in some.items() if name in choices}.items() <= choices.items()
+    sampling = {"sampling": choices["sampling"]} if "sampling" in choices else {}
+    asked = {n: v for n, v in some.items() if n in choices and not isinstance(v, tuple)} | sampling
+    assert asked.items() <= choices.items() and choices.get("sampling", 1) <= some.get("sampling", 2)
     configuration = space.configuration(choices)
+    assert configuration.light.sampling == choices.get("sampling", 1), "what is asked is what runs"
     again = Configuration.from_json(configuration.to_json())
     assert again.to_json() == configuration.to_json()
     assert space.complete(json.loads(json.dumps(choices))) == choices, "a journal keeps them as JSON"
@@ -45,10 +52,11 @@ def test_choices_make_configurations(given: tuple[Space, dict[str, Any]]) -> Non
 def test_what_is_inactive_is_dropped(given: tuple[Space, dict[str, Any]]) -> None:
     """And only that; it decides on nothing."""
     space, some = given
+    some = {name: value for name, value in some.items() if not isinstance(value, tuple)}
     choices = space.complete(some)
     whole = {p.name: p.default for p in space.parameters} | some
     for parameter in space.parameters:
-        assert (parameter.name in choices) == bool(parameter.active(whole))
+        assert (parameter.name in choices) == bool(parameter.active(space.seen(whole)))
     configuration = space.configuration(choices)
     assert space.configuration({name: whole[name] for name in choices}).to_json() == configuration.to_json()
 
@@ -62,10 +70,16 @@ def test_mutations_and_changes_are_valid(given: tuple[Space, dict[str, Any]], se
     assert space.mutated(choices, np.random.default_rng(seed), 0.0) == choices
     discrete = [p for p in space.parameters if not p.continuous and p.name in choices]
     changes = space.changes(choices)
-    assert len(changes) == sum(len(p.values) - 1 for p in discrete)
+    asked = [p for p in discrete if p.name != "sampling"]
+    counts = [sum(len(p.others(choices[p.name])) for p in several) for several in (asked, discrete)]
+    assert counts[0] <= len(changes) <= counts[1]
     for change in changes:
         assert space.complete(change) == change and change != choices
-        assert sum(p.name in change and change[p.name] != choices[p.name] for p in discrete) == 1
+        changed = [p.name for p in discrete if p.name in change and change[p.name] != choices[p.name]]
+        if len(changed) > 1:  # the cascades of the other do not allow the sampling
+            assert change["sampling"] < choices["sampling"] and "sampling" in changed
+            changed.remove("sampling")
+        assert len(changed) == 1
 
 
 @given(st.sampled_from([p for space in SPACES for p in space.parameters if p.continuous]), st.floats(-1, 2))
@@ -90,11 +104,11 @@ def test_the_default_is_the_default() -> None:
 
 def test_what_is_inactive_by_default() -> None:
     space = SPACES[0]
-    assert "guide size" not in space.default and "kappa" in space.default
-    plain = space.complete({"guide": "none", "photo light": "kept", "data term": False, "fidelity": 0.5})
-    gone = {"kappa", "norm", "pooling", "upsampling", "bounces", "bounce gain", "photo exponent", "fidelity"}
+    assert "guide_size" not in space.default and "kappa" in space.default
+    plain = space.complete({"guide": "none", "photo_light": "kept", "data_term": False, "fidelity": 0.5})
+    gone = {"kappa", "norm", "pooling", "upsampling", "bounces", "bounce_gain", "photo_exponent", "fidelity"}
     assert not gone & plain.keys()
-    assert space.complete({"guide": "small", "guide size": 128})["guide size"] == 128
+    assert space.complete({"guide": "small", "guide_size": 128})["guide_size"] == 128
 
 
 @pytest.mark.parametrize(
@@ -106,6 +120,10 @@ def test_what_is_inactive_by_default() -> None:
         ({"kappa": float("nan")}, "kappa nan"),
         ({"guide": "large"}, "guide 'large'"),
         ({"kappa": "much"}, "kappa 'much'"),
+        ({"kappa": (0.1, 5.0)}, r"kappa \(0.1, 5.0\)"),
+        ({"cascade_8": 65}, "cascade_8 65"),
+        ({"cascade": "64:3"}, "cascade has no level of factor 64"),
+        ({"cascade": "8-3"}, "cascade '8-3'"),
     ],
 )
 def test_errors_name_the_parameter(choices: dict[str, Any], named: str) -> None:
@@ -120,6 +138,28 @@ def test_keys_tell_choices_apart() -> None:
     assert key_of(one) != key_of(other) and structure(one, space) == structure(other, space)
     assert key_of(dict(reversed(one.items()))) == key_of(one)
     assert structure(space.complete({"scale": 2}), space) != structure(one, space)
+
+
+def test_levels_are_parameters() -> None:
+    """Any steps of any level, with one number for all of them or one for each; text of both cascades is taken."""
+    space = SPACES[0]
+    choices = space.complete({"cascade": "8:5 2:7", "shadow_pass": "none", "kappa": (0.1, 0.2)})
+    assert (choices["cascade_16"], choices["cascade_8"], choices["cascade_2"]) == (0, 5, 7)
+    assert choices["sampling"] == 1 and "shadow_kappa" not in choices
+    own = space.configuration(choices)
+    assert own.value("cascade") == "8:5 2:7" and own.value("shadow_pass") == "none"
+    np.testing.assert_allclose(own.value("kappa"), (0.1, 0.2), rtol=1e-6)
+    assert space.choices_of(own)["cascade_8"] == 5 and len(space.choices_of(own)["kappa"]) == 2
+    assert space.complete(choices | {"cascade_4": 3})["kappa"] == pytest.approx(0.1 * 2**0.5)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_are_in_the_space(name: str) -> None:
+    own = Configuration.preset(name)
+    again = SPACES[0].configuration(SPACES[0].choices_of(own))
+    for choice in ("cascade", "shadow_pass", "scale", "map_scale", "views", "norm", "photo_exponent"):
+        assert again.value(choice) == own.value(choice), choice
+    np.testing.assert_allclose(again.value("kappa"), own.value("kappa"), rtol=1e-5)
 
 
 def test_random_configurations_are_the_same_for_a_seed() -> None:

@@ -9,12 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from extras import need
 
 from hyjax import InputError, tune
 from hyjax.configuration import Configuration, LightOptions, Measured, ShadowOptions
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import RoomCapture, load_room
-from hyjax.relighting.frame_relighter import refined_picture
+from hyjax.scene.relighter import refined_picture
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.tuning.frame.clock import FrameClock, slowest_setup
@@ -22,10 +23,12 @@ from hyjax.tuning.frame.evaluation import Judge
 from hyjax.tuning.frame.loss import PictureLoss
 from hyjax.tuning.frame.padding import padded
 from hyjax.tuning.frame.refinement import numbers_of, refine_numbers, settled, with_numbers
+from hyjax.tuning.frame.relaxed import frame_objective, relaxed_choices, relaxed_of
 from hyjax.tuning.frame.scene import Target, TuningScene, open_tuning_scene, spread_cases
+from hyjax.tuning.frame.space import Space
 from hyjax.tuning.settings import FrameOptions, OtherDevice, TuneScene, TuneSettings
 
-pytest.importorskip("optuna", reason="the extra tune is not installed")
+need("tune")
 
 
 @pytest.fixture(scope="module")
@@ -60,12 +63,12 @@ CONFIGURATIONS = {
 def test_lights_that_give_nothing_change_no_picture(scene: TuningScene, name: str) -> None:
     relighter = scene.relighter("two-colors", CONFIGURATIONS[name])
     frame = scene.scene.frame(2)
-    lit = relighter.prepare(0, frame, relighter.gbuffer(frame.camera))
+    lit = relighter.lit(frame)
     more = padded(lit, 4)
     assert more.shaded.illuminance.shape[-1] == 4
     expected, picture = (refined_picture(each, relighter.configuration) for each in (lit, more))
     np.testing.assert_allclose(picture, expected, atol=2e-5)
-    np.testing.assert_allclose(relighter.picture(0, frame), expected, atol=1e-6)
+    np.testing.assert_allclose(relighter.picture(frame), expected, atol=1e-6)
 
 
 @pytest.mark.slow
@@ -84,7 +87,7 @@ def test_the_gradient_is_that_of_finite_differences(judge: Judge) -> None:
     """Of the loss through the cascades, in the logarithm of each number."""
     scene, configuration = judge.scenes[0], light_options(photo_light="kept")
     relighter, frame = scene.relighter("two-colors", configuration), scene.scene.frame(1)
-    lit, target = relighter.prepare(0, frame, relighter.gbuffer(frame.camera)), scene.target("two-colors", 1)
+    lit, target = relighter.lit(frame), scene.target("two-colors", 1)
     numbers = {name: jnp.log(value) for name, value in numbers_of(configuration, levels=False).items()}
     with jax.enable_x64(True):
 
@@ -116,7 +119,7 @@ def test_numbers_go_in_and_out() -> None:
         for name, value in numbers.items():
             np.testing.assert_allclose(again[name], value, rtol=1e-4)
     assert "fidelity" not in numbers_of(Configuration.paper(), levels=True)
-    assert "photo exponent" not in numbers_of(Configuration.paper(), levels=True)
+    assert "photo_exponent" not in numbers_of(Configuration.paper(), levels=True)
 
 
 def test_losses_know_what_is_fitted() -> None:
@@ -148,6 +151,26 @@ def test_frames_are_timed_in_turns(scene: TuningScene) -> None:
     assert slowest_setup(scene, ["two-colors"]) == "two-colors"
 
 
+@pytest.mark.slow
+def test_whole_steps_relaxed_are_the_frame_itself(judge: Judge) -> None:
+    """The relaxed cascade in the place of the frame's own gives its picture's loss, and levels may be proposed."""
+    space, cases = Space.of(truth=False), [(0, "two-colors", 1)]
+    choices = space.complete({"cascade": "8:2", "scale": 2})
+    configuration = space.configuration(choices)
+    objective = frame_objective(configuration, judge, cases, (16, 8, 4))
+    point = relaxed_of(configuration.schedule, (16, 8, 4))
+    (row,) = judge.scores(configuration, cases)
+    assert objective(point) == pytest.approx(row["loss"], rel=1e-3)
+    price = {factor: 0.01 * (4 / factor) ** 2 for factor in (16, 8, 4, 2)}
+    better = relaxed_choices(choices, space, judge, cases, price=price, room=0.2)
+    if better != choices:
+        (after,) = judge.scores(space.configuration(better), cases)
+        assert after["loss"] < row["loss"]
+    assert relaxed_choices(choices, space, judge, cases, price=price, room=-9.0) == choices, "no room at all"
+    bilinear = space.complete({"upsampling": "bilinear"})
+    assert relaxed_choices(bilinear, space, judge, cases, price=price, room=0.2) == bilinear, "not in this form"
+
+
 # ---- a run ----
 
 
@@ -168,7 +191,9 @@ def options(tmp_path_factory: pytest.TempPathFactory) -> TuneSettings:
 
 @pytest.fixture(scope="module")
 def finished(options: TuneSettings, room: RoomCapture) -> Iterator[Path]:
-    tuned = tune(settings=options, capture=room)
+    with pytest.MonkeyPatch.context() as patch:  # a test of its own looks at it
+        patch.setattr("hyjax.tuning.frame.evaluator.relaxed_choices", lambda choices, *_, **__: choices)
+        tuned = tune(settings=options, capture=room)
     assert tuned.best[0].tuning["relative"] <= 1.0 and tuned.best[0].held_out is not None
     assert tuned.record["kept"] == ["10000 ms"] and tuned.configuration.measured is not None
     assert len(tuned.trials) >= 3
@@ -202,7 +227,8 @@ def test_a_finished_run_is_not_overwritten_and_goes_on(
     with pytest.raises(InputError, match="cannot resume"):
         tune(settings=dataclasses.replace(options, resume=True, frames="1"), capture=room)
     asked: list[object] = []
-    monkeypatch.setattr("hyjax.tuning.frame.evaluator.refine_numbers", lambda *a, **k: asked.append(a))
+    for name in ("refine_numbers", "relaxed_choices"):
+        monkeypatch.setattr(f"hyjax.tuning.frame.evaluator.{name}", lambda *a, **k: asked.append(a))
     again = tune(settings=dataclasses.replace(options, resume=True), capture=room)
     assert not asked and len(again.trials) >= 3
 

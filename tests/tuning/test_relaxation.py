@@ -153,8 +153,9 @@ def test_without_holes_the_weights_do_nothing() -> None:
     both = np.asarray(filter_of(prepared, point, FACTORS))
     parts = []
     for k in range(2):
-        one = jnp.zeros_like(prepared.colors).at[k].set(prepared.colors[k])
-        parts.append(filter_of(Prepared(**(vars(prepared) | {"colors": one})), point, FACTORS))
+        colors, *rest = prepared.picture
+        one = jnp.zeros_like(colors).at[k].set(colors[k])
+        parts.append(filter_of(dataclasses.replace(prepared, picture=(one, *rest)), point, FACTORS))
     np.testing.assert_allclose(parts[0] + parts[1], both, rtol=1e-5)
 
 

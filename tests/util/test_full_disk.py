@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from extras import need
 
 from hyjax.export.run import write_files
 from hyjax.geometry.mesh import save_mesh
@@ -42,8 +43,13 @@ def write_plot(path: Path) -> None:
 
 
 def write_video(path: Path) -> None:
-    av, random = pytest.importorskip("av"), np.random.default_rng(0)
-    with atomic_write(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
+    need("captures")
+    import av
+
+    from hyjax.data.video_frames import new_video
+
+    random = np.random.default_rng(0)
+    with atomic_write(path) as temporary, new_video(temporary) as container:
         stream = container.add_stream("mpeg4", rate=30)
         stream.width, stream.height, stream.pix_fmt = 50, 40, "yuv420p"
         for _ in range(4):

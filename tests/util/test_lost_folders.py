@@ -101,8 +101,7 @@ def test_a_folder_that_was_being_replaced_gets_its_name_back(tmp_path: Path) -> 
         with new_folder(tmp_path / "made") as folder:
             mark = folder.name.split(".")[-2]
             (folder / "a.txt").write_text(str(number))
-        host, _, run, thread = mark.rsplit("-", 3)
-        (tmp_path / "made").rename(tmp_path / name.format(f"{host}-999999999-{run}-{thread}"))
+        (tmp_path / "made").rename(tmp_path / name.format(mark))
     (tmp_path / "other").mkdir()
     remove_stale(tmp_path)
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["other", "page"]

@@ -21,12 +21,13 @@ logging.basicConfig(level=logging.WARNING, format="hyjax: %(message)s")
 import jax, jax.numpy as jnp
 import hyjax
 from hyjax.util.compiled_cache import keep_compiled
+from hyjax.util.programs import run_kept
 keep_compiled()
 points = jnp.linspace(0.0, 1.0, 300).reshape(10, 10, 3)
 gbuffer = hyjax.GBuffer(points, points, points[..., 0], points[..., 0] > 0.1)
 white = jnp.ones(3)
 lights = (hyjax.PointLight(jnp.array([1.0, 1.0, 2.0]), 800.0, white, radius=0.1), hyjax.AmbientLight(60.0, white))
-light = hyjax.shade_each(gbuffer, lights)
+light = run_kept(hyjax.shade_each, gbuffer, lights)
 other = jnp.tanh(light).sum()  # by JAX's own cache
 print(float(light.sum()), float(other))
 """

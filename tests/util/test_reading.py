@@ -18,9 +18,20 @@ from hyjax.geometry.mesh import load_mesh
 from hyjax.guide.weights import read_weights
 from hyjax.relighting.settings import read_schedule
 from hyjax.tuning.device_latency import read_latency
+from hyjax.util import reading
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
-from hyjax.util.reading import DEEPEST, exists, finite, parse_json, parse_yaml, read_bytes, read_json, read_yaml
+from hyjax.util.reading import (
+    DEEPEST,
+    exists,
+    finite,
+    open_regular,
+    parse_json,
+    parse_yaml,
+    read_bytes,
+    read_json,
+    read_yaml,
+)
 from hyjax.util.run_log import read_lines
 
 BOMB = "a0: &a0 [1, 2]\n" + "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12))
@@ -128,9 +139,19 @@ def test_endless_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "long").write_bytes(b"x" * 11)
     with pytest.raises(InputError, match="has over 10 bytes"):
         read_bytes(tmp_path / "long", most=10)
-    with pytest.raises(InputError, match="has over 10 bytes"):  # of a size that is told as 0
-        read_bytes(Path("/proc/self/status"), most=10)
-    assert read_bytes(Path("/proc/self/status")).startswith(b"Name")
+    with pytest.raises(InputError, match="leads to a file that the kernel makes up, not a stored one"):
+        read_bytes(Path("/proc/self/status"))
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="no file here fails as a disk does")
+def test_a_disk_that_fails_while_it_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first page of a process cannot be read."""
+    monkeypatch.setattr(reading, "_kernel_devices", set)
+    with open_regular(Path("/proc/self/mem"), "room.ply") as file:
+        with pytest.raises(InputError, match=r"^room\.ply: cannot read \(Input/output error\)$"):
+            file.read(12)
+        with pytest.raises(InputError, match=r"^room\.ply: cannot read \(Input/output error\)$"):
+            file.read()
 
 
 def test_names_that_no_file_can_have(tmp_path: Path) -> None:
@@ -166,3 +187,11 @@ def test_poses_at_the_end_of_the_world_are_refused() -> None:
     pose[0, 0] = 1e300
     with pytest.raises(InputError):
         check_pose(pose)
+
+
+def test_a_json_of_too_many_values_is_refused_before_it_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reading, "MOST_MARKS", 100)
+    assert parse_json("[" + "0," * 98 + "0]", "a.json")
+    for text in ("[" + "[]," * 60 + "[]]", '[{"a":' * 40 + "0" + "}]" * 40):
+        with pytest.raises(InputError, match=r"^a\.json: has over 100 values"):
+            parse_json(text, "a.json")

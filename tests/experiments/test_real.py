@@ -1,0 +1,66 @@
+"""Real places under two lights: the protocol's fit, its scores, and a generated room through an S-curve camera."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import real, real_bench
+from experiments.real_fit import Target, checkerboard, display, fit_strengths, smooth_picture
+from experiments.real_methods import BLUR_4, GAINS, METHODS, NEW, PHOTO, SMOOTH
+from experiments.real_scores import ratio_scores
+from experiments.records import of_kind
+from hyjax.util.errors import InputError
+
+SHAPE = (64, 96)
+
+
+def test_strengths_and_polynomials_come_back() -> None:
+    rng = np.random.default_rng(0)
+    columns = rng.uniform(0.05, 0.3, (*SHAPE, 3, 3))
+    true = np.array([[0.5, 1.0, 0.2], [0.0, 0.3, 0.6], [1.0, 0.0, 0.4]])
+    picture = np.einsum("hwkc,kc->hwc", columns, true)
+    target = Target(display(picture), checkerboard(SHAPE))
+    np.testing.assert_allclose(fit_strengths(columns, target), true, atol=0.02)
+    y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in SHAPE), indexing="ij")
+    photo = columns[:, :, 0]
+    wanted = photo * np.exp(0.3 * x - 0.5 * x * y)[..., None] * [1.0, 0.8, 0.6]
+    found = smooth_picture(photo, 2, Target(display(wanted), checkerboard(SHAPE)))
+    np.testing.assert_allclose(display(found), display(wanted), atol=0.01)
+    assert 0.4 < checkerboard(SHAPE).mean() < 0.6
+
+
+def test_scores_of_ratios_see_the_light_alone() -> None:
+    rng = np.random.default_rng(1)
+    true, held = rng.normal(size=(*SHAPE, 3)).cumsum(axis=1), np.ones(SHAPE, bool)
+    assert ratio_scores(2 * true + 1, true, held)["sie"] == pytest.approx(0, abs=1e-9)
+    assert ratio_scores(true + 1, true, held)["lfe"] == pytest.approx(0, abs=1e-9)
+    worse = ratio_scores(true[:, ::-1], true, held)
+    assert worse["sie"] > 0.5 and worse["lfe"] > 0.05
+
+
+@pytest.mark.slow
+def test_a_generated_room_through_an_s_curve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(real_bench, "LAMP_GRID", (2, 1, 1))
+    config = real.Config(
+        pairs=(), rooms=("builtin-0",), geometries=("true",), room_size="96x72", quality=0.25, out=tmp_path / "out"
+    )
+    rows = real.main(config)
+    (first, second) = of_kind(rows, "picture")
+    for row in (first, second):
+        scores = row["methods"]
+        assert set(scores) == set(METHODS) and all(np.isfinite(s["psnr"]) for s in scores.values())
+        assert scores[SMOOTH]["psnr"] > scores[GAINS]["psnr"] > scores[PHOTO]["psnr"] - 0.5
+        assert scores[NEW]["psnr"] > scores[GAINS]["psnr"]
+        assert scores[BLUR_4]["sie"] < scores[NEW]["sie"]
+    assert {file.name for file in config.out.glob("*.png")} == {"builtin-0-true-ab.png", "builtin-0-true-ba.png"}
+
+
+def test_bad_options_are_one_line(tmp_path: Path) -> None:
+    for options, message in (
+        ({"pairs": ()}, "at least one pair"),
+        ({"folder": tmp_path}, "no NAME/"),
+        ({"geometries": ("fine",)}, "neither true nor rough"),
+    ):
+        with pytest.raises(InputError, match=message):
+            real.main(real.Config(out=tmp_path / "out", **options))  # type: ignore[arg-type]

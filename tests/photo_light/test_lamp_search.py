@@ -1,0 +1,89 @@
+"""Lit lamps in pictures: in rows overhead, at the border, and where they burn out what is around them."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from hyjax.data.capture import Frame
+from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.geometry.raycast import RayCaster
+from hyjax.photo_light.ceiling_lamps import Blob, ceiling_lamps
+from hyjax.photo_light.glowing_places import glowing_places
+from hyjax.photo_light.lamp_search import blobs_of
+from hyjax.photo_light.sightings import sight
+from hyjax.photo_light.source_search import search_sources
+from hyjax.util.vectors import unit
+
+UP = np.array([0.0, 0.0, 1.0])
+INTRINSICS = Intrinsics(320, 240, 250.0, 250.0, 160.0, 120.0)
+LAMP = np.array([1.2, 2.2, 1.9])
+EYES = ((-1.2, -2.0, 1.4), (-0.4, -2.2, 1.5), (0.4, -2.0, 1.4), (1.2, -1.8, 1.5))
+
+
+@pytest.fixture(scope="module")
+def box() -> RayCaster:
+    mesh = trimesh.creation.box(bounds=[[-2.0, -3.0, 0.0], [2.0, 3.0, 2.5]])
+    mesh.invert()
+    return RayCaster(mesh.subdivide_to_size(0.5))
+
+
+def picture(eye: tuple[float, ...], target: np.ndarray, value: float = 0.3) -> Frame:
+    """Even picture from an eye towards a target."""
+    camera = Camera(INTRINSICS, look_at(np.array(eye), target, UP))
+    return Frame("picture", np.full((240, 320, 3), value, np.float32), camera, 0.0)
+
+
+def paint(frame: Frame, place: np.ndarray, radius: float) -> None:
+    """Burn out a disc around a place."""
+    (x, y), depth = frame.camera.project(place)
+    columns, rows = np.meshgrid(np.arange(320) + 0.5, np.arange(240) + 0.5)
+    frame.image[np.hypot(columns - x, rows - y) < radius * 250.0 / depth] = 1.0
+
+
+def test_rows_of_ceiling_lamps_are_found_where_two_frames_agree() -> None:
+    lamps = np.array([[0.0, y, 2.4] for y in (3.0, 5.0, 7.0)])
+    origins = [np.array([0.1, y, 1.5]) for y in (0.0, 1.1, 2.3, 3.7)]
+    blobs = [
+        Blob(number, unit(lamp - origin), 0.06 / float(np.linalg.norm(lamp - origin)))
+        for number, origin in enumerate(origins)
+        for lamp in lamps
+        if lamp[1] > origin[1] + 0.5
+    ]
+    blobs.append(Blob(0, unit(np.array([0.5, 2.0, 0.9])), 0.02))  # in one frame alone
+    found = ceiling_lamps(origins, blobs, UP, np.arange(2.0, 2.8, 0.02))
+    places = np.array(sorted((place for place, _ in found), key=lambda place: place[1]))
+    np.testing.assert_allclose(places, lamps, atol=0.08)
+    assert ceiling_lamps(origins, blobs[:3], UP, np.arange(2.0, 2.8, 0.02)) == []  # a single frame's
+
+
+def test_a_lamp_at_the_border_is_a_blob_and_a_white_border_is_none(box: RayCaster) -> None:
+    frame = picture(EYES[0], np.array([0.0, 2.0, 1.4]))
+    frame.image[100:112, :10] = 1.0
+    (blob,) = blobs_of(0, sight(box, frame))
+    assert blob.direction @ unit(frame.camera.rays()[105, 4]) > 0.999
+    frame.image[:4] = frame.image[-4:] = frame.image[:, :4] = frame.image[:, -4:] = 1.0
+    assert len(blobs_of(0, sight(box, frame))) == 1
+
+
+def test_a_lamp_is_found_that_burns_out_the_wall_and_touches_the_border(box: RayCaster) -> None:
+    frames = [picture(eye, np.array([0.2, 2.5, 1.0])) for eye in EYES]
+    wall = LAMP + np.array([0.1, 0.8, 0.2])
+    for frame in frames:
+        paint(frame, LAMP, 0.15)
+        paint(frame, wall, 0.3)
+    windows, lamps = search_sources(box, frames, UP)
+    assert windows == () and len(lamps) >= 1
+    assert np.linalg.norm(lamps[0].position - LAMP) < 0.6
+    bright = [picture(eye, np.array([0.2, 2.5, 1.0]), 0.6) for eye in EYES]
+    for frame in bright:
+        paint(frame, LAMP, 0.15)
+    assert glowing_places(box, [sight(box, frame) for frame in bright], UP) == []  # daylight burns walls out, too
+
+
+def test_a_wall_that_is_merely_burnt_out_is_no_window(box: RayCaster) -> None:
+    frames = [picture(eye, np.array([0.0, 3.0, 1.3]), 0.6) for eye in EYES]
+    corners = np.array([[x, 3.0, z] for x in np.linspace(-0.6, 0.6, 150) for z in np.linspace(0.9, 1.9, 120)])
+    for frame in frames:
+        x, y = frame.camera.project(corners)[0].T
+        frame.image[y.astype(int), x.astype(int)] = 1.0
+    assert search_sources(box, frames, UP)[0] == ()

@@ -1,0 +1,88 @@
+"""Relighter: the command, Python's lines and a scene's parts make one picture."""
+
+from pathlib import Path
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from reference.arkit_export import export_arkit_scan
+
+import hyjax
+from hyjax.configuration import Configuration
+from hyjax.data.builtin_room import load_room
+from hyjax.util.images import read_image
+
+OWN = {
+    "scale": 2,
+    "sampling": 1,
+    "bounces": False,
+    "photo_exponent": 1.3,
+    "map_scale": 0.5,
+    "views": 4,
+    "least_share": 0.05,
+}
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
+    return export_arkit_scan(tmp_path_factory.mktemp("scan"), room, room.reference())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["default", "fast", "paper", "own"])
+def test_readmes_lines_make_the_picture_of_the_command(name: str, capture: Path, tmp_path: Path) -> None:
+    text = name
+    if name == "own":
+        (tmp_path / "own.json").write_text(Configuration(name="own").with_choices(OWN).to_json())
+        text = str(tmp_path / "own.json")
+    settings = hyjax.SceneSettings(capture=capture, size="128x96")
+    run = hyjax.relight_capture(
+        hyjax.RelightSettings(
+            settings,
+            frames="0",
+            lights="evening-lamps",
+            configuration=None if name == "default" else text,
+            out=tmp_path / "out",
+            quiet=True,
+        )
+    )
+    scene = hyjax.Scene.open(settings)
+    relit = scene.relit(0, "evening-lamps") if name == "default" else scene.relit(0, "evening-lamps", text)
+    hyjax.write_png(tmp_path / "relit.png", hyjax.to_display(relit.image))
+    written = read_image(tmp_path / "out" / f"{run['frames'][0]}.relit.png")
+    np.testing.assert_array_equal(read_image(tmp_path / "relit.png"), written)
+    assert run["sampling"] == Configuration.of(text).light.sampling
+
+
+@pytest.mark.slow
+def test_stages_end_in_the_relit_frame(capture: Path) -> None:
+    scene = hyjax.Scene.open(hyjax.SceneSettings(capture=capture, size="128x96"))
+    relighter = hyjax.Relighter(scene, "two-colors", "fast")
+    stages = dict(relighter.stages(1))
+    assert list(stages)[:2] == ["g-buffer", "view"] and list(stages)[-1] == "comparison"
+    np.testing.assert_array_equal(stages["comparison"].image, relighter.relit(1).image)
+    np.testing.assert_array_equal(relighter.picture(scene.frame(1)), relighter.relit(1).image)
+    shaded = relighter.shade(relighter.view(1))
+    np.testing.assert_array_equal(shaded.illuminance, stages["shaded"].illuminance)
+
+
+class Lights:
+    """Place that takes lights as they are."""
+
+    knows_photo_light, revision = False, 1
+
+    def lights(self, lights: hyjax.LightSetup, *, at_photo_sources: bool = False) -> hyjax.LightSetup:
+        return hyjax.LightSetup.of(lights)
+
+
+def test_traced_lights_are_one_line() -> None:
+    def relighter(flux: jax.Array) -> hyjax.Relighter:
+        light = hyjax.PointLight(jnp.array([0.0, 0.0, 2.0]), flux, jnp.ones(3))
+        return hyjax.Relighter(cast(Any, Lights()), [light], "paper")
+
+    with pytest.raises(hyjax.InputError, match=r"cast them first .scene.shadow_maps.") as caught:
+        jax.grad(lambda flux: relighter(flux).configuration.scale * flux)(800.0)
+    assert "\n" not in str(caught.value)
