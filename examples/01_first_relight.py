@@ -17,10 +17,8 @@ OUT = Path("out/examples/01_first_relight.png")
 
 # Without `capture=Path(...)` this is the built-in room, rendered on first use and kept in the cache folder.
 scene = hyjax.Scene.open(hyjax.SceneSettings(size=SIZE))
-view = scene.view(8)  # the picture of a frame, and the surface in it
-shaded = scene.shade(view, "evening-lamps")  # light on that surface, a channel for each lamp
-relit = hyjax.relight(view, shaded, view.display, hyjax.Schedule.preset("hyjax"))
+relit = scene.relit(8, "evening-lamps")
 
 OUT.parent.mkdir(parents=True, exist_ok=True)
-hyjax.write_png(OUT, np.concatenate([view.display, hyjax.to_display(relit.image)], axis=1))
+hyjax.write_png(OUT, np.concatenate([scene.frame(8).image, hyjax.to_display(relit.image)], axis=1))
 print(f"{OUT}: mean light {float(relit.relight_filter.mean()):.2f} of the photo's")

@@ -27,8 +27,7 @@ file = OUT.with_suffix(".yaml")
 file.write_text(LIGHTS)
 
 scene = hyjax.Scene.open(hyjax.SceneSettings(size=SIZE))
-view, schedule = scene.view(8), hyjax.Schedule.preset("hyjax")
-by_file = hyjax.relight(view, scene.shade(view, file), view.display, schedule)
+by_file = scene.relit(8, file)
 
 # Units are metres, lumens and lux; a light's colour is linear RGB.
 blue = hyjax.LightSetup(
@@ -38,8 +37,8 @@ blue = hyjax.LightSetup(
     ),
     reference_lux=25.0,
 )
-by_python = hyjax.relight(view, scene.shade(view, blue), view.display, schedule)
+by_python = scene.relit(8, blue)
 
-pictures = [view.display, hyjax.to_display(by_file.image), hyjax.to_display(by_python.image)]
+pictures = [scene.frame(8).image, hyjax.to_display(by_file.image), hyjax.to_display(by_python.image)]
 hyjax.write_png(OUT, np.concatenate(pictures, axis=1))
 print(f"{OUT}: lamps from {file}")

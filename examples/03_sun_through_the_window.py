@@ -16,15 +16,13 @@ SIZE = sys.argv[1] if len(sys.argv) > 1 else "320x240"
 OUT = Path("out/examples/03_sun_through_the_window.png")
 
 scene = hyjax.Scene.open(hyjax.SceneSettings(size=SIZE))
-view, schedule = scene.view(20), hyjax.Schedule.preset("hyjax")
 
 # A frame is surface times light: multiplied with new light it still has the old shadows and highlights in it.
-kept = scene.shade(view, "golden-hour", keep_photo_light=True)
-divided = scene.shade(view, "golden-hour")
-pictures = [hyjax.relight(view, shaded, view.display, schedule).image for shaded in (kept, divided)]
+kept = hyjax.Configuration().with_choices({"photo_light": "kept"})
+pictures = [scene.relit(20, "golden-hour", configuration).image for configuration in (kept, None)]
 
 OUT.parent.mkdir(parents=True, exist_ok=True)
-hyjax.write_png(OUT, np.concatenate([view.display, *map(hyjax.to_display, pictures)], axis=1))
+hyjax.write_png(OUT, np.concatenate([scene.frame(20).image, *map(hyjax.to_display, pictures)], axis=1))
 
 # How the photo's light was estimated, and how far it is believed: look here first where a picture is odd.
 record = scene.photo_light.record()

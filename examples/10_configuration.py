@@ -6,39 +6,23 @@ Picture: a frame relit by the default; by the preset `fast`; by a configuration 
 no bounces).
 """
 
-import dataclasses
 import sys
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 import hyjax
-from hyjax.configuration import LightOptions
 
 SIZE = sys.argv[1] if len(sys.argv) > 1 else "320x240"
 OUT = Path("out/examples/10_configuration.png")
-FOLDER = OUT.with_suffix("")
 
-own = dataclasses.replace(
-    hyjax.Configuration(),
-    name="own",
-    schedule=hyjax.Schedule.preset("paper-80"),
-    light=LightOptions(sampling=1, bounces=False),
-).check()
-FOLDER.mkdir(parents=True, exist_ok=True)
-(FOLDER / "own.json").write_text(own.to_json())
+paper = hyjax.Configuration.of(hyjax.Schedule.preset("paper-80"))  # the default but for its schedule
+own = paper.with_choices({"sampling": 1, "bounces": False})  # by the names of hyjax/choices/table.py
 
-settings = hyjax.RelightSettings(
-    scene=hyjax.SceneSettings(size=SIZE), frames="8", lights="evening-lamps", quiet=True
-)
-pictures = []
-for name in ("default", "fast", str(FOLDER / "own.json")):
-    out = FOLDER / Path(name).stem
-    # What `hyjax relight --configuration NAME` does: PNG, EXR, contact sheet, lights.json and run.json.
-    record = hyjax.relight_capture(dataclasses.replace(settings, configuration=name, out=out))
-    pictures.append(np.asarray(Image.open(out / "008.relit.png"), np.float32)[..., :3] / 255.0)
-    print(f"{name}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+scene = hyjax.Scene.open(hyjax.SceneSettings(size=SIZE))
+pictures = [scene.relit(8, "evening-lamps", configuration).image for configuration in (None, "fast", own)]
 
-hyjax.write_png(OUT, np.concatenate(pictures, axis=1))
-print(f"{OUT}: by {record['versions']['jax']=}")
+OUT.parent.mkdir(parents=True, exist_ok=True)
+hyjax.write_png(OUT, np.concatenate([hyjax.to_display(picture) for picture in pictures], axis=1))
+# own.to_json() is the file that `hyjax relight --configuration FILE` takes.
+print(f"{OUT}: own choices are {own.light}")

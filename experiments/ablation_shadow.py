@@ -28,7 +28,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import trimesh
 from jaxtyping import Array, Bool, Float
 from scipy import ndimage
 
@@ -46,7 +45,6 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.pipeline import Mode
 from hyjax.util.contact_sheet import write_contact_sheet
-from hyjax.util.errors import InputError
 
 LIGHTS = "two-colors"
 STEPS = (0, 1, 2, 4, 8, 16, 32, 64, 128)
@@ -80,8 +78,6 @@ def main(config: Config, start: Start) -> None:
     capture, results = config.start(start)
     chosen = spread(reported(capture), config.frames)  # before the first slow step
     bench = config.bench(capture, Schedule.preset("paper-80"))
-    if not isinstance(bench.reference.geometry, trimesh.Trimesh):
-        raise InputError("reference: a point cloud throws no shadows here; take --reference fused or a mesh file")
     lights = bench.setups[LIGHTS].lights
     casters = (bench.rough, RayCaster(bench.reference.geometry))
     rough_maps, accurate_maps = (cast_shadow_maps(caster, lights) for caster in casters)

@@ -59,13 +59,13 @@ from hyjax.guide import Guide, normalise
 from hyjax.light.color import to_display_bytes
 from hyjax.light.shading import mix_channels
 from hyjax.pipeline import default_shadow_schedule, refine_illuminance, relight_stages
-from hyjax.scene.scene import view_of
+from hyjax.scene.place import view_of
 from hyjax.tuning.bench import Workbench, open_bench
 from hyjax.tuning.calibration import check_repeats
 from hyjax.tuning.cases import Case, filter_colors, raw_filter, refined_filter, scores
 from hyjax.tuning.settings import TuneScene, TuneSettings
 from hyjax.util.clock import measure_each
-from hyjax.util.environment import cores
+from hyjax.util.cores import cores
 from hyjax.util.errors import InputError
 
 CASCADES = ("paper-50", "paper-80", "naive-1000", "hyjax")

@@ -69,7 +69,7 @@ class Config(BenchConfig):
     """How many to report on, spread over those of `paper_table`."""
     repeats: int = 60
     weights: Path | None = None
-    """LPIPS weights. Default: those of the extra `lpips`."""
+    """LPIPS weights. Default: those converted of the extra `lpips`."""
 
 
 @experiment("Beyond the paper")

@@ -18,7 +18,6 @@ import functools
 import inspect
 import os
 import sys
-import typing
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -102,12 +101,14 @@ def experiment(title: str) -> Callable[[Callable[[Any, Start], str | None]], Exp
 
 
 def run(main: Callable[[Any], Any]) -> None:
-    """Call `main` with the options of the command line. Ends the process as `hyjax` does.
+    """Call `main` with the options of the command line, by its module's `Config`. Ends the process as `hyjax` does.
 
     Bad input: one line on stderr and exit status 2; interrupted: one line and 130.
     """
     function = inspect.unwrap(main)
-    name, config_type = name_of(function), typing.get_type_hints(function)["config"]
+    name, config_type = name_of(function), function.__globals__.get("Config")
+    if config_type is None:
+        sys.exit(f"{name}: has no options; give its file a dataclass Config")
     defer_interrupts()
     try:
         description = function.__globals__["__doc__"]

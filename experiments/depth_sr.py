@@ -48,7 +48,7 @@ from experiments.blocks import Block, Picture, Plot, Table
 from experiments.command import RunConfig, Start, experiment, run
 from experiments.depth_methods import DADA_STEPS, Method, Options, Task, make_task, methods, published_methods
 from experiments.judging import beside_jump, summarise
-from experiments.plotting import new_figure
+from experiments.plotting import panels
 from experiments.records import Results, Row, of_kind
 from hyjax.core.schedule import Schedule
 from hyjax.guide.choose import FrameGuide, open_guide
@@ -287,21 +287,16 @@ def table(text: str, scores: Sequence[Row], options: Mapping[tuple[int, str], Op
 
 def figure(scores: Sequence[Row]) -> Figure:
     """A panel for each source, a curve for each method."""
-    sources = by_source(scores)
-    fig = new_figure(5 * len(sources), 4)
-    panels = fig.subplots(1, len(sources), squeeze=False)[0]
-    for axes, (text, own) in zip(panels, sources.items()):
+    shown: dict[str, dict[str, Any]] = {}
+    for text, own in by_source(scores).items():
         unit, scale = UNITS[own[0]["unit"]]
-        curves = by_method(own)
-        for method in dict.fromkeys(row["method"] for row in own):
-            factors = [factor for factor, name in curves if name == method]
-            values = [scale * np.mean(np.sqrt(list(per_pair(curves[f, method], "mse").values()))) for f in factors]
-            axes.plot(factors, values, marker="o", label=method)
-        axes.set_xscale("log", base=2)
-        axes.set_yscale("log")
-        axes.set(xlabel="factor", ylabel=f"RMSE, {unit}", title=text.partition("?")[0])
-    panels[0].legend()
-    return fig
+        curves: dict[str, tuple[list[float], list[float]]] = {}
+        for (factor, method), rows in by_method(own).items():
+            x, y = curves.setdefault(method, ([], []))
+            x.append(factor)
+            y.append(scale * np.mean(np.sqrt(list(per_pair(rows, "mse").values()))))
+        shown[f"{text.partition('?')[0]}, {unit}"] = curves
+    return panels(shown, xscale="log", yscale="log", xlabel="factor", ylabel="RMSE")
 
 
 if __name__ == "__main__":

@@ -23,11 +23,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
-from matplotlib.figure import Figure
-
 from experiments.blocks import Block, Plot, Table
 from experiments.command import RunConfig, Start, experiment, run
-from experiments.plotting import new_figure
+from experiments.plotting import bars
 from experiments.records import Row, machine, of_kind
 from hyjax.util.clock import Stopwatch
 from hyjax.util.errors import InputError
@@ -42,6 +40,8 @@ class Config(RunConfig):
     cold: int = 2
     """Starts with an empty cache folder."""
     size: str = "640x480"
+    capture: Path | None = None
+    """Capture to relight. Default: the built-in room, which a cold start also renders."""
 
 
 @experiment("How long the first picture takes")
@@ -52,6 +52,7 @@ def main(config: Config, start: Start) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         cache, out = Path(temporary), Path(temporary) / "out"
         relight = ["relight", "--frames", "0", "--quiet", "--size", config.size, "--out", str(out)]
+        relight += [] if config.capture is None else ["--capture", str(config.capture)]
         calls = {f"hyjax {option}": ["-m", "hyjax.cli", option] for option in ("--version", "--help")}
         calls |= {program: ["-c", program] for program in IMPORTS}
         for number in range(config.cold):
@@ -99,24 +100,15 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     )
     header = ["start", "median s", "fastest s", "median CPU s", "starts"]
     found.append(Table(f"{machine(starts[0])}; {load}.", header, lines))
-    found.append(Plot(main.name, "Seconds of each start (dots) and their median (bar).", figure(names, starts)))
+    medians = {name: median(row["seconds"] for row in starts if row["start"] == name) for name in names}
+    figure = bars(medians, [(row["start"], row["seconds"]) for row in starts], "seconds")
+    found.append(Plot(main.name, "Seconds of each start (ticks) and their median (bar).", figure))
     timed_stages = {row["start"]: row["first_ms"] for row in of_kind(rows, "stages")}
     if timed_stages:
         every = list(dict.fromkeys(stage for own in timed_stages.values() for stage in own))
         table = [[stage, *(f"{own.get(stage, 0):.0f}" for own in timed_stages.values())] for stage in every]
         found.append(Table("Milliseconds by stage, of the last start each.", ["stage", *timed_stages], table))
     return found
-
-
-def figure(names: Sequence[str], starts: Sequence[Row]) -> Figure:
-    """Median seconds of every start, each start as a dot."""
-    fig = new_figure(7, 2.5)
-    axes = fig.subplots()
-    axes.barh(names, [median(row["seconds"] for row in starts if row["start"] == name) for name in names])
-    axes.plot([row["seconds"] for row in starts], [row["start"] for row in starts], "k.")
-    axes.invert_yaxis()
-    axes.set(xlabel="seconds")
-    return fig
 
 
 if __name__ == "__main__":

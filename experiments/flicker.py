@@ -32,7 +32,7 @@ from experiments.command import Start, experiment, run
 from experiments.judging import summarise
 from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, reported
 from experiments.paper_view import View, linear_filter, multiplied
-from experiments.plotting import new_figure
+from experiments.plotting import panels
 from experiments.records import Row, of_kind
 from hyjax.core.schedule import Schedule
 from hyjax.data.frames import select_frames
@@ -177,14 +177,12 @@ def mean(scores: Sequence[Row], name: str) -> float:
 
 
 def figure(scores: Sequence[Row]) -> Figure:
-    """A line over the frames for each method."""
-    fig = new_figure(8, 4)
-    axes = fig.subplots()
-    for name in dict.fromkeys(row["method"] for row in scores):
-        axes.plot([1e3 * r["flicker"] for r in scores if r["method"] == name and "flicker" in r], label=name)
-    axes.set(xlabel="frame", ylabel="flicker, thousandths of white", ylim=(0, None))
-    axes.legend(fontsize=7)
-    return fig
+    """A curve over the frames for each method."""
+    curves: dict[str, list[float]] = {}
+    for row in scores:
+        curves.setdefault(row["method"], []).extend([1e3 * row["flicker"]] if "flicker" in row else [])
+    shown = {name: (range(len(values)), values) for name, values in curves.items()}
+    return panels({"": shown}, "-", xlabel="frame", ylabel="flicker, thousandths of white", ylim=(0, None))
 
 
 if __name__ == "__main__":

@@ -31,29 +31,30 @@ import numpy as np
 import trimesh
 from matplotlib.figure import Figure
 
-import hyjax
 from experiments.blocks import Block, Plot, Table
 from experiments.command import RunConfig, Start, bind_to_cores, experiment, run
 from experiments.plotting import new_figure
 from experiments.records import Results, Row, machine, of_kind
 from experiments.truth_bench import TruthBench
 from experiments.truth_camera import Exposed, fit_gains
-from hyjax.core.schedule import Schedule
+from hyjax.configuration import Configuration
 from hyjax.data.capture import Frame
 from hyjax.data.frames import fit, spread
 from hyjax.light.color import to_display_bytes
 from hyjax.metrics import psnr
-from hyjax.relighting.frame_relighter import FrameRelighter, refine
 from hyjax.relighting.settings import RelightSettings
+from hyjax.scene.relighter import Relighter, refine
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.util.clock import StageClock, Stopwatch
-from hyjax.util.environment import cores
+from hyjax.util.cores import cores
 from hyjax.util.errors import InputError
 from hyjax.util.memory import keep_freed_memory
 from hyjax.util.prefetch import prefetch
 
 SETUPS = ("evening-lamps", "two-colors", "golden-hour", "night-moon")
+RATE_SIZE = 512
+"""Pixels a side of the pictures whose rate is told by sampling and by mesh."""
 WARM_UP = 4
 LONG_PARTS = (0.1, 0.5, 1.0)
 MOST_DIVIDED = 1_000_000
@@ -110,19 +111,18 @@ class WholeFrames:
             keep_photo_light=keep_photo_light,
         )
         self.clock, chosen = StageClock(), settings.open_configuration()
-        setup = scene.lights(config.lights, at_photo_sources=not keep_photo_light)
-        self._relighter = FrameRelighter(scene, setup, chosen, settings)
-        if self._relighter.shader.sampling != sampling:
-            raise InputError(f"samplings: {chosen.name} allows {self._relighter.shader.sampling} at most")
+        self._relighter = Relighter(scene, config.lights, chosen)
+        if chosen.light.sampling != sampling:
+            raise InputError(f"samplings: {chosen.name} allows {chosen.light.sampling} at most")
         self._frames = [fit(scene.capture[index], (size, size)) for index in spread(range(len(scene)), 24)]
 
-    def picture(self, numbered: tuple[int, Frame]) -> float:
+    def picture(self, frame: Frame) -> float:
         """Bytes of a relit frame; the seconds that they took."""
-        (number, frame), watch = numbered, Stopwatch()
+        watch = Stopwatch()
         with self.clock("G-buffer"):
             gbuffer = jax.block_until_ready(self._relighter.gbuffer(frame.camera))
         with self.clock("light"):
-            lit = self._relighter.prepare(number, frame, gbuffer)
+            lit = self._relighter.lit(frame, gbuffer=gbuffer)
         image = self.clock.follow(refine(lit, self._relighter.configuration), until="composite")
         with self.clock("bytes"):
             np.asarray(to_display_bytes(image))
@@ -152,8 +152,8 @@ class WholeFrames:
                 watch, done = Stopwatch(), number
 
     def _run(self, count: int) -> Iterator[float]:
-        numbered = enumerate(itertools.islice(itertools.cycle(self._frames), count))
-        return prefetch(self.picture, numbered, cores(), threads=cores())
+        frames = itertools.islice(itertools.cycle(self._frames), count)
+        return prefetch(self.picture, frames, cores(), threads=cores())
 
 
 def memory_mib() -> float:
@@ -210,7 +210,7 @@ def finer(scene: Scene, faces: int) -> Scene:
 
 def add_rate(results: Results, scene: Scene, config: Config, sampling: int) -> None:
     divided = len(scene.mesh.faces) <= MOST_DIVIDED
-    frames = WholeFrames(scene, config, 512, sampling, keep_photo_light=not divided)
+    frames = WholeFrames(scene, config, RATE_SIZE, sampling, keep_photo_light=not divided)
     found = frames.rate(config.frames)
     stages = {name: time["median_ms"] for name, time in frames.clock.summary().items() if "median_ms" in time}
     faces = len(scene.mesh.faces)
@@ -219,13 +219,12 @@ def add_rate(results: Results, scene: Scene, config: Config, sampling: int) -> N
 
 def add_quality(results: Results, room: str, samplings: Sequence[int]) -> None:
     bench = TruthBench(room, 12, (320, 240), 1.0)
-    schedule = Schedule.preset("hyjax")
     for setup in SETUPS:
         for index in spread(range(12), 6):
-            truth, view = bench.capture.truth(bench.scene.lights(setup), [index])[0], bench.scene.view(index)
+            truth = bench.capture.truth(bench.scene.lights(setup), [index])[0]
             for sampling in samplings:
-                shaded = bench.scene.shade(view, setup, sampling=sampling)
-                exposed = Exposed(np.asarray(hyjax.relight(view, shaded, view.display, schedule).image))
+                own = Configuration().with_choices({"sampling": sampling})
+                exposed = Exposed(np.asarray(bench.scene.relit(index, setup, own).image))
                 fitted = exposed.display(fit_gains(exposed, truth))
                 scores = {"raw": float(psnr(exposed.display(), truth)), "fitted": float(psnr(fitted, truth))}
                 results.add(kind="quality", room=room, setup=setup, index=index, sampling=sampling, **scores)
@@ -276,8 +275,8 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     faces = [f"{row['faces']}{'' if row['divided'] else '*'}" for row in rates]
     shown: list[Block] = [
         Table(
-            f"Whole frames of 512 x 512, {conditions[0]['capture']} ({conditions[0]['mesh']}); {where}. "
-            "*: the photo's light is not divided out.",
+            f"Whole frames of {RATE_SIZE} x {RATE_SIZE}, {conditions[0]['capture']} ({conditions[0]['mesh']}); "
+            f"{where}. *: the photo's light is not divided out.",
             header,
             [[count, str(row["sampling"]), *timed(row)] for count, row in zip(faces, rates)],
             names=2,

@@ -1,7 +1,7 @@
 """Configurations of the whole frame: the front of quality against time on rooms that nothing was chosen on.
 
     pip install -e ".[tune]"
-    python -m experiments.frame_tuning [--trials 48] [--transfer 4] [--out results/frame_tuning] [--resume]
+    python -m experiments.frame_tuning [--trials 48] [--out results/frame_tuning] [--resume]
 
 Searches all choices of a frame (`hyjax tune`) on four rooms of known truth and reports on four others. The front,
 the presets as they come with hyjax and the paper's form, as it is and tuned (`--paper-trials`), are timed in turns
@@ -10,9 +10,6 @@ with the default configuration in one run. *Loss* is relative to the default's o
 `--presets` writes what comes out as the presets, by loss on the tuning rooms: `quality` is the best within half
 again the default's time, `balanced` the fastest that is at least as good as the default, `fast` the fastest that
 loses no more than a twentieth. They are timed and judged once more, in turns, as they come with hyjax.
-
-`--transfer N` tunes on each of N report rooms by itself, too: how far is a configuration tuned on other rooms from
-one tuned on this one? Both are judged on frames of the room that the second was not tuned on.
 
 Takes about forty minutes on two cores, and two minutes more for each room that is not in the cache.
 
@@ -34,9 +31,8 @@ from experiments.command import RunConfig, Start, experiment, run
 from experiments.plotting import new_figure
 from experiments.records import Results, Row, machine, of_kind
 from hyjax.configuration import FOLDER, PRESETS, Configuration
-from hyjax.data.frames import spread
 from hyjax.scene.settings import parse_size
-from hyjax.synthetic.truth import CHOOSE, REPORT
+from hyjax.synthetic.truth import DEVELOPMENT_ROOMS, TEST_ROOMS
 from hyjax.tuning.frame.bench import open_frame_bench
 from hyjax.tuning.frame.clock import FrameClock
 from hyjax.tuning.frame.evaluation import Judge
@@ -44,7 +40,6 @@ from hyjax.tuning.frame.loss import PictureLoss
 from hyjax.tuning.frame.proof import prove
 from hyjax.tuning.frame.result import FrameCandidate
 from hyjax.tuning.frame.run import tune_frame
-from hyjax.tuning.frame.scene import open_room, spread_cases
 from hyjax.tuning.settings import SETUPS, FrameOptions, TuneScene, TuneSettings
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
@@ -52,17 +47,13 @@ from hyjax.util.files import write_text
 UNLIMITED_MS = 1e4
 MOST_TIME, MOST_LOSS = 1.5, 0.05
 """Of a preset: time over the default's, and share of loss beyond the default's."""
-SAME_TIME = 1.02
-"""Of the default, that counts as its time: two measurements of the same differ by so much."""
-TRANSFER_FRAMES = 3
-"""Of a room, under each set-up, that a configuration is tuned on; as many others are judged."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Config(RunConfig):
-    rooms: tuple[str, ...] = CHOOSE
+    rooms: tuple[str, ...] = DEVELOPMENT_ROOMS
     """Rooms of known truth to tune on."""
-    report: tuple[str, ...] = REPORT
+    report: tuple[str, ...] = TEST_ROOMS
     """Rooms to report on."""
     size: str = "512x384"
     """Width x height of the pictures."""
@@ -71,9 +62,6 @@ class Config(RunConfig):
     trials: int = 48
     paper_trials: bool = True
     """Also tune the paper's form."""
-    transfer: int = 0
-    """Report rooms that are tuned on by themselves."""
-    transfer_trials: int = 24
     presets: bool = False
     """Write the presets of the package."""
     seed: int = 0
@@ -99,10 +87,6 @@ def main(config: Config, start: Start) -> None:
         write_presets(of_kind(results.rows, "candidate"))
     if not of_kind(results.rows, "preset"):
         add_presets(results, config)
-    finished = {row["room"] for row in of_kind(results.rows, "transfer")}
-    for room in config.report[: config.transfer]:
-        if room not in finished:
-            add_transfer(results, config, room)
 
 
 SEARCH = ("trials", "cases", "held-out cases", "timed under", "prediction errors", "seconds")
@@ -170,25 +154,6 @@ def add_presets(results: Results, config: Config) -> None:
         results.add(kind="preset", front=False, **described(candidate))
 
 
-def add_transfer(results: Results, config: Config, room: str) -> None:
-    """Tune on some frames of a room alone; judge that and the presets on other frames of it."""
-    out = results.out / f"transfer-{room}"
-    own = tune_frame(settings_of(config, [room], [], config.transfer_trials, out))
-    found = [c for c in own.candidates if c.name not in PRESETS and c.time.ratio <= SAME_TIME]
-    best = min(found, key=lambda c: c.tuning["relative"])
-    scene = open_room(room, config.size)
-    tuned_on = set(spread(range(len(scene)), config.frames))
-    others = [index for index in range(len(scene)) if index not in tuned_on]
-    cases = spread_cases([spread(others, TRANSFER_FRAMES)], SETUPS, config.seed)
-    judge = Judge([scene], PictureLoss())
-    default = judge.scores(Configuration(), cases)
-    for name, configuration in {"own": best.configuration, "balanced": Configuration.preset("balanced")}.items():
-        rows = judge.scores(configuration, cases)
-        logs = [np.log(row["loss"] / base["loss"]) for row, base in zip(rows, default, strict=True)]
-        relative, psnr = float(np.exp(np.mean(logs))), float(np.mean([row["psnr"] for row in rows]))
-        results.add(kind="transfer", room=room, tuned_on=name, relative=relative, psnr=psnr, cases=len(cases))
-
-
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Tables and figure from the rows."""
     candidates = of_kind(rows, "candidate")
@@ -217,8 +182,6 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
             for e in sorted(effects, key=lambda e: e["loss"])
         ]
         made.append(Table("Choices by themselves.", ["choice", "change", "loss", "time"], shown, names=2))
-    if transfer := of_kind(rows, "transfer"):
-        made.append(transfer_table(transfer))
     drawn = figure(candidates, of_kind(rows, "preset"))
     made.append(Plot(main.name, "Loss on held-out rooms against time; both axes logarithmic.", drawn))
     return made
@@ -242,21 +205,6 @@ def table(caption: str, rows: Sequence[Row]) -> Table:
         )
     header = ["configuration", "ms", "p95", "of default", "loss, tuning", "loss, held out", "PSNR raw", "fitted"]
     return Table(caption, header, lines)
-
-
-def transfer_table(rows: Sequence[Row]) -> Table:
-    """Loss of configurations tuned on a room itself and on others."""
-    by_room = {room: {r["tuned_on"]: r for r in rows if r["room"] == room} for room in {r["room"] for r in rows}}
-    lines = [
-        [room, percent(own["own"]["relative"]), percent(own["balanced"]["relative"])]
-        for room, own in sorted(by_room.items())
-        if len(own) == 2
-    ]
-    return Table(
-        "Loss against the default's on other frames of a room: tuned on the room itself, and on other rooms.",
-        ["room", "tuned on it", "balanced"],
-        lines,
-    )
 
 
 def percent(relative: float | None) -> str:

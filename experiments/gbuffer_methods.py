@@ -24,11 +24,10 @@ import jax
 import numpy as np
 import trimesh
 from jaxtyping import Float
-from matplotlib.figure import Figure
 
 from experiments.blocks import Block, Plot, Table
 from experiments.command import RunConfig, Start, experiment, run
-from experiments.plotting import new_figure
+from experiments.plotting import panels
 from experiments.records import Row, machine, of_kind
 from hyjax.geometry import rasterizer
 from hyjax.geometry.camera import Camera
@@ -37,11 +36,12 @@ from hyjax.geometry.shadow_caster import MapLayout
 from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
-from hyjax.util.environment import cores
+from hyjax.util.cores import cores
 
 RAYS = "Embree (embreex), every ray"
 WRONG = 1e-3
 """Share of the depth, and of a unit normal, from which a pixel counts as different."""
+AXES = {"xscale": "log", "yscale": "log", "xlabel": "triangles", "ylabel": "milliseconds"}
 Picture = tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w 3"]]
 
 
@@ -210,6 +210,10 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         ]
         for row in pictures
     ]
+    curves = {}
+    for name in dict.fromkeys(row["method"] for row in pictures):
+        own = [row for row in pictures if row["method"] == name]
+        curves[name] = [row["faces"] for row in own], [row["ms"] for row in own]
     differ = ["depth differs, share", "p99", "normal differs, share", "p99"]
     found: list[Block] = [
         Table(
@@ -217,7 +221,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
             ["triangles", "method", "ms", "processor ms", *differ],
             lines,
         ),
-        Plot(main.name, "Milliseconds of a G-buffer by the number of triangles.", figure(pictures)),
+        Plot(main.name, "Milliseconds of a G-buffer by the number of triangles.", panels({"": curves}, **AXES)),
     ]
     if maps:
         lines = []
@@ -230,18 +234,6 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         head = ["light", "views", "method", "ms", "processor ms", "texels that differ, share"]
         found.append(Table("Shadow maps of the undivided scan.", head, lines))
     return found
-
-
-def figure(rows: Sequence[Row]) -> Figure:
-    """Milliseconds by triangles, a line for each method."""
-    fig = new_figure(6, 3.5)
-    axes = fig.subplots()
-    for name in dict.fromkeys(row["method"] for row in rows):
-        own = [row for row in rows if row["method"] == name]
-        axes.plot([row["faces"] for row in own], [row["ms"] for row in own], "o-", label=name)
-    axes.set(xscale="log", yscale="log", xlabel="triangles", ylabel="milliseconds")
-    axes.legend(fontsize=7)
-    return fig
 
 
 if __name__ == "__main__":

@@ -28,11 +28,10 @@ import jax.numpy as jnp
 import numpy as np
 from flax import nnx
 from jaxtyping import Array, Float
-from matplotlib.figure import Figure
 
 from experiments.blocks import Block, Plot, Table
 from experiments.command import RunConfig, Start, experiment, run
-from experiments.plotting import new_figure
+from experiments.plotting import bars
 from experiments.records import Row, machine, of_kind
 from hyjax.export.graph import guide_graph
 from hyjax.export.to_onnx import convert
@@ -196,6 +195,8 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     differences = [row["difference"] for row in times if row["difference"] is not None]
     agreement = f"; results differ by at most {max(differences):.0e} of the largest" if differences else ""
     caption = f"A guide of {times[0]['features']} features for one picture; {machine(times[0])}{agreement}."
+    medians = {f"{line[0]}, {line[1]}": row["median_ms"] for line, row in zip(lines, times)}
+    figure = bars(medians, [(label, row["p95_ms"]) for label, row in zip(medians, times)], "milliseconds")
     return [
         Table(
             caption,
@@ -203,21 +204,8 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
             lines,
             names=2,
         ),
-        Plot(main.name, "Milliseconds a picture: median (bar) and 95th percentile (tick).", figure(times)),
+        Plot(main.name, "Milliseconds a picture: median (bar) and 95th percentile (tick).", figure),
     ]
-
-
-def figure(times: Sequence[Row]) -> Figure:
-    """Median milliseconds of every network and size, p95 as a tick."""
-    fig = new_figure(7, 0.8 + 0.25 * len(times))
-    axes = fig.subplots()
-    labels = [f"{row['encoder'].removeprefix('mobilenetv4_conv_')} {row['size']}², {row['who']}" for row in times]
-    colors = ["C0" if row["who"] in (OURS, HALF) else "C7" for row in times]
-    axes.barh(labels, [row["median_ms"] for row in times], color=colors)
-    axes.plot([row["p95_ms"] for row in times], labels, "k|")
-    axes.invert_yaxis()
-    axes.set(xlabel="milliseconds")
-    return fig
 
 
 if __name__ == "__main__":

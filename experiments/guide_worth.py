@@ -26,7 +26,7 @@ from experiments.command import Start, experiment, run
 from experiments.judging import summarise, tuning_curve
 from experiments.paper_bench import ANY, METHODS, OWN_GROUP, Bench, BenchConfig
 from experiments.paper_view import View, linear_filter, multiplied
-from experiments.plotting import new_figure
+from experiments.plotting import panels
 from experiments.records import Row, of_kind
 from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
@@ -137,19 +137,13 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
 
 
 def figure(scores: Sequence[Row]) -> Figure:
-    """A panel for each method, a curve for each guide."""
-    fig = new_figure(9, 4)
-    panels = fig.subplots(1, len(METHODS), squeeze=False)[0]
-    for axes, method in zip(panels, METHODS.values(), strict=True):
-        for guide in dict.fromkeys(row["guide"] for row in scores):
-            means = curve(scores, method, guide)
-            if guide == NONE:
-                axes.axhline(*means.values(), color="0.5", ls=":", label=guide)
-            else:
-                axes.plot(list(means), list(means.values()), "o-", ms=3, label=guide)
-        axes.set(xscale="log", xlabel="kappa", ylabel="PSNR on tuning frames, dB", title=method)
-    panels[0].legend()
-    return fig
+    """A panel for each method, a curve for each guide; without a guide there is one point."""
+    guides = dict.fromkeys(row["guide"] for row in scores)
+    shown = {}
+    for method in METHODS.values():
+        means = {guide: curve(scores, method, guide) for guide in guides}
+        shown[method] = {guide: (list(m), list(m.values())) for guide, m in means.items()}
+    return panels(shown, xscale="log", xlabel="kappa", ylabel="PSNR on tuning frames, dB")
 
 
 def _of(rows: Sequence[Row], method: str, guide: str) -> list[Row]:

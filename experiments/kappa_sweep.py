@@ -16,14 +16,13 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Array, Float
-from matplotlib.figure import Figure
 
 from experiments.blocks import Block, Plot, Table
 from experiments.command import Start, experiment, run
 from experiments.judging import tuning_curve
 from experiments.paper_bench import ANY, METHODS, OWN_GROUP, BenchConfig
 from experiments.paper_view import View, linear_filter, mean_colour, multiplied
-from experiments.plotting import new_figure
+from experiments.plotting import panels
 from experiments.records import Row, of_kind
 from hyjax.core.diffusion import Norm
 from hyjax.core.schedule import Pooling, Schedule
@@ -119,23 +118,18 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         f"PSNR of relit frames against those of the accurate surface; {scores[0]['settings']['schedule']}, mean "
         f"over {frames['tuning']} tuning frames, on which κ is chosen, and {frames['held-out']} held-out ones."
     )
+    points = {method: curve(rows, method) for method in VARIANTS}
+    curves = {method: (list(found), list(found.values())) for method, found in points.items()}
+    figure = panels({"": curves}, xscale="log", xlabel="kappa", ylabel="PSNR, dB")
     header = [f"{scores[0]['capture']}: method, pooling, norm", "best kappa", "tuning dB", "held-out dB"]
     return [
         Table(caption, header, lines),
-        Plot(main.name, "PSNR on the tuning frames against κ.", figure(rows)),
+        Plot(
+            main.name,
+            "PSNR on the tuning frames against κ.",
+            figure,
+        ),
     ]
-
-
-def figure(rows: Sequence[Row]) -> Figure:
-    """A curve for each variant."""
-    fig = new_figure(6, 4)
-    axes = fig.subplots()
-    for method in VARIANTS:
-        points = curve(rows, method)
-        axes.semilogx(list(points), list(points.values()), marker="o", label=method)
-    axes.set(xlabel="kappa", ylabel="PSNR on tuning frames, dB")
-    axes.legend()
-    return fig
 
 
 if __name__ == "__main__":

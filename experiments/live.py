@@ -80,7 +80,7 @@ def walk(mesh: trimesh.Trimesh, width: int, height: int, config: Config) -> dict
     for frame in frames[:3]:
         warm.add(frame)
     warm.update()
-    jax.block_until_ready(warm.relight(frames[0], [LAMP], schedule))
+    jax.block_until_ready(hyjax.Relighter(warm, [LAMP], schedule).relit(frames[0]))
 
     scene, begun = LiveScene(voxel=config.voxel), time.perf_counter()
     taken: list[tuple[float, dict[str, float], int, int]] = []
@@ -89,6 +89,7 @@ def walk(mesh: trimesh.Trimesh, width: int, height: int, config: Config) -> dict
         faces = 0 if scene.surface is None else len(scene.surface.caster.rasterizer.triangles)
         taken.append((time.perf_counter() - begun, scene.times, len(scene.pieces.waiting), faces))
 
+    relighter = hyjax.Relighter(scene, [LAMP], schedule)
     follower = Follower(scene, by_the_clock(frames, begun), updated).start()
     pictures: list[float] = []
     while not follower.wait(0.0):
@@ -96,7 +97,7 @@ def walk(mesh: trimesh.Trimesh, width: int, height: int, config: Config) -> dict
         if newest is None or scene.surface is None:
             time.sleep(0.005)
             continue
-        jax.block_until_ready(scene.relight(newest, [LAMP], schedule))
+        jax.block_until_ready(relighter.relit(newest))
         pictures.append(time.perf_counter() - begun)
     seconds = taken[-1][0]
     gaps = 1e3 * np.diff([when for when, *_ in taken])
@@ -162,7 +163,7 @@ def removal(mesh: trimesh.Trimesh, voxel: float, seconds: float = 4.0) -> Iterat
 def visible(scene: LiveScene, camera: Camera) -> np.ndarray:
     """Visibility of the lamp in a picture, by the scene as it is."""
     frame = Frame("look", np.full((*camera.intrinsics.shape, 3), 0.5, np.float32), camera, 0.0)
-    return np.asarray(scene.shade(scene.view(frame), [LAMP]).visibility[..., 0])
+    return np.asarray(hyjax.Relighter(scene, [LAMP]).shade(scene.view(frame), sampling=1).visibility[..., 0])
 
 
 def chair_shadow(whole: trimesh.Trimesh, without: trimesh.Trimesh, camera: Camera) -> np.ndarray:

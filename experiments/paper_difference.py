@@ -19,7 +19,7 @@ from experiments.blocks import Block, Plot, Table
 from experiments.command import RunConfig, Start, experiment, run
 from experiments.judging import better_text, pick, summarise, text_of
 from experiments.paper_bench import BENCHMARKS, METHODS, OWN_GROUP
-from experiments.plotting import new_figure
+from experiments.plotting import panels
 from experiments.records import FILE, Row, is_finished, of_kind, read_rows
 from hyjax.metrics import METRICS
 from hyjax.util.errors import InputError
@@ -103,14 +103,11 @@ def differences(pairs: Sequence[Row], benchmark: str, method: str, metric: str) 
 
 def figure(pairs: Sequence[Row]) -> Figure:
     """A panel for each benchmark, the differences of each method in order."""
-    fig = new_figure(11, 3.5)
-    for axes, benchmark in zip(fig.subplots(1, len(BENCHMARKS)), BENCHMARKS, strict=True):
-        for method in METHODS.values():
-            axes.plot(np.sort(differences(pairs, benchmark, method, "psnr")), label=method)
-        axes.axhline(0.0, color="0.6", lw=0.8)
-        axes.set(title=benchmark, xlabel="frames, in order", ylabel="PSNR, dB more")
-    fig.axes[0].legend()
-    return fig
+    shown: dict[str, dict[str, Any]] = {}
+    for benchmark in BENCHMARKS:
+        values = {method: np.sort(differences(pairs, benchmark, method, "psnr")) for method in METHODS.values()}
+        shown[benchmark] = {method: (range(len(each)), each) for method, each in values.items()}
+    return panels(shown, "-", xlabel="frames, in order", ylabel="PSNR, dB more")
 
 
 if __name__ == "__main__":

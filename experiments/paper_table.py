@@ -75,7 +75,7 @@ class Config(KappaConfig):
     renderer: Renderer = "shadow_map"
     """What shades the surfaces."""
     weights: Path | None = None
-    """LPIPS weights. Default: those of the extra `lpips`."""
+    """LPIPS weights. Default: those converted of the extra `lpips`."""
     resume: bool = False
     """Go on with the interrupted run in the out folder."""
 

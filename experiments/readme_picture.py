@@ -48,14 +48,13 @@ class Config(RunConfig):
 def main(config: Config, start: Start) -> None:
     results, rows = start(), []
     capture = load_truth_room(config.room, config.photos, *config.size, quality=config.quality)
-    scene, schedule = hyjax.Scene.open(hyjax.SceneSettings(), capture=capture), hyjax.Schedule.preset("hyjax")
+    scene = hyjax.Scene.open(hyjax.SceneSettings(), capture=capture)
     for text in config.shown:
         name, _, frame = text.partition(":")
         setup, index = scene.lights(name), int(frame)
-        view = scene.view(index)
-        made = hyjax.relight(view, scene.shade(view, setup), view.display, schedule)
+        made = scene.relit(index, setup)
         relit, (truth,) = np.asarray(hyjax.to_display(made.image)), capture.truth(setup, [index])
-        photo = np.asarray(view.display)
+        photo = scene.frame(index).image
         decibels = float(psnr(jnp.asarray(relit), jnp.asarray(truth)))
         results.add(kind="picture", room=config.room, setup=name, frame=index, psnr_db=decibels)
         white = np.ones((photo.shape[0], GAP, 3), np.float32)

@@ -32,7 +32,8 @@ from hyjax.geometry.scan import RenderedDepths, ScanConfig, simulate_sensor
 from hyjax.geometry.tsdf import fuse
 from hyjax.light.gbuffer import GBuffer
 from hyjax.metrics import METRICS, load_lpips
-from hyjax.scene.light_setups import named_setup, survey_capture
+from hyjax.scene.light_places import survey_capture
+from hyjax.scene.light_setups import named_setup
 from hyjax.synthetic.room import path
 
 KINECT = ScanConfig(
@@ -52,7 +53,7 @@ class Config(RunConfig):
     size: int = 512
     """Pixels a side."""
     weights: Path | None = None
-    """LPIPS weights. Default: those of the extra `lpips`."""
+    """LPIPS weights. Default: those converted of the extra `lpips`."""
     seed: int = 0
     """Of the depth maps' noise."""
 

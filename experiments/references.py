@@ -20,13 +20,11 @@ import numpy as np
 import trimesh
 from jaxtyping import Bool
 
+from experiments.laser_scans import load_laser_scans
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.laser_scans import load_laser_scans
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.depth_map import confirmed
-from hyjax.geometry.point_cloud import PointCloud
 from hyjax.geometry.raycast import RayCaster
-from hyjax.geometry.splatting import PointSplatter
 from hyjax.geometry.surface import relax, with_normals
 from hyjax.light.gbuffer import GBuffer
 from hyjax.scene.fusion_settings import FusionSettings
@@ -48,7 +46,7 @@ class Reference:
 
     Attributes:
         description: what it is, in a few words.
-        geometry: the mesh or point cloud itself.
+        geometry: the mesh itself; of laser scans it consists of discs.
         gbuffer: what a camera sees of it.
         smoothed: the same with normals smoothed further, to find bumps; None if it is relied on as it is.
         measured: whether it is checked against the frames' own depth.
@@ -56,7 +54,7 @@ class Reference:
     """
 
     description: str
-    geometry: trimesh.Trimesh | PointCloud
+    geometry: trimesh.Trimesh
     gbuffer: Callable[[Camera], GBuffer]
     smoothed: Callable[[Camera], GBuffer] | None = None
     measured: bool = True
@@ -101,10 +99,9 @@ def open_reference(capture: Capture, name: str | None = None, *, progress: bool 
     if name == "laser":
         if laser is None:
             raise InputError(f"{capture.name}: has no laser scans; take 'fused' or a mesh file as the reference")
-        cloud = load_laser_scans(laser, voxel=LASER_VOXEL, progress=progress)
-        return Reference(
-            f"laser scans, {len(cloud.points)} points", cloud, PointSplatter(cloud).gbuffer, unread=False
-        )
+        discs = load_laser_scans(laser, LASER_VOXEL, progress)
+        points = f"laser scans, {len(discs.vertices) // 4} points"
+        return Reference(points, discs, RayCaster(discs).gbuffer, unread=False)
     fusion = FusionSettings(voxel=VOXEL, fuse_frames=0)
     description, mesh = surface_of(capture, name, fusion=fusion, progress=progress)
     if name != "fused":

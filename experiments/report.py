@@ -14,6 +14,7 @@ import importlib.resources
 import inspect
 import json
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -54,10 +55,14 @@ def main(config: Config) -> None:
 def find_runs(results: Path) -> Iterator[tuple[Path, list[Row]]]:
     """(folder, rows) of every run with rows, in the order of `EXPERIMENTS`, then by folder."""
     found = [(path.parent, read_rows(path)) for path in sorted(results.rglob(FILE))]
-    for folder, rows in sorted(((f, r) for f, r in found if r), key=lambda found: _place(*found)):
-        if rows[0]["experiment"] not in EXPERIMENTS:
-            raise InputError(f"{folder}: rows of an unknown experiment {rows[0]['experiment']!r}")
-        yield folder, rows
+    known = []
+    for folder, rows in found:
+        if rows and rows[0]["experiment"] in EXPERIMENTS:
+            known.append((folder, rows))
+        elif rows:
+            name = rows[0]["experiment"]
+            print(f"report: {folder}: left out, as {name!r} is not in EXPERIMENTS", file=sys.stderr)
+    yield from sorted(known, key=lambda run: (EXPERIMENTS.index(run[1][0]["experiment"]), str(run[0])))
 
 
 def page(runs: list[tuple[Path, list[Row]]]) -> str:
@@ -65,11 +70,6 @@ def page(runs: list[tuple[Path, list[Row]]]) -> str:
     style = importlib.resources.files("hyjax.tuning").joinpath("report.css").read_text(encoding="utf-8")
     template = templates(Path(__file__).parent).get_template("report.html.jinja")
     return template.render(style=Markup(style), runs=[_section(folder, rows) for folder, rows in runs])
-
-
-def _place(folder: Path, rows: list[Row]) -> tuple[int, str]:
-    name = rows[0]["experiment"]
-    return (EXPERIMENTS.index(name) if name in EXPERIMENTS else len(EXPERIMENTS)), str(folder)
 
 
 def _section(folder: Path, rows: list[Row]) -> dict[str, Any]:

@@ -19,18 +19,18 @@ from pathlib import Path
 from typing import Any
 
 import jax
-from matplotlib.figure import Figure
 
 import hyjax
 from experiments.blocks import Block, Plot, Table
 from experiments.command import RunConfig, Start, experiment, run
-from experiments.plotting import new_figure
+from experiments.plotting import bars
 from experiments.records import Row, machine, of_kind
 from hyjax.core.cascade import largest_sampling
 from hyjax.data.frames import select_frames
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.gbuffer import sample_pixels
-from hyjax.scene.scene import Scene, view_of
+from hyjax.scene.place import view_of
+from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.tuning.calibration import check_repeats
 from hyjax.util.clock import measure
@@ -144,22 +144,12 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         f"{', '.join(scene['lights'])}; {machine(scene)}"
         for scene in of_kind(rows, "scene")
     ] + [f"peak memory {row['peak_memory_mib']} MiB" for row in of_kind(rows, "finished")]
+    marks = [(row["stage"], row["p95_ms"]) for row in stages]
+    figure = bars({row["stage"]: row["median_ms"] for row in stages}, marks, "milliseconds", xscale="log")
     return [
         Table("; ".join(conditions) + ".", ["stage", "first call ms", "median ms", "p95 ms"], lines),
-        Plot(main.name, "Milliseconds of every stage: median (bar) and 95th percentile (tick).", figure(stages)),
+        Plot(main.name, "Milliseconds of every stage: median (bar) and 95th percentile (tick).", figure),
     ]
-
-
-def figure(stages: Sequence[Row]) -> Figure:
-    """Median milliseconds of every stage, p95 as a tick."""
-    fig = new_figure(7, 3.5)
-    axes = fig.subplots()
-    names = [row["stage"] for row in stages]
-    axes.barh(names, [row["median_ms"] for row in stages])
-    axes.plot([row["p95_ms"] for row in stages], names, "k|")
-    axes.invert_yaxis()
-    axes.set(xscale="log", xlabel="milliseconds")
-    return fig
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ from experiments.command import RunConfig, Start, experiment, run
 from experiments.records import Row, machine, of_kind
 from experiments.sweep_driver import MARKS
 from hyjax.sweep.rows import RowStore
-from hyjax.util.environment import cores
+from hyjax.util.cores import cores
 from hyjax.util.errors import InputError
 
 ROOMS, SETUPS, CONFIGURATIONS = 8, 4, 50

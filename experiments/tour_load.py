@@ -21,12 +21,11 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from experiments.blocks import Block, Plot, Table
 from experiments.command import RunConfig, Start, experiment, run
-from experiments.plotting import new_figure
+from experiments.plotting import panels
 from experiments.records import Results, Row, machine, of_kind
 from experiments.tour_latency import resident, served, wait_until_still
 from experiments.tour_visitor import Visitor
@@ -247,22 +246,13 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         f"broke off, {counts['broken uploads']} uploads with them; of {counts['uploads']} whole uploads "
         f"{counts['refused uploads']} were refused."
     )
+    minutes = [row["seconds"] / 60 for row in samples]
+    kinds = {"memory of the tour, MiB": "mebibytes", "open files": "open_files"}
+    curves = {title: {title: (minutes, [row[name] for row in samples])} for title, name in kinds.items()}
     return [
         Table(f"Medians of a minute; {text}", header, rows_of),
-        Plot("load", "Memory and open files of the tour.", draw(samples)),
+        Plot("load", "Memory and open files of the tour.", panels(curves, "-", xlabel="minutes", ylim=(0, None))),
     ]
-
-
-def draw(samples: Sequence[Row]) -> Figure:
-    """Memory and open files over the minutes."""
-    figure = new_figure(10, 3.4)
-    minutes = [row["seconds"] / 60 for row in samples]
-    for axes, name, label in zip(
-        figure.subplots(1, 2), ("mebibytes", "open_files"), ("memory of the tour, MiB", "open files")
-    ):
-        axes.plot(minutes, [row[name] for row in samples])
-        axes.set(xlabel="minutes", ylabel=label, ylim=(0, None))
-    return figure
 
 
 if __name__ == "__main__":

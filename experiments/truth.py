@@ -40,7 +40,7 @@ from hyjax.data.frames import spread
 from hyjax.metrics import LpipsWeights, load_lpips, psnr
 from hyjax.scene.light_setups import check_setup_name
 from hyjax.scene.settings import parse_size
-from hyjax.synthetic.truth import CHOOSE, REPORT
+from hyjax.synthetic.truth import DEVELOPMENT_ROOMS, TEST_ROOMS
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
 
@@ -51,7 +51,7 @@ Key = tuple[str, str, int]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Config(RunConfig):
-    rooms: tuple[str, ...] = CHOOSE + REPORT
+    rooms: tuple[str, ...] = DEVELOPMENT_ROOMS + TEST_ROOMS
     """Names, see `hyjax.synthetic.truth.lit_room`."""
     setups: tuple[str, ...] = SETUPS
     """Named light set-ups."""
@@ -64,7 +64,7 @@ class Config(RunConfig):
     quality: float = 1.0
     """Of the rooms' light and textures."""
     weights: Path | None = None
-    """LPIPS weights. Default: those of the extra `lpips`; without them there is no LPIPS."""
+    """LPIPS weights. Default: those converted of the extra `lpips`; without them there is no LPIPS."""
     resume: bool = False
     """Go on with the interrupted run in the out folder."""
     workers: int = 0

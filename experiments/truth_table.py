@@ -13,10 +13,12 @@ from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
 from experiments.truth_methods import METHODS, NEW, ORACLES, PHOTO, TODAY
 from hyjax.metrics import METRICS
-from hyjax.synthetic.truth import CHOOSE, REPORT
+from hyjax.synthetic.truth import DEVELOPMENT_ROOMS, TEST_ROOMS
 
 FITS = ("raw", "fitted")
-SPLITS: Mapping[str, Sequence[str]] = {"reported on": REPORT, "chosen on": CHOOSE}
+SPLITS: Mapping[str, Sequence[str]] = {"reported on": TEST_ROOMS, "chosen on": DEVELOPMENT_ROOMS}
+FIRST = "psnr", "ssim", "lpips"
+"""First metrics of a line; all others of the table follow."""
 OTHERS = "other rooms"
 RESAMPLES = 2000
 
@@ -58,15 +60,17 @@ def values(pictures: Sequence[Row], method: str, fit: str, metric: str) -> np.nd
 
 def whole(pictures: Sequence[Row], split: str) -> Table:
     """A line for each method: means, medians, and differences to hyjax 0.1."""
+    methods, shown = methods_of(pictures), [*FIRST, *(name for name in METRICS if name not in FIRST)]
+    shown = [m for m in shown if any(np.isfinite(values(pictures, name, "raw", m)).any() for name in methods)]
     header = [""]
     for fit in FITS:
-        header += [f"{fit} {METRICS[metric].label}" for metric in ("psnr", "ssim", "lpips")]
+        header += [f"{fit} {METRICS[metric].label}" for metric in shown]
     header += ["fitted PSNR median", "Δ raw dB", "Δ fitted dB", "Δ fitted LPIPS", "better, raw", "better, fitted"]
     lines = []
-    for name in methods_of(pictures):
+    for name in methods:
         cells = [name if name != NEW else f"**{name}**"]
         for fit in FITS:
-            cells += [_mean(pictures, name, fit, metric) for metric in ("psnr", "ssim", "lpips")]
+            cells += [_mean(pictures, name, fit, metric) for metric in shown]
         cells.append(_number(np.nanmedian(values(pictures, name, "fitted", "psnr")), 2))
         cells += [
             difference(pictures, name, fit, metric)

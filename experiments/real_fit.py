@@ -1,0 +1,229 @@
+"""Fit of new lights' strengths to a picture: the same for every method, on one half of its blocks.
+
+A linear method makes the picture Σ θ_k X_k of the columns X_k, what each light of the family makes of the photo.
+Strengths θ ≥ 0, by red, green and blue: first by non-negative least squares, where errors of linear light weigh as
+they show, then by L-BFGS-B in display values.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage, optimize
+
+from hyjax.photo_light.radiance import linear
+
+BLOCK = 32
+"""Side, in pixels, of the blocks of the checkerboard: half are fitted on, half scored."""
+ITERATIONS = 150
+SMALLEST = 1e-6
+LEAST_UNDER = 0.05
+"""Least old light that the oracle divides by, where each light of the family has a root mean square of 1."""
+Columns = Float[np.ndarray, "h w k 3"]
+Picture = Float[np.ndarray, "h w 3"]
+
+
+def display(light: np.ndarray) -> np.ndarray:
+    """Linear light → sRGB, in NumPy."""
+    x = np.clip(light, 0.0, None)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def slope(light: np.ndarray) -> np.ndarray:
+    """Derivative of `display`."""
+    return np.where(light <= 0.0031308, 12.92, 1.055 / 2.4 * np.maximum(light, 0.0031308) ** (1 / 2.4 - 1))
+
+
+def checkerboard(shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    """Pixels to fit on; the others are scored."""
+    rows, columns = np.indices(shape) // BLOCK
+    return (rows + columns) % 2 == 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """Picture to come near to.
+
+    Attributes:
+        display: its values.
+        fitted: pixels to fit on.
+    """
+
+    display: Picture
+    fitted: Bool[np.ndarray, "h w"]
+
+    @property
+    def linear(self) -> Picture:
+        """Linear light."""
+        return linear(self.display)
+
+    def at(self, values: np.ndarray) -> np.ndarray:
+        """Values of the fitted pixels."""
+        return values[self.fitted]
+
+
+def fit_strengths(columns: Columns, target: Target, *, encoded: bool = False) -> Float[np.ndarray, "k 3"]:
+    """Strengths of a linear method's lights.
+
+    Args:
+        columns: picture by each light.
+        target: to come near to.
+        encoded: whether columns are display values and add up as such, as in the paper's form.
+    """
+    strengths = np.zeros(columns.shape[2:])
+    for channel in range(3):
+        matrix = target.at(columns[..., channel]).astype(np.float64)
+        wanted = target.at(target.display)[:, channel].astype(np.float64)
+        light = wanted if encoded else linear(wanted)
+        weight = np.ones_like(light) if encoded else slope(np.maximum(light, 2e-3))
+        strengths[:, channel] = _refined(matrix, wanted, _non_negative(matrix, light, weight), encoded)
+    return strengths
+
+
+def _non_negative(matrix: np.ndarray, light: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Non-negative least squares, from the normal equations."""
+    weighted = matrix * weight[:, None]
+    scale = np.maximum(np.sqrt((weighted**2).mean(axis=0)), SMALLEST)
+    normal = (weighted / scale).T @ (weighted / scale) / len(light)
+    root = np.linalg.cholesky(normal + 1e-7 * np.eye(len(normal)))
+    side = np.linalg.solve(root, (weighted / scale).T @ (light * weight) / len(light))
+    return optimize.nnls(root.T, side, maxiter=50 * len(normal))[0] / scale
+
+
+def _refined(matrix: np.ndarray, wanted: np.ndarray, start: np.ndarray, encoded: bool) -> np.ndarray:
+    """Strengths that bring display values nearest to those wanted."""
+    scale = 1 / np.maximum(np.sqrt((matrix**2).mean(axis=0)), SMALLEST)
+    own = matrix * scale
+
+    def loss(theta: np.ndarray) -> tuple[float, np.ndarray]:
+        light = own @ theta
+        off = (light if encoded else display(light)) - wanted
+        off = np.where((off > 0) & (wanted >= 1), 0.0, off)
+        pull = off if encoded else off * slope(light)
+        return float((off**2).mean()), 2 * own.T @ pull / len(wanted)
+
+    found = optimize.minimize(
+        loss,
+        start / scale,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(0, None)] * len(start),
+        options={"maxiter": ITERATIONS},
+    )
+    return found.x * scale
+
+
+def chosen_lamps(
+    columns: Columns, lamps: Sequence[int], fixed: Sequence[int], target: Target, count: int
+) -> list[int]:
+    """Columns of the lamps that help most, one after the other, beside those that are always there."""
+    grams = []
+    for channel in range(3):
+        light = linear(target.at(target.display)[:, channel].astype(np.float64))
+        weight = slope(np.maximum(light, 2e-3))
+        matrix = target.at(columns[..., channel]).astype(np.float64) * weight[:, None]
+        scale = np.maximum(np.sqrt((matrix**2).mean(axis=0)), SMALLEST)
+        matrix = matrix / scale
+        grams.append((matrix.T @ matrix / len(light), matrix.T @ (light * weight) / len(light)))
+
+    def error(chosen: list[int]) -> float:
+        total = 0.0
+        for gram, side in grams:
+            part = gram[np.ix_(chosen, chosen)] + 1e-7 * np.eye(len(chosen))
+            root = np.linalg.cholesky(part)
+            right = np.linalg.solve(root, side[chosen])
+            theta, _ = optimize.nnls(root.T, right, maxiter=50 * len(chosen))
+            total += theta @ part @ theta - 2 * theta @ side[chosen]
+        return total
+
+    taken: list[int] = []
+    for _ in range(min(count, len(lamps))):
+        left = [lamp for lamp in lamps if lamp not in taken]
+        taken.append(min(left, key=lambda lamp: error([*fixed, *taken, lamp])))
+    return taken
+
+
+def polynomial(shape: tuple[int, int], order: int) -> Float[np.ndarray, "h w k"]:
+    """Monomials of the pixels' places up to an order."""
+    y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij")
+    return np.stack([x**i * y**j for i in range(order + 1) for j in range(order + 1 - i)], axis=-1)
+
+
+def smooth_picture(photo: Picture, order: int, target: Target) -> Picture:
+    """Photo times exp(polynomial), fitted in display values; order 0 is three gains. Linear light."""
+    terms, light = polynomial(photo.shape[:2], order), np.empty_like(photo, np.float64)
+    for channel in range(3):
+        own, wanted = target.at(terms), target.at(target.display)[:, channel].astype(np.float64)
+        before = np.maximum(target.at(photo)[:, channel].astype(np.float64), SMALLEST)
+        weight = np.sqrt(before) * slope(before)
+        log = np.log(np.maximum(linear(wanted), 2e-3) / np.maximum(before, 2e-3))
+        start = np.linalg.lstsq(own * weight[:, None], log * weight, rcond=None)[0]
+
+        def loss(c: np.ndarray, own: np.ndarray = own, before: np.ndarray = before, wanted: np.ndarray = wanted):  # type: ignore[no-untyped-def]
+            made = before * np.exp(np.clip(own @ c, -8, 8))
+            off = display(made) - wanted
+            return float((off**2).mean()), 2 * own.T @ (off * slope(made) * made) / len(wanted)
+
+        found = optimize.minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
+        light[..., channel] = photo[..., channel] * np.exp(np.clip(terms @ found.x, -8, 8))
+    return light
+
+
+def fit_both(
+    photo: Picture, light: Float[np.ndarray, "h w k 3"], target: Target, old: Sequence[Float[np.ndarray, "h w 3"]]
+) -> Picture:
+    """Photo times one combination of lights over another, both fitted to the target: what nobody can know.
+
+    Args:
+        photo: linear.
+        light: of the family, as each falls on the surface.
+        target: to come near to.
+        old: guesses of the old light to begin with; the one that ends best is taken, for each channel.
+    """
+    made, count = np.empty_like(photo, np.float64), light.shape[2]
+    scale = 1 / np.maximum(np.sqrt((light**2).mean(axis=(0, 1))), SMALLEST)
+    whole = light * scale
+    begins = []
+    for guess in old:
+        under = np.stack([optimize.nnls(target.at(whole[..., c]), target.at(guess)[:, c])[0] for c in range(3)], 1)
+        divided = photo / (np.einsum("hwkc,kc->hwc", whole, under) + LEAST_UNDER)
+        begins.append((fit_strengths(divided[:, :, None] * whole, target), under))
+    for channel in range(3):
+        own, before = target.at(whole[..., channel]), target.at(photo)[:, channel].astype(np.float64)
+        wanted = target.at(target.display)[:, channel].astype(np.float64)
+
+        def relit(x: np.ndarray, own: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            under = own @ x[count:] + LEAST_UNDER
+            return before * (own @ x[:count]) / under, under
+
+        def loss(x: np.ndarray, own: np.ndarray = own, before: np.ndarray = before, wanted: np.ndarray = wanted):  # type: ignore[no-untyped-def]
+            image, under = relit(x, own, before)
+            off = display(image) - wanted
+            pull = 2 * off * slope(image) * before / under / len(wanted)
+            change = np.concatenate([own.T @ pull, -own.T @ (pull * image / np.maximum(before, SMALLEST))])
+            return 1e3 * float((off**2).mean()), 1e3 * change
+
+        bounds, options = [(0, None)] * (2 * count), {"maxiter": 2 * ITERATIONS}
+        tries = (
+            optimize.minimize(
+                loss,
+                np.concatenate([over[:, channel], under[:, channel]]),
+                jac=True,
+                method="L-BFGS-B",
+                bounds=bounds,
+                options=options,
+            )
+            for over, under in begins
+        )
+        best = min(tries, key=lambda one: one.fun)
+        made[..., channel] = relit(best.x, whole[..., channel], photo[..., channel].astype(np.float64))[0]
+    return made
+
+
+def blurred_ratio(photo: Picture, wanted: Picture, valid: Bool[np.ndarray, "h w"], sigma: float) -> Picture:
+    """Photo times the true ratio of light, its logarithm blurred within `valid`."""
+    log = np.log(np.maximum(wanted, 2e-3) / np.maximum(photo, 2e-3)) * valid[..., None]
+    weight = ndimage.gaussian_filter(valid.astype(np.float64), sigma)
+    smooth = np.stack([ndimage.gaussian_filter(log[..., c], sigma) for c in range(3)], axis=-1)
+    return photo * np.exp(smooth / np.maximum(weight, 1e-6)[..., None])
