@@ -49,6 +49,7 @@ from .pipeline import relight as relight
 from .pipeline import relight_stages as relight_stages
 from .relighting.run import relight_capture as relight_capture
 from .relighting.settings import RelightSettings as RelightSettings
+from .scene.relighter import Relighter as Relighter
 from .scene.scene import Scene as Scene
 from .scene.settings import SceneSettings as SceneSettings
 from .tuning.settings import TuneSettings as TuneSettings

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import io
-import os
 import sys
 import warnings
 from pathlib import Path
@@ -25,7 +24,7 @@ from hyjax.util.claims import claimed
 from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
 from hyjax.util.interrupts import defer_interrupts, exit_now
-from hyjax.util.terminal import quiet_libraries, shortened
+from hyjax.util.terminal import end_output, open_closed_streams, quiet_libraries, shortened
 
 RENAMED_VALUES = {("--renderer", "hyjax"): "shadow_map"}
 
@@ -126,6 +125,7 @@ def _renamed(arguments: list[str]) -> list[str]:
 
 def main() -> None:
     """Entry point of the `hyjax` command. Bad input: one line on stderr and exit status 2."""
+    open_closed_streams()
     quiet_libraries()
     if sys.argv[1:] == ["--version"]:
         print(f"hyjax {hyjax.__version__}")
@@ -157,8 +157,8 @@ def main() -> None:
     except InputError as error:
         print(f"hyjax: {error}", file=sys.stderr)
         sys.exit(2)
-    except BrokenPipeError:  # the reader of our output (`| head`) has ended
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        sys.exit(end_output(error))
     except KeyboardInterrupt:
         print("hyjax: interrupted; the files written so far are whole", file=sys.stderr)
         exit_now(130)

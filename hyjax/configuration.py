@@ -3,78 +3,38 @@
 import dataclasses
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import msgspec
+import numpy as np
 
+from hyjax.choices.choice import RENDERERS, Renderer
+from hyjax.choices.options import (
+    OPTIONS,
+    GuideOptions,
+    LightOptions,
+    Options,
+    ShadowOptions,
+    annotated,
+    kinds,
+)
+from hyjax.choices.table import CASCADES, CHOICES, NO_STEPS, choice_named
 from hyjax.core.cascade import largest_sampling
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.pipeline import Mode
-from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.errors import InputError, did_you_mean, shown
 from hyjax.util.reading import parse_json, read_text
 
 _log = logging.getLogger(__name__)
 SUFFIX = ".json"
 DEFAULT = "default"
+CUSTOM = "custom"
+"""Name of a configuration that has none of its own."""
 FOLDER = Path(__file__).with_name("configurations")
 PRESETS = ("quality", "balanced", "fast")
 """Configurations that come with hyjax, chosen by `hyjax tune` over rooms of known truth."""
-NO_GUIDE = "none"
-Scale = Annotated[int, msgspec.Meta(ge=1, le=8)]
-Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-
-
-class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of the parts of a configuration."""
-
-
-class LightOptions(Options, frozen=True, kw_only=True):
-    """How light on the surface is computed.
-
-    Attributes:
-        sampling: light at one pixel in each block of so many by so many, see `View.shade`.
-        photo_light: whether the light that the frames were taken under is divided out, or kept.
-        bounces: whether light that surfaces send on is added, where the photo's light is divided out.
-        photo_exponent: exponent of E_old / K before it is divided by: above 1 where its estimate is too even.
-        bounce_gain: factor of the bounces.
-    """
-
-    sampling: Annotated[int, msgspec.Meta(ge=1, le=16)] = 2
-    photo_light: Literal["divided", "kept"] = "divided"
-    bounces: bool = True
-    photo_exponent: Annotated[float, msgspec.Meta(ge=0, le=4)] = 1.0
-    bounce_gain: Annotated[float, msgspec.Meta(ge=0, le=4)] = 1.0
-
-
-class ShadowOptions(Options, frozen=True, kw_only=True):
-    """How shadows are computed. The cascade for them is `Configuration.shadow_schedule`.
-
-    Attributes:
-        map_scale: of the shadow maps' resolution, see `cast_shadow_maps`.
-        views: of a soft light, at most; None for all that it has.
-        least_share: a light that gives the surface a smaller share of its light than this casts no shadow.
-    """
-
-    map_scale: Annotated[float, msgspec.Meta(ge=0.05, le=4)] = 1.0
-    views: Annotated[int, msgspec.Meta(ge=1)] | None = None
-    least_share: Share = 0.0
-
-
-class GuideOptions(Options, frozen=True, kw_only=True):
-    """What guides the diffusion.
-
-    Attributes:
-        name: `rgb`, `none` (diffusion without edges), a network that comes with hyjax, or a safetensors file.
-        size: longer side, in pixels, that a network sees, at least; None for the frame's.
-        every: a network sees one frame of so many; its features are carried to the next by the surface's motion.
-            Of a run with `video` alone.
-    """
-
-    name: str = "rgb"
-    size: Annotated[int, msgspec.Meta(ge=32)] | None = None
-    every: Annotated[int, msgspec.Meta(ge=1, le=64)] = 1
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True):
@@ -96,22 +56,7 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True):
     default_ms: float | None = None
 
 
-class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=False):
-    """Content of a configuration's file."""
-
-    format: Literal[1]
-    name: str = "custom"
-    mode: Mode = "linear"
-    scale: Scale = 1
-    schedule: dict[str, Any]
-    shadow_schedule: dict[str, Any]
-    light: LightOptions = LightOptions()
-    shadows: ShadowOptions = ShadowOptions()
-    guide: GuideOptions = GuideOptions()
-    measured: Measured | None = None
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True)
 class Configuration:
     """How a frame is relit: the default as it is made.
 
@@ -121,7 +66,7 @@ class Configuration:
         shadow_schedule: cascade for the visibility; one of no steps at all leaves the shadow pass out.
         mode: of `relight`.
         scale: the frame is relit at its size over this, and the filter brought to full size under the frame.
-        light: how light on the surface is computed.
+        light: how light on the surface is computed. Its sampling is at most what the schedules allow.
         shadows: how shadows are.
         guide: what guides the diffusion.
         measured: where it was measured; None if it never was.
@@ -130,6 +75,8 @@ class Configuration:
         >>> again = Configuration.from_json(Configuration().to_json())
         >>> again.schedule.name, again.light.sampling
         ('hyjax', 2)
+        >>> Configuration().with_choices({"bounces": False, "scale": 2}).light
+        LightOptions(bounces=False)
     """
 
     name: str = DEFAULT
@@ -141,6 +88,13 @@ class Configuration:
     shadows: ShadowOptions = dataclasses.field(default_factory=ShadowOptions)
     guide: GuideOptions = dataclasses.field(default_factory=GuideOptions)
     measured: Measured | None = None
+
+    def __post_init__(self) -> None:
+        asked = self.light.sampling if isinstance(self.light, LightOptions) else 1
+        if isinstance(asked, int) and asked > 1:
+            allowed = 1 if self.mode == "paper" else largest_sampling([self.schedule, self.shadow_schedule], asked)
+            if allowed < asked:
+                object.__setattr__(self, "light", self.light.replace(sampling=allowed))
 
     @classmethod
     def paper(cls) -> "Configuration":
@@ -172,27 +126,71 @@ class Configuration:
         return cls.from_json((FOLDER / f"{name}{SUFFIX}").read_text(encoding="utf-8"))
 
     @classmethod
-    def open_linear(cls, text: str | None, where: str) -> "Configuration":
-        """`open`, or the default, for what does not show the paper's form.
-
-        Args:
-            text: name or file; None for the default.
-            where: what does not show it, for the message.
+    def of(cls, configuration: "Configuration | Schedule | str | Path | None") -> "Configuration":
+        """A configuration as it is, by name or file, or the default with another schedule; None for the default.
 
         Raises:
-            InputError: see `open`; or it is of the paper's form.
+            InputError: there is none of this name, the file or the configuration cannot be used, or it is none.
         """
-        chosen = cls.open(text or DEFAULT)
-        if chosen.mode == "paper":
-            raise InputError(f"configuration {chosen.name}: is of the paper's form, {where}")
-        return chosen
+        if configuration is None:
+            return cls()
+        if isinstance(configuration, Schedule):
+            return cls(schedule=configuration).check()
+        if isinstance(configuration, str | Path):
+            return cls.open(str(configuration))
+        if not isinstance(configuration, Configuration):
+            raise InputError(
+                f"configuration: must be a Configuration, a name, a file or a Schedule, got {shown(configuration)}"
+            )
+        return configuration.check()
 
-    @property
-    def sampling(self) -> int:
-        """Sampling that its schedules allow."""
-        if self.mode == "paper":
-            return 1
-        return largest_sampling([self.schedule, self.shadow_schedule], self.light.sampling)
+    def value(self, name: str) -> Any:
+        """Value of a choice; of one of a cascade that each level has, a tuple.
+
+        Raises:
+            InputError: there is none of this name.
+        """
+        choice = choice_named(name)
+        if choice.part in CASCADES:
+            return _value_of_schedule(getattr(self, choice.part), choice.key)
+        return getattr(getattr(self, choice.part) if choice.part else self, choice.key)
+
+    def values(self) -> dict[str, Any]:
+        """Values of all choices that mean something beside each other, in the order of the table."""
+        found = {name: self.value(name) for name in CHOICES}
+        return {name: value for name, value in found.items() if CHOICES[name].active(found)}
+
+    def with_choices(self, values: Mapping[str, Any]) -> "Configuration":
+        """The configuration with other values of choices by name; text is read as that of an option.
+
+        One of hyjax that has changed is called "custom"; none that has changed was measured.
+
+        Raises:
+            InputError: there is no such choice, it is one of a cascade's, or a value that it cannot have.
+        """
+        found: dict[str, Any] = {}
+        for name, value in values.items():
+            choice = choice_named(name)
+            if choice.part in CASCADES:
+                raise InputError(f"choices: {name} is one of the {choice.part}'s; give another {choice.part}")
+            if isinstance(value, np.generic):
+                value = value.item()
+            if value == "none" and choice.default is None:
+                value = None
+            try:
+                value = msgspec.convert(value, annotated(choice), strict=not isinstance(value, str))
+            except msgspec.ValidationError as error:
+                raise InputError(f"choices: {name} {value!r}: {error}") from None
+            if choice.part:
+                own = found.get(choice.part, getattr(self, choice.part))
+                found[choice.part] = own.replace(**{choice.key: value})
+            else:
+                found[choice.key] = value
+        changed = dataclasses.replace(self, **found)
+        if changed == self:
+            return self
+        name = CUSTOM if self.name in (DEFAULT, "paper", *PRESETS) else self.name
+        return dataclasses.replace(changed, name=name, measured=None)
 
     def check(self) -> "Configuration":
         """The configuration, if a frame can be relit by it.
@@ -202,9 +200,9 @@ class Configuration:
         """
         where = f"configuration {self.name!r}"
         try:
-            for part in (self.light, self.shadows, self.guide):
-                msgspec.convert(msgspec.to_builtins(part), type(part))
-            msgspec.convert(self.scale, Scale)
+            for part, kind in kinds().items():
+                value = getattr(self, part)
+                msgspec.convert(value.values() if isinstance(value, Options) else value, kind)
         except msgspec.ValidationError as error:
             raise InputError(f"{where}: {error}") from None
         for schedule in (self.schedule, self.shadow_schedule):
@@ -213,43 +211,45 @@ class Configuration:
             raise InputError(f"{where}: mode 'paper' keeps the photo's light and works at full size (scale 1)")
         return self
 
-    def tell_unused(self, where: str, used: Sequence[str]) -> list[str]:
-        """A line in the log on choices that are not the default's and that something does not follow; their names.
+    def followed_by(self, renderer: Renderer, *, say: bool = True) -> "Configuration":
+        """The configuration as a renderer follows it: with the default of each choice that it does not know.
 
         Args:
-            where: what does not follow them.
-            used: names of the choices that it follows; `guide` stands for its name and size.
+            renderer: whose picture it is.
+            say: whether a line in the log says what is not followed.
+
+        Raises:
+            InputError: it asks for what the renderer refuses.
         """
-        default, unused = Configuration(), []
-        for part in ("light", "shadows"):
-            own, usual = getattr(self, part), getattr(default, part)
-            fields = own.__struct_fields__
-            unused += [f for f in fields if f not in used and getattr(own, f) != getattr(usual, f)]
-        for name in ("schedule", "shadow_schedule"):
-            own, usual = (json.loads(getattr(each, name).to_json()) | {"name": ""} for each in (self, default))
-            unused += [name] * (name not in used and own != usual)
-        unused += ["guide"] * ("guide" not in used and self.guide.name != default.guide.name)
-        unused += ["guide every"] * ("every" not in used and self.guide.every != 1)
-        unused += ["scale"] * ("scale" not in used and self.scale != 1)
-        if unused:
-            _log.warning("%s: does not follow %s of configuration %s", where, ", ".join(unused), self.name)
-        return unused
+        default, unknown = Configuration(), list[str]()
+        for name, choice in CHOICES.items():
+            if self.value(name) == default.value(name):
+                continue
+            if renderer in choice.refused:
+                said = f"{name} {self.value(name)} is not for {RENDERERS[renderer]}"
+                raise InputError(f"configuration {self.name}: {said}; leave one of the two out")
+            if choice.ignored_by(renderer):
+                unknown.append(name)
+        if unknown and say:
+            words = self.name, RENDERERS[renderer], ", ".join(unknown)
+            _log.warning("configuration %s: not followed by %s: %s", *words)
+        cascades = {CHOICES[name].part for name in unknown} & set(CASCADES)
+        usual = {name: default.value(name) for name in unknown if CHOICES[name].part not in CASCADES}
+        known = self.with_choices(usual) if usual else self
+        return dataclasses.replace(
+            known, name=self.name, measured=self.measured, **{part: getattr(default, part) for part in cascades}
+        )
 
     def to_json(self) -> str:
         """The configuration as JSON text; `from_json` reads it."""
-        file = _File(
-            format=1,
-            name=self.name,
-            mode=self.mode,
-            scale=self.scale,
-            schedule=json.loads(self.schedule.to_json()),
-            shadow_schedule=json.loads(self.shadow_schedule.to_json()),
-            light=self.light,
-            shadows=self.shadows,
-            guide=self.guide,
-            measured=self.measured,
-        )
-        return msgspec.json.format(msgspec.json.encode(file), indent=2).decode()
+        content: dict[str, Any] = {"format": 1, "name": self.name}
+        for part in kinds():
+            value = getattr(self, part)
+            content[part] = value.values() if isinstance(value, Options) else value
+        for part in CASCADES:
+            content[part] = json.loads(getattr(self, part).to_json())
+        content["measured"] = self.measured
+        return msgspec.json.format(msgspec.json.encode(content), indent=2).decode()
 
     @classmethod
     def from_json(cls, text: str | bytes) -> "Configuration":
@@ -264,14 +264,19 @@ class Configuration:
         """
         content = parse_json(text, "configuration", only_finite=True)
         try:
-            file = msgspec.convert(content, _File, str_keys=True)
+            file: Any = msgspec.convert(content, _file(), str_keys=True)
         except msgspec.ValidationError as error:
             hint = "; it is a schedule: give it as --schedule" if '"levels"' in str(text)[:400] else ""
+            if "unknown field" in str(error):
+                hint += "; a choice of your own must be registered before its file is read"
             raise InputError(f"configuration: {error}{hint}") from None
-        own, shadow = (_schedule(file, part) for part in ("schedule", "shadow_schedule"))
-        return cls(
-            file.name, own, shadow, file.mode, file.scale, file.light, file.shadows, file.guide, file.measured
-        ).check()
+        fields: dict[str, Any] = {"name": file.name, "measured": file.measured}
+        for part in kinds():
+            value, options = getattr(file, part), OPTIONS.get(part)
+            fields[part] = value if options is None else options(**msgspec.structs.asdict(value))
+        for part in CASCADES:
+            fields[part] = _schedule(getattr(file, part), part)
+        return cls(**fields).check()
 
     @classmethod
     def open(cls, text: str) -> "Configuration":
@@ -289,8 +294,37 @@ class Configuration:
             raise InputError(f"{text}: {error}") from None
 
 
-def _schedule(file: _File, part: str) -> Schedule:
+def _schedule(content: dict[str, Any], part: str) -> Schedule:
     try:
-        return Schedule.from_json(json.dumps(getattr(file, part)))
+        return Schedule.from_json(json.dumps(content))
     except InputError as error:
         raise InputError(f"configuration, {part}: {error}") from None
+
+
+def _value_of_schedule(schedule: Schedule, key: str) -> Any:
+    """Value of a cascade's choice: its steps as text, a number of each level, or one of the whole."""
+    levels = schedule.levels
+    if key == "steps":
+        return (
+            " ".join(f"{level.factor}:{level.steps}" for level in levels)
+            if any(x.steps for x in levels)
+            else NO_STEPS
+        )
+    if key == "data_term":
+        return any(level.fidelity is not None for level in levels)
+    if key == "lam":
+        return tuple(float(np.mean(level.step_sizes)) for level in levels if level.steps)
+    if key in ("kappa", "fidelity"):
+        numbers = (getattr(level, key) for level in levels)
+        return tuple(None if number is None else float(np.asarray(number)) for number in numbers)
+    return getattr(schedule, key)
+
+
+def _file() -> type[msgspec.Struct]:
+    """Content of a configuration's file."""
+    default = Configuration()
+    fields: list[Any] = [("format", Literal[1]), ("schedule", dict[str, Any]), ("shadow_schedule", dict[str, Any])]
+    fields += [("name", str, CUSTOM), ("measured", Measured | None, None)]
+    for part, kind in kinds().items():
+        fields.append((part, kind, kind() if part in OPTIONS else getattr(default, part)))
+    return msgspec.defstruct("file", fields, frozen=True, kw_only=True, forbid_unknown_fields=True)

@@ -3,6 +3,7 @@
 import dataclasses
 import logging
 from pathlib import Path
+from typing import get_args
 
 import tyro
 
@@ -20,13 +21,17 @@ class InfoSettings(Settings):
     """Metres in one unit of its poses, for a capture that does not know it."""
     out: Path | None = None
     """PNG file for a few frames, their depth and the path from above. Default: NAME-info.png here."""
+    choices: bool = False
+    """List the choices of a configuration: name, default, values and meaning."""
     quiet: bool = False
     """No progress bar."""
 
 
 def run_info(settings: InfoSettings) -> None:
     """`hyjax info`."""
-    if settings.path is not None:
+    if settings.choices:
+        print_choices()
+    elif settings.path is not None:
         inspect_capture(settings)
     else:
         print_versions()
@@ -52,6 +57,18 @@ def inspect_capture(settings: InfoSettings) -> None:
         print(f"{name:<16}{value}")
     print(f"{'picture':<16}{out}")
     print(f"{'relight it':<16}{relight_command(settings.path, capture, scale=settings.scale)}")
+
+
+def print_choices() -> None:
+    """`hyjax info --choices`."""
+    from hyjax.choices.table import CHOICES
+
+    for choice in CHOICES.values():
+        low, high = choice.bounds or (0, 0)
+        values = f"{low:g} to {high:g}" if high < 2**31 else f"{low:g} and more"
+        values = " | ".join(map(str, get_args(choice.type))) or (values if choice.bounds else choice.type.__name__)
+        default = "none" if choice.default is None else str(choice.default)
+        print(f"{choice.name:<16}{default:<18}{values:<18}{choice.help}")
 
 
 def print_versions() -> None:

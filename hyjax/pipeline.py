@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from hyjax.core.cascade import FILLING, cascade, check_sampling
+from hyjax.core.cascade import FILLING_PRESET, cascade, check_sampling
 from hyjax.core.pyramid import level_shape
 from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.core.schedule import Schedule
@@ -31,8 +31,7 @@ from hyjax.light.upscaled import upscaled_picture, upscaled_stages
 from hyjax.light.view import View
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
-from hyjax.util.programs import KeptFunction
-from hyjax.util.tracing import concrete
+from hyjax.util.tracing import Run, call, concrete
 
 Mode = Literal["linear", "paper"]
 TemporalFilter = Callable[
@@ -109,13 +108,15 @@ def relight_stages(
     temporal_filter: TemporalFilter | None = None,
     mode: Mode = "linear",
     full: Float[Array, "fh fw 3"] | None = None,
+    run: Run = call,
 ) -> Iterator[tuple[str, Any]]:
     """`relight` stage by stage: each stage's name with its result.
 
     "composite" comes with the picture, linear, and last "comparison" with all of `Relit`: whoever wants the picture
     alone need not ask for that.
 
-    To time, look at or stop between the stages. Arguments and errors are those of `relight`.
+    To time, look at or stop between the stages. Arguments and errors are those of `relight`; `run` runs the
+    functions of the stages.
     """
     schedule = Schedule.of(schedule)
     if shadow_schedule is None:
@@ -129,7 +130,7 @@ def relight_stages(
     if mode == "paper" and shaded.sampling > 1:
         raise InputError("relight: mode 'paper' takes the light of every pixel; shade with sampling=1")
     if shaded.sampling > 1:
-        check_sampling([schedule, shadow_schedule, Schedule.preset(FILLING)], shaded.sampling)
+        check_sampling([schedule, shadow_schedule, Schedule.preset(FILLING_PRESET)], shaded.sampling)
     samples = level_shape((size[0], size[1]), shaded.sampling)
     if not size == hit == guide.shape[:2] or lit[:2] != samples:
         raise InputError(
@@ -155,26 +156,26 @@ def relight_stages(
     if mode == "paper":
         if factor > 1:
             raise InputError("relight: mode 'paper' works at full size; leave `full` out")
-        yield from _paper_stages(view, shaded, guide, schedule, shadow_schedule)
+        yield from _paper_stages(view, shaded, guide, schedule, shadow_schedule, run)
         return
-    illuminance = refine_illuminance(shaded, guide, schedule)
+    illuminance = run(refine_illuminance, shaded, guide, schedule)
     yield "cascade", illuminance
-    visibility = refine_visibility(shaded, guide, shadow_schedule)
+    visibility = run(refine_visibility, shaded, guide, shadow_schedule)
     yield "shadow pass", visibility
     if temporal_filter is not None:
         illuminance, visibility = temporal_filter(illuminance, visibility)
         yield "temporal filter", (illuminance, visibility)
-    relight_filter, image = relit_picture(view.frame, shaded, illuminance, visibility)
+    relight_filter, image = run(relit_picture, view.frame, shaded, illuminance, visibility)
     if full is None or factor == 1:
         yield "composite", image
-        yield "comparison", compared(view.frame, shaded, illuminance, visibility, relight_filter, image)
+        yield "comparison", run(compared, view.frame, shaded, illuminance, visibility, relight_filter, image)
         return
     yield "relight filter", relight_filter
     kappa = schedule.levels[-1].kappa
-    whole = upscaled_picture(full, view, relight_filter, image, shaded.emission, kappa, factor=factor)
+    whole = run(upscaled_picture, full, view, relight_filter, image, shaded.emission, kappa, factor=factor)
     yield "composite", whole[1]
-    small = compared(view.frame, shaded, illuminance, visibility, relight_filter, image)
-    yield "comparison", upscaled_stages(small, full, view, *whole, kappa, factor=factor)
+    small = run(compared, view.frame, shaded, illuminance, visibility, relight_filter, image)
+    yield "comparison", run(upscaled_stages, small, full, view, *whole, kappa, factor=factor)
 
 
 def _factor(full: tuple[int, ...], size: tuple[int, ...]) -> int:
@@ -209,27 +210,32 @@ def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Sc
     return shadow_pass(filled, guide, schedule, sampling=shaded.sampling)
 
 
-@KeptFunction
+@jax.jit
 def _joined(*channels: Float[Array, "h w _"]) -> Float[Array, "h w _"]:
     return jnp.concatenate(channels, axis=-1)
 
 
-@KeptFunction
+@jax.jit
 def _lit(illuminance: Float[Array, "h w l"], confidence: Float[Array, "h w 1"]) -> Bool[Array, "h w l"]:
     return (illuminance > 0) & (confidence > 0)
 
 
 def _paper_stages(
-    view: View, shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule, shadow_schedule: Schedule
+    view: View,
+    shaded: Shaded,
+    guide: Float[Array, "h w f"],
+    schedule: Schedule,
+    shadow_schedule: Schedule,
+    run: Run,
 ) -> Iterator[tuple[str, Any]]:
     """The paper: the filter is a rendered picture, clipped and display-encoded, black where there is no mesh."""
-    raw = _rendered(shaded.illuminance, shaded.colors, shaded.reference_lux)
-    raw_shadowed = _rendered(shaded.illuminance * shaded.visibility, shaded.colors, shaded.reference_lux)
-    refined = cascade(raw, guide, schedule)
+    raw = run(_rendered, shaded.illuminance, shaded.colors, shaded.reference_lux)
+    raw_shadowed = run(_rendered, shaded.illuminance * shaded.visibility, shaded.colors, shaded.reference_lux)
+    refined = run(cascade, raw, guide, schedule)
     yield "cascade", refined
-    visible = shadow_pass(ratio(raw_shadowed, raw), guide, shadow_schedule)
+    visible = run(shadow_pass, run(ratio, raw_shadowed, raw), guide, shadow_schedule)
     yield "shadow pass", visible
-    relit = composite_display(view.frame, raw, raw_shadowed, refined, visible)
+    relit = run(composite_display, view.frame, raw, raw_shadowed, refined, visible)
     yield "composite", relit.image
     yield "comparison", relit
 

@@ -1,24 +1,21 @@
-"""Backends of one function: a plain one to read and differentiate, others to be fast."""
+"""Backends of one function: a plain one to read and differentiate, fast ones for values."""
 
 import functools
-import os
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 
 from hyjax.core.inplace import steps_in_place
-from hyjax.util.environment import cores
+from hyjax.util.cores import cores
 
 MOST_VALUES = 2**18
-"""Of a picture whose two buffers stay in a core's cache. Beyond it steps in place are no faster, and plain steps
-are shared among cores. Measured on one core and on two; with more of them in proportion fewer."""
-GPU_KERNEL = "HYJAX_GPU_KERNEL"
-"""In the environment: 1 takes `hyjax.core.tiles` on a GPU, which was not measured on one yet."""
+"""Most values of a picture whose two buffers stay in a core's cache. Beyond it steps in place are no faster, and
+plain steps are shared among cores. Measured on one core and on two; with more of them in proportion fewer."""
 
 
 def with_fast_values(plain: Callable[..., Any], fast: Callable[..., Any]) -> Callable[..., Any]:
-    """`fast` for values, `plain` for derivatives of any order, forwards and backwards, and values beside them.
+    """Function that computes values by `fast`, derivatives of any order and their primal values by `plain`.
 
     >>> square = with_fast_values(lambda x: x * x, lambda x: x**2)
     >>> float(square(3.0)), float(jax.grad(square)(3.0))
@@ -47,10 +44,10 @@ def with_fast_values(plain: Callable[..., Any], fast: Callable[..., Any]) -> Cal
     return function
 
 
-def select_backend(plain: Callable[..., Any]) -> Callable[..., Any]:
-    """Repeated steps of diffusion by the fastest backend of the platform that they are compiled for.
+def select_backend(plain: Callable[..., Any], *, gpu_kernel: bool = False) -> Callable[..., Any]:
+    """Return repeated steps of diffusion by the fastest backend of the platform that they are compiled for.
 
-    Chosen while tracing: the number of cores and the environment count as they are then. Under `vmap` the size is
+    Chosen while tracing: the number of cores counts as it is then. Under `vmap` the size is
     that of one picture.
 
     >>> import jax.numpy as jnp
@@ -61,13 +58,14 @@ def select_backend(plain: Callable[..., Any]) -> Callable[..., Any]:
 
     Args:
         plain: the plain backend, with the arguments of `steps_in_place`.
+        gpu_kernel: whether to take `hyjax.core.tiles` on a GPU, which was not measured on one yet.
     """
 
     def choose(*arguments: Any) -> Any:
         backends: dict[str, Callable[..., Any]] = {}
         if arguments[0].size * max(1, cores() - 1) <= MOST_VALUES:
             backends["cpu"] = steps_in_place
-        if os.environ.get(GPU_KERNEL) == "1":
+        if gpu_kernel:
             from hyjax.core.tiles import steps_in_tiles
 
             backends["cuda"] = steps_in_tiles

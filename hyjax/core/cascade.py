@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -13,12 +14,11 @@ from hyjax.core.stencil import CoarseEdges
 from hyjax.core.upsampling import upsample_between
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
-from hyjax.util.programs import KeptFunction
 
-FILLING = "hyjax"
-"""Preset that unseen visibility is filled by, see `hyjax.core.refine.fill_visibility`."""
+FILLING_PRESET = "hyjax"
+"""Preset that fills unseen visibility, see `hyjax.core.refine.fill_visibility`."""
 LEAST_SAMPLES = 2
-"""Samples along each side of a cell that a picture may enter by."""
+"""Fewest samples along each side of a cell at the levels where a picture enters."""
 
 
 @checked_arguments
@@ -61,7 +61,7 @@ def cascade(
 
 
 def entries(schedule: Schedule) -> Sequence[int]:
-    """Factors of the levels that the picture enters a cascade at: the coarsest, and all that hold on to it.
+    """Factors of the levels where the picture enters a cascade: the coarsest, and all with a fidelity.
 
     >>> entries(Schedule.preset("hyjax")), entries(Schedule.preset("paper-50"))
     ([16, 8, 4], [16])
@@ -70,7 +70,7 @@ def entries(schedule: Schedule) -> Sequence[int]:
 
 
 def check_sampling(schedules: Sequence[Schedule], sampling: int) -> None:
-    """Raise `InputError` unless pictures of a sampling can enter cascades of these schedules.
+    """Raise `InputError` unless pictures of this sampling can enter cascades of these schedules.
 
     >>> check_sampling([Schedule.preset("hyjax")], 3)
     Traceback (most recent call last):
@@ -87,20 +87,20 @@ def check_sampling(schedules: Sequence[Schedule], sampling: int) -> None:
 
 
 def largest_sampling(schedules: Sequence[Schedule], most: int) -> int:
-    """The largest sampling up to `most` that leaves four samples at least to each cell that a picture enters by.
+    """Largest sampling up to `most` that leaves each cell where a picture enters at least four samples.
 
-    That holds for the schedules and for the filling of unseen visibility.
+    It holds for the schedules and for the filling of unseen visibility.
 
     >>> largest_sampling([Schedule.preset("hyjax"), Schedule.preset("hyjax-scan-shadow")], 2)
     2
     >>> largest_sampling([Schedule.preset("hyjax"), Schedule.preset("hyjax-shadow")], 2)
     1
     """
-    factors = [factor for schedule in (*schedules, Schedule.preset(FILLING)) for factor in entries(schedule)]
+    factors = [factor for schedule in (*schedules, Schedule.preset(FILLING_PRESET)) for factor in entries(schedule)]
     return max(k for k in range(1, max(most, 1) + 1) if k == 1 or not any(f % (LEAST_SAMPLES * k) for f in factors))
 
 
-@functools.partial(KeptFunction, static="sampling")
+@functools.partial(jax.jit, static_argnames="sampling")
 def _cascade(
     y: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule, *, sampling: int
 ) -> Float[Array, "h w c"]:
@@ -112,7 +112,7 @@ def _cascade(
     state = means[coarser]
 
     def upsample_to(state: Array, factor: int) -> Array:
-        """From the last level that was diffused to a finer one."""
+        """Upsample from the last diffused level to a finer one."""
         if schedule.upsampling == "guide":
             cells, finer = guides[coarser], guides[factor]
             return upsample_between(state, coarser // factor, finer, cells, kappa, norm=schedule.norm)
@@ -128,7 +128,7 @@ def _cascade(
 
 @checked_arguments
 def level_edges(guide: Float[Array, "h w f"], schedule: Schedule | str) -> list[CoarseEdges]:
-    """The conductances C^(l) of every level of a schedule, coarse to fine (Eq. 4).
+    """Conductances C^(l) of every level of a schedule, coarse to fine (Eq. 4).
 
     >>> import jax.numpy as jnp
     >>> schedule = Schedule.uniform([(4, 1), (2, 1)])

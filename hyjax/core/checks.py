@@ -1,4 +1,4 @@
-"""Checks of what diffusion is given, where its values are known."""
+"""Checks of the arguments of diffusion, where their values are known (not traced)."""
 
 from collections.abc import Sequence
 
@@ -9,13 +9,15 @@ from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.cycles import stable_cycle
 from hyjax.core.stencil import Edges
-from hyjax.util.array_arguments import described, is_numeric
+from hyjax.util.arguments import described, is_numeric
 from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 
 
 def check_edges(y: Float[Array, "h w c"], edges: Edges) -> None:
-    """Raise `InputError` unless the edges are those of a picture of y's size.
+    """Raise `InputError` unless the edges are conductances of a picture of y's size.
+
+    Values known only while tracing are let through.
 
     >>> check_edges(jnp.ones((4, 5, 3)), (jnp.ones((3, 5)), jnp.ones((4, 4))))
     """
@@ -25,6 +27,12 @@ def check_edges(y: Float[Array, "h w c"], edges: Edges) -> None:
             f"edges: shapes {edges[0].shape} and {edges[1].shape} do not belong to a picture of {h}x{w} pixels, "
             f"which has {(h - 1, w)} and {(h, w - 1)}"
         )
+    for values in map(concrete, edges):
+        if values is not None and values.size and (values.min() < 0 or values.max() > 1):
+            raise InputError(
+                f"edges: conductances lie in [0, 1], as hyjax.conductance makes them, got {values.min():g} to "
+                f"{values.max():g}"
+            )
 
 
 def check_kappa(kappa: Float[ArrayLike, ""], where: str = "kappa") -> None:
@@ -62,7 +70,7 @@ def check_fidelity(fidelity: Float[ArrayLike, ""], where: str = "fidelity") -> N
 def check_step_sizes(
     step_sizes: Float[ArrayLike, "*n"] | Sequence[float], where: str = "lam", dtype: DTypeLike = jnp.float32
 ) -> None:
-    """Raise `InputError` unless every λ is in (0, 1/4), or all together are a stable cycle in this precision.
+    """Raise `InputError` unless every λ is in (0, 1/4), or all λ form a stable cycle in this precision.
 
     Values known only while tracing are let through.
 

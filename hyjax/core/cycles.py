@@ -28,34 +28,33 @@ from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 
 LARGEST_EIGENVALUE = 8.0
-"""Of −div c ∇ on the 4-neighbourhood with 0 ≤ c ≤ 1."""
-LIMIT = 2.0 / LARGEST_EIGENVALUE
-"""Below this a single step is stable."""
-LONGEST = 100
-"""Steps of a cycle. Beyond, rounding errors grow too much; repeat shorter ones instead."""
-LONGEST_RUN = 2048
-"""Steps of a level that may vary: several cycles."""
-# What a rounding error may become within a cycle, relative to the picture, if all that could go wrong did. In fact
-# some millionth of that is seen.
+"""Largest eigenvalue of −div c ∇ on the 4-neighbourhood with 0 ≤ c ≤ 1."""
+STABLE_STEP = 2.0 / LARGEST_EIGENVALUE
+"""Step size λ below which a single step is stable."""
+MOST_CYCLE_STEPS = 100
+"""Most steps of one cycle. Beyond, rounding errors grow too much; repeat shorter ones instead."""
+MOST_CYCLES_STEPS = 2048
+"""Most steps of a level whose sizes vary, over its several cycles."""
 WORST_ERROR = 4.0
+"""Bound of the rounding error within a cycle, relative to the picture; a millionth of it is measured."""
 
 
 def longest_time(n: int) -> float:
-    """The diffusion time that a stable cycle of n steps can cover: (n² + n) / 12 squared pixels.
+    """Longest diffusion time of a stable cycle of n steps: (n² + n) / 12 squared pixels.
 
     >>> longest_time(8)
     6.0
     """
-    return LIMIT * (n * n + n) / 3.0
+    return STABLE_STEP * (n * n + n) / 3.0
 
 
 def shortest_cycle(time: float) -> int:
-    """The least number of steps whose cycle covers a diffusion time.
+    """Least number of steps whose cycle covers a diffusion time.
 
     >>> shortest_cycle(6.0)
     8
     """
-    return max(1, math.ceil(math.sqrt(3.0 * time / LIMIT + 0.25) - 0.5 - 1e-9))
+    return max(1, math.ceil(math.sqrt(3.0 * time / STABLE_STEP + 0.25) - 0.5 - 1e-9))
 
 
 @checked_arguments
@@ -67,30 +66,30 @@ def step_cycle(n: int, time: float) -> Float[np.ndarray, "n"]:
     (4, 1.5, True)
 
     Args:
-        n: steps, 1 to `LONGEST`.
+        n: steps, 1 to `MOST_CYCLE_STEPS`.
         time: diffusion time of all together, in squared pixels; equals n λ of a run with a constant λ.
 
     Raises:
         InputError: another number of steps, or a time that n steps cannot cover (see `longest_time`).
     """
-    if not 1 <= n <= LONGEST:
-        raise InputError(f"cycle: need 1 to {LONGEST} steps, got {n}")
+    if not 1 <= n <= MOST_CYCLE_STEPS:
+        raise InputError(f"cycle: need 1 to {MOST_CYCLE_STEPS} steps, got {n}")
     most = longest_time(n)
     if not 0 < time < math.inf:
         raise InputError(f"cycle: the diffusion time must be finite and > 0, got {time:g}")
     if time > most * (1 + 1e-6):
         needed = shortest_cycle(time)
-        instead = f"take at least {needed} steps" if needed <= LONGEST else "repeat shorter cycles"
+        instead = f"take at least {needed} steps" if needed <= MOST_CYCLE_STEPS else "repeat shorter cycles"
         raise InputError(
             f"cycle: {n} steps cover a diffusion time of at most {most:.4g} squared pixels, not {time:g}; {instead}"
         )
     i = np.arange(n)
-    sizes = time / most * LIMIT / (2.0 * np.cos(np.pi * (2 * i + 1) / (4 * n + 2)) ** 2)
+    sizes = time / most * STABLE_STEP / (2.0 * np.cos(np.pi * (2 * i + 1) / (4 * n + 2)) ** 2)
     return sizes[_leja_order(sizes)].astype(np.float32)
 
 
 def _leja_order(sizes: Float[np.ndarray, "n"]) -> np.ndarray:
-    """Indices so that each step damps what those before it have amplified most.
+    """Order of the steps in which each damps the waves that earlier steps have amplified most.
 
     The roots 1/λ_i of p, each chosen to make the product of its distances from those before largest.
 
@@ -106,9 +105,9 @@ def _leja_order(sizes: Float[np.ndarray, "n"]) -> np.ndarray:
 
 
 def growth(step_sizes: Float[ArrayLike, "n"] | Sequence[float]) -> tuple[float, float]:
-    """Largest amplification of a wave by steps in this order: (any run of neighbouring steps, all of them).
+    """Largest amplification of a wave by steps in this order: (any run of neighbouring steps, all steps).
 
-    The first is what becomes of a rounding error at its worst; the second is at most 1 for a stable cycle.
+    The first bounds the growth of a rounding error; the second is at most 1 for a stable cycle.
 
     >>> [round(factor, 3) for factor in growth(np.full(3, 0.2))]
     [1.0, 1.0]
@@ -127,7 +126,7 @@ def growth(step_sizes: Float[ArrayLike, "n"] | Sequence[float]) -> tuple[float, 
 
 
 def stable_cycle(step_sizes: Float[ArrayLike, "*n"] | Sequence[Any], dtype: DTypeLike = np.float32) -> bool:
-    """Whether steps, some beyond the limit for single ones, are stable together, in this order and precision.
+    """Whether steps, some beyond 1/4, are stable together, in this order and precision.
 
     They may be several cycles, one after the other.
 
@@ -137,7 +136,7 @@ def stable_cycle(step_sizes: Float[ArrayLike, "*n"] | Sequence[Any], dtype: DTyp
     sizes = np.asarray(step_sizes, float)
     if (
         sizes.ndim != 1
-        or not 2 <= sizes.size <= LONGEST_RUN
+        or not 2 <= sizes.size <= MOST_CYCLES_STEPS
         or not (np.isfinite(sizes).all() and (sizes > 0).all())
     ):
         return False

@@ -28,8 +28,8 @@ from hyjax.util.errors import InputError
 
 Norm = Literal["l2", "mean_abs"]
 
-# Steps beyond which the gradient trades a second forward pass for memory.
 LONG_RUN = 64
+"""Steps beyond which the gradient trades a second forward pass for memory."""
 
 
 @functools.partial(jax.jit, static_argnames="norm")
@@ -71,7 +71,7 @@ def _squared_distance(guide: Float[Array, "h w f"]) -> Edges:
 def _squared_distance_jvp(
     primals: tuple[Float[Array, "h w f"]], tangents: tuple[Float[Array, "h w f"]]
 ) -> tuple[Edges, Edges]:
-    """2 ∇g·∇ġ as a plain sum: that is fast backwards, where a sum by halves is slow."""
+    """2 ∇g·∇ġ as a plain sum, which is fast backwards; a sum by halves is slow there."""
     (guide,), (moved,) = primals, tangents
     pairs = zip(_channel_differences(guide), _channel_differences(moved), strict=True)
     vertical, horizontal = (2 * jnp.sum(difference * change, axis=-1) for difference, change in pairs)
@@ -84,7 +84,7 @@ def _channel_differences(guide: Float[Array, "h w f"]) -> tuple[Float[Array, "h-
 
 
 def _sum_channels(x: Float[Array, "h w f"]) -> Float[Array, "h w"]:
-    """By halves, then one by one: XLA's CPU reduction over the last axis takes many times longer."""
+    """Sum over channels, by halves, then one by one, many times faster than XLA's CPU reduction."""
     while x.shape[-1] > 1 and x.shape[-1] % 2 == 0:
         half = x.shape[-1] // 2
         x = x[..., :half] + x[..., half:]
@@ -106,8 +106,10 @@ def edge_stopping(distance: Edges, kappa: Float[ArrayLike, ""]) -> Edges:
     scale = jnp.maximum(jnp.asarray(kappa, dtype), 1.01 * float(jnp.finfo(dtype).tiny) ** 0.5) ** -2
 
     def conductance_of(squared: Array) -> Array:
-        scaled = squared.astype(dtype) * scale
-        return jnp.where(scaled < jnp.inf, 1.0 / (1.0 + scaled), 0.0).astype(squared.dtype)
+        wide = squared.astype(dtype)
+        known = wide * scale < jnp.inf
+        scaled = jnp.where(known, wide, 0.0) * scale  # the derivative by κ is finite, too
+        return jnp.where(known, 1.0 / (1.0 + scaled), 0.0).astype(squared.dtype)
 
     return conductance_of(vertical), conductance_of(horizontal)
 
@@ -153,7 +155,7 @@ def fidelity_step(
     fidelity: Float[Array, ""],
     source: Float[Array, "c h w"],
 ) -> Float[Array, "c h w"]:
-    """`explicit_step` with a data term λ α (source − y), which is taken implicitly: stable for any α.
+    """`explicit_step` with an implicit data term λ α (source − y), stable for any α.
 
     >>> y, edges = jnp.array([[[0.0, 1.0]]]), (jnp.ones((0, 2)), jnp.zeros((1, 1)))
     >>> stepped = fidelity_step(y, edges, jnp.float32(0.25), jnp.float32(4.0), 1.0 - y)
@@ -161,7 +163,7 @@ def fidelity_step(
     [0.5, 0.5]
     """
     weight = lam * fidelity
-    return (explicit_step(y, edges, lam) + weight * source) / (1.0 + weight)
+    return ((explicit_step(y, edges, lam) + weight * source) / (1.0 + weight)).astype(y.dtype)
 
 
 def scan_steps(step: Callable[[Array, Array], Array], state: Array, step_sizes: Float[Array, "n"]) -> Array:
@@ -184,7 +186,7 @@ def scan_steps(step: Callable[[Array, Array], Array], state: Array, step_sizes: 
 
 
 def channels_first(y: Float[Array, "h w c"], edges: Edges) -> tuple[Float[Array, "c h w"], Edges]:
-    """Channels-first copies, which steps work on.
+    """Channels-first copies of the picture and its edges, the layout of the steps.
 
     With three channels innermost the CPU's vector units run half empty. There is one copy of the edges for each
     channel, so that their gradient is added up once, after the loop: XLA is slow to reduce.
@@ -219,7 +221,7 @@ _diffuse = jax.jit(with_fast_values(_steps, select_backend(_steps)))
 
 @checked_arguments
 def diffuse_step(y: Float[Array, "h w c"], edges: Edges, lam: Float[ArrayLike, ""]) -> Float[Array, "h w c"]:
-    """One explicit step of guided diffusion, zero flux through the border (Eq. 2).
+    """Explicit Euler step of guided diffusion, zero flux through the border (Eq. 2).
 
     >>> y, edges = jnp.array([[[0.0], [1.0]]]), (jnp.ones((0, 2)), jnp.ones((1, 1)))
     >>> [round(float(x), 3) for x in diffuse_step(y, edges, 0.2)[0, :, 0]]
@@ -271,9 +273,10 @@ def diffuse(
     check_edges(y, edges)
     if fidelity is not None:
         check_fidelity(fidelity)
-        fidelity = jnp.asarray(fidelity, y.dtype)
+        # In single precision at least: λ α times a bright value overflows half precision.
+        fidelity = jnp.asarray(fidelity, jnp.promote_types(y.dtype, jnp.float32))
     if source is not None:
         if source.shape != y.shape:
-            raise InputError(f"source: shape {source.shape} is not that of what is diffused, {y.shape}")
+            raise InputError(f"source: shape {source.shape} must be that of the diffused picture, {y.shape}")
         source = source.astype(y.dtype)
     return _diffuse(y, edges, jnp.asarray(step_sizes, y.dtype), fidelity, source)

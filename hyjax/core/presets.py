@@ -1,4 +1,4 @@
-"""Presets of schedules: ours, the paper's, and those that it compares with."""
+"""Presets of schedules: ours, the paper's, and its baselines."""
 
 import dataclasses
 from typing import Any

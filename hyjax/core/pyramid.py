@@ -1,4 +1,4 @@
-"""Between resolutions: cell means of pictures, cell minima of conductances, bilinear back up.
+"""Resolution pyramid: cell means of pictures, cell minima of conductances, bilinear interpolation back up.
 
 A level of factor f cuts the image into cells of f×f pixels, starting at the top left corner; where f does not
 divide the image the last cells are cut off at the border, so a level has ⌈H/f⌉ × ⌈W/f⌉ cells and frames of any
@@ -18,14 +18,14 @@ from hyjax.core.stencil import CoarseEdges, Edges
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, shown
 
-# Ratio up to which upsampling is written out by phases, which is slow to compile for many phases.
 MOST_PHASES = 16
+"""Largest factor whose upsampling is written out by phases, which is slow to compile for many phases."""
 LARGEST_FACTOR = 1 << 30
-"""Pixels that a cell may be wide."""
+"""Largest width of a cell in pixels."""
 
 
 def level_shape(shape: tuple[int, int], factor: int) -> tuple[int, int]:
-    """Rows and columns of cells that a picture of `shape` has at `factor`.
+    """Rows and columns of cells of a picture of `shape` at `factor`.
 
     >>> level_shape((480, 640), 16), level_shape((5, 5), 2)
     ((30, 40), (3, 3))
@@ -45,22 +45,28 @@ def downsample(y: Float[Array, "h w c"], factor: int) -> Float[Array, "ch cw c"]
     if factor == 1:
         return y
     h, w, _ = y.shape
-    total = _sum_cells(_sum_cells(y, factor, 0), factor, 1)
-    return total * jnp.asarray(1.0 / cell_pixels((h, w), factor), y.dtype)
+    total = _sum_cells(_sum_cells(_summable(y), factor, 0), factor, 1)
+    return (total * jnp.asarray(1.0 / cell_pixels((h, w), factor), total.dtype)).astype(y.dtype)
 
 
 def cell_pyramid(y: Float[Array, "h w c"], factors: Iterable[int]) -> dict[int, Float[Array, "ch cw c"]]:
-    """`downsample` by several factors, each from the next finer one that divides it: one pass over the picture.
+    """Cell means at several factors, each from the next finer factor that divides it: one pass over the picture.
 
     >>> {factor: cells.shape for factor, cells in cell_pyramid(jnp.ones((8, 6, 3)), (4, 2)).items()}
     {2: (4, 3, 3), 4: (2, 2, 3)}
     """
-    sums, means, size = {1: y}, {}, (y.shape[0], y.shape[1])
+    sums, means, size = {1: _summable(y)}, {}, (y.shape[0], y.shape[1])
     for factor in sorted(factors):
         finer = max(f for f in sums if factor % f == 0)
         sums[factor] = _sum_cells(_sum_cells(sums[finer], factor // finer, 0), factor // finer, 1)
-        means[factor] = sums[factor] * jnp.asarray(1.0 / cell_pixels(size, factor), y.dtype)
+        mean = sums[factor] * jnp.asarray(1.0 / cell_pixels(size, factor), sums[factor].dtype)
+        means[factor] = mean.astype(y.dtype)
     return means
+
+
+def _summable(y: Array) -> Array:
+    """Pixels in single precision at least: a sum over a cell overflows half precision."""
+    return y.astype(jnp.promote_types(y.dtype, jnp.float32))
 
 
 def _sum_cells(x: Array, factor: int, axis: int) -> Array:
@@ -103,7 +109,7 @@ def upsample(y: Float[Array, "ch cw c"], factor: int, shape: tuple[int, int]) ->
     _check_factor(factor)
     if level_shape(shape, factor) != y.shape[:2]:
         raise InputError(
-            f"shape: {y.shape[0]}x{y.shape[1]} cells times {factor} make no picture of {shape[0]}x{shape[1]}"
+            f"shape: {y.shape[0]}x{y.shape[1]} cells times {factor} do not make a picture of {shape[0]}x{shape[1]}"
         )
     if factor == 1:
         return y
@@ -114,7 +120,7 @@ def upsample(y: Float[Array, "ch cw c"], factor: int, shape: tuple[int, int]) ->
 
 
 def _lerp_intervals(y: Array, factor: int, length: int, axis: int) -> Array:
-    """Between two neighbouring cell centres lie `factor` output pixels, with the same weights everywhere."""
+    """Interpolation by intervals: each pair of neighbouring cell centres has `factor` pixels, the same weights."""
     cells = y.shape[axis]
     if cells == 1:  # however much wider than the picture the cell is
         return jnp.broadcast_to(y, (*y.shape[:axis], length, *y.shape[axis + 1 :]))
@@ -131,7 +137,7 @@ def _lerp_intervals(y: Array, factor: int, length: int, axis: int) -> Array:
 
 
 def _lerp_phases(y: Array, factor: int, length: int, axis: int) -> Array:
-    """Every output pixel at the same place in its cell has the same two weights: one fused slice-add for each."""
+    """Interpolation by phases: pixels at the same place in their cell share two weights, in one fused slice-add."""
     cells = y.shape[axis]
     padded = jnp.pad(y, [(1, 1) if a == axis else (0, 0) for a in range(y.ndim)], mode="edge")
     shifted = [jax.lax.slice_in_dim(padded, k, k + cells, axis=axis) for k in range(3)]
@@ -146,7 +152,7 @@ def _lerp_phases(y: Array, factor: int, length: int, axis: int) -> Array:
 
 @checked_arguments
 def min_pool(edges: Edges, factor: int) -> CoarseEdges:
-    """Conductances between the cells of a level: the smallest that lies between two cell centres (Eq. 4).
+    """Conductances between the cells of a level: the smallest between two cell centres (Eq. 4).
 
     "Any edge pixel makes the whole cell an edge": the edge between two neighbouring cells takes the minimum over
     all fine edges of its direction that lie between the two cell centres, over the cells' whole width. Where a
@@ -172,7 +178,7 @@ def min_pool(edges: Edges, factor: int) -> CoarseEdges:
 
 
 def max_pool(edges: Edges, factor: int) -> CoarseEdges:
-    """`min_pool` with the largest value.
+    """Largest value between two cell centres, pooled as by `min_pool`.
 
     c(d²) falls with d², so pooling squared guide distances with this and taking Eq. 3 of the result *is*
     min-pooling the conductances, at a fraction of the cost and with one pooling for all values of κ.

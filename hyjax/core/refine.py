@@ -1,21 +1,21 @@
-"""The cascade where something is unknown or doubtful, and the shadow pass."""
+"""Cascades of pictures with unknown or doubtful values, and the shadow pass."""
 
 import dataclasses
 import functools
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from hyjax.core.cascade import FILLING, cascade, check_sampling
+from hyjax.core.cascade import FILLING_PRESET, cascade, check_sampling
 from hyjax.core.pyramid import cell_pixels, downsample
 from hyjax.core.schedule import Schedule
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.geometry import TINY
-from hyjax.util.programs import KeptFunction
 
-# Weight below which a hole counts as too far from any surface to be filled from its surroundings.
 HOLE_FLOOR = 1e-3
+"""Weight below which a hole counts as too far from any surface to be filled from its surroundings."""
 
 
 @checked_arguments
@@ -27,11 +27,11 @@ def cascade_known(
     *,
     sampling: int = 1,
 ) -> Float[Array, "h w c"]:
-    """`cascade` that weights values by their confidence.
+    """Cascade with values weighted by their confidence (normalised convolution).
 
     Diffuses (w y, w) with the confidence w and divides, so that a hole (w = 0) takes on its surroundings' value
-    instead of darkening them. Where nothing known is within reach the mean of all that is known stands in; zero if
-    nothing is. Values and confidences that are not finite count as unknown, and affect nothing beyond their pixel.
+    instead of darkening them. Where no known value is within reach their overall mean stands in; zero without
+    any. Values and confidences that are not finite count as unknown, and affect nothing beyond their pixel.
 
     >>> light, guide = jnp.zeros((8, 8, 1)).at[:, :4].set(5.0), jnp.zeros((8, 8, 3))
     >>> refined = cascade_known(light, light > 0, guide, Schedule.uniform([(4, 8), (2, 8)]))
@@ -58,7 +58,7 @@ def cascade_known(
     return _cascade_known(y, confidence, guide, schedule, sampling=sampling)
 
 
-@functools.partial(KeptFunction, static="sampling")
+@functools.partial(jax.jit, static_argnames="sampling")
 def _cascade_known(
     y: Float[Array, "sh sw c"],
     confidence: Float[Array, "sh sw k"] | Bool[Array, "sh sw k"],
@@ -88,7 +88,7 @@ def _cascade_known(
 
 
 def _all_channels(x: Bool[Array, "h w c"]) -> Bool[Array, "h w 1"]:
-    """One by one, as XLA's CPU reductions over short axes are slow."""
+    """Logical and over channels, one by one, as XLA's CPU reductions over short axes are slow."""
     together = x[..., :1]
     for k in range(1, x.shape[-1]):
         together &= x[..., k : k + 1]
@@ -124,7 +124,7 @@ def shadow_pass(
 def fill_visibility(
     raw: Float[Array, "sh sw l"], known: Bool[Array, "sh sw l"], guide: Float[Array, "h w f"], *, sampling: int = 1
 ) -> Float[Array, "sh sw l"]:
-    """Visibility where the mesh does not tell it, from the surroundings, by the preset `hyjax`.
+    """Fill visibility that the mesh leaves unknown from its surroundings, by the preset `hyjax`.
 
     Nothing is known in holes, nor of a light on surfaces turned away from it. What lies there in truth may well be
     lit or shadowed as its neighbours are, and must not bring light (or darkness) of its own into the picture.
@@ -146,11 +146,11 @@ def fill_visibility(
     return _fill_visibility(raw, known, guide, sampling=sampling)
 
 
-@functools.partial(KeptFunction, static="sampling")
+@functools.partial(jax.jit, static_argnames="sampling")
 def _fill_visibility(
     raw: Float[Array, "sh sw l"], known: Bool[Array, "sh sw l"], guide: Float[Array, "h w f"], *, sampling: int
 ) -> Float[Array, "sh sw l"]:
-    known, schedule = known & jnp.isfinite(raw), Schedule.preset(FILLING)
+    known, schedule = known & jnp.isfinite(raw), Schedule.preset(FILLING_PRESET)
     check_sampling([schedule], sampling)
     if sampling > 1:  # the same levels, over the means of the guide
         levels = tuple(dataclasses.replace(level, factor=level.factor // sampling) for level in schedule.levels)

@@ -1,4 +1,4 @@
-"""The schedule of a cascade: which resolutions, how many steps of what size, how sensitive to edges."""
+"""Schedule of a cascade: its resolutions, the number and size of steps, the sensitivity to edges."""
 
 import dataclasses
 import functools
@@ -15,6 +15,7 @@ from jaxtyping import ArrayLike, Float
 
 from hyjax.core.checks import check_fidelity, check_kappa, check_step_sizes
 from hyjax.core.diffusion import Norm
+from hyjax.core.equality import equal_by_value
 from hyjax.core.presets import DEFAULT_KAPPA as DEFAULT_KAPPA
 from hyjax.core.presets import GUIDED_FIDELITY as GUIDED_FIDELITY
 from hyjax.core.presets import GUIDED_KAPPA as GUIDED_KAPPA
@@ -30,10 +31,12 @@ Pooling = Literal["edges", "guide"]
 Upsampling = Literal["bilinear", "guide"]
 
 MOST_STEPS = 100_000
-"""Of all levels together."""
-COARSEST = 4096
+"""Most steps of a schedule, all levels together."""
+MOST_FACTOR = 4096
+"""Largest downsampling factor of a level."""
 
 
+@equal_by_value
 @functools.partial(
     jax.tree_util.register_dataclass, data_fields=["step_sizes", "kappa", "fidelity"], meta_fields=["factor"]
 )
@@ -60,6 +63,7 @@ class Level:
         return jnp.shape(self.step_sizes)[0]
 
 
+@equal_by_value
 @functools.partial(
     jax.tree_util.register_dataclass, data_fields=["levels"], meta_fields=["pooling", "norm", "name", "upsampling"]
 )
@@ -75,7 +79,7 @@ class Schedule:
         pooling: `"edges"` takes the minimum of the fine conductances (the paper's text), `"guide"` computes
             conductances anew from the downsampled guide (the paper's equation).
         norm: norm of guide differences, see `guide_distance`.
-        name: what tables call it.
+        name: its name in tables.
         upsampling: `"bilinear"` is the paper's; `"guide"` does not mix across the guide's edges, see
             `guided_upsample`.
     """
@@ -88,7 +92,7 @@ class Schedule:
 
     @classmethod
     def of(cls, schedule: "Schedule | str", *, where: str = "schedule") -> "Schedule":
-        """A schedule as it is, or a preset by its name.
+        """Return a schedule as it is, or a preset by its name.
 
         >>> Schedule.of("hyjax").name
         'hyjax'
@@ -121,7 +125,7 @@ class Schedule:
         upsampling: Upsampling = "bilinear",
         name: str = "custom",
     ) -> "Schedule":
-        """A schedule from (factor, number of steps) pairs, with one λ, one κ and one α for all.
+        """Schedule from (factor, number of steps) pairs, with one λ, one κ and one α for all levels.
 
         Example:
             >>> print(Schedule.uniform([(4, 15), (2, 20)], kappa=0.1))
@@ -147,8 +151,8 @@ class Schedule:
 
     @classmethod
     def preset(cls, name: str, *, kappa: float | None = None, lam: float = DEFAULT_LAM) -> "Schedule":
-        """Ours, `hyjax`, `hyjax-shadow`, `hyjax-scan-shadow`; the paper's, `paper-50`, `paper-80` and `shadow`; and
-        `naive-50` and `naive-1000`, which it compares with.
+        """Preset by name: our `hyjax`, `hyjax-shadow`, `hyjax-scan-shadow`; the paper's `paper-50`, `paper-80`,
+        `shadow`; its baselines `naive-50`, `naive-1000`.
 
         >>> [(level.factor, level.steps) for level in Schedule.preset("paper-50").levels]
         [(16, 5), (8, 10), (4, 15), (2, 20)]
@@ -192,8 +196,8 @@ class Schedule:
         for factor in factors:
             if not isinstance(factor, int) or isinstance(factor, bool) or factor < 1:
                 raise InputError(f"{where}: a factor is a whole number >= 1, got {shown(factor)}")
-            if factor > COARSEST:
-                raise InputError(f"{where}: factor {factor} is too coarse for any picture; at most {COARSEST}")
+            if factor > MOST_FACTOR:
+                raise InputError(f"{where}: factor {factor} is too coarse for any picture; at most {MOST_FACTOR}")
         for coarse, fine in itertools.pairwise(factors):
             if fine >= coarse:
                 raise InputError(f"{where}: levels must go from coarse to fine, got factor {fine} after {coarse}")
@@ -210,7 +214,7 @@ class Schedule:
         return self
 
     def to_json(self) -> str:
-        """The schedule as JSON text; `from_json` gives the same schedule back, to the last bit of float32.
+        """Schedule as JSON text; `from_json` gives the same schedule back, to the last bit of float32.
 
         >>> schedule = Schedule.uniform([(4, 15), (2, 20)])
         >>> Schedule.from_json(schedule.to_json()).to_json() == schedule.to_json()
@@ -233,7 +237,7 @@ class Schedule:
 
     @classmethod
     def from_json(cls, text: str) -> "Schedule":
-        """Read what `to_json` wrote. `lam` is one number for all steps of a level or a list with one for each.
+        """Schedule from the JSON text of `to_json`. `lam` is one number for a level's steps, or a list of them.
 
         >>> Schedule.from_json("{}")
         Traceback (most recent call last):
@@ -277,7 +281,7 @@ def guided_schedule(steps: Iterable[tuple[int, int]], *, name: str = "custom", *
 
     Args:
         steps: (factor, number of steps).
-        name: what tables call it.
+        name: its name in tables.
         options: of `Schedule.uniform`, instead of the presets'.
     """
     return Schedule.uniform(steps, name=name, **(GUIDED_OPTIONS | options))

@@ -1,4 +1,4 @@
-"""Where diffusion with a data term comes to rest: the converged answer, to judge cascades by.
+"""Steady state of diffusion with a data term: the converged solution, to judge cascades by.
 
 Symbols of this file: L = −div c ∇ is the Laplacian of the conductances (symmetric, ≥ 0), α the fidelity, r the
 source: (α + L) y = α r. With 0 < α ≪ 1 a pixel is a mean of r over some 1/√α pixels around it, as far as edges let
@@ -13,6 +13,7 @@ Source of the data term: Nordström, *Biased anisotropic diffusion*, 1990.
 """
 
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -38,7 +39,7 @@ def solve(
     tolerance: float = TOLERANCE,
     most_iterations: int = MOST_ITERATIONS,
 ) -> Float[Array, "h w c"]:
-    """y of (α + L) y = α source, which `diffuse` with this fidelity goes to.
+    """Solve (α + L) y = α source for y, the limit of `diffuse` with this fidelity.
 
     >>> source, edges = jnp.array([[[0.0], [1.0]]]), (jnp.ones((0, 2)), jnp.ones((1, 1)))
     >>> [round(float(x), 3) for x in solve(source, edges, 1.0)[0, :, 0]]
@@ -48,12 +49,13 @@ def solve(
         source: any number of channels, solved together.
         edges: conductances from `hyjax.conductance`.
         fidelity: α > 0.
-        start: what to start from, such as a cascade's answer; by default the source.
+        start: initial guess, such as a cascade's result; by default the source.
         tolerance: of the residual, relative to that of `start`.
         most_iterations: after which the solution is returned as it is.
 
     Raises:
-        InputError: α ≤ 0, a source that is not floating point, or edges or a start that do not belong to it.
+        InputError: α ≤ 0, a source that is not floating point, edges or a start that do not belong to it, or a
+            tolerance or number of iterations that cannot end.
     """
     check_edges(source, edges)
     if start is not None and start.shape != source.shape:
@@ -61,6 +63,10 @@ def solve(
     check_fidelity(fidelity)
     if (value := concrete(fidelity)) is not None and value == 0:
         raise InputError("fidelity: must be > 0; without it everything flows until all is one colour")
+    if not 0 <= tolerance < math.inf:
+        raise InputError(f"tolerance: must be finite and >= 0, got {tolerance}")
+    if most_iterations < 1:
+        raise InputError(f"most_iterations: must be at least 1, got {most_iterations}")
     start = source if start is None else start
     return _solve(source, edges, jnp.asarray(fidelity, source.dtype), start, tolerance, most_iterations)
 

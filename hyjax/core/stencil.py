@@ -1,4 +1,4 @@
-"""Differences on the pixel grid. The last two axes are rows and columns; leading axes (channels) ride along.
+"""Differences on the pixel grid. The last two axes are rows and columns, leading axes are channels.
 
 Symbols of this file: y is a scalar field on the pixels, (H, W). An *edge* joins two neighbouring pixels, so
 fields on edges come in pairs, vertical (H−1, W) and horizontal (H, W−1). There is no edge across the border of
@@ -41,7 +41,7 @@ def divergence(flux: Edges) -> Float[Array, "*c h w"]:
 
 
 def least_around(edges: Edges) -> Float[Array, "*c h w"]:
-    """Lesser value of the edges below and to the right of each pixel, at most 1: edges as a picture.
+    """Smaller value of the edges below and to the right of each pixel, at most 1: edges as a picture.
 
     >>> least_around((jnp.zeros((0, 3)), jnp.array([[0.5, 2.0]]))).tolist()
     [[0.5, 1.0, 1.0]]

@@ -1,4 +1,4 @@
-"""Step size of the diffusion, which is known before JAX is loaded."""
+"""Default step size of the diffusion, available before JAX is loaded."""
 
 DEFAULT_LAM = 0.24
-"""Metzger's λ; the paper names none."""
+"""Step size λ of Metzger et al.; the paper gives none."""

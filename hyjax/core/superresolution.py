@@ -1,4 +1,4 @@
-"""Guided super-resolution: diffusion under a guide that keeps to a coarse source.
+"""Guided super-resolution: diffusion under a guide, constrained to the cell means of a coarse source.
 
 A coarse picture, the source, gives the mean of every cell; the guide says where values may flow. After each step
 of diffusion the state is multiplied, cell by cell, by the ratio of the source to its own mean, so that details come
@@ -28,8 +28,8 @@ from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 
-# Metzger's guard against division by zero.
 EPSILON = 1e-8
+"""Metzger's guard against division by zero."""
 
 
 @checked_arguments
@@ -238,7 +238,7 @@ def _adjust(y: Float[Array, "c h w"], source: Float[Array, "c ch cw"], known: Ar
 def coarsen(
     y: Float[Array, "h w c"], valid: Bool[Array, "h w"], factor: int, *, least: Float[ArrayLike, ""] = 0.0
 ) -> tuple[Float[Array, "ch cw c"], Bool[Array, "ch cw"]]:
-    """A source from a picture with holes: means of each cell's valid pixels.
+    """Coarse source of a picture with holes: means of each cell's valid pixels.
 
     >>> y, valid = jnp.array([[[2.0], [9.0]]]), jnp.array([[True, False]])
     >>> source, known = coarsen(y, valid, 2)
@@ -261,7 +261,7 @@ def coarsen(
 
 
 def _filled(total: Float[Array, "h w c"], weight: Float[Array, "h w 1"]) -> Float[Array, "h w c"]:
-    """Means total / weight; where the weight is zero, those of cells twice as wide, interpolated."""
+    """Means total / weight; where the weight is zero, interpolated means of cells twice as wide."""
     mean = total / jnp.where(weight > 0, weight, 1.0)
     if total.shape[0] == total.shape[1] == 1:
         return mean
@@ -272,7 +272,7 @@ def _filled(total: Float[Array, "h w c"], weight: Float[Array, "h w 1"]) -> Floa
 def check_source(
     shape: tuple[int, int], source: Float[Array, "ch cw c"], known: Bool[Array, "ch cw"], factor: int
 ) -> None:
-    """Raise `InputError` unless source and known cells are those of a picture of `shape`.
+    """Raise `InputError` unless source and known cells have the shapes of a picture of `shape`.
 
     >>> check_source((4, 4), jnp.ones((2, 2, 1)), jnp.ones((2, 2), bool), 2)
     """
@@ -287,7 +287,7 @@ def check_source(
 
 
 def _check_single_steps(step_sizes: Float[ArrayLike, "*n"] | Sequence[float]) -> None:
-    """Adjusting to the source between its steps takes a cycle's stability away."""
+    """Raise `InputError` for cycles, whose stability is lost by adjusting between their steps."""
     values = concrete(step_sizes)
     if values is not None and (values >= 0.25).any():
         raise InputError("lam: super-resolution takes no cycles of steps; every step size must lie inside (0, 1/4)")

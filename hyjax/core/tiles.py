@@ -1,4 +1,4 @@
-"""Eq. 2 again, many steps in one launch: the backend for a GPU, whose time goes into launching small kernels.
+"""Eq. 2 in tiles, many steps in one launch: the backend for a GPU, which loses its time to small kernels.
 
 The picture is cut into tiles that overlap by a halo as wide as there are steps in a launch. One block of threads
 takes one channel of one tile, keeps it and its conductances in registers, and passes values between its threads
@@ -8,7 +8,7 @@ one launch. This is overlapped temporal tiling (Datta et al., *Stencil computati
 state-of-the-art multicore architectures*, SC 2008).
 
 Not yet run on a GPU: tests compare it with the plain backend in Pallas's interpreter, and check that it lowers to
-Triton's code. So `hyjax.diffuse` takes it only where the environment has `HYJAX_GPU_KERNEL=1`.
+Triton's code. So `hyjax.diffuse` does not take it yet: see `hyjax.core.backends.select_backend`.
 """
 
 import functools
@@ -24,7 +24,7 @@ from hyjax.core.stencil import Edges
 TILE, HALO = 64, 8
 """Side of a tile, halo included, and steps in a launch."""
 LARGEST_TILE = 128
-"""Longest side of a picture that is one tile."""
+"""Longest side, in pixels, of a picture that is one tile."""
 
 
 @functools.partial(jax.jit, static_argnames="interpret")
@@ -37,7 +37,7 @@ def steps_in_tiles(
     *,
     interpret: bool = False,
 ) -> Float[Array, "h w c"]:
-    """The result of `hyjax.diffuse`, to rounding, without its checks and its derivatives.
+    """`hyjax.diffuse`, to rounding, without its checks and its derivatives.
 
     >>> y, edges = jnp.array([[[0.0], [1.0]]]), (jnp.ones((0, 2)), jnp.ones((1, 1)))
     >>> stepped = steps_in_tiles(y, edges, jnp.full(1, 0.2), None, None, interpret=True)
@@ -136,14 +136,14 @@ def _kernel(*refs, tile: tuple[int, int], inner: tuple[int, int], wait: bool) ->
 
 
 def _threads(tile: tuple[int, int]) -> Any:
-    """Triton's options: a warp for every 512 pixels, 16 a thread, up to 16 warps."""
+    """Number of threads as Triton's options: a warp for every 512 pixels, 16 a thread, up to 16 warps."""
     from jax.experimental.pallas import triton
 
     return triton.CompilerParams(num_warps=min(16, max(1, tile[0] * tile[1] // 512)))
 
 
 def _wait(wait: bool) -> None:
-    """Until all threads of the block are here. The interpreter has but one."""
+    """Barrier of the threads of a block. The interpreter has but one thread."""
     if wait:
         from jax.experimental.pallas import triton
 

@@ -1,4 +1,4 @@
-"""Upsampling that does not mix across the edges of a guide.
+"""Joint bilateral upsampling, which does not mix across the edges of a guide.
 
 Bilinear interpolation gives a pixel the values of the four nearest cell centres, by their distance in space alone.
 Here each of the four also counts by the conductance (Eq. 3) between the pixel's guide and the cell's, so that a
@@ -22,8 +22,8 @@ from hyjax.core.pyramid import LARGEST_FACTOR, downsample, level_shape
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, shown
 
-FARTHEST = 1e30
-"""Of squared distances in units of κ: weights of four cells beyond it are alike, and their sum is not 0."""
+LARGEST_DISTANCE = 1e30
+"""Largest squared distance in units of κ; clipped there, the weights of four far cells still sum to more than 0."""
 
 
 @checked_arguments
@@ -36,7 +36,7 @@ def guided_upsample(
     coarse: Float[Array, "ch cw f"] | None = None,
     norm: Norm = "l2",
 ) -> Float[Array, "h w c"]:
-    """`upsample` with each cell weighted by its conductance to the pixel.
+    """Bilinear upsampling with each cell weighted by its conductance to the pixel.
 
     Where the guide is constant it is `upsample`; everywhere the result lies between the values of neighbours.
 
@@ -60,7 +60,7 @@ def guided_upsample(
     check_kappa(kappa)
     if not 1 <= factor <= LARGEST_FACTOR or level_shape((guide.shape[0], guide.shape[1]), factor) != y.shape[:2]:
         raise InputError(
-            f"factor: {y.shape[0]}x{y.shape[1]} cells times {shown(factor)} make no picture of "
+            f"factor: {y.shape[0]}x{y.shape[1]} cells times {shown(factor)} do not make a picture of "
             f"{guide.shape[0]}x{guide.shape[1]}"
         )
     cells = downsample(guide, factor) if coarse is None else coarse
@@ -106,7 +106,7 @@ def upsample_between(
             return x[:, down : down + rows + 1, None, right : right + columns + 1, None]
 
         near = jnp.asarray(np.outer(shares[down], shares[right])[None, :, None, :], scale.dtype)
-        weight = near / (1.0 + jnp.minimum(scale * _distance(pixels, corner(cells), norm), FARTHEST))
+        weight = near / (1.0 + jnp.minimum(scale * _distance(pixels, corner(cells), norm), LARGEST_DISTANCE))
         total, weights = total + weight[None] * corner(values), weights + weight
     result = (total / weights[None]).reshape(-1, (rows + 1) * factor, (columns + 1) * factor)
     result = result[:, start : start + height, start : start + width].astype(y.dtype)

@@ -13,9 +13,9 @@ import weakref
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
+from typing import IO, BinaryIO
 
-from hyjax.data.file_tree import IGNORED, LARGEST_READ, FileTree, digest_of
+from hyjax.data.file_tree import IGNORED, LARGEST_READ, FileTree
 from hyjax.util.errors import InputError
 from hyjax.util.reading import check_most, check_regular, open_regular
 
@@ -52,51 +52,62 @@ class Archive(FileTree):
         if len(self._known) < len(names):
             raise InputError(f"{path}: two files have one name; which of them is meant cannot be told")
         self._lock = threading.Lock()
-        self._copies: dict[str, Path] = {}
+        self._copies = _Copies()
 
-    @contextlib.contextmanager
-    def stream(self, name: str) -> Iterator[BinaryIO]:
-        if name not in self._copies:
-            folder = tempfile.mkdtemp(prefix="hyjax-")
-            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-            self._copies[name] = self._copy(name, folder)
-        with open_regular(self._copies[name], self.where(name)) as file:
-            yield file
+    @property
+    def folder(self) -> Path:
+        raise InputError(f"{self.path}: this layout is not read from an archive; unpack it and give its folder")
 
     def read(self, name: str) -> bytes:
-        if name not in self:
-            raise InputError(f"{self.where(name)}: no such file")
         check_most(self.size(name), LARGEST_READ, self.where(name))
-        try:
-            # With a count, zipfile unpacks no more than the size that was checked; without, all that is packed.
-            with self._lock, self._zip.open(name) as packed:
-                return packed.read(self.size(name))
-        except Exception as error:  # BadZipFile, OSError, zlib.error, lzma.LZMAError, …
-            raise InputError(f"{self.where(name)}: damaged in the archive ({error})") from None
+        # With a count, zipfile unpacks no more than the size that was checked; without, all that is packed.
+        with self._unpacking(name) as packed:
+            return packed.read(self.size(name))
 
     @contextlib.contextmanager
     def local(self, name: str) -> Iterator[Path]:
         with tempfile.TemporaryDirectory(prefix="hyjax-") as folder:
             yield self._copy(name, folder)
 
-    def _copy(self, name: str, folder: str) -> Path:
-        """A copy of a file in a folder, made piece by piece."""
-        if name not in self:
-            raise InputError(f"{self.where(name)}: no such file")
-        copy = Path(folder) / PurePosixPath(name).name
-        try:
-            with self._lock, self._zip.open(name) as packed, copy.open("wb") as file:
-                shutil.copyfileobj(packed, file, 1 << 20)
-        except Exception as error:  # as in `read`
-            raise InputError(f"{self.where(name)}: damaged in the archive ({error})") from None
-        return copy
+    @contextlib.contextmanager
+    def stream(self, name: str) -> Iterator[BinaryIO]:
+        inside = self._inside(name)
+        if inside not in self._copies:
+            folder = tempfile.mkdtemp(prefix="hyjax-")
+            weakref.finalize(self._copies, shutil.rmtree, folder, ignore_errors=True)
+            self._copies[inside] = self._copy(name, folder)
+        with open_regular(self._copies[inside], self.where(name)) as file:
+            yield file
+
+    def ends(self, name: str, count: int) -> tuple[bytes, bytes]:
+        content = self.read(name)
+        return content[:count], content[-count:]
 
     def size(self, name: str) -> int:
-        return self._zip.getinfo(name).file_size
+        return self._zip.getinfo(self._inside(name)).file_size
 
-    def fingerprint(self) -> str:
-        entries = (self._zip.getinfo(name) for name in self.names)
-        return digest_of(str(self.path.resolve()), (f"{e.filename} {e.file_size} {e.CRC}" for e in entries))
+    def _copy(self, name: str, folder: str) -> Path:
+        """A copy of a file in a folder, made piece by piece."""
+        copy = Path(folder) / PurePosixPath(name).name
+        with self._unpacking(name) as packed, copy.open("wb") as file:
+            shutil.copyfileobj(packed, file, 1 << 20)
+        return copy
+
+    @contextlib.contextmanager
+    def _unpacking(self, name: str) -> Iterator[IO[bytes]]:
+        inside = self._inside(name)
+        try:
+            with self._lock, self._zip.open(inside) as packed:
+                yield packed
+        except Exception as error:  # BadZipFile, OSError, zlib.error, lzma.LZMAError, …
+            raise InputError(f"{self.where(name)}: damaged in the archive ({error})") from None
+
+    def _marks(self) -> Iterator[str]:
+        return (f"{e.filename} {e.file_size} {e.CRC}" for e in map(self._zip.getinfo, self.names))
+
+
+class _Copies(dict[str, Path]):
+    """Files that were unpacked, by name; they go with it."""
 
 
 def _check_entry(path: Path, entry: zipfile.ZipInfo) -> None:

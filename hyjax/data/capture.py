@@ -48,6 +48,8 @@ class Frame:
     exposure: float | None = None
 
     def __post_init__(self) -> None:
+        if not self.name or set(self.name) & set("/\\\0"):
+            raise InputError(f"frame {self.name!r}: its name becomes that of files; give one without folders")
         if self.image.ndim != 3 or self.image.shape[:2] != self.camera.intrinsics.shape:
             k = self.camera.intrinsics
             raise InputError(
@@ -75,7 +77,7 @@ class Capture(abc.ABC):
         anchors: known places for lights by name, in world coordinates and metres: `window_0`, … with `center`,
             `normal` (into the room), `width` and `height`; `lamp_0`, … with `position`.
         mesh_file: of the mesh that the device made; None without one.
-        laser_folder: of the place's laser scans (see `hyjax.data.laser_scans`); None without any.
+        laser_folder: of the place's laser scans (see `experiments.laser_scans`); None without any.
         sensor: that measured the depth.
         metric: whether its lengths are metres, as far as is known.
         depth_in_units: whether depth is in the unit of the poses, as it is where it was computed from pictures.
@@ -202,6 +204,53 @@ class CaptureFormat:
     recognise: Callable[[FileTree], bool]
     open: Callable[[FileTree], Capture]
     signs: str
+
+
+class DerivedCapture(Capture):
+    """A capture as another one, but for what a subclass changes: its `fingerprint` at least.
+
+    Attributes:
+        source: the other.
+    """
+
+    def __init__(self, source: Capture) -> None:
+        self.source, self.name, self.up, self.sensor = source, source.name, source.up, source.sensor
+        self.metric, self.depth_in_units = source.metric, source.depth_in_units
+        self.faults, self.remarks = source.faults, source.remarks
+        self.format, self.strict = source.format, source.strict
+        self.anchors, self.mesh_file, self.laser_folder = source.anchors, source.mesh_file, source.laser_folder
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def __getitem__(self, index: int) -> Frame:
+        return self.source[index]
+
+    def camera(self, index: int) -> Camera:
+        """See `Capture`."""
+        return self.source.camera(index)
+
+    @property
+    def depth_count(self) -> int:
+        """See `Capture`."""
+        return self.source.depth_count
+
+    def depth_position(self, index: int) -> float:
+        """See `Capture`."""
+        return self.source.depth_position(index)
+
+    def depth_reading(self, index: int) -> DepthReading:
+        """See `Capture`."""
+        return self.source.depth_reading(index)
+
+    def mesh(self) -> "trimesh.Trimesh | None":
+        """See `Capture`."""
+        return self.source.mesh()
+
+    @property
+    def has_mesh(self) -> bool:
+        """See `Capture`."""
+        return self.source.has_mesh
 
 
 class ChosenFrames(Capture):

@@ -1,31 +1,31 @@
-"""File trees: the files of a capture by their names, in a folder or in a ZIP archive that is not unpacked.
+"""File trees: the files of a capture by their names, in a folder or in a ZIP archive; see `hyjax.data.trees`."""
 
-Archives from strangers are safe to open: names that lead out of the archive, links, encrypted files and files that
-unpack to far more than they are packed in are refused before anything is read.
-"""
-
-import abc
 import contextlib
+import copy
 import hashlib
-import tempfile
+import os
 from collections.abc import Iterable, Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import BinaryIO
 
 from hyjax.util.errors import InputError
-from hyjax.util.reading import LARGEST_TEXT, as_text, check_most, open_regular
+from hyjax.util.reading import LARGEST_TEXT, as_text, check_most, open_regular, read_bytes
 
 LARGEST_READ = 1 << 30
 """Bytes of a file that is read whole."""
 IGNORED = ("__MACOSX", ".DS_Store", "Thumbs.db")
 
 
-class FileTree(abc.ABC):
-    """Files by name, such as `depth/000012.png`; see `hyjax.data.trees.open_tree`.
+class FileTree:
+    """Files by name, such as `depth/000012.png`, below a folder on disk.
+
+    Args:
+        path: the folder.
+        names: of all files; separated by slashes, relative to the folder.
 
     Attributes:
-        path: the folder or archive, for messages.
-        names: of all files, sorted; separated by slashes, relative to the top.
+        path: for messages.
+        names: of all files, sorted.
     """
 
     path: Path
@@ -34,6 +34,8 @@ class FileTree(abc.ABC):
     def __init__(self, path: Path, names: Iterable[str]) -> None:
         self.path, self.names = path, tuple(sorted(names))
         self._known = frozenset(self.names)
+        self._root, self._top = path.resolve(), ""
+        self._whole: FileTree | None = None
 
     def __contains__(self, name: str) -> bool:
         return name in self._known
@@ -52,16 +54,33 @@ class FileTree(abc.ABC):
         return sorted({name.partition("/")[0] for name in self.names if "/" in name})
 
     def where(self, name: str) -> str:
-        """How messages call a file."""
+        """Name of a file in messages."""
         return f"{self.path}/{name}"
 
-    @abc.abstractmethod
+    def subtree(self, folder: str) -> "FileTree":
+        """The files below a folder."""
+        part = copy.copy(self)
+        part.path, part._top, part._whole = self.path / folder, f"{self._top}{folder}/", self
+        part.names = tuple(n.removeprefix(f"{folder}/") for n in self.names if n.startswith(f"{folder}/"))
+        part._known = frozenset(part.names)
+        return part
+
+    @property
+    def folder(self) -> Path:
+        """The folder on disk, for readers that need one.
+
+        Raises:
+            InputError: it is an archive.
+        """
+        return self._root / self._top
+
     def read(self, name: str) -> bytes:
         """Content of a file.
 
         Raises:
             InputError: there is none of this name, or it cannot be read.
         """
+        return read_bytes(self._file(name), self.where(name), LARGEST_READ)
 
     @contextlib.contextmanager
     def local(self, name: str) -> Iterator[Path]:
@@ -70,11 +89,7 @@ class FileTree(abc.ABC):
         Raises:
             InputError: there is none of this name, or it cannot be read.
         """
-        content = self.read(name)
-        with tempfile.TemporaryDirectory(prefix="hyjax-") as folder:
-            copy = Path(folder) / PurePosixPath(name).name
-            copy.write_bytes(content)
-            yield copy
+        yield self._file(name)
 
     @contextlib.contextmanager
     def stream(self, name: str) -> Iterator[BinaryIO]:
@@ -85,30 +100,31 @@ class FileTree(abc.ABC):
         Raises:
             InputError: there is none of this name, or it cannot be read.
         """
-        with self.local(name) as path, open_regular(path, self.where(name)) as file:
+        with open_regular(self._file(name), self.where(name)) as file:
             yield file
 
     def ends(self, name: str, count: int) -> tuple[bytes, bytes]:
         """The first and the last `count` bytes of a file."""
-        content = self.read(name)
-        return content[:count], content[-count:]
+        try:
+            with open_regular(self._file(name), self.where(name)) as file:
+                head = file.read(count)
+                file.seek(-min(count, self.size(name)), os.SEEK_END)
+                return head, file.read(count)
+        except OSError as error:
+            raise InputError(f"{self.where(name)}: cannot read ({error.strerror})") from None
 
-    @abc.abstractmethod
     def size(self, name: str) -> int:
         """Bytes of a file."""
+        try:
+            return self._file(name).stat().st_size
+        except OSError as error:
+            raise InputError(f"{self.where(name)}: cannot read ({error.strerror})") from None
 
-    @abc.abstractmethod
     def fingerprint(self) -> str:
         """A key that changes when any file does; no file is read for it."""
-
-    @property
-    def folder(self) -> Path:
-        """The folder on disk, for readers that need one.
-
-        Raises:
-            InputError: it is an archive.
-        """
-        raise InputError(f"{self.path}: this layout is not read from an archive; unpack it and give its folder")
+        if self._whole is not None:
+            return digest_of(self._whole.fingerprint(), [self._top.removeprefix(self._whole._top)])
+        return digest_of(str(self._root), self._marks())
 
     def text(self, name: str, most: int = LARGEST_TEXT) -> str:
         """A text file of at most so many bytes.
@@ -120,45 +136,18 @@ class FileTree(abc.ABC):
             check_most(self.size(name), most, self.where(name))
         return as_text(self.read(name), self.where(name))
 
-    def subtree(self, folder: str) -> "FileTree":
-        """The files below a folder."""
-        return _Subtree(self, folder)
+    def _marks(self) -> Iterator[str]:
+        entries = ((name, (self._root / name).stat()) for name in self.names)
+        return (f"{name} {status.st_size} {status.st_mtime_ns}" for name, status in entries)
 
+    def _inside(self, name: str) -> str:
+        """Name of a file in the whole tree."""
+        if name not in self:
+            raise InputError(f"{self.where(name)}: no such file")
+        return self._top + name
 
-class _Subtree(FileTree):
-    """The files of another tree below one of its folders."""
-
-    def __init__(self, tree: FileTree, folder: str) -> None:
-        self._tree, self._top = tree, f"{folder}/"
-        super().__init__(
-            tree.path / folder, (n.removeprefix(self._top) for n in tree.names if n.startswith(self._top))
-        )
-
-    @property
-    def folder(self) -> Path:
-        return self._tree.folder / self._top
-
-    def read(self, name: str) -> bytes:
-        return self._tree.read(self._top + name)
-
-    @contextlib.contextmanager
-    def local(self, name: str) -> Iterator[Path]:
-        with self._tree.local(self._top + name) as path:
-            yield path
-
-    @contextlib.contextmanager
-    def stream(self, name: str) -> Iterator[BinaryIO]:
-        with self._tree.stream(self._top + name) as file:
-            yield file
-
-    def ends(self, name: str, count: int) -> tuple[bytes, bytes]:
-        return self._tree.ends(self._top + name, count)
-
-    def size(self, name: str) -> int:
-        return self._tree.size(self._top + name)
-
-    def fingerprint(self) -> str:
-        return digest_of(self._tree.fingerprint(), [self._top])
+    def _file(self, name: str) -> Path:
+        return self._root / self._inside(name)
 
 
 def digest_of(top: str, lines: Iterable[str]) -> str:

@@ -6,16 +6,14 @@ distance from the centre, and near ones by the baseline between the cameras as w
 
 The baseline is that of a published calibration of another Kinect
 (projet.liris.cnrs.fr/voir/activities-dataset/kinect-calibration.html). Focal length, centre and roll were fitted
-by us to frames 0-448 of the red kitchen, borders of depth on borders of the pictures;
-`experiments.kinect_registration` fits them anew and judges them by other frames.
+by us to frames 0-448 of the red kitchen, borders of depth on borders of the pictures.
 """
 
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.data.capture import Capture, Frame
+from hyjax.data.capture import Capture, DerivedCapture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics
-from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.depth_sensor import KINECT as KINECT_SENSOR
 from hyjax.util.files import digest
 
@@ -34,44 +32,27 @@ def registered(capture: Capture) -> Capture:
     return RegisteredKinect(capture) if capture.camera(0).intrinsics == KINECT else capture
 
 
-class RegisteredKinect(Capture):
-    """A capture whose frames have the colour camera's pose and intrinsics."""
+class RegisteredKinect(DerivedCapture):
+    """A capture whose frames have the colour camera's pose and intrinsics; its depth maps are as they were."""
 
     def __init__(self, capture: Capture) -> None:
-        self.name, self.up, self.sensor = capture.name, capture.up, KINECT_SENSOR
-        self.faults, self.remarks = capture.faults, capture.remarks
-        self._capture = capture
+        super().__init__(capture)
+        self.sensor = KINECT_SENSOR
 
     @property
     def fingerprint(self) -> str:
         """See `Capture`."""
-        return digest([self._capture.fingerprint, f"{COLOUR} {BASELINE} {ROLL}"])
-
-    def __len__(self) -> int:
-        return len(self._capture)
+        return digest([self.source.fingerprint, f"{COLOUR} {BASELINE} {ROLL}"])
 
     def __getitem__(self, index: int) -> Frame:
-        frame = self._capture[index]
+        frame = self.source[index]
         camera = self.camera(index)
         depth = None if frame.depth is None else warped(frame.depth, frame.depth_camera, camera)
         return Frame(frame.name, frame.image, camera, frame.time, depth)
 
     def camera(self, index: int) -> Camera:
         """See `Capture`."""
-        return Camera(COLOUR, self._capture.camera(index).pose @ colour_pose())
-
-    @property
-    def depth_count(self) -> int:
-        """See `Capture`."""
-        return self._capture.depth_count
-
-    def depth_position(self, index: int) -> float:
-        """See `Capture`."""
-        return self._capture.depth_position(index)
-
-    def depth_reading(self, index: int) -> DepthReading:
-        """As the depth camera measured it."""
-        return self._capture.depth_reading(index)
+        return Camera(COLOUR, self.source.camera(index).pose @ colour_pose())
 
 
 def colour_pose(roll: float = ROLL) -> Float[np.ndarray, "4 4"]:

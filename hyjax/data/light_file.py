@@ -45,8 +45,9 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.hand_written import check_keys
+from hyjax.light.color import BLACKBODY_KELVIN
 from hyjax.light.kinds import LIGHT_KINDS, AmbientLight, Light, kind_name
-from hyjax.light.kinds.file_keys import LARGEST, REQUIRED, FileKey, plain
+from hyjax.light.kinds.file_keys import LARGEST_NUMBER, REQUIRED, FileKey, plain
 from hyjax.light.setup import REFERENCE_LUX, LightSetup
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.files import write_text
@@ -58,7 +59,7 @@ COMMON = (
     FileKey("kind", "any"),
     FileKey("name", "any", default=None),
     FileKey("color", "color", default=None),
-    FileKey("temperature", least=1667.0, most=25000.0, default=None),
+    FileKey("temperature", least=BLACKBODY_KELVIN[0], most=BLACKBODY_KELVIN[1], default=None),
 )
 FILE = (
     FileKey("lights", "list", default=()),
@@ -66,8 +67,8 @@ FILE = (
     FileKey("reference_lux", positive=True, default=REFERENCE_LUX),
     FileKey("name", "any", default=None),
 )
-_Finite = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
-_NonNegative = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST)]
+_Finite = Annotated[float, msgspec.Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
+_NonNegative = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_NUMBER)]
 FORMS: dict[str, tuple[Any, str]] = {
     "vector": (tuple[_Finite, _Finite, _Finite], "three finite numbers"),
     "direction": (tuple[_Finite, _Finite, _Finite], "three finite numbers"),
@@ -223,5 +224,5 @@ def _form(key: FileKey) -> str:
         return FORMS[str(key.form)][1]
     if key.least > 0:
         return f"a number in {key.least:g}..{key.most:g}"
-    most = f" and <= {key.most:g}" if key.most < LARGEST else ""
+    most = f" and <= {key.most:g}" if key.most < LARGEST_NUMBER else ""
     return f"a finite number {'> 0' if key.positive else '>= 0'}{most}"

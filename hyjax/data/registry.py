@@ -100,7 +100,7 @@ def open_capture(
             raise InputError(f"{path}: {fault} (--strict)")
         _log.warning("%s: %s", path, fault)
     if scale is not None:
-        unscaled = capture.unscaled if isinstance(capture, ScaledCapture) else capture
+        unscaled = capture.source if isinstance(capture, ScaledCapture) else capture
         capture = ScaledCapture(unscaled, scale)
     elif not capture.metric:
         _log.warning("%s: its unit is not known, it is taken for metres; give --scale, metres in one unit", path)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.data.capture import Capture, Frame
+from hyjax.data.capture import Capture, DerivedCapture, Frame
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.util.files import digest
@@ -16,65 +16,43 @@ if TYPE_CHECKING:
     import trimesh
 
 
-class ScaledCapture(Capture):
+class ScaledCapture(DerivedCapture):
     """A capture with its poses, its mesh and the depth that was computed from them, in metres.
 
     Args:
         capture: in units of its own. A sensor's depth is metric as it is; see `Capture.depth_in_units`.
         scale: metres in one unit.
-
-    Attributes:
-        unscaled: the capture as it is.
     """
 
     def __init__(self, capture: Capture, scale: float) -> None:
-        self.unscaled, self._scale = capture, scale
-        self.name, self.up, self.sensor = capture.name, capture.up, capture.sensor
-        self.faults, self.remarks, self.mesh_file = capture.faults, capture.remarks, capture.mesh_file
-        self.format, self.strict = capture.format, capture.strict
+        super().__init__(capture)
+        self._scale, self._of_depth = scale, scale if capture.depth_in_units else 1.0
+        self.metric, self.depth_in_units, self.laser_folder = True, False, None
         self.anchors = {name: _scaled_anchor(anchor, scale) for name, anchor in capture.anchors.items()}
-        self._of_depth = scale if capture.depth_in_units else 1.0
 
     @property
     def fingerprint(self) -> str:
         """See `Capture`."""
-        return digest([self.unscaled.fingerprint, repr(self._scale)])
-
-    def __len__(self) -> int:
-        return len(self.unscaled)
+        return digest([self.source.fingerprint, repr(self._scale)])
 
     def __getitem__(self, index: int) -> Frame:
-        frame = self.unscaled[index]
+        frame = self.source[index]
         depth = None if frame.depth is None else frame.depth * np.float32(self._of_depth)
         return dataclasses.replace(frame, camera=self._scaled(frame.camera), depth=depth)
 
     def camera(self, index: int) -> Camera:
         """See `Capture`."""
-        return self._scaled(self.unscaled.camera(index))
-
-    @property
-    def depth_count(self) -> int:
-        """See `Capture`."""
-        return self.unscaled.depth_count
-
-    def depth_position(self, index: int) -> float:
-        """See `Capture`."""
-        return self.unscaled.depth_position(index)
+        return self._scaled(self.source.camera(index))
 
     def depth_reading(self, index: int) -> DepthReading:
         """See `Capture`."""
-        depth, camera, confidence = self.unscaled.depth_reading(index)
+        depth, camera, confidence = self.source.depth_reading(index)
         return DepthReading(depth * np.float32(self._of_depth), self._scaled(camera), confidence)
 
     def mesh(self) -> "trimesh.Trimesh | None":
         """See `Capture`."""
-        mesh = self.unscaled.mesh()
+        mesh = self.source.mesh()
         return None if mesh is None else mesh.copy().apply_scale(self._scale)
-
-    @property
-    def has_mesh(self) -> bool:
-        """See `Capture`."""
-        return self.unscaled.has_mesh
 
     def _scaled(self, camera: Camera) -> Camera:
         pose: Float[np.ndarray, "4 4"] = camera.pose.copy()

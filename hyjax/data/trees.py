@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hyjax.data.archive import ARCHIVES, MOST_FILES, Archive
-from hyjax.data.file_tree import IGNORED, LARGEST_READ, FileTree, digest_of
+from hyjax.data.file_tree import IGNORED, FileTree
 from hyjax.util.errors import InputError
-from hyjax.util.reading import open_regular, read_bytes
 
 
 def open_tree(path: Path) -> FileTree:
@@ -31,7 +30,7 @@ def open_tree(path: Path) -> FileTree:
     except OSError:  # a name that no file can have
         is_folder = is_file = False
     if is_folder:
-        return Folder(path)
+        return _folder(path)
     if not is_file:
         raise InputError(f"{path}: no such folder; give the folder or the archive of a capture")
     if path.suffix.lower() in ARCHIVES:
@@ -39,50 +38,12 @@ def open_tree(path: Path) -> FileTree:
     return SingleFile(path)
 
 
-class Folder(FileTree):
-    """A folder on disk. Links below it are followed, to folders too; the user has put them there."""
-
-    def __init__(self, path: Path) -> None:
-        self._root = path.resolve()
-        names = list(itertools.islice(_walk(self._root), MOST_FILES + 1))
-        if len(names) > MOST_FILES:
-            raise InputError(f"{path}: holds over {MOST_FILES} files; give the folder of one capture")
-        super().__init__(path, names)
-
-    @property
-    def folder(self) -> Path:
-        return self._root
-
-    def _file(self, name: str) -> Path:
-        if name not in self:
-            raise InputError(f"{self.where(name)}: no such file")
-        return self._root / name
-
-    def read(self, name: str) -> bytes:
-        return read_bytes(self._file(name), self.where(name), LARGEST_READ)
-
-    @contextlib.contextmanager
-    def local(self, name: str) -> Iterator[Path]:
-        yield self._file(name)
-
-    def ends(self, name: str, count: int) -> tuple[bytes, bytes]:
-        try:
-            with open_regular(self._file(name), self.where(name)) as file:
-                head = file.read(count)
-                file.seek(-min(count, self.size(name)), os.SEEK_END)
-                return head, file.read(count)
-        except OSError as error:
-            raise InputError(f"{self.where(name)}: cannot read ({error.strerror})") from None
-
-    def size(self, name: str) -> int:
-        try:
-            return self._file(name).stat().st_size
-        except OSError as error:
-            raise InputError(f"{self.where(name)}: cannot read ({error.strerror})") from None
-
-    def fingerprint(self) -> str:
-        entries = ((name, (self._root / name).stat()) for name in self.names)
-        return digest_of(str(self._root), (f"{name} {s.st_size} {s.st_mtime_ns}" for name, s in entries))
+def _folder(path: Path) -> FileTree:
+    """Links below the folder are followed, to folders too; the user has put them there."""
+    names = list(itertools.islice(_walk(path.resolve()), MOST_FILES + 1))
+    if len(names) > MOST_FILES:
+        raise InputError(f"{path}: holds over {MOST_FILES} files; give the folder of one capture")
+    return FileTree(path, names)
 
 
 def _walk(root: Path) -> Iterator[str]:
@@ -107,12 +68,12 @@ def _walk(root: Path) -> Iterator[str]:
                     yield top + entry.name
 
 
-class SingleFile(Folder):
+class SingleFile(FileTree):
     """One file of a folder, such as a `.sens`."""
 
     def __init__(self, path: Path) -> None:
-        self._root = path.resolve().parent
-        FileTree.__init__(self, path, [path.name])
+        super().__init__(path, [path.name])
+        self._root = self._root.parent
 
     def where(self, name: str) -> str:
         return str(self.path)

@@ -13,7 +13,7 @@ from hyjax.data.builtin_room import RoomCapture, scan_config
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.scan import RenderedDepths, ScanConfig
 from hyjax.light.setup import LightSetup
-from hyjax.synthetic.truth import RoomLight, TruthRoom, lit_room
+from hyjax.synthetic.truth import TruthLight, TruthRoom, lit_room
 from hyjax.synthetic.truth.room import VERSION, source_key, truth_exposure
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.files import digest
@@ -56,15 +56,15 @@ class TruthCapture(RoomCapture):
         """The room itself, made when first asked for."""
         return lit_room(self.name, self._quality)
 
-    def photo_light(self) -> RoomLight:
+    def photo_light(self) -> TruthLight:
         """The light that the photos were taken under."""
         return self.room.bake(self.room.sources, self._folder)
 
-    def light(self, setup: LightSetup) -> RoomLight:
+    def light(self, setup: LightSetup) -> TruthLight:
         """The light of a set-up with all its bounces, baked once."""
         return self.room.bake(setup.lights, self._folder)
 
-    def truth(self, setup: LightSetup, frames: Sequence[int], light: RoomLight | None = None) -> list[Picture]:
+    def truth(self, setup: LightSetup, frames: Sequence[int], light: TruthLight | None = None) -> list[Picture]:
         """What the camera would see under a set-up, for some of the frames.
 
         Exposed so that light of the set-up's `reference_lux` stands for the photos' mean light: see `TruthRoom`.
@@ -86,7 +86,7 @@ class TruthCapture(RoomCapture):
 
         return cached_arrays(file, lambda arrays: arrays["picture"].astype(np.float32) / 255, make)
 
-    def _photographs(self, setup: LightSetup, frames: Sequence[int], light: RoomLight) -> list[Picture]:
+    def _photographs(self, setup: LightSetup, frames: Sequence[int], light: TruthLight) -> list[Picture]:
         room = self.room
         exposure = truth_exposure(self.exposure, self.mean_light, setup.reference_lux)
         return [room.photograph(light, self._cameras[n], n, exposure)[0] for n in frames]

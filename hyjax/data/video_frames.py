@@ -126,6 +126,18 @@ def _colours(frame: "av.VideoFrame") -> UInt8[np.ndarray, "h w 3"]:
     return frame.reformat(format="rgb24", src_colorspace=matrix).to_ndarray()
 
 
+@contextlib.contextmanager
+def new_video(path: Path) -> Iterator[Any]:
+    """PyAV's container of a new MP4 file. Python writes the file, as FFmpeg may not tell of a full disk.
+
+    Raises:
+        InputError: `av` is not installed.
+    """
+    av = import_av(f"writing {path.name}")
+    with path.open("wb") as file, av.open(file, "w", format="mp4") as container:
+        yield container
+
+
 def import_av(what: str) -> Any:
     """The package `av`.
 

@@ -14,7 +14,7 @@ from hyjax.data.capture import Capture, Frame
 from hyjax.data.phone_captures import PIXEL_CENTRE
 from hyjax.data.recording import Y_UP
 from hyjax.data.stray import LENS, MATRIX, NEEDED, ODOMETRY, VIDEO
-from hyjax.data.video_frames import REC_709, import_av
+from hyjax.data.video_frames import REC_709, import_av, new_video
 from hyjax.data.writers import each_frame, seen_through, turned_up
 from hyjax.util.errors import InputError
 from hyjax.util.files import new_folder, write_text
@@ -81,7 +81,7 @@ def _write_video(av: Any, path: Path, pictures: Iterable[Float[np.ndarray, "h w 
     """Thirty pictures a second, colours at full resolution."""
     pictures = iter(pictures)
     first = next(pictures)
-    with av.open(str(path), "w", format="mp4") as container:
+    with new_video(path) as container:
         stream = container.add_stream(_encoder(av), rate=30, options=QUALITY)
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = "yuv444p"  # which also takes sizes that are odd

@@ -1,1 +1,1 @@
-"""The frame on a graphics processor: WebGPU shaders generated from a schedule, run from Python or in a browser."""
+"""Relighting on a graphics processor: WebGPU shaders generated from a schedule, for Python and browsers."""

@@ -11,12 +11,12 @@ from hyjax.core.pyramid import level_shape
 from hyjax.core.schedule import Level, Schedule
 from hyjax.device.program import Groups, Program, columns_rows, grid_of
 
-CELLS_OF_TILE = 32
-"""Cells along each side of a diffusion tile."""
+TILE_CELLS = 32
+"""Number of cells along each side of a diffusion tile."""
 STEPS_AT_ONCE = 4
-"""Steps of one launch, each of which spends a rim of one cell on all sides of a tile."""
+"""Number of steps of one launch, each of which costs a rim of one cell on all sides of a tile."""
 MOST_STEPS_AT_ONCE = 64
-"""Steps of one launch where a whole level fits into a tile."""
+"""Most steps of one launch where a whole level fits into a tile."""
 
 _DISTANCES = {
     "l2": ("dot(d, d)", "total"),
@@ -26,10 +26,10 @@ _DISTANCES = {
 
 @dataclasses.dataclass
 class CascadeWriter:
-    """Adds cascades to a program; what several of them need of the guide is computed once.
+    """Writer of cascades to a program, which shares their buffers of the guide.
 
     Attributes:
-        program: that is written.
+        program: to write to.
         guide: name of the guide's buffer.
         features: channels of the guide.
         stage: of the launches.
@@ -46,7 +46,7 @@ class CascadeWriter:
         """Add a cascade.
 
         Args:
-            name: of its buffers, and what timings call it.
+            name: of its buffers, and in timings.
             source: buffer of the picture.
             schedule: levels with their steps.
             groups: channel groups of the picture.
@@ -112,10 +112,10 @@ class CascadeWriter:
 
     def _distance(self, schedule: Schedule) -> str:
         """Shader functions of the distance of two guides."""
-        part, whole = _DISTANCES[schedule.norm]
+        part, total = _DISTANCES[schedule.norm]
         return (
             f"fn difference(d: vec4<f32>) -> f32 {{ return {part}; }}\n"
-            f"fn distance_of(total: f32) -> f32 {{ return {whole.format(self.features)}; }}"
+            f"fn distance_of(total: f32) -> f32 {{ return {total.format(self.features)}; }}"
         )
 
     def _level_edges(self, level: Level, schedule: Schedule) -> str:
@@ -160,7 +160,7 @@ class CascadeWriter:
             update = f"(own + lam * flow + lam * {alpha} * source[q]) / (1.0 + lam * {alpha})"
             source = "load(means[index])"
             binding = "@group(0) @binding(3) var<storage, read> means: array<Stored>;"
-        fits = max(shape) <= CELLS_OF_TILE
+        fits = max(shape) <= TILE_CELLS
         most = MOST_STEPS_AT_ONCE if fits else STEPS_AT_ONCE
         for run in np.array_split(sizes, -(-len(sizes) // most)) if sizes else []:
             names = [f"{name} state {level.factor} {side}" for side in "ab"]
@@ -171,7 +171,7 @@ class CascadeWriter:
                 name,
                 ["diffuse"],
                 [state, edges, after, *([means] if binding else [])],
-                grid_of(shape, CELLS_OF_TILE - 2 * rim),
+                grid_of(shape, TILE_CELLS - 2 * rim),
                 groups,
                 constants={
                     "size": columns_rows(shape),
@@ -245,15 +245,15 @@ fn likeness(pixel: vec2<u32>, cell: vec2<u32>) -> f32 {{
 
 
 def _value(leaf: ArrayLike) -> float:
-    """A number of a schedule."""
+    """Number of a schedule."""
     return float(np.asarray(leaf))
 
 
 def _number(value: float) -> str:
-    """A float32 as WGSL has it."""
+    """WGSL literal of a float32."""
     return str(np.format_float_scientific(np.float32(value), unique=True))
 
 
 def _scale(kappa: float) -> str:
-    """1 / κ², where squares neither vanish nor overflow."""
+    """Scale 1 / κ² of squares, within float32's range."""
     return _number(float(np.clip(kappa, 1e-15, 1e15)) ** -2)

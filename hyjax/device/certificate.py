@@ -1,4 +1,4 @@
-"""Certificate made on the spot, so that a page may use WebGPU on another device of the local network."""
+"""Self-signed certificate, so that a page may use WebGPU on another device of the local network."""
 
 import datetime
 import io
@@ -9,11 +9,12 @@ from pathlib import Path
 
 from hyjax.util.extras import optional_module
 
-DAYS = 30
+VALID_DAYS = 30
+"""Validity of a certificate, in days."""
 
 
 def tls_context(host: str) -> ssl.SSLContext:
-    """Context of a server with a new certificate for an address, which nobody vouches for.
+    """TLS context of a server with a new self-signed certificate for an address.
 
     Args:
         host: address or name that browsers open.
@@ -40,7 +41,7 @@ def tls_context(host: str) -> ssl.SSLContext:
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - datetime.timedelta(days=1))
-        .not_valid_after(now + datetime.timedelta(days=DAYS))
+        .not_valid_after(now + datetime.timedelta(days=VALID_DAYS))
         .add_extension(x509.SubjectAlternativeName([alternative]), critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(x509.ExtendedKeyUsage([x509.ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
@@ -60,7 +61,7 @@ def tls_context(host: str) -> ssl.SSLContext:
 
 
 def qr_code(address: str) -> str:
-    """An address as a QR code for the terminal.
+    """QR code of an address for the terminal.
 
     Raises:
         InputError: the package segno is missing.

@@ -11,25 +11,26 @@ from hyjax.device.program import Groups, Precision, Program, columns_rows, grid_
 from hyjax.light.transport import BOUNCES
 
 RECORD_BYTES = 128
-"""Of a light, see `hyjax.device.light_records`."""
+"""Size of a light's record in bytes, see `hyjax.device.light_records`."""
 FRAME_BYTES = 128
-"""Of the camera and what all passes need to know, see `wgsl/camera.wgsl`."""
+"""Size of a frame's record (camera and data of all passes) in bytes, see `wgsl/camera.wgsl`."""
 MOST_LIGHTS = 32
 MOST_EMITTERS = 64
-LEAF = 4
-"""Triangles of a leaf of the tree that rays go through."""
-FIELDS = 4
-"""Vectors of a point: position, normal, photo's light, albedo."""
+LEAF_TRIANGLES = 4
+"""Number of triangles of a leaf of the ray-casting tree."""
+POINT_FIELDS = 4
+"""Number of vectors of a point: position, normal, photo's light, albedo."""
 LIGHT_GROUPS = Groups(2, 1)
-"""Bounced light with the weight; photo's light; four lights a group."""
-GRID_OF_MAP = 66
-"""Workgroups along each side of a view of a shadow map, at most; see `MOST_TEXELS`."""
-MOST_TEXELS = 8 * GRID_OF_MAP
+"""Channel groups of light: bounced light with the weight; photo's light; four lights a group."""
+MAP_GRID = 66
+"""Most workgroups along each side of a view of a shadow map; see `MOST_TEXELS`."""
+MOST_TEXELS = 8 * MAP_GRID
+"""Most texels along each side of a view of a shadow map."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SceneCounts:
-    """What a scene has of everything.
+    """Numbers of a scene's elements.
 
     Attributes:
         faces: triangles of the scan.
@@ -37,7 +38,7 @@ class SceneCounts:
         points: of the light transport: vertices, then patches of the box that closes the scan.
         rays: of each point.
         sources: that lit the photos.
-        occluder_faces: triangles of the mesh that throws shadows.
+        occluder_faces: triangles of the mesh that casts shadows.
         occluder_vertices: of it.
     """
 
@@ -51,8 +52,8 @@ class SceneCounts:
 
     @property
     def leaves(self) -> int:
-        """Leaves of the tree over the occluders: a power of two."""
-        return 1 << max(0, (-(-self.occluder_faces // LEAF) - 1).bit_length())
+        """Number of leaves of the tree over the occluders, a power of two."""
+        return 1 << max(0, (-(-self.occluder_faces // LEAF_TRIANGLES) - 1).bit_length())
 
 
 def frame_program(
@@ -66,7 +67,7 @@ def frame_program(
     precision: Precision = "f32",
     stages: bool = True,
 ) -> Program:
-    """Program of a scene's frames.
+    """Generate the program of a scene's frames.
 
     The host fills the buffers `vertices`, `occluders` (triangles in the order of their tree), `faces`, `fields`,
     `hits`, `sources` once; `lights`, `kept`, `emitters` and `jobs` where lights change, whose shadow maps are in
@@ -87,9 +88,9 @@ def frame_program(
     _shadows(program, counts, map_texels)
     _bounces(program, counts)
     picture = program.picture("picture", size, Groups(1))
-    whole = grid_of(size)
+    grid = grid_of(size)
     camera: dict[str, object] = {"size": columns_rows(size)}
-    program.launch("photo", "picture", ["frame", "camera", "picture"], ["photo", picture], whole, constants=camera)
+    program.launch("photo", "picture", ["frame", "camera", "picture"], ["photo", picture], grid, constants=camera)
     guide = picture if features == 3 else program.picture("guide", size, Groups(-(-features // 4)))
     light, visibility = _surface(program, counts)
     writer = CascadeWriter(program, guide, features)
@@ -110,12 +111,12 @@ def frame_program(
     image = program.buffer("image", 16 * pixels)
     bind = ["frame", "lights", "emitters", picture, "positions", refined, "cascade totals", shadows, image]
     files = ["frame", "camera", "color", "filled", "lights", "composite"]
-    program.launch("frame", "composite", files, bind, whole, constants=camera)
+    program.launch("frame", "composite", files, bind, grid, constants=camera)
     if stages:
         filters = program.buffer("stages", 4 * 16 * pixels)
         bind = ["frame", "lights", light, refined, "cascade totals", visibility, shadows, filters]
         files = ["frame", "camera", "filled", "lights", "stages"]
-        program.launch("stages", "stages", files, bind, whole, constants=camera)
+        program.launch("stages", "stages", files, bind, grid, constants=camera)
     program.names = {"raw": light, "refined": refined, "visibility": shadows, "image": image}
     return program
 
@@ -135,7 +136,7 @@ def _load(program: Program, counts: SceneCounts) -> None:
 
 
 def _tree(counts: SceneCounts, access: str) -> dict[str, object]:
-    return {"leaves": counts.leaves, "leaf": LEAF, "faces": counts.occluder_faces, "boxes_access": access}
+    return {"leaves": counts.leaves, "leaf": LEAF_TRIANGLES, "faces": counts.occluder_faces, "boxes_access": access}
 
 
 def _shadows(program: Program, counts: SceneCounts, map_texels: int) -> None:
@@ -155,7 +156,7 @@ def _shadows(program: Program, counts: SceneCounts, map_texels: int) -> None:
 def _bounces(program: Program, counts: SceneCounts) -> None:
     program.buffer("frame", FRAME_BYTES, uniform=True)
     program.buffer("faces", 12 * counts.faces)
-    fields = program.buffer("fields", 16 * FIELDS * counts.points)
+    fields = program.buffer("fields", 16 * POINT_FIELDS * counts.points)
     direct, indirect = (program.buffer(name, 16 * counts.points) for name in ("direct", "indirect"))
     radiators = counts.faces + counts.points - counts.vertices + 1
     sent, hits = program.buffer("sent", 16 * radiators), program.buffer("hits", 4 * counts.rays * counts.points)
@@ -173,7 +174,7 @@ def _bounces(program: Program, counts: SceneCounts) -> None:
             "bounces", "bounces", ["gather"], [hits, sent, indirect], line, constants=points | {"rays": counts.rays}
         )
     program.buffer("sources", max(16, 12 * counts.sources * counts.vertices))
-    program.buffer("kept", 16 * max(1, counts.sources))
+    program.buffer("kept", 16 * (counts.sources + 1))
     bounced = program.buffer("bounced", 16 * counts.vertices)
     constants = {"vertices": counts.vertices, "sources": counts.sources}
     bind = [indirect, "sources", "kept", bounced]
@@ -182,7 +183,7 @@ def _bounces(program: Program, counts: SceneCounts) -> None:
 
 def _surface(program: Program, counts: SceneCounts) -> tuple[str, str]:
     """Buffers of the light on the visible surface, and of its weighted visibility with the weights."""
-    size, whole = program.size, grid_of(program.size)
+    size, grid = program.size, grid_of(program.size)
     pixels = size[0] * size[1]
     camera: dict[str, object] = {"size": columns_rows(size)}
     program.launch(
@@ -197,9 +198,9 @@ def _surface(program: Program, counts: SceneCounts) -> tuple[str, str]:
     light = program.picture("light", size, LIGHT_GROUPS)
     visibility = program.picture("visibility", size, Groups(0, 2))
     bind = ["frame", "shown", "faces", "fields", "bounced", positions, normals, light, "picture"]
-    program.launch("frame", "surface", ["frame", "camera", "color", "surface"], bind, whole, constants=camera)
+    program.launch("frame", "surface", ["frame", "camera", "color", "surface"], bind, grid, constants=camera)
     bind = ["frame", "lights", "depths", positions, normals, light, visibility]
     files = ["frame", "camera", "lights", "visibility", "shade"]
-    program.launch("frame", "shading and visibility", files, bind, whole, Groups(0, 1), constants=camera)
+    program.launch("frame", "shading and visibility", files, bind, grid, Groups(0, 1), constants=camera)
     program.buffer("emitters", 16 * 6 * MOST_EMITTERS)
     return light, visibility

@@ -1,4 +1,4 @@
-"""Lights as records of a shader: the twin of `struct Light` in `wgsl/lights.wgsl`, and of `page/lights.js`."""
+"""Records of lights for shaders: the twin of `struct Light` in `wgsl/lights.wgsl`, and of `page/lights.js`."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from hyjax.light.kinds import AmbientLight, DirectionalLight, Light, PointLight,
 from hyjax.util import vectors
 from hyjax.util.errors import InputError
 
-KINDS: dict[type[Light], int] = {
+KIND_NUMBERS: dict[type[Light], int] = {
     AmbientLight: 0,
     PointLight: 1,
     SpotLight: 2,
@@ -60,11 +60,11 @@ def light_records(
 
     Args:
         lights: of the kinds that come with hyjax.
-        occluders: the mesh that throws shadows.
+        occluders: the mesh that casts shadows.
         shadows: whether lights cast any.
         slack: of shadow maps, see `hyjax.light.shadow_map.ShadowMap`.
         resolutions: texels a side of a map with one view, and of each of several.
-        uniform: whether light that falls on any surface alike is kept; bounces stand in its place.
+        uniform: whether ambient light is kept; bounces stand in its place.
 
     Raises:
         InputError: too many lights, or one of a kind that the shaders do not have.
@@ -74,8 +74,8 @@ def light_records(
     records, jobs, start = np.zeros(len(lights), RECORD), [], 0
     bounds = np.append(occluders.bounds.mean(axis=0), 0.5 * np.linalg.norm(occluders.extents) * 1.01)
     for number, (light, record) in enumerate(zip(lights, records)):
-        if type(light) not in KINDS:
-            names = ", ".join(kind.__name__ for kind in KINDS)
+        if type(light) not in KIND_NUMBERS:
+            names = ", ".join(kind.__name__ for kind in KIND_NUMBERS)
             raise InputError(f"webgpu: no shader for a {type(light).__name__}; there are {names}")
         _fill(record, light)
         record["bounds"] = bounds
@@ -93,7 +93,7 @@ def light_records(
 
 
 def _fill(record: np.void, light: Light) -> None:
-    record["kind"] = KINDS[type(light)]
+    record["kind"] = KIND_NUMBERS[type(light)]
     record["color"][:3], record["color"][3] = light.color, getattr(light, light.STRENGTH)
     if isinstance(light, PointLight | SpotLight):
         record["position"] = (*np.asarray(light.position), light.radius)

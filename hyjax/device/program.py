@@ -1,4 +1,4 @@
-"""Programs: shaders, buffers and launches as plain data, which a page's script and Python run alike.
+"""Programs: shaders, buffers and launches as plain data, run alike by a page's script and by Python.
 
 A picture is stored as groups of four channels, plane after plane. How many groups there are depends on the number
 of lights, so sizes and launches are linear in G, the number of groups of four lights: G = ceil(lights / 4).
@@ -13,21 +13,21 @@ from importlib import resources
 from types import MappingProxyType
 from typing import Any, Literal
 
-FORMAT = 1
-"""Version of the JSON form. Add one whenever an older script could not run it."""
+FORMAT_VERSION = 1
+"""Version of the JSON form. Add one when an older script could not run it."""
 CHANNEL_BYTES = {"f32": 16, "f16": 8}
-"""Bytes of a group of four channels of a pixel, by `Precision`."""
+"""Size of a group of four channels of a pixel in bytes, by `Precision`."""
 Precision = Literal["f32", "f16"]
-TILE = 8
-"""Pixels along each side of a workgroup of most shaders."""
-NONE: Mapping[str, object] = MappingProxyType({})
-LINE = 64
-"""Elements of a workgroup of shaders over lists."""
+GROUP_SIDE = 8
+"""Number of pixels along each side of a workgroup of most shaders."""
+NO_CONSTANTS: Mapping[str, object] = MappingProxyType({})
+GROUP_LENGTH = 64
+"""Number of elements of a workgroup of shaders over lists."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Groups:
-    """A number of channel groups: `base + lights * G`.
+    """Number of channel groups: `base + lights * G`.
 
     >>> Groups(2, 1).count(9)
     5
@@ -37,19 +37,19 @@ class Groups:
     lights: int = 0
 
     def count(self, lights: int) -> int:
-        """Groups where there are so many lights."""
+        """Number of groups for a number of lights."""
         return self.base + self.lights * -(-lights // 4)
 
 
 @dataclasses.dataclass(frozen=True)
 class Buffer:
-    """Memory of the device.
+    """Buffer of device memory.
 
     Attributes:
         bytes: of each channel group; of the whole where there are no groups.
-        groups: how many of them.
+        groups: number of channel groups.
         uniform: whether it is a uniform buffer.
-        initial: numbers that it holds from the beginning.
+        initial: its initial numbers.
     """
 
     bytes: int
@@ -60,11 +60,11 @@ class Buffer:
 
 @dataclasses.dataclass(frozen=True)
 class Launch:
-    """One launch of a shader.
+    """Launch of a shader.
 
     Attributes:
-        stage: what runs together, see `Program`.
-        label: what timings call it.
+        stage: group of launches, see `Program`.
+        label: in timings.
         shader: its name in the program.
         bind: buffers and textures, by binding number.
         width, height: workgroups.
@@ -87,12 +87,12 @@ class Program:
     """Shaders with their buffers and launches.
 
     Stages: `load` once, `shadows` and `bounces` where lights change, `photo` where the picture changes, `frame`;
-    `stages` after it, to look at.
+    `stages` after it, for display.
 
     Attributes:
         size: (height, width) of pictures.
         precision: of stored pictures.
-        names: buffers of what a host shows: `raw`, `refined`, `visibility`, `image`.
+        names: buffers of pictures for display: `raw`, `refined`, `visibility`, `image`.
     """
 
     size: tuple[int, int]
@@ -121,24 +121,24 @@ class Program:
         depth: Groups = Groups(1),
         *,
         jobs: bool = False,
-        constants: Mapping[str, object] = NONE,
+        constants: Mapping[str, object] = NO_CONSTANTS,
     ) -> None:
         """Add a launch.
 
         Args:
             stage: see `Program`.
-            label: what timings call it.
+            label: in timings.
             files: of shader text, which are joined.
             bind: buffers and textures, by binding number.
             grid: workgroups across and down.
             depth: layers of workgroups.
             jobs: see `Launch`.
-            constants: what stands in the text for `$name`.
+            constants: values of `$name` in the text.
         """
         shader = self.add_shader(files, constants)
         self.launches.append(Launch(stage, label, shader, tuple(bind), *grid, depth, jobs))
 
-    def add_shader(self, files: Sequence[str], constants: Mapping[str, object] = NONE) -> str:
+    def add_shader(self, files: Sequence[str], constants: Mapping[str, object] = NO_CONSTANTS) -> str:
         """Name of a shader, which is added if it is new."""
         text = shader_text(files, self.precision, constants)
         name = f"{files[-1]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
@@ -146,13 +146,15 @@ class Program:
         return name
 
     def to_json(self) -> dict[str, Any]:
-        """The program as plain data; `hyjax/device/page/engine.js` reads it."""
+        """Program as plain data, for `hyjax/device/page/engine.js`."""
         content = dataclasses.asdict(self)
-        return {"format": FORMAT} | content
+        return {"format": FORMAT_VERSION} | content
 
 
-def shader_text(files: Sequence[str], precision: Precision = "f32", constants: Mapping[str, object] = NONE) -> str:
-    """WGSL text of a shader: files of `hyjax/device/wgsl` after the storage format, with constants put in."""
+def shader_text(
+    files: Sequence[str], precision: Precision = "f32", constants: Mapping[str, object] = NO_CONSTANTS
+) -> str:
+    """WGSL text of a shader: files of `hyjax/device/wgsl` after the storage format, with constants inserted."""
     stored = {"f32": "vec4<f32>", "f16": "vec4<f16>"}[precision]
     largest = {"f32": "3.0e38", "f16": "65504.0"}[precision]
     enable = "enable f16;\n" if precision == "f16" else ""
@@ -167,20 +169,20 @@ def _file(name: str) -> str:
     return resources.files("hyjax.device").joinpath("wgsl", f"{name}.wgsl").read_text(encoding="utf-8")
 
 
-def grid_of(shape: tuple[int, int], tile: int = TILE) -> tuple[int, int]:
-    """Workgroups across and down that cover a picture of (rows, columns)."""
+def grid_of(shape: tuple[int, int], tile: int = GROUP_SIDE) -> tuple[int, int]:
+    """Numbers of workgroups across and down for a picture of (rows, columns)."""
     return -(-shape[1] // tile), -(-shape[0] // tile)
 
 
 def line_of(count: int) -> tuple[int, int]:
-    """Workgroups across and down that cover a list."""
-    groups = -(-count // LINE)
+    """Numbers of workgroups across and down for a list."""
+    groups = -(-count // GROUP_LENGTH)
     width = min(groups, 1 << 15)
     return width, -(-groups // width)
 
 
 def columns_rows(shape: tuple[int, int]) -> str:
-    """A size as shaders have it.
+    """Size in the order of shaders, columns first.
 
     >>> columns_rows((480, 640))
     '640, 480'

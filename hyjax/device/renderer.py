@@ -1,4 +1,4 @@
-"""Renderer: frames of a scene, relit on a graphics processor by the shaders that an exported page runs."""
+"""Renderer of a scene's frames on a graphics processor, by the shaders of an exported page."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,10 +13,11 @@ from hyjax.device.frame_program import MOST_EMITTERS, frame_program
 from hyjax.device.light_records import LightRecords, light_records
 from hyjax.device.program import Precision, Program
 from hyjax.device.scene_arrays import scene_arrays
-from hyjax.device.webgpu import Engine, open_device
+from hyjax.device.webgpu import ShaderEngine, open_device
 from hyjax.geometry.camera import Camera
 from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters
+from hyjax.light.photo_light import least_bounced
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import ambient_filter
@@ -26,7 +27,7 @@ from hyjax.util.errors import InputError
 
 
 class DeviceRenderer:
-    """Relights frames of a scene under one set-up on a graphics processor.
+    """Renderer that relights frames of a scene under one set-up on a graphics processor.
 
     Args:
         scene: opened.
@@ -37,7 +38,7 @@ class DeviceRenderer:
         features: channels of the guide.
         shadows: whether lights cast shadows.
         light: whether the photo's own light stays in the picture, and bounces out; exponent of it.
-        occluders: what throws shadows.
+        occluders: meshes that cast shadows.
         resolutions: texels a side of shadow maps with one view, and of each of several.
         precision: of pictures between passes.
         device: see `open_device`.
@@ -89,7 +90,7 @@ class DeviceRenderer:
             precision=precision,
         )
         sizes = {"depths": max(16, 4 * self.records.texels)}
-        self.engine = Engine(self.program, len(setup.lights), sizes, device or open_device(precision))
+        self.engine = ShaderEngine(self.program, len(setup.lights), sizes, device or open_device(precision))
         for name, values in self.arrays.uploads().items():
             self.engine.upload(name, values)
         self.emitters = scene.photo_light.emitters(setup) if self._divides else None
@@ -102,8 +103,10 @@ class DeviceRenderer:
             engine.upload("jobs", records.jobs)
         if self._divides:
             kept = scene.photo_light.kept(self.setup.existing)
-            if len(kept):
-                engine.upload("kept", np.pad(kept, ((0, 0), (0, 1))).astype(np.float32))
+            rows = np.vstack(
+                [kept.reshape(-1, 3), least_bounced(self.setup.lights) / float(self.setup.reference_lux)]
+            )
+            engine.upload("kept", np.pad(rows, ((0, 0), (0, 1))).astype(np.float32))
         if self.emitters is not None:
             engine.upload("emitters", emitter_vectors(self.emitters))
         engine.upload("frame", self._frame_record(None))
@@ -135,7 +138,7 @@ class DeviceRenderer:
     def relit(self, pixels: Float[np.ndarray, "h w 3"], camera: Camera, guide: Float[Array, "h w f"]) -> Relit:
         """Relit picture with its stages; arguments as of `relight`.
 
-        What panes and lamps emit is taken from the relit picture in `unrefined`, too.
+        Emission of panes and lamps comes from the relit picture in `unrefined`, too.
         """
         image = self.relight(pixels, camera, guide)
         self.engine.run("stages")
@@ -166,7 +169,7 @@ class DeviceRenderer:
 
 
 def channel_groups(values: Float[np.ndarray, "h w c"]) -> Float[np.ndarray, "g h w 4"]:
-    """A picture as groups of four channels, the last one filled up with zeros."""
+    """Groups of four channels of a picture, the last one padded with zeros."""
     height, width, channels = values.shape
     groups = -(-channels // 4)
     padded = np.zeros((height, width, 4 * groups), values.dtype)
@@ -181,7 +184,7 @@ def frame_record(
     reference_lux: float,
     mean: Float[np.ndarray, "3"],
 ) -> np.ndarray:
-    """`struct Frame` of `wgsl/frame.wgsl`.
+    """Record `struct Frame` of `wgsl/frame.wgsl`.
 
     Args:
         camera: None where only the lights matter.
@@ -194,8 +197,8 @@ def frame_record(
     if camera is not None:
         for k in range(3):
             record[4 * k : 4 * k + 3] = camera.pose[:3, k]
-        own = camera.intrinsics
-        record[12:15], record[16:20] = camera.origin, (own.fx, own.fy, own.cx, own.cy)
+        intrinsics = camera.intrinsics
+        record[12:15], record[16:20] = camera.origin, (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
     record[20:24] = np.array([*counts, 0], np.uint32).view(np.float32)
     record[24:28] = (*ambient, 1.0 / reference_lux)
     record[28:31] = mean
@@ -203,7 +206,7 @@ def frame_record(
 
 
 def emitter_vectors(emitters: Emitters) -> Float[np.ndarray, "n 4"]:
-    """Panes and lamps as `wgsl/composite.wgsl` takes them.
+    """Vectors of panes and lamps for `wgsl/composite.wgsl`.
 
     Raises:
         InputError: there are too many.

@@ -1,4 +1,4 @@
-"""Arrays of a scene as the shaders take them."""
+"""Arrays of a scene for the shaders."""
 
 import dataclasses
 
@@ -6,18 +6,18 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 
-from hyjax.device.frame_program import LEAF, SceneCounts
+from hyjax.device.frame_program import LEAF_TRIANGLES, SceneCounts
 from hyjax.light.photo_light import PhotoLight
 from hyjax.scene.scene import Scene
 
 
 @dataclasses.dataclass(frozen=True)
 class SceneArrays:
-    """A scene for a device.
+    """Arrays of a scene for a device.
 
     Attributes:
-        counts: of what follows.
-        vertices: of the mesh that throws shadows.
+        counts: of the elements.
+        vertices: of the mesh that casts shadows.
         occluders: its triangles, in the order of their tree.
         faces: triangles of the scan.
         fields: position, normal, photo's light and albedo of each point of the light transport, vertices first.
@@ -61,7 +61,7 @@ def scene_arrays(
         scene: opened.
         keep_photo_light: whether the light of the photos stays in the pictures, and bounces are left out.
         rays: of each point, evenly chosen among those of the light transport; all by default.
-        surface_occluders: whether the bare mesh throws the shadows.
+        surface_occluders: whether the bare mesh casts the shadows.
         photo_exponent: of E_old / K, see `hyjax.configuration.LightOptions`.
     """
     mesh = scene.mesh
@@ -86,9 +86,9 @@ def scene_arrays(
 
 def _photo(mesh: trimesh.Trimesh, photo: PhotoLight, rays: int | None) -> tuple[np.ndarray, ...]:
     transport, count = photo.transport, photo.transport.vertices
-    position, own = np.asarray(transport.position), np.asarray(transport.normal)
+    position, normal = np.asarray(transport.position), np.asarray(transport.normal)
     fields = np.zeros((len(position), 4, 4), np.float32)
-    fields[:, 0, :3], fields[:, 1, :3], fields[:, 3, :3] = position, own, np.asarray(photo.albedo)
+    fields[:, 0, :3], fields[:, 1, :3], fields[:, 3, :3] = position, normal, np.asarray(photo.albedo)
     fields[:count, 1, :3] = np.asarray(mesh.vertex_normals)
     fields[:count, 2, :3] = np.asarray(photo.illuminance)
     hits = np.asarray(transport.hits)
@@ -98,7 +98,7 @@ def _photo(mesh: trimesh.Trimesh, photo: PhotoLight, rays: int | None) -> tuple[
 
 
 def _even(mesh: trimesh.Trimesh) -> tuple[np.ndarray, ...]:
-    """Even light on a mesh, which throws nothing back."""
+    """Even light on a mesh without interreflections."""
     fields = np.zeros((len(mesh.vertices), 4, 4), np.float32)
     fields[:, 0, :3], fields[:, 1, :3], fields[:, 2, :3] = mesh.vertices, mesh.vertex_normals, 1.0
     return (
@@ -110,17 +110,17 @@ def _even(mesh: trimesh.Trimesh) -> tuple[np.ndarray, ...]:
 
 
 def tree_order(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
-    """Triangles in the order of a complete tree, split at the median of the longest side of each part.
+    """Order of triangles in a complete tree, split at the median of the longest side of each part.
 
-    All leaves but the last ones have `LEAF` triangles, so that the tree needs no pointers.
+    All leaves but the last ones have `LEAF_TRIANGLES` triangles, so that the tree needs no pointers.
 
     >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [9, 0, 0], [9, 1, 0]])
     >>> tree_order(corners, np.array([[1, 2, 3], [0, 1, 2]])).tolist()
     [[1, 2, 3], [0, 1, 2]]
     """
-    leaves = 1 << max(0, (-(-len(faces) // LEAF) - 1).bit_length())
+    leaves = 1 << max(0, (-(-len(faces) // LEAF_TRIANGLES) - 1).bit_length())
     middle = vertices[faces].mean(axis=1)
-    order = np.arange(leaves * LEAF)  # what is beyond the last triangle sorts to the end of every part
+    order = np.arange(leaves * LEAF_TRIANGLES)  # what is beyond the last triangle sorts to the end of every part
     far = len(faces)
     parts = 1
     while parts < leaves:

@@ -1,4 +1,4 @@
-"""Serving of a folder with a page, such as an exported one: `hyjax serve`."""
+"""Server of a folder with a page, such as an exported one: `hyjax serve`."""
 
 import dataclasses
 from pathlib import Path
@@ -21,12 +21,12 @@ class ServeSettings(Settings):
     """Show an exported page: its folder, to browsers of this machine or of the local network."""
 
     folder: tyro.conf.Positional[Path]
-    """With the page, as `hyjax export` writes it."""
+    """Folder of the page, as `hyjax export` writes it."""
     host: str = LOCAL
-    """Address to listen at. Any but the default has HTTPS, as WebGPU wants it; everybody who reaches it sees the
+    """Address to listen at. Any but the default has HTTPS, as WebGPU needs it; everybody who reaches it sees the
     folder."""
     port: int = 8091
-    """Where the page is served; 0 for any port that is free."""
+    """Port of the page; 0 for any free port."""
 
     @property
     def is_local(self) -> bool:
@@ -35,12 +35,12 @@ class ServeSettings(Settings):
 
 
 def open_folder(settings: ServeSettings) -> "Server":
-    """A server of a folder.
+    """Open a server of a folder.
 
     Raises:
         InputError: no such folder, none with a page, or it cannot be listened at the address.
     """
-    from hyjax.device.server import Folder, Server
+    from hyjax.device.server import FolderSite, Server
 
     folder = settings.folder
     if not folder.is_dir():
@@ -50,4 +50,4 @@ def open_folder(settings: ServeSettings) -> "Server":
         raise InputError(f"{folder}: no {INDEX} in it; give the folder that hyjax export has written")
     if not 0 <= settings.port <= 65535:
         raise InputError(f"port: must lie in 0..65535, got {settings.port}")
-    return Server(Folder(folder, index), settings.host, settings.port)
+    return Server(FolderSite(folder, index), settings.host, settings.port)

@@ -1,4 +1,4 @@
-"""Web server of a page for devices: for this machine alone, or by HTTPS with a certificate made on the spot."""
+"""Web server of a page for devices: for this machine alone, or by HTTPS with a self-signed certificate."""
 
 import contextlib
 import dataclasses
@@ -18,9 +18,9 @@ from hyjax.device.certificate import qr_code, tls_context
 from hyjax.util.errors import InputError
 from hyjax.util.hosts import LOCAL, LOCAL_NAMES
 
-ANY = ("0.0.0.0", "::")
-MOST_BODY = 1 << 20
-"""Bytes that a request may bring."""
+ANY_ADDRESS = ("0.0.0.0", "::")
+MOST_BODY_BYTES = 1 << 20
+"""Most bytes of a request's body."""
 IDLE_SECONDS = 60.0
 JSON = "application/json"
 mimetypes.add_type("text/javascript", ".js")
@@ -29,7 +29,7 @@ mimetypes.add_type("text/plain", ".wgsl")
 
 @dataclasses.dataclass(frozen=True)
 class Answer:
-    """What a request is answered with."""
+    """Response to a request."""
 
     status: int
     content: bytes = b""
@@ -37,29 +37,29 @@ class Answer:
 
     @classmethod
     def refuse(cls, status: int, line: str) -> "Answer":
-        """An answer that says in one line what is wrong."""
+        """Response with an error in one line."""
         return cls(status, line.encode())
 
 
 class Site(Protocol):
-    """Content of a server. Called from several threads."""
+    """Content of a server, called from several threads."""
 
     def get(self, path: str) -> Answer:
-        """Answer to a request for a path, which has no slash at its beginning."""
+        """Response to a request for a path without a leading slash."""
         ...
 
     def post(self, path: str, body: bytes) -> Answer:
-        """Answer to JSON that was sent to a path."""
+        """Response to JSON sent to a path."""
         ...
 
 
 @dataclasses.dataclass(frozen=True)
-class Folder:
-    """Files of a folder, and nothing else.
+class FolderSite:
+    """Site of the files of a folder, and nothing else.
 
     Attributes:
         root: the folder.
-        index: file that stands for the folder itself.
+        index: file for the folder itself.
     """
 
     root: Path
@@ -83,14 +83,14 @@ class Folder:
 
 
 class Server:
-    """A site that is served until `stop`.
+    """Server of a site, until `stop`.
 
     Args:
         site: its content.
         host: address to listen at. Any but this machine's own has HTTPS.
-        port: to listen at; 0 for any that is free.
-        secret: whether addresses have a random token in them, where other machines can reach the server.
-        page: what is opened first.
+        port: to listen at; 0 for any free one.
+        secret: whether addresses contain a random token, where other machines can reach the server.
+        page: first page.
 
     Raises:
         InputError: it cannot be listened there, or a package is missing.
@@ -101,7 +101,7 @@ class Server:
     ) -> None:
         self.site, self.is_local = site, host in LOCAL_NAMES
         self.token = secrets.token_urlsafe(12) if secret and not self.is_local else ""
-        self.name = "localhost" if self.is_local else _own_address() if host in ANY else host
+        self.name = "localhost" if self.is_local else _own_address() if host in ANY_ADDRESS else host
         context = None if self.is_local else tls_context(self.name)
         try:
             self._server = _listen(host, port, self, context)
@@ -116,12 +116,12 @@ class Server:
         self._thread.start()
 
     def stop(self) -> None:
-        """Answer no more."""
+        """Stop the server."""
         self._server.shutdown()
         self._server.server_close()
 
     def invitation(self) -> str:
-        """What the terminal says of how to open the page, on this machine or on another device."""
+        """Instructions in the terminal to open the page, on this machine or on another device."""
         if self.is_local:
             return (
                 f"Open {self.address} in a browser with WebGPU on this machine. For an Android phone by cable: "
@@ -136,7 +136,7 @@ class Server:
         )
 
     def refusal(self, headers: Any, path: str) -> Answer | None:
-        """Why a request is not answered: not from this site, or without the token; None where nothing is wrong."""
+        """Reason to refuse a request: not from this site, or without the token; None to accept it."""
         host = headers.get("Host", "")
         with contextlib.suppress(ValueError):
             if self.is_local and urlsplit(f"//{host}").hostname in LOCAL_NAMES:
@@ -170,8 +170,8 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             length = int(self.headers.get("Content-Length", ""))
         except ValueError:
             return self._refuse(411, "how long it is must be told")
-        if not 0 <= length <= MOST_BODY:
-            return self._refuse(413, f"larger than {MOST_BODY >> 20} MiB")
+        if not 0 <= length <= MOST_BODY_BYTES:
+            return self._refuse(413, f"larger than {MOST_BODY_BYTES >> 20} MiB")
         body = self.rfile.read(length)
         if self.headers.get_content_type() != JSON:  # a page of another site cannot send it unasked
             return self._refuse(415, f"must be {JSON}")
@@ -212,7 +212,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             self.wfile.write(answer.content)
 
     def log_message(self, *_: object) -> None:
-        """The terminal is for what matters."""
+        """Log nothing, to keep the terminal clear."""
 
 
 class _Listener(http.server.ThreadingHTTPServer):
@@ -220,7 +220,7 @@ class _Listener(http.server.ThreadingHTTPServer):
     context: ssl.SSLContext | None = None
 
     def finish_request(self, request: Any, client_address: Any) -> None:
-        """In the connection's own thread: the handshake, then its requests."""
+        """Handle the handshake, then the requests, in the connection's own thread."""
         if self.context is None:
             super().finish_request(request, client_address)
             return
@@ -229,7 +229,7 @@ class _Listener(http.server.ThreadingHTTPServer):
             super().finish_request(wrapped, client_address)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Devices go away as they like, and browsers hang up on a certificate that nobody vouches for."""
+        """Ignore errors of devices that go away, and of browsers that reject a self-signed certificate."""
 
 
 def _listen(host: str, port: int, owner: Server, context: ssl.SSLContext | None) -> _Listener:

@@ -12,15 +12,15 @@ from hyjax.device.program import Buffer, Launch, Program
 from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
 
-TIMESTAMPS = "timestamp-query"
-FAR = {"depth_clear_value": 0.0}
+TIMESTAMP_FEATURE = "timestamp-query"
+FAR_DEPTH = {"depth_clear_value": 0.0}
 
 
 def open_device(precision: str = "f32") -> Any:
-    """A wgpu device of the best adapter that there is.
+    """Open a wgpu device of the best adapter.
 
     Raises:
-        InputError: the package wgpu or a driver is missing, or half precision where that is asked.
+        InputError: the package wgpu or a driver is missing, or half precision where requested.
     """
     os.environ.setdefault("WGPU_FORCE_OFFSCREEN", "1")
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # else drivers complain on stderr
@@ -29,7 +29,7 @@ def open_device(precision: str = "f32") -> Any:
         adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
     except RuntimeError as error:
         raise InputError(f"webgpu: no graphics driver was found ({str(error).splitlines()[0]})") from None
-    wanted = [name for name in (TIMESTAMPS, "shader-f16") if name in adapter.features]
+    wanted = [name for name in (TIMESTAMP_FEATURE, "shader-f16") if name in adapter.features]
     if precision == "f16" and "shader-f16" not in wanted:
         raise InputError(f"webgpu: {adapter.info['device']} has no half precision; leave it out")
     names = ("max-storage-buffer-binding-size", "max-buffer-size", "max-storage-buffers-per-shader-stage")
@@ -43,8 +43,8 @@ def describe(device: Any) -> str:
 
 
 @dataclasses.dataclass
-class Engine:
-    """Buffers and pipelines of a program.
+class ShaderEngine:
+    """Engine of a program: its buffers and pipelines.
 
     Args:
         program: shaders, buffers, launches.
@@ -62,12 +62,12 @@ class Engine:
         import wgpu
 
         self._wgpu = wgpu
-        own = {
+        sizes = {
             name: buffer.bytes * buffer.groups.count(self.lights) for name, buffer in self.program.buffers.items()
         }
         self._buffers = {
             name: self._make(name, size, self.program.buffers.get(name))
-            for name, size in (own | dict(self.sizes)).items()
+            for name, size in (sizes | dict(self.sizes)).items()
         }
         height, width = self.program.size
         usage = wgpu.TextureUsage
@@ -97,7 +97,7 @@ class Engine:
         return made
 
     def upload(self, name: str, values: np.ndarray) -> None:
-        """Fill a buffer from its beginning."""
+        """Write to a buffer from its beginning."""
         if values.size:
             self.device.queue.write_buffer(self._buffers[name], 0, np.ascontiguousarray(values).tobytes())
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hyjax.device.light_records import KINDS, light_records
+from hyjax.device.light_records import KIND_NUMBERS, light_records
 from hyjax.device.renderer import emitter_vectors
 from hyjax.device.scene_arrays import SceneArrays
 from hyjax.light.kinds import LIGHT_KINDS, kind_name
@@ -119,7 +119,7 @@ def setup_content(setup: LightSetup) -> dict[str, Any]:
 
 def light_keys() -> dict[str, list[dict[str, Any]]]:
     """Keys of each kind of light that there is a shader for, so that scripts check a lights file as Python does."""
-    return {name: [_key(key) for key in cls.KEYS] for name, cls in LIGHT_KINDS.items() if cls in KINDS}
+    return {name: [_key(key) for key in cls.KEYS] for name, cls in LIGHT_KINDS.items() if cls in KIND_NUMBERS}
 
 
 def _key(key: FileKey) -> dict[str, Any]:

@@ -22,6 +22,7 @@ def export_file(settings: ExportSettings) -> Path:
             differs from JAX's; then nothing is written.
     """
     settings.check()
+    settings.open_configuration().followed_by("file")
     target = open_target(settings.to)
     graph = build_graph(settings)
     size = "x".join(str(n) for n in reversed(settings.shape))

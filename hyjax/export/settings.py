@@ -101,11 +101,13 @@ class ExportSettings(Settings):
         """Configuration by name or from a file.
 
         Raises:
-            InputError: no such configuration, or one of the paper's form.
+            InputError: no such configuration, or one that is not exported.
         """
-        from hyjax.configuration import Configuration
+        from hyjax.configuration import DEFAULT, Configuration
 
-        return Configuration.open_linear(self.configuration, "which is not exported")
+        chosen = Configuration.open(self.configuration or DEFAULT)
+        chosen.followed_by("page" if self.to in ("web", "bench") else "file", say=False)
+        return chosen
 
     def record(self) -> dict[str, Any]:
         """Options as a record of the export has them."""

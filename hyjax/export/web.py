@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
+from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.data.frames import select_frames, spread
@@ -21,8 +22,8 @@ from hyjax.device.scene_arrays import scene_arrays
 from hyjax.export.page_scene import describe_scene, light_keys, pack_scene, setup_content
 from hyjax.export.page_sun import sun_table
 from hyjax.light.setup import REFERENCE_LUX, LightSetup
-from hyjax.pipeline import relight
 from hyjax.relighting.pictures import HEADINGS, sheet_row
+from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
@@ -31,8 +32,6 @@ from hyjax.util.reading import read_json
 
 PAGE_FORMAT = 1
 """Version of page.json. Add one whenever older scripts could not read it."""
-USED = ("schedule", "shadow_schedule", "sampling", "photo_exponent", "map_scale")
-"""Choices of a configuration that pages follow; each pixel is shaded, whatever the sampling."""
 RESOLUTIONS = 512, 256
 """Texels a side of shadow maps with one view, and of each of several: half of what `relight` takes."""
 RAYS = 128
@@ -62,9 +61,7 @@ def export_web(settings: Any) -> dict[str, Any]:
     if settings.guide not in (None, "rgb"):
         raise InputError("web: the page's guide is the frame itself; leave --guide out")
     configuration = dataclasses.replace(settings.open_configuration(), schedule=settings.open_schedule())
-    if configuration.light.photo_light == "kept":
-        raise InputError(f"web: pages divide the photo's light out, configuration {configuration.name} keeps it")
-    configuration.tell_unused("web", USED)
+    configuration = configuration.followed_by("page")
     scene = Scene.open(settings.scene, progress=not settings.quiet)
     every = range(len(scene))
     frames = spread(every, FRAMES) if settings.frames is None else select_frames(settings.frames, len(scene))
@@ -72,12 +69,10 @@ def export_web(settings: Any) -> dict[str, Any]:
     return write_page(
         scene,
         setup,
-        configuration.schedule,
+        configuration,
         frames,
         settings.out,
-        shadow_schedule=configuration.shadow_schedule,
         resolutions=scaled_resolutions(RESOLUTIONS, configuration.shadows.map_scale),
-        photo_exponent=configuration.light.photo_exponent,
         progress=not settings.quiet,
     )
 
@@ -91,14 +86,12 @@ def scaled_resolutions(resolutions: tuple[int, int], scale: float) -> tuple[int,
 def write_page(
     scene: Scene,
     setup: LightSetup,
-    schedule: Schedule,
+    configuration: Configuration | Schedule,
     frames: Sequence[int],
     out: Path,
     *,
-    shadow_schedule: Schedule | None = None,
     rays: int = RAYS,
     resolutions: tuple[int, int] = RESOLUTIONS,
-    photo_exponent: float = 1.0,
     lossless: bool = False,
     sun: bool = True,
     progress: bool = False,
@@ -110,13 +103,11 @@ def write_page(
     Args:
         scene: opened.
         setup: lights that the page starts with.
-        schedule: cascade for the light.
+        configuration: how frames are relit, as far as pages follow it, or a schedule for the default one.
         frames: positions in the capture.
         out: folder.
-        shadow_schedule: cascade for the visibility; by default that of `relight`.
         rays: of each point of the light transport.
         resolutions: texels a side of shadow maps with one view, and of each of several.
-        photo_exponent: of E_old / K, see `hyjax.configuration.LightOptions`.
         lossless: whether frames are PNG and not JPEG files.
         sun: whether to add the sun by the hour.
         progress: show a bar on stderr.
@@ -130,10 +121,12 @@ def write_page(
     """
     if not frames:
         raise InputError("web: no frames; choose at least one")
+    configuration = Configuration.of(configuration).followed_by("page", say=False)
+    schedule, exponent = configuration.schedule, configuration.light.photo_exponent
     steps = tqdm(total=len(frames) + 4, desc="page", unit="step", disable=not progress)
     check_page_folder(out)
     with new_folder(out, replace=True) as folder, steps:
-        arrays = scene_arrays(scene, rays=rays, photo_exponent=photo_exponent)
+        arrays = scene_arrays(scene, rays=rays, photo_exponent=exponent)
         packed = pack_scene(arrays)
         (folder / _SCENE_FILE).write_bytes(packed.content)
         described = describe_scene(scene, setup, arrays)
@@ -146,13 +139,12 @@ def write_page(
         if len(sizes) > 1:
             raise InputError("web: the frames are of several sizes; give one with --size")
         (size,) = sizes
-        shadow_schedule = shadow_schedule or Schedule.preset("hyjax-scan-shadow")
         programs = [
             frame_program(
                 arrays.counts,
                 size,
                 schedule,
-                shadow_schedule,
+                configuration.shadow_schedule,
                 map_texels=max(resolutions) + 2,
                 precision=precision,
                 stages=False,
@@ -180,7 +172,7 @@ def write_page(
             "schedule": json.loads(schedule.to_json()),
         }
         (folder / _PAGE_FILE).write_text(json.dumps(content), encoding="utf-8")
-        _write_sheet(scene, setup, schedule, shadow_schedule, frames, folder)
+        _write_sheet(Relighter(scene, setup, configuration.with_choices({"sampling": 1})), frames, folder)
         steps.update()
         _write_scripts(folder)
         (folder / "README.md").write_text(_readme(content), encoding="utf-8")
@@ -230,22 +222,13 @@ def _display_shader(size: tuple[int, int], precision: Precision) -> str:
     return shader_text(["color", "filled", "display"], precision, {"size": columns_rows(size)})
 
 
-def _write_sheet(
-    scene: Scene,
-    setup: LightSetup,
-    schedule: Schedule,
-    shadow_schedule: Schedule,
-    frames: Sequence[int],
-    folder: Path,
-) -> None:
+def _write_sheet(relighter: Relighter, frames: Sequence[int], folder: Path) -> None:
     """Write what a browser shows that cannot run the page."""
     rows = []
     shown = [column for column, heading in enumerate(HEADINGS) if heading in ("frame", "visibility", "relit")]
     for index in spread(list(frames), SHEET_ROWS):
-        view = scene.view(index)
-        relit = relight(view, scene.shade(view, setup), view.display, schedule, shadow_schedule=shadow_schedule)
-        frame = scene.frame(index)
-        pictures = sheet_row(frame, relit, "linear")
+        frame = relighter.place.frame(index)
+        pictures = sheet_row(frame, relighter.relit(frame), "linear")
         rows.append((frame.name, [pictures[column] for column in shown]))
     write_contact_sheet(folder / "contact_sheet.png", rows, [HEADINGS[column] for column in shown])
 

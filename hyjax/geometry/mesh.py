@@ -11,16 +11,23 @@ import trimesh
 from jaxtyping import Bool, Float, Int
 from trimesh.exchange.gltf import export_glb
 from trimesh.exchange.ply import export_ply
+from trimesh.resolvers import FilePathResolver
 
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
-from hyjax.util.reading import check_regular
+from hyjax.util.reading import check_regular, parse_json, read_bytes
 from hyjax.util.vectors import SHORTEST, unit
 
 READABLE = (".ply", ".obj", ".glb", ".gltf")
 WRITABLE = (".ply", ".glb")
 # Twice a triangle's area over its longest edge squared; below this it has no direction to be shaded in.
 FLATNESS_TOLERANCE = 1e-10
+DEEPEST_NODE = 64
+"""Largest number of transforms in turn of a glTF's node; the time that trimesh takes grows with its cube."""
+LARGEST_BUFFER = 1 << 32
+"""Bytes of a mesh file, or of a buffer that it names."""
+MOST_COPIED_FACES = 1_000_000
+"""Largest number of faces that a file may add by placing its meshes more than once."""
 _log = logging.getLogger(__name__)
 
 
@@ -103,22 +110,63 @@ Part = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 def _parts(path: Path, content: bytes | None) -> Iterator[Part]:
     """(vertices, faces, vertex normals if the file has them) of each mesh in the file, in world axes."""
     try:
+        kind = path.suffix[1:].lower()
+        options: dict[str, Any] = {"file_type": kind, "process": False}
+        if kind in ("obj", "ply"):
+            options["skip_materials"] = True
+        if kind in ("glb", "gltf"):
+            _check_nodes(path, content)
         if content is None:
-            scene = trimesh.load_scene(path, process=False)
-        else:  # materials and textures beside it are not read
-            scene = trimesh.load_scene(io.BytesIO(content), file_type=path.suffix[1:].lower(), process=False)
-        for node in scene.graph.nodes_geometry:
-            transform, name = scene.graph[node]
-            part = scene.geometry[name]
-            if isinstance(part, trimesh.Trimesh):
-                yield _transformed(part, transform)
-                _check_announced_faces(path, part, content)
+            with path.open("rb") as file:
+                scene = trimesh.load_scene(file, resolver=_FilesBeside(str(path)), **options)
+        else:  # of an archive: what lies beside it is not read
+            scene = trimesh.load_scene(io.BytesIO(content), **options)
+        placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
+        parts = [(scene.geometry[name], transform) for transform, name in placed]
+        meshes = [(part, transform) for part, transform in parts if isinstance(part, trimesh.Trimesh)]
+        faces = sum(len(part.faces) for part, _ in meshes)
+        if (
+            faces - sum(len(part.faces) for part in {id(part): part for part, _ in meshes}.values())
+            > MOST_COPIED_FACES
+        ):
+            raise InputError(
+                f"{path}: places its meshes {len(meshes)} times, {faces} faces in all; at most {MOST_COPIED_FACES} "
+                f"faces may be copies"
+            )
+        for part, transform in meshes:
+            yield _transformed(part, transform)
+            _check_announced_faces(path, part, content)
     except InputError:
         raise
     except Exception as error:  # each of trimesh's readers fails in its own way: Value-, Index-, KeyError, ...
         raise InputError(
             f"{path}: cannot be read as a mesh, damaged or truncated? ({type(error).__name__}: {error})"
         ) from error
+
+
+class _FilesBeside(FilePathResolver):
+    """Files that a mesh names: regular ones in its own folder, of bounded size."""
+
+    def get(self, name: str) -> bytes:
+        return read_bytes(self.absolute(name), most=LARGEST_BUFFER)
+
+
+def _check_nodes(path: Path, content: bytes | None) -> None:
+    """Raise `InputError` for a glTF whose nodes are nested too deep, or in more than one other."""
+    content = read_bytes(path, most=LARGEST_BUFFER) if content is None else content
+    if content.startswith(b"glTF"):
+        content = content[20 : 20 + int.from_bytes(content[12:16], "little")]
+    tree = parse_json(content, str(path))
+    nodes = tree.get("nodes", [])
+    parents = {child: parent for parent, node in enumerate(nodes) for child in node.get("children", [])}
+    if len(parents) < sum(len(node.get("children", [])) for node in nodes):
+        raise InputError(f"{path}: a node lies in more than one other, which glTF does not allow")
+    for node in parents:
+        depth = 1
+        while (node := parents.get(node)) is not None and depth <= DEEPEST_NODE:
+            depth += 1
+        if depth > DEEPEST_NODE:
+            raise InputError(f"{path}: its nodes are nested over {DEEPEST_NODE} deep")
 
 
 def _transformed(part: trimesh.Trimesh, transform: Float[np.ndarray, "4 4"]) -> Part:

@@ -1,58 +1,42 @@
-"""Unorganised points, as laser scanners measure them → small oriented discs that cover the surface.
+"""Point clouds, as laser scanners measure them → a mesh of small discs that cover the surface.
 
-A point's normal is the direction in which its neighbours spread least. Its sign means nothing: which side is seen
-is known to a camera only (`hyjax.geometry.splatting`).
+A point's normal is the direction in which its neighbours spread least. Its sign means nothing: a G-buffer's normals
+face the camera anyway.
 
 Sources: Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992 (normals); Breunig et al.,
 "LOF: identifying density-based local outliers", SIGMOD 2000 (a point is judged by the density around its
 neighbours, since a scanner's density falls with distance).
 """
 
-import dataclasses
-import os
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
-from jaxtyping import Float, Int
+import trimesh
+from jaxtyping import Float
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from hyjax.geometry.voxels import VoxelMean
+from hyjax.geometry.voxels import REACH, voxel_keys
 from hyjax.util.errors import InputError
+from hyjax.util.vectors import SHORTEST, unit
 
 NEIGHBOURS = 16  # that a normal is made of
 COVERING = 6  # a disc reaches to this neighbour; randomly placed discs then leave 1/400 of a surface uncovered
 AROUND = 4  # neighbours that a point is compared with
 ISOLATED = 3.0  # times as far from its neighbours as they are from theirs: not of the surface
-PIECE = 1 << 16  # points that are worked on at once
+PIECE = 1 << 18  # points that are worked on at once
+CORNERS = np.sqrt(np.pi) / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
+"""Of a square as large as the unit disc, which takes two triangles."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class PointCloud:
-    """Points of surfaces, with what is needed to draw each as a disc.
-
-    Attributes:
-        points: in metres, float32.
-        normals: unit normals, float32; either side.
-        radius: of a disc that reaches to the point's neighbours, metres, float32.
-    """
-
-    points: Float[np.ndarray, "n 3"]
-    normals: Float[np.ndarray, "n 3"]
-    radius: Float[np.ndarray, "n"]
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-
-def make_point_cloud(
+def disc_mesh(
     points: Float[np.ndarray, "n 3"], voxel: float | None = None, progress: bool = True
-) -> PointCloud:
-    """Thin points out, find their normals and distances, drop isolated ones.
+) -> trimesh.Trimesh:
+    """Mesh of a square for each point of a surface, as large as a disc that reaches to the point's neighbours.
+
+    It can be asked for pictures and shadows as any mesh can. Isolated points are left out.
 
     Args:
-        points: in metres.
-        voxel: edge in metres of the cells that keep the mean of their points; all points are kept unless given.
+        points: in metres, 17 or more.
+        voxel: edge in metres of the cells that points are thinned to, see `thinned`; all are kept unless given.
         progress: show a bar on stderr.
 
     Raises:
@@ -60,42 +44,52 @@ def make_point_cloud(
     """
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise InputError(f"point cloud: need finite points of shape (n, 3), got {points.shape} or non-finite ones")
-    if voxel is not None:
-        thinner = VoxelMean(voxel)
-        thinner.add(points)
-        points = thinner.points()
+    points = points if voxel is None else thinned(points, voxel)
     if len(points) <= NEIGHBOURS:
         at = "" if voxel is None else f" at a voxel of {voxel:g} m"
         raise InputError(f"point cloud: {len(points)} points{at} make no surface; need at least {NEIGHBOURS + 1}")
     points = points.astype(np.float32)
     # Points lie on surfaces, near the median of any box around them: sliding cuts are as good and build faster.
     tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-    normals, radius = np.empty_like(points), np.empty(len(points), np.float32)
-    nearest = np.empty((len(points), AROUND), np.int32)
-
-    def measure(start: int) -> int:
+    axes, nearest = np.empty((len(points), 3, 3), np.float32), np.empty((len(points), COVERING), np.int32)
+    radius = np.empty(len(points), np.float32)
+    for start in tqdm(range(0, len(points), PIECE), "point cloud", unit="piece", disable=not progress):
         piece = slice(start, start + PIECE)
-        normals[piece], radius[piece], nearest[piece] = _neighbourhood(tree, piece)
-        return len(radius[piece])
+        distance, index = tree.query(points[piece], NEIGHBOURS + 1, workers=-1)
+        around = tree.data[index]
+        around = around - around.mean(axis=1, keepdims=True)
+        axes[piece] = np.linalg.eigh(around.transpose(0, 2, 1) @ around)[1].transpose(0, 2, 1)  # least spread first
+        radius[piece], nearest[piece] = distance[:, COVERING], index[:, 1 : COVERING + 1]
+    kept = np.flatnonzero(radius <= ISOLATED * np.median(radius[nearest[:, :AROUND]], axis=1))
+    normal = axes[:, 0]
+    beside = normal[nearest[kept]]
+    side = np.sign(np.einsum("nd,nkd->nk", normal[kept], beside))
+    normals = unit(normal[kept] + np.einsum("nk,nkd->nd", side, beside), SHORTEST)
+    arms = radius[kept, None, None] * (CORNERS @ axes[kept, 1:])
+    faces = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(kept))[:, None, None]
+    vertices = (points[kept, None] + arms).reshape(-1, 3)
+    return trimesh.Trimesh(
+        vertices, faces.reshape(-1, 3), vertex_normals=np.repeat(normals, 4, axis=0), process=False
+    )
 
-    with (
-        ThreadPoolExecutor(os.cpu_count()) as pool,
-        tqdm(
-            desc="point cloud: normals", total=len(points), unit="point", unit_scale=True, disable=not progress
-        ) as bar,
-    ):
-        for count in pool.map(measure, range(0, len(points), PIECE)):
-            bar.update(count)
-    kept = radius <= ISOLATED * np.median(radius[nearest], axis=1)
-    return PointCloud(points[kept], normals[kept], radius[kept])
 
+def thinned(points: Float[np.ndarray, "n 3"], voxel: float) -> Float[np.ndarray, "m 3"]:
+    """Mean of the points in each cell of a grid, in the order of the cells.
 
-def _neighbourhood(
-    tree: cKDTree, piece: slice
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"], Int[np.ndarray, "n 4"]]:
-    """Normals of the points `piece`, distances to their sixth neighbours, their four nearest neighbours."""
-    distance, index = tree.query(tree.data[piece], NEIGHBOURS + 1)
-    around = tree.data[index]
-    around = around - around.mean(axis=1, keepdims=True)
-    _, axes = np.linalg.eigh(around.transpose(0, 2, 1) @ around)  # by increasing spread
-    return axes[:, :, 0], distance[:, COVERING], index[:, 1 : AROUND + 1]
+    Args:
+        points: finite, metres.
+        voxel: edge of a cell, metres.
+
+    Raises:
+        InputError: an unusable voxel, or a point a million cells or more from the origin.
+    """
+    if not (voxel > 0 and np.isfinite(voxel)):
+        raise InputError(f"voxel: must be > 0 metres, got {voxel:g}")
+    scaled = points.astype(np.float64) / voxel
+    if np.abs(scaled).max(initial=0) >= REACH:
+        raise InputError(
+            f"points reach {np.abs(points).max():.3g} m from the origin; with voxels of {voxel:g} m they may reach "
+            f"{REACH * voxel:.3g} m; are they in metres?"
+        )
+    _, cell, count = np.unique(voxel_keys(np.floor(scaled)), return_inverse=True, return_counts=True)
+    return np.stack([np.bincount(cell, axis) / count for axis in points.T], axis=-1)

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 
 from hyjax.geometry.camera import Camera
 from hyjax.light.gbuffer import GBuffer
-from hyjax.util.environment import cores
+from hyjax.util.cores import cores
 from hyjax.util.errors import InputError
 
 T = TypeVar("T")

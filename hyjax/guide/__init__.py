@@ -1,4 +1,4 @@
-"""Guide features from pictures: MobileNetV4 encoders in a U-Net, with weights in and out."""
+"""Guide features from pictures: MobileNetV4 encoders in a U-Net, with files of weights."""
 
 import importlib
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ __all__ = [
     "save_guide",
 ]
 
-PLACES = {
+MODULE_NAMES = {
     "network": ("ENCODERS", "Encoder", "GuideNetwork", "normalise", "register_encoder"),
     "weights": ("load_network", "load_weights", "save_guide"),
     "inference": ("Guide", "load_guide"),
@@ -29,8 +29,8 @@ PLACES = {
 
 
 def __getattr__(name: str) -> Any:
-    """The names above, loaded with flax when they are first asked for: `hyjax.guide.choose` does without."""
-    for module, names in PLACES.items():
+    """Load the names above, and flax with them, on first use; `hyjax.guide.choose` needs none of it."""
+    for module, names in MODULE_NAMES.items():
         if name in names:
             return getattr(importlib.import_module(f"hyjax.guide.{module}"), name)
     raise AttributeError(f"module 'hyjax.guide' has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""Guides by name: the frame itself, or a trained network. Flax is loaded only for those who train one."""
+"""Guides by name: the frame itself, or a trained network. Flax is loaded for training only."""
 
 import dataclasses
 import functools
@@ -8,22 +8,24 @@ from typing import Protocol
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hyjax.configuration import NO_GUIDE, GuideOptions
+from hyjax.configuration import GuideOptions
 from hyjax.core.pyramid import downsample, upsample
 from hyjax.util.errors import InputError, did_you_mean
 
-SHIPPED = ("small",)
-"""Networks whose weights come with the package."""
-HALF = "-half"
-"""Ending of the name of a shipped network at half the frame's size, see `ReducedGuide`."""
+NO_GUIDE = "none"
+"""Name of a guide without edges."""
+SHIPPED_NAMES = ("small",)
+"""Names of the networks whose weights come with the package."""
+HALF_SUFFIX = "-half"
+"""Suffix of the name of a shipped network at half the frame's size, see `ReducedGuide`."""
 
 
 class FrameGuide(Protocol):
-    """A function from frames to guides.
+    """Function from frames to guides.
 
     Attributes:
-        name: what tables call it.
-        fingerprint: changes whenever its features may.
+        name: its name in tables.
+        fingerprint: hash that changes whenever its features may.
     """
 
     @property
@@ -33,19 +35,19 @@ class FrameGuide(Protocol):
     def fingerprint(self) -> str: ...
 
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
-        """Features of a display-encoded frame, in units in which the presets' κ are sensible."""
+        """Features of a display-encoded frame, in units that suit the presets' κ."""
         ...
 
 
 @dataclasses.dataclass(frozen=True)
 class RgbGuide:
-    """The frame itself, display-encoded: the "RGB guide"."""
+    """RGB guide: the frame itself, display-encoded."""
 
     name: str = "rgb"
     fingerprint: str = "rgb"
 
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
-        """The frame."""
+        """Features of a frame: the frame itself."""
         return display
 
 
@@ -54,23 +56,23 @@ RGB = RgbGuide()
 
 @dataclasses.dataclass(frozen=True)
 class ConstantGuide:
-    """No guide: diffusion without edges."""
+    """Constant guide: diffusion without edges."""
 
     name: str = NO_GUIDE
     fingerprint: str = NO_GUIDE
 
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w 1"]:
-        """Zeros."""
+        """Features of a frame: zeros."""
         return jnp.zeros((*display.shape[:2], 1), display.dtype)
 
 
 @dataclasses.dataclass(frozen=True)
 class SizedGuide:
-    """A guide of the frame at a size, bilinear in between.
+    """Guide of the frame at a given size, interpolated bilinearly.
 
     Attributes:
-        guide: what computes the features.
-        size: longer side, in pixels, that it sees, at least.
+        guide: that computes the features.
+        size: least longer side of its frames, in pixels.
     """
 
     guide: FrameGuide
@@ -78,7 +80,7 @@ class SizedGuide:
 
     @property
     def name(self) -> str:
-        """The guide's, with the size."""
+        """Name of the guide, with the size."""
         return f"{self.guide.name}-{self.size}"
 
     @property
@@ -94,23 +96,23 @@ class SizedGuide:
 
 @dataclasses.dataclass(frozen=True)
 class ReducedGuide:
-    """A guide of the frame at half its size, bilinear in between: a network in a quarter of the time.
+    """Guide of the frame at half its size, interpolated bilinearly: a network in a quarter of the time.
 
     Attributes:
-        guide: what computes the features.
+        guide: that computes the features.
     """
 
     guide: FrameGuide
 
     @property
     def name(self) -> str:
-        """The guide's, with `HALF`."""
-        return f"{self.guide.name}{HALF}"
+        """Name of the guide, with `HALF_SUFFIX`."""
+        return f"{self.guide.name}{HALF_SUFFIX}"
 
     @property
     def fingerprint(self) -> str:
         """Changes with the guide's."""
-        return f"{self.guide.fingerprint}{HALF}"
+        return f"{self.guide.fingerprint}{HALF_SUFFIX}"
 
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
         """Features of a frame, see `FrameGuide.features`."""
@@ -137,12 +139,12 @@ def configured_guide(options: GuideOptions) -> FrameGuide:
 
 @functools.lru_cache(maxsize=4)
 def _opened(name: str) -> FrameGuide:
-    """Guide whose weights are read once."""
+    """Open guide, with its weights read once."""
     return open_guide(name)
 
 
 def open_guide(name: str = "rgb") -> FrameGuide:
-    """A guide by name.
+    """Open a guide by name.
 
     Args:
         name: `rgb`, `none`, the name of shipped weights (`small`; `small-half` at half the frame's size), or a
@@ -157,12 +159,12 @@ def open_guide(name: str = "rgb") -> FrameGuide:
         return ConstantGuide()
     from hyjax.guide.inference import load_guide  # with flax, which the RGB guide does without
 
-    shipped = name.removesuffix(HALF)
-    if shipped in SHIPPED:
+    shipped = name.removesuffix(HALF_SUFFIX)
+    if shipped in SHIPPED_NAMES:
         guide = load_guide(Path(__file__).with_name("trained") / f"{shipped}.safetensors", shipped)
         return guide if shipped == name else ReducedGuide(guide)
     if not Path(name).is_file():
-        known = (RGB.name, NO_GUIDE, *SHIPPED, *(name + HALF for name in SHIPPED))
+        known = (RGB.name, NO_GUIDE, *SHIPPED_NAMES, *(name + HALF_SUFFIX for name in SHIPPED_NAMES))
         raise InputError(
             f"guide: {name}: no such file{did_you_mean(name, known)}; give a safetensors file, or one of "
             f"{', '.join(known)}"

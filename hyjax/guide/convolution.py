@@ -16,24 +16,25 @@ Kernel = Float[Array, "k k i o"]
 Pair = tuple[int, int]
 
 
-NARROW = 16
-"""Outputs up to which `convolve` computes two pixels at once."""
+MOST_PAIR_OUTPUTS = 16
+"""Most outputs for which `convolve` computes two pixels at once."""
 
 
 def convolve(x: Picture, kernel: Kernel, stride: int = 1) -> Picture:
-    """A convolution with a square kernel of odd width."""
+    """Convolution with a square kernel of odd width."""
     if kernel.shape[0] == 1:
         return x[:, ::stride, ::stride] @ kernel[0, 0]
     pad = kernel.shape[0] // 2
-    if stride == 1 and kernel.shape[-1] <= NARROW and x.shape[2] % 2 == 0:
+    if stride == 1 and kernel.shape[-1] <= MOST_PAIR_OUTPUTS and x.shape[2] % 2 == 0:
         return _convolve_pairs(x, kernel)
     return _convolve(x, kernel, (stride, stride), ((pad, pad), (pad, pad)))
 
 
 def _convolve_pairs(x: Picture, kernel: Kernel) -> Picture:
-    """Two neighbours of a row as one pixel with twice the outputs: a third more products in two thirds of the time.
+    """Convolution of two neighbours of a row as one pixel with twice the outputs.
 
-    XLA's CPU convolution copies what each pixel sees for a matrix product, and few outputs do not repay the copies.
+    It takes a third more products in two thirds of the time: XLA's CPU convolution copies the surroundings of each
+    pixel for a matrix product, and few outputs do not repay the copies.
     """
     width, outputs = kernel.shape[0], kernel.shape[-1]
     pad = width // 2
@@ -48,7 +49,7 @@ def _convolve(x: Picture, kernel: Float[Array, "j k i o"], strides: Pair, pads: 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
 def convolve_depthwise(x: Picture, kernel: Float[Array, "k k 1 c"], stride: int = 1) -> Picture:
-    """A convolution of every channel by itself, as a sum of k² shifted pictures.
+    """Depthwise convolution as a sum of k² shifted pictures.
 
     XLA's own takes 20 to 30 times longer on a CPU. Its derivatives are written out below: derived from the sum they
     take k² pictures each, and minutes to compile in a whole network.
@@ -66,7 +67,7 @@ def _depthwise_and_inputs(x: Picture, kernel: Kernel, stride: int) -> tuple[Pict
 
 
 def _depthwise_slopes(stride: int, inputs: tuple[Picture, Kernel], slope: Picture) -> tuple[Picture, Kernel]:
-    """Derivatives by picture and kernel, from that by the result."""
+    """Derivatives by picture and kernel, from the derivative by the result."""
     x, kernel = inputs
     height, breadth = x.shape[1], x.shape[2]
     width = kernel.shape[0]
@@ -92,11 +93,11 @@ def _padded(x: Picture, pad: int) -> Picture:
 
 
 def convolve_upsampled(x: Picture, kernels: Sequence[Float[Array, "2 2 i o"]]) -> Picture:
-    """`convolve` after `upsample` to twice the size, with 4/9 of the products.
+    """Convolution after `upsample` to twice the size, with 4/9 of the products.
 
     Args:
         x: the small picture.
-        kernels: `parity_kernels` of the convolution's.
+        kernels: `parity_kernels` of the convolution's kernel.
     """
     batch, height, width, _ = x.shape
     outputs = kernels[0].shape[-1]
@@ -112,11 +113,11 @@ def convolve_upsampled(x: Picture, kernels: Sequence[Float[Array, "2 2 i o"]]) -
 
 
 PARITIES = ((0, 0), (0, 1), (1, 0), (1, 1))
-"""Of row and column."""
+"""Parities (row, column) of output pixels."""
 
 
 def parity_kernels(kernel: Float[Array, "3 3 i o"]) -> list[Float[Array, "2 2 i o"]]:
-    """What a convolution after `upsample` does with the small picture, for pixels of each of `PARITIES`.
+    """Kernels on the small picture that equal a convolution after `upsample`, one per entry of `PARITIES`.
 
     Output pixel 2y + a sees only two rows of the small picture, y − 1 and y if a = 0, y and y + 1 if a = 1, and the
     same of columns: a 2×2 convolution for each of the four parities, of kernels with the taps added up that fall on
@@ -126,11 +127,11 @@ def parity_kernels(kernel: Float[Array, "3 3 i o"]) -> list[Float[Array, "2 2 i 
 
 
 def _parity(kernel: Float[Array, "3 k i o"], parity: int) -> Float[Array, "2 k i o"]:
-    """Three rows of taps as the two that rows of this parity see."""
+    """Merge three rows of taps into the two rows of this parity."""
     first, second, third = kernel
     return jnp.stack([first, second + third] if parity == 0 else [first + second, third])
 
 
 def upsample(x: Picture, height: int, width: int) -> Picture:
-    """Every pixel twice along both axes, cut to size: the nearest neighbour's interpolation."""
+    """Nearest-neighbour upsampling by 2 along both axes, cut to size."""
     return jnp.repeat(jnp.repeat(x, 2, axis=1), 2, axis=2)[:, :height, :width]

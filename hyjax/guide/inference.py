@@ -1,4 +1,4 @@
-"""Guides from trained networks: what weights alone decide is done once, the rest is one compiled function."""
+"""Guides from trained networks: weights are folded once, the rest is one compiled function."""
 
 import functools
 import hashlib
@@ -22,7 +22,7 @@ from hyjax.util.arguments import checked_arguments
 
 
 def fold(network: GuideNetwork, *, kappa: float = DEFAULT_KAPPA) -> GuideNetwork:
-    """The same network for inference: without batch norms, and with `DEFAULT_KAPPA` as the κ of its features.
+    """Fold a network for inference: without batch norms, and with `DEFAULT_KAPPA` as the κ of its features.
 
     The last layer's bias is left out: only differences of features between pixels count, so it changes nothing, and
     adding it would write the network's largest array twice.
@@ -47,8 +47,8 @@ class Guide:
     """Features of frames from a trained network, as a pure compiled function.
 
     Attributes:
-        name: what tables call it.
-        fingerprint: changes with the weights.
+        name: its name in tables.
+        fingerprint: hash of the weights.
         metadata: of the file with the weights.
         network: for inference, see `fold`.
     """
@@ -71,7 +71,7 @@ class Guide:
 
     @checked_arguments(display=["display"])
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
-        """Guide features of a frame, of which `DEFAULT_KAPPA` is a sensible κ; each but for a constant.
+        """Guide features of a frame, scaled to `DEFAULT_KAPPA`; each up to a constant.
 
         Args:
             display: display-encoded, in [0, 1], of any size; one of bytes is divided by 255.
@@ -88,14 +88,14 @@ class Guide:
 
     @property
     def kernel(self) -> Float[Array, "k k t f"]:
-        """Of the last layer: `features` are `trunk` convolved with it."""
+        """Kernel of the last layer: `features` are `trunk` convolved with it."""
         return self.network.segmentation_head[0].kernel[...]
 
     def with_kernel(self, kernel: Float[Array, "k k t f"]) -> "Guide":
-        """The same guide with another last layer; see `kernel`."""
+        """Guide with another kernel of the last layer; see `kernel`."""
         network = nnx.clone(self._unfolded)
-        own = (kernel * (self._kappa / DEFAULT_KAPPA)).astype(jnp.float16)  # as a file will hold it
-        network.segmentation_head[0].kernel.set_value(own.astype(jnp.float32))
+        scaled = (kernel * (self._kappa / DEFAULT_KAPPA)).astype(jnp.float16)  # as a file will hold it
+        network.segmentation_head[0].kernel.set_value(scaled.astype(jnp.float32))
         digest = hashlib.sha256(self.fingerprint.encode() + np.asarray(kernel).tobytes()).hexdigest()[:16]
         name = f"{self.name}, tuned"
         metadata = self.metadata | {"last layer": "tuned by hyjax tune --joint"}
@@ -111,7 +111,7 @@ def load_guide(path: str | os.PathLike[str], name: str | None = None) -> Guide:
 
     Args:
         path: see `hyjax.guide.weights.load_network`.
-        name: what tables shall call it; by default the file's name.
+        name: its name in tables; by default the file's name.
 
     Raises:
         InputError: the file cannot be read or is of another network, or its κ or norm make no sense.

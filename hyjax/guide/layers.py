@@ -13,11 +13,11 @@ from hyjax.guide.convolution import Picture, convolve, convolve_depthwise
 
 Shape = tuple[int, ...]
 Initial = Callable[[Array, Shape], Float[Array, "k k i o"]]
-"""(key, shape) → a kernel to start from."""
+"""Initialiser: (key, shape) → kernel."""
 
 
 def _initial(gain: float, fan: Callable[[Shape], float], *, uniform: bool = False) -> Initial:
-    """Kernels of variance gain/fan."""
+    """Initialiser of kernels of variance gain/fan."""
 
     def draw(key: Array, shape: Shape) -> Float[Array, "k k i o"]:
         # Compiled for every power of four of numbers, of which it takes some: once a shape would take longer.
@@ -36,11 +36,11 @@ KAIMING_UNIFORM = _initial(2, lambda shape: shape[0] * shape[1] * shape[2], unif
 XAVIER_UNIFORM = _initial(2, lambda shape: shape[0] * shape[1] * (shape[2] + shape[3]), uniform=True)
 
 EPSILON = 1e-5
-"""Added to variances by batch norms, as in torch."""
+"""Constant that batch norms add to variances, as in torch."""
 
 
 class Conv(nnx.Module):
-    """A convolution padded with zeros so that stride 1 keeps the size.
+    """Convolution padded with zeros so that stride 1 keeps the size.
 
     Attributes:
         kernel: k×k×inputs×outputs; of a depthwise convolution k×k×1×channels.
@@ -69,7 +69,7 @@ class Conv(nnx.Module):
         return self.add_bias((convolve_depthwise if self.depthwise else convolve)(x, self.kernel[...], self.stride))
 
     def add_bias(self, y: Picture) -> Picture:
-        """The bias added to the products, if there is one."""
+        """Add the bias, if there is one, to the products."""
         return y if self.bias is None else y + self.bias[...]
 
 
@@ -79,7 +79,7 @@ class ConvNorm(nnx.Module):
     Attributes:
         conv: the convolution.
         norm: the batch norm: torch's momentum 0.1; None once it is folded into the convolution.
-        names: what the two are called in torch, within the module that holds both.
+        names: of the two in torch, within the module that holds both.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class ConvNorm(nnx.Module):
         return self.activate(self.conv(x))
 
     def activate(self, y: Picture) -> Picture:
-        """Batch norm and rectifier applied to the convolution's result."""
+        """Apply batch norm and rectifier to the convolution's result."""
         y = y if self.norm is None else self.norm(y)
         return jax.nn.relu(y) if self.relu else y
 

@@ -1,4 +1,4 @@
-"""MobileNetV4 encoders, convolutional ones, as the library timm defines them.
+"""Convolutional MobileNetV4 encoders as defined by the library timm.
 
 Source: Qin et al., *MobileNetV4: Universal Models for the Mobile Ecosystem*, ECCV 2024, arXiv:2404.10518; the
 tables below are its networks without the classifier.
@@ -11,13 +11,13 @@ from flax import nnx
 from hyjax.guide.convolution import Picture
 from hyjax.guide.layers import ConvNorm
 
-STEM = 32
-"""Channels after the first convolution."""
+STEM_CHANNELS = 32
+"""Number of channels after the first convolution."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Conv:
-    """A plain convolution with batch norm and rectifier."""
+class PlainConv:
+    """Specification of a convolution with batch norm and rectifier."""
 
     channels: int
     width: int
@@ -26,7 +26,7 @@ class Conv:
 
 @dataclasses.dataclass(frozen=True)
 class Fused:
-    """Fused inverted bottleneck: a wide convolution that expands, then a 1×1 one that projects."""
+    """Specification of a fused inverted bottleneck: a wide expanding convolution, then a 1×1 projection."""
 
     channels: int
     width: int
@@ -36,7 +36,7 @@ class Fused:
 
 @dataclasses.dataclass(frozen=True)
 class Universal:
-    """Universal inverted bottleneck: 1×1 expansion and projection with depthwise convolutions before and between.
+    """Specification of a universal inverted bottleneck: 1×1 expansion and projection, depthwise before and between.
 
     A width of 0 leaves that convolution out: the paper's ExtraDW has both, IR the second, ConvNeXt the first, FFN
     neither.
@@ -49,14 +49,14 @@ class Universal:
     stride: int = 1
 
 
-Block = Conv | Fused | Universal
+Block = PlainConv | Fused | Universal
 Stages = tuple[tuple[Block, ...], ...]
 
-LAST: tuple[Block, ...] = (Conv(960, 1),)
+LAST_STAGE: tuple[Block, ...] = (PlainConv(960, 1),)
 
-SMALL: Stages = (
-    (Conv(32, 3, stride=2), Conv(32, 1)),
-    (Conv(96, 3, stride=2), Conv(64, 1)),
+SMALL_STAGES: Stages = (
+    (PlainConv(32, 3, stride=2), PlainConv(32, 1)),
+    (PlainConv(96, 3, stride=2), PlainConv(64, 1)),
     (Universal(96, 5, 5, 3, stride=2), *4 * (Universal(96, 0, 3, 2),), Universal(96, 3, 0, 4)),
     (
         Universal(128, 3, 3, 6, stride=2),
@@ -65,10 +65,10 @@ SMALL: Stages = (
         Universal(128, 0, 5, 3),
         *2 * (Universal(128, 0, 3, 4),),
     ),
-    LAST,
+    LAST_STAGE,
 )
 
-MEDIUM: Stages = (
+MEDIUM_STAGES: Stages = (
     (Fused(48, 3, 4, stride=2),),
     (Universal(80, 3, 5, 4, stride=2), Universal(80, 3, 3, 2)),
     (
@@ -91,14 +91,14 @@ MEDIUM: Stages = (
         *2 * (Universal(256, 0, 0, 4),),
         Universal(256, 5, 0, 2),
     ),
-    LAST,
+    LAST_STAGE,
 )
 
 
 class ConvBlock(nnx.Module):
-    """`Conv` of a table."""
+    """Layers of a `PlainConv`."""
 
-    def __init__(self, inputs: int, block: Conv, *, rngs: nnx.Rngs) -> None:
+    def __init__(self, inputs: int, block: PlainConv, *, rngs: nnx.Rngs) -> None:
         self.conv = ConvNorm(inputs, block.channels, block.width, block.stride, names=("conv", "bn1"), rngs=rngs)
 
     def __call__(self, x: Picture) -> Picture:
@@ -106,7 +106,7 @@ class ConvBlock(nnx.Module):
 
 
 class FusedBlock(nnx.Module):
-    """`Fused` of a table."""
+    """Layers of a `Fused` bottleneck."""
 
     def __init__(self, inputs: int, block: Fused, *, rngs: nnx.Rngs) -> None:
         wide = inputs * block.expansion
@@ -120,7 +120,7 @@ class FusedBlock(nnx.Module):
 
 
 class UniversalBlock(nnx.Module):
-    """`Universal` of a table."""
+    """Layers of a `Universal` bottleneck."""
 
     def __init__(self, inputs: int, block: Universal, *, rngs: nnx.Rngs) -> None:
         wide, outputs = inputs * block.expansion, block.channels
@@ -141,20 +141,20 @@ class UniversalBlock(nnx.Module):
         return x + y if self.residual else y
 
 
-BLOCKS = {Conv: ConvBlock, Fused: FusedBlock, Universal: UniversalBlock}
+BLOCKS = {PlainConv: ConvBlock, Fused: FusedBlock, Universal: UniversalBlock}
 
 
 class MobileNetV4(nnx.Module):
-    """An encoder: a picture becomes five feature maps, each half as wide and high as the one before.
+    """Encoder of a picture to five feature maps, each half as wide and high as the one before.
 
     Attributes:
         channels: of each map, fine to coarse.
     """
 
     def __init__(self, stages: Stages, *, rngs: nnx.Rngs) -> None:
-        self.stem = ConvNorm(3, STEM, 3, 2, names=("conv_stem", "bn1"), rngs=rngs)
+        self.stem = ConvNorm(3, STEM_CHANNELS, 3, 2, names=("conv_stem", "bn1"), rngs=rngs)
         self.blocks: nnx.List[nnx.List] = nnx.List()
-        before = STEM
+        before = STEM_CHANNELS
         for stage in stages:
             blocks: nnx.List[nnx.Module] = nnx.List()
             for block in stage:
@@ -162,7 +162,7 @@ class MobileNetV4(nnx.Module):
                 before = block.channels
             self.blocks.append(blocks)
         # The maps are those at the end of each resolution.
-        self.channels = (STEM, *(stage[-1].channels for stage in stages[:3]), stages[-1][-1].channels)
+        self.channels = (STEM_CHANNELS, *(stage[-1].channels for stage in stages[:3]), stages[-1][-1].channels)
 
     def __call__(self, image: Picture) -> list[Picture]:
         x = self.stem(image)
@@ -176,9 +176,9 @@ class MobileNetV4(nnx.Module):
 
 def mobilenetv4_conv_small(*, rngs: nnx.Rngs) -> MobileNetV4:
     """MobileNetV4-Conv-S without its classifier; 1.26 M parameters."""
-    return MobileNetV4(SMALL, rngs=rngs)
+    return MobileNetV4(SMALL_STAGES, rngs=rngs)
 
 
 def mobilenetv4_conv_medium(*, rngs: nnx.Rngs) -> MobileNetV4:
     """MobileNetV4-Conv-M without its classifier; 7.20 M parameters."""
-    return MobileNetV4(MEDIUM, rngs=rngs)
+    return MobileNetV4(MEDIUM_STAGES, rngs=rngs)

@@ -1,4 +1,4 @@
-"""The network that turns a picture into a guide: an encoder, the U-Net's decoder, and a last convolution."""
+"""Guide network: an encoder, the U-Net's decoder, and a last convolution."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -13,13 +13,14 @@ from hyjax.guide.mobilenetv4 import mobilenetv4_conv_medium, mobilenetv4_conv_sm
 from hyjax.guide.unet import DECODER_CHANNELS, UnetDecoder
 from hyjax.util.errors import InputError, did_you_mean
 
-# Of ImageNet's display-encoded pictures; encoders are trained on pictures normalised by them.
 MEAN = (0.485, 0.456, 0.406)
+"""Mean of ImageNet's display-encoded pictures, with which encoders are trained."""
 DEVIATION = (0.229, 0.224, 0.225)
+"""Standard deviation of ImageNet's display-encoded pictures."""
 
 
 class Encoder(Protocol):
-    """An encoder as the decoder needs it, an `nnx.Module`.
+    """Encoder of the U-Net, an `nnx.Module`.
 
     Attributes:
         channels: of its feature maps, fine to coarse; at most five.
@@ -29,7 +30,7 @@ class Encoder(Protocol):
     def channels(self) -> Sequence[int]: ...
 
     def __call__(self, image: Float[Array, "b h w 3"]) -> Sequence[Picture]:
-        """Feature maps, fine to coarse: the first ⌈H/2⌉ high, each of the others half as high as the one before."""
+        """Feature maps, fine to coarse: the first ⌈H/2⌉ high, each other one half as high as the one before."""
 
 
 ENCODERS: dict[str, Callable[..., Encoder]] = {
@@ -55,7 +56,7 @@ def register_encoder(name: str, make: Callable[..., Encoder]) -> None:
 
 
 class GuideNetwork(nnx.Module):
-    """A U-Net that turns pictures into guide features.
+    """U-Net from pictures to guide features.
 
     Batch norms use the statistics of the batch after `.train()` and the running ones after `.eval()`.
 
@@ -85,7 +86,7 @@ class GuideNetwork(nnx.Module):
         self.segmentation_head = nnx.List([head])
 
     def __call__(self, image: Float[Array, "b h w 3"]) -> Float[Array, "b h w features"]:
-        """Guide features of pictures that `normalise` has prepared, of any size."""
+        """Guide features of normalised pictures (see `normalise`) of any size."""
         if image.ndim != 4 or image.shape[-1] != 3:
             raise InputError(f"image: need B x H x W x 3 RGB pictures, got shape {image.shape}")
         return self.segmentation_head[0](self.trunk(image))
@@ -96,5 +97,5 @@ class GuideNetwork(nnx.Module):
 
 
 def normalise(display: Float[Array, "*b h w 3"]) -> Float[Array, "*b h w 3"]:
-    """Display-encoded pictures in [0, 1] → what encoders are trained on: ImageNet's mean 0 and deviation 1."""
+    """Normalise display-encoded pictures in [0, 1] for encoders: ImageNet's mean 0 and deviation 1."""
     return (display - jnp.asarray(MEAN, display.dtype)) / jnp.asarray(DEVIATION, display.dtype)

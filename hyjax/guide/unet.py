@@ -1,7 +1,7 @@
-"""The decoder of a U-Net as the library segmentation_models_pytorch builds it.
+"""Decoder of a U-Net as built by the library segmentation_models_pytorch.
 
-Source: Ronneberger et al., *U-Net: Convolutional Networks for Biomedical Image Segmentation*, MICCAI 2015; that the
-nearest neighbour upsamples and how many convolutions and channels a level has is that library's.
+Source: Ronneberger et al., *U-Net: Convolutional Networks for Biomedical Image Segmentation*, MICCAI 2015; the
+nearest-neighbour upsampling and the numbers of convolutions and channels per level are that library's.
 """
 
 from collections.abc import Sequence
@@ -13,13 +13,13 @@ from hyjax.guide.convolution import Picture, convolve, convolve_upsampled, parit
 from hyjax.guide.layers import KAIMING_UNIFORM, ConvNorm
 
 DECODER_CHANNELS = (256, 128, 64, 32, 16)
-"""After each doubling of the size, down to full size; the last ones, if an encoder halves less often."""
-PARITIES_FROM = 32 * 32
-"""Pixels from which `convolve_upsampled` saves more than adding up its kernels costs, unless folded."""
+"""Channels after each doubling up to full size; the last ones, if an encoder halves less often."""
+LEAST_PARITY_PIXELS = 32 * 32
+"""Number of pixels from which `convolve_upsampled` saves more than adding up its kernels costs, unless folded."""
 
 
 class DecoderBlock(nnx.Module):
-    """Doubles the size, joins the encoder's map of that size, and convolves twice.
+    """Decoder block: doubles the size, joins the encoder's map of that size, and convolves twice.
 
     Attributes:
         conv1: first convolution, of both together.
@@ -44,7 +44,7 @@ class DecoderBlock(nnx.Module):
 
     def __call__(self, x: Picture, skip: Picture | None, height: int, width: int) -> Picture:
         doubled = (height, width) == (2 * x.shape[1], 2 * x.shape[2])
-        if doubled and (self.parities or x.shape[1] * x.shape[2] >= PARITIES_FROM):
+        if doubled and (self.parities or x.shape[1] * x.shape[2] >= LEAST_PARITY_PIXELS):
             return self.conv2(self._convolve_parities(x, skip))
         x = upsample(x, height, width)
         return self.conv2(self.conv1(x if skip is None else jnp.concatenate([x, skip], -1)))
@@ -60,7 +60,7 @@ class DecoderBlock(nnx.Module):
 
 
 class UnetDecoder(nnx.Module):
-    """Feature maps of an encoder become one map of the picture's size.
+    """Decoder from the feature maps of an encoder to one map of the picture's size.
 
     Attributes:
         channels: of that map.

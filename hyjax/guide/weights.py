@@ -20,10 +20,9 @@ from jaxtyping import Shaped
 
 from hyjax.guide.layers import ConvNorm
 from hyjax.guide.network import ENCODERS, GuideNetwork
-from hyjax.guide.torch_files import read_state_dict
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
-from hyjax.util.reading import check_regular, open_regular
+from hyjax.util.reading import check_regular
 
 Arrays = dict[str, Shaped[np.ndarray, "..."]]
 Dtype = Literal["float16", "float32"]
@@ -84,7 +83,7 @@ def load_network(
     """Read a network from a file, ready for inference.
 
     Args:
-        path: safetensors of ours or of an smp Unet, an smp state dict as torch saves it, or `hf://OWNER/NAME/FILE`.
+        path: safetensors of ours or of an smp Unet, or `hf://OWNER/NAME/FILE`.
         encoder: name in `ENCODERS`; by default the file's own word, or else the first that fits it.
 
     Returns:
@@ -179,24 +178,23 @@ def assign(
 
 
 def read_weights(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, str]]:
-    """(arrays by name, metadata) of a safetensors file or a torch state dict, without torch's counters.
+    """(arrays by name, metadata) of a safetensors file, without torch's counters.
 
     Raises:
         InputError: no such file, or it is damaged.
     """
     file = _downloaded(os.fspath(path)) if os.fspath(path).startswith(HUB) else Path(path)
     check_regular(file, os.fspath(path))
-    metadata: dict[str, str] = {}
-    if _is_zip(file):
-        arrays = read_state_dict(file)
-    else:
-        try:
-            with safetensors.safe_open(file, framework="numpy") as opened:
-                metadata = opened.metadata() or {}
-                arrays = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118, no mapping
-        except Exception as error:  # SafetensorError, OSError, KeyError, …: of a damaged header
-            reason = " ".join(str(error).split())
-            raise InputError(f"{path}: neither safetensors nor a torch state dict, or damaged ({reason})") from None
+    try:
+        with safetensors.safe_open(file, framework="numpy") as opened:
+            metadata = opened.metadata() or {}
+            arrays = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118, no mapping
+    except Exception as error:  # SafetensorError, OSError, KeyError, …: of a damaged header
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"{path}: not safetensors, or damaged ({reason}); in a clone, "
+            "python -m experiments.convert_weights makes safetensors of torch's files"
+        ) from None
     # Networks trained in parallel by torch have every name prefixed.
     arrays = {name.removeprefix("module."): array for name, array in arrays.items()}
     return {name: array for name, array in arrays.items() if not name.endswith(COUNTER)}, metadata
@@ -242,11 +240,6 @@ def _recognised(path: str | os.PathLike[str], arrays: Arrays) -> str:
         if own == shapes:
             return encoder
     raise InputError(f"{path}: weights of an unknown network; the encoder is none of {', '.join(ENCODERS)}")
-
-
-def _is_zip(file: Path) -> bool:
-    with open_regular(file) as opened:
-        return opened.read(2) == b"PK"
 
 
 def _downloaded(address: str) -> Path:

@@ -4,18 +4,22 @@ An image called `linear` holds amounts of light, one called `display` holds what
 (IEC 61966-2-1 sRGB, primaries of Rec. 709). Light adds and multiplies only in `linear`.
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int, UInt8
 
 from hyjax.util.arguments import checked_arguments
-from hyjax.util.programs import KeptFunction
+from hyjax.util.errors import InputError, shown
+from hyjax.util.tracing import concrete
 
 # Luminance of linear Rec. 709 red, green and blue.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
+BLACKBODY_KELVIN = (1667.0, 25000.0)
+"""Temperatures between which the approximation of a black body's colour holds."""
 
 
 @checked_arguments(display=["display"])
-@KeptFunction
+@jax.jit
 def to_linear(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Display-encoded values in [0, 1] → linear light in [0, 1]. Bytes are divided by 255."""
     # Both branches are evaluated and differentiated: the power sees only values from its own side.
@@ -24,7 +28,7 @@ def to_linear(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
 
 
 @checked_arguments
-@KeptFunction
+@jax.jit
 def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Linear light → display-encoded values in [0, 1]; anything brighter than 1 is clipped to white."""
     power = 1.055 * jnp.clip(linear, 0.0031308, 1.0) ** (1.0 / 2.4) - 0.055
@@ -32,7 +36,7 @@ def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
     return jnp.where(linear < 0.0, 0.0, jnp.where(linear <= 0.0031308, linear * 12.92, power))
 
 
-@KeptFunction
+@jax.jit
 def to_display_bytes(linear: Float[Array, "*s"]) -> UInt8[Array, "*s"]:
     """Linear light → display-encoded bytes, as a file or a screen takes them."""
     return jnp.round(255.0 * to_display(linear)).astype(jnp.uint8)
@@ -45,14 +49,27 @@ def luminance(linear: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
 
 
 @checked_arguments
-@KeptFunction
 def blackbody(kelvin: Float[ArrayLike, ""] | Int[ArrayLike, ""]) -> Float[Array, "3"]:
     """Linear RGB of luminance 1 with the hue of a black body; for 1667 to 25000 K.
 
     Chromaticity by the cubic approximation of Kim et al. (US patent 7024034), as tabulated in *Planckian locus*;
     colours outside the gamut (below about 1900 K) are clipped to it.
+
+    Raises:
+        InputError: a known temperature outside 1667 to 25000 K.
+
+    Example:
+        >>> bool(blackbody(3000.0)[0] > blackbody(3000.0)[2])
+        True
     """
-    t = jnp.asarray(kelvin, jnp.float32)
+    coldest, hottest = BLACKBODY_KELVIN
+    if (known := concrete(kelvin)) is not None and not ((known >= coldest) & (known <= hottest)).all():
+        raise InputError(f"kelvin: must be from {coldest:g} to {hottest:g} K, got {shown(kelvin)}")
+    return _blackbody(jnp.asarray(kelvin, jnp.float32))
+
+
+@jax.jit
+def _blackbody(t: Float[Array, ""]) -> Float[Array, "3"]:
     u = 1e3 / t
     x = jnp.where(
         t <= 4000.0,

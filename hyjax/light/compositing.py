@@ -1,4 +1,4 @@
-"""Filter times frame (Eq. 1)."""
+"""Product of filter and frame (Eq. 1)."""
 
 import jax
 from jaxtyping import Array, Float
@@ -9,10 +9,9 @@ from hyjax.util.errors import InputError
 
 @checked_arguments
 def composite(relight_filter: Float[Array, "h w c"], frame: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
-    """The relit picture S = R ⊙ C (Eq. 1).
+    """Relit picture S = R ⊙ C (Eq. 1).
 
-    Multiplies whatever it is given: two linear images give the physically right product, two display-encoded ones
-    the paper's.
+    Two linear images give the physically right product, two display-encoded ones the paper's.
 
     Args:
         relight_filter: R, one channel or three.

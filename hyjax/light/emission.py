@@ -1,4 +1,4 @@
-"""What emits light in a frame: window panes and lamps, which show the sky or the bulb that they now are.
+"""Emitters in a frame: window panes and lamps, which show the new sky or bulb.
 
 Their pixels are not a surface that light falls on. A pane shows the sky that the new lights put there, bright at
 noon and dark at night, patterned as the photo's was; a lamp that is off is white in the light of the room.
@@ -16,37 +16,36 @@ from hyjax.core.finite import finite_or_zero
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.util.geometry import cross, dot, unit
-from hyjax.util.programs import KeptFunction
 from hyjax.util.tracing import concrete
 
 PANE_REFLECTANCE, LAMP_REFLECTANCE = 0.04, 0.6
 PANE_SHARE = 0.4
-"""Brightness of what a pane shows, in the mean that it lets in: what stands on the horizon is darker than the sky
+"""Brightness of the view through a pane over the mean light that it lets in: the horizon is darker than the sky
 above. Chosen on two of the rooms that `experiments.truth` chooses on."""
-SLACK = 0.12
-"""Metres before a pane that a scanned surface may lie and still belong to it: bars, blinds, noise."""
-WITHIN = 0.1
-"""Metres from a source within which a new light makes it shine."""
-DARK, BRIGHT = 0.1, 0.3
-"""Linear values of the photo between which a pixel of a source becomes one that shines."""
-BURNT, WHITE = 0.75, 0.95
-"""Likewise of a lamp."""
-EDGE = 0.05
-"""Metres that the soft border of a source may reach beyond it."""
+PANE_SLACK = 0.12
+"""Distance before a pane, in metres, within which a scanned surface belongs to it: bars, blinds, noise."""
+SOURCE_RADIUS = 0.1
+"""Distance from a source, in metres, within which a new light makes it shine."""
+PANE_DARK, PANE_BRIGHT = 0.1, 0.3
+"""Linear values of the photo between which a pixel of a pane begins to shine."""
+LAMP_DARK, LAMP_BRIGHT = 0.75, 0.95
+"""Linear values of the photo between which a pixel of a lamp begins to shine."""
+BORDER_WIDTH = 0.05
+"""Width, in metres, of the soft border around a source."""
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Emitters:
-    """Panes and lamps of a place, with what they send under new lights.
+    """Panes and lamps of a place, with their radiance under new lights.
 
     Attributes:
         panes: centre, half-axis to the right and half-axis up of each pane.
         lamps: position and radius of each lamp.
         sent: radiance times π of panes, then lamps, as a filter: 1 stands for white in the photo's mean light.
-        kept: what is left of the light that each sent when the photo was taken.
+        kept: remaining factor of the light that each sent when the photo was taken.
         mean: K, see `hyjax.light.photo_light.PhotoLight`.
-        pane_means: linear mean of what the photos show of each pane.
+        pane_means: linear mean of each pane in the photos.
     """
 
     panes: Float[Array, "n 3 3"]
@@ -64,8 +63,8 @@ class Emission:
 
     Attributes:
         weight: how far a pixel belongs to a source, in [0, 1].
-        sent: what it emits, linear.
-        reflectance: what it shows of the light that falls on it, in units of a white surface's picture.
+        sent: emitted light, linear.
+        reflectance: share of the incident light that it shows, in units of a white surface's picture.
     """
 
     weight: Float[Array, "h w 1"]
@@ -76,12 +75,12 @@ class Emission:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class SourcePixels:
-    """Pixels of a frame that belong to panes and lamps, whatever these send.
+    """Pixels of a frame that belong to panes and lamps, independent of their radiance.
 
     Attributes:
         weight: how far a pixel belongs to a source, in [0, 1].
         source: which one, panes first; -1 for none.
-        pattern: of what it sends, relative to the mean light that comes in.
+        pattern: of its light, relative to the mean light that comes in.
     """
 
     weight: Float[Array, "h w 1"]
@@ -95,7 +94,7 @@ def radiant_filter(
     lamps: Float[np.ndarray, "m 4"],
     reference_lux: float,
 ) -> Float[np.ndarray, "k 3"]:
-    """What panes and lamps send under new lights: radiance times π over the reference illuminance.
+    """Radiance of panes and lamps under new lights, times π over the reference illuminance.
 
     Args:
         lights: a rectangle in a pane's opening, or a bulb within a lamp, makes it shine.
@@ -105,7 +104,7 @@ def radiant_filter(
     sent = np.zeros((len(panes) + len(lamps), 3))
     for light in lights:
         if type(light).emitter is Light.emitter:
-            continue  # of a kind that does not tell its shape
+            continue  # of a kind without a known shape
         emitter, color = light.emitter(), np.asarray(light.color)
         if emitter is None:
             continue
@@ -115,11 +114,11 @@ def radiant_filter(
                 away = emitter.position - center
                 normal = np.cross(right, up)
                 off = abs(away @ normal) / np.linalg.norm(normal)
-                if off < WITHIN and abs(away @ right) <= right @ right and abs(away @ up) <= up @ up:
+                if off < SOURCE_RADIUS and abs(away @ right) <= right @ right and abs(away @ up) <= up @ up:
                     sent[k] += emitter.strength / area * color
         elif emitter.kind in ("point", "spot"):
             for k, (*place, radius) in enumerate(lamps):
-                if np.linalg.norm(emitter.position - place) < radius + WITHIN:
+                if np.linalg.norm(emitter.position - place) < radius + SOURCE_RADIUS:
                     sent[len(panes) + k] += emitter.strength / (4 * np.pi * radius**2) * color
         elif emitter.kind == "sky":
             sent[: len(panes)] += emitter.strength * color
@@ -132,7 +131,7 @@ def may_show(
     pose: Float[ArrayLike, "4 4"],
     intrinsics: Float[ArrayLike, "3 3"],
 ) -> bool:
-    """Whether a camera can have a pane or a lamp in its picture at all; true where that is known only when traced.
+    """Whether a camera can have a pane or a lamp in its picture; true for traced arguments.
 
     Args:
         emitters: of the place.
@@ -150,14 +149,15 @@ def may_show(
     sides /= np.linalg.norm(sides, axis=1, keepdims=True)
     signs = np.array([(1, a, b) for a in (-1, 1) for b in (-1, 1)])
     corners = np.einsum("sk,nkd->nsd", signs, panes)
-    for points, radius in [(pane, EDGE) for pane in corners] + [(p[None, :3], 1.5 * p[3] + EDGE) for p in lamps]:
+    lit = [(p[None, :3], 1.5 * p[3] + BORDER_WIDTH) for p in lamps]
+    for points, radius in [(pane, BORDER_WIDTH) for pane in corners] + lit:
         inside = (points - pose[:3, 3]) @ pose[:3, :3] @ sides.T > -radius
         if inside.any(axis=0).all():
             return True
     return False
 
 
-@KeptFunction
+@jax.jit
 def emission(
     emitters: Emitters,
     frame: Float[Array, "h w 3"],
@@ -175,14 +175,14 @@ def emission(
 
 @jax.jit
 def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]) -> Emission:
-    """What the pixels of panes and lamps emit under new lights."""
+    """Emission of the pixels of panes and lamps under new lights."""
     sent, reflectance = jnp.zeros_like(frame), jnp.zeros_like(frame)
     shares = [PANE_REFLECTANCE] * len(emitters.panes) + [LAMP_REFLECTANCE] * len(emitters.lamps)
     for k, share in enumerate(shares):  # a few; gathering from a table takes longer
         here = pixels.source[..., None] == k
-        own = emitters.sent[k] * emitters.mean * pixels.pattern + emitters.kept[k] * frame
-        sent = jnp.where(here, own, sent)
-        # What is left of the photo holds its reflections, too.
+        radiance = emitters.sent[k] * emitters.mean * pixels.pattern + emitters.kept[k] * frame
+        sent = jnp.where(here, radiance, sent)
+        # The kept part of the photo holds its reflections, too.
         reflected = share * emitters.mean * jnp.maximum(1.0 - emitters.kept[k], 0.0)
         reflectance = jnp.where(here, reflected, reflectance)
     return Emission(pixels.weight, sent, reflectance)
@@ -214,15 +214,15 @@ def source_pixels(
         along = dot(toward, ray) / dot(ray, ray)
         away = jnp.sqrt(jnp.maximum(dot(toward, toward) - along**2 * dot(ray, ray), 1e-12))
         cover = jnp.clip((1.5 * radius - away) / (pixel * jnp.maximum(along, 1e-3)) + 0.5, 0.0, 1.0)
-        cover *= (along > 0) & (depth > along - 2 * radius - SLACK)
-        shares.append(cover * _ramp(jnp.min(frame, axis=-1), BURNT, WHITE))
+        cover *= (along > 0) & (depth > along - 2 * radius - PANE_SLACK)
+        shares.append(cover * _ramp(jnp.min(frame, axis=-1), LAMP_DARK, LAMP_BRIGHT))
     for k, share in enumerate(shares):
-        own = jnp.ones(3)
+        shown = jnp.ones(3)
         if k < len(emitters.panes):
-            own = PANE_SHARE * frame / jnp.maximum(emitters.pane_means[k], 1e-3)
+            shown = PANE_SHARE * frame / jnp.maximum(emitters.pane_means[k], 1e-3)
         weight = jnp.maximum(weight, share)
         source = jnp.where(share > 0, k, source)
-        pattern = jnp.where(share[..., None] > 0, own, pattern)
+        pattern = jnp.where(share[..., None] > 0, shown, pattern)
     return SourcePixels(weight[..., None], source, pattern)
 
 
@@ -234,7 +234,7 @@ def pane_shares(
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
 ) -> Float[Array, "n h w"]:
-    """How far each pixel belongs to each pane; arguments as of `source_pixels`."""
+    """Weight of each pane in each pixel, in [0, 1]; arguments as of `source_pixels`."""
     ray, depth, pixel = _rays(gbuffer, pose, intrinsics)
     brightness, shares = jnp.min(frame, axis=-1), []
     for center, right, up in panes:
@@ -245,8 +245,8 @@ def pane_shares(
         # Metres inside the border, over the width of a pixel there: a border without stairs.
         inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
         cover = jnp.clip(jnp.minimum(*inside) / (pixel * jnp.maximum(distance, 1e-3)) + 0.5, 0.0, 1.0)
-        cover *= (distance > 0) & (slope < 0) & (depth > distance - SLACK)
-        shares.append(cover * _ramp(brightness, DARK, BRIGHT))
+        cover *= (distance > 0) & (slope < 0) & (depth > distance - PANE_SLACK)
+        shares.append(cover * _ramp(brightness, PANE_DARK, PANE_BRIGHT))
     return jnp.stack(shares) if shares else jnp.zeros((0, *depth.shape))
 
 

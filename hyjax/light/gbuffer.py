@@ -1,4 +1,4 @@
-"""G-buffer: the surface points that a camera sees, where geometry (host, NumPy) meets light (device, JAX)."""
+"""G-buffer: visible surface points, the interface of geometry (host, NumPy) and light (device, JAX)."""
 
 import dataclasses
 import functools
@@ -9,13 +9,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from hyjax.util.errors import InputError
-from hyjax.util.programs import KeptFunction
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class GBuffer:
-    """Surface points seen by a camera, one a pixel.
+    """Surface points seen by a camera, one per pixel.
 
     Attributes:
         position: world position in metres; zero where no surface was hit.
@@ -34,9 +33,9 @@ class GBuffer:
     barycentric: Float[Array, "h w 3"] | None = None
 
 
-@functools.partial(KeptFunction, static="sampling")
+@functools.partial(jax.jit, static_argnames="sampling")
 def sample_pixels(gbuffer: GBuffer, *, sampling: int) -> GBuffer:
-    """Samples of a G-buffer: one pixel of each block of `sampling` × `sampling`.
+    """Sample one pixel of each block of `sampling` × `sampling` of a G-buffer.
 
     Which one changes from block to block, so that `sampling`² blocks have samples in all rows and in all columns:
     their mean is that of an evenly spread pattern, about the blocks' common centre.

@@ -1,4 +1,4 @@
-"""The photo's own light: what lit a scan when its frames were taken, and light that it sends on.
+"""Photo's own light: the illumination of a scan when its frames were taken, and its interreflections.
 
 A frame is albedo times the light it was taken under. Dividing by that light leaves what any new light multiplies:
 
@@ -25,21 +25,23 @@ from hyjax.light.shading import mix_channels, shade_each
 from hyjax.light.shadow_map import ShadowMap, visibilities
 from hyjax.light.transport import Transport, bounce
 from hyjax.util.errors import InputError
-from hyjax.util.programs import KeptFunction
 
 LEAST_PHOTO_LIGHT = 0.05
-"""Share of the photo's mean light below which its noise would be amplified more than twentyfold."""
+"""Least share of the photo's mean light; below it noise would be amplified more than twentyfold."""
+
+FILLED_SHARE = 0.25
+"""Share of ambient light, about the mean of what a room throws back, that is left where bounces give less."""
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class PhotoLight:
-    """Light that a scan's frames were taken under, and what a scan does to light.
+    """Illumination of a scan's frames, and the scan's own light transport.
 
     Attributes:
         illuminance: E_old / K at the vertices.
         sources: share of each source in it, with its bounces; the sources' shares add up to it.
-        mean: K, in units of the frames' linear values: what a white surface in the mean light would show.
+        mean: K, the linear value that a white surface in the mean light would have in the frames.
         albedo: of the transport's points.
         transport: between them.
     """
@@ -58,7 +60,7 @@ def interpolate(
     face: Int[Array, "h w"],
     barycentric: Float[Array, "h w 3"],
 ) -> Float[Array, "h w c"]:
-    """Values of vertices at pixels; 0 in holes, whose `face` is -1."""
+    """Interpolate vertex values at pixels; 0 in holes, whose `face` is -1."""
     corners = faces[jnp.maximum(face, 0)]
     parts = [barycentric[..., k, None] * values[corners[..., k]] for k in range(3)]
     return jnp.where((face >= 0)[..., None], parts[0] + parts[1] + parts[2], 0.0)
@@ -67,11 +69,11 @@ def interpolate(
 def bounced_light(
     photo: PhotoLight, lights: Sequence[Light], shadow_maps: Sequence[ShadowMap | None] | None = None
 ) -> Float[Array, "v 3"]:
-    """Lux, with the lights' colours, that reaches the vertices by way of other surfaces.
+    """Indirect illuminance (lux) of the vertices by way of other surfaces, with the lights' colours.
 
     Args:
         photo: transport and albedo.
-        lights: those that fall on any surface alike are left out: bounces stand in their place.
+        lights: bounces stand in the place of ambient ones, which fill them up where they give much less.
         shadow_maps: one for each light; None for no shadows.
     """
     maps = (None,) * len(lights) if shadow_maps is None else tuple(shadow_maps)
@@ -79,12 +81,30 @@ def bounced_light(
     if not chosen:
         return jnp.zeros_like(photo.illuminance)
     own, maps = zip(*chosen, strict=True)
-    return _bounced(photo, own, maps)
+    return _bounced(photo, own, maps, least_bounced(lights))
 
 
-@KeptFunction
+def least_bounced(lights: Sequence[Light]) -> Float[Array, "3"]:
+    """Illuminance that bounces are filled up to, a share of ambient lights'; 0 where there are no other lights.
+
+    >>> from hyjax import AmbientLight, PointLight
+    >>> lights = [AmbientLight(jnp.float32(100.0), jnp.ones(3)), PointLight(jnp.zeros(3), 900.0, jnp.ones(3))]
+    >>> least_bounced(lights).tolist(), least_bounced(lights[:1]).tolist()
+    ([25.0, 25.0, 25.0], [0.0, 0.0, 0.0])
+    """
+    ambient = [light for light in lights if light.UNIFORM]
+    least = jnp.zeros(3)
+    for light in ambient if len(ambient) < len(lights) else []:
+        least += FILLED_SHARE * jnp.asarray(getattr(light, light.STRENGTH)) * jnp.asarray(light.color)
+    return least
+
+
+@jax.jit
 def _bounced(
-    photo: PhotoLight, lights: Sequence[Light], shadow_maps: Sequence[ShadowMap | None]
+    photo: PhotoLight,
+    lights: Sequence[Light],
+    shadow_maps: Sequence[ShadowMap | None],
+    least: Float[Array, "3"],
 ) -> Float[Array, "v 3"]:
     transport = photo.transport
     points = GBuffer(
@@ -93,20 +113,20 @@ def _bounced(
         jnp.ones((1, transport.position.shape[0])),
         jnp.ones((1, transport.position.shape[0]), bool),
     )
-    each = shade_each(points, lights) * visibilities(points, lights, shadow_maps)
-    direct = mix_channels(each, [light.color for light in lights])[0]
-    return bounce(transport, photo.albedo, direct)[: transport.vertices]
+    channels = shade_each(points, lights) * visibilities(points, lights, shadow_maps)
+    direct = mix_channels(channels, [light.color for light in lights])[0]
+    return jnp.maximum(bounce(transport, photo.albedo, direct)[: transport.vertices], least)
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class SurfaceLight:
-    """Light on the vertices of a scan, beside what comes straight from new lights.
+    """Light on the vertices of a scan other than the direct light of new lights.
 
     Attributes:
         photo_light: E_old / K, that the frames were taken under.
-        bounced: lux that new lights throw by way of other surfaces, and what is left of the photo's own; None to
-            leave it out.
+        bounced: lux of new lights by way of other surfaces, and the kept part of the photo's own; None to leave
+            it out.
         faces: of the scan.
         emitters: panes and lamps that shine by themselves.
     """
@@ -118,22 +138,22 @@ class SurfaceLight:
 
 
 def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lights: Sequence[Light]) -> Shaded:
-    """Shaded surface with the light that it was photographed under, and with bounces.
+    """Add the photo's own light and bounces to a shaded surface.
 
     Args:
         shaded: direct light.
         light: on the vertices.
-        gbuffer: of the view, with triangles; see `on_pixels` for surfaces that the scan has not.
-        lights: of the shading; bounces stand in for those that fall on any surface alike.
+        gbuffer: of the view, with triangles; see `on_pixels` for surfaces outside the scan.
+        lights: of the shading; ambient ones are in the bounces, see `bounced_light`.
 
     Raises:
-        InputError: the G-buffer does not tell its triangles.
+        InputError: the G-buffer has no triangles.
     """
-    uniform = np.array([each.UNIFORM and light.bounced is not None for each in lights])
+    uniform = np.array([kind.UNIFORM and light.bounced is not None for kind in lights])
     return _add(shaded, light, on_triangles(gbuffer), jax.device_put(uniform & (not uniform.all())))
 
 
-@KeptFunction
+@jax.jit
 def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, left_out: Bool[Array, "l"]) -> Shaded:
     illuminance = jnp.where(left_out, 0.0, shaded.illuminance)
     bounced = None if light.bounced is None else on_pixels(light.bounced, light.faces, gbuffer)
@@ -143,7 +163,7 @@ def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, left_out: Bool[A
 
 @jax.jit
 def on_pixels(values: Float[Array, "v 3"], faces: Int[Array, "f 3"], gbuffer: GBuffer) -> Float[Array, "h w 3"]:
-    """Light on vertices at the pixels of a view: 0 in holes; its mean on surfaces that the scan has not.
+    """Interpolate light on vertices at the pixels of a view: 0 in holes; its mean on surfaces outside the scan.
 
     Args:
         values: light on the vertices.
@@ -157,11 +177,11 @@ def on_pixels(values: Float[Array, "v 3"], faces: Int[Array, "f 3"], gbuffer: GB
 
 
 def on_triangles(gbuffer: GBuffer) -> GBuffer:
-    """The G-buffer, if it tells its triangles.
+    """Return the G-buffer if it has triangles.
 
     Raises:
         InputError: it does not.
     """
     if gbuffer.face is None or gbuffer.barycentric is None:
-        raise InputError("surface light: the G-buffer must tell the triangle of each pixel, as a mesh's does")
+        raise InputError("surface light: the G-buffer must have the triangle of each pixel, as a mesh's does")
     return gbuffer

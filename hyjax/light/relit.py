@@ -1,4 +1,4 @@
-"""Relit picture: the frame times its refined filter (Eq. 1), and the stages that it is compared with."""
+"""Relit picture: the frame times its refined filter (Eq. 1), and the stages for comparison."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -13,7 +13,6 @@ from hyjax.light.compositing import composite
 from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
-from hyjax.util.programs import KeptFunction
 
 
 @jax.tree_util.register_dataclass
@@ -24,8 +23,8 @@ class Relit:
     Attributes:
         shading: raw relight filter R without shadows; zero where the mesh has no surface.
         refined: the filter after the cascade, without shadows.
-        visibility: what the refined shadows leave of it, in [0, 1].
-        relight_filter: refined filter with refined shadows: what the frame is multiplied with.
+        visibility: share that the refined shadows leave of it, in [0, 1].
+        relight_filter: refined filter with refined shadows, the factor of the frame.
         unrefined: the frame times the raw filter with its raw shadows, to compare with; linear.
         image: the relit frame; linear.
     """
@@ -44,7 +43,7 @@ def composite_linear(
     illuminance: Float[Array, "h w c"],
     visibility: Float[Array, "h w l"],
 ) -> Relit:
-    """Relit picture in linear light (Eq. 1), with what it came from.
+    """Relit picture in linear light (Eq. 1), with its stages.
 
     Args:
         frame: camera picture, linear.
@@ -56,7 +55,7 @@ def composite_linear(
     return compared(frame, shaded, illuminance, visibility, relight_filter, image)
 
 
-@KeptFunction
+@jax.jit
 def relit_picture(
     frame: Float[Array, "h w 3"],
     shaded: Shaded,
@@ -74,7 +73,7 @@ def relit_picture(
     return relight_filter, _with_emission(composite(relight_filter, frame), light, shaded)
 
 
-@KeptFunction
+@jax.jit
 def compared(
     frame: Float[Array, "h w 3"],
     shaded: Shaded,
@@ -83,13 +82,13 @@ def compared(
     relight_filter: Float[Array, "h w 3"],
     image: Float[Array, "h w 3"],
 ) -> Relit:
-    """All stages of a relit frame, from its picture; arguments as of `composite_linear` and `relit_picture`."""
+    """Stages of a relit frame for comparison; arguments as of `composite_linear` and `relit_picture`."""
     frame = finite_or_zero(frame)
     samples = (
         _divide(_light(channels, shaded, shaded.surface_fields), shaded, shaded.surface_fields)
         for channels in (shaded.illuminance, shaded.illuminance * shaded.visibility)
     )
-    raw, raw_shadowed = (_repeated(each, shaded.sampling, frame.shape) for each in samples)
+    raw, raw_shadowed = (_repeated(sample, shaded.sampling, frame.shape) for sample in samples)
     direct, fields = _split(illuminance, shaded)
     refined = _or_ambient(_divide(_light(direct, shaded, fields), shaded, fields), shaded)
     visible, unrefined = ratio(relight_filter, refined), composite(raw_shadowed, frame)
@@ -100,21 +99,21 @@ def compared(
 def _split(
     illuminance: Float[Array, "h w c"], shaded: Shaded
 ) -> tuple[Float[Array, "h w l"], list[Float[Array, "h w 3"]]]:
-    """Channels of the lights, and fields of three channels each."""
+    """Split off the channels of the lights from fields of three channels each."""
     count = shaded.illuminance.shape[-1]
     rest = illuminance[..., count:]
     return illuminance[..., :count], jnp.split(rest, rest.shape[-1] // 3, axis=-1) if rest.shape[-1] else []
 
 
 def _or_ambient(relight_filter: Float[Array, "h w 3"], shaded: Shaded) -> Float[Array, "h w 3"]:
-    """The filter; the ambient lights' where nothing of the frame is known."""
+    """Filter, or the ambient lights' where nothing of the frame is known."""
     return jnp.where(jnp.any(shaded.confidence > 0), relight_filter, shaded.ambient)
 
 
 def _with_emission(
     picture: Float[Array, "h w 3"], light: Float[Array, "h w 3"], shaded: Shaded
 ) -> Float[Array, "h w 3"]:
-    """The picture with what shines by itself, and reflects light."""
+    """Picture with its emitting pixels, which also reflect light."""
     source = shaded.emission
     if source is None:
         return picture
@@ -122,9 +121,9 @@ def _with_emission(
 
 
 def _repeated(samples: Float[Array, "sh sw 3"], sampling: int, shape: tuple[int, ...]) -> Float[Array, "h w 3"]:
-    """Each sample for its whole block of pixels."""
-    whole = jnp.repeat(jnp.repeat(samples, sampling, axis=0), sampling, axis=1) if sampling > 1 else samples
-    return whole[: shape[0], : shape[1]]
+    """Repeat each sample over its whole block of pixels."""
+    pixels = jnp.repeat(jnp.repeat(samples, sampling, axis=0), sampling, axis=1) if sampling > 1 else samples
+    return pixels[: shape[0], : shape[1]]
 
 
 def _light(
@@ -150,13 +149,13 @@ def composite_display(
     refined: Float[Array, "h w 3"],
     visible: Float[Array, "h w 3"],
 ) -> Relit:
-    """Relit picture of display values, as the paper multiplies them.
+    """Relit picture as the paper's product of display values.
 
     Args:
         frame: camera picture, linear.
         raw, raw_shadowed: filter before the refinement, without and with shadows; display-encoded like all filters.
         refined: filter after the cascade.
-        visible: what the refined shadows leave of it.
+        visible: share that the refined shadows leave of it.
     """
     display, relight_filter = to_display(finite_or_zero(frame)), refined * visible
     unrefined, image = (to_linear(composite(f, display)) for f in (raw_shadowed, relight_filter))
@@ -165,5 +164,5 @@ def composite_display(
 
 @jax.jit
 def ratio(part: Float[Array, "h w 3"], whole: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
-    """Share of `whole` in `part`, in [0, 1]; 1 where the whole is nothing."""
+    """Share of `part` in `whole`, in [0, 1]; 1 where the whole is nothing."""
     return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 1.0)

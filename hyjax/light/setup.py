@@ -1,4 +1,4 @@
-"""Light set-up: virtual lights, and the light that the frames were taken under."""
+"""Light set-up: virtual lights, and the reference illuminance of the frames."""
 
 import dataclasses
 from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -7,23 +7,24 @@ import jax
 import numpy as np
 
 from hyjax.light.kinds import Light
-from hyjax.util.array_arguments import is_numeric
+from hyjax.util.arguments import is_numeric
 from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 
 REFERENCE_LUX = 300.0
-"""Illuminance under which a frame is taken to have been photographed: an ordinary room in daylight or lamplight."""
+"""Assumed illuminance of the photographed frame in lux: an ordinary room in daylight or lamplight."""
 
 
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class LightSetup:
-    """Virtual lights, with the illuminance that the frames are taken to have been photographed under.
+    """Virtual lights, with the assumed illuminance of the photographed frames.
 
     Attributes:
         lights: in the mesh's world coordinates.
         reference_lux: illuminance that leaves a frame as it is.
-        existing: what is left of the sources that lit the photos, by name: a factor for red, green and blue. Those
-            that are not named are off.
+        existing: factor, for red, green and blue, of each source that lit the photos, by name. Sources without a
+            name here are off.
     """
 
     lights: tuple[Light, ...]
@@ -32,10 +33,10 @@ class LightSetup:
 
     @classmethod
     def of(cls, lights: "LightSetup | Sequence[Light] | Light") -> "LightSetup":
-        """A set-up as it is, or a set-up of these lights, or of a single one, under the usual reference.
+        """Return a set-up as it is, or make one of lights (or a single one) under the usual reference.
 
         Raises:
-            InputError: none of these, or a light whose values make no sense.
+            InputError: none of these, or a light with invalid values.
         """
         if isinstance(lights, LightSetup):
             setup = lights
@@ -49,10 +50,10 @@ class LightSetup:
         return setup
 
     def check_values(self, name: str) -> None:
-        """Raise `InputError` for what is no light, or one whose values make no sense.
+        """Raise `InputError` for an entry that is no light, or has invalid values.
 
         Args:
-            name: what messages call the set-up.
+            name: of the set-up in messages.
         """
         for number, light in enumerate(self.lights):
             if not isinstance(light, Light):
@@ -78,18 +79,18 @@ def check_lights(lights: Sequence[Light]) -> None:
 
 def same_lights(a: Sequence[Light], b: Sequence[Light]) -> bool:
     """Whether two sequences have lights of the same kinds and values."""
-    own, other = tuple(a), tuple(b)
-    same: bool = jax.tree.structure(own) == jax.tree.structure(other)  # type: ignore[operator]
-    return same and all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(own), jax.tree.leaves(other)))
+    first, second = tuple(a), tuple(b)
+    same: bool = jax.tree.structure(first) == jax.tree.structure(second)  # type: ignore[operator]
+    return same and all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(first), jax.tree.leaves(second)))
 
 
 def same_setup(a: LightSetup, b: LightSetup) -> bool:
-    """Whether two set-ups have the same lights and reference, and keep the same of the photo's light."""
+    """Whether two set-ups have the same lights, reference and factors of the photo's sources."""
     same = a.reference_lux == b.reference_lux and dict(a.existing) == dict(b.existing)
     return same and same_lights(a.lights, b.lights)
 
 
 def geometry_key(light: Light) -> Hashable:
-    """Key of a light's kind and geometry: equal for lights that differ in strength and colour alone."""
+    """Key of a light's kind and geometry, independent of strength and colour."""
     geometry = [value for name, value in vars(light).items() if name not in ("color", light.STRENGTH)]
     return type(light), *(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(geometry))

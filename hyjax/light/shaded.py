@@ -1,4 +1,4 @@
-"""Shaded: the light on the visible surface, as the repair takes it."""
+"""Shaded surface: the light on visible points, the input of the refinement."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -12,26 +12,25 @@ from hyjax.light.kinds import Light
 from hyjax.light.setup import LightSetup, check_lights
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
-from hyjax.util.programs import KeptFunction
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Shaded:
-    """Light on the surface that a camera sees, a channel for each light.
+    """Light on the visible surface, a channel for each light.
 
     Shadow maps, Blender, a point cloud or moved furniture: whatever shades a frame delivers this.
 
     Attributes:
-        illuminance: lux that each light throws on the surface without shadows, before its colour; zero in holes.
-        visibility: share of each light that shadows leave, in [0, 1].
+        illuminance: lux of each light on the surface without shadows, before its colour; zero in holes.
+        visibility: unshadowed share of each light, in [0, 1].
         colors: linear RGB of each light.
         confidence: how far the shading of a pixel can be trusted, in [0, 1]; 0 in holes.
-        reference_lux: illuminance under which the frame is taken to have been photographed.
+        reference_lux: assumed illuminance of the photographed frame.
         ambient: relight filter where nothing of the frame is known.
-        bounced: lux that the lights throw on the surface by way of others, with their colours; None for none.
-        photo_light: light that the frame was taken under, relative to its mean; None if it is taken to be even.
-        emission: pixels that shine by themselves; None if there are none.
+        bounced: lux of the lights by way of other surfaces, with their colours; None for none.
+        photo_light: illuminance of the photographed frame, relative to its mean; None if assumed even.
+        emission: emitting pixels; None if there are none.
         sampling: the light is that of one pixel in each block of so many by so many (static); emission is whole.
     """
 
@@ -48,7 +47,7 @@ class Shaded:
 
     @property
     def surface_fields(self) -> tuple[Float[Array, "h w 3"], ...]:
-        """What is refined beside the illuminance of each light."""
+        """Further fields of the surface to refine: bounced light and the photo's own."""
         return tuple(field for field in (self.bounced, self.photo_light) if field is not None)
 
     @classmethod
@@ -63,14 +62,14 @@ class Shaded:
         confidence: Float[Array, "h w 1"] | None = None,
         sampling: int = 1,
     ) -> "Shaded":
-        """Light of a set-up, however it was computed.
+        """Shaded surface from the illuminance of a set-up, computed by any renderer.
 
         Args:
             setup: the lights, or a single one.
             illuminance: lux of each, without shadows.
-            visibility: what shadows leave of it.
+            visibility: unshadowed share of it.
             hit: where the mesh has a surface.
-            confidence: how far the shading can be trusted; 1 by default. In holes it is 0, whatever it says.
+            confidence: how far the shading can be trusted; 1 by default. In holes it is always 0.
             sampling: see `Shaded`.
 
         Raises:
@@ -90,20 +89,20 @@ class Shaded:
         return cls(illuminance, visibility, colors, known, setup.reference_lux, ambient, sampling=sampling)
 
 
-@KeptFunction
+@jax.jit
 def _complete(
     hit: Bool[Array, "h w"],
     confidence: Float[Array, "h w 1"] | None,
     lights: Sequence[Light],
     reference_lux: Float[ArrayLike, ""],
 ) -> tuple[Float[Array, "h w 1"], Float[Array, "l 3"], Float[Array, "3"]]:
-    """Confidence, colours and ambient filter."""
+    """Complete the defaults: confidence, colours and ambient filter."""
     known = jnp.where(hit[..., None], 1.0 if confidence is None else confidence, 0.0)
     return known, jnp.stack([light.color for light in lights]), ambient_filter(lights, reference_lux)
 
 
 def ambient_filter(lights: Sequence[Light], reference_lux: Float[ArrayLike, ""]) -> Float[Array, "3"]:
-    """Relight filter of the lights that fall on any surface alike; 1, which leaves the frame, if there are none."""
+    """Relight filter of the ambient lights; 1, which leaves the frame, if there are none."""
     anywhere, up = jnp.zeros(3), jnp.array([0.0, 0.0, 1.0])
     ambient = [light.illuminance_at(anywhere, up) * light.color for light in lights if light.UNIFORM]
     return sum(ambient[1:], ambient[0]) / reference_lux if ambient else jnp.ones(3)

@@ -1,8 +1,9 @@
-"""Lambert shading of what the camera sees: the raw relight filter R of Eq. 1, without shadows."""
+"""Lambert shading of the visible surface: the raw relight filter R of Eq. 1, without shadows."""
 
 import functools
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -11,12 +12,11 @@ from hyjax.light.kinds import Light
 from hyjax.light.setup import check_lights
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
-from hyjax.util.programs import KeptFunction
 
 
 @checked_arguments
 def shade(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w 3"]:
-    """Illuminance on every visible surface point from all lights together, nothing in the way.
+    """Illuminance of every visible surface point by all lights together, without shadows.
 
     A diffuse surface of any albedo reflects light in proportion to its illuminance, so the ratio of this to the
     illuminance under which the frame was taken is the filter that relights the frame.
@@ -36,9 +36,9 @@ def shade(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w 3"]:
 
 
 @checked_arguments
-@KeptFunction
+@jax.jit
 def shade_each(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w l"]:
-    """Illuminance from each light by itself, before its colour; see `shade`.
+    """Illuminance by each light alone, before its colour; see `shade`.
 
     Returns:
         Lux, a channel for each light; zero where the camera's ray missed the mesh.
@@ -47,12 +47,14 @@ def shade_each(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w l
         InputError: no lights.
     """
     check_lights(lights)
-    each = [jnp.where(gbuffer.hit, light.illuminance_at(gbuffer.position, gbuffer.normal), 0.0) for light in lights]
-    return jnp.stack(each, axis=-1)
+    illuminance = [
+        jnp.where(gbuffer.hit, light.illuminance_at(gbuffer.position, gbuffer.normal), 0.0) for light in lights
+    ]
+    return jnp.stack(illuminance, axis=-1)
 
 
 @checked_arguments
-@KeptFunction
+@jax.jit
 def colored(each: Float[Array, "h w l"], lights: Sequence[Light]) -> Float[Array, "h w 3"]:
     """Sum of one channel for each light, times the lights' colours.
 

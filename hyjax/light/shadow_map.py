@@ -1,4 +1,4 @@
-"""Shadow maps: which surface points a light reaches.
+"""Shadow maps: the visibility of a light from surface points.
 
 A shadow map holds distances from a light to the nearest surface, over a square of directions (or of parallel rays).
 A surface point is lit if it is no farther than the map says. A light with an extent has a map for each of several
@@ -26,20 +26,22 @@ from hyjax.light.setup import check_lights
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.geometry import inner
-from hyjax.util.programs import KeptFunction
+from hyjax.util.tracing import Run, call
 
 Vector = tuple[Array, Array, Array]  # by components: see `hyjax.util.geometry` for why
 
-# Receivers are moved off their surface by this many texels times the sine of the angle of incidence (normal offset,
-# Holbert 2011), which covers the footprint of the 2×2 filter, and compared with a slack of this many texels.
 NORMAL_OFFSET = 2.0
+"""Offset of receivers off their surface, in texels times the sine of the angle of incidence (normal offset, Holbert
+2011), which covers the footprint of the 2×2 filter."""
 DEPTH_BIAS = 1.0
-# Of a surface with slack: its error counts along a ray for no more than the inverse of this cosine.
+"""Slack of the depth comparison, in texels."""
 LEAST_COSINE = 0.35
+"""Cosine whose inverse bounds how much the error of a surface with slack counts along a ray."""
 LEAST_VIEWS = 4
-"""Of a light that each pixel looks up itself, where pixels share them."""
-ALIKE, ALONG = 0.8, 0.3
-"""Cosine between normals, and sine between a normal's plane and the way to another point, of one surface."""
+"""Fewest views of a light that each pixel looks up itself, where pixels share them."""
+NORMAL_COSINE, PLANE_SINE = 0.8, 0.3
+"""Least cosine between normals, and largest sine between a normal's plane and the way to another point, within
+one surface."""
 
 
 @functools.partial(
@@ -119,7 +121,7 @@ def _fold(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 @checked_arguments
-@functools.partial(KeptFunction, static="interleave")
+@functools.partial(jax.jit, static_argnames="interleave")
 def visibility(
     gbuffer: GBuffer, light: Light, shadow_map: ShadowMap | None, *, interleave: int = 1
 ) -> Float[Array, "h w"]:
@@ -159,11 +161,11 @@ def visibility(
         return (sums[0].astype(place.dtype), sums[1].astype(place.dtype)), None
 
     zero = jnp.zeros_like(place[0])
-    own, _ = jax.lax.scan(add_view, (zero, zero), (depth, origin, axes))
-    lit, weight = _shared(own, place, facing)
-    if groups > 1:  # what none of its views can tell, a pixel takes from all of its block
-        told, totals = weight > 0, [jnp.sum(part, axis=0) for part in own]
-        lit, weight = (jnp.where(told, x, total) for x, total in zip((lit, weight), totals))
+    sums, _ = jax.lax.scan(add_view, (zero, zero), (depth, origin, axes))
+    lit, weight = _shared(sums, place, facing)
+    if groups > 1:  # a pixel without a valid view takes the sums of its whole block
+        valid, totals = weight > 0, [jnp.sum(part, axis=0) for part in sums]
+        lit, weight = (jnp.where(valid, x, total) for x, total in zip((lit, weight), totals))
     lit, weight = (_from_groups(part, cell, (h, w)) for part in (lit, weight))
     lit = light.mask_visibility(lit, gbuffer.position)
     return jnp.where(gbuffer.hit & (weight > 0), lit / jnp.where(weight > 0, weight, 1.0), 1.0)
@@ -174,7 +176,7 @@ def _shared(
     place: Float[Array, "3 g n"],
     facing: Float[Array, "3 g n"],
 ) -> list[Float[Array, "g n"]]:
-    """Sums over all pixels of a block that lie on the same surface, for each of its pixels."""
+    """Sums over the pixels of a block on the same surface, for each of its pixels."""
     groups = range(place.shape[1])
     pairs = [(i, j) for i in groups for j in groups if i < j]
     if not pairs:
@@ -183,8 +185,8 @@ def _shared(
     same = jax.lax.optimization_barrier(same)  # else found anew for each sum
     number = {pair: k for k, pair in enumerate(pairs)} | {(j, i): k for k, (i, j) in enumerate(pairs)}
     return [
-        jnp.stack([sum((same[number[k, j]] * own[j] for j in groups if j != k), own[k]) for k in groups])
-        for own in sums
+        jnp.stack([sum((same[number[k, j]] * values[j] for j in groups if j != k), values[k]) for k in groups])
+        for values in sums
     ]
 
 
@@ -193,13 +195,13 @@ def _same_surface(
 ) -> Float[Array, "n"]:
     """1 where two points with their normals lie on one surface, else 0."""
     away = b - a
-    near = ALONG * jnp.sqrt(inner(away, away))
+    near = PLANE_SINE * jnp.sqrt(inner(away, away))
     flat = (jnp.abs(inner(away, normal_a)) <= near) & (jnp.abs(inner(away, normal_b)) <= near)
-    return (flat & (inner(normal_a, normal_b) > ALIKE)).astype(a.dtype)
+    return (flat & (inner(normal_a, normal_b) > NORMAL_COSINE)).astype(a.dtype)
 
 
 def _in_groups(x: Float[Array, "3 h w"], cell: int) -> Float[Array, "3 g n"]:
-    """Pixels by their place in blocks of `cell` × `cell`; the last rows and columns are filled up."""
+    """Group pixels by their place in blocks of `cell` × `cell`; the last rows and columns are padded."""
     h, w = x.shape[1:]
     x = jnp.pad(x, [(0, 0), (0, -h % cell), (0, -w % cell)], mode="edge") if cell > 1 else x
     rows, columns = x.shape[1] // cell, x.shape[2] // cell
@@ -263,9 +265,21 @@ def _filtered_comparison(
 
 @checked_arguments
 def visibilities(
-    gbuffer: GBuffer, lights: Sequence[Light], shadow_maps: Sequence[ShadowMap | None], *, interleave: int = 1
+    gbuffer: GBuffer,
+    lights: Sequence[Light],
+    shadow_maps: Sequence[ShadowMap | None],
+    *,
+    interleave: int = 1,
+    run: Run = call,
 ) -> Float[Array, "h w l"]:
-    """`visibility` of each light, a channel for each.
+    """Visibility of each light, one channel per light.
+
+    Args:
+        gbuffer: what the camera sees.
+        lights: of any kinds.
+        shadow_maps: one for each light; None for one that casts no shadow.
+        interleave: see `visibility`.
+        run: runs the function of each light.
 
     Raises:
         InputError: no lights, or another number of shadow maps.
@@ -274,10 +288,11 @@ def visibilities(
     if len(lights) != len(shadow_maps):
         raise InputError(f"shadow_maps: {len(shadow_maps)} for {len(lights)} lights; give one for each")
     pairs = zip(lights, shadow_maps, strict=True)
-    each = [visibility(gbuffer, light, shadow_map, interleave=interleave) for light, shadow_map in pairs]
-    return _stacked(each)
+    channels = [run(visibility, gbuffer, light, shadow_map, interleave=interleave) for light, shadow_map in pairs]
+    stacked: Float[Array, "h w l"] = run(_stacked, channels)
+    return stacked
 
 
-@KeptFunction
+@jax.jit
 def _stacked(each: Sequence[Float[Array, "h w"]]) -> Float[Array, "h w l"]:
     return jnp.stack(each, axis=-1)

@@ -1,4 +1,4 @@
-"""Light transport between the points of a scan: light that goes from one surface to the next.
+"""Light transport (radiosity) between the points of a scan.
 
 A *point* is a vertex of the mesh, or the centre of a patch of the box that closes the scan. A *radiator* is what a
 ray can end on: a triangle, a patch, or an opening, which sends nothing back. The radiosity equation for points is
@@ -18,13 +18,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 BOUNCES = 4
-"""Applications of T to new lights: in a room of albedo 0.5 the fifth bounce adds 3 %."""
+"""Number of applications of T to new lights; in a room of albedo 0.5 the fifth bounce adds 3 %."""
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Transport:
-    """What the points of a scan see.
+    """Radiators seen from the points of a scan.
 
     Attributes:
         hits: radiator at the end of each ray of each point; triangles first, then patches, last the openings.
@@ -41,14 +41,14 @@ class Transport:
 
 
 def send(transport: Transport, sent: Float[Array, "p c"]) -> Float[Array, "q c"]:
-    """What each radiator sends, from what the points send: the mean of a triangle's corners, patches, and 0."""
+    """Radiosity of each radiator from that of the points: the mean of a triangle's corners, patches, and 0."""
     corners = [sent[transport.faces[:, k]] for k in range(3)]
     triangles = (corners[0] + corners[1] + corners[2]) / 3.0
     return jnp.concatenate([triangles, sent[transport.vertices :], jnp.zeros_like(sent[:1])])
 
 
 def gather(hits: Int[Array, "r p"], sent: Float[Array, "q c"]) -> Float[Array, "p c"]:
-    """Illuminance of points by what radiators send: T. Rays are added one by one, which needs no memory."""
+    """Illuminance of points by the radiators, T. Rays are added one by one, which needs no memory."""
 
     def add(total: Float[Array, "p c"], ends: Int[Array, "p"]) -> tuple[Float[Array, "p c"], None]:
         return total + sent[ends], None
@@ -61,10 +61,10 @@ def gather(hits: Int[Array, "r p"], sent: Float[Array, "q c"]) -> Float[Array, "
 def bounce(
     transport: Transport, albedo: Float[Array, "p 3"], direct: Float[Array, "p c"], bounces: int = BOUNCES
 ) -> Float[Array, "p c"]:
-    """Light that reaches the points after one bounce and more: the Neumann series T ρ D + (T ρ)² D + …
+    """Indirect illuminance of the points: the Neumann series T ρ D + (T ρ)² D + …
 
     Args:
-        transport: what the points see.
+        transport: between the points.
         albedo: of the points.
         direct: light straight from the sources; its channels are red, green and blue, once or several times over.
         bounces: terms of the series.

@@ -1,8 +1,9 @@
-"""Picture that was relit at a part of its size, brought to full size under the frame itself."""
+"""Joint upsampling of a picture that was relit at a smaller size, under the frame itself."""
 
 import dataclasses
 import functools
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
@@ -13,10 +14,9 @@ from hyjax.light.compositing import composite
 from hyjax.light.emission import Emission
 from hyjax.light.relit import Relit
 from hyjax.light.view import View
-from hyjax.util.programs import KeptFunction
 
 
-@functools.partial(KeptFunction, static="factor")
+@functools.partial(jax.jit, static_argnames="factor")
 def upscaled_picture(
     display: Float[Array, "h w 3"],
     view: View,
@@ -27,10 +27,10 @@ def upscaled_picture(
     *,
     factor: int,
 ) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
-    """Relight filter and relit picture of a frame from those at its size over `factor`.
+    """Relight filter and relit picture at full size, from both at the size over `factor`.
 
     The filter is interpolated under the frame, as a cascade's last level is, and the frame multiplied at full size:
-    its texture stays. What shines is interpolated as it is.
+    its texture stays. Emission is interpolated as it is.
 
     Args:
         display: the frame, display-encoded.
@@ -44,16 +44,16 @@ def upscaled_picture(
     """
     frame = finite_or_zero(to_linear(display))
     if emission is None:
-        whole = guided_upsample(relight_filter, factor, display, kappa, coarse=view.display)
-        return whole, composite(whole, frame)
+        upsampled = guided_upsample(relight_filter, factor, display, kappa, coarse=view.display)
+        return upsampled, composite(upsampled, frame)
     shining = image - (1.0 - emission.weight) * composite(relight_filter, finite_or_zero(view.frame))
-    together = jnp.concatenate([relight_filter, shining, emission.weight], axis=-1)
-    whole = guided_upsample(together, factor, display, kappa, coarse=view.display)
-    relight_filter, shining, weight = whole[..., :3], whole[..., 3:6], whole[..., 6:]
+    stacked = jnp.concatenate([relight_filter, shining, emission.weight], axis=-1)
+    upsampled = guided_upsample(stacked, factor, display, kappa, coarse=view.display)
+    relight_filter, shining, weight = upsampled[..., :3], upsampled[..., 3:6], upsampled[..., 6:]
     return relight_filter, (1.0 - weight) * composite(relight_filter, frame) + shining
 
 
-@functools.partial(KeptFunction, static="factor")
+@functools.partial(jax.jit, static_argnames="factor")
 def upscaled_stages(
     relit: Relit,
     display: Float[Array, "h w 3"],
@@ -64,10 +64,10 @@ def upscaled_stages(
     *,
     factor: int,
 ) -> Relit:
-    """All stages at full size, to look at; arguments as of `upscaled_picture`, with its results."""
+    """Stages at full size, for display; arguments as of `upscaled_picture`, with its results."""
     kept = {field.name: getattr(relit, field.name) for field in dataclasses.fields(relit)}
     names = [name for name in kept if name not in ("relight_filter", "image")]
-    together = jnp.concatenate([kept[name] for name in names], axis=-1)
-    whole = guided_upsample(together, factor, display, kappa, coarse=view.display)
-    pictures = dict(zip(names, jnp.split(whole, len(names), axis=-1), strict=True))
+    stacked = jnp.concatenate([kept[name] for name in names], axis=-1)
+    upsampled = guided_upsample(stacked, factor, display, kappa, coarse=view.display)
+    pictures = dict(zip(names, jnp.split(upsampled, len(names), axis=-1), strict=True))
     return Relit(**pictures, relight_filter=relight_filter, image=image)

@@ -1,4 +1,4 @@
-"""View: a camera's picture and the surface in it, and its shading by lights."""
+"""View: a camera's picture, its visible surface, and its shading by lights."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -19,12 +19,13 @@ from hyjax.light.shading import shade_each
 from hyjax.light.shadow_map import ShadowMap, visibilities
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
+from hyjax.util.tracing import Run, call
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class View:
-    """A camera's picture with the surface that it shows.
+    """Camera's picture with its visible surface.
 
     Attributes:
         frame: camera picture, linear.
@@ -49,21 +50,23 @@ class View:
         *,
         pose: Float[ArrayLike, "4 4"] | None = None,
         intrinsics: Float[ArrayLike, "3 3"] | None = None,
+        run: Run = call,
     ) -> "View":
-        """A view from a display-encoded picture.
+        """View from a display-encoded picture.
 
         Args:
             display: camera picture, display-encoded; one of bytes is divided by 255.
             gbuffer: surface points seen by the camera, of the picture's size.
             pose: camera-to-world.
             intrinsics: calibration matrix in pixels.
+            run: runs the function that makes it linear.
 
         Raises:
             InputError: picture and G-buffer differ in size.
         """
         if gbuffer.hit.shape != display.shape[:2]:
             raise InputError(f"view: display {display.shape[:2]} and gbuffer {gbuffer.hit.shape} differ in size")
-        return cls(to_linear(display), display, gbuffer, pose, intrinsics)
+        return cls(run(to_linear, display), display, gbuffer, pose, intrinsics)
 
     @checked_arguments
     def shade(
@@ -75,7 +78,7 @@ class View:
         surface_light: SurfaceLight | None = None,
         sampling: int = 1,
     ) -> Shaded:
-        """Light of a set-up on the visible surface.
+        """Shade the visible surface by a set-up.
 
         Args:
             lights: a set-up, or lights (a single one, too) under the usual reference.
@@ -86,7 +89,7 @@ class View:
                 soft light with many are shared among such blocks; see `hyjax.core.cascade.largest_sampling`.
 
         Raises:
-            InputError: no lights, a light whose values make no sense, another number of shadow maps than lights,
+            InputError: no lights, a light with invalid values, another number of shadow maps than lights,
                 or a confidence of another size than the light's.
         """
         *_, (_, shaded) = self.shade_stages(
@@ -107,8 +110,12 @@ class View:
         confidence: Float[Array, "h w 1"] | None = None,
         surface_light: SurfaceLight | None = None,
         sampling: int = 1,
+        run: Run = call,
     ) -> Iterator[tuple[str, Any]]:
-        """`shade` stage by stage: each stage's name with its result, the last one `Shaded`."""
+        """Shade stage by stage: each stage's name with its result, the last one `Shaded`.
+
+        Arguments and errors are those of `shade`; `run` runs the functions of the stages.
+        """
         setup = LightSetup.of(lights)
         check_lights(setup.lights)
         maps = (None,) * len(setup.lights) if shadow_maps is None else tuple(shadow_maps)
@@ -116,18 +123,22 @@ class View:
             raise InputError(
                 f"shade: {len(maps)} shadow maps for {len(setup.lights)} lights; give one each, or None"
             )
-        seen = sample_pixels(self.gbuffer, sampling=sampling)
-        illuminance = shade_each(seen, setup.lights)
+        seen = run(sample_pixels, self.gbuffer, sampling=sampling)
+        illuminance = run(shade_each, seen, setup.lights)
         yield "shading", illuminance
-        visibility = visibilities(seen, setup.lights, maps, interleave=sampling)
+        visibility = visibilities(seen, setup.lights, maps, interleave=sampling, run=run)
         yield "visibility", visibility
-        shaded = Shaded.of(setup, illuminance, visibility, seen.hit, confidence=confidence, sampling=sampling)
+        channels = setup, illuminance, visibility, seen.hit
+        if confidence is None:
+            shaded = run(Shaded.of, *channels, sampling=sampling)
+        else:
+            shaded = Shaded.of(*channels, confidence=confidence, sampling=sampling)
         if surface_light is not None:
-            shaded = self._add_surface_light(shaded, surface_light, setup.lights, seen)
+            shaded = self._add_surface_light(shaded, surface_light, setup.lights, seen, run)
         yield "shaded", shaded
 
     def add_surface_light(self, shaded: Shaded, light: SurfaceLight, lights: Sequence[Light]) -> Shaded:
-        """Shaded surface with the light that it was photographed under, bounces, and what shines by itself.
+        """Add the photo's own light, bounces and emission to a shaded surface.
 
         Args:
             shaded: direct light.
@@ -135,20 +146,21 @@ class View:
             lights: of the shading.
 
         Raises:
-            InputError: the G-buffer does not tell its triangles.
+            InputError: the G-buffer has no triangles.
         """
-        return self._add_surface_light(shaded, light, lights, sample_pixels(self.gbuffer, sampling=shaded.sampling))
+        seen = sample_pixels(self.gbuffer, sampling=shaded.sampling)
+        return self._add_surface_light(shaded, light, lights, seen, call)
 
     def _add_surface_light(
-        self, shaded: Shaded, light: SurfaceLight, lights: Sequence[Light], seen: GBuffer
+        self, shaded: Shaded, light: SurfaceLight, lights: Sequence[Light], seen: GBuffer, run: Run
     ) -> Shaded:
         """`add_surface_light` with the surface at the samples."""
-        shaded = add_surface_light(shaded, light, seen, lights)
+        shaded = run(add_surface_light, shaded, light, seen, lights)
         if light.emitters is None or self.pose is None or self.intrinsics is None:
             return shaded
         h, w = self.gbuffer.hit.shape
         if not may_show(light.emitters, (h, w), self.pose, self.intrinsics):
             return shaded
         camera = jnp.asarray(self.pose, jnp.float32), jnp.asarray(self.intrinsics, jnp.float32)
-        emitting = emission(light.emitters, self.frame, self.gbuffer, *camera)
+        emitting = run(emission, light.emitters, self.frame, self.gbuffer, *camera)
         return dataclasses.replace(shaded, emission=emitting)

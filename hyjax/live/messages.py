@@ -73,7 +73,7 @@ def read_live_frames(stream: BinaryIO) -> Iterator[Frame]:
             return
         try:
             frame = _frame(header, parts[0] or b"", parts[1] or b"")
-        except InputError as error:
+        except Exception as error:  # one message, however damaged, does not end the stream
             _log.warning("live: message skipped: %s", error)
             continue
         yield frame
@@ -111,7 +111,7 @@ def _frame(header: dict[str, Any], picture: bytes, depth: bytes) -> Frame:
         seconds = float(header["time"])
         lens = _intrinsics(header["intrinsics"])
         depth_lens = _intrinsics(header["depth_intrinsics"]) if depth else None
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name}: its first line lacks something ({type(error).__name__}: {error})") from None
     if pose is None or not np.isfinite(seconds):
         raise InputError(f"{name}: its pose or time is none")

@@ -1,7 +1,7 @@
 """Live scene: frames join one by one, and its surface, shadows and relit pictures follow.
 
     scene = LiveScene()
-    for live in relight_live(frames, lights, hyjax.Schedule.preset("hyjax"), scene=scene):
+    for live in relight_live(frames, lights, "fast", scene=scene):
         show(live.relit.image)
 
 What a finished capture has and this has not: the photo's own light stays in the pictures, no bounces are added, and
@@ -13,30 +13,35 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 
 import jax
 import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.data.frames import fit
 from hyjax.geometry.camera import Camera, Intrinsics, check_pose
 from hyjax.geometry.depth_map import DepthReading
+from hyjax.geometry.raycast import RayCaster
+from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
+from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup, geometry_key
-from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.live.caster import LiveCaster
 from hyjax.live.mesh import LiveMesh
 from hyjax.live.shadow import LiveShadowMaps, LiveSurface
 from hyjax.live.volume import MOST_BLOCKS, LiveVolume, make_pool
-from hyjax.pipeline import relight
 from hyjax.scene.occluders import SLACK
-from hyjax.scene.scene import view_of
+from hyjax.scene.place import view_of
+from hyjax.scene.relighter import Relighter
+from hyjax.scene.settings import Occluders
 from hyjax.util.errors import InputError
 
 VOXEL = 0.04
@@ -168,44 +173,93 @@ class LiveScene:
 
     # ---- pictures are relit ----
 
+    @property
+    def revision(self) -> int | None:
+        """Number of the surface as it is now; None before there is any."""
+        return None if self.surface is None else self.surface.revision
+
+    @property
+    def knows_photo_light(self) -> bool:
+        """Whether the light that the frames were taken under can be divided out: it stays in them."""
+        return False
+
+    @property
+    def caster(self) -> RayCaster:
+        """The surface.
+
+        Raises:
+            InputError: there is none yet.
+        """
+        return self._now().caster
+
+    def frame(self, index: int | Frame) -> Frame:
+        """Frame at the size that pictures are relit at.
+
+        Raises:
+            InputError: a position is given, which frames that arrive do not have.
+        """
+        if not isinstance(index, Frame):
+            raise InputError(f"live: frames have no position, got {index}; give a frame")
+        return fit(index, self.size)
+
+    def gbuffer(self, camera: Camera, *, rays: bool = False) -> GBuffer:
+        """Surface points seen by a camera; by single rays, if so."""
+        return self.caster.gbuffer_by_rays(camera) if rays else self.caster.gbuffer(camera)
+
     def view(self, frame: Frame) -> View:
         """View of any frame, on the surface as it is now.
 
         Raises:
             InputError: there is none yet.
         """
-        fitted = fit(frame, self.size)
-        return view_of(fitted, self._now().caster.gbuffer(fitted.camera))
+        fitted = self.frame(frame)
+        return view_of(fitted, self.gbuffer(fitted.camera))
 
-    def shadow_maps(self, lights: LightSetup | Sequence[Light]) -> tuple[ShadowMap | None, ...]:
+    def lights(
+        self, lights: LightSetup | Sequence[Light] | str | Path, *, at_photo_sources: bool = False
+    ) -> LightSetup:
+        """Light set-up; its name or file would need the whole room.
+
+        Raises:
+            InputError: it is a name or file.
+        """
+        if isinstance(lights, str | Path):
+            raise InputError(f"live: {lights}: set-ups are placed in a finished scan; give the lights themselves")
+        return LightSetup.of(lights)
+
+    def shadow_maps(
+        self,
+        lights: LightSetup | Sequence[Light],
+        *,
+        occluders: Occluders = "completed",
+        scale: float = 1.0,
+        most_views: int | None = None,
+    ) -> tuple[ShadowMap | None, ...]:
         """Shadow maps of lights, drawn where the surface has changed since they were asked for last.
+
+        Args:
+            lights: a set-up, or lights.
+            occluders: the surface throws them, whatever is asked.
+            scale, most_views: see `cast_shadow_maps`; the scale is relative to the scene's own.
 
         Raises:
             InputError: there is no surface yet.
         """
-        surface = self._now()
+        surface, scale = self._now(), scale * self._scale
         return tuple(
-            self._maps(geometry_key(light), light, surface, self._scale) for light in LightSetup.of(lights).lights
+            self._maps(geometry_key(light), light, surface, scale, most_views)
+            for light in LightSetup.of(lights).lights
         )
 
-    def shade(self, view: View, lights: LightSetup | Sequence[Light]) -> Shaded:
-        """Light on what a view sees. The light that the frames were taken under stays in them.
+    def surface_light(
+        self, lights: LightSetup | Sequence[Light], *, shadows: bool = True, occluders: Occluders = "completed"
+    ) -> SurfaceLight:
+        """Not known of a surface that changes.
 
         Raises:
-            InputError: there is no surface yet, or the set-up keeps sources of the photo.
+            InputError: always.
         """
-        setup = LightSetup.of(lights)
-        setup.check_existing(divided=False)
-        return view.shade(setup, shadow_maps=self.shadow_maps(setup))
-
-    def relight(self, frame: Frame, lights: LightSetup | Sequence[Light], schedule: Schedule) -> Relit:
-        """Relit picture of any frame, with the RGB guide.
-
-        Raises:
-            InputError: there is no surface yet, or the set-up or the schedule cannot be used.
-        """
-        view = self.view(frame)
-        return relight(view, self.shade(view, lights), view.display, schedule)
+        raise InputError("live: the photo's light is not known while the surface changes")
 
     def _now(self) -> LiveSurface:
         if self.surface is None:
@@ -231,7 +285,7 @@ class LiveFrame:
 def relight_live(
     frames: Iterable[Frame],
     lights: LightSetup | Sequence[Light],
-    schedule: Schedule,
+    configuration: Configuration | Schedule | str | Path | None = None,
     *,
     scene: LiveScene | None = None,
     rate: float = RATE,
@@ -244,15 +298,18 @@ def relight_live(
     Args:
         frames: in order of time.
         lights: that they are relit with.
-        schedule: of the diffusion.
+        configuration: see `Relighter`; the photo's light stays in the pictures, and a line in the log
+            says which of its choices are not followed.
         scene: that the frames join; a new one if None.
         rate: renewals of the surface for each second of frames.
 
     Raises:
-        InputError: lights or schedule cannot be used.
+        InputError: lights or configuration cannot be used.
     """
     scene = LiveScene() if scene is None else scene
-    renewed = -np.inf
+    chosen = Configuration.of(configuration)
+    chosen.followed_by("live")
+    relighter, renewed = Relighter(scene, lights, chosen), -np.inf
     for frame in frames:
         if scene.add(frame) and frame.time - renewed >= 1.0 / rate - 1e-6:
             scene.update()
@@ -260,8 +317,8 @@ def relight_live(
         if scene.surface is None:
             yield LiveFrame(frame, None, 0)
         else:
-            relit = scene.relight(frame, lights, schedule)
-            yield LiveFrame(frame, jax.block_until_ready(relit), scene.surface.revision)
+            relit = jax.block_until_ready(relighter.relit(frame))
+            yield LiveFrame(frame, relit, scene.surface.revision)
 
 
 def thinned(reading: DepthReading) -> DepthReading:

@@ -1,4 +1,4 @@
-"""Gains that bring a picture's exposure and white balance nearest to another's, before they are compared."""
+"""Gains that match a picture's exposure and white balance to another's before a comparison."""
 
 from collections.abc import Callable
 
@@ -7,10 +7,11 @@ from jaxtyping import Bool, Float
 
 Response = Callable[[np.ndarray], np.ndarray]
 LARGEST_GAIN = 12.0
+"""Largest gain, and inverse of the least one."""
 STRIDE = 4
-"""Every so-manieth pixel of each row and column is enough to fit a gain."""
+"""Step of the sampled pixels along rows and columns."""
 GRIDS = ((25, 1.0), (13, 1 / 12), (13, 1 / 72))
-"""Gains tried and the share of the logarithmic range that they span, again and again round the best."""
+"""Search grids: number of gains and their share of the logarithmic range, each around the last optimum."""
 
 
 def fit_gains(
@@ -20,7 +21,7 @@ def fit_gains(
     *,
     valid: Bool[np.ndarray, "h w"] | None = None,
 ) -> Float[np.ndarray, "3"]:
-    """Gain of each channel, in linear light, with the least squared error of display values.
+    """Gain of each channel, in linear light, of least squared error of display values.
 
     >>> light = np.linspace(0.1, 0.4, 16 * 16 * 3).reshape(16, 16, 3)
     >>> [round(float(gain), 1) for gain in fit_gains(light, np.sqrt(2 * light), np.sqrt)]
@@ -30,7 +31,7 @@ def fit_gains(
         linear: the picture, in linear light.
         reference: display values.
         response: from light to display values, one channel like the other.
-        valid: where the reference means anything; everywhere by default.
+        valid: where the reference is valid; everywhere by default.
 
     Returns:
         Gains within a factor of `LARGEST_GAIN` either way.

@@ -1,4 +1,4 @@
-"""The differentiable objective of schedule tuning and guide training: how wrong a relight filter looks.
+"""Differentiable objective of schedule tuning and guide training: the visible error of a relight filter.
 
 Two filters are compared *as they are displayed*: both are multiplied with the camera's frame and encoded for
 display, so that an error on black cloth weighs as little as it shows. With the difference d of the two pictures,
@@ -31,12 +31,12 @@ from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.tracing import concrete
 
-# One step of an 8-bit picture: below it an error does not show, and ρ is flat.
 EPSILON = 1.0 / 255.0
+"""Step of an 8-bit picture: below it an error does not show, and ρ is flat."""
 
-# Cell widths in pixels of the gradient term, each a multiple of the one before. The finest sees noise and halos,
-# the coarsest how the light falls off over the picture: white noise fades as 1/s, missing shading grows with s.
 SCALES = (1, 4, 16, 64)
+"""Cell widths in pixels of the gradient term, each a multiple of the one before. The finest sees noise and halos,
+the coarsest how the light falls off over the picture: white noise fades as 1/s, missing shading grows with s."""
 
 Perceptual = Callable[[Float[Array, "h w 3"], Float[Array, "h w 3"]], Float[Array, ""]]
 
@@ -78,7 +78,7 @@ def charbonnier(x: Float[Array, "*s"], *, epsilon: Float[ArrayLike, ""] = EPSILO
 
     Args:
         x: any values.
-        epsilon: where it turns from a parabola into a line, > 0, in the unit of x.
+        epsilon: scale of the turn from a parabola into a line, > 0, in the unit of x.
 
     Raises:
         InputError: ε ≤ 0.
@@ -128,7 +128,7 @@ def filter_loss(
     weights: LossWeights | None = None,
     perceptual: Perceptual | None = None,
 ) -> Float[Array, ""]:
-    """Difference of a frame under two relight filters; 0 only where they look the same.
+    """Loss between a frame under two relight filters; 0 only if they look the same.
 
     To compare many filters with one target, encode the target once with `display_unclipped` and call
     `display_loss`.
@@ -138,10 +138,10 @@ def filter_loss(
     (0.0, True)
 
     Args:
-        relight_filter: linear, ≥ 0; what is judged.
-        target: linear, ≥ 0; the right one.
+        relight_filter: to judge; linear, ≥ 0.
+        target: the true filter; linear, ≥ 0.
         frame: camera picture, linear.
-        valid: where the target means anything. Elsewhere neither filter matters, whatever its values.
+        valid: where the target is valid. Elsewhere neither filter matters, with any values.
         weights: default `LossWeights()`.
         perceptual: see `display_loss`.
 
@@ -172,8 +172,8 @@ def display_loss(
 
     Args:
         picture: display values of the frame under the judged filter.
-        target_picture: display values of the frame under the right one.
-        valid: where the target means anything.
+        target_picture: display values of the frame under the true one.
+        valid: where the target is valid.
         weights: default `LossWeights()`.
         perceptual: distance of two display pictures in [0, 1], both black outside `valid`; needed, and called, only
             if its weight is not 0.
@@ -238,7 +238,7 @@ def _gradient_term_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Arra
 
 @functools.partial(jax.jit, static_argnames="slope")
 def _term_and_slope(d: Float[Array, "3 h w"], v: Float[Array, "h w"], *, slope: bool) -> tuple[Array, Array]:
-    """The gradient term and, if asked for, its derivative by d.
+    """Gradient term and, if asked for, its derivative by d.
 
     Written out because what JAX derives from strided slices takes XLA's CPU backend longer, to run and to compile.
     The loop over channels is one because XLA would otherwise work d out anew for each use of it.
@@ -271,8 +271,8 @@ def _term_and_slope(d: Float[Array, "3 h w"], v: Float[Array, "h w"], *, slope: 
     slopes = jnp.zeros((d.shape[0], 0, 0), d.dtype)
     for k, (flux, (to_mean, *_)) in reversed([*enumerate(zip(fluxes, levels))]):
         # The divergence is the negative adjoint of the gradient, _downsample_adjoint that of the mean over cells.
-        own = -to_mean[None] * divergence(flux)
-        slopes = own + _downsample_adjoint(slopes, ratios[k]) if k < len(ratios) else own
+        adjoint = -to_mean[None] * divergence(flux)
+        slopes = adjoint + _downsample_adjoint(slopes, ratios[k]) if k < len(ratios) else adjoint
     return jnp.sum(terms), slopes[..., :h, :w]
 
 
@@ -289,10 +289,10 @@ def _levels(y: Float[Array, "h w"], ratios: list[int]) -> list[Array]:
 
 
 def _downsample_adjoint(cells: Float[Array, "c ch cw"], ratio: int) -> Float[Array, "c h w"]:
-    """Adjoint of the mean over cells: a pixel gets its part of the cell's value."""
+    """Adjoint of the mean over cells: each pixel gets its share of the cell's value."""
     return jnp.repeat(jnp.repeat(cells / ratio**2, ratio, axis=1), ratio, axis=2)
 
 
 def _reciprocal(x: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """1/x; 0 where there is nothing to divide by."""
+    """Reciprocal 1/x; 0 where x is 0."""
     return jnp.where(x > 0.0, 1.0 / jnp.where(x > 0.0, x, 1.0), 0.0)

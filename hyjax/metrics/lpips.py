@@ -1,7 +1,7 @@
 """Learned perceptual image patch similarity, version 0.1.
 
-Both pictures go through a network that was trained to name things. Its features are scaled to unit length at every
-place, and the squared differences of some layers weighed by channel, as people judged such differences.
+Both pictures go through a network for image classification. Its features are scaled to unit length at every
+place, and the squared differences of some layers weighed by channel, fitted to human judgements.
 
 Source: Zhang, Isola, Efros, Shechtman and Wang, *The unreasonable effectiveness of deep features as a perceptual
 metric*, CVPR 2018, Eq. 1; version 0.1 of its weights, for which the pictures are standardised first.
@@ -20,10 +20,12 @@ from hyjax.metrics.weights import LpipsWeights
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 
-# Mean and deviation of each channel that version 0.1 takes off, of values in [−1, 1].
-SHIFT = np.array([[[-0.030, -0.088, -0.188]]])
-SCALE = np.array([[[0.458, 0.448, 0.450]]])
-EPSILON = 1e-10  # beside the length of a feature
+CHANNEL_MEAN = np.array([[[-0.030, -0.088, -0.188]]])
+"""Mean of each channel, which version 0.1 subtracts from values in [−1, 1]."""
+CHANNEL_DEVIATION = np.array([[[0.458, 0.448, 0.450]]])
+"""Deviation of each channel, by which version 0.1 divides."""
+EPSILON = 1e-10
+"""Guard against division by the length of a zero feature."""
 
 Features = list[Float[Array, "_ _ _"]]
 
@@ -83,7 +85,7 @@ def lpips_map(
 
 @checked_arguments(display=["image"])
 def lpips_features(image: Float[ArrayLike, "h w 3"], weights: LpipsWeights) -> Features:
-    """Features that LPIPS compares: some layers of the network, of unit length at every place.
+    """Features for LPIPS: some layers of the network, of unit length at every place.
 
     >>> [layer.shape for layer in lpips_features(jnp.zeros((32, 32, 3)), load_lpips())][-1]
     (1, 1, 256)
@@ -104,7 +106,7 @@ def lpips_features(image: Float[ArrayLike, "h w 3"], weights: LpipsWeights) -> F
 
 @jax.jit
 def lpips_distance(features: Features, reference: Features, weights: LpipsWeights) -> Float[Array, ""]:
-    """`lpips` of pictures of which `lpips_features` are known.
+    """LPIPS from the `lpips_features` of two pictures.
 
     >>> weights = load_lpips()
     >>> black, white = (lpips_features(jnp.full((32, 32, 3), x), weights) for x in (0.0, 1.0))
@@ -126,7 +128,7 @@ def lpips_distance(features: Features, reference: Features, weights: LpipsWeight
 def lpips_distance_map(
     features: Features, reference: Features, weights: LpipsWeights, *, shape: tuple[int, int]
 ) -> Float[Array, "h w"]:
-    """`lpips_map` of pictures of which `lpips_features` are known.
+    """Map of LPIPS from the `lpips_features` of two pictures.
 
     >>> weights = load_lpips()
     >>> features = lpips_features(jnp.zeros((32, 32, 3)), weights)
@@ -167,7 +169,7 @@ def _layer_maps(features: Features, reference: Features, weights: LpipsWeights) 
 @jax.jit
 def _features(image: Float[Array, "h w 3"], weights: LpipsWeights) -> Features:
     kind = jnp.result_type(image, weights.kernels[0])
-    x = (2.0 * image.astype(kind) - 1.0 - SHIFT.astype(kind)) / SCALE.astype(kind)
+    x = (2.0 * image.astype(kind) - 1.0 - CHANNEL_MEAN.astype(kind)) / CHANNEL_DEVIATION.astype(kind)
     features = []
     for layer, kernel, bias in zip(NETWORKS[weights.net].layers, weights.kernels, weights.biases):
         x = jax.nn.relu(_convolve(_pool(x, layer.pool), kernel, layer.stride, layer.padding) + bias[None, None])
@@ -191,7 +193,7 @@ def _convolve(
 
 
 def _pool(x: Float[Array, "h w c"], width: int) -> Float[Array, "nh nw c"]:
-    """Maximum over squares of this width, every other one, as far as they lie inside."""
+    """Max pooling over squares of this width with stride 2, without padding."""
     if width == 1:
         return x
     for axis in (0, 1):

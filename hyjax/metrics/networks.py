@@ -1,4 +1,4 @@
-"""The two networks whose features LPIPS compares, as a list of their convolutions.
+"""Networks of LPIPS, AlexNet and VGG-16, as lists of their convolutions.
 
 Sources: AlexNet in the one-tower form of Krizhevsky, *One weird trick for parallelizing convolutional neural
 networks*, 2014; VGG-16 of Simonyan and Zisserman, ICLR 2015.
@@ -12,7 +12,7 @@ Net = Literal["alex", "vgg"]
 
 @dataclasses.dataclass(frozen=True)
 class Convolution:
-    """A convolution with bias and ReLU.
+    """Convolution with bias and ReLU.
 
     Attributes:
         width: of its square kernel, in pixels.
@@ -20,8 +20,8 @@ class Convolution:
         outputs: channels.
         stride: in pixels.
         padding: zeros at each border.
-        pool: width of the maximum, with stride 2, that is taken of its input; 1 for none.
-        compared: whether LPIPS looks at its result.
+        pool: width of the max pooling, with stride 2, of its input; 1 for none.
+        compared: whether LPIPS compares its result.
     """
 
     width: int
@@ -35,10 +35,10 @@ class Convolution:
 
 @dataclasses.dataclass(frozen=True)
 class Network:
-    """Convolutions in order.
+    """Network as its convolutions, in order.
 
     Attributes:
-        name: how files of weights call it.
+        name: in files of weights.
         smallest: least height and width of a picture that leaves something to every layer.
         layers: its convolutions.
     """
@@ -49,12 +49,12 @@ class Network:
 
     @property
     def compared(self) -> tuple[int, ...]:
-        """Channels of the layers that LPIPS looks at."""
+        """Numbers of channels of the compared layers."""
         return tuple(layer.outputs for layer in self.layers if layer.compared)
 
 
 def _block(inputs: int, outputs: int, count: int, pool: int = 2) -> tuple[Convolution, ...]:
-    """A stage of VGG, of which the last layer is compared."""
+    """Stage of VGG, with its last layer compared."""
     return tuple(
         Convolution(
             3,

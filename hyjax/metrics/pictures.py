@@ -1,4 +1,4 @@
-"""Checks of the pictures that metrics are given."""
+"""Checks of the arguments of metrics."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,22 +7,23 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from hyjax.util.errors import InputError
 from hyjax.util.tracing import concrete
 
-ROUND_OFF = 1e-4  # how far outside [0, 1] a value may lie
+ROUND_OFF = 1e-4
+"""Largest distance of a value from [0, 1]."""
 
 
 def as_pictures(
     *, channels: int | None = None, smallest: int = 1, **pictures: Float[ArrayLike, "h w c"]
 ) -> list[Float[Array, "h w c"]]:
-    """The pictures as arrays, all of one size and in [0, 1].
+    """Convert pictures to arrays, all of one size and in [0, 1].
 
     >>> (picture,) = as_pictures(image=np.zeros((4, 5, 3), np.float32))
     >>> picture.shape
     (4, 5, 3)
 
     Args:
-        channels: how many they must have; None for any number.
+        channels: required number; None for any number.
         smallest: least height and width.
-        pictures: display values by the name that messages give them.
+        pictures: display values by their names in messages.
 
     Raises:
         InputError: no H x W x C picture of floats, sizes or channels that do not fit, or (unless jax is tracing) a
@@ -59,7 +60,7 @@ def _check_values(name: str, picture: Float[ArrayLike, "h w c"]) -> None:
 
 
 def check_valid(valid: Bool[ArrayLike, "h w"] | None, shape: tuple[int, ...], *, border: int = 0) -> None:
-    """Raise `InputError` unless `valid` is None or a mask of this shape with something in it inside the border.
+    """Raise `InputError` unless `valid` is None or a mask of this shape with a true pixel inside the border.
 
     >>> check_valid(np.zeros((4, 5), bool), (4, 5))
     Traceback (most recent call last):

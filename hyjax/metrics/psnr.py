@@ -17,7 +17,7 @@ def psnr(
     *,
     valid: Bool[ArrayLike, "h w"] | None = None,
 ) -> Float[Array, ""]:
-    """−10 log₁₀ of the mean squared error, in dB; the range of values is 1.
+    """PSNR, −10 log₁₀ of the mean squared error, in dB; the range of values is 1.
 
     Equal pictures have +inf, and the gradient there is set to zero, as it would be of a picture that cannot get
     better.
@@ -69,7 +69,7 @@ def squared_error_map(
 
 
 def decibels(squared_error: float) -> float:
-    """−10 log₁₀ of a mean squared error: the PSNR of pictures in [0, 1].
+    """PSNR in dB of a mean squared error of pictures in [0, 1].
 
     >>> decibels(0.01), decibels(0.0)
     (20.0, inf)

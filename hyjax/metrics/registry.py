@@ -1,4 +1,4 @@
-"""Registry of metrics: judging, tuning scores, tables and reports read it, so that no other file lists their names.
+"""Registry of metrics, which evaluation, tuning, tables and reports read: no other file lists their names.
 
 A new metric is a file with its function and a line in `METRICS`, or from outside the package `register_metric`.
 """
@@ -18,17 +18,17 @@ from hyjax.util.errors import InputError
 
 @dataclasses.dataclass(frozen=True)
 class Metric:
-    """A metric of two pictures, display values in [0, 1].
+    """Metric of two pictures, display values in [0, 1].
 
     Attributes:
         function: `function(image, reference, valid=mask)`, a scalar; runs under `jit`. Of a learned metric:
             `function(image, reference, weights)`.
-        map: `map(image, reference)`, a value for each pixel, whose mean over a region is the region's score. Of a
+        map: `map(image, reference)`, a value per pixel, whose mean over a region is the region's score. Of a
             learned metric: `map(image, prepare(reference, weights))`.
         digits: decimals in tables.
         better: whether higher or lower values are better.
         label: heading in tables, with the unit.
-        pooled: from the mean of the map to the score.
+        pooled: function from the mean of the map to the score.
         prepare: of a learned metric: everything that depends on the reference and the weights alone. Tuning, which
             has no weights, leaves learned metrics out.
     """
@@ -68,11 +68,11 @@ METRICS: dict[str, Metric] = {
     "psnr": Metric(psnr, squared_error_map, digits=2, better="higher", label="PSNR dB", pooled=decibels),
     "ssim": Metric(ssim, ssim_map, digits=4, better="higher", label="SSIM"),
 }
-"""Metric by name, in the order of tables."""
+"""Metrics by name, in the order of tables."""
 
 
 def register_metric(name: str, metric: Metric) -> None:
-    """Add a metric, for judging, tuning scores and reports from now on.
+    """Add a metric to evaluation, tuning scores and reports.
 
     >>> import jax.numpy as jnp
     >>> def error(image, reference, *, valid=None):
@@ -100,7 +100,7 @@ def register_metric(name: str, metric: Metric) -> None:
 
 
 def plain_metrics() -> dict[str, Metric]:
-    """The metrics that need no weights, by name.
+    """Metrics without weights, by name.
 
     >>> list(plain_metrics())
     ['psnr', 'ssim']

@@ -19,8 +19,10 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from hyjax.metrics.pictures import as_pictures, check_valid
 from hyjax.util.arguments import checked_arguments
 
-SIGMA = 1.5  # pixels
-RADIUS = 5  # pixels, so the window is 11 wide
+SIGMA = 1.5
+"""Standard deviation of the Gaussian window, in pixels."""
+RADIUS = 5
+"""Radius of the window in pixels, so it is 11 wide."""
 K1, K2 = 0.01, 0.03
 
 
@@ -94,7 +96,7 @@ def _ssim_map(image: Float[Array, "h w c"], reference: Float[Array, "h w c"]) ->
 
 
 def _window(fields: Float[Array, "n c h w"]) -> Float[Array, "n c h w"]:
-    """Means under a Gaussian window around every pixel, a direction after the other."""
+    """Means under a Gaussian window around every pixel, separably."""
     weights = np.exp(-0.5 * (np.arange(-RADIUS, RADIUS + 1) / SIGMA) ** 2)
     weights /= weights.sum()
     for axis in (2, 3):

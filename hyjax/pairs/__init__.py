@@ -1,1 +1,1 @@
-"""Pictures with depth, which guides are trained and judged on: one file a format."""
+"""Pictures with depth to train and evaluate guides: one file per format."""

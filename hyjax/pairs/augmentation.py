@@ -1,4 +1,4 @@
-"""Random crops of pairs, and what a camera may do to their colours. All chance comes from the generator given."""
+"""Random crops of pairs, with a camera's variation of their colours. All chance comes from the given generator."""
 
 import io
 import math
@@ -10,14 +10,14 @@ from PIL import Image, ImageFilter
 
 RESCALING = (0.7, 1.4)
 LEAST_VALID = 0.3
-"""Share of a crop's pixels that must be valid, or it is drawn again ..."""
+"""Least share of valid pixels of a crop; one with fewer is drawn again."""
 DRAWS = 20
-"""... at most so often; then the best of these is taken."""
+"""Most draws of a crop; then the best of them is taken."""
 GAMMA = 2.2  # close enough to sRGB's curve for a camera that does not exist
 
 
 class Packed(NamedTuple):
-    """A pair as it is kept in memory: 8 bits a colour and a component of the normals.
+    """Pair in memory: 8 bits per colour and per component of the normals.
 
     Attributes:
         image: display-encoded colours, 255 for 1.
@@ -38,7 +38,7 @@ class Packed(NamedTuple):
 
 
 class Crop(NamedTuple):
-    """A square window of a pair, all arrays of its own; see `hyjax.pairs.loader.Batch`."""
+    """Square window of a pair, in arrays of its own; see `hyjax.pairs.loader.Batch`."""
 
     image: Float[np.ndarray, "s s 3"]
     depth: Float[np.ndarray, "s s"]
@@ -48,7 +48,7 @@ class Crop(NamedTuple):
 
 
 def random_crop(pair: Packed, size: int, rng: np.random.Generator, augment: bool) -> Crop:
-    """A random square window of a pair, resampled to `size` × `size` pixels.
+    """Cut a random square window of a pair, resampled to `size` × `size` pixels.
 
     Colours are averaged; depth and normals are taken from the nearest pixel, so that borders stay crisp. A pair
     smaller than the window is enlarged.
@@ -80,7 +80,7 @@ def random_crop(pair: Packed, size: int, rng: np.random.Generator, augment: bool
     picture = Image.fromarray(np.ascontiguousarray(pixels[:, ::-1] if mirrored else pixels))
     if side != size:
         picture = picture.resize((size, size), Image.Resampling.BILINEAR)
-    image = recoloured(picture, rng) if augment else np.asarray(picture, dtype=np.float32) / 255
+    image = recolored(picture, rng) if augment else np.asarray(picture, dtype=np.float32) / 255
     depth = pair.depth[rows[:, None], columns]
     normal = np.zeros((size, size, 3), np.float32)
     if pair.normal is not None:
@@ -91,8 +91,8 @@ def random_crop(pair: Packed, size: int, rng: np.random.Generator, augment: bool
     return Crop(image, depth, depth > 0, normal, np.bool_(pair.disparity))
 
 
-def recoloured(picture: Image.Image, rng: np.random.Generator) -> Float[np.ndarray, "h w 3"]:
-    """A picture as another camera in other light may have taken it.
+def recolored(picture: Image.Image, rng: np.random.Generator) -> Float[np.ndarray, "h w 3"]:
+    """Vary the colours of a picture as another camera in other light would.
 
     In a camera's order: blur of the lens, exposure and white balance of linear light, contrast, saturation and
     hue, noise of the sensor, compression. Each is drawn anew; blur and compression happen now and then only.
@@ -105,7 +105,7 @@ def recoloured(picture: Image.Image, rng: np.random.Generator) -> Float[np.ndarr
     curve = np.minimum(levels[:, None] ** GAMMA * gains, 1.0) ** (contrast / GAMMA)
     pixels = np.asarray(picture)
     image = np.stack([curve[:, c].astype(np.float32)[pixels[..., c]] for c in range(3)], axis=-1)
-    image = image @ colour_matrix(rng.uniform(0.0, 1.6), rng.normal(0, 0.15)).T
+    image = image @ color_matrix(rng.uniform(0.0, 1.6), rng.normal(0, 0.15)).T
     sigma = rng.exponential(0.015)
     image += np.float32(sigma) * rng.standard_normal(image.shape, dtype=np.float32)
     image = np.clip(image, 0.0, 1.0)
@@ -118,8 +118,8 @@ def recoloured(picture: Image.Image, rng: np.random.Generator) -> Float[np.ndarr
     return image
 
 
-def colour_matrix(saturation: float, hue: float) -> Float[np.ndarray, "3 3"]:
-    """For colours: their distance from grey times `saturation`, turned about grey by `hue` radians."""
+def color_matrix(saturation: float, hue: float) -> Float[np.ndarray, "3 3"]:
+    """Colour matrix: distance from grey times `saturation`, rotated about grey by `hue` radians."""
     grey = np.full((3, 3), 1 / 3)
     across = np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]]) / math.sqrt(3)
     turned = math.cos(hue) * (np.eye(3) - grey) + math.sin(hue) * across

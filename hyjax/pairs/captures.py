@@ -1,4 +1,4 @@
-"""Pairs from a posed capture: its frames with the depth that the sensor measured, that of a surface, or both.
+"""Pairs from a posed capture: its frames with the depth of the sensor, of a surface, or both.
 
 A sensor's depth is noisy and has holes. A surface fused from many frames has fewer of both and gives normals too;
 it is cast into each frame. It counts only where it can be relied on: where there is any, where it is not seen at a
@@ -23,16 +23,19 @@ from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 
 Source = Literal["sensor", "surface", "both"]
-VOXEL = 0.02  # metres
-SMOOTHING = 4  # passes over the normals
-GRAZING = 0.15  # cosine
+VOXEL = 0.02
+"""Width of a voxel of the fusion, in metres."""
+SMOOTHING = 4
+"""Number of smoothing passes over the normals."""
+GRAZING_COSINE = 0.15
+"""Cosine of the viewing angle below which a surface does not count."""
 
 
 class CapturePairs:
-    """Frames with depth of a capture.
+    """Pairs (`DepthPairs`) from the frames with depth of a capture.
 
     Args:
-        capture: whose frames.
+        capture: with the frames.
         indices: of the frames to take; a surface is made of these alone.
         depth: where it is from, see this module.
         progress: show a bar on stderr while fusing.
@@ -61,7 +64,7 @@ class CapturePairs:
 
     @property
     def fingerprint(self) -> str:
-        """See `DepthPairs`. Not from the capture's own, which knows the place and the times of its files."""
+        """Fingerprint, see `DepthPairs`; without the place and times of files, which are in the capture's."""
         first = self._frames[0]
         pose = np.round(first.camera.pose, 6).tolist()
         which = f"{self._frames.indices} of {self._total}"
@@ -71,7 +74,7 @@ class CapturePairs:
         return len(self._frames)
 
     def __getitem__(self, index: int) -> DepthPair:
-        """The pair at a position among the chosen frames.
+        """Pair at a position among the chosen frames.
 
         Raises:
             InputError: a file is damaged, or a frame has no depth at all.
@@ -86,7 +89,7 @@ class CapturePairs:
         cosine = -np.sum(normal * rays, axis=-1) / np.linalg.norm(rays, axis=-1)
         valid = (
             np.asarray(gbuffer.hit)
-            & (cosine > GRAZING)
+            & (cosine > GRAZING_COSINE)
             & confirmed(frame, np.asarray(gbuffer.position), unread=True)
         )
         normal = normal @ frame.camera.pose[:3, :3]  # world axes → camera axes

@@ -1,4 +1,4 @@
-"""Pictures with depth, which guides are trained and judged on: pairs, sources of pairs, and kinds of sources.
+"""Pictures with depth to train and evaluate guides: pairs, sources of pairs, and kinds of sources.
 
 Depth is in metres or it is a disparity (larger is nearer, of no absolute scale); a source has one or the other,
 and the two are never converted into each other. Pixels without a reading are masked: files mark them by 0, 65535,
@@ -22,7 +22,7 @@ Unit = Literal["metres", "disparity"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DepthPair:
-    """A picture and its depth, pixel by pixel.
+    """Picture with its depth, pixel by pixel.
 
     Attributes:
         name: short and unique within its source.
@@ -43,14 +43,14 @@ class DepthPair:
 
 
 class DepthPairs(Protocol):
-    """A source of pairs. They are read when asked for, so that large sources fit in memory."""
+    """Source of pairs, which are read on demand, so that large sources fit in memory."""
 
     name: str
     unit: Unit
 
     @property
     def fingerprint(self) -> str:
-        """Changes whenever the content does; the same for a copy of the files elsewhere."""
+        """Hash of the content, the same for a copy of the files elsewhere."""
         ...
 
     def __len__(self) -> int: ...
@@ -59,20 +59,20 @@ class DepthPairs(Protocol):
 
 
 Options = Mapping[str, str]
-SELECTING = ("frames", "without")
-"""Options of every kind: the positions to take and those to leave out, see `hyjax.data.frames.select_frames`."""
+SELECTION_OPTIONS = ("frames", "without")
+"""Options of every kind: positions to take and to leave out, see `hyjax.data.frames.select_frames`."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PairsKind:
-    """A kind of source of pairs.
+    """Kind of source of pairs.
 
     Attributes:
         name: `KIND` of `KIND:PATH?OPTION=VALUE`.
         open: opens a source from its path and options; raises `InputError` if it cannot be used.
-        options: names of the options that `open` reads, beside `SELECTING`.
+        options: names of the options that `open` reads, besides `SELECTION_OPTIONS`.
         has_path: whether the source is read from a path.
-        selects: whether `open` applies `SELECTING` itself.
+        selects: whether `open` applies `SELECTION_OPTIONS` itself.
     """
 
     name: str
@@ -83,7 +83,7 @@ class PairsKind:
 
 
 def selected(options: Options, count: int) -> list[int]:
-    """Positions of `count` that the option `frames` has and the option `without` has not.
+    """Positions below `count` in the option `frames` but not in the option `without`.
 
     Raises:
         InputError: malformed options, or nothing is left.
@@ -105,11 +105,11 @@ def masked_pair(
     valid: Bool[np.ndarray, "h w"] | None = None,
     normal: Float[np.ndarray, "h w 3"] | None = None,
 ) -> DepthPair:
-    """A pair whose pixels are invalid where depth is not finite or not positive, or `valid` says so.
+    """Pair with pixels masked where depth is not finite or not positive, or `valid` is false.
 
     Args:
         name, image, depth, unit, normal: see `DepthPair`; depth may hold anything where it is invalid.
-        where: what to name in an error.
+        where: its place in messages.
         valid: where depth may be relied on; everywhere if not given.
 
     Raises:
@@ -135,7 +135,7 @@ def masked_pair(
 
 
 class ChosenPairs:
-    """Some pairs of a source, in a given order."""
+    """Selection of a source's pairs, in a given order."""
 
     def __init__(self, pairs: DepthPairs, indices: Sequence[int]) -> None:
         self.name, self.unit = pairs.name, pairs.unit
@@ -143,7 +143,7 @@ class ChosenPairs:
 
     @property
     def fingerprint(self) -> str:
-        """See `DepthPairs`."""
+        """Fingerprint, see `DepthPairs`."""
         return digest([self._pairs.fingerprint, *map(str, self._indices)])
 
     def __len__(self) -> int:
@@ -154,5 +154,5 @@ class ChosenPairs:
 
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Sorting key by which learn2 comes before learn10."""
+    """Natural sorting key: learn2 comes before learn10."""
     return tuple((0, int(p), "") if p.isdigit() else (1, 0, p) for p in re.split(r"(\d+)", name) if p)

@@ -25,22 +25,22 @@ from hyjax.pairs.files import FilePairs, Files, folders, matched, named
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_depth, read_image
 
-CONFIDENT = 0.9
-"""Outdoor depth counts where its confidence is above this, of 1."""
+LEAST_CONFIDENCE = 0.9
+"""Least confidence, of 1, from which outdoor depth counts."""
 
 
-class Kind(NamedTuple):
-    """Subfolders of one kind of file, and how the names of these files end."""
+class FileKind(NamedTuple):
+    """Subfolder of one kind of file, and the ending of its names."""
 
     folder: str
     ending: str
 
 
 LAYOUTS = (
-    (Kind("color", "_c"), Kind("depth_filled", "_depth_filled")),
-    (Kind("col", "_c"), Kind("up_png", "_ud")),
-    (Kind("outleft", ""), Kind("depthmap", ""), Kind("confidencemap", "")),
-    (Kind("left", "_left"), Kind("depth", "_depth"), Kind("conf", "_conf")),
+    (FileKind("color", "_c"), FileKind("depth_filled", "_depth_filled")),
+    (FileKind("col", "_c"), FileKind("up_png", "_ud")),
+    (FileKind("outleft", ""), FileKind("depthmap", ""), FileKind("confidencemap", "")),
+    (FileKind("left", "_left"), FileKind("depth", "_depth"), FileKind("conf", "_conf")),
 )
 
 
@@ -72,7 +72,7 @@ def _read(rest: Files) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"
             f"{rest[1]}: {confidence.shape[1]}x{confidence.shape[0]} but the depth map is "
             f"{depth.shape[1]}x{depth.shape[0]}"
         )
-    return depth, confidence > CONFIDENT
+    return depth, confidence > LEAST_CONFIDENCE
 
 
 KIND = PairsKind("diml", lambda path, options: open_diml(path))

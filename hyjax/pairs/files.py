@@ -15,11 +15,11 @@ from hyjax.util.files import digest
 PICTURES = (".png", ".jpg", ".jpeg", ".ppm")
 Files = tuple[Path, ...]
 Reader = Callable[[Files], tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"] | None]]
-"""Depth, and where to rely on it beyond what `masked_pair` finds itself."""
+"""Reader of depth and of its validity, None where `masked_pair` finds it alone."""
 
 
 class FilePairs:
-    """Pairs (`DepthPairs`) of a picture and a depth map each, in natural order of their names.
+    """Pairs (`DepthPairs`) of picture and depth map, in natural order of their names.
 
     Args:
         path: of the folder, for name and fingerprint.
@@ -36,7 +36,7 @@ class FilePairs:
 
     @property
     def fingerprint(self) -> str:
-        """See `DepthPairs`: from names and sizes, which costs no reading."""
+        """Fingerprint, see `DepthPairs`; from names and sizes, without reading."""
         files = [file for files in self._files.values() for file in files]
         return digest(f"{file.relative_to(self._path).as_posix()} {file.stat().st_size}" for file in files)
 
@@ -44,19 +44,19 @@ class FilePairs:
         return len(self._names)
 
     def __getitem__(self, index: int) -> DepthPair:
-        """The pair at a position.
+        """Pair at a position.
 
         Raises:
             InputError: a file is damaged, sizes differ, or there is no depth at all.
         """
         name = self._names[index]
-        colour, *rest = self._files[name]
+        color, *rest = self._files[name]
         depth, valid = self._read(tuple(rest))
-        return masked_pair(name, read_colour(colour), depth, self.unit, where=rest[0], valid=valid)
+        return masked_pair(name, read_colour(color), depth, self.unit, where=rest[0], valid=valid)
 
 
 def named(folder: Path, ending: str = "", suffixes: tuple[str, ...] = PICTURES) -> dict[str, Path]:
-    """Files of a folder whose stem ends in `ending`, by what stands before it; links that lead nowhere are none.
+    """Files of a folder whose stem ends in `ending`, by the rest of the stem; dangling links do not count.
 
     Raises:
         InputError: two files of the same name.
@@ -72,7 +72,7 @@ def named(folder: Path, ending: str = "", suffixes: tuple[str, ...] = PICTURES) 
 
 
 def matched(*kinds: dict[str, Path]) -> dict[str, Files]:
-    """Files of the same name: the first kind are pictures, the others what belongs to them.
+    """Match files of the same name: the first kind are pictures, the others belong to them.
 
     Raises:
         InputError: one lacks its partner; the first such one is named.
@@ -91,7 +91,7 @@ def matched(*kinds: dict[str, Path]) -> dict[str, Files]:
 
 
 def folders(path: Path) -> list[Path]:
-    """A folder and all folders in it, at any depth, in order.
+    """List a folder and all folders in it, at any depth, in order.
 
     Raises:
         InputError: no such folder.

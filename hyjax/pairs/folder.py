@@ -1,4 +1,4 @@
-"""A plain folder of pictures and metric depth maps of the same names.
+"""Plain folder of pictures and metric depth maps of the same names.
 
     NAME_rgb.png|jpg + NAME_depth.png             side by side, or
     rgb/NAME.png|jpg + depth/NAME.png             in two subfolders
@@ -13,11 +13,11 @@ from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.images import read_depth
 
 STEPS = {"millimetres": 0.001, "centimetres": 0.01, "metres": 1.0, "tenths": 0.0001, "fifths": 0.0002}
-"""Metres of a stored step by name; tenths and fifths are of a millimetre (TUM's RGB-D has fifths)."""
+"""Metres per stored step, by name; tenths and fifths are of a millimetre (TUM's RGB-D has fifths)."""
 
 
 def open_folder(path: Path, steps: str = "millimetres") -> FilePairs:
-    """Open a folder.
+    """Open a folder of pairs.
 
     Args:
         path: the folder.

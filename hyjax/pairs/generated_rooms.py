@@ -1,4 +1,4 @@
-"""Pairs from an endless row of random furnished rooms, which need no file: true depth and true normals."""
+"""Pairs from an endless row of random furnished rooms, without files: true depth and true normals."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -6,23 +6,23 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int8, UInt8, UInt16
 
-from hyjax.pairs.depth_pairs import SELECTING, DepthPair, Options, PairsKind, Unit
-from hyjax.synthetic.random_room import Shot, make_random_room, photograph
+from hyjax.pairs.depth_pairs import SELECTION_OPTIONS, DepthPair, Options, PairsKind, Unit
+from hyjax.synthetic.random_room import RenderedView, make_random_room, photograph
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 from hyjax.util.lru_cache import LruCache
 
-VERSION = 4
-"""Of what `hyjax.synthetic.random_room` makes. Add one whenever its geometry or its pictures change."""
+VERSION = 5
+"""Version of the rooms of `hyjax.synthetic.random_room`. Add one when their geometry or pictures change."""
 DEPTH_STEP = 0.0002
-"""Metres that depth is rounded to, so that 16 bits reach 13 m."""
+"""Step of rounded depth in metres, so that 16 bits reach 13 m."""
 ROOMS_KEPT = 4
-"""Rooms kept in memory: neighbours in a stream, and what a few threads work on."""
+"""Number of rooms in memory: neighbours in a stream, and the work of a few threads."""
 
 
 class _Stored(NamedTuple):
-    """The views of a room as they are stored: colours in 8 bits, depth in `DEPTH_STEP`s, normals times 127."""
+    """Stored views of a room: colours in 8 bits, depth in `DEPTH_STEP`s, normals times 127."""
 
     image: UInt8[np.ndarray, "v s s 3"]
     depth: UInt16[np.ndarray, "v s s"]
@@ -75,7 +75,7 @@ class GeneratedRooms:
 
     @property
     def fingerprint(self) -> str:
-        """See `DepthPairs`."""
+        """Fingerprint, see `DepthPairs`."""
         return digest([f"rooms v{VERSION} seed {self._seed} {self._size}x{self._views}"])
 
     def __len__(self) -> int:
@@ -101,7 +101,7 @@ class GeneratedRooms:
         )
 
     def _read_or_render(self, number: int) -> _Stored:
-        """All views of a room, from disk or new."""
+        """Read all views of a room, or render them."""
         assert self._folder is not None
         file, shape = self._folder / f"{number:07d}.npz", (self._views, self._size, self._size)
 
@@ -118,7 +118,7 @@ class GeneratedRooms:
         return cached_arrays(file, parse, make, compressed=True)
 
 
-def _rounded(shots: list[Shot]) -> _Stored:
+def _rounded(shots: list[RenderedView]) -> _Stored:
     return _Stored(
         np.stack([np.round(s.image * 255).astype(np.uint8) for s in shots]),
         np.stack([np.round(np.minimum(s.depth / DEPTH_STEP, 65535)).astype(np.uint16) for s in shots]),
@@ -133,7 +133,7 @@ def _open(path: Path, options: Options) -> GeneratedRooms:
             raise InputError(f"pairs: rooms?{name}={value} must be a whole number, 0 or more")
         return int(value)
 
-    if options.keys() & set(SELECTING):
+    if options.keys() & set(SELECTION_OPTIONS):
         parts = [part.split(":") for part in options.get("frames", "all").split(",")]
         if not all(part[min(1, len(part) - 1)].strip().isdecimal() for part in parts):
             raise InputError("pairs: rooms are endless; name the first and the last as in rooms?frames=0:2000")

@@ -1,4 +1,4 @@
-"""The endless stream of training crops: the same for the same seed, wherever it is taken up again."""
+"""Endless stream of training crops: the same for the same seed, from any position."""
 
 import threading
 from collections.abc import Sequence
@@ -13,17 +13,17 @@ from hyjax.pairs.depth_pairs import DepthPairs
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 
-ENDLESS = 1 << 20
-"""Sources of so many pairs make them when asked: they are read in their order, in which neighbours share a
+GENERATED_COUNT = 1 << 20
+"""Number of pairs from which a source generates them: they are read in their order, in which neighbours share a
 room, and not kept."""
-LONGEST = 1 << 40
-"""Crops in a stream: in practice it never ends."""
-MEMORY = 4 << 30
-"""Bytes of decoded pairs that are kept."""
+STREAM_CROPS = 1 << 40
+"""Number of crops in a stream: in practice it never ends."""
+MEMORY_BYTES = 4 << 30
+"""Memory of kept decoded pairs, in bytes."""
 
 
 class Batch(NamedTuple):
-    """Crops of one size. Only what treats both units alike may mix them: `disparity` says which is which.
+    """Batch of crops of one size, in metres or disparity: code that depends on the unit must read `disparity`.
 
     Attributes:
         image: display-encoded colours in [0, 1], float32.
@@ -41,20 +41,20 @@ class Batch(NamedTuple):
 
 
 class PairLoader:
-    """An endless iterator over `Batch`es.
+    """Endless iterator over `Batch`es.
 
     Crop number i of the stream follows from the seed and i alone, hence from neither threads nor hosts.
     Every source is gone through in a shuffled order, again and again, and sources take turns by weight.
 
     Args:
-        sources: where pairs come from.
+        sources: of the pairs.
         size: side of the crops in pixels.
         batch: crops a batch of this host.
         seed: of order, crops and colours.
         weights: how often each source is drawn from, in any unit; equally often if not given.
         shard: (index, count) of this host: it gets every count-th batch.
         augment: whether crops are rescaled, mirrored and recoloured, or only cut out.
-        threads: that make batches ahead of time; 0 makes them when asked.
+        threads: that make batches ahead of time; 0 makes them on demand.
 
     Raises:
         InputError: a number out of range.
@@ -78,14 +78,14 @@ class PairLoader:
         streams = []
         for number, source in enumerate(sources):
             stream = grain.MapDataset.range(len(source))
-            if len(source) < ENDLESS:
+            if len(source) < GENERATED_COUNT:
                 stream = stream.shuffle(seed=(seed + number) % 2**32).repeat()
             streams.append(stream.map(lambda index, number=number: memory(number, index)))
 
         def cut(pair: Packed, rng: np.random.Generator) -> Crop:
             return random_crop(pair, size, rng, augment)
 
-        crops = grain.MapDataset.mix(streams, weights)[:LONGEST].random_map(cut, seed=seed)
+        crops = grain.MapDataset.mix(streams, weights)[:STREAM_CROPS].random_map(cut, seed=seed)
         # Batches are dealt to the hosts whole: dealt crop by crop, a host could get all of one source.
         dealt = crops.batch(batch)[shard[0] :: shard[1]]
         ahead = grain.ReadOptions(num_threads=threads, prefetch_buffer_size=2 * threads)
@@ -100,25 +100,25 @@ class PairLoader:
         return Batch(*next(self._batches))
 
     def state(self) -> dict[str, Any]:
-        """The position in the stream, in JSON's types; the same on all hosts that go on in step."""
+        """Position in the stream, in JSON's types; the same on all hosts in step."""
         return {"stream": self._stream, "position": self._batches.get_state()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a position.
+        """Continue from a position.
 
         Raises:
             InputError: it is of another stream.
         """
         if state.get("stream") != self._stream:
-            raise InputError("pairs: cannot resume, they or the settings of their crops are not those of before")
+            raise InputError("pairs: cannot resume, the sources or the settings of their crops have changed")
         self._batches.set_state(state["position"])
 
 
 class _PairMemory:
-    """Cache of pairs by source and index that stops growing at `MEMORY` bytes: every epoch asks for all of them."""
+    """Cache of pairs by source and index, with no eviction at `MEMORY_BYTES` bytes: every epoch needs all pairs."""
 
     def __init__(self, sources: Sequence[DepthPairs]) -> None:
-        self._sources, self._pairs, self._free = sources, dict[tuple[int, int], Packed](), MEMORY
+        self._sources, self._pairs, self._free = sources, dict[tuple[int, int], Packed](), MEMORY_BYTES
         self._lock = threading.Lock()
 
     def __call__(self, number: int, index: int) -> Packed:
@@ -132,7 +132,7 @@ class _PairMemory:
         normal = None if pair.normal is None else np.round(pair.normal * 127).astype(np.int8)
         packed = Packed(image, np.where(pair.valid, pair.depth, np.float32(0)), normal, pair.unit == "disparity")
         with self._lock:
-            if len(source) < ENDLESS and packed.nbytes <= self._free and (number, index) not in self._pairs:
+            if len(source) < GENERATED_COUNT and packed.nbytes <= self._free and (number, index) not in self._pairs:
                 self._pairs[number, index] = packed
                 self._free -= packed.nbytes
         return packed

@@ -24,18 +24,19 @@ from hyjax.pairs.depth_pairs import PairsKind
 from hyjax.pairs.files import PICTURES, FilePairs, Files, folders, matched, named
 from hyjax.util.errors import InputError, shown
 from hyjax.util.images import read_image
+from hyjax.util.pfm import read_pfm
 from hyjax.util.reading import finite, read_bytes
 
 VIEWS = {"disp0": ("im0",), "disp1": ("view1", "im1"), "disp2": ("im2",), "disp5": ("view5",), "disp6": ("im6",)}
-"""Names of the picture that belongs to each disparity map."""
+"""Names of the picture of each disparity map."""
 LARGEST_CALIBRATION = 1 << 16
+"""Largest size of a calibration file, in bytes."""
 LARGEST_OFFSET = 1e6
-"""Pixels."""
-PFM_HEADER = re.compile(rb"Pf\s+(\d{1,9})\s+(\d{1,9})\s+(-?[\d.eE+-]+)\s")
+"""Largest offset of disparities, in pixels."""
 
 
 def open_middlebury(path: Path) -> FilePairs:
-    """Open all scenes in a folder and below, every view that has a disparity.
+    """Open all scenes in a folder and below, every view with a disparity.
 
     Raises:
         InputError: no such folder, no scene in it, or a file without its partner.
@@ -59,7 +60,7 @@ def open_middlebury(path: Path) -> FilePairs:
 
 
 def _first(files: Iterable[Path]) -> Path | None:
-    """The first that exists."""
+    """First existing file."""
     return next((file for file in files if file.is_file()), None)
 
 
@@ -90,24 +91,6 @@ def _offset(scene: Path) -> float:
             except ValueError:
                 raise InputError(f"{file}: need a number of pixels, got {shown(text)}") from None
     return 0.0
-
-
-def read_pfm(path: Path) -> Float[np.ndarray, "h w"]:
-    """A one-channel portable float map, unscaled: the scale in its header is not meant to be applied here.
-
-    Raises:
-        InputError: the file is missing, truncated or no such map.
-    """
-    content = read_bytes(path)
-    header = PFM_HEADER.match(content)
-    if header is None:
-        raise InputError(f"{path}: not a one-channel PFM; its header must be Pf, width, height, scale")
-    width, height = int(header[1]), int(header[2])
-    order = "<" if header[3].startswith(b"-") else ">"
-    values = content[header.end() :]
-    if len(values) != 4 * width * height:
-        raise InputError(f"{path}: has {len(values)} bytes of values, {width}x{height} need {4 * width * height}")
-    return np.frombuffer(values, f"{order}f4").reshape(height, width)[::-1].astype(np.float32)
 
 
 KIND = PairsKind("middlebury", lambda path, options: open_middlebury(path))

@@ -26,14 +26,14 @@ from hyjax.util.files import digest
 from hyjax.util.reading import check_regular
 
 ARRAYS = {"images": 4, "depths": 3, "rawDepths": 3}
-"""Names and how many axes they have."""
+"""Numbers of axes of the arrays, by name."""
 
 
 class NyuPairs:
-    """The pairs (`DepthPairs`) of a labelled file.
+    """Pairs (`DepthPairs`) of a labelled file.
 
     Raises:
-        InputError: h5py is not installed, or the file is not such a one.
+        InputError: h5py is not installed, or the file is no labelled one.
     """
 
     unit: Unit = "metres"
@@ -54,14 +54,14 @@ class NyuPairs:
 
     @property
     def fingerprint(self) -> str:
-        """See `DepthPairs`."""
+        """Fingerprint, see `DepthPairs`."""
         return digest([self._path.name, str(self._path.stat().st_size)])
 
     def __len__(self) -> int:
         return self._count
 
     def __getitem__(self, index: int) -> DepthPair:
-        """The pair at a position.
+        """Pair at a position.
 
         Raises:
             InputError: the file is damaged, or there is no depth at all.
@@ -75,7 +75,7 @@ class NyuPairs:
 
     @contextlib.contextmanager
     def _opened(self, damage: str) -> Iterator[Any]:
-        """The file; whatever h5py raises of it is an `InputError`."""
+        """Open file; every error of h5py becomes an `InputError`."""
         try:
             h5py = importlib.import_module("h5py")
         except ModuleNotFoundError:

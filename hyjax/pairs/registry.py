@@ -24,7 +24,7 @@ A new kind is a file that ends with its `PairsKind` and a line in `PAIRS_KINDS`;
 from pathlib import Path
 
 from hyjax.pairs import captures, diml, folder, generated_rooms, middlebury, nyu
-from hyjax.pairs.depth_pairs import SELECTING, ChosenPairs, DepthPairs, PairsKind, selected
+from hyjax.pairs.depth_pairs import SELECTION_OPTIONS, ChosenPairs, DepthPairs, PairsKind, selected
 from hyjax.util.errors import InputError, did_you_mean
 
 PAIRS_KINDS: dict[str, PairsKind] = {}
@@ -65,7 +65,7 @@ def open_pairs(text: str) -> DepthPairs:
     kind = PAIRS_KINDS.get(name)
     if kind is None:
         raise InputError(
-            f"pairs: {text!r} is of no known kind{did_you_mean(name, PAIRS_KINDS)}; write KIND:PATH with one of "
+            f"pairs: {text!r} has an unknown kind{did_you_mean(name, PAIRS_KINDS)}; write KIND:PATH with one of "
             f"{', '.join(PAIRS_KINDS)}"
         )
     if not path and kind.has_path:
@@ -75,13 +75,13 @@ def open_pairs(text: str) -> DepthPairs:
     options: dict[str, str] = {}
     for part in filter(None, tail.split("&")):
         option, equals, value = part.partition("=")
-        if option not in (*kind.options, *SELECTING) or not equals or option in options:
+        if option not in (*kind.options, *SELECTION_OPTIONS) or not equals or option in options:
             raise InputError(
-                f"pairs: {text!r} has option {part!r}; {name} takes {', '.join((*kind.options, *SELECTING))}, each "
-                "once, as NAME=VALUE"
+                f"pairs: {text!r} has option {part!r}; {name} takes "
+                f"{', '.join((*kind.options, *SELECTION_OPTIONS))}, each once, as NAME=VALUE"
             )
         options[option] = value
     pairs = kind.open(Path(path), options)
-    if kind.selects or not options.keys() & set(SELECTING):
+    if kind.selects or not options.keys() & set(SELECTION_OPTIONS):
         return pairs  # an endless source has too many to name
     return ChosenPairs(pairs, selected(options, len(pairs)))

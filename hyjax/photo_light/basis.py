@@ -1,4 +1,4 @@
-"""Light of unit sources on the points of a scan: windows by direction, lamps, and unscanned walls."""
+"""Basis of the photo's light on the points of a scan: unit windows by direction, lamps, unscanned walls."""
 
 import dataclasses
 import itertools
@@ -13,28 +13,28 @@ from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.vectors import unit
 
 BINS = (6, 4)
-"""Directions of a window's light, in azimuth and elevation. One Lambertian window does poorly."""
-LOWEST, HIGHEST = -45.0, 45.0
-"""Degrees of elevation between which the bins lie."""
-POINTS = 8
-"""Points along each side of a window."""
-FRAME = 0.08
-"""Metres before a window where bars, sills and curtains do not count as in the way."""
-BLOCK = 1 << 15
-"""Points at a time, for memory's sake."""
+"""Numbers of bins of a window's light, in azimuth and elevation. One Lambertian window does poorly."""
+LOWEST_ELEVATION, HIGHEST_ELEVATION = -45.0, 45.0
+"""Lowest and highest elevation of the bins, in degrees."""
+SIDE_POINTS = 8
+"""Number of sample points along each side of a window."""
+FRAME_DEPTH = 0.08
+"""Depth before a window, in metres, where bars, sills and curtains do not count as in the way."""
+BLOCK_POINTS = 1 << 15
+"""Number of points at a time, to bound memory."""
 LAMP_CLEARANCE = 0.15
-"""Metres round a lamp, of its own shade."""
+"""Distance around a lamp, in metres, where its own shade casts no shadow."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Basis:
-    """Light of unknown sources of strength one.
+    """Illuminance by unknown sources of strength one.
 
     Attributes:
         light: illuminance of each point by each unknown.
         names: of the sources.
         source: which source each unknown belongs to.
-        neighbours: pairs of unknowns that are likely alike.
+        neighbours: pairs of likely similar unknowns.
     """
 
     light: Float[np.ndarray, "p k"]
@@ -50,7 +50,7 @@ def make_basis(
     normal: Float[np.ndarray, "p 3"],
     sources: PhotoSources,
 ) -> Basis:
-    """Light of all sources that a photo may have been taken under.
+    """Basis of all possible sources of a photo's light.
 
     Args:
         caster: the scan.
@@ -89,14 +89,14 @@ def make_basis(
 def window_light(
     caster: RayCaster, starts: Float[np.ndarray, "p 3"], normal: Float[np.ndarray, "p 3"], window: Aperture
 ) -> Float[np.ndarray, "p k"]:
-    """Illuminance by a window whose radiance times π is one in one bin of directions: rows of elevation.
+    """Illuminance by a window whose radiance times π is one in one bin of directions; rows of bins are elevations.
 
     E = Σ cos θ cos θ′ ΔA / (π r²) over points of the opening that are seen, shared out bilinearly between bins.
     """
     centre, right, up = (np.asarray(v, np.float64) for v in (window.center, window.right, window.up))
     inward = np.cross(right, up)
-    area, inward = 4 * np.linalg.norm(inward) / POINTS**2, unit(inward)
-    ticks = (np.arange(POINTS) + 0.5) / POINTS * 2 - 1
+    area, inward = 4 * np.linalg.norm(inward) / SIDE_POINTS**2, unit(inward)
+    ticks = (np.arange(SIDE_POINTS) + 0.5) / SIDE_POINTS * 2 - 1
     columns, lines = BINS
     light = np.zeros(len(starts) * columns * lines)
     for s, t in itertools.product(ticks, ticks):
@@ -106,12 +106,16 @@ def window_light(
         direction = to / np.maximum(distance, 1e-6)[:, None]
         here, there = np.einsum("nk,nk->n", direction, normal), -direction @ inward
         some = np.flatnonzero((here > 0) & (there > 1e-3))
-        some = some[~caster.occluded(starts[some], to[some], 1 - FRAME / np.maximum(distance[some], 2 * FRAME))]
+        some = some[
+            ~caster.occluded(starts[some], to[some], 1 - FRAME_DEPTH / np.maximum(distance[some], 2 * FRAME_DEPTH))
+        ]
         strength = here[some] * there[some] * area / (np.pi * np.maximum(squared[some], 0.01))
         azimuth = np.degrees(np.arctan2(direction[some] @ unit(right), there[some])) / 90
         elevation = np.degrees(np.arcsin(np.clip(direction[some] @ unit(up), -1, 1)))
         x = np.clip((azimuth + 1) / 2 * columns - 0.5, 0, columns - 1)
-        y = np.clip((elevation - LOWEST) / (HIGHEST - LOWEST) * lines - 0.5, 0, lines - 1)
+        y = np.clip(
+            (elevation - LOWEST_ELEVATION) / (HIGHEST_ELEVATION - LOWEST_ELEVATION) * lines - 0.5, 0, lines - 1
+        )
         x0, y0 = np.minimum(x.astype(int), columns - 2), np.minimum(y.astype(int), lines - 2)
         for i, j in itertools.product((0, 1), repeat=2):
             share = np.abs(1 - i - (x - x0)) * np.abs(1 - j - (y - y0)) * strength
@@ -141,8 +145,8 @@ def _wall_light(hits: Int[np.ndarray, "r p"], first: int) -> Float[np.ndarray, "
     rays, points = hits.shape
     count = 6 * CELLS**2
     light = np.empty((points, count), np.float32)
-    for start in range(0, points, BLOCK):
-        patch = hits[:, start : start + BLOCK].astype(np.int64) - first
+    for start in range(0, points, BLOCK_POINTS):
+        patch = hits[:, start : start + BLOCK_POINTS].astype(np.int64) - first
         here = patch.shape[1]
         at = np.where((patch >= 0) & (patch < count), patch + count * np.arange(here), here * count)
         total = np.bincount(at.ravel(), minlength=here * count + 1)[:-1]

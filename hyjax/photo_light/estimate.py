@@ -1,4 +1,4 @@
-"""Estimate of the photo's own light of a scan."""
+"""Estimate of the photo's own light on a scan."""
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
@@ -15,42 +15,41 @@ from hyjax.geometry.transport_rays import enclose, trace
 from hyjax.light.photo_light import LEAST_PHOTO_LIGHT, PhotoLight
 from hyjax.light.transport import Transport, bounce, gather, send
 from hyjax.photo_light.basis import Basis, make_basis
-from hyjax.photo_light.fit import FLOOR, HIGHEST_ALBEDO, FitProblem, fit_sources
-from hyjax.photo_light.pairs import coplanar_pairs, held_out
+from hyjax.photo_light.belief import LEAST_GAIN, NO_BELIEF, Belief, fit_and_judge, split
+from hyjax.photo_light.fit import HIGHEST_ALBEDO, RADIANCE_FLOOR, FitProblem
+from hyjax.photo_light.pairs import coplanar_pairs
 from hyjax.photo_light.radiance import VertexRadiance, vertex_radiance
 from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.cache import Arrays
 
 PAIRS = 20000
-EXPONENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-LEAST_GAIN = 0.04
-"""Share by which planes must become flatter on pairs that were not fitted to; below it nothing is divided out."""
-ONE_HUE = 0.2
-"""Difference of log colour within which two places are of one hue."""
-LEAST_PAIRS = 200
-"""Pairs of vertices on one plane, to fit to and to test with, below which a scan tells nothing."""
+"""Number of pairs of vertices to draw."""
+HUE_TOLERANCE = 0.2
+"""Difference of log colour within which two places share one hue."""
 LEAST_CONTRAST = 0.05
-"""Range of log radiance below which the frames show nothing: all black, or all white."""
+"""Least range of log radiance; below it the frames are all black, or all white."""
 LOWEST_ALBEDO = 0.02
-SHARED = 1e-6
-"""Light of each source that is on all vertices."""
+SHARED_LIGHT = 1e-6
+"""Light of each source that reaches all vertices."""
 WHITE_WALL = 0.75
 """Albedo of painted walls and ceilings."""
 PLAIN_ALBEDO = 0.5
-"""Of all surfaces where the photo's light is not known."""
-VIEW = (48, 64)
+"""Albedo of all surfaces where the photo's light is unknown."""
+VIEW_SHAPE = (48, 64)
+"""Rows and columns of rays of a view for the visible mean."""
 VIEWS = 12
+"""Number of views for the visible mean."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """Photo's light of a scan, and what it was found from.
+    """Photo's light on a scan, with the evidence for it.
 
     Attributes:
         light: to relight with.
         names: of its sources.
-        exponent: that the brightness of E_old is raised to: 0 where dividing would do harm, 1 where it is believed.
-        hue_exponent: likewise of its hue, which is harder to tell from that of the surfaces.
+        exponent: of the brightness of E_old: 0 where dividing would do harm, 1 where it is believed.
+        hue_exponent: of the hue of E_old, which is harder to separate from that of the surfaces.
         flatness: mean difference of log brightness on planes after the division over that before it, on pairs that
             were held out, for each of `EXPONENTS`.
     """
@@ -63,7 +62,7 @@ class Estimate:
 
     @property
     def reason(self) -> str:
-        """Why nothing is divided out, in words for the log and the tour; it has a meaning where `exponent` is 0."""
+        """Reason for dividing nothing out, in words for the log and the tour; meaningful where `exponent` is 0."""
         if all(f == 1 for f in self.flatness):
             return "frames and scan tell too little of it"
         change = 100 * (1 - min(self.flatness))
@@ -78,7 +77,9 @@ def estimate_arrays(
     progress: bool = False,
     closed: bool = True,
 ) -> Arrays:
-    """Photo's light by the frames and the scan alone, see `hyjax.photo_light.fit`; `read_estimate` reads it.
+    """Estimate the photo's light from the frames and the scan alone, as arrays for `read_estimate`.
+
+    The fit is in `hyjax.photo_light.fit`.
 
     Args:
         caster: the scan.
@@ -101,13 +102,11 @@ def estimate_arrays(
     basis = make_basis(caster, hits, position, normal, sources)
     sent = np.concatenate([shown.radiance, np.zeros((len(position) - count, 3))])
     gathered = np.asarray(gather(transport.hits, send(transport, jnp.asarray(sent, jnp.float32))))
-    theta, tested = _fitted(caster, normal[:count], shown, gathered[:count], basis)
-    light = np.maximum(gathered + basis.light @ theta, FLOOR)
-    log_light, log_radiance = _split(np.log(light[:count])), _split(np.log(shown.radiance))
-    bright, hue = (_flatness(*parts, tested) for parts in zip(log_radiance, log_light))
-    exponent, hue_exponent = _best(bright), _best(hue)
+    theta, belief = _fitted(caster, normal[:count], shown, gathered[:count], basis)
+    light = np.maximum(gathered + basis.light @ theta, RADIANCE_FLOOR)
+    exponent, log_light = belief.exponent, split(np.log(light[:count]))
     albedo, unscanned = _albedo(shown, light, believed=exponent > 0)
-    divisor = np.exp(exponent * log_light[0] + (hue_exponent if exponent else 0.0) * log_light[1])
+    divisor = np.exp(exponent * log_light[0] + (belief.hue_exponent if exponent else 0.0) * log_light[1])
     illuminance = np.maximum(divisor / _visible_mean(caster, cameras, divisor), LEAST_PHOTO_LIGHT)
     direct = _direct_by_source(basis, theta, light, unscanned, count)
     shares = _shares(transport, *(jnp.asarray(a, jnp.float32) for a in (albedo, direct, illuminance)))
@@ -123,13 +122,13 @@ def estimate_arrays(
         "hits": hits,
         "names": np.array(basis.names),
         "exponent": np.array(exponent),
-        "hue_exponent": np.array(hue_exponent),
-        "flatness": np.array(bright),
+        "hue_exponent": np.array(belief.hue_exponent),
+        "flatness": np.array(belief.flatness),
     }
 
 
 def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
-    """Estimate from the arrays that `estimate_arrays` made."""
+    """Estimate from the arrays of `estimate_arrays`."""
     transport = _transport(caster, arrays["hits"], arrays["position"], arrays["normal"])
     parts = ("illuminance", "sources", "mean", "albedo")
     illuminance, shares, mean, albedo = (jax.device_put(arrays[name]) for name in parts)
@@ -141,11 +140,11 @@ def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
 
 @dataclasses.dataclass(frozen=True)
 class _Shown:
-    """What the frames show of the vertices.
+    """Radiance of the vertices in the frames.
 
     Attributes:
         visible: whether a frame shows it.
-        radiance: relative to `scale`; the mean of the others where none does.
+        radiance: relative to `scale`; the mean of the visible ones elsewhere.
         scale: linear value of the pictures.
     """
 
@@ -155,14 +154,14 @@ class _Shown:
 
     @property
     def contrast(self) -> float:
-        """Range of its logarithm."""
+        """Range of the logarithm of the radiance."""
         return float(np.ptp(np.log(self.radiance[self.visible])))
 
 
 def _shown(seen: VertexRadiance) -> _Shown:
     visible = (seen.weight > 0) & np.isfinite(seen.radiance).all(axis=1)
     scale = float(_log_mean(seen.radiance[visible]).mean())
-    radiance = np.where(visible[:, None], np.maximum(seen.radiance / scale, FLOOR), 1.0)
+    radiance = np.where(visible[:, None], np.maximum(seen.radiance / scale, RADIANCE_FLOOR), 1.0)
     radiance[~visible] = _log_mean(radiance[visible])
     return _Shown(visible, radiance, scale)
 
@@ -170,7 +169,7 @@ def _shown(seen: VertexRadiance) -> _Shown:
 def _trace(
     caster: RayCaster, up: Float[np.ndarray, "3"], sources: PhotoSources, progress: bool, closed: bool
 ) -> tuple[Int[np.ndarray, "r p"], Float[np.ndarray, "p 3"], Float[np.ndarray, "p 3"]]:
-    """Ends of all rays, see `trace`; those that leave a scan that is not `closed` end nowhere."""
+    """Ends of all rays, see `trace`; a ray that leaves a scan that is not `closed` has none."""
     windows = [window.aperture for window in sources.windows]
     hits, position, normal = trace(caster, enclose(caster, up), windows, progress=progress)
     if not closed:
@@ -185,28 +184,31 @@ def _fitted(
     shown: _Shown,
     gathered: Float[np.ndarray, "v 3"],
     basis: Basis,
-) -> tuple[Float[np.ndarray, "k 3"], Int[np.ndarray, "n 2"]]:
-    """Strength of each source of the basis, and pairs of vertices that it was not fitted to.
+) -> tuple[Float[np.ndarray, "k 3"], Belief]:
+    """Fitted strength of each source of the basis, and the belief in it.
 
-    All are 1, and there are no pairs, where the scan and the frames tell too little.
+    All are 1, and nothing is believed, where the scan and the frames tell too little.
     """
     vertices, count = np.asarray(caster.mesh.vertices), len(normal)
+    nothing = np.full((basis.light.shape[1], 3), 1.0), NO_BELIEF
+    if not shown.visible.any() or shown.contrast <= LEAST_CONTRAST:
+        return nothing
     pairs = coplanar_pairs(vertices, normal, shown.visible, PAIRS)
     pairs = pairs[_one_hue(np.log(shown.radiance), pairs)]
-    test = held_out(vertices[pairs[:, 0]])
-    if min(test.sum(), (~test).sum()) < LEAST_PAIRS or shown.contrast <= LEAST_CONTRAST:
-        return np.full((basis.light.shape[1], 3), 1.0), pairs[:0]
     known = (gathered, basis.light[:count], shown.radiance)
     gathered_here, light, radiance = (jnp.asarray(a, jnp.float32) for a in known)
-    fitted, alike = (jnp.asarray(a, jnp.int32) for a in (pairs[~test], basis.neighbours))
-    problem = FitProblem(gathered_here, light, radiance, jnp.asarray(shown.visible), fitted, alike)
-    return fit_sources(problem), pairs[test]
+    seen, alike = jnp.asarray(shown.visible), jnp.asarray(basis.neighbours, jnp.int32)
+
+    def problem(fitted: Int[np.ndarray, "m 2"]) -> FitProblem:
+        return FitProblem(gathered_here, light, radiance, seen, jnp.asarray(fitted, jnp.int32), alike)
+
+    return fit_and_judge(problem, pairs, vertices) or nothing
 
 
 def _albedo(
     shown: _Shown, light: Float[np.ndarray, "p 3"], believed: bool
 ) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, "3"]]:
-    """Albedo of all points, plain where the light is not believed, and that of what was not scanned."""
+    """Albedo of all points: plain where the light is not believed, a wall's where nothing was scanned."""
     count = len(shown.radiance)
     albedo = np.clip(shown.radiance / light[:count], LOWEST_ALBEDO, HIGHEST_ALBEDO)
     if not believed:
@@ -227,7 +229,7 @@ def _transport(caster: RayCaster, hits: np.ndarray, position: np.ndarray, normal
 def _direct_by_source(
     basis: Basis, theta: np.ndarray, light: np.ndarray, wall_albedo: np.ndarray, vertices: int
 ) -> Float[np.ndarray, "s p 3"]:
-    """Light straight from each source; walls that were not scanned count by what they send beyond reflections."""
+    """Direct light of each source; unscanned walls count by their light beyond reflections."""
     first = theta.shape[0] - (len(light) - vertices)
     emitted = theta.copy()
     emitted[first:] = np.maximum(theta[first:] - wall_albedo * light[vertices:], 0.0)
@@ -243,52 +245,29 @@ def _shares(
     count = direct.shape[0]
     channels = jnp.moveaxis(direct, 0, 1).reshape(direct.shape[1], -1)
     light = channels + bounce(transport, albedo, channels)
-    each = jnp.moveaxis(light[: transport.vertices].reshape(-1, count, 3), 1, 0)
-    each += SHARED  # evenly where none reaches
-    return total * each / jnp.sum(each, axis=0)
+    by_source = jnp.moveaxis(light[: transport.vertices].reshape(-1, count, 3), 1, 0)
+    by_source += SHARED_LIGHT  # evenly where none reaches
+    return total * by_source / jnp.sum(by_source, axis=0)
 
 
 def _log_mean(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
-    """Geometric mean; 1 of nothing."""
-    return np.exp(np.log(np.maximum(values, FLOOR)).mean(axis=0)) if len(values) else np.ones(3)
+    """Geometric mean; 1 without values."""
+    return np.exp(np.log(np.maximum(values, RADIANCE_FLOOR)).mean(axis=0)) if len(values) else np.ones(3)
 
 
 def _one_hue(log_radiance: Float[np.ndarray, "v 3"], pairs: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-    """Whether pairs are of one hue: where that changes, albedo does."""
-    hue = _split(log_radiance)[1]
-    return np.abs(hue[pairs[:, 0]] - hue[pairs[:, 1]]).max(axis=1) < ONE_HUE
-
-
-def _split(log: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "v 1"], Float[np.ndarray, "v 3"]]:
-    """Brightness and hue of logarithms."""
-    mean = log.mean(axis=1, keepdims=True)
-    return mean, log - mean
-
-
-def _flatness(
-    log_radiance: Float[np.ndarray, "v c"], log_light: Float[np.ndarray, "v c"], pairs: Int[np.ndarray, "n 2"]
-) -> tuple[float, ...]:
-    """Mean absolute difference across pairs after dividing by E to each exponent, relative to that before."""
-    if not len(pairs):
-        return (1.0,) * len(EXPONENTS)
-    c, e = (v[pairs[:, 0]] - v[pairs[:, 1]] for v in (log_radiance, log_light))
-    spread = [np.abs(c - k * e).mean() for k in EXPONENTS]
-    return tuple(float(s / max(spread[0], 1e-9)) for s in spread)
-
-
-def _best(flatness: tuple[float, ...]) -> float:
-    """Exponent that flattens most; 0 where none is worth it."""
-    best = int(np.argmin(flatness))
-    return EXPONENTS[best] if flatness[best] < 1 - LEAST_GAIN else 0.0
+    """Whether pairs share one hue, as albedo changes with hue."""
+    hue = split(log_radiance)[1]
+    return np.abs(hue[pairs[:, 0]] - hue[pairs[:, 1]]).max(axis=1) < HUE_TOLERANCE
 
 
 def _visible_mean(
     caster: RayCaster, cameras: Sequence[Camera], values: Float[np.ndarray, "v 3"]
 ) -> Float[np.ndarray, "3"]:
-    """Geometric mean of vertex values over what cameras see."""
+    """Geometric mean of vertex values over the pixels of the cameras."""
     total, count = np.zeros(3), 0
     for camera in cameras[:: max(1, len(cameras) // VIEWS)]:
-        rays = Camera(camera.intrinsics.resize(*VIEW), camera.pose).rays().reshape(-1, 3)
+        rays = Camera(camera.intrinsics.resize(*VIEW_SHAPE), camera.pose).rays().reshape(-1, 3)
         hits = caster.cast(camera.origin, rays)
         corners = caster.mesh.faces[hits.face[hits.hit]]
         seen = np.einsum("nk,nkc->nc", hits.barycentric[hits.hit], values[corners])

@@ -19,32 +19,36 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 HIGHEST_ALBEDO = 0.9
-WHITE, WHITE_QUANTILE, WHITENESS = 0.85, 0.95, 0.1
-"""Albedo of the whitest surfaces, the quantile that they are, and the weight of this expectation."""
+WHITE_ALBEDO, WHITE_QUANTILE, WHITENESS = 0.85, 0.95, 0.1
+"""Albedo of the whitest surfaces, their quantile, and the weight of this prior."""
 SMOOTH_L1 = 0.02
-"""Below this difference of logarithms the loss is a parabola."""
+"""Difference of logarithms below which the loss is quadratic."""
 SMOOTHNESS = 1e-3
-SIZE = 1e-4
-"""Weight that draws the unknowns to the mean radiance."""
-LOWEST, HIGHEST = -7.0, 8.0
-"""Logarithms that the unknowns stay within, relative to the mean radiance."""
+"""Weight of the smoothness of θ."""
+MEAN_WEIGHT = 1e-4
+"""Weight of the prior that draws the unknowns to the mean radiance."""
+LOWEST_LOG, HIGHEST_LOG = -7.0, 8.0
+"""Bounds of the logarithms of the unknowns, relative to the mean radiance."""
 ITERATIONS = 200
-START = 1.5
-FLOOR = 1e-3
+"""Most iterations of L-BFGS-B."""
+START_LOG = 1.5
+"""Logarithm of the unknowns at the start, relative to the mean radiance."""
+RADIANCE_FLOOR = 1e-3
+"""Least radiance, and offset of the light, relative to the mean radiance."""
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class FitProblem:
-    """What the fit is given. Radiances are relative to their geometric mean.
+    """Data of the fit. Radiances are relative to their geometric mean.
 
     Attributes:
         gathered: T c, light from what was scanned.
         basis: B, light of unit sources.
-        radiance: c times π, at least `FLOOR`.
+        radiance: c times π, at least `RADIANCE_FLOOR`.
         seen: vertices that any frame shows.
         pairs: of vertices on one plane.
-        neighbours: unknowns that are likely alike.
+        neighbours: pairs of likely similar unknowns.
     """
 
     gathered: Float[Array, "v 3"]
@@ -56,13 +60,13 @@ class FitProblem:
 
 
 def illuminance(problem: FitProblem, theta: Float[Array, "k 3"]) -> Float[Array, "v 3"]:
-    """E = T c + B θ."""
+    """Illuminance E = T c + B θ of the points."""
     return problem.gathered + problem.basis @ theta
 
 
 def loss(log_theta: Float[Array, "k 3"], problem: FitProblem) -> Float[Array, ""]:
-    """What the fit minimises; see the module's docstring."""
-    log_light = jnp.log(illuminance(problem, jnp.exp(log_theta)) + FLOOR)
+    """Objective of the fit; see the module's docstring."""
+    log_light = jnp.log(illuminance(problem, jnp.exp(log_theta)) + RADIANCE_FLOOR)
     log_radiance = jnp.log(problem.radiance)
     residual = _difference(log_radiance - log_light, problem.pairs)
     excess = jnp.maximum(log_radiance - np.log(HIGHEST_ALBEDO) - log_light, 0.0)
@@ -72,9 +76,9 @@ def loss(log_theta: Float[Array, "k 3"], problem: FitProblem) -> Float[Array, ""
     return (
         jnp.mean(jnp.sqrt(residual**2 + SMOOTH_L1**2))
         + jnp.mean(jnp.where(problem.seen[:, None], excess, 0.0) ** 2)
-        + WHITENESS * jnp.mean((white - np.log(WHITE)) ** 2)
+        + WHITENESS * jnp.mean((white - np.log(WHITE_ALBEDO)) ** 2)
         + SMOOTHNESS * jnp.mean(rough**2)
-        + SIZE * jnp.mean(log_theta**2)
+        + MEAN_WEIGHT * jnp.mean(log_theta**2)
     )
 
 
@@ -82,11 +86,11 @@ def _difference(values: Float[Array, "n c"], pairs: Int[Array, "m 2"]) -> Float[
     return values[pairs[:, 0]] - values[pairs[:, 1]]
 
 
-def fit_sources(problem: FitProblem) -> Float[np.ndarray, "k 3"]:
+def fit_sources(problem: FitProblem, iterations: int = ITERATIONS) -> Float[np.ndarray, "k 3"]:
     """Strengths θ of the unknown sources, by L-BFGS-B within bounds (Byrd et al. 1995)."""
-    start = jnp.full((problem.basis.shape[1], 3), START, jnp.float32)
+    start = jnp.full((problem.basis.shape[1], 3), START_LOG, jnp.float32)
     import jaxopt
 
-    solver = jaxopt.ScipyBoundedMinimize(fun=loss, method="L-BFGS-B", maxiter=ITERATIONS, tol=1e-7)
-    bounds = jnp.full_like(start, LOWEST), jnp.full_like(start, HIGHEST)
+    solver = jaxopt.ScipyBoundedMinimize(fun=loss, method="L-BFGS-B", maxiter=iterations, tol=1e-7)
+    bounds = jnp.full_like(start, LOWEST_LOG), jnp.full_like(start, HIGHEST_LOG)
     return np.exp(np.asarray(solver.run(start, bounds, problem).params, np.float64))

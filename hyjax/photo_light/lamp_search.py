@@ -8,82 +8,85 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 
 from hyjax.geometry.raycast import RayCaster
+from hyjax.photo_light.ceiling_lamps import Blob, ceiling_lamps, ceilings_of
+from hyjax.photo_light.glowing_places import glowing_places
 from hyjax.photo_light.sightings import Box, Sighting
 from hyjax.photo_light.sources import PhotoLamp, PhotoWindow, Vector
 from hyjax.util.vectors import orthonormal_frame
 
 FEWEST_FRAMES = 3
 FEWEST_UNSCANNED = 5
-"""Frames for a lamp that the scan does not have."""
+"""Fewest frames that must agree on a lamp outside the scan."""
 BASELINE = 0.2
-"""Metres between two cameras whose rays are crossed."""
-MISS = 0.1
-"""Metres by which rays to one lamp may miss each other."""
-LARGEST, LEAST = 0.35, 0.025
-"""Radius of a lamp in metres."""
-FLAT = 0.02
-"""Metres: what is burnt out and flatter than this is a sheet of paper, a screen or a tabletop."""
-FOOT = 0.15
-"""Metres between a lamp's lower end and what it stands on, at least."""
+"""Least distance, in metres, between two cameras whose rays are crossed."""
+RAY_TOLERANCE = 0.1
+"""Largest distance, in metres, between rays to one lamp."""
+LARGEST_RADIUS, LEAST_RADIUS = 0.35, 0.025
+"""Largest and least radius of a lamp, in metres."""
+LEAST_THICKNESS = 0.02
+"""Least thickness of a lamp in metres; a flatter burnt-out surface is paper, a screen or a tabletop."""
+LEAST_FOOT = 0.15
+"""Least height, in metres, of a lamp's lower end above its support."""
 MOST_CANDIDATES = 20000
-DARK = 0.75
-"""Display value that the surroundings of a lamp stay below."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Blob:
-    """A burnt-out blob of a frame.
-
-    Attributes:
-        sighting: number of its frame.
-        direction: unit ray to its middle.
-        radius: tangent of half the angle under which it is seen.
-    """
-
-    sighting: int
-    direction: Vector
-    radius: float
+MOST_LAMPS = 16
+LARGEST_SHARE = 0.05
+"""Largest share of a picture that a lamp, with what it burns out around it, takes."""
+LEAST_ALONE = 0.6
+"""Least share of a blob in what is burnt out around it."""
+DARK_VALUE = 0.75
+"""Largest display value of a lamp's surroundings."""
 
 
 def search_lamps(
     caster: RayCaster, sightings: Sequence[Sighting], box: Box, windows: Sequence[PhotoWindow], up: Vector
 ) -> tuple[PhotoLamp, ...]:
-    """Lamps that at least three frames agree on."""
+    """Search for lamps on which at least three frames agree."""
     blobs = [blob for number, s in enumerate(sightings) for blob in blobs_of(number, s)]
     lamps: list[PhotoLamp] = []
     for place, radius, votes in _candidates(sightings, blobs):
-        if not _inside(box, windows, place) or _seen_lit(sightings, place) < 0.7:
+        if not _inside(box, windows, place) or _seen_lit(sightings, place, radius) < 0.7:
             continue
-        if any(np.linalg.norm(lamp.position - place) < lamp.radius + radius + MISS for lamp in lamps):
+        if any(np.linalg.norm(lamp.position - place) < lamp.radius + radius + RAY_TOLERANCE for lamp in lamps):
             continue
         points, faces = _surface(sightings, place, radius)
         ceiling = bool(box[1][4] - box[0][4] @ place < 0.25)
         if not len(points) and votes < FEWEST_UNSCANNED:
             continue
-        flat = len(points) >= 12 and _thickness(points) < FLAT
+        flat = len(points) >= 12 and _thickness(points) < LEAST_THICKNESS
         if not ceiling and (flat or _lies(caster, place, radius, up)):
             continue
-        lamps.append(PhotoLamp(f"lamp-{len(lamps) + 1}", place, radius, faces))
-    return tuple(lamps)
+        lamps.append(PhotoLamp("", place, radius, faces))
+    for place, radius in ceiling_lamps(
+        [s.frame.camera.origin for s in sightings], blobs, up, ceilings_of(caster, box)
+    ):
+        if all(np.linalg.norm(lamp.position - place) > LARGEST_RADIUS for lamp in lamps):
+            lamps.append(PhotoLamp("", place, radius, _surface(sightings, place, radius)[1]))
+    if not lamps and not windows:
+        glows = glowing_places(caster, sightings, up)
+        lamps = [PhotoLamp("", place, radius, np.zeros(0, int)) for place, radius in glows]
+    return tuple(dataclasses.replace(lamp, name=f"lamp-{k + 1}") for k, lamp in enumerate(lamps[:MOST_LAMPS]))
 
 
 def blobs_of(number: int, s: Sighting) -> list[Blob]:
-    """Small burnt-out blobs of a frame that lie whole in it, on something darker."""
-    labels, _ = ndimage.label(s.burnt)
+    """Burnt-out blobs of a frame by themselves, on something darker; they may reach the picture's border."""
+    burnt = s.burnt
+    labels, _ = ndimage.label(burnt)
     found = []
     pixel = float(np.linalg.norm(s.rays[0, 1] - s.rays[0, 0]))
     for k, place in enumerate(ndimage.find_objects(labels), 1):
         part = labels[place] == k
         area = int(part.sum())
-        rows, columns = place
-        at_border = rows.start == 0 or columns.start == 0 or rows.stop == labels.shape[0]
-        if not 4 <= area <= 0.02 * labels.size or at_border or columns.stop == labels.shape[1]:
+        if not 4 <= area <= LARGEST_SHARE * labels.size or part.mean() < 0.35:
             continue
         grown = tuple(slice(max(side.start - 4, 0), side.stop + 4) for side in place)
-        whole = labels[grown] == k
-        ring = ndimage.binary_dilation(whole, iterations=4) & ~ndimage.binary_dilation(whole, iterations=2)
-        if np.median(s.low[grown][ring]) > DARK or part.mean() < 0.4:
+        blob = labels[grown] == k
+        ring = ndimage.binary_dilation(blob, iterations=4) & ~ndimage.binary_dilation(blob, iterations=2)
+        if not ring.any() or np.median(s.low[grown][ring]) > DARK_VALUE:
             continue
+        reach = int(np.ceil(np.sqrt(area)))
+        around = tuple(slice(max(side.start - reach, 0), side.stop + reach) for side in place)
+        if area < LEAST_ALONE * burnt[around].sum():
+            continue  # one of many: leaves against the sky, glitter
         ray = s.rays[place][part].mean(axis=0)
         length = float(np.linalg.norm(ray))
         found.append(Blob(number, ray / length, float(np.sqrt(area / np.pi)) * pixel / length))
@@ -91,7 +94,7 @@ def blobs_of(number: int, s: Sighting) -> list[Blob]:
 
 
 def _candidates(sightings: Sequence[Sighting], blobs: Sequence[Blob]) -> list[tuple[Vector, float, int]]:
-    """Places at which the rays to blobs of one size meet in enough frames; radii; number of frames, most first."""
+    """Candidate places where rays to blobs of one size meet; radii; numbers of frames, largest first."""
     if len(blobs) < FEWEST_FRAMES:
         return []
     number = np.array([blob.sighting for blob in blobs])
@@ -106,16 +109,20 @@ def _candidates(sightings: Sequence[Sighting], blobs: Sequence[Blob]) -> list[tu
     p, q = origin[i] + s[:, None] * ray[i], origin[j] + t[:, None] * ray[j]
     first, second = s * size[i], t * size[j]
     radius = (first + second) / 2
-    good = (np.minimum(s, t) > 0.3) & (np.maximum(s, t) < 10) & (np.linalg.norm(p - q, axis=1) < MISS)
-    good &= (np.maximum(first, second) < 2 * np.minimum(first, second)) & (radius > LEAST) & (radius < LARGEST)
+    good = (np.minimum(s, t) > 0.3) & (np.maximum(s, t) < 10) & (np.linalg.norm(p - q, axis=1) < RAY_TOLERANCE)
+    good &= (
+        (np.maximum(first, second) < 2 * np.minimum(first, second))
+        & (radius > LEAST_RADIUS)
+        & (radius < LARGEST_RADIUS)
+    )
     places, radii = ((p + q) / 2)[good][:MOST_CANDIDATES], radius[good][:MOST_CANDIDATES]
     votes = np.zeros(len(places), int)
     for k in np.unique(number):
-        own = number == k
-        to = places[:, None] - origin[own]
-        along = np.einsum("pbk,bk->pb", to, ray[own])
-        off = np.linalg.norm(to - along[..., None] * ray[own], axis=-1)
-        ratio = size[own] * along / radii[:, None]
+        in_frame = number == k
+        to = places[:, None] - origin[in_frame]
+        along = np.einsum("pbk,bk->pb", to, ray[in_frame])
+        off = np.linalg.norm(to - along[..., None] * ray[in_frame], axis=-1)
+        ratio = size[in_frame] * along / radii[:, None]
         agree = (along > 0) & (off < np.maximum(0.5 * radii, 0.03)[:, None]) & (ratio > 0.5) & (ratio < 2.0)
         votes += agree.any(axis=1)
     best = [k for k in np.argsort(-votes, kind="stable") if votes[k] >= FEWEST_FRAMES]
@@ -123,7 +130,7 @@ def _candidates(sightings: Sequence[Sighting], blobs: Sequence[Blob]) -> list[tu
 
 
 def _inside(box: Box, windows: Sequence[PhotoWindow], place: Vector) -> bool:
-    """Whether a place lies inside the box, clear of its walls, and at no window."""
+    """Whether a place lies inside the box, clear of its walls, and away from windows."""
     clear = box[1] - box[0] @ place
     if (clear[:4] < 0.05).any() or clear[4] < -0.1:
         return False
@@ -139,13 +146,13 @@ def _inside(box: Box, windows: Sequence[PhotoWindow], place: Vector) -> bool:
 
 
 def _lies(caster: RayCaster, place: Vector, radius: float, up: Vector) -> bool:
-    """Whether something lies or stands low on a table: its foot is nearer than that of any lamp."""
+    """Whether a blob lies low on a surface, nearer than the foot of any lamp."""
     x, y, _ = orthonormal_frame(up)
     angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)[:, None]
     above = radius + 0.1  # places of what lies flat may be found a little below the surface
     around = place + above * up + (1.5 * radius + 0.05) * (np.cos(angle) * x + np.sin(angle) * y)
     down = caster.cast(around, np.broadcast_to(-up, around.shape)).distance
-    return float(np.sort(down)[len(down) // 3]) < above + radius + FOOT
+    return float(np.sort(down)[len(down) // 3]) < above + radius + LEAST_FOOT
 
 
 def _surface(
@@ -168,7 +175,7 @@ def _thickness(points: Float[np.ndarray, "n 3"]) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(centred.T @ centred / len(points))[0]))
 
 
-def _seen_lit(sightings: Sequence[Sighting], place: Vector) -> float:
+def _seen_lit(sightings: Sequence[Sighting], place: Vector, radius: float) -> float:
     """Share of the frames with a free view of a place in which it is burnt out."""
     votes = []
     for s in sightings:
@@ -177,6 +184,8 @@ def _seen_lit(sightings: Sequence[Sighting], place: Vector) -> float:
         row, column = int(y / k.height * s.low.shape[0]), int(x / k.width * s.low.shape[1])
         if depth < 0.2 or not (1 <= row < s.low.shape[0] - 1 and 1 <= column < s.low.shape[1] - 1):
             continue
+        if radius * k.fx / depth * s.low.shape[1] / k.width < 1.0:
+            continue  # too far to be seen
         if s.depth[row, column] < depth - 0.3:
             continue
         votes.append(bool(s.burnt[row - 1 : row + 2, column - 1 : column + 2].any()))

@@ -1,4 +1,4 @@
-"""Radiance of the scan's vertices: what the frames show there, in linear light."""
+"""Radiance of the scan's vertices in the frames, in linear light."""
 
 import dataclasses
 import itertools
@@ -10,25 +10,25 @@ from jaxtyping import Float, Int
 from hyjax.data.capture import Frame
 from hyjax.geometry.raycast import RayCaster
 
-SATURATED = 0.97
-"""Display value from which a sensor no longer tells how bright something was."""
+SATURATED_VALUE = 0.97
+"""Display value from which a sensor is saturated."""
 SATURATED_WEIGHT = 0.02
-GRAZING = 0.15
-"""Cosine below which a surface is seen too flat to be read."""
-SLACK = 0.03
-"""Metres of surface before a vertex that do not hide it: the mesh is rough."""
-FEWEST = 16
-"""Vertices that two frames must share for their exposures to be compared."""
+GRAZING_COSINE = 0.15
+"""Cosine of the viewing angle below which a surface is too grazing to be read."""
+DEPTH_SLACK = 0.03
+"""Depth before a vertex, in metres, where surface does not hide it: the mesh is rough."""
+FEWEST_SHARED = 16
+"""Fewest vertices that two frames must share to compare their exposures."""
 GAIN_RANGE = (0.25, 4.0)
-DARKEST = 1e-3
+NOISE_FLOOR = 1e-3
 """Linear value of the sensor's noise floor."""
 Sample = tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]
-"""Vertices that a frame shows, their linear colours, and weights."""
+"""Vertices seen in a frame, their linear colours, and weights."""
 
 
 @dataclasses.dataclass(frozen=True)
 class VertexRadiance:
-    """What the frames show of the vertices.
+    """Radiance of the vertices in the frames.
 
     Attributes:
         radiance: linear, in the frames' own unit; 0 where no frame shows a vertex.
@@ -48,7 +48,7 @@ def linear(display: Float[np.ndarray, "*s"]) -> Float[np.ndarray, "*s"]:
 
 
 def vertex_radiance(caster: RayCaster, frames: Iterable[Frame]) -> VertexRadiance:
-    """Radiance of all vertices: the mean of the frames that show them, after evening out the frames' exposures.
+    """Radiance of all vertices: the mean of their frames, after evening out the exposures.
 
     Args:
         caster: the scan.
@@ -65,16 +65,16 @@ def vertex_radiance(caster: RayCaster, frames: Iterable[Frame]) -> VertexRadianc
 
 
 def _exposures(seen: Sequence[Sample], count: int) -> Float[np.ndarray, "n"]:
-    """Exposure of each frame: least squares over the median ratios of all frames that show the same vertices."""
+    """Exposure of each frame: least squares over the median ratios of frames with vertices in common."""
     logs = np.full((len(seen), count), np.nan)
     for log, (index, color, share) in zip(logs, seen, strict=True):
-        clear = (share > SATURATED_WEIGHT) & (color.min(axis=1) > DARKEST)
+        clear = (share > SATURATED_WEIGHT) & (color.min(axis=1) > NOISE_FLOOR)
         log[index[clear]] = np.log(color[clear]).mean(axis=1)
     rows, ratios = [np.ones(len(seen))], [0.0]
     for i, j in itertools.combinations(range(len(seen)), 2):
         both = logs[i] - logs[j]
         both = both[np.isfinite(both)]
-        if len(both) >= FEWEST:
+        if len(both) >= FEWEST_SHARED:
             row, share = np.zeros(len(seen)), np.sqrt(len(both))
             row[i], row[j] = share, -share
             rows.append(row)
@@ -85,7 +85,7 @@ def _exposures(seen: Sequence[Sample], count: int) -> Float[np.ndarray, "n"]:
 
 
 def _sample(caster: RayCaster, frame: Frame) -> Sample:
-    """Vertices that a frame shows, their linear colours, and weights."""
+    """Vertices seen in a frame, their linear colours, and weights."""
     points, normals = np.asarray(caster.mesh.vertices), np.asarray(caster.mesh.vertex_normals)
     camera = frame.camera
     (height, width), (pixel, depth) = camera.intrinsics.shape, camera.project(points)
@@ -95,13 +95,13 @@ def _sample(caster: RayCaster, frame: Frame) -> Sample:
     ray = points[index] - camera.origin
     distance = np.linalg.norm(ray, axis=1)
     cosine = -np.einsum("nk,nk->n", ray, normals[index]) / distance
-    facing = cosine > GRAZING
+    facing = cosine > GRAZING_COSINE
     index, ray, distance, cosine = index[facing], ray[facing], distance[facing], cosine[facing]
-    free = ~caster.occluded(camera.origin, ray, 1 - SLACK / np.maximum(distance, 2 * SLACK))
+    free = ~caster.occluded(camera.origin, ray, 1 - DEPTH_SLACK / np.maximum(distance, 2 * DEPTH_SLACK))
     index, cosine = index[free], cosine[free]
     column, row = np.floor(pixel[index]).astype(int).T
     image = np.asarray(frame.image)
     # The mean over a few pixels: a vertex stands for its surroundings.
     display = np.mean([image[row + i, column + j] for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
-    share = cosine * np.where(display.max(axis=1) > SATURATED, SATURATED_WEIGHT, 1.0)
+    share = cosine * np.where(display.max(axis=1) > SATURATED_VALUE, SATURATED_WEIGHT, 1.0)
     return index, linear(display), share

@@ -1,4 +1,4 @@
-"""Sightings: frames as the search for light sources sees them, and the box that closes the scan."""
+"""Sightings: coarse frames for the search for light sources, and the box that closes the scan."""
 
 import dataclasses
 
@@ -9,22 +9,23 @@ from jaxtyping import Bool, Float, Int
 from hyjax.data.capture import Frame
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import wall_axes
-from hyjax.photo_light.sources import SATURATED, Vector
+from hyjax.photo_light.sources import SATURATED_VALUE, Vector
 
-PIXELS = 160
-"""Pixels of a row that are looked at."""
+ROW_PIXELS = 320
+"""Number of pixels of a row of a sighting."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Sighting:
-    """A frame's pixels, coarsely: their rays, what they hit, how bright they are.
+    """Coarse pixels of a frame: rays, depth and triangle of the surface, brightness.
 
     Attributes:
         frame: its camera and picture.
         rays: of unit depth.
         depth: of the surface; infinite without.
         face: triangle that is seen, −1 without.
-        low: least of the three channels, display values.
+        low: least of the three channels, display values; 0 on a white border.
+        known: pixels that are not of a white border.
     """
 
     frame: Frame
@@ -32,21 +33,35 @@ class Sighting:
     depth: Float[np.ndarray, "h w"]
     face: Int[np.ndarray, "h w"]
     low: Float[np.ndarray, "h w"]
+    known: Bool[np.ndarray, "h w"]
 
     @property
     def burnt(self) -> Bool[np.ndarray, "h w"]:
-        """Where the picture is burnt out."""
-        return self.low > SATURATED
+        """Mask of burnt-out pixels."""
+        return self.low > SATURATED_VALUE
 
 
 def sight(caster: RayCaster, frame: Frame) -> Sighting:
-    """A frame, coarsely."""
-    step = max(1, frame.camera.intrinsics.width // PIXELS)
+    """Make the sighting of a frame."""
+    step = max(1, frame.camera.intrinsics.width // ROW_PIXELS)
     rays = frame.camera.rays()[step // 2 :: step, step // 2 :: step]
     hits = caster.cast(frame.camera.origin, rays.reshape(-1, 3))
     shape = rays.shape[:2]
     low = frame.image[step // 2 :: step, step // 2 :: step].min(axis=-1)
-    return Sighting(frame, rays, hits.distance.reshape(shape), hits.face.reshape(shape), low)
+    known = ~_white_border(low > SATURATED_VALUE)
+    depth, face = hits.distance.reshape(shape), hits.face.reshape(shape)
+    return Sighting(frame, rays, depth, face, np.where(known, low, 0.0), known)
+
+
+def _white_border(burnt: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Rows and columns at the border that are burnt out all along, as in undistorted pictures."""
+    white = np.zeros_like(burnt)
+    for axis in (0, 1):
+        lines = burnt.mean(axis=1 - axis) > 0.6
+        for direction in (1, -1):
+            inner = np.cumprod(lines[::direction])[::direction].astype(bool)
+            white |= inner[:, None] if axis == 0 else inner[None]
+    return white
 
 
 Box = tuple[Float[np.ndarray, "5 3"], Float[np.ndarray, "5"]]
@@ -54,7 +69,7 @@ Box = tuple[Float[np.ndarray, "5 3"], Float[np.ndarray, "5"]]
 
 
 def closing_box(mesh: trimesh.Trimesh, up: Vector, eyes: Float[np.ndarray, "n 3"]) -> Box:
-    """Walls and ceiling as planes beyond all cameras: the outermost ones of some area, else the scan's end."""
+    """Walls and ceiling as planes beyond all cameras: the outermost surfaces of some area, else the scan's end."""
     normals, areas = np.asarray(mesh.face_normals), np.asarray(mesh.area_faces)
     x, y, _ = wall_axes(mesh, up)
     outward = np.stack([-x, x, -y, y, up])
@@ -85,7 +100,7 @@ def _outermost(
 
 
 def exits(box: Box, origin: Vector, rays: Float[np.ndarray, "*s 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """Ray parameter where each ray leaves the box, and through which wall; infinite and 5 downwards."""
+    """Ray parameter and wall of each ray's exit from the box; infinite and 5 downwards."""
     outward, offsets = box
     along = rays @ outward.T
     with np.errstate(divide="ignore", invalid="ignore"):

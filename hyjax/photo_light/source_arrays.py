@@ -7,7 +7,7 @@ from hyjax.util.cache import Arrays
 
 
 def sources_to_arrays(sources: PhotoSources) -> Arrays:
-    """Arrays that `sources_from_arrays` reads."""
+    """Arrays of sources, for `sources_from_arrays`."""
     windows, lamps = sources.windows, sources.lamps
     return {
         "origin": np.array(sources.origin),
@@ -21,7 +21,7 @@ def sources_to_arrays(sources: PhotoSources) -> Arrays:
 
 
 def sources_from_arrays(arrays: Arrays) -> PhotoSources:
-    """Sources from the arrays that `sources_to_arrays` made."""
+    """Sources from the arrays of `sources_to_arrays`."""
     faces, lamp_of_face = arrays["lamp_faces"], arrays["lamp_of_face"]
     windows = tuple(
         PhotoWindow(str(name), *sides)

@@ -1,11 +1,14 @@
 """Search for the windows and lamps that lit photographs, in the photographs.
 
-A window is a hole of the scan in a wall or the ceiling, a good part of which is burnt out in several frames, or a
-burnt-out rectangle on the wall with a darker wall around it. A lamp is a small burnt-out blob inside the room at
-which the rays of several frames meet, unless the scan is flat there: a sheet of paper.
+A window is a hole of the scan in a wall or the ceiling, a good part of which is burnt out in several frames. Where
+most of it was scanned, a tenth is open at least, with a darker wall around. A lamp is a small burnt-out blob inside
+the room at which the rays of several frames meet, unless the scan is flat there: a sheet of paper; or one overhead
+on which two frames agree (`ceiling_lamps`); or, in dark pictures, what all their burnt-out parts share
+(`glowing_places`).
 """
 
 import dataclasses
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,36 +18,39 @@ from scipy import ndimage
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.raycast import RayCaster
+from hyjax.photo_light.hints import hinted_sources, shows_light
 from hyjax.photo_light.lamp_search import search_lamps
 from hyjax.photo_light.sightings import Box, Sighting, closing_box, exits, sight
 from hyjax.photo_light.sources import (
-    SATURATED,
+    SATURATED_VALUE,
     PhotoLamp,
     PhotoSources,
     PhotoWindow,
     Vector,
-    hinted_sources,
     read_sources,
 )
 
-CELL = 0.05
-"""Metres of a cell of a wall."""
-BEHIND = 0.06
-"""Metres behind a wall's plane from which a surface belongs to the opening, and not to the wall."""
+CELL_SIDE = 0.05
+"""Side, in metres, of a cell of a wall."""
+OPENING_DEPTH = 0.06
+"""Depth behind a wall's plane, in metres, from which a surface belongs to the opening."""
 FEWEST_FRAMES = 2
-"""Frames that see a cell of a window, in the mean."""
+"""Fewest frames that see a cell of a window, in the mean."""
 MOST_SATURATED = 0.5
-"""Share of all pixels: where more are burnt out, the frames say nothing about windows."""
-SMALLEST = 0.15
-"""Square metres of a window."""
-LONGEST = 10
-"""Long side over short side of a window; what is longer is a sunlit strip of ground."""
+"""Largest share of burnt-out pixels; beyond it the frames carry no information about windows."""
+LEAST_AREA = 0.15
+"""Least area of a window, in square metres."""
+LEAST_OPEN = 0.1
+"""Least share of a window that is a hole of the scan; what was scanned all over is a burnt-out wall."""
+LARGEST_ASPECT = 10
+"""Largest ratio of a window's sides; a longer patch is a sunlit strip of ground."""
+_log = logging.getLogger(__name__)
 
 
 def search_sources(
     caster: RayCaster, frames: Sequence[Frame], up: Vector
 ) -> tuple[tuple[PhotoWindow, ...], tuple[PhotoLamp, ...]]:
-    """Windows and lamps that several frames agree on."""
+    """Search for windows and lamps on which several frames agree."""
     sightings = [sight(caster, frame) for frame in frames]
     if not sightings or np.mean([s.burnt.mean() for s in sightings]) > MOST_SATURATED:
         return (), ()
@@ -57,12 +63,12 @@ def search_sources(
 def find_photo_sources(
     capture: Capture, caster: RayCaster, frames: Sequence[Frame], *, file: Path | None = None
 ) -> PhotoSources:
-    """Windows and lamps of photographs: from a file, else from the capture's hints, else found.
+    """Windows and lamps of photographs: from a file, else from the capture's hints, else by search.
 
     Args:
         capture: its direction up and its anchors.
         caster: its surface.
-        frames: that are looked at, spread over the capture.
+        frames: to search, spread over the capture.
         file: YAML or JSON, see the module.
 
     Raises:
@@ -72,6 +78,14 @@ def find_photo_sources(
     if file is not None:
         return read_sources(file, up, caster, np.stack([frame.camera.origin for frame in frames]))
     hinted = hinted_sources(capture.anchors, up, caster, frames)
+    doubted = [window.name for window in hinted.windows if shows_light(window, caster, frames) is False]
+    if doubted:
+        _log.warning(
+            "%s: %s, which the capture names, is neither open nor burnt out in any picture; if it is wrong, name "
+            "the right ones with --photo-sources",
+            capture.name,
+            ", ".join(doubted),
+        )
     if hinted.windows or hinted.lamps:
         return hinted
     windows, lamps = search_sources(caster, frames, up)
@@ -98,15 +112,15 @@ def _windows_of(wall: int, box: Box, sightings: Sequence[Sighting], up: Vector) 
     low = np.array([min(part[k].min() for part in seen) for k in (0, 1)])
     high = np.array([max(part[k].max() for part in seen) for k in (0, 1)])
     low, high = np.maximum(low, high - 40.0), high  # a ray almost along the wall leaves it far away
-    shape = tuple(((high - low) / CELL).astype(int) + 1)
+    shape = tuple(((high - low) / CELL_SIDE).astype(int) + 1)
     count = {key: np.zeros(shape, int) for key in ("open", "wall", "burnt hole", "burnt wall")}
     total, weight = np.zeros(shape), np.zeros(shape)
     for a, b, behind, value in seen:
-        index = (np.stack([a, b], axis=-1) - low) / CELL
+        index = (np.stack([a, b], axis=-1) - low) / CELL_SIDE
         inside = (index >= 0).all(axis=-1)
         i, j = index[inside].astype(int).T
         behind, value = behind[inside], value[inside]
-        hole, solid, burnt = behind > BEHIND, np.abs(behind) <= 2 * BEHIND, value > SATURATED
+        hole, solid, burnt = behind > OPENING_DEPTH, np.abs(behind) <= 2 * OPENING_DEPTH, value > SATURATED_VALUE
         for key, which in (
             ("open", hole), ("wall", solid & ~hole), ("burnt hole", hole & burnt), ("burnt wall", solid & burnt),
         ):  # fmt: skip
@@ -138,9 +152,9 @@ class _Wall:
     low: Float[np.ndarray, "2"]
 
     def window(self, rectangle: tuple[int, int, int, int]) -> PhotoWindow:
-        """The window over rows and columns of cells, first and last of each."""
-        first = self.low + CELL * np.array(rectangle[::2])
-        last = self.low + CELL * (np.array(rectangle[1::2]) + 1)
+        """Window over rows and columns of cells, first and last of each."""
+        first = self.low + CELL_SIDE * np.array(rectangle[::2])
+        last = self.low + CELL_SIDE * (np.array(rectangle[1::2]) + 1)
         a, b = (first + last) / 2
         width, height = last - first
         center = self.origin + a * self.across + b * self.vertical
@@ -153,13 +167,13 @@ def _rectangles(
     burnt: Bool[np.ndarray, "a b"],
     brightness: Float[np.ndarray, "a b"],
 ) -> list[tuple[int, int, int, int]]:
-    """Rectangles of cells that are windows: first and last row, first and last column."""
+    """Rectangles of window cells: first and last row, first and last column."""
     closed = ndimage.binary_closing(np.pad(mask, 3), np.ones((3, 3)))[3:-3, 3:-3]
     labels, number = ndimage.label(ndimage.binary_opening(closed, np.ones((3, 3))))
     found = []
     for k in range(1, number + 1):
         part = labels == k
-        if part.sum() * CELL**2 < SMALLEST:
+        if part.sum() * CELL_SIDE**2 < LEAST_AREA:
             continue
         spans = []
         for axis in (1, 0):
@@ -167,13 +181,14 @@ def _rectangles(
             lines = np.flatnonzero(profile >= 0.5 * np.quantile(profile[profile > 0], 0.9))
             spans += [int(lines[0]), int(lines[-1])]
         inside = np.s_[spans[0] : spans[1] + 1, spans[2] : spans[3] + 1]
-        area = part[inside].size * CELL**2
-        if area < SMALLEST or part[inside].mean() < 0.6 or burnt[inside].mean() < 0.25:
+        area = part[inside].size * CELL_SIDE**2
+        if area < LEAST_AREA or part[inside].mean() < 0.6 or burnt[inside].mean() < 0.25:
             continue
         sides = sorted((spans[1] - spans[0], spans[3] - spans[2]))
-        if sides[0] * CELL < 0.25 or sides[1] > LONGEST * sides[0]:
+        if sides[0] * CELL_SIDE < 0.25 or sides[1] > LARGEST_ASPECT * sides[0]:
             continue
-        if hole[inside].mean() < 0.3 and not _stands_out(part, brightness, area):
+        open_share = hole[inside].mean()
+        if open_share < LEAST_OPEN or (open_share < 0.3 and not _stands_out(part, brightness, area)):
             continue
         found.append((spans[0], spans[1], spans[2], spans[3]))
     return found

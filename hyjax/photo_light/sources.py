@@ -17,7 +17,6 @@ Positions and lengths are in metres, in the capture's world axes.
 
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,7 +24,6 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
-from hyjax.data.capture import Frame
 from hyjax.data.hand_written import check_keys
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture
@@ -34,19 +32,17 @@ from hyjax.util.reading import read_yaml
 from hyjax.util.vectors import unit
 
 Vector = Float[np.ndarray, "3"]
-SATURATED = 0.97
-"""Display value of all three channels from which a pixel is taken to be burnt out."""
-REACH = 0.4
-"""Metres that a given window may stand off the scan or its bounding box."""
+SATURATED_VALUE = 0.97
+"""Display value of all three channels from which a pixel counts as burnt out."""
+WALL_DISTANCE = 0.4
+"""Largest distance, in metres, of a given window from the scan or its bounding box."""
 LAMP_RADIUS = 0.05
-AROUND_LAMP = 0.15
-"""Metres around a hinted lamp that are looked at, to tell whether it was lit."""
-LIT_SHARE = 0.2
+"""Default radius of a lamp, in metres."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PhotoWindow:
-    """A window, or a panel, that lit the photographs.
+    """Window, or panel, that lit the photographs.
 
     Attributes:
         name: unique among the sources.
@@ -65,7 +61,7 @@ class PhotoWindow:
     def facing(
         cls, name: str, center: Vector, normal: Vector, up: Vector, width: float, height: float
     ) -> "PhotoWindow":
-        """A window as upright as can be.
+        """Window as upright as can be.
 
         Raises:
             InputError: the normal is zero.
@@ -76,7 +72,7 @@ class PhotoWindow:
 
     @property
     def aperture(self) -> Aperture:
-        """The opening."""
+        """Opening of the window."""
         return Aperture(*(np.asarray(v, np.float32) for v in (self.center, self.right, self.up)))
 
     @property
@@ -88,7 +84,7 @@ class PhotoWindow:
 
 @dataclasses.dataclass(frozen=True)
 class PhotoLamp:
-    """A lamp that was lit in the photographs.
+    """Lamp that was lit in the photographs.
 
     Attributes:
         name: unique among the sources.
@@ -105,7 +101,7 @@ class PhotoLamp:
 
 @dataclasses.dataclass(frozen=True)
 class PhotoSources:
-    """Windows and lamps that lit the photographs, and where the knowledge comes from."""
+    """Windows and lamps that lit the photographs, and the origin of this knowledge."""
 
     windows: tuple[PhotoWindow, ...]
     lamps: tuple[PhotoLamp, ...]
@@ -120,42 +116,6 @@ class PhotoSources:
             place = {"center": window.center, "normal": window.normal, "width": width, "height": height}
             known[f"window_{number}"] = place
         return known | {f"lamp_{number}": {"position": lamp.position} for number, lamp in enumerate(self.lamps)}
-
-
-def hinted_sources(
-    anchors: Mapping[str, Mapping[str, Any]], up: Vector, caster: RayCaster, frames: Sequence[Frame]
-) -> PhotoSources:
-    """What a capture knows: its windows, and those of its lamps that are burnt out in the pictures."""
-    windows, lamps = [], []
-    for name, place in sorted(anchors.items()):
-        if name.startswith("window_"):
-            center, normal = (np.asarray(place[key], float) for key in ("center", "normal"))
-            windows.append(PhotoWindow.facing(_spoken(name), center, normal, up, place["width"], place["height"]))
-        elif name.startswith("lamp_"):
-            position = np.asarray(place["position"], float)
-            if is_lit(position, caster, frames):
-                lamps.append(PhotoLamp(_spoken(name), position, LAMP_RADIUS, np.zeros(0, int)))
-    return PhotoSources(tuple(windows), tuple(lamps), "capture" if windows or lamps else "none")
-
-
-def is_lit(position: Vector, caster: RayCaster, frames: Sequence[Frame]) -> bool:
-    """Whether a lamp is burnt out in at least half of the pictures that see it, and in one at least."""
-    votes = []
-    for frame in frames:
-        k = frame.camera.intrinsics
-        (x, y), depth = frame.camera.project(position)
-        if depth < 0.2 or not (0 <= x < k.width and 0 <= y < k.height):
-            continue
-        ray = position - frame.camera.origin
-        length = float(np.linalg.norm(ray))
-        # The lamp's own shade may stand before it.
-        if caster.occluded(frame.camera.origin[None], ray[None], max(1.0 - 2 * AROUND_LAMP / length, 0.0))[0]:
-            continue
-        reach = max(AROUND_LAMP * k.fx / depth, 2.0)
-        rows = slice(max(int(y - reach), 0), int(y + reach) + 1)
-        patch = frame.image[rows, max(int(x - reach), 0) : int(x + reach) + 1]
-        votes.append((patch.min(axis=-1) > SATURATED).mean() > LIT_SHARE)
-    return bool(votes) and float(np.mean(votes)) >= 0.5
 
 
 _Number = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
@@ -176,7 +136,7 @@ class _Lamp(msgspec.Struct, forbid_unknown_fields=True):
     name: str | None = None
 
 
-class _File(msgspec.Struct, forbid_unknown_fields=True):
+class _SourcesFile(msgspec.Struct, forbid_unknown_fields=True):
     windows: list[Any] = []
     lamps: list[Any] = []
 
@@ -208,7 +168,7 @@ def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarr
     """
     path = Path(path)
     content = read_yaml(path)
-    lists = _converted(str(path), content, _File)
+    lists = _converted(str(path), content, _SourcesFile)
     windows = [
         _checked_window(f"{path}: window {i}", _converted(f"{path}: window {i}", entry, _Window), i, up)
         for i, entry in enumerate(lists.windows)
@@ -225,7 +185,7 @@ def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarr
     made = []
     for lamp, where, i in lamps:
         place = np.asarray(lamp.position, float)
-        if (place < low - REACH).any() or (place > high + REACH).any():
+        if (place < low - WALL_DISTANCE).any() or (place > high + WALL_DISTANCE).any():
             raise InputError(f"{where}: position {list(lamp.position)} lies outside the scan (metres, its axes)")
         made.append(PhotoLamp(lamp.name or f"lamp-{i + 1}", place, lamp.radius, np.zeros(0, int)))
     names = [window.name for window in windows] + [lamp.name for lamp in made]
@@ -253,9 +213,9 @@ def _check_place(where: str, window: PhotoWindow, caster: RayCaster, eyes: Float
 
     away = cKDTree(_surface_points(mesh)).query(rim)[0]
     low, high = mesh.bounds
-    inside = bool(((window.center > low - REACH) & (window.center < high + REACH)).all())
+    inside = bool(((window.center > low - WALL_DISTANCE) & (window.center < high + WALL_DISTANCE)).all())
     to_box = np.abs(np.stack([window.center - low, window.center - high]))[:, np.abs(window.normal) > 0.9]
-    if np.median(away) > REACH and not (inside and to_box.size and to_box.min() < REACH):
+    if np.median(away) > WALL_DISTANCE and not (inside and to_box.size and to_box.min() < WALL_DISTANCE):
         raise InputError(
             f"{where}: stands {np.median(away):.2g} m off the scan's walls; give its centre in metres, in the "
             "capture's axes"
@@ -273,7 +233,7 @@ def _surface_points(mesh: Any) -> Float[np.ndarray, "n 3"]:
 
 
 def _converted(where: str, content: Any, form: Any) -> Any:
-    """An entry of a file as its type; one clear line on what is wrong with it."""
+    """Convert an entry of a file to its type, with one clear line for an error."""
     fields = msgspec.structs.fields(form)
     check_keys(where, content, [f.name for f in fields], [f.name for f in fields if f.required])
     try:
@@ -284,7 +244,7 @@ def _converted(where: str, content: Any, form: Any) -> Any:
         raise InputError(f"{where}: {key!r} must be {FORMS[key]}, got {content.get(key)!r}") from None
 
 
-def _spoken(name: str) -> str:
-    """`window_0` → window-1."""
+def spoken(name: str) -> str:
+    """Name of a source for people: `window_0` → window-1."""
     kind, _, number = name.partition("_")
     return f"{kind}-{int(number) + 1}" if number.isdecimal() else name

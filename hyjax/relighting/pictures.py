@@ -13,6 +13,7 @@ from hyjax.pipeline import Mode
 from hyjax.relighting.settings import RelightSettings
 from hyjax.util.clock import StageClock
 from hyjax.util.images import write_exr, write_png
+from hyjax.util.programs import run_kept
 
 HEADINGS = ("frame", "raw filter", "refined filter", "visibility", "raw filter x frame", "relit")
 
@@ -40,7 +41,9 @@ def write_frame(
             shown = _shown(picture, encoded=kind == "visibility" or (mode == "paper" and kind != "relit"))
             write_png(out / f"{name}.{kind}.png", shown)
             encoded_filter = mode == "paper" and kind in ("filter", "refined")
-            write_exr(out / f"{name}.{kind}.exr", np.asarray(to_linear(picture) if encoded_filter else picture))
+            write_exr(
+                out / f"{name}.{kind}.exr", np.asarray(run_kept(to_linear, picture) if encoded_filter else picture)
+            )
 
 
 def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, "h w 3"]]:
@@ -59,4 +62,4 @@ def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, 
 
 
 def _shown(picture: Any, encoded: bool = False) -> Float[np.ndarray, "h w 3"]:
-    return np.asarray(picture if encoded else to_display(picture))
+    return np.asarray(picture if encoded else run_kept(to_display, picture))

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import functools
-import itertools
 import json
 import logging
 from collections.abc import Generator, Sequence
@@ -11,8 +10,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
@@ -22,14 +19,17 @@ from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import select_frames
 from hyjax.data.light_file import write_lights
 from hyjax.guide.choose import FrameGuide, configured_guide
-from hyjax.light.gbuffer import GBuffer
+from hyjax.light.color import to_display
 from hyjax.light.kinds import Light, kind_name
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
-from hyjax.relighting.frame_relighter import FrameRelighter
+from hyjax.metrics.dark_share import dark_share
+from hyjax.relighting.frames import cycles, relit_frames, relit_on_device
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.fusion_settings import FusionSettings
+from hyjax.scene.light_setups import DARK_SETUPS
+from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.util.claims import claimed
 from hyjax.util.clock import StageClock, Stopwatch
@@ -37,16 +37,12 @@ from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.environment import environment, peak_memory_mib
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, remove, write_text
-from hyjax.util.prefetch import DEPTH, background_writer, prefetch
+from hyjax.util.prefetch import DEPTH, background_writer
 
 _log = logging.getLogger(__name__)
 SHEET_ROWS = 12
 ANOTHERS = ("seed", "repair_mesh", "size", "scale", "strict", *(f.name for f in dataclasses.fields(FusionSettings)))
 """Settings of a scene that was opened before."""
-FEW = 3
-"""Frames that take less time by rays than the rasteriser takes to load."""
-DEVICE_USED = ("schedule", "shadow_schedule", "guide", "sampling", "photo_light", "photo_exponent")
-"""Choices of a configuration that a graphics processor follows, see `Configuration.tell_unused`."""
 WARM_UP = DEPTH + 2
 """Frames that do not count for frames per second: the first compiles, and others are read meanwhile."""
 
@@ -91,8 +87,11 @@ def relight_capture(
         configuration = dataclasses.replace(configuration, schedule=schedule)
     schedule, guide = configuration.schedule, guide or configured_guide(configuration.guide)
     tell_of_another_device(configuration)
-    if configuration.guide.every > 1 and not settings.video:
-        _log.warning("configuration %s: a guide every k-th frame goes with --video only", configuration.name)
+    if settings.sampling is not None and configuration.light.sampling < settings.sampling:
+        allowed = configuration.light.sampling
+        _log.warning("sampling: %d asked, the cascades allow %d, which is taken", settings.sampling, allowed)
+    for renderer in settings.renderers:
+        configuration = configuration.followed_by(renderer)
     if settings.renderer == "blender":
         from hyjax.scene.blender import blender_python
 
@@ -136,12 +135,24 @@ def relight_capture(
             remove(out / stale)  # of an earlier run, whose pictures are about to be replaced
         sampling = 1
         if settings.renderer == "webgpu":
-            configuration.tell_unused("webgpu", DEVICE_USED)
-            frames = _relight_on_device(scene, chosen, setup, settings, configuration, guide, clock, device)
+            frames = relit_on_device(scene, chosen, setup, settings, configuration, guide, clock, device)
         else:
-            relighter = FrameRelighter(scene, setup, configuration, settings, guide=guide, clock=clock, stack=stack)
-            sampling = relighter.shader.sampling  # as the schedule allows it
-            frames = _relight_frames(scene, chosen, relighter, clock)
+            relighter = Relighter(
+                scene,
+                setup,
+                configuration,
+                guide=guide,
+                shadows=settings.shadows,
+                occluders=settings.occluders,
+                video=settings.video,
+                direct=cycles(scene, setup, settings, clock, stack) if settings.renderer == "blender" else None,
+                clock=clock,
+            )
+            if settings.renderer == "shadow_map":
+                sampling = configuration.light.sampling
+            # Blender, and what frames leave to the next, there is once.
+            once = settings.video or settings.renderer == "blender"
+            frames = relit_frames(scene, chosen, relighter, clock, once=once)
         summary = _write_frames(frames, len(chosen), settings, clock)
         if not summary.written:
             if not summary.skipped:
@@ -150,6 +161,10 @@ def relight_capture(
                 f"{scene.capture.name}: no ray of any chosen frame met the mesh; are the mesh and the poses in the "
                 "same coordinates (metres, camera-to-world)?"
             )
+        if divides and scene.photo_light.sources.origin in ("found", "none"):
+            _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary())
+        if str(settings.lights if lights is None else lights) not in DARK_SETUPS:
+            tell_of_darkness(summary, setup)
         write_contact_sheet(out / "contact_sheet.png", summary.rows, HEADINGS)
         write_lights(out / "lights.json", setup)
         run = {
@@ -165,6 +180,7 @@ def relight_capture(
             "configuration": json.loads(configuration.to_json()),
             "schedule": json.loads(schedule.to_json()),
             "reference_lux": setup.reference_lux,
+            "frames_too_dark": summary.dark,
             "photo_light": scene.photo_light.record() if settings.divides_photo_light else None,
             "settings": record,
             "milliseconds": clock.summary(),
@@ -188,89 +204,19 @@ def tell_of_another_device(configuration: Configuration) -> None:
         )
 
 
-def readable(scene: Scene, index: int) -> Frame | None:
-    """A frame of a scene; None, with a line, for one whose picture is damaged, unless the capture is strict."""
-    try:
-        return scene.frame(index)
-    except InputError as error:
-        if scene.capture.strict:
-            raise
-        _log.warning("%s; this frame is left out", error)
-        return None
-
-
-def _relight_frames(
-    scene: Scene, chosen: Sequence[int], relighter: FrameRelighter, clock: StageClock
-) -> Generator[tuple[Frame, Relit | None]]:
-    """Frames with their relit pictures, in order; None for one that sees no surface."""
-
-    def cast(index: int) -> tuple[Frame, GBuffer] | None:
-        with clock("read"):
-            frame = readable(scene, index)
-        if frame is None:
-            return None
-        with clock("g-buffer"):
-            return frame, jax.block_until_ready(relighter.gbuffer(frame.camera, rays=len(chosen) <= FEW))
-
-    def relight_frame(numbered: tuple[int, tuple[Frame, GBuffer]]) -> tuple[Frame, Relit | None]:
-        number, (frame, gbuffer) = numbered
-        if not np.asarray(gbuffer.hit).any():
-            return frame, None
-        return frame, clock.follow(relighter.stages(number, frame, gbuffer))
-
-    at_once = relighter.shader.at_once
-    with ExitStack() as running:
-        cast_ahead = enumerate(filter(None, running.enter_context(contextlib.closing(prefetch(cast, chosen)))))
-        # The first alone: several at once would each compile what it compiles.
-        alone = 1 if at_once > 1 else None
-        yield from map(relight_frame, itertools.islice(cast_ahead, alone))
-        relit = prefetch(relight_frame, cast_ahead, at_once, threads=at_once)
-        yield from running.enter_context(contextlib.closing(relit))
-
-
-def _relight_on_device(
-    scene: Scene,
-    chosen: Sequence[int],
-    setup: LightSetup,
-    settings: RelightSettings,
-    configuration: Configuration,
-    guide: FrameGuide,
-    clock: StageClock,
-    device: Any,
-) -> Generator[tuple[Frame, Relit | None]]:
-    """Frames with their relit pictures by WebGPU, in order; None for one that sees no surface."""
-    from hyjax.device.renderer import DeviceRenderer
-
-    renderer: DeviceRenderer | None = None
-    for index in chosen:
-        with clock("read"):
-            frame = readable(scene, index)
-        if frame is None:
-            continue
-        with clock("guide"):
-            features = jax.block_until_ready(guide.features(jnp.asarray(frame.image)))
-        if guide.name != "rgb" and features.shape[-1] == 3:
-            raise InputError(
-                "guide: webgpu takes three features for the frame itself; train with another --features"
-            )
-        size = frame.camera.intrinsics.shape
-        if renderer is None or renderer.program.size != size:
-            with clock("shadow maps"):
-                renderer = DeviceRenderer(
-                    scene,
-                    setup,
-                    size,
-                    configuration.schedule,
-                    configuration.shadow_schedule,
-                    features=features.shape[-1],
-                    shadows=settings.shadows,
-                    light=configuration.light,
-                    occluders=settings.shadow_occluders,
-                    device=device,
-                )
-        with clock("frame"):
-            relit = renderer.relit(frame.image, frame.camera, features)
-        yield frame, relit if renderer.sees_surface else None
+def tell_of_darkness(summary: "_Summary", setup: LightSetup) -> None:
+    """A line in the log on frames that ended nearly black, with what would help."""
+    if not summary.dark:
+        return
+    names = ", ".join(summary.dark[:3]) + (", …" if len(summary.dark) > 3 else "")
+    _log.warning(
+        "%d of %d frames end nearly black (%s): little light of the set-up reaches what they show; write nearer "
+        "lights, more ambient light or less than its reference_lux of %.3g into lights.json, and give that",
+        len(summary.dark),
+        len(summary.written),
+        names,
+        float(setup.reference_lux),
+    )
 
 
 @dataclasses.dataclass
@@ -282,6 +228,7 @@ class _Summary:
         skipped: names of those that see no surface.
         rows: of the contact sheet.
         size: (height, width) of the last one.
+        dark: names of those that ended too dark, see `DarkShare`.
         frames_per_second: after the warm-up; None for a shorter run.
     """
 
@@ -289,6 +236,7 @@ class _Summary:
     skipped: list[str] = dataclasses.field(default_factory=list)
     rows: list[tuple[str, list[np.ndarray]]] = dataclasses.field(default_factory=list)
     size: list[int] = dataclasses.field(default_factory=list)
+    dark: list[str] = dataclasses.field(default_factory=list)
     frames_per_second: float | None = None
 
 
@@ -307,6 +255,8 @@ def _write_frames(
             pictures = written_pictures(relit, settings)
             later(functools.partial(write_frame, clock, settings.out, frame.name, pictures, settings.mode))
             summary.written.append(frame.name)
+            if dark_share(frame.image, np.asarray(to_display(relit.image))).too_dark:
+                summary.dark.append(frame.name)
             if len(summary.written) == WARM_UP:
                 begun = Stopwatch()
             if (len(summary.written) - 1) % sheet_every == 0:

@@ -11,12 +11,12 @@ from hyjax.util.reading import read_text
 from hyjax.util.settings import Settings
 
 if TYPE_CHECKING:
+    from hyjax.choices.choice import Renderer as ChoiceRenderer
     from hyjax.configuration import Configuration
     from hyjax.core.schedule import Schedule
     from hyjax.pipeline import Mode
 
 Renderer = Literal["shadow_map", "blender", "webgpu"]
-MOST_SAMPLING = 16
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,6 +38,8 @@ class RelightSettings(Settings):
     guide: str | None = None
     """What guides the diffusion: rgb (the default) is the frame itself, small the network that comes with hyjax,
     small-half that network at half the frame's size; or a safetensors file that train or tune wrote."""
+    choices: tuple[str, ...] = ()
+    """Choices in the place of the configuration's, such as photo_exponent=1.2 bounces=false."""
     paper_mode: bool = False
     """Exactly the paper: multiply display values, leave holes in the mesh black."""
     keep_photo_light: bool = False
@@ -71,26 +73,23 @@ class RelightSettings(Settings):
             InputError: a value out of range, a schedule or set-up that does not exist, or options that exclude each
                 other.
         """
-        if self.sampling is not None and not 1 <= self.sampling <= MOST_SAMPLING:
-            raise InputError(f"sampling: must be between 1 and {MOST_SAMPLING}, got {self.sampling}")
         if self.kappa is not None and self.configuration is not None and self.schedule is None:
             raise InputError("kappa: the configuration brings its own; give --kappa with a named --schedule only")
         if (self.schedule, self.configuration) == (None, None):
             self.open_schedule()
-        chosen = self.open_configuration()
-        paper = chosen.mode == "paper"
-        if self.video and paper:
-            raise InputError("video: the paper's mode has no memory of earlier frames; leave one of the two out")
-        if self.renderer == "webgpu" and (self.video or paper):
-            raise InputError("renderer: webgpu does neither video nor the paper's mode; leave them out")
-        if chosen.scale > 1 and (self.video or self.renderer != "shadow_map"):
-            raise InputError(
-                f"configuration {chosen.name}: works at 1/{chosen.scale} of the size, which --video and other "
-                "renderers than shadow_map do not"
-            )
+        if self.renderer == "webgpu" and self.video:
+            raise InputError("renderer: webgpu makes no videos; leave one of the two out")
+        for renderer in self.renderers:
+            self.open_configuration().followed_by(renderer, say=False)
         check_lights_name(self.lights)
         self.scene.check()
         return self
+
+    @property
+    def renderers(self) -> "list[ChoiceRenderer]":
+        """Of the run, those that do not follow all choices of a configuration."""
+        found: list[ChoiceRenderer] = ["video" if self.video else "frames"]
+        return found + ([] if self.renderer == "shadow_map" else [self.renderer])
 
     @property
     def shadow_occluders(self) -> Occluders:
@@ -117,8 +116,6 @@ class RelightSettings(Settings):
 
     @functools.cached_property
     def _configuration(self) -> "Configuration":
-        import msgspec
-
         from hyjax.configuration import DEFAULT, Configuration
 
         name = self.configuration or ("paper" if self.paper_mode else DEFAULT)
@@ -127,14 +124,14 @@ class RelightSettings(Settings):
             raise InputError(f"configuration {name}: is of linear light; leave it or --paper-mode out")
         if self.schedule is not None or self.kappa is not None:
             chosen = dataclasses.replace(chosen, schedule=self.open_schedule())
-        light, guide = chosen.light, chosen.guide
+        values: dict[str, Any] = dict(_named_value(text) for text in self.choices)
         if self.sampling is not None:
-            light = msgspec.structs.replace(light, sampling=self.sampling)
+            values["sampling"] = self.sampling
         if self.keep_photo_light:
-            light = msgspec.structs.replace(light, photo_light="kept")
+            values["photo_light"] = "kept"
         if self.guide is not None:
-            guide = msgspec.structs.replace(guide, name=self.guide, size=None, every=1)
-        return dataclasses.replace(chosen, light=light, guide=guide)
+            values |= {"guide": self.guide, "guide_size": None, "guide_every": 1}
+        return chosen.with_choices(values).check()
 
     def open_schedule(self) -> "Schedule":
         """Schedule by name or from a file.
@@ -158,9 +155,18 @@ class RelightSettings(Settings):
             | {
                 "capture": str(self.scene.capture or "built-in room"),
                 "out": str(self.out),
+                "choices": list(self.choices),
                 "photo_sources": None if self.scene.photo_sources is None else str(self.scene.photo_sources),
             }
         )
+
+
+def _named_value(text: str) -> tuple[str, str]:
+    """Name and value of `name=value`."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise InputError(f"choices: {text!r} has no value; write NAME=VALUE, such as bounces=false")
+    return name, value
 
 
 def is_schedule_file(text: str) -> bool:

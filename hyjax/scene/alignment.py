@@ -1,4 +1,4 @@
-"""Alignment of a capture's frames: the drift of a phone's tracking, found by depth, is taken out of the poses.
+"""Alignment of a capture's frames: registration of depth maps removes the drift of a phone's tracking.
 
 A phone's poses are off by centimetres from one end of a walk to the other. Fused as they are, thin things vanish
 and borders swell, and the surface lies beside the picture. Half of the depth maps are registered to each other, the
@@ -15,7 +15,7 @@ import trimesh
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from hyjax.data.capture import Capture, Frame
+from hyjax.data.capture import Capture, DerivedCapture, Frame
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.coverage import Coverage
 from hyjax.geometry.depth_map import DepthReading
@@ -30,24 +30,24 @@ from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 
 VERSION = 1
-"""Of how poses are aligned. Add one whenever they come out differently."""
-FEWEST = 8
-"""Depth maps below which there is nothing to align."""
-BETTER = 0.005
-"""Coverage of held-out depth by which aligned poses must be better."""
+"""Version of the alignment. Add one when its poses change."""
+FEWEST_MAPS = 8
+"""Fewest depth maps to align."""
+LEAST_GAIN = 0.005
+"""Least gain of coverage of held-out depth by aligned poses."""
 _log = logging.getLogger(__name__)
 
 
 def aligned(capture: Capture, settings: FusionSettings, progress: bool = True) -> Capture:
-    """A capture with aligned poses; as it is where that is not wanted, not possible or no better.
+    """Align the poses of a capture; return it as it is where that is not wanted, not possible or no better.
 
     Args:
         capture: with depth.
-        settings: of its fusion; `align` says whether it is wanted.
+        settings: of its fusion; `align` among them.
         progress: show bars on stderr.
     """
     wanted = settings.align == "yes" or (settings.align == "auto" and capture.sensor == PHONE_LIDAR)
-    if not wanted or isinstance(capture, AlignedCapture) or capture.depth_count < FEWEST:
+    if not wanted or isinstance(capture, AlignedCapture) or capture.depth_count < FEWEST_MAPS:
         return capture
     most = min(settings.fuse_frames or MAX_FUSED_FRAMES, MAX_FUSED_FRAMES)
     try:
@@ -73,7 +73,7 @@ def _corrections(count: int, arrays: Arrays) -> Float[np.ndarray, "n 4 4"] | Non
 
 
 def _align(capture: Capture, plan: FusionPlan, progress: bool) -> Arrays:
-    """Motions that bring poses where they belong; none if they are no better there."""
+    """Corrections of the poses as motions; none if they are no better."""
     readings = list(Readings(capture, plan.indices, plan.confidence))
 
     def fused(maps: Sequence[DepthReading]) -> trimesh.Trimesh:
@@ -85,81 +85,56 @@ def _align(capture: Capture, plan: FusionPlan, progress: bool) -> Arrays:
     caster = RayCaster(fused(moved))
     others = [registered(reading, caster, plan.far) for reading in heldout]
     after = Coverage.of(caster, others)
-    if after.covered < before.covered + BETTER:
+    if after.covered < before.covered + LEAST_GAIN:
         return {"corrections": np.zeros((0, 4, 4))}
     final = [(moved if k % 2 == 0 else others)[k // 2] for k in range(len(readings))]
     pairs = zip(final, readings, strict=True)
     return {"corrections": np.stack([new.camera.pose @ np.linalg.inv(old.camera.pose) for new, old in pairs])}
 
 
-class AlignedCapture(Capture):
-    """A capture whose poses are corrected.
+class AlignedCapture(DerivedCapture):
+    """Capture with corrected poses.
 
     Args:
         capture: as it was.
         indices: of the depth maps whose corrections are known, ascending.
-        corrections: motions of the world that bring them where they belong; between them they are interpolated.
+        corrections: motions of the world that correct their poses; between them they are interpolated.
     """
 
     def __init__(
         self, capture: Capture, indices: Float[np.ndarray, "n"], corrections: Float[np.ndarray, "n 4 4"]
     ) -> None:
-        self.name, self.up, self.sensor, self.anchors = capture.name, capture.up, capture.sensor, capture.anchors
-        self.metric, self.depth_in_units = capture.metric, capture.depth_in_units
-        self.faults, self.remarks, self.format = capture.faults, capture.remarks, capture.format
-        self.strict, self.mesh_file, self.laser_folder = capture.strict, capture.mesh_file, capture.laser_folder
-        self.original = capture
+        super().__init__(capture)
         self._indices, self._corrections = np.asarray(indices, float), corrections
 
     @property
     def fingerprint(self) -> str:
         """See `Capture`."""
-        return digest([self.original.fingerprint, np.round(self._corrections, 6).tobytes().hex()])
+        return digest([self.source.fingerprint, np.round(self._corrections, 6).tobytes().hex()])
 
     @property
     def moved(self) -> Float[np.ndarray, "n"]:
-        """How far the cameras of the frames have moved, metres."""
+        """Distances that the cameras of the frames have moved, in metres."""
         count = len(self)
         return np.array(
-            [np.linalg.norm(self.camera(k).origin - self.original.camera(k).origin) for k in range(count)]
+            [np.linalg.norm(self.camera(k).origin - self.source.camera(k).origin) for k in range(count)]
         )
 
-    def __len__(self) -> int:
-        return len(self.original)
-
     def __getitem__(self, index: int) -> Frame:
-        frame = self.original[index]
+        frame = self.source[index]
         return dataclasses.replace(frame, camera=self._corrected(frame.camera, self._position(index)))
 
     def camera(self, index: int) -> Camera:
         """See `Capture`."""
-        return self._corrected(self.original.camera(index), self._position(index))
-
-    def depth_position(self, index: int) -> float:
-        """See `Capture`."""
-        return self.original.depth_position(index)
-
-    @property
-    def depth_count(self) -> int:
-        """See `Capture`."""
-        return self.original.depth_count
+        return self._corrected(self.source.camera(index), self._position(index))
 
     def depth_reading(self, index: int) -> DepthReading:
         """See `Capture`."""
-        reading = self.original.depth_reading(index)
+        reading = self.source.depth_reading(index)
         return reading._replace(camera=self._corrected(reading.camera, float(index)))
 
-    def mesh(self) -> trimesh.Trimesh | None:
-        """See `Capture`."""
-        return self.original.mesh()
-
-    @property
-    def has_mesh(self) -> bool:
-        """See `Capture`."""
-        return self.original.has_mesh
-
     def _position(self, index: int) -> float:
-        return self.original.depth_position(range(len(self))[index])
+        return self.source.depth_position(range(len(self))[index])
 
     def _corrected(self, camera: Camera, position: float) -> Camera:
         right = int(np.clip(np.searchsorted(self._indices, position), 1, max(len(self._indices) - 1, 1)))

@@ -1,8 +1,8 @@
-"""Blender's Cycles as an offline renderer of shading and shadows, in the place of our own.
+"""Offline rendering of shading and shadows by Blender's Cycles, in place of our own.
 
 The paper's offline results were rendered in Blender, with virtual lights put right onto meshes and point clouds.
-Here Cycles traces one light at a time over a white diffuse surface, without any bounce: what
-`hyjax.light.shading` and `hyjax.light.shadow_map` answer from the G-buffer, but with every ray
+Here Cycles traces one light at a time over a white diffuse surface, without any bounce: the result of
+`hyjax.light.shading` and `hyjax.light.shadow_map` from the G-buffer, but with every ray
 traced, so that no shadow map limits it.
 
 Blender runs in a process of its own, for as long as a `BlenderRenderer` is open: its wheels are each for one
@@ -42,8 +42,10 @@ from hyjax.util.vectors import perpendicular, unit
 
 WORKER = Path(__file__).with_name("blender_worker.py")
 SURFEL_CORNERS = 6
-SURFEL_BIAS = 3.0  # neighbouring surfels cut into each other; nearer than so many radii they throw no shadow
+SURFEL_BIAS = 3.0
+"""Distance, in radii, within which a surfel casts no shadow: neighbouring surfels cut into each other."""
 ANSWER = "@hyjax "
+"""Prefix of the worker's lines of answer."""
 
 
 class Surfels(Protocol):
@@ -61,11 +63,11 @@ class Surfels(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Rendering:
-    """Light on one view as Cycles renders it.
+    """Light on one view, rendered by Cycles.
 
     Attributes:
-        shading: lux that each light throws on the visible surface, shadows aside; zero where there is none.
-        visibility: what shadows leave of it, in [0, 1]; 1 where there is nothing to lose.
+        shading: lux of each light on the visible surface, without shadows; zero where there is none.
+        visibility: unshadowed share of it, in [0, 1]; 1 where there is no light to lose.
         depth: distance along the camera's axis in metres; zero where no surface was hit.
         hit: whether the pixel's ray met the surface.
     """
@@ -76,18 +78,18 @@ class Rendering:
     hit: Bool[np.ndarray, "h w"]
 
     def shade(self, view: View, setup: LightSetup) -> tuple[View, Shaded]:
-        """The view and the light on it, with misses wherever Cycles has one: at borders the two may disagree."""
+        """Shade a view, with misses wherever Cycles has one: at borders the two may disagree."""
         view = dataclasses.replace(view, gbuffer=self.hit_by_both(view.gbuffer))
         illuminance, visibility = jnp.asarray(self.shading), jnp.asarray(self.visibility)
         return view, Shaded.of(setup, illuminance, visibility, view.gbuffer.hit)
 
     def hit_by_both(self, gbuffer: GBuffer) -> GBuffer:
-        """The G-buffer with misses wherever Cycles has one."""
+        """G-buffer with misses wherever Cycles has one."""
         return dataclasses.replace(gbuffer, hit=gbuffer.hit & self.hit)
 
 
 class BlenderRenderer:
-    """A scene in Blender; a context manager, since a process stands behind it.
+    """Scene in a process of Blender, as a context manager.
 
     Args:
         geometry: a mesh, shaded by its vertex normals, or points, each of which becomes a small hexagon.
@@ -201,9 +203,9 @@ class BlenderRenderer:
                 continue
             shading[..., k] = np.where(hit, math.pi * layers[f"{k}-open"][..., 0], 0.0)
             if self._shadows:
-                whole = layers.get(f"{k}-open-soft", layers[f"{k}-open"])[..., 0]
-                lit = layers[f"{k}-shadowed"][..., 0] / np.where(whole > 0, whole, 1.0)
-                visibility[..., k] = np.where(hit & (whole > 0), np.clip(lit, 0.0, 1.0), 1.0)
+                unshadowed = layers.get(f"{k}-open-soft", layers[f"{k}-open"])[..., 0]
+                lit = layers[f"{k}-shadowed"][..., 0] / np.where(unshadowed > 0, unshadowed, 1.0)
+                visibility[..., k] = np.where(hit & (unshadowed > 0), np.clip(lit, 0.0, 1.0), 1.0)
         return Rendering(shading, visibility, np.where(hit, depth, 0.0), hit)
 
     def _wait(self) -> None:
@@ -218,7 +220,7 @@ class BlenderRenderer:
 
 
 def blender_python() -> str:
-    """The Python that runs Blender: `$HYJAX_BLENDER` if set, else this one if it has bpy.
+    """Path of the Python that runs Blender: `$HYJAX_BLENDER` if set, else this one if it has bpy.
 
     Raises:
         InputError: neither.
@@ -239,7 +241,7 @@ def blender_python() -> str:
 def hexagons(
     cloud: Surfels,
 ) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "n 6"], Float[np.ndarray, "v 3"]]:
-    """A hexagon across each point's normal, of the area of a disc of its radius: vertices, polygons and normals."""
+    """Hexagons across the points' normals, of the area of a disc of their radius: vertices, polygons, normals."""
     points, normals = np.asarray(cloud.points, np.float64), np.asarray(cloud.normals, np.float64)
     aside = unit(perpendicular(normals))
     angle = np.arange(SURFEL_CORNERS) * (2 * np.pi / SURFEL_CORNERS)
@@ -252,7 +254,7 @@ def hexagons(
 
 @contextlib.contextmanager
 def _process(python: str, folder: Path, log: Any) -> Any:
-    """Blender, until the block ends. -P: the worker's folder is no place to import from."""
+    """Run Blender until the block ends. With -P nothing is imported from the worker's folder."""
     command = [python, "-P", str(WORKER), str(folder)]
     process = subprocess.Popen(
         command,
@@ -274,7 +276,7 @@ def _process(python: str, folder: Path, log: Any) -> Any:
 
 
 def _describe(emitter: Emitter | None, center: Float[np.ndarray, "3"]) -> dict[str, Any] | None:
-    """A light in plain numbers of Blender's; places relative to `center`. None for one that is not traced."""
+    """Light in Blender's plain numbers, with places relative to `center`; None for one that is not traced."""
     if emitter is None:
         return None
     entry = {key: value for key, value in vars(emitter).items() if value is not None}

@@ -1,4 +1,4 @@
-"""The half of `hyjax.scene.blender` that runs inside Blender: in any Python that has `bpy`, without hyjax.
+"""Worker of `hyjax.scene.blender` inside Blender: in any Python that has `bpy`, without hyjax.
 
     python -P blender_worker.py FOLDER
 
@@ -8,7 +8,7 @@ stdout answers.
 
 One light shines at a time on white diffuse paint, without any bounce, so that a pixel's radiance is E/π. Cycles is
 physical: a point or spot of P watts has the intensity P/4π (the cone only masks it), a rectangle the radiance
-P/(π A), and a sun's strength is what it throws on a surface that faces it. A watt here stands for a lumen.
+P/(π A), and a sun's strength is its irradiance on a surface that faces it. A watt here stands for a lumen.
 """
 
 import json
@@ -21,13 +21,15 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-FILTER_WIDTH = 0.01  # pixels, Blender's least: rays go through the pixels' centres
-SENSOR = 36.0  # millimetres; any would do
+FILTER_WIDTH = 0.01
+"""Width of the pixel filter in pixels, Blender's least: rays go through the pixels' centres."""
+SENSOR_WIDTH = 36.0
+"""Width of the sensor in millimetres; any would do."""
 KINDS = {"point": "POINT", "spot": "SPOT", "directional": "SUN", "rect": "AREA"}
 
 
 def main() -> None:
-    """Build the scene, then render what is asked for until stdin ends."""
+    """Build the scene, then render requested pictures until stdin ends."""
     folder = Path(sys.argv[1])
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
     with np.load(folder / "geometry.npz") as geometry:
@@ -46,7 +48,7 @@ def main() -> None:
 
 
 class BlenderScene:
-    """A Blender scene: one surface, one camera, lamps of which one at a time is on."""
+    """Blender scene: one surface, one camera, lamps of which one at a time is on."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, bias: float) -> None:
         self.scene = bpy.context.scene
@@ -68,7 +70,7 @@ class BlenderScene:
         return thing
 
     def add_lamp(self, light: dict[str, Any]) -> Any:
-        """The lamp object of a light; None for a sky, which is the scene's world."""
+        """Add the lamp object of a light; None for a sky, which is the scene's world."""
         if light["kind"] == "sky":
             return None
         data = bpy.data.lights.new(light["kind"], KINDS[light["kind"]])
@@ -99,18 +101,18 @@ class BlenderScene:
         return lamp
 
     def aim(self, width: int, height: int, fx: float, fy: float, cx: float, cy: float, pose: list) -> None:
-        """Pinhole intrinsics in pixels and a camera-to-world pose with axes +x right, +y down, +z forward."""
+        """Set the camera by intrinsics in pixels and a camera-to-world pose (+x right, +y down, +z forward)."""
         render, lens = self.scene.render, self.camera.data
         render.resolution_x, render.resolution_y = width, height
         render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, fy / fx), max(1.0, fx / fy)
-        lens.sensor_fit, lens.sensor_width, lens.lens = "HORIZONTAL", SENSOR, SENSOR * fx / width
+        lens.sensor_fit, lens.sensor_width, lens.lens = "HORIZONTAL", SENSOR_WIDTH, SENSOR_WIDTH * fx / width
         lens.clip_start, lens.clip_end = 1e-4, self.reach
         lens.shift_x = (0.5 * width - cx) / width
         lens.shift_y = (cy - 0.5 * height) / width * fx / fy
         self.camera.matrix_world = Matrix(pose) @ Matrix.Diagonal((1, -1, -1, 1))
 
     def switch_on(self, light: dict[str, Any] | None, lamp: Any, shadows: bool, soft: bool) -> None:
-        """Let one light shine, with or without shadows and with or without its extent; None: darkness."""
+        """Turn on one light alone, with or without shadows, with or without its extent; None for darkness."""
         for other in self.scene.objects:
             if other.type == "LIGHT":
                 other.hide_render = other is not lamp
@@ -127,7 +129,7 @@ class BlenderScene:
         self.paint.expose(light if shadows else {}, self.bias if shadows else 0.0)
 
     def _set_sky(self, light: dict[str, Any]) -> None:
-        """Half a sky, white where the direction leans towards `up`; black for any other light."""
+        """Set the sky: a white hemisphere around `up`; black for any other light."""
         tree = self.scene.world.node_tree
         tree.nodes.clear()
         background = tree.nodes.new("ShaderNodeBackground")
@@ -149,8 +151,8 @@ class BlenderScene:
 class Paint:
     """White diffuse paint, some of which lets shadow rays through.
 
-    What is nearer to a lamp than its clearance or lies before the opening throws no shadow; neither does what is
-    nearer to the receiver than `bias`. Before the opening the paint is black, too: no light comes in through it.
+    Surfaces nearer to a lamp than its clearance, before the opening, or nearer to the receiver than `bias` cast no
+    shadow. Before the opening the paint is black, too: no light comes in through it.
     """
 
     def __init__(self) -> None:
@@ -208,7 +210,7 @@ def _math(tree: Any, operation: str, a: Any, b: Any) -> Any:
 
 
 def _set_up(scene: Any) -> None:
-    """Linear float pixels of direct light, and nothing that would prettify them."""
+    """Set the output to linear float pixels of direct light, without any beautification."""
     scene.render.engine = "CYCLES"
     cycles, render, image = scene.cycles, scene.render, scene.render.image_settings
     cycles.device = "CPU"
@@ -248,7 +250,7 @@ def _mesh(name: str, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarra
 
 
 def _shutter(aperture: dict[str, Any], reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """A plane around an opening, as four quads."""
+    """Shutter: a plane around an opening, as four quads."""
     center, right, up = (np.array(aperture[key]) for key in ("center", "right", "up"))
     far = 1.0 + reach / min(np.linalg.norm(right), np.linalg.norm(up))
     corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]

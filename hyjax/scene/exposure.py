@@ -1,12 +1,13 @@
-"""Exposure of named set-ups: what their lights throw on the surface that the cameras see."""
+"""Exposure of named set-ups, by the illuminance of their lights on the visible surface."""
 
 import dataclasses
 import logging
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from hyjax.data.frames import spread
 from hyjax.geometry.camera import Camera
@@ -16,36 +17,60 @@ from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, Rec
 from hyjax.light.setup import LightSetup
 from hyjax.light.shading import shade_each
 from hyjax.util.errors import InputError
+from hyjax.util.programs import run_kept
 
-BRIGHTEST, BRIGHTEST_IN_SUN = 1.5, 3.0
-"""Filter that all but a twentieth of the surface stays below, without the sun and with it."""
+LARGEST_FILTER, LARGEST_FILTER_IN_SUN = 1.6, 3.5
+"""Largest filter on all but a twentieth of the surface, without the sun and with it."""
+REFLECTED_SHARE = 0.3
+"""Light by way of other surfaces, over the mean of what comes straight."""
+DIMMINGS = 4
+"""Number of times that sun and exposure are brought in line with each other."""
 OFFSET = 0.02
-"""Metres off the surface at which rays to lights start."""
+"""Distance from the surface, in metres, where rays to lights start."""
 _log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True)
+class Exposure:
+    """Exposure of a set-up.
+
+    Attributes:
+        share: of its brightness that the median picture keeps, in linear light.
+        ambient: illuminance of ambient lights over the reference; bounces are filled up to a share of it.
+        sun: most of parallel light over the reference, where it falls on a surface that is seen.
+    """
+
+    share: float
+    ambient: float
+    sun: float
+
+
+@dataclasses.dataclass(frozen=True)
 class SeenSurface:
-    """Points of the surface that cameras see, evenly spread over their pictures.
+    """Points of the visible surface, evenly spread over the cameras' pictures.
 
     Attributes:
         caster: the surface.
         points: in world coordinates.
         normals: unit, towards the cameras.
+        camera: which camera sees each.
     """
 
     caster: RayCaster
     points: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"]
+    camera: Int[np.ndarray, "n"]
 
     @classmethod
-    def of(cls, caster: RayCaster, cameras: Sequence[Camera]) -> "tuple[SeenSurface, Float[np.ndarray, '3']]":
-        """What at most eight of the cameras see, and their mean position.
+    def of(
+        cls, caster: RayCaster, cameras: Sequence[Camera], most: int = 8
+    ) -> "tuple[SeenSurface, Float[np.ndarray, 'c 3']]":
+        """Surface seen by at most `most` of the cameras, and the positions of these cameras.
 
         Raises:
             InputError: no camera sees any surface.
         """
-        chosen, points, normals = spread(cameras, 8), [], []
+        chosen, points, normals = spread(cameras, most), [], []
         for camera in chosen:
             small = camera.intrinsics.resize(24, 32)
             rays = Camera(small, camera.pose).rays().reshape(-1, 3)
@@ -59,11 +84,16 @@ class SeenSurface:
             raise InputError(
                 "no camera sees the mesh; are the mesh and the poses in the same coordinates (metres)?"
             )
-        return cls(caster, surface, np.concatenate(normals)), np.mean([c.origin for c in chosen], axis=0)
+        numbers = np.repeat(np.arange(len(chosen)), [len(own) for own in points])
+        return cls(caster, surface, np.concatenate(normals), numbers), np.stack([c.origin for c in chosen])
 
-    def sunlit(self, window: Aperture, travel: Float[np.ndarray, "3"]) -> float:
-        """Share of the points that parallel light along `travel` reaches through a window."""
-        return float(self.reached_through(window, travel).mean())
+    def chosen(self, which: Bool[np.ndarray, "n"]) -> "SeenSurface":
+        """Some of the points."""
+        return SeenSurface(self.caster, self.points[which], self.normals[which], self.camera[which])
+
+    def of_cameras(self, values: Float[np.ndarray, "n"], quantile: float = 0.5) -> Float[np.ndarray, "c"]:
+        """Quantile of values at the points that each camera sees, of the cameras that see any."""
+        return np.array([np.quantile(values[self.camera == c], quantile) for c in np.unique(self.camera)])
 
     def reached_through(self, window: Aperture, travel: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "n"]:
         """Points that parallel light along `travel` reaches through a window."""
@@ -81,7 +111,7 @@ class SeenSurface:
         every = np.ones((1, len(self.points)), bool)
         place, facing = (np.asarray(each[None], np.float32) for each in (self.points, self.normals))
         points = GBuffer(*map(jax.device_put, (place, facing, every.astype(np.float32), every)))
-        lux = np.asarray(shade_each(points, tuple(lights)))[0]
+        lux = np.asarray(run_kept(shade_each, points, tuple(lights)))[0]
         return np.stack([self._reached(light, lux[:, k]) for k, light in enumerate(lights)], axis=-1)
 
     def _reached(self, light: Light, lux: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -104,21 +134,43 @@ class SeenSurface:
         return self.caster.occluded(start, to, 1.0)
 
 
-def exposed(setup: LightSetup, lux: Float[np.ndarray, "n l"]) -> float:
-    """Reference illuminance of a set-up: its own, or more where its lights would burn the pictures out.
+def exposed(setup: LightSetup, lux: Float[np.ndarray, "n l"], seen: SeenSurface, exposure: Exposure) -> LightSetup:
+    """Set-up with the reference illuminance, and the ambient light, of an exposure.
+
+    Dimmer where lights would burn the pictures out.
 
     Args:
-        setup: lights with their usual reference.
-        lux: of each light on what is seen.
+        setup: lights.
+        lux: of each light on the visible surface.
+        seen: visible surface.
+        exposure: of the set-up.
     """
-    shaded = [not isinstance(light, DirectionalLight) for light in setup.lights]
-    shade, every = lux[:, shaded].sum(axis=1), lux.sum(axis=1)
-    least = [np.quantile(each, 0.95) / most for each, most in ((shade, BRIGHTEST), (every, BRIGHTEST_IN_SUN))]
-    return max(float(setup.reference_lux), *map(float, least))
+    parallel = np.array([isinstance(light, DirectionalLight) for light in setup.lights])
+    near = np.array([not light.UNIFORM for light in setup.lights]) & ~parallel
+    sun, reference = np.ones(len(setup.lights)), 0.0
+    strengths = [float(getattr(light, light.STRENGTH)) for light in setup.lights]
+    pale = np.array([np.mean(light.color) / np.max(light.color) for light in setup.lights])
+    brightest = np.array([np.quantile(own[own > 0], 0.9) if (own > 0).any() else np.inf for own in lux.T])
+    for _ in range(DIMMINGS):
+        shade, light = lux[:, near].sum(axis=1), (lux * sun)[:, near | parallel].sum(axis=1)
+        bright, bounced = (lux * sun * pale)[:, near | parallel].sum(axis=1), np.zeros(len(light))
+        for camera in np.unique(seen.camera):
+            bounced[seen.camera == camera] = REFLECTED_SHARE * bright[seen.camera == camera].mean()
+        bounds = [(shade, LARGEST_FILTER), (light, LARGEST_FILTER_IN_SUN)]
+        least = max(float(np.quantile(values + bounced, 0.95)) / most for values, most in bounds)
+        reference = max(float(np.median(seen.of_cameras(bright + bounced))) / exposure.share, least, 1e-3)
+        sun = np.where(parallel, np.minimum(1.0, exposure.sun * reference / brightest), 1.0)
+
+    # Ambient light fills bounces up, to a share of the reference that depends on nothing else.
+    lights: list[Any] = list(setup.lights)
+    for number, light in enumerate(lights):
+        strength = exposure.ambient * reference if light.UNIFORM else sun[number] * strengths[number]
+        lights[number] = dataclasses.replace(light, **{light.STRENGTH: float(strength)})
+    return LightSetup(tuple(lights), reference)
 
 
 def warn_of_missing(setup: LightSetup, lux: Float[np.ndarray, "n l"], name: str) -> None:
-    """Say so where a light of a set-up reaches nothing that the cameras see."""
+    """Warn of lights of a set-up that reach no visible surface."""
     for number, light in enumerate(setup.lights):
         if not light.UNIFORM and float(lux[:, number].max()) <= 0:
             kind = type(light).__name__

@@ -21,29 +21,29 @@ from hyjax.util.errors import InputError
 from hyjax.util.prefetch import prefetch
 
 FAR_SHARE = 0.1
-"""Readings beyond a sensor's range, as a share of all, from which on they are fused, too."""
-FARTHEST = 10.0
-"""Metres, of a sensor that is not known."""
+"""Least share of readings beyond a sensor's range for which they are fused, too."""
+LONGEST_RANGE = 10.0
+"""Largest range of an unknown sensor, in metres."""
 VOXEL_SHARE = 0.015
-"""Voxel over median depth."""
-SMALLEST, LARGEST = 0.02, 0.04
-"""Metres, of voxels that are chosen here."""
-FEW = 50
-"""Depth maps below which a voxel must not have been seen as well as is asked for otherwise."""
-SAMPLED = 12
-"""Depth maps that are looked at to choose, and to judge the result."""
-LITTLE = 0.8
-"""Coverage below which a line says so."""
-ELSEWHERE = 0.05
-"""Share of what has depth that meets a mesh, below which the mesh lies elsewhere."""
-NOTHING = DepthReading(np.zeros((1, 1), np.float32), Camera(Intrinsics(1, 1, 1.0, 1.0, 0.5, 0.5), np.eye(4)))
-"""A depth map without readings, in place of a damaged one."""
+"""Ratio of voxel to median depth."""
+SMALLEST_VOXEL, LARGEST_VOXEL = 0.02, 0.04
+"""Bounds of the default voxel, in metres."""
+FEW_MAPS = 50
+"""Number of depth maps below which the least weight of a voxel is lowered."""
+SAMPLED_MAPS = 12
+"""Number of depth maps to choose settings from, and to judge the result by."""
+LOW_COVERAGE = 0.8
+"""Coverage below which a warning is given."""
+LEAST_OVERLAP = 0.05
+"""Least share of depth readings that meet a mesh; below it the mesh lies elsewhere."""
+EMPTY_READING = DepthReading(np.zeros((1, 1), np.float32), Camera(Intrinsics(1, 1, 1.0, 1.0, 0.5, 0.5), np.eye(4)))
+"""Depth map without readings, in place of a damaged one."""
 _log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True)
 class FusionPlan:
-    """What a fusion is made with: lengths in metres.
+    """Parameters of a fusion, with lengths in metres.
 
     Attributes:
         indices: of the depth maps.
@@ -64,12 +64,12 @@ class FusionPlan:
 
 
 class Readings:
-    """Chosen depth maps of a capture, read when asked for; damaged ones are left out with a line.
+    """Chosen depth maps of a capture, read on demand; damaged ones are left out with a line.
 
     Args:
         capture: with depth.
         indices: of the depth maps.
-        confidence: readings with less are none.
+        confidence: least confidence of a reading.
     """
 
     def __init__(self, capture: Capture, indices: Sequence[int], confidence: float) -> None:
@@ -82,7 +82,7 @@ class Readings:
         return self.start(0)
 
     def start(self, first: int) -> Iterator[DepthReading]:
-        """The depth maps from one position on. A damaged one comes as one without readings."""
+        """Iterate over the depth maps from a position. A damaged one comes without readings."""
         return prefetch(self._read, self._indices[first:])
 
     def _read(self, index: int) -> DepthReading:
@@ -92,14 +92,14 @@ class Readings:
             if self._capture.strict:
                 raise
             _log.warning("%s; left out of the fusion", error)
-            return NOTHING
+            return EMPTY_READING
         if confidence is not None:
             depth = np.where(confidence >= self._confidence, depth, np.float32(0.0))
         return DepthReading(depth, camera, confidence)
 
 
 def plan_fusion(capture: Capture, settings: FusionSettings) -> FusionPlan:
-    """Range, voxel and weights for a capture, from a few of its depth maps.
+    """Choose range, voxel and weights for a capture from a few of its depth maps.
 
     Raises:
         InputError: the settings cannot be used, or the capture has no depth at all.
@@ -110,34 +110,36 @@ def plan_fusion(capture: Capture, settings: FusionSettings) -> FusionPlan:
         raise InputError(f"{capture.name}: the capture has no depth to make a mesh of; give one with --mesh FILE")
     most = settings.fuse_frames or count
     indices = tuple(range(0, count, -(-count // most)))
-    seen = [r.depth[::4, ::4].ravel() for r in Readings(capture, spread(indices, SAMPLED), settings.confidence)]
+    seen = [
+        r.depth[::4, ::4].ravel() for r in Readings(capture, spread(indices, SAMPLED_MAPS), settings.confidence)
+    ]
     depth = np.concatenate(seen)
     depth = depth[np.isfinite(depth) & (depth > NEAR)]
     if not len(depth):
         raise InputError(f"{capture.name}: its depth maps have no readings; give a mesh with --mesh FILE")
     far = settings.depth_range
     if far is None:
-        far = capture.sensor.far or FARTHEST
+        far = capture.sensor.far or LONGEST_RANGE
         if (depth > far).mean() > FAR_SHARE or capture.sensor.far is None:
             far = min(2 * far, float(np.ceil(2 * np.quantile(depth, 0.98)) / 2 + 0.5))
     voxel = settings.voxel
     if voxel is None:
-        voxel = min(max(round(VOXEL_SHARE * float(np.median(depth)), 2), SMALLEST), LARGEST)
+        voxel = min(max(round(VOXEL_SHARE * float(np.median(depth)), 2), SMALLEST_VOXEL), LARGEST_VOXEL)
     weight = settings.min_weight
     if weight is None:
-        weight = 0.1 * float(np.clip(len(indices) / FEW, 0.2, 1.0)) * min(1.0, (4.0 / far) ** 2)
+        weight = 0.1 * float(np.clip(len(indices) / FEW_MAPS, 0.2, 1.0)) * min(1.0, (4.0 / far) ** 2)
     return FusionPlan(indices, voxel, capture.sensor.truncation * voxel, far, weight, settings.confidence)
 
 
 def fuse_capture(
     capture: Capture, plan: FusionPlan, *, checkpoint: Path | None = None, progress: bool = True
 ) -> trimesh.Trimesh:
-    """Mesh of a capture's depth maps.
+    """Fuse a capture's depth maps to a mesh.
 
     Args:
         capture: with depth.
         plan: see `plan_fusion`.
-        checkpoint: file that a long fusion is kept in meanwhile, from which a later call goes on.
+        checkpoint: file of a long fusion's state, from which a later call continues.
         progress: show a bar on stderr.
 
     Raises:
@@ -156,25 +158,25 @@ def fuse_capture(
 
 
 def coverage_of(capture: Capture, mesh: trimesh.Trimesh | MeshArrays | None, confidence: float = 0.5) -> Coverage:
-    """How much of what a capture's depth maps measured a mesh has; a few of them are looked at."""
-    indices = spread(range(capture.depth_count), SAMPLED)
+    """Coverage of a few of a capture's depth maps by a mesh."""
+    indices = spread(range(capture.depth_count), SAMPLED_MAPS)
     return Coverage.of(None if mesh is None else RayCaster(mesh), Readings(capture, indices, confidence))
 
 
 def tell_coverage(capture: Capture, description: str, coverage: Coverage) -> None:
-    """A line where a mesh has little of what was measured, or lies elsewhere."""
+    """Warn of a mesh that covers little of the measured depth, or lies elsewhere."""
     if not coverage.measured:
         _log.warning("%s: its depth maps have no readings, so the %s cannot be judged", capture.name, description)
-    elif coverage.hit < ELSEWHERE:
+    elif coverage.hit < LEAST_OVERLAP:
         _log.warning(
-            "%s: the %s is met by %.0f %% of what has depth; are mesh and poses in the same axes and units?",
+            "%s: the %s is met by %.0f %% of the depth readings; are mesh and poses in the same axes and units?",
             capture.name,
             description,
             100 * coverage.hit,
         )
-    elif coverage.covered < LITTLE:
+    elif coverage.covered < LOW_COVERAGE:
         _log.warning(
-            "%s: the %s has %.0f %% of what has depth (median distance %.3g m); holes are lit as their "
+            "%s: the %s has %.0f %% of the depth readings (median distance %.3g m); holes are lit as their "
             "surroundings are",
             capture.name,
             description,

@@ -1,4 +1,4 @@
-"""Inspection of a capture: what it holds, whether its parts fit each other, and what is doubtful."""
+"""Inspection of a capture: its content, the agreement of its parts, and doubts."""
 
 import dataclasses
 import shlex
@@ -14,32 +14,32 @@ from hyjax.data.capture import Capture
 from hyjax.data.frames import spread
 from hyjax.geometry.coverage import Coverage
 from hyjax.geometry.depth_map import NEAR, SLACK
-from hyjax.scene.fusion import ELSEWHERE, LITTLE, Readings, coverage_of, plan_fusion
+from hyjax.scene.fusion import LEAST_OVERLAP, LOW_COVERAGE, Readings, coverage_of, plan_fusion
 from hyjax.scene.fusion_settings import FusionSettings
-from hyjax.scene.surfaces import ENOUGH
+from hyjax.scene.surfaces import ENOUGH_COVERAGE
 from hyjax.util.errors import InputError
 
-LOOKED_AT = 12
-"""Frames and depth maps that are read."""
+SAMPLE_COUNT = 12
+"""Number of frames and depth maps to read."""
 LONGEST_STEP = 1.0
-"""Metres between two neighbouring frames that are no walk."""
+"""Largest distance, in metres, between neighbouring frames of a walk."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Inspection:
-    """What a capture holds.
+    """Content of a capture.
 
     Attributes:
         capture: the capture.
         sizes: (width, height) of the pictures that were read.
-        exposures: seconds of the pictures that were read, where the device tells them.
+        exposures: seconds of the pictures that were read, where the device records them.
         seconds: from the first frame to the last.
         positions: of the cameras, metres.
         depth_size: (width, height) of the depth maps; None without any.
-        coverage: how mesh and depth agree; without a mesh, only how much has depth; None without depth.
+        coverage: agreement of mesh and depth; without a mesh, only the share with depth; None without depth.
         quantiles: of depth in metres: least, median, most, but for a hundredth at both ends.
         mesh: that the device made; None without one.
-        doubts: what may be wrong, a line each.
+        doubts: possible faults, a line each.
     """
 
     capture: Capture
@@ -55,7 +55,7 @@ class Inspection:
 
     @property
     def path_length(self) -> float:
-        """Metres that the camera went."""
+        """Length of the camera's path in metres."""
         return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
 
     def lines(self) -> Iterator[tuple[str, str]]:
@@ -89,9 +89,9 @@ class Inspection:
                 yield (
                     "mesh to depth",
                     f"{self.coverage.distance:.3g} m (median); the mesh has {100 * self.coverage.covered:.0f} % of "
-                    "what has depth",
+                    "the depth readings",
                 )
-                if self.coverage.covered < ENOUGH:
+                if self.coverage.covered < ENOUGH_COVERAGE:
                     yield "note", "relighting fuses the depth too, and takes that if it has clearly more"
         for remark in capture.remarks:
             yield "note", remark
@@ -100,7 +100,7 @@ class Inspection:
 
 
 def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
-    """Look a capture over; a dozen of its pictures and depth maps are read.
+    """Inspect a capture; a dozen of its pictures and depth maps are read.
 
     Args:
         capture: any.
@@ -111,7 +111,7 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
     """
     doubts = list(capture.faults)
     sizes, exposures, times = [], [], []
-    for index in tqdm(spread(range(len(capture)), LOOKED_AT), "reading", disable=not progress, unit="frame"):
+    for index in tqdm(spread(range(len(capture)), SAMPLE_COUNT), "reading", disable=not progress, unit="frame"):
         try:
             frame = capture[index]
         except InputError as error:
@@ -132,7 +132,7 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
     coverage = depth_size = quantiles = None
     if capture.depth_count:
         depths = []
-        for index in spread(range(capture.depth_count), LOOKED_AT):
+        for index in spread(range(capture.depth_count), SAMPLE_COUNT):
             try:
                 depths.append(capture.depth_reading(index).depth)
             except InputError as error:
@@ -170,12 +170,12 @@ def _doubts(
         yield f"the mesh spans {max(mesh.extents):.3g} m; is it in metres?"
     if mesh is None or coverage is None:
         return
-    if coverage.hit < ELSEWHERE:
-        yield f"the mesh is met by {100 * coverage.hit:.0f} % of what has depth; same axes and units?"
+    if coverage.hit < LEAST_OVERLAP:
+        yield f"the mesh is met by {100 * coverage.hit:.0f} % of the depth readings; same axes and units?"
     elif coverage.distance > SLACK[0] + 2 * SLACK[1]:
         yield f"mesh and depth lie {coverage.distance:.3g} m apart (median); are both in the same axes and units?"
-    elif coverage.covered < LITTLE:
-        yield f"the mesh has only {100 * coverage.covered:.0f} % of what has depth"
+    elif coverage.covered < LOW_COVERAGE:
+        yield f"the mesh has only {100 * coverage.covered:.0f} % of the depth readings"
 
 
 def relight_command(path: Path | None, capture: Capture, *, scale: float | None = None) -> str:
@@ -196,7 +196,7 @@ def relight_command(path: Path | None, capture: Capture, *, scale: float | None 
 def points_from_above(
     inspection: Inspection, most: int = 20_000
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "m 2"]]:
-    """Points of the surface and camera positions, from above: metres along two horizontal axes."""
+    """Plan of surface points and camera positions: metres along two horizontal axes."""
     capture = inspection.capture
     x, y = horizontal_axes(capture.up)
     points = np.zeros((0, 3))
@@ -206,7 +206,7 @@ def points_from_above(
         points = np.concatenate(
             [
                 camera.unproject(depth)[(depth > NEAR) & (depth < plan.far)]
-                for depth, camera, _ in Readings(capture, spread(plan.indices, LOOKED_AT), settings.confidence)
+                for depth, camera, _ in Readings(capture, spread(plan.indices, SAMPLE_COUNT), settings.confidence)
             ]
         )
     elif inspection.mesh is not None:
@@ -218,7 +218,7 @@ def points_from_above(
 
 
 def horizontal_axes(up: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Two unit vectors across `up` and each other, right-handed with it."""
+    """Horizontal axes: two unit vectors across `up` and each other, right-handed with it."""
     first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
     first /= np.linalg.norm(first)
     return first, np.cross(up, first)

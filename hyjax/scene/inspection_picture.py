@@ -9,7 +9,8 @@ from hyjax.scene.inspection import Inspection, points_from_above
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
 
-SHOWN = 4
+SHOWN_FRAMES = 4
+"""Number of frames in the picture."""
 
 
 def write_inspection(path: Path, inspection: Inspection) -> None:
@@ -22,15 +23,15 @@ def write_inspection(path: Path, inspection: Inspection) -> None:
 
     capture = inspection.capture
     frames = []
-    for index in spread(range(len(capture)), SHOWN):
+    for index in spread(range(len(capture)), SHOWN_FRAMES):
         try:
             frames.append(capture[index])
         except InputError:
             continue
-    figure = Figure(figsize=(4 * SHOWN, 9), layout="constrained")
+    figure = Figure(figsize=(4 * SHOWN_FRAMES, 9), layout="constrained")
     with_depth = any(frame.depth is not None for frame in frames)
     farthest = 0.0 if inspection.quantiles is None else inspection.quantiles[2]
-    grid = figure.add_gridspec(3 if with_depth else 2, SHOWN)
+    grid = figure.add_gridspec(3 if with_depth else 2, SHOWN_FRAMES)
     for column, frame in enumerate(frames):
         axes = figure.add_subplot(grid[0, column])
         axes.imshow(frame.image)

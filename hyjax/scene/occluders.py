@@ -1,4 +1,4 @@
-"""Occluders: the mesh that throws a scan's shadows, with more in it than the mesh that is lit.
+"""Occluders: the mesh that casts a scan's shadows, with more detail than the lit mesh.
 
 Legs of chairs and rims of tables are lost in a headset's coarse triangles, and holes let light through that the
 room keeps out. Shadows may be thrown by anything that is known: here also by a finer fusion of the same depth maps,
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     import trimesh
 
 VERSION = 1
-"""Of how a mesh is completed. Add one whenever it comes out differently."""
+"""Version of the completion. Add one when its meshes change."""
 GAP = 0.5
-"""Metres: the longest edge that closes a hole."""
+"""Longest edge that closes a hole, in metres."""
 VOXEL = 0.03
-"""Metres, of the finer fusion."""
+"""Voxel of the finer fusion, in metres."""
 SLACK = 0.03
-"""Metres that a scan's surface may be wrong by, see `hyjax.light.shadow_map.ShadowMap`."""
+"""Largest error of a scan's surface in metres, see `hyjax.light.shadow_map.ShadowMap`."""
 _log = logging.getLogger(__name__)
 
 
@@ -48,18 +48,21 @@ def complete(mesh: "trimesh.Trimesh", detail: "trimesh.Trimesh | MeshArrays | No
 
 
 def completed(mesh: MeshArrays, detail: MeshArrays | None = None) -> MeshArrays:
-    """`complete`, kept in the cache folder under what goes into it."""
+    """Occluders by `complete`, kept in the cache folder under a key of its arguments."""
 
     def make() -> Arrays:
-        whole = complete(mesh.mesh, detail)
-        return {"vertices": np.asarray(whole.vertices), "faces": np.asarray(whole.faces, np.int32)}
+        completed_mesh = complete(mesh.mesh, detail)
+        return {
+            "vertices": np.asarray(completed_mesh.vertices),
+            "faces": np.asarray(completed_mesh.faces, np.int32),
+        }
 
     key = digest([str(VERSION), str(GAP), mesh.key, "" if detail is None else detail.key])
     return cached_arrays(cache_folder() / f"occluders-{key}.npz", MeshArrays.stored, make)
 
 
 def fine_detail(capture: Capture, source: str | None, seed: int = 0, progress: bool = True) -> MeshArrays | None:
-    """Finer surface of a captured place from the depth maps that its mesh was made of; None where there is none.
+    """Finer surface of a place from its mesh's depth maps; None where there are none.
 
     Args:
         capture: of the place.

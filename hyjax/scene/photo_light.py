@@ -26,20 +26,21 @@ from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.files import digest
+from hyjax.util.programs import run_kept
 
-FRAMES = 24
-"""Frames, spread over the capture, that the photo's light is estimated from."""
-WIDTH = 800
-"""Pixels of their longer side, at most."""
+FRAME_COUNT = 24
+"""Number of frames, spread over the capture, for the estimate of the photo's light."""
+FRAME_WIDTH = 800
+"""Largest longer side of these frames, in pixels."""
 PANE_FRAMES, PANE_WIDTH = 12, 320
-"""Frames that panes are looked at in, and pixels of their longer side."""
-VERSION = 10
-"""Of sources and estimate. Add one whenever either comes out differently."""
+"""Number of frames for the means of panes, and their longer side in pixels."""
+VERSION = 12
+"""Version of sources and estimate. Add one when either changes."""
 _log = logging.getLogger(__name__)
 
 
 class ScenePhotoLight:
-    """Light that the frames of a scene were taken under. Nothing is computed before it is asked for.
+    """Photo's own light of a scene's frames, computed on demand.
 
     Args:
         capture: frames with poses.
@@ -96,7 +97,7 @@ class ScenePhotoLight:
         return found
 
     def surface_light(self, setup: LightSetup, shadow_maps: Sequence[ShadowMap | None] | None) -> SurfaceLight:
-        """Photo's light and the bounces of new lights on the vertices; those of the last set-up are kept.
+        """Photo's light and the bounces of new lights on the vertices, with a cache of the last set-up.
 
         Args:
             setup: new lights.
@@ -106,7 +107,7 @@ class ScenePhotoLight:
         if last is not None and last[1] is shadow_maps and same_setup(last[0], setup):
             return last[2]
         photo, kept = self.estimate.light, self.kept(setup.existing)
-        bounced = bounced_light(photo, setup.lights, shadow_maps)
+        bounced = run_kept(bounced_light, photo, setup.lights, shadow_maps)
         if kept.any():
             left = setup.reference_lux * kept
             bounced += jnp.einsum("sc,svc->vc", jnp.asarray(left, jnp.float32), photo.sources)
@@ -115,8 +116,17 @@ class ScenePhotoLight:
         self._last = setup, shadow_maps, light
         return light
 
+    def summary(self) -> str:
+        """Line on what lit the photos, how far it is believed, and what to do where that is wrong."""
+        sources, estimate = self.sources, self.estimate
+        names = [window.name for window in sources.windows] + [lamp.name for lamp in sources.lamps]
+        origin = {"file": "named", "capture": "known of the capture", "found": "found in the pictures", "none": ""}
+        lit = f"{', '.join(names)} ({origin[sources.origin]})" if names else "no window and no lamp was found"
+        shares = f"brightness is believed by {estimate.exponent:.0%}, hue by {estimate.hue_exponent:.0%}"
+        return f"light of the photos: {lit}; its {shares}; name what else was lit with --photo-sources"
+
     def record(self) -> dict[str, Any]:
-        """What a run's record says of the photo's light."""
+        """Entries of the photo's light in a run's record."""
         return {
             "sources": list(self.estimate.names),
             "origin": self.sources.origin,
@@ -126,13 +136,13 @@ class ScenePhotoLight:
         }
 
     def unknown(self, existing: Mapping[str, Any]) -> str | None:
-        """Which names are no source of these photos, in words; None if all are."""
+        """Message about names that are no source of these photos; None if all are."""
         names = self.estimate.names
         wrong = [f"{name!r}{did_you_mean(name, names)}" for name in existing if name not in names]
         return f"the photos have no source {', '.join(wrong)}; there are {', '.join(names)}" if wrong else None
 
     def kept(self, existing: Mapping[str, Sequence[float]]) -> Float[np.ndarray, "s 3"]:
-        """What is left of each source of the photo.
+        """Remaining factor of each source of the photo.
 
         Raises:
             InputError: there is no source of a name.
@@ -142,7 +152,7 @@ class ScenePhotoLight:
         return np.array([existing.get(name, (0.0, 0.0, 0.0)) for name in self.estimate.names])
 
     def emitters(self, setup: LightSetup) -> Emitters | None:
-        """Panes and lamps with what they send under new lights; None if there are none."""
+        """Panes and lamps with their radiance under new lights; None if there are none."""
         windows, lamps = self.sources.windows, self.sources.lamps
         if not windows and not lamps:
             return None
@@ -155,7 +165,7 @@ class ScenePhotoLight:
 
     @functools.cached_property
     def _key(self) -> str:
-        """Key of all that decides on the sources and the light. No frame is read for it."""
+        """Key of all inputs of the sources and the light, made without reading a frame."""
         capture = self._capture
         anchors = sorted(
             (name, sorted((key, np.asarray(value).tolist()) for key, value in place.items()))
@@ -180,7 +190,7 @@ class ScenePhotoLight:
         )
 
     def _pane_means(self) -> Float[np.ndarray, "n 3"]:
-        """Mean of what the frames show of each pane, linear."""
+        """Mean radiance of each pane in the frames, linear."""
         windows = self.sources.windows
         panes = jnp.asarray(np.array([(w.center, w.right, w.up) for w in windows]).reshape(-1, 3, 3), jnp.float32)
         total, weight = np.zeros((len(windows), 3)), np.full(len(windows), 1e-6)
@@ -190,9 +200,9 @@ class ScenePhotoLight:
             pose, intrinsics = (jnp.asarray(matrix, jnp.float32) for matrix in matrices)
             linear = to_linear(jnp.asarray(small.image))
             shares = pane_shares(panes, linear, self._caster.gbuffer(small.camera), pose, intrinsics)
-            for number, each in enumerate(shares):
-                total[number] += np.einsum("hw,hwc->c", each, linear)
-                weight[number] += float(each.sum())
+            for number, share in enumerate(shares):
+                total[number] += np.einsum("hw,hwc->c", share, linear)
+                weight[number] += float(share.sum())
         seen = weight > 1.0
         return np.where(seen[:, None], total / weight[:, None], 1.0).astype(np.float32)
 
@@ -200,16 +210,16 @@ class ScenePhotoLight:
     def _frames(self) -> list[Frame]:
         """Frames spread over the capture, no larger than needed."""
         frames = []
-        for index in spread(range(len(self._capture)), FRAMES):
+        for index in spread(range(len(self._capture)), FRAME_COUNT):
             try:
-                frames.append(shrink(self._frame(index), WIDTH))
+                frames.append(shrink(self._frame(index), FRAME_WIDTH))
             except InputError as error:  # told in full when it is its turn to be relit
                 _log.info("the photo's light is estimated without frame %d: %s", index, error)
         return frames or [self._frame(0)]
 
 
 def _content(file: Path | None) -> str:
-    """Hash of a file's content; its name where it cannot be read, which is told when it is."""
+    """Hash of a file's content, or its name where it cannot be read, an error that comes with the reading."""
     try:
         return hashlib.sha256(file.read_bytes()).hexdigest() if file is not None else ""
     except OSError:

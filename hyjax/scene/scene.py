@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
 
+from hyjax.configuration import Configuration, LightOptions
+from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit
 from hyjax.data.light_file import is_light_file, read_lights
@@ -19,13 +20,17 @@ from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight
+from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup, same_lights
 from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
-from hyjax.scene.light_setups import LightAnchors, check_setup_name, named_setup, survey_capture
+from hyjax.scene.light_places import LightAnchors, survey_capture
+from hyjax.scene.light_setups import check_setup_name, named_setup
 from hyjax.scene.occluders import SLACK, completed, fine_detail
 from hyjax.scene.photo_light import ScenePhotoLight
+from hyjax.scene.place import view_of
+from hyjax.scene.relighter import Relighter
 from hyjax.scene.settings import Occluders, SceneSettings, parse_size
 from hyjax.scene.surfaces import surface_arrays, will_fuse
 from hyjax.util.cache import cache_folder
@@ -45,9 +50,7 @@ class Scene:
 
     Example:
         scene = Scene.open(SceneSettings(capture=Path("my_scan"), size="640x480"))
-        view = scene.view(0)
-        shaded = scene.shade(view, "evening-lamps")
-        relit = hyjax.relight(view, shaded, view.display, hyjax.Schedule.preset("hyjax"))
+        relit = scene.relit(0, "evening-lamps", "fast")
         hyjax.write_png(Path("relit.png"), hyjax.to_display(relit.image))
 
     Args:
@@ -151,12 +154,24 @@ class Scene:
         """The surface."""
         return self.caster.mesh
 
-    def frame(self, index: int) -> Frame:
-        """Frame of the capture, at the size that is worked at.
+    @property
+    def revision(self) -> int:
+        """Number of the surface, which stays."""
+        return 0
+
+    @property
+    def knows_photo_light(self) -> bool:
+        """Whether the light that the frames were taken under can be divided out."""
+        return True
+
+    def frame(self, index: int | Frame) -> Frame:
+        """Frame of the capture, at the size that is worked at; any other as it is.
 
         Raises:
             InputError: there is none at this position, or it cannot be read.
         """
+        if isinstance(index, Frame):
+            return index
         if not -len(self) <= index < len(self):
             raise InputError(f"frame {index}: the capture has frames 0 to {len(self) - 1}")
         return fit(self.capture[index], self.size)
@@ -165,7 +180,7 @@ class Scene:
         """Surface points seen by a camera; by single rays, if so, which is sooner for a picture or two."""
         return self.caster.gbuffer_by_rays(camera) if rays else self.caster.gbuffer(camera)
 
-    def view(self, index: int) -> View:
+    def view(self, index: int | Frame) -> View:
         """View of a frame: its picture, and the surface in it.
 
         Raises:
@@ -263,13 +278,28 @@ class Scene:
         Raises:
             InputError: no such set-up, or it keeps sources of a photo whose light is kept whole.
         """
-        setup = self.lights(lights, at_photo_sources=not keep_photo_light)
-        setup.check_existing(divided=not keep_photo_light)
-        light = None
-        if not keep_photo_light:
-            light = self.surface_light(setup, shadows=shadows, occluders=occluders)
-        maps = self.shadow_maps(setup, occluders=occluders) if shadows else None
-        return view.shade(setup, shadow_maps=maps, surface_light=light, sampling=sampling)
+        options = LightOptions(photo_light="kept" if keep_photo_light else "divided")
+        own = Configuration(light=options)
+        relighter = Relighter(self, lights, own, shadows=shadows, occluders=occluders)
+        return relighter.shade(view, sampling=sampling)
+
+    def relit(
+        self,
+        frame: int | Frame,
+        lights: LightSetup | Sequence[Light] | str | Path,
+        configuration: Configuration | Schedule | str | Path | None = None,
+    ) -> Relit:
+        """Relit frame; for many of them keep a `Relighter`.
+
+        Args:
+            frame: its position, or any frame with a camera.
+            lights: lights, a set-up, or its name or file, see `lights`.
+            configuration: a configuration, its name or file, or a schedule for the default one; None for that one.
+
+        Raises:
+            InputError: any of these cannot be used.
+        """
+        return Relighter(self, lights, configuration).relit(frame, rays=True)  # a single picture
 
     @functools.cached_property
     def photo_light(self) -> ScenePhotoLight:
@@ -305,14 +335,3 @@ class Scene:
         setup = LightSetup.of(lights)
         maps = self.shadow_maps(setup, occluders=occluders) if shadows else None
         return self.photo_light.surface_light(setup, maps)
-
-
-def view_of(frame: Frame, gbuffer: GBuffer) -> View:
-    """View of a frame whose G-buffer was cast before."""
-    return camera_view(jax.device_put(frame.image), gbuffer, frame.camera)
-
-
-def camera_view(display: Float[Array, "h w 3"], gbuffer: GBuffer, camera: Camera) -> View:
-    """View of a display-encoded picture of a camera."""
-    pose, intrinsics = (np.asarray(matrix, np.float32) for matrix in (camera.pose, camera.intrinsics.matrix))
-    return View.of(display, gbuffer, pose=pose, intrinsics=intrinsics)

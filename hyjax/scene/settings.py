@@ -1,4 +1,4 @@
-"""Settings of a scene, and their checks. Readers and ray casting are loaded when something is checked or opened."""
+"""Settings of a scene, and their checks. Readers and ray casting are loaded by a check or an opening."""
 
 import dataclasses
 from pathlib import Path
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from hyjax.data.capture import Capture
 
 Occluders = Literal["completed", "surface"]
-"""What throws shadows: all that is known of the place, see `hyjax.scene.occluders`, or the bare surface."""
+"""Meshes that cast shadows: all known of the place, see `hyjax.scene.occluders`, or the bare surface."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SceneSettings(Settings):
-    """A capture, its surface, and the size to work at."""
+    """Settings of a scene: a capture, its surface, and the working size."""
 
     capture: Path | None = None
     """Folder or archive of a capture, in one of the formats that `hyjax info` lists. Default: the built-in room."""
@@ -26,14 +26,14 @@ class SceneSettings(Settings):
     (simulated headset scan), 'fused' (from depth maps), 'true' (built-in room only). Default: scan for the built-in
     room; captured for a capture that has one, unless the fusion of its depth has clearly more; else fused."""
     size: str | None = None
-    """Work at this size: 512 (square) or 640x480 (width x height), of the largest centred part of that shape.
+    """Working size: 512 (square) or 640x480 (width x height), of the largest centred part of that shape.
     Default: as captured."""
     fusion: FusionSettings = dataclasses.field(default_factory=FusionSettings)
     seed: int = 0
-    """Of a simulated scan."""
+    """Seed of a simulated scan."""
     photo_sources: Path | None = None
-    """YAML or JSON file of the windows and lamps that lit the frames. Default: those that the capture knows, else
-    those that are found."""
+    """YAML or JSON file of the windows and lamps that lit the frames. Default: the capture's own, else found
+    ones."""
     repair_mesh: bool = False
     """Drop unusable triangles of a mesh file instead of refusing it."""
     scale: float | None = None
@@ -42,13 +42,13 @@ class SceneSettings(Settings):
     """Stop at the first damaged picture, pose or mesh of a capture instead of leaving it out with a line."""
 
     def options(self) -> dict[str, Any]:
-        """Options by name, those of the fusion among them."""
+        """Options by name, with those of the fusion."""
         options = dataclasses.asdict(self)
         fusion = options.pop("fusion")
         return options | fusion
 
     def open_capture(self, *, progress: bool = False) -> "Capture":
-        """Capture that they name; see `hyjax.data.registry.open_capture`.
+        """Open the capture of these settings; see `hyjax.data.registry.open_capture`.
 
         Raises:
             InputError: it cannot be used.
@@ -58,7 +58,7 @@ class SceneSettings(Settings):
         return open_capture(self.capture, progress, scale=self.scale, strict=self.strict)
 
     def check(self) -> "SceneSettings":
-        """These settings, if a scene can be opened with them as far as that can be known in advance.
+        """Return these settings if they are valid, as far as that is known before a scene is opened.
 
         Raises:
             InputError: a size, a setting of the fusion or the seed is out of range, or there is no such mesh.
@@ -72,7 +72,7 @@ class SceneSettings(Settings):
 
 
 def check_lights_name(lights: str) -> None:
-    """Raise `InputError` unless this is a named set-up or a lights file that can be read."""
+    """Raise `InputError` unless this is a named set-up or a readable lights file."""
     import numpy as np
 
     from hyjax.data.light_file import is_light_file, read_lights

@@ -1,4 +1,4 @@
-"""The mesh that a capture is relit with: a file, the device's own, a fusion, a simulated scan or the true one."""
+"""Surface of a capture: a file, the device's own mesh, a fusion, a simulated scan or the true one."""
 
 import hashlib
 import logging
@@ -19,42 +19,42 @@ if TYPE_CHECKING:
     from hyjax.geometry.coverage import Coverage
 
 VERSION = 3
-"""Of how surfaces are made. Add one whenever a fusion or a scan comes out differently."""
-ENOUGH = 0.9
-"""Coverage of a device's mesh with which no fusion is tried."""
-CLEARLY = 0.03
-"""Coverage by which a fusion must be better than the device's mesh."""
-BY_SENSOR = FusionSettings()
+"""Version of the surfaces. Add one when a fusion or a scan changes."""
+ENOUGH_COVERAGE = 0.9
+"""Coverage of a device's mesh from which no fusion is tried."""
+LEAST_GAIN = 0.03
+"""Least gain of coverage of a fusion over the device's mesh."""
+SENSOR_DEFAULTS = FusionSettings()
 _log = logging.getLogger(__name__)
-WORDS = ("captured", "scan", "fused", "true")
+MESH_NAMES = ("captured", "scan", "fused", "true")
 
 
 def surface_of(
     capture: Capture,
     mesh: str | None = None,
     *,
-    fusion: FusionSettings = BY_SENSOR,
+    fusion: FusionSettings = SENSOR_DEFAULTS,
     seed: int = 0,
     repair: bool = False,
     progress: bool = True,
 ) -> "tuple[str, trimesh.Trimesh]":
-    """The mesh to relight a capture with. Meshes made here are kept in the cache folder.
+    """Mesh to relight a capture with. Meshes made here are kept in the cache folder.
 
-    Lines tell how much of what was measured it has, where that is little, and where it lies elsewhere.
+    Warnings follow if it covers little of the measured depth, or lies elsewhere.
 
     Args:
         capture: of the place.
-        mesh: a file, or `"captured"` (that came with the capture), `"fused"` (from the depth maps), `"scan"` (what
-            a headset would have made of it, rough and with holes, drawn from `seed`), `"true"` (the built-in room's
+        mesh: a file, or `"captured"` (that came with the capture), `"fused"` (from the depth maps), `"scan"` (a
+            simulated headset scan, rough and with holes, drawn from `seed`), `"true"` (the built-in room's
             own). By default the built-in room gets its scan, and any other capture its own mesh, or else its
-            fusion; its fusion, too, where that has clearly more of what was measured.
-        fusion: how depth maps are fused.
+            fusion; its fusion, too, where that has clearly more of the measured depth.
+        fusion: settings of the fusion of depth maps.
         seed: of a simulated scan.
         repair: drop unusable triangles of a mesh file instead of refusing it.
         progress: show bars on stderr.
 
     Returns:
-        What was taken, in a few words, and the mesh.
+        Name of the chosen mesh, in a few words, and the mesh.
 
     Raises:
         InputError: the file cannot be used, the capture has no depth to make a mesh of, or there is no captured or
@@ -68,12 +68,12 @@ def surface_arrays(
     capture: Capture,
     mesh: str | None = None,
     *,
-    fusion: FusionSettings = BY_SENSOR,
+    fusion: FusionSettings = SENSOR_DEFAULTS,
     seed: int = 0,
     repair: bool = False,
     progress: bool = True,
 ) -> tuple[str, MeshArrays]:
-    """`surface_of` as arrays, so that one that was made before is there at once."""
+    """Surface as arrays, so that one from the cache is there at once."""
     check_surface(fusion, seed)
     if mesh is None and capture.has_reference:
         mesh = "scan"
@@ -88,7 +88,7 @@ def surface_arrays(
         return _judged(capture, *_captured(capture))
     if mesh in (None, "fused"):
         return _judged(capture, *_fused(capture, fusion, progress))
-    if mesh not in WORDS:
+    if mesh not in MESH_NAMES:
         check_mesh_name(mesh)
         from hyjax.geometry.mesh import load_mesh
 
@@ -117,12 +117,12 @@ def will_fuse(capture: Capture, mesh: str | None, fusion: FusionSettings) -> boo
     if mesh is not None or not capture.has_mesh:
         return mesh in (None, "fused")
     try:
-        return _coverage(capture, _captured(capture)[1], fusion).covered < ENOUGH
+        return _coverage(capture, _captured(capture)[1], fusion).covered < ENOUGH_COVERAGE
     except InputError:
         return True
 
 
-def _coverage(capture: Capture, mesh: MeshArrays, fusion: FusionSettings = BY_SENSOR) -> "Coverage":
+def _coverage(capture: Capture, mesh: MeshArrays, fusion: FusionSettings = SENSOR_DEFAULTS) -> "Coverage":
     from hyjax.scene.fusion import coverage_of  # slow to load
 
     return coverage_of(capture, mesh, fusion.confidence)
@@ -148,38 +148,38 @@ def _fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[st
 
 
 def _captured_or_fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[str, MeshArrays]:
-    """The mesh that the device made; the fusion of its depth where that has clearly more of what was measured."""
+    """Mesh of the device, or the fusion of its depth where that has clearly more of the measured depth."""
     from hyjax.scene.fusion import tell_coverage
 
     if not capture.depth_count:
         return _captured(capture)
     try:
-        own = _captured(capture)
+        chosen = _captured(capture)
     except InputError as error:
         if capture.strict:
             raise InputError(f"{error} (--strict)") from None
         _log.warning("%s; its depth maps are fused instead", error)
         return _judged(capture, *_fused(capture, fusion, progress))
-    of_own = _coverage(capture, own[1], fusion)
-    if of_own.measured and of_own.covered < ENOUGH:
+    coverage = _coverage(capture, chosen[1], fusion)
+    if coverage.measured and coverage.covered < ENOUGH_COVERAGE:
         try:
             fused = _fused(capture, fusion, progress)
         except InputError as error:
-            _log.warning("%s; taking the %s", error, own[0])
-            return own
-        of_fused = _coverage(capture, fused[1], fusion)
-        if of_fused.covered > of_own.covered + CLEARLY:
+            _log.warning("%s; taking the %s", error, chosen[0])
+            return chosen
+        fused_coverage = _coverage(capture, fused[1], fusion)
+        if fused_coverage.covered > coverage.covered + LEAST_GAIN:
             _log.warning(
-                "%s: the %s has %.0f %% of what has depth, the fusion of its depth %.0f %%: that is taken "
+                "%s: the %s has %.0f %% of the depth readings, the fusion of its depth %.0f %%: that is taken "
                 "(--mesh captured for the other)",
                 capture.name,
-                own[0],
-                100 * of_own.covered,
-                100 * of_fused.covered,
+                chosen[0],
+                100 * coverage.covered,
+                100 * fused_coverage.covered,
             )
-            own, of_own = fused, of_fused
-    tell_coverage(capture, own[0], of_own)
-    return own
+            chosen, coverage = fused, fused_coverage
+    tell_coverage(capture, chosen[0], coverage)
+    return chosen
 
 
 def _judged(capture: Capture, description: str, mesh: MeshArrays) -> tuple[str, MeshArrays]:
@@ -191,7 +191,7 @@ def _judged(capture: Capture, description: str, mesh: MeshArrays) -> tuple[str, 
 
 
 def kept(description: str, capture: Capture, make: "Callable[[], trimesh.Trimesh]") -> MeshArrays:
-    """A mesh from the cache folder, or made and kept there, under its description and the capture."""
+    """Mesh from the cache folder, or made and kept there, under its description and the capture."""
     key = hashlib.sha256(f"{VERSION} {description} {capture.fingerprint}".encode()).hexdigest()[:16]
     file = cache_folder() / f"surface-{key}.npz"
     return cached_arrays(file, MeshArrays.stored, lambda: MeshArrays.of(make()).to_store())
@@ -204,19 +204,20 @@ def _check_metres(mesh: "trimesh.Trimesh", where: str) -> MeshArrays:
 
 
 def check_surface(fusion: FusionSettings, seed: int) -> None:
-    """Raise `InputError` unless a mesh can be made with these settings and this seed."""
+    """Raise `InputError` for invalid settings of a surface or a negative seed."""
     fusion.check()
     if seed < 0:
         raise InputError(f"seed: must be >= 0, got {seed}")
 
 
 def rough_mesh(capture: Capture) -> str:
-    """Name of the mesh that a headset would relight a capture with: its own, or else a simulated scan."""
+    """Name of a headset's mesh of a capture: its own, or else a simulated scan."""
     return "captured" if capture.has_mesh else "scan"
 
 
 def check_mesh_name(mesh: str | None) -> None:
-    """Raise `InputError` unless `mesh` is one of `WORDS` or an existing file."""
-    if mesh is not None and mesh not in WORDS and not Path(mesh).is_file():
-        hint = did_you_mean(mesh, WORDS)
-        raise InputError(f"{mesh}: no such file{hint}; give a PLY, OBJ or GLB file, or one of {', '.join(WORDS)}")
+    """Raise `InputError` unless `mesh` is one of `MESH_NAMES` or an existing file."""
+    if mesh is not None and mesh not in MESH_NAMES and not Path(mesh).is_file():
+        hint = did_you_mean(mesh, MESH_NAMES)
+        names = ", ".join(MESH_NAMES)
+        raise InputError(f"{mesh}: no such file{hint}; give a PLY, OBJ or GLB file, or one of {names}")

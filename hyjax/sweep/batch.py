@@ -1,4 +1,4 @@
-"""Batches: what a worker does, task after task, each row written before the next task begins."""
+"""Batches of tasks for a worker, which writes each row before the next task begins."""
 
 import dataclasses
 import functools
@@ -23,8 +23,8 @@ _opened: dict[tuple[Path, str], tuple[RowWriter, RowStore]] = {}
 
 
 @dataclasses.dataclass(frozen=True)
-class Batch:
-    """Tasks that one worker does.
+class TaskBatch:
+    """Batch of tasks for one worker.
 
     Attributes:
         function: `module:name`, see `name_of`.
@@ -41,14 +41,14 @@ class Batch:
 
 @dataclasses.dataclass
 class Outcome:
-    """What came of a batch.
+    """Outcome of a batch.
 
     Attributes:
-        rows: of tasks that are done.
+        rows: of finished tasks.
         failed: exceptions of tasks, by their key.
         seconds: of the tasks that were computed.
-        computed: how many.
-        stopped: why the rest was not begun, if something speaks against all tasks.
+        computed: number of these tasks.
+        stopped: reason for not beginning the rest, if it concerns all tasks.
     """
 
     rows: list[Row] = dataclasses.field(default_factory=list)
@@ -59,7 +59,7 @@ class Outcome:
 
 
 def name_of(function: Function) -> str:
-    """`module:name` of a function of a module, also of one that runs as `__main__`.
+    """Name `module:name` of a module's function, also where the module runs as `__main__`.
 
     Raises:
         InputError: it cannot be imported by a worker.
@@ -75,8 +75,8 @@ def name_of(function: Function) -> str:
     return f"{module}:{function.__qualname__}"
 
 
-def run_batch(batch: Batch) -> Outcome:
-    """Do the tasks of a batch that have no result yet."""
+def run_batch(batch: TaskBatch) -> Outcome:
+    """Run the tasks of a batch without a result."""
     outcome = Outcome()
     folder = Path(batch.folder)
     try:
@@ -98,7 +98,7 @@ def run_batch(batch: Batch) -> Outcome:
 
 
 def _do(task: Task, function: str, writer: RowWriter, outcome: Outcome) -> None:
-    """Compute a task and write its row; what speaks against this task alone goes into the outcome.
+    """Compute a task and write its row; an error of this task alone goes into the outcome.
 
     Raises:
         InputError: the row cannot be written.
@@ -122,7 +122,7 @@ def _do(task: Task, function: str, writer: RowWriter, outcome: Outcome) -> None:
 
 
 def row_of(task: Task, kind: str, values: dict[str, Any], seconds: float) -> Row:
-    """Row of a task: its content, what came of it, and where."""
+    """Row of a task: its content, result and place."""
     return (
         {"key": task.key, "kind": kind}
         | task.payload
@@ -138,18 +138,18 @@ def row_of(task: Task, kind: str, values: dict[str, Any], seconds: float) -> Row
 
 
 def error_values(task: Task, name: str, message: str) -> dict[str, Any]:
-    """What the row of a task has in the place of its result."""
+    """Values of a task's row in place of a result."""
     return {"task": task.kind, "type": name, "error": " ".join(message.split())}
 
 
 def _where(error: Exception) -> str:
-    """An exception's message, and the line it comes from."""
+    """Message and line of an exception."""
     place = traceback.extract_tb(error.__traceback__)[-1]
     return f"{error} ({Path(place.filename).name}:{place.lineno})"
 
 
 def _open(folder: Path, driver: str) -> tuple[RowWriter, RowStore]:
-    """This process's own file of rows for a driver, and what the others have written."""
+    """This process's file of rows for a driver, and the store of all rows."""
     if (folder, driver) not in _opened:
         close_rows()
         _opened[folder, driver] = RowWriter(folder), RowStore(folder)
@@ -176,7 +176,7 @@ _commit = functools.cache(commit)
 
 
 def _device() -> str:
-    """Device as JAX calls it; the processor, where the task did without JAX."""
+    """JAX's name of the device; the processor's where a task did without JAX."""
     if "jax" not in sys.modules:
         return f"cpu: {platform.machine()}"
     import jax

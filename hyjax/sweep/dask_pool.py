@@ -1,4 +1,4 @@
-"""Workers by Dask distributed: processes of this machine, or those of a scheduler elsewhere.
+"""Pool of workers by Dask distributed: processes of this machine, or of a scheduler elsewhere.
 
 Those elsewhere are started by any of Dask's deployers, in an environment with hyjax and a folder that all see:
 
@@ -16,9 +16,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hyjax.sweep.batch import Batch, Outcome, run_batch
+from hyjax.sweep.batch import Outcome, TaskBatch, run_batch
 from hyjax.sweep.dispatch import Tell
-from hyjax.util.environment import cores
+from hyjax.util.cores import cores
 from hyjax.util.errors import InputError
 
 try:
@@ -29,36 +29,36 @@ try:
 except ImportError:
     raise InputError("workers: Dask is not installed; pip install '.[tune]', or give --workers 0") from None
 
-DEVICE = {"device": 1}
-"""A worker that offers it may have the device for itself."""
-SETUP = "hyjax.sweep.worker_setup"
-SETTLING = 0.1
-"""Seconds in which all batches of a lost worker are told."""
-POLL = 2.0
-"""Seconds after which lost workers of a scheduler are looked for."""
-CONNECT = 10.0
-"""Seconds in which a scheduler answers."""
-START = 60.0
-"""Seconds that workers may take to start."""
-QUIET = ("distributed", "distributed.client", "distributed.gc", "tornado", "tornado.application")
+DEVICE_RESOURCE = {"device": 1}
+"""Dask resource of a worker that may have the device for itself."""
+SETUP_MODULE = "hyjax.sweep.worker_setup"
+SETTLING_SECONDS = 0.1
+"""Delay, in seconds, in which all batches of a lost worker are reported."""
+POLL_SECONDS = 2.0
+"""Interval, in seconds, of the search for lost workers of a scheduler."""
+CONNECT_SECONDS = 10.0
+"""Timeout, in seconds, of a connection to a scheduler."""
+START_SECONDS = 60.0
+"""Timeout, in seconds, of the start of workers."""
+QUIET_LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado", "tornado.application")
 CONFIG = {
-    "logging": dict.fromkeys(QUIET, "critical"),
+    "logging": dict.fromkeys(QUIET_LOGGERS, "critical"),
     "distributed.scheduler.allowed-failures": 0,
     "distributed.nanny.pre-spawn-environ": {},
     "distributed.admin.system-monitor.log-length": 60,
     "distributed.worker.profile.enabled": False,
     "distributed.admin.low-level-log-length": 8,
 }
-"""Of workers on this machine: silent, every death is told to us, threads as in any process of ours, and no
-memory of messages, which hold all tasks."""
+"""Dask's configuration of workers on this machine: silent, every death is reported, threads as in any process of
+ours, and no memory of messages, which hold all tasks."""
 
 
 class DaskPool:
-    """Workers of a Dask scheduler; see `hyjax.sweep.engine.Pool`.
+    """Pool of a Dask scheduler's workers; see `hyjax.sweep.engine.Pool`.
 
     Args:
         client: of the scheduler.
-        stack: what is closed at the end.
+        stack: resources to close at the end.
         tell: prints a line for the user.
         address: of a scheduler that is not our own.
     """
@@ -66,12 +66,12 @@ class DaskPool:
     def __init__(self, client: Any, stack: contextlib.ExitStack, tell: Tell, address: str | None) -> None:
         self._client, self._stack, self._tell, self._address = client, stack, tell, address
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._batches: dict[Any, Batch] = {}
+        self._batches: dict[Any, TaskBatch] = {}
         self._threads: dict[str, int] = client.nthreads()
 
     @classmethod
     def open(cls, workers: int | None, scheduler: str | None, folder: Path, tell: Tell) -> "DaskPool":
-        """Workers on this machine or of a scheduler; see `Engine.open`.
+        """Open workers on this machine or of a scheduler; see `Engine.open`.
 
         Raises:
             InputError: they cannot be reached, or do not see the folder.
@@ -80,13 +80,13 @@ class DaskPool:
             stack.enter_context(dask.config.set(CONFIG if scheduler is None else {"logging": CONFIG["logging"]}))
             from distributed import Client
 
-            for name in QUIET:
+            for name in QUIET_LOGGERS:
                 logging.getLogger(name).setLevel(logging.CRITICAL)
             count = 1 if scheduler else workers or cores()
             try:
                 address = scheduler or stack.enter_context(_local_cluster(count))
-                client = stack.enter_context(Client(address, timeout=CONNECT))
-                client.wait_for_workers(count, timeout=START)
+                client = stack.enter_context(Client(address, timeout=CONNECT_SECONDS))
+                client.wait_for_workers(count, timeout=START_SECONDS)
             except (OSError, TimeoutError, ValueError, RuntimeError) as error:
                 what = f"scheduler {scheduler}" if scheduler else "workers"
                 raise InputError(f"{what}: cannot be reached ({str(error).splitlines()[0]})") from None
@@ -107,21 +107,21 @@ class DaskPool:
             raise InputError("time: no worker has the device; start one with: dask worker --resources device=1")
         return 1
 
-    def submit(self, batch: Batch, timing: bool) -> None:
-        resources = DEVICE if timing else None
+    def submit(self, batch: TaskBatch, timing: bool) -> None:
+        resources = DEVICE_RESOURCE if timing else None
         future = self._client.submit(run_batch, batch, pure=False, resources=resources)
         self._batches[future] = batch
         future.add_done_callback(self._ended.put)
 
-    def collect(self) -> list[tuple[Batch, Outcome | None]]:
+    def collect(self) -> list[tuple[TaskBatch, Outcome | None]]:
         futures = [self._next()]
         if futures[0].status != "finished":
-            time.sleep(SETTLING)
+            time.sleep(SETTLING_SECONDS)
         while not self._ended.empty():
             futures.append(self._ended.get())
         return [self._outcome(future) for future in futures]
 
-    def _outcome(self, future: Any) -> tuple[Batch, Outcome | None]:
+    def _outcome(self, future: Any) -> tuple[TaskBatch, Outcome | None]:
         from distributed import KilledWorker
 
         batch = self._batches.pop(future)
@@ -135,14 +135,14 @@ class DaskPool:
         raise error
 
     def _next(self) -> Any:
-        """A future that has ended."""
+        """Next future that has ended."""
         while True:
             with contextlib.suppress(queue.Empty):
-                return self._ended.get(timeout=POLL)
+                return self._ended.get(timeout=POLL_SECONDS)
             self._look()
 
     def _look(self) -> None:
-        """Tell of workers that a scheduler elsewhere has lost; it runs their tasks again by itself."""
+        """Report workers lost by a scheduler elsewhere, which runs their tasks again by itself."""
         if self._address is None:
             return
         try:
@@ -161,12 +161,12 @@ class DaskPool:
 
 @contextlib.contextmanager
 def _local_cluster(count: int) -> Iterator[Any]:
-    """Workers on this machine, the first of which has the device."""
+    """Cluster of workers on this machine, the first of which has the device."""
     from distributed import Nanny, Scheduler, SpecCluster
 
-    options: dict[str, Any] = {"host": "127.0.0.1", "nthreads": 1, "memory_limit": None, "preload": [SETUP]}
+    options: dict[str, Any] = {"host": "127.0.0.1", "nthreads": 1, "memory_limit": None, "preload": [SETUP_MODULE]}
     options |= {"dashboard": False, "silence_logs": logging.CRITICAL}
-    first = {"cls": Nanny, "options": options | {"resources": DEVICE}}
+    first = {"cls": Nanny, "options": options | {"resources": DEVICE_RESOURCE}}
     specs = {number: {"cls": Nanny, "options": options} for number in range(1, count)}
     scheduler = {
         "cls": Scheduler,

@@ -1,10 +1,10 @@
-"""Tasks on their way: batches of about half a second, what is done again, and what is given up."""
+"""Dispatch of tasks in batches of about half a second, with retries and their limit."""
 
 import itertools
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sized
 
-from hyjax.sweep.batch import Batch, Outcome, error_values, row_of
+from hyjax.sweep.batch import Outcome, TaskBatch, error_values, row_of
 from hyjax.sweep.rows import ERROR, Row, RowStore, RowWriter
 from hyjax.sweep.task import Task
 from hyjax.util.errors import InputError
@@ -12,15 +12,15 @@ from hyjax.util.errors import InputError
 BATCH_SECONDS = 0.5
 LARGEST_BATCH = 500
 RETRIES = 3
-"""So many times is a task tried again that raised or took its worker along."""
+"""Number of retries of a task that raised or took its worker along."""
 
 
 class Dispatch:
-    """Tasks without a result in the store, each given out until there is a row of it.
+    """Dispatch of tasks without a result in the store, each until it has a row.
 
     Args:
         function: see `hyjax.sweep.batch.name_of`.
-        tasks: each key is done once; those with a result already are passed over.
+        tasks: each key is done once; tasks with a result are skipped.
         driver: identity of this run.
         store: rows so far.
         alone: whether every batch is one task.
@@ -47,11 +47,11 @@ class Dispatch:
         self._seen.add(task.key)
         return True
 
-    def next_batch(self, places: int) -> Batch | None:
-        """The next batch, None if there is nothing to give out now.
+    def next_batch(self, places: int) -> TaskBatch | None:
+        """Next batch, None if there is none to give out now.
 
         Args:
-            places: how many batches are under way at a time.
+            places: number of batches under way at a time.
         """
         if self._suspects:  # each alone, so that it takes no other along
             tasks = [self._suspects.popleft()]
@@ -59,7 +59,7 @@ class Dispatch:
             size = self._size(places)
             tasks = [self._back.popleft() for _ in range(min(size, len(self._back)))]
             tasks = tasks or list(itertools.islice(self._tasks, size))
-        return Batch(self._function, str(self._folder), self._driver, tuple(tasks)) if tasks else None
+        return TaskBatch(self._function, str(self._folder), self._driver, tuple(tasks)) if tasks else None
 
     def _size(self, places: int) -> int:
         if self._alone or self._seconds is None:
@@ -69,7 +69,7 @@ class Dispatch:
             size = min(size, max(1, self._left // (2 * places)))
         return size
 
-    def finished(self, batch: Batch, outcome: Outcome) -> Iterator[Row]:
+    def finished(self, batch: TaskBatch, outcome: Outcome) -> Iterator[Row]:
         """Rows of a batch that has come back.
 
         Raises:
@@ -87,14 +87,14 @@ class Dispatch:
         if outcome.stopped is not None:
             raise InputError(outcome.stopped)
 
-    def unfinished(self, batch: Batch) -> tuple[list[Row], list[Task]]:
+    def unfinished(self, batch: TaskBatch) -> tuple[list[Row], list[Task]]:
         """Rows of a batch that a lost worker left, and the tasks without one."""
         store = RowStore(self._folder).refresh()
         rows = [store.get(task.key) or {} for task in batch.tasks if task.key in store]
         return rows, [task for task in batch.tasks if task.key not in store]
 
     def lost(self, tasks: list[Task]) -> Iterator[Row]:
-        """Do tasks again whose worker died; the first of them may have been the reason."""
+        """Retry tasks whose worker died; the first of them may have been the reason."""
         if tasks:
             first, *others = tasks
             self._back.extend(others)
@@ -111,11 +111,11 @@ class Dispatch:
         yield row
 
     def close(self) -> None:
-        """Close what was opened."""
+        """Close the file of rows, if it was opened."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None
 
 
 Tell = Callable[[str], None]
-"""Prints a line for the user."""
+"""Function that prints a line for the user."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
-from hyjax.sweep.batch import Batch, Function, Outcome, close_rows, name_of, run_batch
+from hyjax.sweep.batch import Function, Outcome, TaskBatch, close_rows, name_of, run_batch
 from hyjax.sweep.dispatch import Dispatch, Tell
 from hyjax.sweep.rows import Row, RowStore
 from hyjax.sweep.task import Task
@@ -17,20 +17,20 @@ from hyjax.util.files import make_writable
 
 
 class Pool(Protocol):
-    """Where batches are done."""
+    """Pool of workers for batches."""
 
     def places(self, timing: bool) -> int:
-        """How many batches are to be under way at a time.
+        """Number of batches to have under way at a time.
 
         Raises:
             InputError: there is no worker for them.
         """
 
-    def submit(self, batch: Batch, timing: bool) -> None:
-        """Begin a batch."""
+    def submit(self, batch: TaskBatch, timing: bool) -> None:
+        """Submit a batch."""
 
-    def collect(self) -> list[tuple[Batch, Outcome | None]]:
-        """Batches that came to an end since the last time, at least one; without outcome where the worker died.
+    def collect(self) -> list[tuple[TaskBatch, Outcome | None]]:
+        """Batches ended since the last call, at least one; without outcome where the worker died.
 
         Raises:
             InputError: there are no workers any more.
@@ -41,10 +41,10 @@ class Pool(Protocol):
 
 
 class Engine:
-    """Tasks, done once each, in the rows of a folder. A context manager; see `open`.
+    """Engine that runs each task once, with rows in a folder. A context manager; see `open`.
 
-    A task that raises `InputError` has a row of kind "error". What raises anything else, or takes its worker along,
-    is tried three times more before it has one. Tasks with an error are done again by the next engine.
+    A task that raises `InputError` has a row of kind "error". One that raises anything else, or takes its worker
+    along, is retried three times before it has one. Tasks with an error are done again by the next engine.
 
     Args:
         folder: for the rows; all workers see it.
@@ -64,7 +64,7 @@ class Engine:
         folder: Path = Path("swept"),
         tell: Tell | None = None,
     ) -> "Engine":
-        """Engine with workers.
+        """Open an engine with workers.
 
         Args:
             workers: processes on this machine; 0 for this process alone, None for one each core.
@@ -79,7 +79,7 @@ class Engine:
         if workers is not None and workers < 0:
             raise InputError(f"workers: must be >= 0, got {workers}")
         if workers is not None and scheduler is not None:
-            raise InputError("workers: those of a scheduler are started by itself; give one of the two")
+            raise InputError("workers: a scheduler starts its own workers; give one of the two")
         make_writable(folder)
         folder, tell = folder.resolve(), tell or tell_on_stderr
         pool: Pool = HerePool()
@@ -107,7 +107,7 @@ class Engine:
         self._pool.places(timing=True)
 
     def run(self, function: Function, tasks: Iterable[Task], *, timing: bool = False) -> Iterator[Row]:
-        """Do the tasks that have no result in the folder; their rows as they come.
+        """Run the tasks without a result in the folder; yield their rows as they come.
 
         Args:
             function: payload → result, at the top of a module that workers can import.
@@ -150,18 +150,18 @@ class Engine:
 
 
 class HerePool:
-    """This process."""
+    """Pool of this process alone."""
 
     def __init__(self) -> None:
-        self._batch: Batch | None = None
+        self._batch: TaskBatch | None = None
 
     def places(self, timing: bool) -> int:
         return 1
 
-    def submit(self, batch: Batch, timing: bool) -> None:
+    def submit(self, batch: TaskBatch, timing: bool) -> None:
         self._batch = batch
 
-    def collect(self) -> list[tuple[Batch, Outcome | None]]:
+    def collect(self) -> list[tuple[TaskBatch, Outcome | None]]:
         assert self._batch is not None
         return [(self._batch, run_batch(self._batch))]
 
@@ -170,7 +170,7 @@ class HerePool:
 
 
 def tell_on_stderr(line: str) -> None:
-    """Print a line beside whatever bar there is."""
+    """Print a line on stderr above any progress bar."""
     from tqdm import tqdm
 
     tqdm.write(f"hyjax: {line}", file=sys.stderr)

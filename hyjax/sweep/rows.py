@@ -1,4 +1,4 @@
-"""Rows of a sweep: a file for each worker, that only grows; merged on reading."""
+"""Rows of a sweep: an append-only file for each worker; merged on reading."""
 
 import contextlib
 import json
@@ -23,12 +23,13 @@ except ImportError:  # Windows
 
 Row = dict[str, Any]
 ERROR = "error"
-"""Kind of a row that says why there is no result."""
-DRIVER = "driver.txt"
-"""File with the identity of the driver whose batches may write."""
-LONGEST_DRIVER = 1000
-PATIENCE = 900.0
-"""Seconds for which a driver waits for batches of an earlier one."""
+"""Kind of a row with an error in place of a result."""
+DRIVER_FILE = "driver.txt"
+"""Name of the file with the identity of the driver whose batches may write."""
+MOST_DRIVER_BYTES = 1000
+"""Largest size of that file, in bytes."""
+TAKE_OVER_SECONDS = 900.0
+"""Time, in seconds, that a driver waits for batches of an earlier one."""
 
 
 class _Head(msgspec.Struct):
@@ -37,7 +38,7 @@ class _Head(msgspec.Struct):
 
 
 _heads = msgspec.json.Decoder(_Head)
-"""A resumed sweep reads all rows at its start: their heads alone, and each row whole where it is used."""
+"""Decoder of the heads of rows, which suffice at the start of a resumed sweep."""
 
 
 class _Place(NamedTuple):
@@ -48,7 +49,7 @@ class _Place(NamedTuple):
 
 
 class RowStore:
-    """All rows in a folder, one for each key: the first result, or an error where there is no result.
+    """Store of the rows in a folder, one for each key: the first result, else an error.
 
     Only the places of rows are kept in memory. A line that a kill cut off counts for nothing.
 
@@ -67,7 +68,7 @@ class RowStore:
         return sorted(self.folder.glob("rows-*.jsonl"))
 
     def refresh(self) -> "RowStore":
-        """This store, with what was appended since the last time.
+        """Read rows appended since the last call, and return the store.
 
         Raises:
             InputError: a file cannot be read.
@@ -124,9 +125,9 @@ class RowStore:
         """One row for each key, file by file."""
         self.refresh()
         for path in self.files():
-            own = [place for place in self._places.values() if place.path == path]
+            places = [place for place in self._places.values() if place.path == path]
             with open_regular(path) as file:
-                for place in own:
+                for place in places:
                     yield _row(file, place)
 
     def duplicates(self) -> int:
@@ -135,26 +136,26 @@ class RowStore:
         return len(self._repeated)
 
     def take_over(self, driver: str, tell: Callable[[str], None]) -> None:
-        """Make `driver` the one whose batches may write, and wait until no other's does.
+        """Make `driver` the only one whose batches may write, and wait for batches of others.
 
         Raises:
             InputError: another's is still at work after a minute.
         """
-        write_text(self.folder / DRIVER, driver)
-        end, told = time.monotonic() + PATIENCE, False
+        write_text(self.folder / DRIVER_FILE, driver)
+        end, announced = time.monotonic() + TAKE_OVER_SECONDS, False
         for path in self.files() if fcntl else ():
             while _is_locked(path):
                 if time.monotonic() > end:
                     raise InputError(f"{path}: a worker of an earlier run still writes there; try again later")
-                if not told:
+                if not announced:
                     tell("a worker of an earlier run still finishes its task; waiting for it")
-                    told = True
+                    announced = True
                 time.sleep(0.05)
 
     def driver(self) -> str:
         """Identity of the driver whose batches may write."""
         try:
-            return read_text(self.folder / DRIVER, most=LONGEST_DRIVER)
+            return read_text(self.folder / DRIVER_FILE, most=MOST_DRIVER_BYTES)
         except InputError:
             return ""
 
@@ -166,7 +167,7 @@ def _row(file: BinaryIO, place: _Place) -> Row:
 
 
 class RowWriter:
-    """A new file of rows, of this process alone.
+    """Writer of a new file of rows, of this process alone.
 
     Args:
         folder: for it.
@@ -190,7 +191,7 @@ class RowWriter:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Tell other drivers that rows may come."""
+        """Lock the file, a signal to other drivers that rows may come."""
         if fcntl:
             with contextlib.suppress(OSError):  # a file system without locks
                 fcntl.flock(self._file, fcntl.LOCK_EX)
@@ -202,7 +203,7 @@ class RowWriter:
                     fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def add(self, row: Row) -> None:
-        """Append a row; it is there whole or not at all.
+        """Append a row atomically.
 
         Raises:
             InputError: it cannot be written, as on a full disk.
@@ -222,11 +223,11 @@ class RowWriter:
 
 
 def _finite(value: Any) -> Any:
-    """The value with None for numbers that are not finite, which JSON does not have."""
+    """Value with None for numbers that are not finite, which JSON does not have."""
     if isinstance(value, dict):
-        return {name: _finite(each) for name, each in value.items()}
+        return {name: _finite(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
+        return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -1,4 +1,4 @@
-"""A sweep from its spec to its summary."""
+"""Run of a sweep from its spec to its summary."""
 
 import dataclasses
 import functools
@@ -25,17 +25,17 @@ from hyjax.util.reading import read_bytes
 
 RESULT, TIME = "result", "time"
 DPI = 120
-LARGEST_INPUT = 1 << 32
-"""Bytes of a file of lights or of a guide's weights."""
+MOST_FILE_BYTES = 1 << 32
+"""Largest size of a file of lights or of a guide's weights, in bytes."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SweepResult:
-    """What a sweep came to.
+    """Result of a sweep.
 
     Attributes:
         out: its folder.
-        tasks: how many there are.
+        tasks: their number.
         errors: one line each.
         repeated: tasks that were done more than once.
         lines: of the summary.
@@ -51,11 +51,11 @@ class SweepResult:
 def run_sweep(
     settings: SweepSettings, *, evaluate: Function = work.evaluate, time_frames: Function = work.time_frames
 ) -> SweepResult:
-    """Do what is not done yet, and write `rows.jsonl`, `summary.csv` and `sweep.png`.
+    """Run the tasks of a sweep without a result, and write `rows.jsonl`, `summary.csv` and `sweep.png`.
 
     Args:
         settings: of the sweep.
-        evaluate, time_frames: what is done, see `hyjax.tuning.frame.evaluation`.
+        evaluate, time_frames: functions of the tasks, see `hyjax.tuning.frame.evaluation`.
 
     Raises:
         InputError: a spec or settings that cannot be used, a folder with rows where `resume` is not set, no
@@ -86,7 +86,7 @@ def run_sweep(
 
 
 def tasks_of(spec: Spec, configurations: list[dict[str, Any]]) -> Iterator[Task]:
-    """Tasks of a spec, those of a scene one after the other; then those that are timed, for the first seed."""
+    """Tasks of a spec, scene by scene; then the timing tasks, for the first seed."""
     frames = {scene: frames_of(spec, scene) for scene in spec.scenes}
     for kind, seeds in ((RESULT, spec.seeds), (TIME, spec.seeds[:1] if spec.time else [])):
         for scene, lights, configuration, seed in itertools.product(
@@ -100,11 +100,11 @@ def tasks_of(spec: Spec, configurations: list[dict[str, Any]]) -> Iterator[Task]
 @functools.cache
 def content_key(path: str) -> str:
     """Hash of a file's content."""
-    return hashlib.sha256(read_bytes(Path(path), most=LARGEST_INPUT)).hexdigest()[:16]
+    return hashlib.sha256(read_bytes(Path(path), most=MOST_FILE_BYTES)).hexdigest()[:16]
 
 
 def contents(names: Sequence[str]) -> list[str]:
-    """Hashes of those that are files: a task is another one when they change."""
+    """Hashes of the files among the names: a task is another one when they change."""
     return [content_key(name) for name in names if Path(name).is_file()]
 
 

@@ -23,12 +23,12 @@ class SweepSettings(Settings):
     out: Path = Path("swept")
     """Folder for the workers' rows, rows.jsonl, summary.csv and sweep.png; one that all workers see."""
     resume: bool = False
-    """Go on with the sweep in the out folder: what is done stays, what failed is tried again."""
+    """Resume the sweep in the out folder: results stay, failed tasks are tried again."""
     quiet: bool = False
-    """No progress bar."""
+    """Hide the progress bar."""
 
     def check(self) -> "SweepSettings":
-        """These settings, if a sweep can start with them as far as that can be known in advance.
+        """Return these settings if they are valid, as far as that is known before the start.
 
         Raises:
             InputError: a number out of range, or options that exclude each other.
@@ -36,5 +36,5 @@ class SweepSettings(Settings):
         if self.workers is not None and self.workers < 0:
             raise InputError(f"workers: must be >= 0, got {self.workers}")
         if self.workers is not None and self.scheduler is not None:
-            raise InputError("workers: those of a scheduler are started by themselves; give one of the two")
+            raise InputError("workers: a scheduler starts its own workers; give one of the two")
         return self

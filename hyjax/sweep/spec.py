@@ -1,4 +1,4 @@
-"""Sweeps as a person writes them: YAML or JSON, checked key by key.
+"""Specifications of sweeps: YAML or JSON, checked key by key.
 
     scenes: [room:builtin-0, captures/kitchen]       # rooms of known truth, or captures
     lights: [evening-lamps, my_lamps.yaml]           # named set-ups, or files
@@ -50,8 +50,8 @@ class Draws(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Configurations drawn at random.
 
     Attributes:
-        space: that they are drawn from.
-        count: how many.
+        space: of the draws.
+        count: of the configurations.
         seed: of the draws.
     """
 
@@ -61,13 +61,13 @@ class Draws(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Spec(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """A sweep: every scene under every light with every configuration and seed.
+    """Specification of a sweep: every scene under every light with every configuration and seed.
 
     Attributes:
         scenes: `room:NAME`, or paths of captures.
         lights: named set-ups, or paths of files.
         configurations: names and paths of files, or draws.
-        frames: how many, or which.
+        frames: their number, or positions.
         size: of the pictures, width x height.
         seeds: of simulated scans.
         time: whether to time as well.
@@ -104,7 +104,7 @@ def read_spec(path: Path) -> Spec:
     for name in ("scenes", "lights", "configurations", "seeds", "frames"):
         values = getattr(spec, name)
         if isinstance(values, list) and len(set(values)) < len(values):
-            raise InputError(f"{where}: {name!r} must name each once")
+            raise InputError(f"{where}: {name!r} must not repeat a name")
     try:
         parse_size(spec.size)
         return _absolute(spec, path.resolve().parent)
@@ -122,7 +122,7 @@ def _convert(where: str, content: dict[str, Any], kind: type[Any], forms: dict[s
 
 
 def _absolute(spec: Spec, folder: Path) -> Spec:
-    """The spec with absolute paths of files, all of which are there."""
+    """Spec with absolute paths of its files, all of which exist."""
     scenes = [_scene(scene, folder) for scene in spec.scenes]
     lights = [str(folder / light) if is_light_file(light) else light for light in spec.lights]
     for light in lights:
@@ -162,7 +162,7 @@ def frames_of(spec: Spec, scene: str) -> list[int]:
 
 
 def configurations_of(spec: Spec) -> dict[str, dict[str, Any]]:
-    """Name → configuration, as JSON's types.
+    """Configurations by name, in JSON's types.
 
     Raises:
         InputError: no such name, or a file that cannot be read.

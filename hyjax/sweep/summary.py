@@ -1,4 +1,4 @@
-"""Summary of a sweep: a line and a mark for each configuration."""
+"""Summary of a sweep: a line of the table and a mark of the figure for each configuration."""
 
 import csv
 import dataclasses
@@ -12,15 +12,15 @@ from matplotlib.figure import Figure
 from hyjax.sweep.rows import ERROR, Row
 from hyjax.util.files import atomic_write
 
-STAMPS = {"key", "kind", "commit", "device", "seed", "seconds", "worker", "name"}
-PAYLOAD = {"files", "scene", "lights", "configuration", "frames", "size", "seed"}
-LABELLED = 24
-"""Configurations that a figure names."""
+STAMP_KEYS = {"key", "kind", "commit", "device", "seed", "seconds", "worker", "name"}
+PAYLOAD_KEYS = {"files", "scene", "lights", "configuration", "frames", "size", "seed"}
+MOST_LABELS = 24
+"""Most configurations with a name in a figure."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Line:
-    """What a configuration came to.
+    """Line of a configuration in the summary.
 
     Attributes:
         name: of the configuration.
@@ -37,7 +37,7 @@ class Line:
 
 
 def lines_of(rows: Sequence[Row]) -> list[Line]:
-    """A line for each configuration, in their order; `name` of a row names its configuration."""
+    """Lines of the configurations, in their order; `name` of a row is its configuration's."""
     return [
         _line(name, [row for row in rows if row["name"] == name]) for name in dict.fromkeys(r["name"] for r in rows)
     ]
@@ -49,7 +49,11 @@ def _line(name: str, rows: Sequence[Row]) -> Line:
     scenes: dict[str, list[float]] = {}
     for row in done:
         for key, value in row.items():
-            if key not in STAMPS | PAYLOAD and isinstance(value, int | float) and not isinstance(value, bool):
+            if (
+                key not in STAMP_KEYS | PAYLOAD_KEYS
+                and isinstance(value, int | float)
+                and not isinstance(value, bool)
+            ):
                 numbers.setdefault(key, []).append(value)
         if "loss" in row:
             scenes.setdefault(row["scene"], []).append(row["loss"])
@@ -59,7 +63,7 @@ def _line(name: str, rows: Sequence[Row]) -> Line:
 
 
 def write_csv(path: Path, lines: Sequence[Line]) -> None:
-    """A line for each configuration: those without errors first, then by loss."""
+    """Write a line for each configuration, without errors first, then by loss."""
     columns = list(dict.fromkeys(key for line in lines for key in line.means))
     ordered = sorted(lines, key=lambda line: (line.errors, line.means.get("loss", np.inf)))
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
@@ -71,7 +75,7 @@ def write_csv(path: Path, lines: Sequence[Line]) -> None:
 
 
 def draw(lines: Sequence[Line]) -> Figure:
-    """Loss of each configuration with its spread over scenes; where it was timed, against its time."""
+    """Draw the loss of each configuration with its spread over scenes; where it was timed, against its time."""
     known = sorted((line for line in lines if line.losses), key=lambda line: line.means["loss"])
     timed = [line for line in known if "median_ms" in line.means and line.means.get("default_ms")]
     figure = Figure(figsize=(12 if timed else 8, 5), layout="constrained")
@@ -81,7 +85,7 @@ def draw(lines: Sequence[Line]) -> Figure:
     above = [max(line.losses) for line in known] - losses
     spread = np.maximum(np.array([below, above]), 0.0)
     axes[0].errorbar(np.arange(len(known)), losses, spread, fmt="o", markersize=4, linewidth=1, capsize=2)
-    if len(known) <= LABELLED:
+    if len(known) <= MOST_LABELS:
         names = [line.name for line in known]
         axes[0].set_xticks(np.arange(len(known)), names, rotation=45, ha="right", fontsize=8)
     else:
@@ -90,7 +94,7 @@ def draw(lines: Sequence[Line]) -> Figure:
     if timed:
         ratios = {line.name: line.means["median_ms"] / line.means["default_ms"] for line in timed}
         axes[1].plot([ratios[t.name] for t in timed], [t.means["loss"] for t in timed], "o", markersize=4)
-        for line in timed if len(timed) <= LABELLED else ():
+        for line in timed if len(timed) <= MOST_LABELS else ():
             place = (ratios[line.name], line.means["loss"])
             axes[1].annotate(line.name, place, xytext=(4, 3), textcoords="offset points", fontsize=8)
         axes[1].set_xlabel("time of a frame, over the default's in the same turns")

@@ -10,14 +10,14 @@ from hyjax.util.files import digest
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """A task: what a function is to be called with.
+    """Task: the payload of a function.
 
     >>> Task({"seed": 0, "size": 64}).key == Task({"size": 64, "seed": 0}).key
     True
 
     Attributes:
         payload: values in JSON's types.
-        kind: what its row is called; the same payload makes another task of another kind.
+        kind: of its row; the same payload makes another task of another kind.
     """
 
     payload: dict[str, Any]

@@ -1,4 +1,4 @@
-"""What the workers of a sweep do; the modules that do it are loaded when they begin."""
+"""Work of a sweep's workers; its modules are loaded when they begin."""
 
 import functools
 import warnings

@@ -1,4 +1,4 @@
-"""Repeating noise and pixel grids, of which procedural textures are made."""
+"""Repeating noise and pixel grids for procedural textures."""
 
 import numpy as np
 import scipy.fft
@@ -16,7 +16,7 @@ def noise(n: int, along_u: float, along_v: float, rng: np.random.Generator) -> F
 
 
 def pixel_centres(n: int) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
-    """(u, v) of the pixels of a square picture in [0, 1)."""
+    """Coordinates (u, v) in [0, 1) of the pixels of a square picture."""
     at = (np.arange(n, dtype=np.float32) + 0.5) / n
     u, v = np.meshgrid(at, at)
     return u, v

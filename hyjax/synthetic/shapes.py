@@ -1,4 +1,4 @@
-"""Solids made of charts. All lengths in metres; every shape's normals point outwards."""
+"""Solids of charts, in metres; normals point outwards."""
 
 import itertools
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.synthetic.surface import WHITE, Builder, Colour, Grid, even_st, weld
+from hyjax.synthetic.surface import WHITE, Builder, Color, Grid, even_st, weld
 
 # Largest edge of a flat panel's triangles.
 PANEL_STEP = 0.3
@@ -19,7 +19,7 @@ def panel(
     along_s: Sequence[float],
     along_t: Sequence[float],
     material: int,
-    tint: Colour = WHITE,
+    tint: Color = WHITE,
     holes: Sequence[tuple[float, float, float, float]] = (),
     texel: float = 0.045,
     stretch: float | None = None,
@@ -58,7 +58,7 @@ def box(
     low: Sequence[float],
     high: Sequence[float],
     material: int,
-    tint: Colour = WHITE,
+    tint: Color = WHITE,
     bevel: float = 0.003,
     grain: str = "",
     uv: tuple[float, float] | None = None,
@@ -118,7 +118,7 @@ def smooth(
     build: Builder,
     grids: Sequence[Float[np.ndarray, "t s 3"]],
     material: int,
-    tint: Colour = WHITE,
+    tint: Color = WHITE,
     texel: float | tuple[float, float] = 0.03,
     lay: Literal["along", "across", "above"] = "along",
 ) -> None:
@@ -142,7 +142,7 @@ def revolve(
     build: Builder,
     profile: Sequence[tuple[float, float]],
     material: int,
-    tint: Colour = WHITE,
+    tint: Color = WHITE,
     sides: int = 32,
     texel: float = 0.015,
     steps: int = 1,
@@ -165,7 +165,7 @@ def tube(
     path: Sequence[Sequence[float]] | np.ndarray,
     radius: float | Sequence[float] | np.ndarray,
     material: int,
-    tint: Colour = WHITE,
+    tint: Color = WHITE,
     sides: int = 10,
     caps: bool = True,
 ) -> None:
@@ -208,7 +208,7 @@ def cushion(
     high: Sequence[float],
     radius: float,
     material: int,
-    tint: Colour = WHITE,
+    tint: Color = WHITE,
     bulge: float = 0.0,
     bulge_axis: int = 2,
     texel: float = 0.025,
@@ -236,7 +236,7 @@ def cushion(
 
 
 def pillow(
-    build: Builder, size: float, thickness: float, lean: float, material: int, tint: Colour, height: float
+    build: Builder, size: float, thickness: float, lean: float, material: int, tint: Color, height: float
 ) -> None:
     """A throw pillow in the local x–z plane, pinched at its corners, leaning back by `lean` degrees about x."""
     n = 17
@@ -257,7 +257,7 @@ def sheet(
     build: Builder,
     grid: Float[np.ndarray, "t s 3"],
     material: int,
-    tint: Colour = WHITE,
+    tint: Color = WHITE,
     thickness: float = 0.002,
     texel: float = 0.03,
 ) -> None:

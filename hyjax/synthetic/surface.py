@@ -1,4 +1,4 @@
-"""A room's surface while it is built: triangles that know their material and their place in the light maps.
+"""Surface of a room: triangles with their material and their place in the light maps, and its builder.
 
 Everything is made of *charts*: grids of vertices with s along the columns and t along the rows, ds × dt pointing
 outwards. A chart is what a light map is stored for, so each corner of a triangle carries three coordinates: the
@@ -14,8 +14,8 @@ import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Int
 
-Colour = tuple[float, float, float]
-WHITE: Colour = (1.0, 1.0, 1.0)
+Color = tuple[float, float, float]
+WHITE: Color = (1.0, 1.0, 1.0)
 
 # Below this, a triangle's area (m²) is rounding error of a collapsed quad, such as those at a pole.
 DEGENERATE_AREA = 1e-9
@@ -23,7 +23,7 @@ DEGENERATE_AREA = 1e-9
 
 @dataclasses.dataclass(frozen=True)
 class Grid:
-    """A chart before it has vertices of its own.
+    """Grid of a chart before it has vertices of its own.
 
     Attributes:
         index: rows of the part's points.
@@ -40,7 +40,7 @@ class Grid:
 
 @dataclasses.dataclass(frozen=True)
 class Surface:
-    """All triangles of a room.
+    """Surface of a room: all its triangles.
 
     Attributes:
         mesh: world coordinates in metres.
@@ -74,7 +74,7 @@ def even_st(shape: tuple[int, int]) -> Float[np.ndarray, "t s 2"]:
 
 
 def rows(values: np.ndarray, index: Int[np.ndarray, "n"]) -> np.ndarray:
-    """`values[index]` for indices known to be in range: `take` copies whole rows, which is faster."""
+    """Rows `values[index]` for indices in range: `take` copies whole rows, which is faster."""
     return values.take(index, axis=0, mode="clip")
 
 
@@ -88,7 +88,7 @@ def weld(grids: Sequence[Float[np.ndarray, "t s 3"]]) -> tuple[np.ndarray, list[
 
 
 class Quads(NamedTuple):
-    """Quads of a part: of their corners the rows of its points, (s, t) and (u, v); and each quad's chart."""
+    """Quads of a part: corners as rows of its points, their (s, t) and (u, v); and each quad's chart."""
 
     points: Int[np.ndarray, "q 4"]
     st: Float[np.ndarray, "q 4 2"]
@@ -97,7 +97,7 @@ class Quads(NamedTuple):
 
 
 class Builder:
-    """Collects parts. Furniture is modelled in its own axes inside `with builder.placed(...)`."""
+    """Builder of a surface from parts. Furniture is modelled in its own axes inside `with builder.placed(...)`."""
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
@@ -112,13 +112,13 @@ class Builder:
     def placed(
         self, x: float, y: float, z: float = 0.0, turn: float = 0.0
     ) -> contextlib.AbstractContextManager[None]:
-        """Within, coordinates are local: turned by `turn` degrees about z and moved to (x, y, z)."""
+        """Context of local coordinates, turned by `turn` degrees about z and moved to (x, y, z)."""
         c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
         return self.transformed(np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, z], [0, 0, 0, 1]]))
 
     @contextlib.contextmanager
     def transformed(self, transform: Float[np.ndarray, "4 4"]) -> Iterator[None]:
-        """Within, coordinates are local: `transform` takes them to those outside."""
+        """Context of local coordinates, which `transform` maps to the outer ones."""
         outer = self._place
         self._place = outer @ transform
         try:
@@ -127,7 +127,7 @@ class Builder:
             self._place = outer
 
     def world(self, point: Sequence[float]) -> list[float]:
-        """A local point in world coordinates, as plain numbers."""
+        """World coordinates of a local point, as plain numbers."""
         return [float(x) for x in self._place[:3, :3] @ np.asarray(point) + self._place[:3, 3]]
 
     def add(
@@ -135,7 +135,7 @@ class Builder:
         points: Float[np.ndarray, "n 3"],
         grids: Sequence[Grid],
         material: int,
-        tint: Colour = WHITE,
+        tint: Color = WHITE,
         texel: float | tuple[float, float] = 0.025,
     ) -> None:
         """Add a part: shared points, and the charts between them."""
@@ -157,7 +157,7 @@ class Builder:
         corners: Float[np.ndarray, "q 4 3"],
         uv: Float[np.ndarray, "q 4 2"],
         material: int,
-        tint: Colour = WHITE,
+        tint: Color = WHITE,
         texel: float = 0.025,
     ) -> None:
         """Add flat quads, each a chart with vertices of its own; one whose last two corners agree is a triangle."""
@@ -178,7 +178,7 @@ class Builder:
         self._lists["points"].append(points @ self._place[:3, :3].T + self._place[:3, 3])
         self._count += len(points)
 
-    def _add_triangles(self, points: Float[np.ndarray, "n 3"], quads: Quads, material: int, tint: Colour) -> None:
+    def _add_triangles(self, points: Float[np.ndarray, "n 3"], quads: Quads, material: int, tint: Color) -> None:
         face, st, uv = (np.concatenate([a[:, [0, 1, 2]], a[:, [0, 2, 3]]]) for a in quads[:3])
         edge = points[face]
         area = np.linalg.norm(np.cross(edge[:, 1] - edge[:, 0], edge[:, 2] - edge[:, 0]), axis=1) / 2
@@ -192,7 +192,7 @@ class Builder:
             self._lists[name].append(values)
 
     def finish(self) -> Surface:
-        """Everything added so far as one surface, without vertices that no face uses."""
+        """Surface of everything added so far, without vertices that no face uses."""
         lists = self._lists
         faces = np.concatenate(lists["faces"])
         nodes = [n.ravel() for n in lists["nodes"]]

@@ -1,11 +1,11 @@
-"""A camera's tone curve and sRGB's encoding, in NumPy."""
+"""Tone curve of a camera and sRGB's encoding, in NumPy."""
 
 import numpy as np
 from jaxtyping import Float
 
 
 def tone(x: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """A camera's shoulder: linear in the shadows, bending from 0.55 on, white at 3 times the mid exposure."""
+    """Tone curve with a shoulder: linear in the shadows, bending from 0.55, white at 3 times the mid exposure."""
     knee = 0.50
     over = np.maximum(x - knee, 0)
     return np.minimum(np.where(x < knee, x, knee + (1 - knee) * (1 - np.exp(-over / (1 - knee) * 1.0))), 1.0)

@@ -10,6 +10,7 @@ import av
 import numpy as np
 
 from hyjax.data.light_file import write_lights
+from hyjax.data.video_frames import new_video
 from hyjax.geometry.mesh import save_mesh
 from hyjax.tour.lighting import setup_of
 from hyjax.tour.picture import RenderedFrame
@@ -80,7 +81,7 @@ def write_video(renderer: Renderer, plan: TourPlan, viewpoint: Viewpoint, file: 
         renderer, plan, viewpoint: as for `Renderer.render`; of the viewpoint, all but its frame.
         file: to write.
     """
-    with atomic_write(file) as temporary, av.open(str(temporary), "w", format="mp4") as container:
+    with atomic_write(file) as temporary, new_video(temporary) as container:
         height, width = renderer.frame(0).camera.intrinsics.shape
         stream = container.add_stream("libx264", rate=FRAME_RATE)
         stream.width, stream.height = width - width % 2, height - height % 2  # as the colour format wants

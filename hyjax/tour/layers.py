@@ -27,6 +27,7 @@ from hyjax.tour.editable_scene import SceneParts
 from hyjax.tour.furniture import Part
 from hyjax.tour.picture import Layer
 from hyjax.util.lru_cache import LruCache
+from hyjax.util.programs import run_kept
 
 DRAFT = 0.5
 """Resolution of shadow maps while something is being dragged, relative to that of `hyjax relight`."""
@@ -95,7 +96,7 @@ class LayerCache:
             RenderCancelled: `cancelled` returned true.
         """
         unit, shadow_map = light.normalized(), self._shadow_map(light, parts, quality, cancelled)
-        return shade_each(gbuffer, [unit])[..., 0], visibility(gbuffer, unit, shadow_map)
+        return run_kept(shade_each, gbuffer, [unit])[..., 0], run_kept(visibility, gbuffer, unit, shadow_map)
 
     def bounced(
         self,
@@ -122,7 +123,7 @@ class LayerCache:
 
         def make() -> Float[Array, "v 3"]:
             shadow_map = self._shadow_map(light, parts, quality, cancelled)
-            return jax.block_until_ready(bounced_light(points(), [unit], [shadow_map]))
+            return jax.block_until_ready(run_kept(bounced_light, points(), [unit], [shadow_map]))
 
         return self._bounces(fine if quality == "fine" or fine in self._bounces else draft, make)
 

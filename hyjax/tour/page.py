@@ -20,7 +20,7 @@ from hyjax.tour.controls import Controls
 from hyjax.tour.gizmos import Gizmos
 from hyjax.tour.layers import RenderCancelled
 from hyjax.tour.render_queue import RenderQueue
-from hyjax.tour.renderer import LIVE_USED, USED, Renderer
+from hyjax.tour.renderer import Renderer
 from hyjax.tour.server import address, check_port, open_server
 from hyjax.tour.session import Session
 from hyjax.tour.settings import TourSettings
@@ -94,8 +94,8 @@ class Tour:
         settings.check()
         check_port(settings.host, settings.port)
         configuration, schedules = settings.open_configuration(), settings.open_schedules()
+        configuration = configuration.followed_by(settings.renderer)
         guide = configured_guide(configuration.guide)
-        configuration.tell_unused("tour", USED if settings.live is None else LIVE_USED)
         if settings.live is not None:
             make_writable(settings.out)
             return cls._open_live(settings, schedules, guide)

@@ -22,10 +22,11 @@ from hyjax.geometry.camera import Camera
 from hyjax.guide.choose import RGB, FrameGuide
 from hyjax.light.color import to_display, to_linear
 from hyjax.light.gbuffer import GBuffer, sample_pixels
+from hyjax.light.photo_light import least_bounced
 from hyjax.light.shading import colored
 from hyjax.light.view import View
 from hyjax.pipeline import refine_illuminance, refine_visibility
-from hyjax.scene.light_setups import survey_capture
+from hyjax.scene.light_places import survey_capture
 from hyjax.scene.scene import Scene
 from hyjax.tour.editable_scene import EditableScene, SceneParts
 from hyjax.tour.furniture import Part, merge_gbuffers
@@ -44,15 +45,12 @@ from hyjax.tour.room_light import (
 from hyjax.tour.viewpoint import MOST_SAMPLING, Viewpoint
 from hyjax.util.clock import StageClock
 from hyjax.util.lru_cache import LruCache
+from hyjax.util.programs import run_kept
 
 FRAMES_MIB = 128
 ALBEDO = 0.6  # of the mesh in the free view, whose true colours are unknown
 VERTICES = 1 << 14
 """Of which a live mesh's number is made a multiple."""
-LIVE_USED = ("schedule", "guide", "sampling")
-"""Choices of a configuration that tours of frames as they arrive follow, see `Configuration.tell_unused`."""
-USED = (*LIVE_USED, "shadow_schedule", "photo_light", "photo_exponent", "bounces", "bounce_gain")
-"""Those that other tours follow."""
 AFTERNOON, BEARING = 16.0, 240.0
 
 
@@ -73,7 +71,7 @@ class Renderer:
         folder: where uploaded mesh files lie.
         keep_photo_light: whether to leave the light that the frames were taken under in the pictures, and bounces
             out.
-        configuration: sampling, shadow pass and light of the pictures; see `USED`.
+        configuration: sampling, shadow pass and light of the pictures.
 
     Raises:
         InputError: the file that names the photo's sources cannot be used.
@@ -99,7 +97,7 @@ class Renderer:
         self._frames, self._layers = LruCache(FRAMES_MIB, mebibytes), LayerCache()
         self._cameras: dict[int, Camera] = {}
         self.room_light = (
-            None if keep_photo_light else RoomLight(scene.photo_light, self._layers, self.configuration.light)
+            None if keep_photo_light else RoomLight(scene.photo_light, self._layers, self.configuration)
         )
 
     def first_plan(self) -> TourPlan:
@@ -111,7 +109,9 @@ class Renderer:
         )
         if not windows:
             found = survey_capture(self.scene.caster, self.capture)
-            windows = (Window(as_point(found.window), as_point(found.inward), found.width, found.height),)
+            windows = tuple(
+                Window(as_point(w.center), as_point(w.inward), w.width, w.height) for w in found.windows
+            )
         north = north_for_bearing(windows[0], BEARING, self.up)
         return TourPlan(hour=AFTERNOON, windows=windows, north=north).check()
 
@@ -174,21 +174,24 @@ class Renderer:
             ]
             jax.block_until_ready(layers)
         view = View(pixels.linear, pixels.display, gbuffer)
+        least = least_bounced(setup.lights)
         setup = dataclasses.replace(setup, lights=lights)
         shaded = stack_layers(setup, layers, samples.hit, sampling=sampling)
         photo_light: tuple[Float[Array, "h w 3"], ...] = ()
         if self.room_light is not None:
             with clock("bounces"):
-                light = self.room_light.surface_light(setup, qualities, parts, cancelled)
+                light = self.room_light.surface_light(setup, qualities, parts, least, cancelled)
                 photographed = self._photographed(viewpoint, frame, pixels)
                 shaded = jax.block_until_ready(add_room_light(shaded, light, photographed, pixels.linear, samples))
                 photo_light = (self._refined_photo_light(viewpoint, photographed, pixels),)
         guide, schedule = pixels.guide, viewpoint.schedule
         with clock("cascade"):
             fresh = dataclasses.replace(shaded, photo_light=None)
-            illuminance = jax.block_until_ready(refine_illuminance(fresh, guide, schedule))
+            illuminance = jax.block_until_ready(run_kept(refine_illuminance, fresh, guide, schedule))
         with clock("shadow pass"):
-            visible = jax.block_until_ready(refine_visibility(shaded, guide, self.configuration.shadow_schedule))
+            visible = jax.block_until_ready(
+                run_kept(refine_visibility, shaded, guide, self.configuration.shadow_schedule)
+            )
         with clock("composite"):
             fields = illuminance, *photo_light
             picture, linear = compose(viewpoint.shown, view, shaded, guide, schedule, fields, visible)
@@ -229,8 +232,8 @@ class Renderer:
             channels.append(getattr(light, light.STRENGTH) * illuminance * visible)
         lux = colored(jnp.stack(channels, axis=-1), lights)[:, :count]
         if self.room_light is not None:
-            own = dataclasses.replace(setup, lights=lights)
-            lux += bounced_at_vertices(self.room_light.surface_light(own, qualities, parts), parts)
+            own, least = dataclasses.replace(setup, lights=lights), least_bounced(setup.lights)
+            lux += bounced_at_vertices(self.room_light.surface_light(own, qualities, parts, least), parts)
         shades = lux / setup.reference_lux
         mesh.visual.vertex_colors = to_bytes(to_display(ALBEDO * shades))[0]  # type: ignore[union-attr]
         return mesh
@@ -267,7 +270,7 @@ class Renderer:
         if sampling == 1:
             return gbuffer
         key = "samples", viewpoint.frame, sampling, parts.keys
-        return self._frames(key, lambda: sample_pixels(gbuffer, sampling=sampling))
+        return self._frames(key, lambda: run_kept(sample_pixels, gbuffer, sampling=sampling))
 
     def _gbuffer(self, index: int, frame: Frame, parts: SceneParts) -> GBuffer:
         def cast(part: Part, key: Hashable) -> GBuffer:

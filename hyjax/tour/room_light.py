@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hyjax.configuration import LightOptions
+from hyjax.configuration import Configuration
 from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import Schedule
 from hyjax.geometry.camera import Camera
@@ -23,11 +23,12 @@ from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.photo_light.sources import PhotoSources
 from hyjax.scene.photo_light import ScenePhotoLight
+from hyjax.scene.relighter import configured_light
 from hyjax.tour.editable_scene import SceneParts
 from hyjax.tour.layers import LayerCache, Quality
-from hyjax.tour.lighting import LEAST_AMBIENT
 from hyjax.tour.picture import CHANNELS
 from hyjax.util.lru_cache import LruCache
+from hyjax.util.programs import run_kept
 
 ARRANGEMENTS = 4
 """Of furniture, whose points are kept."""
@@ -54,7 +55,7 @@ class PhotographedFrame:
 
     def refined(self, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w 3"]:
         """The photo's light after the cascade."""
-        return cascade_known(self.photo_light, self.known, guide, schedule, sampling=self.sampling)
+        return run_kept(cascade_known, self.photo_light, self.known, guide, schedule, sampling=self.sampling)
 
 
 class RoomLight:
@@ -63,17 +64,17 @@ class RoomLight:
     Args:
         photo: estimated now, if it was not before.
         layers: keeps the shadow maps and bounces of each light.
-        options: exponent of the photo's light and gain of the bounces.
+        configuration: its choices of the light on the surface are followed.
 
     Raises:
         InputError: the file that names the photo's sources cannot be used.
     """
 
-    def __init__(self, photo: ScenePhotoLight, layers: LayerCache, options: LightOptions | None = None) -> None:
-        options = options or LightOptions()
+    def __init__(
+        self, photo: ScenePhotoLight, layers: LayerCache, configuration: Configuration | None = None
+    ) -> None:
         self._photo, self._layers, self._points = photo, layers, LruCache(ARRANGEMENTS)
-        self._gain, light = np.float32(options.bounce_gain if options.bounces else 0.0), photo.estimate.light
-        self._light = dataclasses.replace(light, illuminance=light.illuminance**options.photo_exponent)
+        self._configuration, self._light = configuration or Configuration(), photo.estimate.light
         transport = self._light.transport
         step = max(1, len(transport.hits) // DRAFT_RAYS)
         self._draft = dataclasses.replace(
@@ -104,6 +105,7 @@ class RoomLight:
         setup: LightSetup,
         qualities: Sequence[Quality],
         parts: SceneParts,
+        least: Float[Array, "3"],
         cancelled: Callable[[], bool] = lambda: False,
     ) -> SurfaceLight:
         """Light on the vertices of the scan.
@@ -112,6 +114,7 @@ class RoomLight:
             setup: new lights, and what is left of the photo's sources.
             qualities: of the shadow maps of each light.
             parts: of the scene.
+            least: illuminance that bounces are filled up to.
             cancelled: see `LayerCache.shade`.
 
         Raises:
@@ -130,11 +133,12 @@ class RoomLight:
             scales[k] = getattr(light, light.STRENGTH) * np.asarray(light.color)
         dark = jnp.zeros_like(self._light.illuminance)
         padded = (*(bounced for _, bounced in chosen), *[dark] * (count - len(chosen)))
-        glow = np.float32(LEAST_AMBIENT if chosen else 0.0)  # a picture is never entirely dark
-        bounced = _add_up(padded, scales, self._light.sources, np.float32(setup.reference_lux) * kept, glow)
-        bounced *= self._gain
-        emitters = self._photo.emitters(setup)
-        return SurfaceLight(self._light.illuminance, bounced, self._light.transport.faces, emitters)
+        bounced = _add_up(padded, scales, self._light.sources, np.float32(setup.reference_lux) * kept, least)
+        whole = SurfaceLight(
+            self._light.illuminance, bounced, self._light.transport.faces, self._photo.emitters(setup)
+        )
+        whole = configured_light(whole, self._configuration)
+        return whole if whole.bounced is not None else dataclasses.replace(whole, bounced=dark)
 
     def photographed(
         self, camera: Camera, frame: Float[Array, "h w 3"], gbuffer: GBuffer, *, sampling: int = 1
@@ -149,7 +153,8 @@ class RoomLight:
         """
         light, samples = self._light, sample_pixels(gbuffer, sampling=sampling)
         hit = samples.hit[..., None]
-        photo_light = jnp.where(hit, on_pixels(light.illuminance, light.transport.faces, samples), 1.0)
+        own = configured_light(SurfaceLight(light.illuminance, None, light.transport.faces), self._configuration)
+        photo_light = jnp.where(hit, on_pixels(own.photo_light, own.faces, samples), 1.0)
         emitters, sources = self._photo.emitters(LightSetup(())), None
         if emitters is not None:
             pose, matrix = (jnp.asarray(m, jnp.float32) for m in (camera.pose, camera.intrinsics.matrix))
@@ -210,12 +215,12 @@ def _add_up(
     scales: Float[Array, "l 3"],
     sources: Float[Array, "s v 3"],
     kept: Float[Array, "s 3"],
-    glow: Float[Array, ""],
+    least: Float[Array, "3"],
 ) -> Float[Array, "v 3"]:
-    total = glow + jnp.einsum("sc,svc->vc", kept, sources)
+    total = jnp.zeros_like(bounces[0])
     for k, bounced in enumerate(bounces):
         total += scales[k] * bounced
-    return total
+    return jnp.maximum(total, least) + jnp.einsum("sc,svc->vc", kept, sources)
 
 
 def _move_points(light: PhotoLight, parts: SceneParts) -> PhotoLight:

@@ -11,6 +11,7 @@ from hyjax.util.hosts import LOCAL
 from hyjax.util.settings import Settings
 
 if TYPE_CHECKING:
+    from hyjax.choices.choice import Renderer
     from hyjax.configuration import Configuration
     from hyjax.core.schedule import Schedule
 
@@ -61,20 +62,23 @@ class TourSettings(Settings):
         """Whether only this machine can reach the page."""
         return self.host in (LOCAL, "localhost")
 
+    @property
+    def renderer(self) -> "Renderer":
+        """Of the tour, as the table of choices calls it."""
+        return "tour" if self.live is None else "live tour"
+
     def open_configuration(self) -> "Configuration":
         """Configuration by name or from a file, with what is given beside it.
 
         Raises:
-            InputError: no such configuration, or one of the paper's form.
+            InputError: no such configuration, or one that tours do not show.
         """
-        import msgspec
+        from hyjax.configuration import DEFAULT, Configuration
 
-        from hyjax.configuration import Configuration
-
-        chosen = Configuration.open_linear(self.configuration, "which tours do not show")
+        chosen = Configuration.open(self.configuration or DEFAULT)
         if self.guide is not None:
-            guide = msgspec.structs.replace(chosen.guide, name=self.guide, size=None)
-            chosen = dataclasses.replace(chosen, guide=guide)
+            chosen = chosen.with_choices({"guide": self.guide, "guide_size": None})
+        chosen.followed_by(self.renderer, say=False)
         return chosen
 
     def open_schedules(self) -> dict[str, "Schedule"]:

@@ -11,10 +11,10 @@ import math
 from typing import Literal, get_args
 
 import numpy as np
-from astral import Observer, moon, sun
 from jaxtyping import Float
 
 from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 
 Weather = Literal["clear", "cloudy", "full moon"]
 
@@ -74,7 +74,7 @@ def sky_at(day: datetime.date, hour: float, latitude: float, weather: Weather) -
         weather: one of `Weather`.
 
     Raises:
-        InputError: an hour, latitude or weather out of range.
+        InputError: an hour, latitude or weather out of range, or the extra `tour` is missing.
     """
     if weather not in get_args(Weather):
         raise InputError(f"weather: {weather!r} is unknown; use one of {', '.join(get_args(Weather))}")
@@ -82,7 +82,8 @@ def sky_at(day: datetime.date, hour: float, latitude: float, weather: Weather) -
         raise InputError(f"hour: must lie in 0..24, got {hour:g}")
     if not -90 <= latitude <= 90:
         raise InputError(f"latitude: must lie in -90..90 degrees, got {latitude:g}")
-    observer = Observer(latitude=float(np.clip(latitude, -89.8, 89.8)), longitude=0.0)
+    astral, sun, moon = (optional_module(name, "tour", "sky") for name in ("astral", "astral.sun", "astral.moon"))
+    observer = astral.Observer(latitude=float(np.clip(latitude, -89.8, 89.8)), longitude=0.0)
     midnight = datetime.datetime.combine(day, datetime.time(), datetime.UTC)
     when = midnight + datetime.timedelta(hours=float(hour))
     height, bearing = sun.elevation(observer, when), sun.azimuth(observer, when)

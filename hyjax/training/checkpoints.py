@@ -1,4 +1,4 @@
-"""Checkpoints of a training run: whole or not at all, and only ever the last good ones.
+"""Checkpoints of a training run, written atomically; only the last good ones are kept.
 
 Orbax writes to a temporary folder and renames it, so that a run killed at any moment finds its last checkpoint
 whole. A checkpoint holds the state and the position in the stream of crops."""
@@ -14,11 +14,12 @@ import orbax.checkpoint as ocp
 from hyjax.training.state import TrainState
 from hyjax.util.errors import InputError
 
-KEPT = 2
+KEPT_COUNT = 2
+"""Number of kept checkpoints."""
 
 
 class Checkpoints:
-    """The checkpoints in a folder, which is made with the first of them.
+    """Checkpoints in a folder, which is made with the first one.
 
     Methods raise `InputError` if the folder cannot be used.
     """
@@ -31,7 +32,7 @@ class Checkpoints:
     def _manager(self) -> ocp.CheckpointManager:
         # Written before training goes on: a copy kept in memory meanwhile would cost as much as it saves.
         options = ocp.CheckpointManagerOptions(
-            max_to_keep=KEPT, enable_async_checkpointing=False, cleanup_tmp_directories=True
+            max_to_keep=KEPT_COUNT, enable_async_checkpointing=False, cleanup_tmp_directories=True
         )
         try:
             return ocp.CheckpointManager(self.folder.absolute(), options=options)
@@ -54,7 +55,7 @@ class Checkpoints:
             raise InputError(f"{self.folder}: cannot write a checkpoint ({error.strerror or error})") from None
 
     def restore(self, like: TrainState) -> tuple[TrainState, Any]:
-        """The newest checkpoint, for a state of the same shapes as `like`.
+        """Read the newest checkpoint, for a state of the same shapes as `like`.
 
         Raises:
             InputError: it cannot be read.
@@ -72,6 +73,6 @@ class Checkpoints:
         return restored.state, restored.position
 
     def close(self) -> None:
-        """Let go of the folder."""
+        """Release the folder."""
         if "_manager" in vars(self):
             self._manager.close()

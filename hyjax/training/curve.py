@@ -1,4 +1,4 @@
-"""The learning curve of a training run as a picture."""
+"""Learning curve of a training run as a picture."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +9,7 @@ import numpy as np
 from hyjax.util.files import atomic_write
 
 SMOOTHING = 50
+"""Number of updates of the moving average."""
 
 
 def draw_curve(path: Path, lines: Sequence[dict[str, Any]]) -> None:

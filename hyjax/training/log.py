@@ -1,4 +1,4 @@
-"""Log of a training run: the settings it depends on, and a line of JSON for each update and validation."""
+"""Log of a training run: its settings, and a line of JSON for each update and validation."""
 
 import json
 from pathlib import Path
@@ -10,9 +10,9 @@ from hyjax.util.files import write_text
 from hyjax.util.reading import read_json
 from hyjax.util.run_log import Line, RunLog, as_json, check_same_settings, read_lines
 
-NAME = "log.jsonl"
-GROWING = ("iterations", "checkpoint_every")
-"""Settings that a resumed run may change."""
+FILE_NAME = "log.jsonl"
+RESUMABLE_SETTINGS = ("iterations", "checkpoint_every")
+"""Names of settings that a resumed run may change."""
 
 
 class TrainingLog:
@@ -28,7 +28,7 @@ class TrainingLog:
     """
 
     def __init__(self, folder: Path, settings: TrainSettings, resume: bool) -> None:
-        self._path, self._settings_path = folder / NAME, folder / "settings.json"
+        self._path, self._settings_path = folder / FILE_NAME, folder / "settings.json"
         self._settings, self._log = as_json(settings.record()), RunLog(None)
         if not self._settings_path.exists():
             return
@@ -37,7 +37,7 @@ class TrainingLog:
                 f"{folder}: holds another training run; add --resume to go on with it, or choose another --out"
             )
         before = _read_settings(self._settings_path)
-        check_same_settings(folder, before, self._settings, ignored=GROWING, option=_option)
+        check_same_settings(folder, before, self._settings, ignored=RESUMABLE_SETTINGS, option=_option)
         if self._path.exists():
             self._log.lines = read_lines(self._path, _is_line, "a line of a training run")
 
@@ -51,7 +51,7 @@ class TrainingLog:
 
         Args:
             start: iteration of the checkpoint.
-            record: versions and data, kept in `settings.json` beside the settings.
+            record: versions and data, kept in `settings.json` with the settings.
             write: whether this host is the one that writes.
         """
         lines = [line for line in self.lines if line["iteration"] <= start]
@@ -75,7 +75,7 @@ class TrainingLog:
 
 
 def _option(name: str, value: Any) -> str:
-    """A setting as the command line has it."""
+    """Setting in the words of the command line."""
     option = name.replace("_", "-")
     if isinstance(value, bool):
         return f"--{option}" if value else f"--no-{option}"
@@ -85,7 +85,7 @@ def _option(name: str, value: Any) -> str:
 
 
 def _is_line(line: Line) -> bool:
-    """Whether a line has what later code asks for."""
+    """Whether a line has all required keys."""
     validation = line.get("validation", {"loss": 0.0})
     return (
         type(line.get("iteration")) is int

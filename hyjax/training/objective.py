@@ -1,8 +1,8 @@
-"""The loss that a guide is trained with: guided super-resolution, and conductances against true borders.
+"""Training loss of a guide: guided super-resolution, and conductances against true borders.
 
 The super-resolution is that of Metzger et al., CVPR 2023, with the paper's changes: the network sees the frame
-alone, and what is diffused has three channels. It runs through single-level diffusion, as they train, or through
-the cascade, as the pipeline will run it.
+alone, and the diffused picture has three channels. It runs through single-level diffusion, as they train, or
+through the cascade, as the pipeline will run it.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from hyjax.training.settings import TrainSettings
 from hyjax.training.targets import Sample, borders, lit, mean_over, random_shading, tinted_depth
 
 BORDER_BALANCE = 4.0
-"""How much more an edge on a border counts than one inside an object: a gap in a border empties the object."""
+"""Weight of an edge on a border over one inside an object, as a gap in a border empties the object."""
 
 
 class Losses(NamedTuple):
@@ -33,7 +33,7 @@ class Losses(NamedTuple):
 
 
 def schedule_of(settings: TrainSettings, kappa: Float[Array, ""]) -> Schedule:
-    """The cascade that is trained through, with the learned κ at every level."""
+    """Schedule of the cascade in training, with the learned κ at every level."""
     schedule = Schedule.preset(settings.schedule)
     return dataclasses.replace(
         schedule, levels=tuple(dataclasses.replace(level, kappa=kappa) for level in schedule.levels)
@@ -48,14 +48,14 @@ def batch_losses(
     factor_index: Int[Array, ""],
     settings: TrainSettings,
 ) -> Losses:
-    """Mean losses of a batch whose every field has a leading axis.
+    """Mean losses of a batch, all fields of which have a leading axis.
 
     Args:
         features: the network's guide of each picture.
         log_kappa: logarithm of the learned κ.
         batch: pictures with depth.
         key: of tints, lamps and step counts.
-        factor_index: which of `settings.factors` the sources are coarser by.
+        factor_index: of the sources' factor in `settings.factors`.
         settings: weights of zero leave their part out.
     """
     step_key, sample_key = jax.random.split(key)
@@ -76,14 +76,14 @@ def batch_losses(
             border = border_loss(features, log_kappa, sample, schedule_of(settings, jnp.exp(log_kappa)))
         return Losses(depth, shading, border), jnp.any(shaded).astype(features.dtype)
 
-    each, shaded = jax.vmap(losses)(features, batch, keys)
+    parts, shaded = jax.vmap(losses)(features, batch, keys)
     # Crops without normals say nothing of shading.
-    shading = jnp.sum(each.shading * shaded) / jnp.maximum(jnp.sum(shaded), 1.0)
-    return Losses(jnp.mean(each.depth), shading, jnp.mean(each.border))
+    shading = jnp.sum(parts.shading * shaded) / jnp.maximum(jnp.sum(shaded), 1.0)
+    return Losses(jnp.mean(parts.depth), shading, jnp.mean(parts.border))
 
 
 def total(losses: Losses, settings: TrainSettings) -> Float[Array, ""]:
-    """The weighted sum."""
+    """Weighted sum of the losses."""
     return (
         settings.depth_weight * losses.depth
         + settings.shading_weight * losses.shading

@@ -1,4 +1,4 @@
-"""A training run: from settings to weights, with a log, pictures and checkpoints along the way.
+"""Training run: from settings to weights, with a log, pictures and checkpoints.
 
 The folder of a run holds
 
@@ -43,7 +43,7 @@ from hyjax.util.files import make_writable
 _log = logging.getLogger(__name__)
 
 MEMORY_MARGIN = 0.9
-"""Share of the memory that is free which an update may take."""
+"""Largest share of the free memory for an update."""
 
 
 def train(
@@ -169,7 +169,7 @@ def _numbers(update: Progress) -> dict[str, float]:
 
 
 def _unsound(update: Progress, iteration: int, out: Path) -> InputError:
-    """What to say of an update that is not finite; the state before it has been kept."""
+    """Message about an update that is not finite; the state before it has been kept."""
     return InputError(
         f"{out}: the loss became {float(update.loss)} at iteration {iteration}, its gradient "
         f"{float(update.gradient)}; "
@@ -179,7 +179,7 @@ def _unsound(update: Progress, iteration: int, out: Path) -> InputError:
 
 
 def _check_memory(needed: int, settings: TrainSettings) -> None:
-    """Refuse a batch that this machine cannot hold, before the system kills the program for it."""
+    """Raise `InputError` for a batch beyond this machine's memory, before the system kills the program."""
     free = _free_memory()
     if needed > MEMORY_MARGIN * free:
         raise InputError(
@@ -189,7 +189,7 @@ def _check_memory(needed: int, settings: TrainSettings) -> None:
 
 
 def _free_memory() -> float:
-    """Bytes that an update may use on this host's device; infinite where the system does not tell."""
+    """Memory in bytes for an update on this host's device; infinite where the system has no figure."""
     limits = jax.local_devices()[0].memory_stats()
     if limits and "bytes_limit" in limits:
         return limits["bytes_limit"] - limits.get("bytes_in_use", 0)

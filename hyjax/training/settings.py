@@ -20,11 +20,11 @@ class TrainSettings(Settings):
     Attributes:
         encoder: `mobilenetv4_conv_small`, `mobilenetv4_conv_medium`, or one that is registered as they are.
         features: channels of the guide.
-        pairs: what to learn from, each drawn from equally often: `rooms` (generated, needs no file), `folder:PATH`
+        pairs: training sources, each drawn from equally often: `rooms` (generated, needs no file), `folder:PATH`
             (your own), or `mosd:`, `diml:`, `nyu:`, `middlebury:`, `capture:PATH`; docs/guide.md has their options.
         start: file with weights to start from, of a whole guide or of an encoder alone as timm has it; random ones
             if empty.
-        validation: what to judge by, named as pairs are; other crops of the same pictures if empty.
+        validation: validation sources, named as pairs are; other crops of the same pictures if empty.
         size: side of the square crops in pixels, a multiple of 32.
         batch: crops an update, over all devices.
         iterations: updates.
@@ -76,7 +76,7 @@ class TrainSettings(Settings):
     seed: int = 0
 
     def check(self) -> "TrainSettings":
-        """Return these settings, or raise `InputError` naming the first that cannot be."""
+        """Return these settings, or raise `InputError` naming the first invalid one."""
         from hyjax.core.schedule import PRESETS
 
         if self.schedule not in PRESETS:
@@ -114,9 +114,7 @@ class TrainSettings(Settings):
             )
         weights = [getattr(self, f"{name}_weight") for name in ("depth", "shading", "border")]
         if not all(math.isfinite(w) and w >= 0 for w in weights) or not any(weights):
-            raise InputError(
-                f"weights: those of depth, shading and border must be >= 0, one above 0; got {weights}"
-            )
+            raise InputError(f"weights: depth, shading and border must be >= 0 and one above 0, got {weights}")
         for name in ("learning_rate", "clip", "decay"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError(f"{name}: must be finite and > 0, got {getattr(self, name)}")
@@ -125,12 +123,12 @@ class TrainSettings(Settings):
         return self
 
     def record(self) -> dict[str, Any]:
-        """As JSON's types."""
+        """Settings in JSON's types."""
         return {k: list(v) if isinstance(v, tuple) else v for k, v in dataclasses.asdict(self).items()}
 
 
 def paper_settings() -> TrainSettings:
-    """The paper's training section; it does not say how often the learning rate is stepped down.
+    """Settings of the paper's training section, which lacks the interval between steps of the learning rate.
 
     docs/guide.md and `hyjax train --help` list where this differs from the code that Metzger et al. published.
     """

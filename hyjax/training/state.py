@@ -1,4 +1,4 @@
-"""One update: the network's state, its optimiser, and the compiled step from one state to the next."""
+"""State of the network, its optimiser, and the compiled update from one state to the next."""
 
 import dataclasses
 import functools
@@ -50,7 +50,7 @@ class Progress(NamedTuple):
 
     Attributes:
         loss: the weighted sum before the update.
-        parts: what it is made of.
+        parts: its parts.
         gradient: global norm of its gradient, before clipping.
         kappa: the learned κ before the update.
         sound: whether all of these and the new weights are finite.
@@ -64,7 +64,7 @@ class Progress(NamedTuple):
 
 
 class Updater:
-    """Updates of one network under one set of settings, batches spread over all devices of all hosts.
+    """Updater of one network under one set of settings, with batches spread over all devices of all hosts.
 
     Args:
         settings: see there.
@@ -98,21 +98,21 @@ class Updater:
         self._features = jax.jit(lambda state, images: self.network(state)(normalise(images)))
 
     def initial(self) -> TrainState:
-        """The state before the first update."""
+        """State before the first update."""
         weights = {"network": self._weights, "log_kappa": jnp.asarray(self._log_kappa, jnp.float32)}
         state = TrainState(weights, self._statistics, self._optimizer.init(weights), jnp.zeros((), jnp.int32))
         return self.placed(state)
 
     def placed(self, state: TrainState) -> TrainState:
-        """The state on every device, in memory of its own."""
+        """Copy the state to every device, in memory of its own."""
         return jax.tree.map(lambda x: jax.device_put(jnp.array(x), self._everywhere), state)
 
     def spread(self, local: Sample) -> Sample:
-        """This host's part of a batch → the batch over all devices."""
+        """Assemble the batch over all devices from this host's part."""
         return Sample(*(jax.make_array_from_process_local_data(self._spread, np.asarray(x)) for x in local))
 
     def update(self, state: TrainState, batch: Sample) -> tuple[TrainState, Progress]:
-        """One update; the given state is used up. An update that is not sound changes nothing."""
+        """Update the state, which is donated. An unsound update changes nothing."""
         return self._update(state, batch)
 
     def features(self, state: TrainState, images: Float[ArrayLike, "b h w 3"]) -> Float[Array, "b h w f"]:
@@ -120,13 +120,13 @@ class Updater:
         return self._features(state, jnp.asarray(images))
 
     def prepare(self, state: TrainState, batch: Sample) -> int:
-        """Compile the update. Returns the bytes that it will need beside what is there already."""
+        """Compile the update. Returns the additional memory that it will need, in bytes."""
         self._update = self._update.lower(state, batch).compile()
         analysis = self._update.memory_analysis()
         return int(analysis.temp_size_in_bytes + analysis.output_size_in_bytes)
 
     def network(self, state: TrainState) -> GuideNetwork:
-        """The network as it stands, ready for inference."""
+        """Network of a state, ready for inference."""
         return nnx.merge(self._still, state.weights["network"], state.statistics)
 
     def _updated(self, state: TrainState, batch: Sample) -> tuple[TrainState, Progress]:

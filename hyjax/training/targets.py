@@ -1,4 +1,4 @@
-"""What a guide is trained on: pictures whose borders are those of the objects, and the borders themselves.
+"""Training targets of a guide: pictures with the borders of the objects, and the borders themselves.
 
 From one depth map with normals come, with fresh random numbers for every sample,
 
@@ -21,24 +21,25 @@ from hyjax.light.kinds import PointLight
 
 TINT = (0.5, 1.5)
 LAMPS = 3
-AMBIENT = 0.2
-"""Of the shading target, in multiples of the lamps' mean: shading must be positive to be adjusted."""
-BRIGHTEST = 4.0
-"""Of a lamp, in multiples of its mean over the picture: one so near a surface that it glares teaches nothing."""
-FIELD = 450.0
-"""Pixels from the optical axis to 45 degrees; crops do not know theirs, and lamps anywhere will do."""
-JUMP = 0.03
-"""A border: depth changes by this share of itself more than the slope beside it explains ..."""
-TURN = 0.94
-"""... or normals of neighbouring pixels have a cosine below this, some 20 degrees."""
-REACH = 8
-"""Without normals, there is no border where depth goes on as it came for so many pixels on both sides ..."""
-FLAT = 0.004
-"""... but for this share of itself; at focal lengths up to 700 pixels a crease of 20 degrees bends it by more."""
+AMBIENT_SHARE = 0.2
+"""Ambient part of the shading target over the lamps' mean: shading must be positive to be adjusted."""
+LARGEST_BRIGHTNESS = 4.0
+"""Largest brightness of a lamp over its mean in the picture, as glare teaches nothing."""
+FOCAL_LENGTH = 450.0
+"""Focal length in pixels: crops do not know theirs, and lamps anywhere will do."""
+DEPTH_JUMP = 0.03
+"""Jump of depth at a border, as a share of depth, beyond the neighbouring slope."""
+BORDER_COSINE = 0.94
+"""Cosine between normals of neighbouring pixels below which they have a border, some 20 degrees."""
+STRAIGHT_PIXELS = 8
+"""Pixels on both sides over which depth must go straight on to exclude a border without normals."""
+STRAIGHT_TOLERANCE = 0.004
+"""Tolerance of that straightness, as a share of depth; at focal lengths up to 700 pixels a crease of 20 degrees
+bends depth by more."""
 
 
 class Sample(NamedTuple):
-    """One training crop, or a batch of them. Normals are zero where unknown, which may be everywhere."""
+    """Training crop, or a batch of crops. Normals are zero where unknown, which may be everywhere."""
 
     image: Float[Array, "*b h w 3"]
     depth: Float[Array, "*b h w"]
@@ -65,17 +66,17 @@ def tinted_depth(sample: Sample, key: Key[Array, ""]) -> Float[Array, "h w 3"]:
 
 
 def random_shading(sample: Sample, key: Key[Array, ""]) -> Float[Array, "h w 3"]:
-    """The surface under random coloured lamps and a little ambient light, about 1 on average.
+    """Shading of the surface by random coloured lamps and a little ambient light, about 1 on average.
 
     Lamps lie anywhere from behind the camera to the depth of the scene. Lengths are multiples of the mean depth.
-    It means something where `lit` says so; elsewhere it is plain ambient light.
+    It is valid where `lit` is true; elsewhere it is plain ambient light.
     """
     h, w = sample.depth.shape
     depth = relative_depth(sample)
-    u, v = jnp.meshgrid((jnp.arange(w) - (w - 1) / 2) / FIELD, (jnp.arange(h) - (h - 1) / 2) / FIELD)
+    u, v = jnp.meshgrid((jnp.arange(w) - (w - 1) / 2) / FOCAL_LENGTH, (jnp.arange(h) - (h - 1) / 2) / FOCAL_LENGTH)
     position = depth[..., None] * jnp.stack([u, v, jnp.ones_like(u)], axis=-1)
     known = lit(sample)
-    total = jnp.full((h, w, 3), AMBIENT)
+    total = jnp.full((h, w, 3), AMBIENT_SHARE)
     for lamp_key in jax.random.split(key, LAMPS):
         place_key, color_key = jax.random.split(lamp_key)
         place = jax.random.uniform(
@@ -85,23 +86,23 @@ def random_shading(sample: Sample, key: Key[Array, ""]) -> Float[Array, "h w 3"]
         lamp = PointLight(place, jnp.asarray(1.0), color)
         lux = jnp.where(known, lamp.illuminance_at(position, sample.normal), 0.0)
         lux = lux / jnp.maximum(mean_over(lux, known), 1e-6)
-        total = total + jnp.minimum(lux, BRIGHTEST)[..., None] * (color / LAMPS)
+        total = total + jnp.minimum(lux, LARGEST_BRIGHTNESS)[..., None] * (color / LAMPS)
     return total
 
 
 def lit(sample: Sample) -> Bool[Array, "h w"]:
-    """Where the surface can be shaded: where depth is valid and the normal known."""
+    """Mask of the pixels that can be shaded: valid depth and a known normal."""
     return sample.valid & jnp.any(sample.normal != 0, axis=-1)
 
 
 def borders(sample: Sample) -> tuple[Edges, Edges]:
-    """Where objects end and surfaces turn, between neighbouring pixels.
+    """Borders between neighbouring pixels, where objects end and surfaces turn.
 
     A depth jump is a second difference, so that a slanted plane is none: depth changes across the edge by more than
-    `JUMP` beyond the smaller of the changes on both sides of it.
+    `DEPTH_JUMP` beyond the smaller of the changes on both sides of it.
 
     Returns:
-        (border, known): 1 where there is a border, and 1 where that can be told, each on the edges as (vertical,
+        (border, known): 1 where there is a border, and 1 where that is known, each on the edges as (vertical,
         horizontal).
     """
     depth = relative_depth(sample)
@@ -117,10 +118,10 @@ def _borders(depth: Array, normal: Array, valid: Array) -> tuple[Array, Array]:
     above, below = (jnp.pad(change, ((1, 1), (0, 0)), mode="edge")[k : k + change.shape[0]] for k in (0, 2))
     slope = jnp.where(jnp.abs(above) < jnp.abs(below), above, below)
     nearer = jnp.minimum(depth[1:], depth[:-1])
-    jumps = jnp.abs(change - slope) > JUMP * nearer
+    jumps = jnp.abs(change - slope) > DEPTH_JUMP * nearer
     turned = jnp.sum(normal[1:] * normal[:-1], axis=-1)
     have = jnp.any(normal != 0, axis=-1)
-    turns = have[1:] & have[:-1] & (turned < TURN)
+    turns = have[1:] & have[:-1] & (turned < BORDER_COSINE)
     border = known & (jumps | turns)
     # Without normals there may be a crease wherever depth bends.
     known = border | (known & ((have[1:] & have[:-1]) | _straight(depth, valid)))
@@ -128,11 +129,12 @@ def _borders(depth: Array, normal: Array, valid: Array) -> tuple[Array, Array]:
 
 
 def _straight(depth: Array, valid: Array) -> Array:
-    """Edges across which depth goes straight on."""
+    """Mask of the edges across which depth goes straight on."""
     count = depth.shape[0] - 1
-    d, v = (jnp.pad(x, ((REACH, REACH), (0, 0))) for x in (depth, valid))
-    starts = (0, REACH, REACH + 1, 2 * REACH + 1)  # of the pixels that the changes before and after an edge join
+    d, v = (jnp.pad(x, ((STRAIGHT_PIXELS, STRAIGHT_PIXELS), (0, 0))) for x in (depth, valid))
+    # Starts of the pixels that the changes before and after an edge join.
+    starts = (0, STRAIGHT_PIXELS, STRAIGHT_PIXELS + 1, 2 * STRAIGHT_PIXELS + 1)
     (far, near, next_near, next_far), seen = ([x[k : k + count] for k in starts] for x in (d, v))
     before, across, after = near - far, next_near - near, next_far - next_near
-    bend = jnp.maximum(jnp.abs(after - before), jnp.abs(across - (before + after) / (2 * REACH)))
-    return seen[0] & seen[1] & seen[2] & seen[3] & (bend < FLAT * jnp.minimum(near, next_near))
+    bend = jnp.maximum(jnp.abs(after - before), jnp.abs(across - (before + after) / (2 * STRAIGHT_PIXELS)))
+    return seen[0] & seen[1] & seen[2] & seen[3] & (bend < STRAIGHT_TOLERANCE * jnp.minimum(near, next_near))

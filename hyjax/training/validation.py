@@ -23,18 +23,20 @@ from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.files import make_writable
 
 BATCHES = 8
-SHOWN = 8
+"""Number of validation batches."""
+SHEET_CROPS = 8
+"""Number of crops on a sheet."""
 SEED = 1
-"""Of crops, lamps and tints: other crops than those trained on even where the pictures are the same."""
+"""Seed of crops, lamps and tints, so that crops differ from training even in the same pictures."""
 HEADINGS = ("frame", "source", "under the frame", "under the guide", "truth", "conductances")
 
 
 class Validation:
-    """The same crops, lamps and tints every time.
+    """Validation on the same crops, lamps and tints every time.
 
     Args:
-        updater: whose network and settings.
-        sources: what to take crops from.
+        updater: with the network and settings.
+        sources: of the crops.
 
     Raises:
         InputError: a source has no usable crop.
@@ -49,7 +51,7 @@ class Validation:
         self.rgb = self._measure(lambda images: jnp.asarray(images), jnp.log(DEFAULT_KAPPA))
 
     def __call__(self, state: TrainState) -> dict[str, Any]:
-        """Losses by name, `loss` their weighted sum; and under `rgb` those of the RGB guide at its usual κ."""
+        """Losses by name, `loss` their weighted sum; under `rgb` the losses of the RGB guide at its usual κ."""
         measured = self._measure(functools.partial(self.updater.features, state), state.weights["log_kappa"])
         return measured | {"rgb": self.rgb}
 
@@ -76,7 +78,7 @@ class Validation:
             for i in range(len(features)):
                 sample = Sample(*(jnp.asarray(field[i]) for field in batch))
                 rows.append(self._row(f"crop {len(rows)}", sample, features[i], state.weights["log_kappa"]))
-            if len(rows) >= SHOWN:
+            if len(rows) >= SHEET_CROPS:
                 break
         if path is not None:
             make_writable(path.parent)
@@ -110,5 +112,5 @@ def _resolved(target, sample, features, log_kappa, factor, settings):  # type: i
 
 
 def sample_of(batch: Batch) -> Sample:
-    """What the loss needs of a batch; it treats metres and disparity alike."""
+    """Sample of a batch for the loss, which treats metres and disparity alike."""
     return Sample(*(jnp.asarray(field) for field in (batch.image, batch.depth, batch.valid, batch.normal)))

@@ -12,7 +12,8 @@ from hyjax.data.capture import Capture
 from hyjax.guide.choose import RGB, FrameGuide
 from hyjax.light.setup import LightSetup
 from hyjax.scene.alignment import aligned
-from hyjax.scene.scene import Scene, view_of
+from hyjax.scene.place import view_of
+from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.scene.surfaces import rough_mesh
 from hyjax.tuning.cases import Case, raw_filter, refined_filter

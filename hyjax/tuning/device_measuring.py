@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import msgspec
 
 from hyjax.core.schedule import Schedule
-from hyjax.device.server import JSON, Answer, Folder, Server
+from hyjax.device.server import JSON, Answer, FolderSite, Server
 from hyjax.tuning.device_latency import (
     FEWEST_SAMPLES,
     FORMAT,
@@ -87,7 +87,7 @@ class Measuring:
     def __init__(self, say: Callable[[str], None]) -> None:
         self.say = lambda line: say("".join(c if c.isprintable() else "?" for c in line))
         self.device: Device | None = None
-        self._files = Folder(resources.files("hyjax.device").joinpath("page"), PAGE)  # type: ignore[arg-type]
+        self._files = FolderSite(resources.files("hyjax.device").joinpath("page"), PAGE)  # type: ignore[arg-type]
         self._changed = threading.Condition()
         self._job: _Job | None = None
         self._jobs, self._heard, self._ended = 0, time.monotonic(), False

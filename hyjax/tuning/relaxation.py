@@ -23,7 +23,7 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from hyjax.core.diffusion import diffuse, edge_stopping, guide_distance
 from hyjax.core.pyramid import downsample
@@ -121,35 +121,54 @@ class Prepared:
         guides: likewise.
         distances: of these, for each factor.
         mean: of all that is known.
+        picture: colours of the lights, frame, target in display values, where that is valid.
     """
 
     entries: tuple[Float[Array, "ch cw c"], ...]
     guides: tuple[Float[Array, "ch cw f"], ...]
     distances: tuple[Edges, ...]
     mean: Float[Array, "l"]
-    colors: Float[Array, "l 3"]
-    frame: Float[Array, "h w 3"]
-    target_display: Float[Array, "h w 3"]
-    valid: Bool[Array, "h w"]
+    picture: tuple[Array, ...] = ()
 
 
 @functools.partial(jax.jit, static_argnames="factors")
 def prepare(case: Case, factors: tuple[int, ...]) -> Prepared:
     """Everything about a case that the search needs again and again."""
-    illuminance = case.shaded.illuminance
-    weight = case.shaded.confidence.astype(illuminance.dtype)
-    weighted = jnp.concatenate([illuminance * weight, weight], axis=-1)
+    picture = filter_colors(case.shaded), case.frame, display_unclipped(case.target, case.frame), case.valid
+    shaded = case.shaded
+    return prepare_channels(shaded.illuminance, shaded.confidence, case.guide, factors, 1, *picture)
+
+
+def prepare_channels(
+    channels: Float[Array, "sh sw c"],
+    confidence: Float[Array, "sh sw 1"],
+    guide: Float[Array, "h w f"],
+    factors: tuple[int, ...],
+    sampling: int = 1,
+    *picture: Array,
+) -> Prepared:
+    """What no candidate changes, of channels at one pixel in each block of `sampling` by `sampling`.
+
+    Args:
+        channels: to refine.
+        confidence: of each sample.
+        guide: at full size.
+        factors: of the levels, multiples of the sampling.
+        sampling: of the channels.
+        picture: colours, frame, target and where it is valid, for a loss.
+    """
+    weight = confidence.astype(channels.dtype)
+    weighted = jnp.concatenate([channels * weight, weight], axis=-1)
     total = jnp.sum(weighted, axis=(0, 1))
-    guides = tuple(downsample(case.guide, factor) for factor in factors)
+    height, width = guide.shape[:2]
+    whole = jnp.repeat(jnp.repeat(weighted, sampling, 0), sampling, 1)[:height, :width]
+    guides = tuple(downsample(guide, factor) for factor in factors)
     return Prepared(
-        entries=(*(downsample(weighted, factor) for factor in factors), weighted),
-        guides=(*guides, case.guide),
+        entries=(*(downsample(weighted, factor // sampling) for factor in factors), whole),
+        guides=(*guides, guide),
         distances=tuple(guide_distance(guide) for guide in guides),
         mean=total[:-1] / jnp.maximum(total[-1], TINY),
-        colors=filter_colors(case.shaded),
-        frame=case.frame,
-        target_display=display_unclipped(case.target, case.frame),
-        valid=case.valid,
+        picture=picture,
     )
 
 
@@ -219,18 +238,23 @@ def _real_steps(state: Array, edges: Edges, lam: Array, steps: Array, fidelity: 
     return jax.lax.scan(block, state, jnp.arange(0.0, MOST_STEPS, BLOCK))[0]
 
 
-def relaxed_filter(prepared: Prepared, point: RelaxedSchedule, factors: tuple[int, ...]) -> Float[Array, "h w 3"]:
-    """The filter of `point`: `cascade_known` with real-valued steps."""
+def relaxed_channels(prepared: Prepared, point: RelaxedSchedule, factors: tuple[int, ...]) -> Float[Array, "h w c"]:
+    """`cascade_known` with real-valued steps."""
     diffused = relaxed_cascade(prepared, point, factors)
     reached = diffused[..., -1:]
     floor = HOLE_FLOOR * (1.0 - reached)
-    return mix_channels((diffused[..., :-1] + floor * prepared.mean) / (reached + floor), prepared.colors)
+    return (diffused[..., :-1] + floor * prepared.mean) / (reached + floor)
+
+
+def relaxed_filter(prepared: Prepared, point: RelaxedSchedule, factors: tuple[int, ...]) -> Float[Array, "h w 3"]:
+    """The filter of `point`."""
+    return mix_channels(relaxed_channels(prepared, point, factors), prepared.picture[0])
 
 
 def relaxed_loss(point: RelaxedSchedule, prepared: Prepared, factors: tuple[int, ...]) -> Float[Array, ""]:
     """What the search minimises, on one frame."""
-    display = display_unclipped(relaxed_filter(prepared, point, factors), prepared.frame)
-    return display_loss(display, prepared.target_display, prepared.valid)
+    _, frame, target, valid = prepared.picture
+    return display_loss(display_unclipped(relaxed_filter(prepared, point, factors), frame), target, valid)
 
 
 evaluate = functools.partial(jax.jit, static_argnames="factors")(relaxed_loss)

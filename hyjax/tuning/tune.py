@@ -48,7 +48,7 @@ def tune(
 
     Returns:
         Configurations, measured, with the front of quality against time. Its `configuration` goes into
-        `RelightSettings` as a file, or into `FrameRelighter` as it is.
+        `RelightSettings` as a file, or into `Relighter` as it is.
 
     Raises:
         InputError: any of these cannot be used, or a budget is out of reach on this device.

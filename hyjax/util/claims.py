@@ -1,4 +1,9 @@
-"""Folders that one process at a time writes its results to."""
+"""Locks of files and folders, and folders that one process at a time writes its results to.
+
+The system keeps a lock with the open file and gives it back when the process ends, killed or not. It holds for all
+containers that share the folder, where process numbers say nothing, and for machines with shared locks;
+NFS has none of folders.
+"""
 
 import contextlib
 import os
@@ -43,7 +48,11 @@ def claimed(folder: Path | None) -> Iterator[None]:
             os.close(descriptor)
             _held[key][1] += 1
         else:
-            _lock(descriptor, folder)
+            if try_lock(descriptor) is False:
+                os.close(descriptor)
+                raise InputError(
+                    f"{folder}: another run writes there; wait until it has ended, or choose another --out"
+                )
             _held[key] = [descriptor, 1]
     try:
         yield
@@ -54,13 +63,12 @@ def claimed(folder: Path | None) -> Iterator[None]:
                 os.close(_held.pop(key)[0])
 
 
-def _lock(descriptor: int, folder: Path) -> None:
+def try_lock(descriptor: int) -> bool | None:
+    """Whether an open file or folder could be locked, without waiting; None where the file system has no locks."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        os.close(descriptor)
-        raise InputError(
-            f"{folder}: another run writes there; wait until it has ended, or choose another --out"
-        ) from None
-    except OSError:  # a file system without locks
-        pass
+        return False
+    except OSError:
+        return None
+    return True

@@ -1,10 +1,12 @@
-"""Versions, devices and cores, for the record of a run."""
+"""Versions and devices, for the record of a run."""
 
 import contextlib
 import os
 import platform
 from importlib import metadata
 from typing import Any
+
+from hyjax.util.cores import cores as cores
 
 OPTIONAL = (
     "optuna",
@@ -32,14 +34,6 @@ PACKAGES = (
     "OpenImageIO",
     "matplotlib",
 )
-
-
-def cores() -> int:
-    """Processor cores that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on this system
-        return os.cpu_count() or 1
 
 
 def environment() -> dict[str, Any]:

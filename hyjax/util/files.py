@@ -1,60 +1,60 @@
 """Files that appear whole or not at all.
 
-A file is written under a temporary name, brought to the disk, checked where its library does not tell that the disk
-is full (`hyjax.util.whole_files`), and renamed. A process that is killed leaves at most temporary names, which the
-next run in the same folder removes.
+A file is written under a temporary name, brought to the disk, and renamed. Who writes it checks that it is whole if
+its library does not tell that the disk is full. A process that is killed leaves at most temporary names, which the
+next run in the same folder removes: the system has locked them while their process lived.
 """
 
 import contextlib
+import errno
+import functools
 import hashlib
 import os
-import platform
 import re
 import secrets
 import shutil
 import tempfile
-import threading
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NoReturn
 
+from hyjax.util.claims import try_lock
 from hyjax.util.errors import InputError
 from hyjax.util.reading import disk_error
-from hyjax.util.whole_files import check_whole
 
 PART = ".part"
 """Before the suffix of a file, or after the name of a folder, that is not yet whole."""
 OLD = ".old"
 """After the name of a folder that is being replaced."""
 WINDOWS = os.name == "nt"
-_HOST = re.sub(r"\W", "_", platform.node())[:32] or "host"
-_RUN = secrets.token_hex(3)
-"""Tells this process from an earlier one of the same id: a restarted container counts its processes anew."""
-_TEMPORARY = re.compile(
-    r"\.(?P<name>.+)\.(?P<host>\w+)-(?P<process>\d+)-(?P<run>\w+)-\d+(?P<kind>\.part|\.old)(\..*)?"
-)
+_TEMPORARY = re.compile(r"\.(?P<name>.+)\.hyjax-[0-9a-f]{12}(?P<kind>\.part|\.old)(\..*)?")
 
 
 @contextlib.contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """A temporary name beside `path` to write to: renamed to it if the block ends well and the file is whole.
+    """A temporary name beside `path` to write to: renamed to it if the block ends well.
 
     Raises:
-        InputError: the file cannot be written, or is not whole: the disk is full. What was there before stays.
+        InputError: the file cannot be written, or nothing was. What was there before stays.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{_mark()}{PART}{path.suffix}")
-    try:
-        yield temporary
-        _to_disk(temporary)
-        check_whole(temporary, str(path))
-        temporary.replace(path)
-        _names_to_disk(path.parent)
-    except Exception as error:
-        _raise_for(error, path, temporary)
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    with contextlib.ExitStack() as held:
+        try:
+            _make_locked(held, temporary, temporary.touch)
+            os.utime(temporary, (0, 0))
+            yield temporary
+            if (status := temporary.stat()).st_mtime_ns == status.st_size == 0:
+                raise OSError(errno.EIO, "nothing was written")
+            _to_disk(temporary)
+            temporary.replace(path)
+            _names_to_disk(path.parent)
+        except Exception as error:
+            _raise_for(error, path, temporary)
+        finally:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -66,53 +66,85 @@ def new_folder(out: Path, *, replace: bool = False) -> Iterator[Path]:
         replace: whether one that is there is replaced.
 
     Raises:
-        InputError: `out` is there and neither to be replaced nor an empty folder, cannot be written, or a file in
-            it is not whole.
+        InputError: `out` is there and neither to be replaced nor an empty folder, or cannot be written.
     """
     out = Path(out)
     if not replace and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is there already and not an empty folder; choose another")
     temporary, old = (out.with_name(f".{out.name}.{_mark()}{kind}") for kind in (PART, OLD))
-    try:
-        remove_stale(out.parent)
-        temporary.mkdir(parents=True)
-        yield temporary
-        for file in sorted(temporary.rglob("*")):
-            if file.is_file():
-                _to_disk(file)
-                check_whole(file, str(out / file.relative_to(temporary)))
-        if replace and out.exists():
-            out.rename(old)
-        elif out.is_dir():
-            out.rmdir()
-        temporary.rename(out)
-        _names_to_disk(out.parent)
-    except InputError as error:  # of a file in it
-        raise InputError(str(error).replace(str(temporary), str(out))) from None
-    except Exception as error:
-        _raise_for(error, out, temporary)
-    finally:
-        _clear(old, out)
-        shutil.rmtree(temporary, ignore_errors=True)
+    with contextlib.ExitStack() as held:
+        try:
+            remove_stale(out.parent)
+            out.parent.mkdir(parents=True, exist_ok=True)
+            _make_locked(held, temporary, functools.partial(temporary.mkdir, exist_ok=True))
+            yield temporary
+            for file in sorted(temporary.rglob("*")):
+                if file.is_file():
+                    _to_disk(file)
+            if replace and out.exists():
+                _lock(held, out)
+                out.rename(old)
+            elif out.is_dir():
+                out.rmdir()
+            temporary.rename(out)
+            _names_to_disk(out.parent)
+        except InputError as error:  # of a file in it
+            raise InputError(str(error).replace(str(temporary), str(out))) from None
+        except Exception as error:
+            _raise_for(error, out, temporary)
+        finally:
+            _clear(old, out)
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def remove_stale(folder: Path) -> None:
-    """Remove temporary files and folders that killed processes of this machine left in a folder.
+    """Remove temporary files and folders that killed processes left in a folder.
 
-    Those of processes that still run, and of other machines that share the folder, stay. A folder that was being
-    replaced when its process was killed gets its name back.
+    Those of processes that still run stay, wherever they run: they are locked. So do all on file systems without
+    locks, and on Windows. A folder that was being replaced when its process was killed gets its name back.
     """
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             found = _TEMPORARY.fullmatch(entry.name)
-            if found and found["host"] == _HOST and not _runs(int(found["process"]), found["run"]):
+            with contextlib.suppress(OSError), contextlib.ExitStack() as held:
                 path = Path(entry.path)
+                if not found or _lock(held, path) is not True:
+                    continue
                 if found["kind"] == OLD:
                     _clear(path, path.with_name(found["name"]))
                 elif entry.is_dir(follow_symlinks=False):
                     shutil.rmtree(path, ignore_errors=True)
                 else:
-                    remove(path)
+                    path.unlink(missing_ok=True)
+
+
+MOST_TRIES = 100
+"""Number of tries, 10 ms apart, to lock what was just made."""
+
+
+def _make_locked(held: contextlib.ExitStack, path: Path, make: Callable[[], None]) -> None:
+    """Make a file or folder that is locked until the end; anew if `remove_stale` was there before the lock."""
+    make()
+    for _ in range(MOST_TRIES):
+        if _lock(held, path) is not False and path.exists():
+            return
+        time.sleep(0.01)
+        make()
+    raise OSError(errno.EBUSY, "another process holds its lock", str(path))
+
+
+def _lock(held: contextlib.ExitStack, path: Path) -> bool | None:
+    """Whether a file or folder could be locked until the end; None where there are no locks."""
+    if WINDOWS:
+        return None
+    # NFS locks what may be written alone; a folder never may.
+    flags = os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_NOFOLLOW
+    try:
+        descriptor = os.open(path, flags)
+    except FileNotFoundError:
+        return False
+    held.callback(os.close, descriptor)
+    return try_lock(descriptor)
 
 
 def _clear(old: Path, out: Path) -> None:
@@ -144,22 +176,7 @@ def _is_other(named: Path, path: Path, temporary: Path) -> bool:
 
 
 def _mark() -> str:
-    """Whose temporary name it is: machine, process, its run, and thread."""
-    return f"{_HOST}-{os.getpid()}-{_RUN}-{threading.get_ident()}"
-
-
-def _runs(process: int, run: str) -> bool:
-    if process == os.getpid():
-        return run == _RUN
-    if WINDOWS:  # signal 0 is Ctrl-C there
-        return True
-    try:
-        os.kill(process, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except OSError:  # of another user
-        return True
-    return True
+    return f"hyjax-{secrets.token_hex(6)}"
 
 
 def _to_disk(path: Path) -> None:

@@ -5,6 +5,7 @@ OpenImageIO is imported where it is used: kept in a module that outlives it at e
 
 import contextlib
 import errno
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from hyjax.util.picture_header import check_packing, check_picture, check_size
 
 NO_DATE = "1970:01:01 00:00:00"
 """In an EXR, which otherwise has the time of writing: equal pictures are equal files."""
+PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 PNG_LEVEL = 4
 """Compression of PNG: a third of the time of the usual 6, for files 5 % larger."""
 
@@ -166,9 +168,28 @@ def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str 
             )
         written = target.write_image(np.ascontiguousarray(pixels))
         closed = target.close()
-        _error(target)  # or it complains on stderr; its text does not say why
-        if not (written and closed):
-            raise OSError(errno.ENOSPC, "not all of it was written")
+        complaint = _error(target)
+        if complaint or not (written and closed and _has_its_end(temporary)):
+            full = shutil.disk_usage(path.parent).free < pixels.nbytes
+            number, text = errno.ENOSPC if full else errno.EIO, complaint or "not all of it was written"
+            raise OSError(number, _first_line(text.replace(str(temporary), str(path))))
+
+
+def _has_its_end(path: Path) -> bool:
+    """Whether a file has its last bytes: OpenImageIO does not tell if the disk was full when it closed it."""
+    import OpenImageIO as oiio
+
+    if path.suffix.lower() == ".png":
+        return path.read_bytes().endswith(PNG_END)
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        oiio.geterror()  # or it complains on stderr
+        return False
+    last = source.spec().height - 1
+    lines = source.read_scanlines(last, last + 1, 0, 0, source.spec().nchannels, "half")
+    complaint = _error(source)
+    source.close()
+    return lines is not None and not complaint
 
 
 def _error(where: Any) -> str:

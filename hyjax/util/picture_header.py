@@ -1,20 +1,20 @@
-"""What a picture's file says of itself, checked before any library reads it.
+"""Checks of a picture's file before its pixels are read.
 
-A small file may announce any number of pixels, and a library that believes it takes all memory; libpng writes of
-damaged chunks to stderr. Formats are known by their first bytes, whatever the name: PNG, JPEG, OpenEXR and PNM are
-looked at here; of TIFF, WebP and BMP the size that OpenImageIO finds is checked.
+Sizes are those that OpenImageIO finds in the header. Looked at here is what it would not survive in silence: libpng
+writes of damaged chunks to stderr, libjpeg goes through a progressive picture as often as it likes. Formats are
+known by their first bytes, whatever the name.
 """
 
 import os
 import re
 import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from hyjax.util.errors import InputError, shown
 from hyjax.util.reading import open_regular
-from hyjax.util.whole_files import exr_attributes, is_whole_png
 
 VARIABLE = "HYJAX_MOST_MEGAPIXELS"
 """Environment variable with the largest picture that is read, in millions of pixels."""
@@ -28,14 +28,16 @@ MOST_PER_BYTE = 500
 MOST_PASSES = 1 << 30
 """Pixels times scans of a JPEG: a progressive one is gone through once for each scan, of which it needs ten."""
 HEAD = 1 << 16
-"""Bytes of a PNG within which its palette begins."""
+"""Bytes of an EXR within which its data window is looked for; OpenImageIO finds one that a large preview hides."""
+MOST_CHUNKS = 1 << 18
+"""Of a PNG: libraries write eight kilobytes or more in each."""
 MOST_MARKERS = 1 << 16
 """Of a JPEG, without those of restarts: a large colour profile takes some hundred."""
 LARGEST_FILE = 1 << 30
 
 
 class Declared(NamedTuple):
-    """What a header says: sides in pixels, and how often a decoder goes through them."""
+    """Sides in pixels that a header says, and how often a decoder goes through them."""
 
     width: int
     height: int
@@ -43,7 +45,7 @@ class Declared(NamedTuple):
 
 
 def check_picture(path: Path, where: str) -> None:
-    """Raise `InputError` unless a file begins as a picture does, of a size that can be read if its header is known.
+    """Raise `InputError` unless a file begins as a picture does, and decoders of PNG and JPEG can be let at it.
 
     Args:
         path: of the file.
@@ -54,15 +56,15 @@ def check_picture(path: Path, where: str) -> None:
         if size > LARGEST_FILE:
             raise InputError(f"{where}: has over {LARGEST_FILE >> 20} MiB; too large for a picture")
         start = file.read(12)
-        if OTHERS.match(start):
-            return
-        kind = next((kind for mark, kind in FORMATS.items() if start.startswith(mark)), None)
-        if kind is None:
+        if not KNOWN.match(start):
             raise InputError(f"{where}: not a readable picture; read are {READ}")
+        look = next((look for mark, look in LOOKED_INTO.items() if start.startswith(mark)), None)
+        if look is None:
+            return
         file.seek(0)
         try:
-            declared = kind(file, size)
-        except (struct.error, ValueError, KeyError, IndexError, OSError):
+            declared = look(file, size)
+        except (struct.error, OSError):
             declared = None
     if declared is None or declared.width < 1 or declared.height < 1:
         raise InputError(f"{where}: damaged or truncated picture")
@@ -104,15 +106,32 @@ def _most_pixels() -> float:
 
 
 def _png(file: BinaryIO, size: int) -> Declared | None:
-    head = file.read(28)
-    if head[8:16] != b"\0\0\0\x0dIHDR" or (head[25], head[24]) not in PNG_FORMS or head[26:28] != b"\0\0":
+    """The size, if all chunks that decoders need are there in order, with their checksums."""
+    if file.read(8) != PNG:
         return None
-    width, height = struct.unpack_from(">2I", head, 16)
-    file.seek(0)
-    whole = is_whole_png(file, size, foreign=True)
-    file.seek(0)
-    has_colours = head[25] != 3 or b"PLTE" in file.read(HEAD)
-    return Declared(width, height) if whole and has_colours else None
+    order, palette, head = b"", False, b""
+    for _ in range(MOST_CHUNKS):
+        length, kind = struct.unpack(">I4s", file.read(8))
+        content = file.read(min(length, size))  # all that is announced is set aside
+        (checksum,) = struct.unpack(">I", file.read(4))
+        needed = kind[:1].isupper()
+        if not (kind.isalpha() and kind[2:3].isupper()) or len(content) != length:
+            return None
+        if needed and zlib.crc32(content, zlib.crc32(kind)) != checksum:
+            return None
+        if needed and not (kind == b"IDAT" and order.endswith(b"IDAT")):
+            order += kind
+        head = head or content
+        palette |= kind == b"PLTE"
+        if kind == b"PLTE" and (length % 3 or not 3 <= length <= 768):
+            return None
+        if kind == b"IEND":
+            break
+    if order not in (b"IHDRIDATIEND", b"IHDRPLTEIDATIEND") or len(head) != 13:
+        return None
+    width, height, bits, colour, *methods = struct.unpack(">2I5B", head)
+    fits = (colour, bits) in PNG_FORMS and methods[:2] == [0, 0] and (palette or colour != 3)
+    return Declared(width, height) if fits else None
 
 
 def _jpeg(file: BinaryIO, size: int) -> Declared | None:
@@ -141,16 +160,11 @@ FRAME_HEADERS = tuple(kind for kind in range(0xC0, 0xD0) if kind not in (0xC4, 0
 
 
 def _exr(file: BinaryIO, size: int) -> Declared | None:
-    attributes = exr_attributes(file)
-    left, top, right, bottom = struct.unpack("<4i", attributes[b"dataWindow"][1])
+    found = DATA_WINDOW.search(file.read(HEAD))
+    if found is None:  # behind a large preview
+        return Declared(1, 1)
+    left, top, right, bottom = struct.unpack("<4i", found[1])
     return Declared(right - left + 1, bottom - top + 1)
-
-
-def _pnm(file: BinaryIO, size: int) -> Declared | None:
-    words = re.sub(rb"#[^\n]*", b"", file.read(4096)).split(maxsplit=3)
-    if not all(word.isdigit() and len(word) < 10 for word in words[1:3]):
-        return None
-    return Declared(int(words[1]), int(words[2]))
 
 
 PNG_FORMS = {
@@ -158,13 +172,15 @@ PNG_FORMS = {
     *((kind, bits) for kind in (0, 3) for bits in (1, 2, 4)),
 } - {(3, 16)}
 """Kinds of colour and bits of each channel that a PNG may have."""
-FORMATS: dict[bytes, Callable[[BinaryIO, int], Declared | None]] = {
-    b"\x89PNG\r\n\x1a\n": _png,
+DATA_WINDOW = re.compile(rb"dataWindow\0box2i\0\x10\0\0\0(.{16})", re.DOTALL)
+EXR = b"v/1\x01"
+PNG = b"\x89PNG\r\n\x1a\n"
+LOOKED_INTO: dict[bytes, Callable[[BinaryIO, int], Declared | None]] = {
+    PNG: _png,
     b"\xff\xd8\xff": _jpeg,
-    b"v/1\x01": _exr,
-    **{b"P" + digit: _pnm for digit in (b"1", b"2", b"3", b"4", b"5", b"6")},
+    EXR: _exr,
 }
-"""How a file of each format begins, and what reads its header."""
-OTHERS = re.compile(rb"II[*+]\0|MM\0[*+]|RIFF.{4}WEBP|BM", re.DOTALL)
-"""How those begin whose headers OpenImageIO alone reads."""
+"""How files begin whose headers are looked at here."""
+KNOWN = re.compile(rb"\x89PNG\r\n\x1a\n|\xff\xd8\xff|v/1\x01|P[1-6]|II[*+]\0|MM\0[*+]|RIFF.{4}WEBP|BM", re.DOTALL)
+"""How files of all formats that are read begin."""
 READ = "PNG, JPEG, OpenEXR, PNM, TIFF, WebP and BMP"

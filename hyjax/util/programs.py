@@ -1,6 +1,7 @@
 """Programs of JAX that are kept in a folder: traced, lowered and compiled once for a machine, later only read.
 
-Nothing is kept unless `keep_programs` was called, as the commands do. A program is found by its function, the tree
+Nothing is kept unless `keep_programs` was called, as the commands do; a relighter then runs the functions of the
+pure layers by `run_kept`. A program is found by its function, the tree
 and shapes of its arguments, the source of the package, JAX, the machine and the settings of both, so that one made
 elsewhere, or by another version, is not found. As JAX's own cache of compiled programs, the folder must be one that
 only its owner can write to.
@@ -39,6 +40,8 @@ _log = logging.getLogger(__name__)
 _folder: Path | None = None
 _told = False
 _lock = threading.Lock()
+_functions: dict[Callable[..., Any], Any] = {}
+"""Functions that have been run, with their programs."""
 
 
 def keep_programs(folder: Path | None) -> None:
@@ -112,6 +115,22 @@ class KeptFunction(Generic[P, T]):
         except Exception as error:  # of JAX, for what cannot be serialised: costs time only
             _log.info("%s: not kept (%s)", file, error)
         return compiled
+
+
+def run_kept(function: Callable[..., Any], *arrays: Any, **static: Any) -> Any:
+    """Result of a pure function, by its kept program.
+
+    Args:
+        function: of the pure layers, at the top of its module.
+        arrays: arguments by place, or pytrees of them.
+        static: arguments by name that programs are made for each value of.
+    """
+    if _folder is None or len(static) > 1:
+        return function(*arrays, **static)
+    with _lock:
+        known = _functions.setdefault(function, None) or KeptFunction(function, next(iter(static), None))
+        _functions[function] = known
+    return known(*arrays, **static)
 
 
 def _compile_anew(function: Callable[..., Any], name: str, args: Any, kwargs: Any) -> jax.stages.Compiled:

@@ -5,6 +5,8 @@ whatever is wrong is one `InputError`.
 """
 
 import errno
+import functools
+import io
 import json
 import math
 import os
@@ -19,9 +21,10 @@ LARGEST_TEXT = 1 << 28
 """Bytes; poses and intrinsics of a hundred thousand frames have less."""
 LARGEST_WRITTEN_BY_HAND = 1 << 18
 """Bytes of a YAML file, which takes three seconds to read; a large one is better JSON."""
-PIECE = 1 << 20
 DEEPEST = 64
 """Lists and mappings within each other."""
+MOST_MARKS = 1 << 23
+"""Commas, colons and opening brackets of a JSON text: as many values take three seconds and 0.4 GiB."""
 MOST_DIGITS = 20
 """Of a whole number; it must have at most 64 bits too, with a sign or without."""
 HALF_LETTER = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
@@ -48,12 +51,41 @@ def open_regular(path: Path, where: str | None = None) -> BinaryIO:
         raise InputError(f"{where}: no such file") from None
     except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
         raise InputError(f"{where}: cannot read ({_reason(error)})") from None
-    mode = os.fstat(descriptor).st_mode
-    if not stat.S_ISREG(mode):
+    found = os.fstat(descriptor)
+    if not stat.S_ISREG(found.st_mode):
         os.close(descriptor)
-        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe, socket or device"
+        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a pipe, socket or device"
         raise InputError(f"{where}: is {kind}, not a file")
-    return os.fdopen(descriptor, "rb")
+    if found.st_dev in _kernel_devices():
+        os.close(descriptor)
+        raise InputError(f"{where}: leads to a file that the kernel makes up, not a stored one")
+    return io.BufferedReader(_StoredFile(descriptor, where))
+
+
+class _StoredFile(io.FileIO):
+    """A file whose disk may fail while it is read."""
+
+    def __init__(self, descriptor: int, where: str) -> None:
+        super().__init__(descriptor, "rb")
+        self.where = where
+
+    def readinto(self, buffer: Any, /) -> int | None:
+        try:
+            return super().readinto(buffer)
+        except OSError as error:
+            raise InputError(f"{self.where}: cannot read ({_reason(error)})") from None
+
+    def readall(self) -> bytes:
+        try:
+            return super().readall()
+        except OSError as error:
+            raise InputError(f"{self.where}: cannot read ({_reason(error)})") from None
+
+
+@functools.cache
+def _kernel_devices() -> set[int]:
+    """Numbers of the file systems whose files have no content until they are read."""
+    return {place.stat().st_dev for place in (Path("/proc"), Path("/sys")) if place.is_dir()}
 
 
 def check_regular(path: Path, where: str | None = None) -> None:
@@ -77,16 +109,9 @@ def read_bytes(path: Path, where: str | None = None, most: int = LARGEST_TEXT) -
     """
     where = where or str(path)
     with open_regular(path, where) as file:
-        size = os.fstat(file.fileno()).st_size  # 0 of a file that the kernel makes up as it is read
+        size = os.fstat(file.fileno()).st_size
         check_most(size, most, where)
-        try:
-            content = file.read(size + 1)
-            while size < len(content) <= most and (more := file.read(PIECE)):
-                content += more
-        except OSError as error:
-            raise InputError(f"{where}: cannot read ({_reason(error)})") from None
-    check_most(len(content), most, where)
-    return content
+        return file.read(size)
 
 
 def check_most(size: int, most: int, where: str) -> None:
@@ -130,7 +155,8 @@ def parse_json(text: str | bytes, where: str, *, only_finite: bool = False) -> A
         only_finite: refuse NaN and infinite numbers too, which Python writes though JSON has none.
 
     Raises:
-        InputError: no text, no JSON, whole numbers beyond 64 bits, or lists and mappings more than 64 deep.
+        InputError: no text, no JSON, too many values, whole numbers beyond 64 bits, or lists and mappings more
+            than 64 deep.
 
     Example:
         >>> parse_json('{"size": [640, 480]}', "camera.json")
@@ -140,6 +166,8 @@ def parse_json(text: str | bytes, where: str, *, only_finite: bool = False) -> A
         text = as_text(text, where)
     if not isinstance(text, str):
         raise InputError(f"{where}: need JSON text, got {shown(text)}")
+    if len(text) > MOST_MARKS and sum(map(text.count, ",:[{")) > MOST_MARKS:
+        raise InputError(f"{where}: has over {MOST_MARKS} values; too many for its kind")
 
     def whole(digits: str) -> int:
         if len(digits.lstrip("-")) > MOST_DIGITS:

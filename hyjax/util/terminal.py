@@ -1,5 +1,6 @@
 """What commands print on stderr: a line each, without the libraries' own."""
 
+import errno
 import logging
 import os
 import sys
@@ -17,6 +18,28 @@ class OneLine(logging.Formatter):
 
     def formatMessage(self, record: logging.LogRecord) -> str:
         return one_line(super().formatMessage(record))
+
+
+def open_closed_streams() -> None:
+    """Put an empty file in the place of a standard stream that the shell has closed (`>&-`)."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is None:
+            opened = os.open(os.devnull, os.O_RDWR)  # takes the number that is free, or is brought there
+            if opened != number:
+                os.dup2(opened, number)
+                os.close(opened)
+            setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
+
+
+def end_output(error: OSError) -> int:
+    """Exit status once standard output cannot be written to; another error is raised again."""
+    ended = isinstance(error, BrokenPipeError)  # the reader of our output (`| head`)
+    if not ended:
+        if error.filename is not None or error.errno not in (errno.ENOSPC, errno.EIO):
+            raise error
+        print(f"hyjax: stdout: cannot be written to: {error.strerror}", file=sys.stderr)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0 if ended else 2
 
 
 def quiet_libraries() -> None:

@@ -1,4 +1,4 @@
-"""Temporal filter: refined light, and a network's features, carried along the surface from frame to frame."""
+"""Temporal reprojection of refined light, and of a network's features, along the surface between frames."""
 
 from hyjax.video.carried_guide import CarriedGuide
 from hyjax.video.temporal_filter import Memory, Video, fill_depth, recall, remembers, steady

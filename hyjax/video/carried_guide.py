@@ -1,4 +1,4 @@
-"""Guide of a video: a network sees one frame of so many, and its features move with the surface in between."""
+"""Guide of a video: a network runs on every n-th frame, and its features move with the surface in between."""
 
 import dataclasses
 from collections.abc import Callable
@@ -14,15 +14,15 @@ from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 from hyjax.video.temporal_filter import Memory, fill_depth, recall
 
-FILLING = "hyjax"
-"""Preset by which features that no earlier frame tells are filled, under the frame itself."""
+FILLING_PRESET = "hyjax"
+"""Preset that fills features without an earlier frame, under the frame itself."""
 LEAST_FOUND = 0.6
-"""Share of a frame's points that must have been seen before; with fewer the network looks again."""
+"""Least share of a frame's points seen before; with fewer the network runs again."""
 
 
 @dataclasses.dataclass
 class CarriedGuide:
-    """Features of the frames of a video, made anew every so many frames and carried along the surface between.
+    """Features of a video's frames, computed every few frames and carried along the surface in between.
 
     Example:
         carried = CarriedGuide(every=4)
@@ -30,8 +30,8 @@ class CarriedGuide:
             features = carried.features(view, lambda: guide.features(view.display))
 
     Attributes:
-        every: how many frames one look of the network serves.
-        memory: features of the last frame that it saw; None before the first.
+        every: number of frames per run of the network.
+        memory: features of the last frame of the network; None before the first.
     """
 
     every: int
@@ -56,7 +56,7 @@ class CarriedGuide:
         if view.pose is None or view.intrinsics is None:
             raise InputError("video: the view needs the camera's pose and intrinsics")
         camera = jnp.asarray(view.pose, jnp.float32), jnp.asarray(view.intrinsics, jnp.float32)
-        schedule = Schedule.preset(FILLING)
+        schedule = Schedule.preset(FILLING_PRESET)
         depth = fill_depth(view.gbuffer, view.display, schedule)
         self._age += 1
         if self.memory is not None and self._age < self.every and self.memory.depth.shape == depth.shape:

@@ -1,4 +1,4 @@
-"""Temporal filter: refined light is carried along the surface from frame to frame, so that it does not flicker.
+"""Temporal filter: an exponential mean of refined light along the surface, against flicker.
 
 The guide is a camera's picture, noisy and never twice the same, and so is what it lets through; a mesh is fixed in
 the world, and so is the light on it as long as no lamp moves. So each pixel's surface point is looked up in the
@@ -30,19 +30,19 @@ from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 
 KEEP = 0.8
-"""Share of the last frame. What was wrong is down to a tenth after ten frames."""
+"""Weight of the last frame. An error is down to a tenth after ten frames."""
 SAME_DEPTH = 0.05
-"""Of the depth: a point seen in the last frame this much nearer or farther was another one."""
+"""Largest relative difference of depth between two frames at the same point."""
 LEAST_WEIGHT = 1e-3
-"""Of the bilinear neighbours on the same surface, below which a point was not seen."""
+"""Least weight of the bilinear neighbours on the same surface; below it a point was not seen."""
 LEAST_FOUND = 0.1
-"""Share of the pixels. Where less is found again the camera has jumped, and all starts anew."""
+"""Least share of pixels found again; below it the camera has jumped, and all starts anew."""
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Memory:
-    """Refined light of one frame, kept for the next.
+    """Memory of one frame's refined light, kept for the next.
 
     Attributes:
         channels: refined lux and visibility of each light.
@@ -50,7 +50,7 @@ class Memory:
         pose: camera-to-world.
         intrinsics: of the camera, as `Intrinsics.matrix`.
         lights: that the channels belong to.
-        reference_lux, existing: likewise, see `LightSetup`.
+        reference_lux, existing: of the set-up, see `LightSetup`.
     """
 
     channels: Float[Array, "h w c"]
@@ -64,9 +64,9 @@ class Memory:
 
 @checked_arguments
 def fill_depth(gbuffer: GBuffer, guide: Float[Array, "h w f"], schedule: Schedule | str) -> Float[Array, "h w"]:
-    """Depth everywhere, in metres: that of holes from their surroundings; 0 if no pixel has any.
+    """Fill depth, in metres, in holes from their surroundings; 0 if no pixel has any.
 
-    1/depth is what is diffused: on a plane that is linear in the picture.
+    The diffused quantity is 1/depth, which on a plane is linear in the picture.
     """
     return _fill_depth(gbuffer, guide, Schedule.of(schedule))
 
@@ -84,7 +84,7 @@ def _fill_depth(gbuffer: GBuffer, guide: Float[Array, "h w f"], schedule: Schedu
 def recall(
     memory: Memory, depth: Float[Array, "h w"], pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
 ) -> tuple[Float[Array, "h w c"], Bool[Array, "h w"]]:
-    """Samples of an earlier frame's light at this frame's surface points.
+    """Sample an earlier frame's light at this frame's surface points.
 
     Args:
         memory: of that frame.
@@ -140,7 +140,7 @@ def steady(
     memory: Memory,
     keep: Float[ArrayLike, ""] = KEEP,
 ) -> Float[Array, "h w c"]:
-    """Mean of a frame's channels and the last frame's at the same surface points.
+    """Average a frame's channels with the last frame's at the same surface points.
 
     Args:
         channels: refined, of this frame.
@@ -160,7 +160,7 @@ def steady(
 
 
 def remembers(memory: Memory | None, shape: tuple[int, ...], lights: LightSetup | Sequence[Light] | Light) -> bool:
-    """Whether a memory is of frames of this size, under just this set-up."""
+    """Whether a memory is of frames of this size under the same set-up."""
     if memory is None or memory.channels.shape != shape:
         return False
     return same_setup(LightSetup(memory.lights, memory.reference_lux, memory.existing), LightSetup.of(lights))
@@ -168,7 +168,7 @@ def remembers(memory: Memory | None, shape: tuple[int, ...], lights: LightSetup 
 
 @dataclasses.dataclass
 class Video:
-    """Memory from frame to frame, for `relight(temporal_filter=...)`.
+    """Temporal filter of a video, for `relight(temporal_filter=...)`.
 
     Example:
         video = Video()
@@ -197,7 +197,7 @@ class Video:
         guide: Float[Array, "h w f"],
         schedule: Schedule | str,
     ) -> Callable[[Array, Array], tuple[Array, Array]]:
-        """Function that keeps the next frame's refined illuminance and visibility still, and remembers them.
+        """Return a function that filters the next frame's refined illuminance and visibility, and remembers them.
 
         Args:
             view: of the next frame, with its pose and intrinsics.
@@ -211,19 +211,19 @@ class Video:
         if view.pose is None or view.intrinsics is None:
             raise InputError("video: the view needs the camera's pose and intrinsics")
         camera = jnp.asarray(view.pose, jnp.float32), jnp.asarray(view.intrinsics, jnp.float32)
-        own = LightSetup.of(lights)
+        setup = LightSetup.of(lights)
 
         def filtered(illuminance: Array, visibility: Array) -> tuple[Array, Array]:
             channels, count = jnp.concatenate([illuminance, visibility], axis=-1), illuminance.shape[-1]
             depth = fill_depth(view.gbuffer, guide, schedule)
             memory = self.memory
-            if memory is not None and remembers(memory, channels.shape, own):
+            if memory is not None and remembers(memory, channels.shape, setup):
                 channels = steady(channels, depth, *camera, memory, self.keep)
             # Nothing traced outlives its trace, and a dark frame is not worth keeping.
             lit = concrete(jnp.any(illuminance != 0))
             if lit is not None and lit:
                 self.memory = Memory(
-                    channels, depth, *camera, tuple(own.lights), own.reference_lux, dict(own.existing)
+                    channels, depth, *camera, tuple(setup.lights), setup.reference_lux, dict(setup.existing)
                 )
             return channels[..., :count], channels[..., count:]
 

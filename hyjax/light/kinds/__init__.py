@@ -1,4 +1,4 @@
-"""Virtual lights and the illuminance that each throws on a surface, shadows aside.
+"""Virtual lights and their illuminance on a surface, without shadows.
 
 Units: positions and lengths in metres, angles in radians, `luminous_flux` in lumens (of the whole emitter),
 `illuminance` in lux (lumens per square metre). `color` is linear RGB and multiplies them, so that a lamp of 800 lm

@@ -1,4 +1,4 @@
-"""Light that falls on every surface alike."""
+"""Ambient light: the same illuminance on every surface."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -9,7 +9,7 @@ from hyjax.light.kinds.file_keys import ILLUMINANCE
 
 @pytree
 class AmbientLight(Light):
-    """The same illuminance on every surface: what is left of light that has bounced many times. No shadow.
+    """Ambient light: the same illuminance on every surface, as after many bounces. It casts no shadow.
 
     Attributes:
         illuminance: lux on every surface.

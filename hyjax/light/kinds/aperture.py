@@ -1,4 +1,4 @@
-"""Upright rectangles in space: openings that light comes through, and windows and panels that emit it."""
+"""Upright rectangles in space: openings that let light in, windows and panels that emit it."""
 
 from collections.abc import Mapping
 from typing import Any, Self
@@ -10,13 +10,13 @@ from hyjax.light.kinds.file_keys import FileKey, Triple, direction, plain
 from hyjax.util.errors import InputError
 from hyjax.util.vectors import perpendicular, reject, unit
 
-PARALLEL = 1e-3
-"""Length of the part of `up` across the normal below which the two are taken to be one."""
+PARALLEL_SINE = 1e-3
+"""Length of the component of `up` across the normal below which the two count as parallel."""
 
 
 @pytree
 class Aperture:
-    """An opening, such as a window: the rectangle with corners centre ± right ± up.
+    """Opening, such as a window: the rectangle with corners centre ± right ± up.
 
     Attributes:
         center: world metres.
@@ -37,7 +37,7 @@ class Aperture:
         width: float,
         height: float,
     ) -> Self:
-        """A rectangle with right × up along `normal` and `up` as upright as can be; metres, float32.
+        """Rectangle with right × up along `normal` and `up` as upright as can be; metres, float32.
 
         Where the normal and `up` are parallel (a ceiling panel) it lies any way round.
 
@@ -46,7 +46,7 @@ class Aperture:
         """
         outward = np.asarray(direction(normal, "normal"), np.float64)
         across = reject(np.asarray(direction(up, "up"), np.float64), outward)
-        if np.linalg.norm(across) < PARALLEL:
+        if np.linalg.norm(across) < PARALLEL_SINE:
             across = perpendicular(outward)
         across /= np.linalg.norm(across)
         half_axes = np.cross(across, outward) * (0.5 * width), across * (0.5 * height)
@@ -54,7 +54,7 @@ class Aperture:
 
     @classmethod
     def from_entry(cls, values: Mapping[str, Any], world_up: Vector) -> Self:
-        """A rectangle by the values of `RECTANGLE`.
+        """Rectangle from the values of `RECTANGLE`.
 
         Raises:
             InputError: the normal or `up` is zero, or they are parallel.
@@ -62,12 +62,12 @@ class Aperture:
         center, normal, up = values["center"], values["normal"], values["up"]
         if up is not None:
             axis = direction(normal, "normal").astype(np.float64)
-            if np.linalg.norm(reject(direction(up, "up").astype(np.float64), axis)) < PARALLEL:
+            if np.linalg.norm(reject(direction(up, "up").astype(np.float64), axis)) < PARALLEL_SINE:
                 raise InputError("'up' must not be parallel to 'normal'")
         return cls.facing(center, normal, world_up if up is None else up, values["width"], values["height"])
 
     def to_entry(self) -> dict[str, Any]:
-        """The rectangle as plain numbers; the inverse of `from_entry`."""
+        """Rectangle as plain numbers; the inverse of `from_entry`."""
         right, up = np.asarray(self.right, np.float64), np.asarray(self.up, np.float64)
         return {
             "center": plain(self.center),

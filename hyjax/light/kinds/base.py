@@ -34,7 +34,7 @@ def pytree(cls: type[T]) -> type[T]:
 class Light:
     """Base class of all kinds of light; see `hyjax.light.kinds` for how to add a kind.
 
-    A kind is a `pytree` with a `color` and `KEYS`, and says what it throws on a surface. All else has a default: a
+    A kind is a `pytree` with a `color`, `KEYS` and its illuminance on a surface. All else has a default: a
     light casts no shadow, cannot be rendered by Blender, and each of its keys in a file is a field.
     """
 
@@ -44,11 +44,11 @@ class Light:
     color: Vector
 
     def illuminance_at(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
-        """Lux on surfaces at positions p with unit normals n, shadows and colour aside."""
+        """Illuminance (lux) on surfaces at positions p with unit normals n, before shadows and colour."""
         raise NotImplementedError
 
     def shadow_views(self) -> ShadowViews | None:
-        """Views that the light's shadow map is filled from; None if it casts no shadow."""
+        """Views of the light's shadow map; None if it casts no shadow."""
         return None
 
     def view_weight(
@@ -57,7 +57,7 @@ class Light:
         squared: Float[Array, "..."],
         to_light: Sequence[Float[Array, "..."]],
     ) -> Float[Array, "..."]:
-        """Share of one shadow view in the light that a surface gets.
+        """Share of one shadow view in the illuminance of a surface.
 
         Args:
             cosine: of the angle of incidence, at least 0.
@@ -67,11 +67,11 @@ class Light:
         return cosine / squared
 
     def mask_visibility(self, visibility: Float[Array, "*s"], position: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
-        """Visibility by the shadow map, set to 0 where the map cannot say that no light comes."""
+        """Visibility by the shadow map, set to 0 where no light arrives for reasons outside the map."""
         return visibility
 
     def emitter(self) -> Emitter | None:
-        """The light for another renderer; None if it falls on every surface alike.
+        """Description of the light for another renderer; None if it falls on every surface alike.
 
         Raises:
             InputError: the kind declares none.
@@ -81,10 +81,10 @@ class Light:
         raise InputError(f"blender: cannot render a {type(self).__name__}; its kind declares no emitter")
 
     def check_values(self, name: str) -> None:
-        """Raise `InputError` for values that make no sense; once for each light. Traced values are let through.
+        """Raise `InputError` for invalid values, once per light. Traced values are let through.
 
         Args:
-            name: what messages call the light.
+            name: of the light in messages.
         """
         if self not in _CHECKED:
             check_fields(self, self.KEYS, name)
@@ -92,7 +92,7 @@ class Light:
 
     @classmethod
     def from_entry(cls, values: Mapping[str, Any], world_up: Vector) -> Self:
-        """The light of an entry in a lights file.
+        """Light of an entry in a lights file.
 
         Args:
             values: checked values of all `KEYS`, `color` and `temperature`; defaults filled in.
@@ -104,28 +104,28 @@ class Light:
         return cls(**fields_of(cls.KEYS, values), color=color_of(values))  # type: ignore[call-arg]
 
     def to_entry(self) -> dict[str, Any]:
-        """The light as plain numbers, an entry of a lights file; the inverse of `from_entry`."""
+        """Light as plain numbers, an entry of a lights file; the inverse of `from_entry`."""
         return values_of(self.KEYS, self) | {"color": plain(self.color)}
 
     def normalized(self) -> Self:
-        """The same light, white and of strength 1."""
+        """Light of the same geometry, white and of strength 1."""
         one, white = np.asarray(1.0, np.float32), np.ones(3, np.float32)
         return dataclasses.replace(self, color=white, **{self.STRENGTH: one})  # type: ignore[type-var]
 
 
 _CHECKED: "weakref.WeakSet[Light]" = weakref.WeakSet()
 LIGHT_KINDS: dict[str, type[Light]] = {}
-"""All kinds by the name that a lights file has for them; `register_light` adds to it."""
+"""Kinds of light by their names in a lights file; `register_light` adds to it."""
 
 
 def register_light(name: str, cls: type[Light]) -> None:
-    """Make a kind of light known under a name, so that lights files may have it.
+    """Register a kind of light under its name in lights files.
 
     Raises:
         InputError: the name belongs to another kind, or the class is no `Light` with `KEYS`.
     """
     if not (isinstance(cls, type) and issubclass(cls, Light) and hasattr(cls, "KEYS")):
-        raise InputError(f"lights: {cls!r} must be a class on the base of Light, with KEYS")
+        raise InputError(f"lights: {cls!r} must be a subclass of Light, with KEYS")
     if cls.STRENGTH not in getattr(cls, "__dataclass_fields__", {}):
         raise InputError(f"lights: {cls.__name__} has no field {cls.STRENGTH!r}; STRENGTH must name its brightness")
     if LIGHT_KINDS.setdefault(name, cls) is not cls:
@@ -133,7 +133,7 @@ def register_light(name: str, cls: type[Light]) -> None:
 
 
 def kind_name(light: Light) -> str:
-    """The name that a light's kind is registered under.
+    """Name under which a light's kind is registered.
 
     Raises:
         InputError: it is not registered.

@@ -16,17 +16,20 @@ from hyjax.util import vectors
 from hyjax.util.errors import InputError
 from hyjax.util.geometry import cross, dot, unit
 
-SUN_DEGREES = 0.27  # angular radius of the sun's disc, and of the moon's
+SUN_DEGREES = 0.27
+"""Angular radius of the sun's disc, and of the moon's, in degrees."""
 SUN_VIEWS = 4
+"""Directions over the disc that the shadow map samples."""
 MOST_DEGREES = 45.0
+"""Largest angular radius of a disc, in degrees."""
 
 
 @pytree
 class DirectionalLight(Light):
-    """Sun or moon: parallel light travelling along `direction`; `illuminance` is on a surface facing it.
+    """Sun or moon: parallel light along `direction`; `illuminance` is on a surface that faces it.
 
     E = E₀ cos θ. `angular_radius` of the disc softens its shadows (sun and moon: 0.0047). With an `aperture` the
-    light comes in through that opening alone, and the shadow map says where it falls: a scanned room has no outer
+    light comes in through that opening alone, and the shadow map has where it falls: a scanned room has no outer
     walls to keep the sun out, and often no hole where the window is.
 
     Attributes:
@@ -61,7 +64,7 @@ class DirectionalLight(Light):
         return ParallelViews(directions, self.aperture)
 
     def mask_visibility(self, visibility: Float[Array, "*s"], position: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
-        """Visibility behind the aperture; 0 on the sun's side of it, which no light reaches through it."""
+        """Visibility behind the aperture; 0 on the sun's side of it, where no light comes through."""
         if self.aperture is None:
             return visibility
         across = cross(self.aperture.right, self.aperture.up)

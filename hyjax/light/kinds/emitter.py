@@ -1,4 +1,4 @@
-"""Lights as another renderer takes them: plain numbers of a shape that it knows."""
+"""Lights for another renderer: plain numbers of a shape that it knows."""
 
 import dataclasses
 from typing import Any, Literal
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 @dataclasses.dataclass(frozen=True)
 class Emitter:
-    """One light in plain numbers.
+    """Light in plain numbers.
 
     Attributes:
         kind: the shape that emits.

@@ -1,4 +1,4 @@
-"""Keys with which a kind of light is written in a lights file."""
+"""Keys of a kind of light in a lights file."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -9,14 +9,15 @@ from jaxtyping import ArrayLike, Float
 
 from hyjax.util.errors import InputError
 
-LARGEST = float(np.finfo(np.float32).max)
+LARGEST_NUMBER = float(np.finfo(np.float32).max)
+"""Largest number of a key."""
 REQUIRED = object()
-"""Default of a key that must be given."""
+"""Default of a required key."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FileKey:
-    """One key of a light in a lights file.
+    """Key of a light in a lights file.
 
     Attributes:
         name: the key.
@@ -25,9 +26,9 @@ class FileKey:
         default: value where the key is left out.
         least, most: bounds of a number.
         positive: whether a number must be above zero.
-        field: the light's field, if it is not called like the key.
+        field: the light's field, if its name is not the key's.
         degrees: whether the number is an angle in degrees, which the field has in radians.
-        written: whether the light is written with this key; false for one that is another way to say the same.
+        written: whether the light is written with this key; false for an alternative to another key.
         old_name: key that is still read in its place.
     """
 
@@ -35,7 +36,7 @@ class FileKey:
     form: Union[Literal["number", "vector", "direction", "color", "list", "any"], tuple["FileKey", ...]] = "number"  # noqa: UP007
     default: Any = REQUIRED
     least: float = 0.0
-    most: float = LARGEST
+    most: float = LARGEST_NUMBER
     positive: bool = False
     field: str = ""
     degrees: bool = False
@@ -43,13 +44,13 @@ class FileKey:
     old_name: str = ""
 
     def to_field(self, value: Any) -> Any:
-        """The file's value as the field's array."""
+        """Array of the field from the file's value."""
         if self.form == "direction":
             return direction(value, self.name)
         return np.asarray(np.deg2rad(value) if self.degrees else value, np.float32)
 
     def to_value(self, field: Any) -> Any:
-        """The field's array as plain numbers of a file."""
+        """Plain numbers of a file from the field's array."""
         return plain(np.rad2deg(field) if self.degrees else field)
 
 
@@ -60,11 +61,11 @@ CLEARANCE = FileKey("clearance", default=0.0)
 
 
 Triple = Float[ArrayLike, "3"] | Sequence[float]
-"""Three numbers, as an array or written out."""
+"""Three numbers, an array or a sequence."""
 
 
 def direction(vector: Triple, name: str = "direction") -> Float[np.ndarray, "3"]:
-    """A vector made unit, in float32.
+    """Unit vector along a vector, in float32.
 
     Raises:
         InputError: the zero vector; the message calls it by its name.
@@ -77,16 +78,16 @@ def direction(vector: Triple, name: str = "direction") -> Float[np.ndarray, "3"]
 
 
 def plain(value: Float[ArrayLike, "*s"]) -> Any:
-    """A number or a vector as Python numbers, of the seven digits that float32 has."""
+    """Python numbers of a number or a vector, with the seven digits of float32."""
     array = np.asarray(value, np.float64)
     return [plain(component) for component in array] if array.ndim else float(f"{float(array):.7g}")
 
 
 def fields_of(keys: tuple[FileKey, ...], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of a file by the names of the fields that they become."""
+    """Values of a file by the names of their fields."""
     return {key.field or key.name: key.to_field(values[key.name]) for key in keys if key.written}
 
 
 def values_of(keys: tuple[FileKey, ...], light: Any) -> dict[str, Any]:
-    """Fields of a light by the names of the keys that they are written with; the inverse of `fields_of`."""
+    """Fields of a light by the names of their keys; the inverse of `fields_of`."""
     return {key.name: key.to_value(getattr(light, key.field or key.name)) for key in keys if key.written}

@@ -12,12 +12,12 @@ from hyjax.util.geometry import TINY, dot
 from hyjax.util.vectors import fibonacci_sphere
 
 BULB_VIEWS = 8
-"""Points of a bulb with a radius that its shadow map is filled from."""
+"""Number of points of a bulb that its shadow map samples, if it has a radius."""
 
 
 @pytree
 class PointLight(Light):
-    """Shines equally in all directions; a small ball of `radius` when shadows are cast.
+    """Point light, equal in all directions; a small ball of `radius` when shadows are cast.
 
     E = Φ/(4π) · cos θ / r². Nothing nearer than `clearance` casts a shadow (the lamp's own shade).
 
@@ -64,6 +64,6 @@ def incidence(
 
 
 def bulb_points(position: Vector, radius: Scalar) -> Float[np.ndarray, "v 3"]:
-    """Points of a ball that shadows are cast from: its centre, or some of its surface if it has a radius."""
+    """Sample points of a ball for shadows: its centre, or points of its surface if it has a radius."""
     centre = np.asarray(position, np.float64)
     return centre + float(radius) * fibonacci_sphere(BULB_VIEWS) if float(radius) > 0 else centre[None]

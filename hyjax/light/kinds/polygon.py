@@ -1,4 +1,4 @@
-"""Form factors of polygons: the share of a surface's hemisphere, cosine-weighted, that an emitter fills."""
+"""Form factors of polygons: the cosine-weighted share of a surface's hemisphere that an emitter fills."""
 
 import functools
 
@@ -46,7 +46,7 @@ def polygon_form_factor(corners: list[Float[Array, "*s 3"]], n: Float[Array, "*s
 def _edge_integral(
     a: Float[Array, "*s 3"], b: Float[Array, "*s 3"], n: Float[Array, "*s 3"], valid: Array
 ) -> Float[Array, "*s"]:
-    """Angle that edge a→b subtends, times the component along n of its plane's unit normal."""
+    """Angle subtended by edge a→b, times the component along n of its plane's unit normal."""
     # Invalid edges get harmless stand-ins, so that neither values nor gradients turn NaN.
     a = jnp.where(valid[..., None], a, jnp.array([1.0, 0.0, 0.0], a.dtype))
     b = jnp.where(valid[..., None], b, jnp.array([0.0, 1.0, 0.0], b.dtype))

@@ -17,11 +17,12 @@ from hyjax.util.geometry import cross, dot, inner
 from hyjax.util.vectors import orthonormal_frame, r2_sequence
 
 WINDOW_VIEWS = 16
+"""Number of points of a window that its shadow map samples."""
 
 
 @pytree
 class RectLight(Light):
-    """A window or panel: a Lambertian rectangle that emits to the side of `right` × `up`.
+    """Window or panel: a Lambertian rectangle that emits to the side of `right` × `up`.
 
     `right` and `up` are half-axes: the corners are centre ± right ± up. Radiance is L = Φ/(π A); illuminance is
     exact, by Lambert's formula for polygons with the part below the surface's horizon cut off.
@@ -43,7 +44,7 @@ class RectLight(Light):
 
     @classmethod
     def filling(cls, opening: Aperture, luminous_flux: Scalar, color: Vector) -> Self:
-        """A light of an opening's place and size."""
+        """Light of an opening's place and size."""
         return cls(opening.center, opening.right, opening.up, luminous_flux, color)
 
     def illuminance_at(self, p: Float[Array, "*s 3"], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
@@ -68,7 +69,7 @@ class RectLight(Light):
         squared: Float[Array, "..."],
         to_light: Sequence[Float[Array, "..."]],
     ) -> Float[Array, "..."]:
-        """Share of one shadow view, for a Lambertian emitter: also by the cosine at the light."""
+        """Share of one shadow view, which for a Lambertian emitter includes the cosine at the light."""
         return cosine / squared * jnp.maximum(-inner(to_light, cross(self.right, self.up)), 0.0)
 
     def emitter(self) -> Emitter:

@@ -1,4 +1,4 @@
-"""Views of a light's shadow map, as a kind of light declares them: plain numbers. Ray casting fills them."""
+"""Views of a light's shadow map, plain numbers declared by its kind. Ray casting fills them."""
 
 import dataclasses
 import math
@@ -14,7 +14,7 @@ SPHERE, HEMISPHERE = math.sqrt(4 * math.pi), math.sqrt(2 * math.pi)
 
 @dataclasses.dataclass(frozen=True)
 class RadialViews:
-    """Rays that start in points of the light and spread out.
+    """Bundles of rays that start in points of the light and spread out.
 
     Attributes:
         origins: the points, world metres.
@@ -35,13 +35,13 @@ class RadialViews:
         return len(self.origins)
 
     def thinned(self, most: int) -> "RadialViews":
-        """As many of the views at most, spread as all of them are."""
+        """Views thinned to at most `most`, spread as evenly as before."""
         return dataclasses.replace(self, origins=self.origins[even_subset(self.origins, most)])
 
 
 @dataclasses.dataclass(frozen=True)
 class ParallelViews:
-    """Parallel rays, a bundle for each direction.
+    """Bundles of parallel rays, one for each direction.
 
     Attributes:
         directions: in which the light travels, unit.
@@ -56,12 +56,12 @@ class ParallelViews:
         return len(self.directions)
 
     def thinned(self, most: int) -> "ParallelViews":
-        """As many of the views at most, spread as all of them are."""
+        """Views thinned to at most `most`, spread as evenly as before."""
         return dataclasses.replace(self, directions=self.directions[even_subset(self.directions, most)])
 
 
 def even_subset(points: Float[np.ndarray, "n 3"], most: int) -> Int[np.ndarray, "m"]:
-    """Numbers of points, at most so many, whose mean and covariance are nearest to those of all.
+    """Indices of at most `most` points whose mean and covariance are nearest to those of all points.
 
     Tried are arithmetic progressions, wrapped round at the end, from the first point: in low-discrepancy sequences
     some are spread evenly, and others clump.

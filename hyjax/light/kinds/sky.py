@@ -14,11 +14,12 @@ from hyjax.util import vectors
 from hyjax.util.geometry import dot, unit
 
 SKY_VIEWS = 32
+"""Number of directions of a sky that its shadow map samples."""
 
 
 @pytree
 class SkyLight(Light):
-    """A uniform sky: light from the whole hemisphere around `up`; `illuminance` is on an open surface facing up.
+    """Uniform sky: light from the whole hemisphere around `up`; `illuminance` is on an open surface facing up.
 
     E = E₀ (1 + n·up)/2.
 

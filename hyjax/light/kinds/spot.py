@@ -1,4 +1,4 @@
-"""Spots: a bulb with a reflector."""
+"""Spotlights: bulbs with a reflector."""
 
 from collections.abc import Mapping
 from typing import Any, Self
@@ -16,12 +16,13 @@ from hyjax.util import vectors
 from hyjax.util.errors import InputError
 from hyjax.util.geometry import dot, unit
 
-WIDEST_PERSPECTIVE = np.deg2rad(60.0)  # beyond, a perspective map wastes its texels on the rim
+WIDEST_PERSPECTIVE = np.deg2rad(60.0)
+"""Largest half angle of a perspective map, in radians; wider ones waste their texels on the rim."""
 
 
 @pytree
 class SpotLight(Light):
-    """A cone around `direction`, full inside `inner_angle`, dark outside `outer_angle` (half angles).
+    """Cone of light around `direction`, full inside `inner_angle`, dark outside `outer_angle` (half angles).
 
     Intensity I(θ) = I₀ s(cos θ) with s a smoothstep between the two cosines; I₀ = Φ / (2π (1 − mean of the two
     cosines)) makes the whole cone emit exactly Φ.

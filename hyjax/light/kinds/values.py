@@ -1,4 +1,4 @@
-"""Checks of lights' values, where they are known."""
+"""Checks of lights' values, where they are known (not traced)."""
 
 import dataclasses
 import functools
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hyjax.light.kinds.file_keys import FileKey
-from hyjax.util.array_arguments import described, is_numeric
+from hyjax.util.arguments import described, is_numeric
 from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 
@@ -18,12 +18,12 @@ NO_BOUNDS = FileKey("", "any")
 
 
 def check_fields(thing: Any, keys: tuple[FileKey, ...], name: str) -> None:
-    """Raise `InputError` for a number or a vector of a light that makes no sense. Traced values are let through.
+    """Raise `InputError` for an invalid number or vector of a light. Traced values are let through.
 
     Args:
         thing: a light, or a part of it.
-        keys: that say the bounds of its fields.
-        name: what messages call it.
+        keys: with the bounds of its fields.
+        name: in messages.
     """
     bounds = {key.field or key.name: key for key in keys}
     for field, shape in _shapes(thing.__class__):
@@ -38,7 +38,7 @@ def check_fields(thing: Any, keys: tuple[FileKey, ...], name: str) -> None:
 
 
 def _known(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray | None:
-    """The numbers, or None while they are traced."""
+    """Values as numbers, or None while they are traced."""
     wanted = "three finite numbers, as an array" if shape else "a finite number"
     if isinstance(value, list | tuple | str) or value is None:
         raise InputError(f"{where}: must be {wanted}, got {shown(value)}")
@@ -65,7 +65,7 @@ def _check_bounds(known: np.ndarray, key: FileKey, where: str, *, is_color: bool
 
 @functools.cache
 def _shapes(cls: Hashable) -> tuple[tuple[str, tuple[int, ...] | None], ...]:
-    """Fields, and the shape of each that is a number or a vector."""
+    """Shapes of the fields that are numbers or vectors."""
     return tuple(_field_shapes(cls))
 
 

@@ -9,14 +9,14 @@ from hyjax.synthetic.random_room.bank import Bank, painted
 from hyjax.synthetic.random_room.layout import RandomRoom, furnish
 from hyjax.synthetic.random_room.light import Lighting, draw_lighting
 from hyjax.synthetic.random_room.looks import PHOTOGRAPHS
-from hyjax.synthetic.random_room.render import Shot, shoot
+from hyjax.synthetic.random_room.render import RenderedView, shoot
 from hyjax.synthetic.random_room.views import draw_view
 from hyjax.util.lru_cache import LruCache
 
-__all__ = ["LitRoom", "Shot", "make_random_room", "photograph"]
+__all__ = ["LitRoom", "RenderedView", "make_random_room", "photograph"]
 
-ALBUM, ALBUM_SIZE = (4, 4), 128
-"""Rooms, views of each and pixels of photographs that hang on walls: pictures of rooms that are none."""
+ALBUM_COUNTS, ALBUM_SIZE = (4, 4), 128
+"""Photographs on walls, pictures of other rooms: (number of rooms, views of each), and side in pixels."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +24,7 @@ class LitRoom:
     """A random room ready for photographs.
 
     Attributes:
-        key: what its views are drawn from.
+        key: of the random views.
         room: geometry and looks.
         caster: its rays.
         lighting: its lights.
@@ -42,12 +42,12 @@ def make_random_room(seed: int, number: int) -> LitRoom:
 
 
 def bank_of(seed: int) -> Bank:
-    """The bank of patterns for the rooms of a seed; drawn once in a process."""
+    """Bank of patterns for the rooms of a seed; drawn once in a process."""
     return _banks(seed, lambda: _draw_bank(seed))
 
 
-def photograph(lit: LitRoom, view: int, size: int) -> Shot:
-    """View `view` of a room, `size` pixels square."""
+def photograph(lit: LitRoom, view: int, size: int) -> RenderedView:
+    """Photograph view `view` of a room, `size` pixels square."""
     rng = np.random.default_rng((*lit.key, 2, view))
     camera = draw_view(lit.room, lit.caster, size, rng)
     return shoot(lit.room, lit.caster, lit.lighting, camera, rng)
@@ -60,11 +60,11 @@ def _make(key: tuple[int, ...], patterns: Bank) -> LitRoom:
 
 
 def _draw_bank(seed: int) -> Bank:
-    """The bank of patterns for a seed, which takes seconds."""
+    """Draw the bank of patterns for a seed, which takes seconds."""
     images = painted(seed)
     plain = Bank(images)
-    rooms = [_make((seed, number, 3), plain) for number in range(ALBUM[0])]
-    shots = [photograph(room, view, ALBUM_SIZE) for room in rooms for view in range(ALBUM[1])]
+    rooms = [_make((seed, number, 3), plain) for number in range(ALBUM_COUNTS[0])]
+    shots = [photograph(room, view, ALBUM_SIZE) for room in rooms for view in range(ALBUM_COUNTS[1])]
     images[PHOTOGRAPHS] = [shot.image**2.2 for shot in shots]
     return Bank(images)
 

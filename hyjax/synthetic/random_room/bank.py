@@ -1,4 +1,4 @@
-"""A bank of patterns with their mip levels, drawn once and looked up with filtering."""
+"""Bank of patterns with their mip levels, drawn once and looked up with filtering."""
 
 import dataclasses
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from hyjax.synthetic.surface import rows
 
 @dataclasses.dataclass(frozen=True)
 class Family:
-    """A kind of pattern: its painter, how many variants the bank holds, pixels and usual metres along a side."""
+    """Family of patterns: its painter, its number of variants, pixels and usual metres along a side."""
 
     paint: Callable[[int, np.random.Generator], np.ndarray]
     count: int
@@ -44,7 +44,7 @@ FAMILIES = {
 
 
 def painted(seed: int) -> dict[str, list[np.ndarray]]:
-    """Patterns of every family, as shares of three colours."""
+    """Paint the patterns of every family, as shares of three colours."""
     return {
         name: [
             np.clip(family.paint(family.size, np.random.default_rng((seed, row, number))), 0, 1).astype(np.float32)
@@ -55,7 +55,7 @@ def painted(seed: int) -> dict[str, list[np.ndarray]]:
 
 
 class Bank:
-    """All patterns with their mip levels, in one array of 8-bit pixels.
+    """Bank of all patterns with their mip levels, in one array of 8-bit pixels.
 
     Args:
         images: square patterns of each family; their sides are powers of two.
@@ -91,7 +91,7 @@ class Bank:
     def shares(
         self, pattern: Int[np.ndarray, "n"], unit: Float[np.ndarray, "n 2"], width: Float[np.ndarray, "n"]
     ) -> Float[np.ndarray, "n 3"]:
-        """The pattern at `unit` (repeating with 1), filtered to `width` (a share of the tile)."""
+        """Look up the pattern at `unit` (repeating with 1), filtered to `width` (a share of the tile)."""
         last = rows(self._last, pattern)
         level = np.clip(np.round(np.log2(np.maximum(width, 1e-6)) + last), 0, last).astype(np.int32)
         n = np.left_shift(1, last - level, dtype=np.int32)

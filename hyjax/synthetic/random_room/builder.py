@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from hyjax.synthetic.random_room.looks import Looks
 from hyjax.synthetic.room import materials as m
-from hyjax.synthetic.surface import DEGENERATE_AREA, WHITE, Builder, Colour, Quads, Surface
+from hyjax.synthetic.surface import DEGENERATE_AREA, WHITE, Builder, Color, Quads, Surface
 from hyjax.util.vectors import SHORTEST, unit
 
 ROLES = {
@@ -18,7 +18,7 @@ ROLES = {
     m.BOOK: "print", m.CERAMIC: "glazed", m.LACQUER: "lacquer", m.LEAF: "leaf", m.SOIL: "soil", m.PICTURE: "photo",
     m.WEAVE: "cloth", m.PAGES: "paper",
 }  # fmt: skip
-"""Roles of looks that replace the built-in room's materials."""
+"""Roles of looks that replace the built-in room's materials, by material."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,10 +39,10 @@ class Furnished:
 
 
 class RoomBuilder(Builder):
-    """A `Builder` whose materials are looks, and which may scale parts.
+    """Builder with looks as materials, which may also scale parts.
 
     Attributes:
-        looks: where looks are drawn from.
+        looks: source of the looks.
         targets: (point, size) of objects worth a picture, in world metres; the layout adds them.
     """
 
@@ -51,14 +51,14 @@ class RoomBuilder(Builder):
         self.rng = rng
         self.looks = looks
         self.targets: list[tuple[np.ndarray, float]] = []
-        self._dressing: dict[tuple[int, Colour], int] | None = None
+        self._dressing: dict[tuple[int, Color], int] | None = None
 
     def scaled(self, x: float, y: float, z: float) -> contextlib.AbstractContextManager[None]:
-        """Within, local coordinates are stretched."""
+        """Context with stretched local coordinates."""
         return self.transformed(np.diag([x, y, z, 1.0]))
 
     def tilted(self, degrees: float, axis: int = 0) -> contextlib.AbstractContextManager[None]:
-        """Within, coordinates are turned about the local x axis (or another)."""
+        """Context with coordinates turned about the local x axis (or another)."""
         a, b = (axis + 1) % 3, (axis + 2) % 3
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         turn = np.eye(4)
@@ -67,7 +67,7 @@ class RoomBuilder(Builder):
 
     @contextlib.contextmanager
     def dressed(self) -> Iterator[None]:
-        """Within, parts name the built-in room's materials; each material and tint gets a look of its own."""
+        """Context for parts in the built-in room's materials; each material and tint gets a look of its own."""
         outer, self._dressing = self._dressing, {}
         try:
             yield
@@ -75,10 +75,10 @@ class RoomBuilder(Builder):
             self._dressing = outer
 
     def draw(self, role: str, tile: float | None = None) -> int:
-        """A look for a role, see `Looks.draw`."""
+        """Draw a look for a role, see `Looks.draw`."""
         return self.looks.draw(self.rng, role, tile)
 
-    def _add_triangles(self, points: Float[np.ndarray, "n 3"], quads: Quads, material: int, tint: Colour) -> None:
+    def _add_triangles(self, points: Float[np.ndarray, "n 3"], quads: Quads, material: int, tint: Color) -> None:
         look = material
         if self._dressing is not None:
             key = (material, tint if tint != WHITE else WHITE)
@@ -94,7 +94,7 @@ class RoomBuilder(Builder):
         lists["st"].append(quads.st)
 
     def furnished(self) -> Furnished:
-        """Everything added so far."""
+        """Triangles of everything added so far."""
         mesh, real = self._mesh()
         return Furnished(
             mesh,
@@ -104,7 +104,7 @@ class RoomBuilder(Builder):
         )
 
     def finish(self) -> Surface:
-        """Everything added so far with its charts for light maps; a look stands for a material."""
+        """Surface of everything added so far with its charts for light maps; a look stands for a material."""
         mesh, real = self._mesh()
         lists = self._lists
         halves = [quads[:, corners] for quads in lists["st"] for corners in ([0, 1, 2], [0, 2, 3])]
@@ -120,7 +120,7 @@ class RoomBuilder(Builder):
         )
 
     def _mesh(self) -> tuple[trimesh.Trimesh, Bool[np.ndarray, "f"]]:
-        """The mesh, and which of the triangles that were added it has."""
+        """Mesh, and the indices of its triangles among the added ones."""
         points = np.concatenate(self._lists["points"])
         faces = np.concatenate(self._lists["faces"])
         corner = points[faces]

@@ -11,13 +11,13 @@ from hyjax.synthetic.room import furniture
 from hyjax.synthetic.room import things as made
 from hyjax.synthetic.shapes import box, panel, revolve, sheet, tube
 
-THICK = 0.2
+REVEAL_DEPTH = 0.2
 """Depth of window reveals in metres."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Window:
-    """An opening: its centre, half-axes and the normal into the room."""
+class RoomWindow:
+    """Window opening: its centre, half-axes and the normal into the room."""
 
     centre: Float[np.ndarray, "3"]
     right: Float[np.ndarray, "3"]
@@ -25,14 +25,14 @@ class Window:
     normal: Float[np.ndarray, "3"]
 
 
-def add_window(build: RoomBuilder, hole: tuple[float, float, float, float]) -> Window:
-    """Reveals, frame, sill, perhaps curtains or a blind of a hole (x0, z0, x1, z1) in a wall y = 0, room at -y."""
+def add_window(build: RoomBuilder, hole: tuple[float, float, float, float]) -> RoomWindow:
+    """Add reveals, frame, sill, curtains or a blind at random to a hole (x0, z0, x1, z1) in y = 0, room at -y."""
     rng = build.rng
     x0, z0, x1, z1 = hole
-    dx, dz, look, frame = x1 - x0, z1 - z0, build.draw("ceiling"), build.draw("lacquer")
+    dx, dz, deep, look, frame = x1 - x0, z1 - z0, REVEAL_DEPTH, build.draw("ceiling"), build.draw("lacquer")
     for origin, s, t in (
-        ((x0, 0, z0), (dx, 0, 0), (0, THICK, 0)), ((x0, THICK, z1), (dx, 0, 0), (0, -THICK, 0)),
-        ((x0, 0, z0), (0, THICK, 0), (0, 0, dz)), ((x1, THICK, z0), (0, -THICK, 0), (0, 0, dz)),
+        ((x0, 0, z0), (dx, 0, 0), (0, deep, 0)), ((x0, deep, z1), (dx, 0, 0), (0, -deep, 0)),
+        ((x0, 0, z0), (0, deep, 0), (0, 0, dz)), ((x1, deep, z0), (0, -deep, 0), (0, 0, dz)),
     ):  # fmt: skip
         panel(build, origin, s, t, look)
     bar, y0, y1 = rng.uniform(0.03, 0.07), 0.1, 0.15
@@ -60,7 +60,7 @@ def add_window(build: RoomBuilder, hole: tuple[float, float, float, float]) -> W
             with build.placed(0, 0.05, z), build.tilted(rng.uniform(20, 50)):
                 box(build, (x0 + 0.01, -0.022, 0), (x1 - 0.01, 0.022, 0.0015), slat, bevel=0)
     here = np.array(build.world((0, 0, 0)))
-    return Window(
+    return RoomWindow(
         np.array(build.world(((x0 + x1) / 2, 0, (z0 + z1) / 2))),
         build.world((dx / 2, 0, 0)) - here,
         np.array([0, 0, dz / 2]),
@@ -69,7 +69,7 @@ def add_window(build: RoomBuilder, hole: tuple[float, float, float, float]) -> W
 
 
 def add_door(build: RoomBuilder, wide: float, high: float) -> None:
-    """A closed door in its frame on the wall y = 0."""
+    """Add a closed door in its frame on the wall y = 0."""
     rng = build.rng
     leaf, trim = build.draw("front"), build.draw("lacquer")
     a = wide / 2
@@ -83,7 +83,7 @@ def add_door(build: RoomBuilder, wide: float, high: float) -> None:
 
 
 def add_pendant(build: RoomBuilder, size: Float[np.ndarray, "3"]) -> None:
-    """A lamp hanging somewhere from the ceiling; it lights nothing, as if switched off."""
+    """Add a lamp hanging somewhere from the ceiling; it is switched off."""
     rng, h = build.rng, size[2]
     with build.placed(*rng.uniform(0.2, 0.8, 2) * size[:2]):
         if rng.random() < 0.5:
@@ -98,7 +98,7 @@ def add_pendant(build: RoomBuilder, size: Float[np.ndarray, "3"]) -> None:
 
 
 def add_hanging(build: RoomBuilder, kind: float, wide: float, tall: float) -> list[Top]:
-    """An object of a `kind` in [0, 1) on a wall y = 0 about the origin. Returns the places for further things."""
+    """Add an object of a `kind` in [0, 1) on a wall y = 0 about the origin. Returns the places for more things."""
     rng = build.rng
     x, z = wide / 2, tall / 2
     if kind < 0.45:  # a poster or a note: no relief to speak of

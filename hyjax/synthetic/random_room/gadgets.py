@@ -1,14 +1,14 @@
-"""Tools and devices that lie about: each a `Piece`."""
+"""Tools and devices that lie about: each a `Furnishing`."""
 
 import numpy as np
 
 from hyjax.synthetic.random_room.builder import RoomBuilder
-from hyjax.synthetic.random_room.plan import Piece, Top
+from hyjax.synthetic.random_room.plan import Furnishing, Top
 from hyjax.synthetic.shapes import box, cushion, panel, tube
 
 
-def cable(rng: np.random.Generator) -> Piece:
-    """A cord in curls."""
+def cable(rng: np.random.Generator) -> Furnishing:
+    """A curled cord."""
     wide, deep, radius = (
         float(rng.uniform(0.15, 0.6)),
         float(rng.uniform(0.1, 0.4)),
@@ -26,10 +26,10 @@ def cable(rng: np.random.Generator) -> Piece:
         tube(build, line, radius, build.draw("plastic"), sides=7)
         return []
 
-    return Piece(wide, deep, 4 * radius, add)
+    return Furnishing(wide, deep, 4 * radius, add)
 
 
-def tool(rng: np.random.Generator) -> Piece:
+def tool(rng: np.random.Generator) -> Furnishing:
     """A lying tool: handle, shaft and perhaps a head; a pen or a brush when small."""
     length, thick = float(rng.uniform(0.1, 0.35)), float(rng.uniform(0.006, 0.02))
     head = float(rng.choice([0.0, rng.uniform(0.02, 0.06)]))
@@ -46,10 +46,10 @@ def tool(rng: np.random.Generator) -> Piece:
             box(build, (half - head / 2, -head, 0), (half, head, 2 * thick), build.draw("metal"))
         return []
 
-    return Piece(length, 2 * max(thick, head), 2 * thick, add)
+    return Furnishing(length, 2 * max(thick, head), 2 * thick, add)
 
 
-def laptop(rng: np.random.Generator) -> Piece:
+def laptop(rng: np.random.Generator) -> Furnishing:
     """An open laptop."""
     wide = float(rng.uniform(0.28, 0.38))
     deep = 0.68 * wide
@@ -65,10 +65,10 @@ def laptop(rng: np.random.Generator) -> Piece:
                   build.draw("screen", 1.0), stretch=0.0)  # fmt: skip
         return []
 
-    return Piece(wide, 1.9 * deep, 1.06 * deep, add)
+    return Furnishing(wide, 1.9 * deep, 1.06 * deep, add)
 
 
-def keyboard(rng: np.random.Generator) -> Piece:
+def keyboard(rng: np.random.Generator) -> Furnishing:
     """A keyboard with rows of keys."""
     wide, deep = float(rng.uniform(0.28, 0.45)), float(rng.uniform(0.11, 0.15))
 
@@ -81,10 +81,10 @@ def keyboard(rng: np.random.Generator) -> Piece:
                 box(build, (x - 0.9 * step, y, 0.016), (x + 0.9 * step, y + 0.85 * step, 0.022), key, bevel=0)
         return []
 
-    return Piece(wide, deep, 0.022, add)
+    return Furnishing(wide, deep, 0.022, add)
 
 
-def monitor(rng: np.random.Generator) -> Piece:
+def monitor(rng: np.random.Generator) -> Furnishing:
     """A screen on a foot."""
     wide = float(rng.uniform(0.4, 0.75))
     tall = wide * float(rng.uniform(0.55, 0.65))
@@ -99,10 +99,10 @@ def monitor(rng: np.random.Generator) -> Piece:
                   build.draw("screen", 1.0), stretch=0.0)  # fmt: skip
         return []
 
-    return Piece(wide, 0.2, tall + 0.1, add)
+    return Furnishing(wide, 0.2, tall + 0.1, add)
 
 
-def phone(rng: np.random.Generator) -> Piece:
+def phone(rng: np.random.Generator) -> Furnishing:
     """A telephone, a remote control or a game pad lying flat."""
     wide, deep, tall = rng.uniform(0.04, 0.09), rng.uniform(0.12, 0.2), rng.uniform(0.008, 0.025)
 
@@ -113,4 +113,4 @@ def phone(rng: np.random.Generator) -> Piece:
         box(build, (-0.4 * wide, -0.42 * deep, tall), (0.4 * wide, 0.42 * deep, tall + 0.0007), top, bevel=0)
         return []
 
-    return Piece(wide, deep, tall, add)
+    return Furnishing(wide, deep, tall, add)

@@ -1,4 +1,4 @@
-"""A random room: its shell, what stands in it, what hangs on its walls, and what lies about."""
+"""Random room: its shell, furniture, wall decorations, and small objects."""
 
 import contextlib
 import dataclasses
@@ -9,40 +9,40 @@ from jaxtyping import Float
 from hyjax.synthetic.random_room import pieces, things
 from hyjax.synthetic.random_room.bank import Bank
 from hyjax.synthetic.random_room.builder import Furnished, RoomBuilder
-from hyjax.synthetic.random_room.fittings import Window, add_door, add_hanging, add_pendant, add_window
+from hyjax.synthetic.random_room.fittings import RoomWindow, add_door, add_hanging, add_pendant, add_window
 from hyjax.synthetic.random_room.looks import Looks
-from hyjax.synthetic.random_room.plan import FloorPlan, Piece, Top, draw
+from hyjax.synthetic.random_room.plan import FloorPlan, Furnishing, Top, draw
 from hyjax.synthetic.shapes import box, panel
 
 OVERLAP = 0.006
-"""Walls, floor and ceiling reach this far into each other, so that no ray slips out where they meet."""
+"""Overlap of walls, floor and ceiling in metres, so that no ray slips out where they meet."""
 
 
 @dataclasses.dataclass(frozen=True)
 class RandomRoom:
-    """A room: metres, z up, one corner of the floor at the origin.
+    """Random room: metres, z up, one corner of the floor at the origin.
 
     Attributes:
         furnished: its triangles and looks.
         size: inner width (x), depth (y) and height (z).
         windows: openings to the sky.
-        targets: (point, size) of what is worth a picture.
+        targets: (point, size) of objects worth a picture.
     """
 
     furnished: Furnished
     size: Float[np.ndarray, "3"]
-    windows: list[Window]
+    windows: list[RoomWindow]
     targets: list[tuple[np.ndarray, float]]
 
 
 def furnish(rng: np.random.Generator, patterns: Bank) -> RandomRoom:
-    """A room in looks of a bank."""
+    """Furnish a room in looks of a bank."""
     build, size, windows = plan(rng, patterns)
     return RandomRoom(build.furnished(), size, windows, build.targets)
 
 
-def plan(rng: np.random.Generator, patterns: Bank) -> tuple[RoomBuilder, Float[np.ndarray, "3"], list[Window]]:
-    """A room to which more may be added: its builder, size and windows, see `RandomRoom`."""
+def plan(rng: np.random.Generator, patterns: Bank) -> tuple[RoomBuilder, Float[np.ndarray, "3"], list[RoomWindow]]:
+    """Plan a room that can be extended: its builder, size and windows, see `RandomRoom`."""
     build = RoomBuilder(rng, Looks(patterns))
     size = np.array([rng.uniform(2.4, 6.5), rng.uniform(2.4, 6.5), rng.uniform(2.3, 3.2)])
     room = _Room(build, size)
@@ -55,7 +55,7 @@ def plan(rng: np.random.Generator, patterns: Bank) -> tuple[RoomBuilder, Float[n
 
 
 class _Room:
-    """A room while it is furnished.
+    """Room in the course of furnishing.
 
     Walls are numbered north, east, south, west; on each, x runs to the right as seen from inside, -y into the room.
     """
@@ -67,12 +67,12 @@ class _Room:
         self.length = [w, d, w, d]
         self.floor = FloorPlan((0.02, 0.02), (w - 0.02, d - 0.02))
         self.walls = [FloorPlan((-a / 2 + 0.05, 0.05), (a / 2 - 0.05, h - 0.05)) for a in self.length]
-        self.windows: list[Window] = []
+        self.windows: list[RoomWindow] = []
 
     def at_wall(
         self, wall: int, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: float = 0.0
     ) -> contextlib.AbstractContextManager[None]:
-        """`build.placed` in a wall's axes."""
+        """Context `build.placed` in a wall's axes."""
         cx, cy, angle = self.places[wall]
         c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
         return self.build.placed(cx + c * x - s * y, cy + s * x + c * y, z, angle + turn)
@@ -107,7 +107,7 @@ class _Room:
                     box(build, (-wide / 2, -deep, 0), (wide / 2, 0.01, h), same, bevel=0)
 
     def _take(self, wall: int, x: float, wide: float, deep: float, tall: float, gap: float = 0.0) -> bool:
-        """Room on the floor and on the wall for an object that stands with its back to the wall."""
+        """Take space on the floor and on the wall for an object with its back to the wall."""
         cx, cy, angle = self.places[wall]
         c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
         y = -deep / 2 - gap
@@ -163,14 +163,14 @@ class _Room:
                         self._add(piece)
                     break
 
-    def _add(self, piece: Piece) -> None:
+    def _add(self, piece: Furnishing) -> None:
         for top in piece.add(self.build):
             self._scatter(top)
         middle = np.array(self.build.world((0, -0.2 * piece.deep, 0.6 * piece.tall)))
         self.build.targets.append((middle, max(piece.wide, piece.tall)))
 
     def _scatter(self, top: Top, deeper: bool = True) -> None:
-        """Put things on a top until what was wanted is there or no place is left."""
+        """Scatter the wanted things on a top, as far as places are left."""
         rng, (x0, y0), (x1, y1) = self.rng, top.low, top.high
         area = (x1 - x0) * (y1 - y0)
         shelf = top.kind == "shelf"

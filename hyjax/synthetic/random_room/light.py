@@ -11,25 +11,26 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from hyjax.geometry.raycast import RayCaster
-from hyjax.synthetic.random_room.fittings import Window
+from hyjax.synthetic.random_room.fittings import RoomWindow
 from hyjax.synthetic.random_room.layout import RandomRoom
 from hyjax.synthetic.random_room.looks import Looks
 from hyjax.synthetic.surface import rows
 
 OFFSET = 1.5e-3
-"""Metres off the surface at which rays start."""
+"""Distance from the surface, in metres, where rays start."""
 AREA_RAYS = 4
-"""Shared by all panels."""
+"""Number of rays to panels, shared by all of them."""
 SKY_RAYS = 4
-BLOCK = 4
-"""Soft light is averaged over a block of this many samples squared, which all take different rays."""
-REACH = 1.2
-"""Metres: what is farther away sends back as much light as open space."""
+"""Number of rays into the hemisphere."""
+BLOCK_SIDE = 4
+"""Side, in samples, of the block over which soft light is averaged; its samples take different rays."""
+OPEN_DISTANCE = 1.2
+"""Distance, in metres, beyond which surfaces send back as much light as open space."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Points:
-    """Points to be lit: positions, unit normals and depth of n points, in metres."""
+    """Points to light: positions, unit normals and depth of n points, in metres."""
 
     position: Float[np.ndarray, "n 3"]
     normal: Float[np.ndarray, "n 3"]
@@ -37,13 +38,13 @@ class Points:
 
 
 @dataclasses.dataclass(frozen=True)
-class Lamp:
-    """A small round light, or the sun.
+class RoundLight:
+    """Round light: a small lamp, or the sun.
 
     Attributes:
         position: metres; a direction for the sun.
         radius: of the light in metres, 0 for hard shadows; of the sun in radians.
-        colour: power, in units of what it gives at a metre; irradiance for the sun.
+        color: power, as its irradiance at a metre; irradiance for the sun.
         axis, cosine: of the cone that a spot light fills; a cosine of -1 for all round.
         sun: whether it is infinitely far.
         slats: spacing of bars in front of it in metres or radians, 0 for none: striped light.
@@ -51,7 +52,7 @@ class Lamp:
 
     position: Float[np.ndarray, "3"]
     radius: float
-    colour: Float[np.ndarray, "3"]
+    color: Float[np.ndarray, "3"]
     axis: Float[np.ndarray, "3"]
     cosine: float = -1.0
     sun: bool = False
@@ -60,39 +61,39 @@ class Lamp:
 
 @dataclasses.dataclass(frozen=True)
 class Panel:
-    """A rectangle that shines to one side: a window, a ceiling light."""
+    """Rectangle that shines to one side: a window, a ceiling light."""
 
-    window: Window
-    colour: Float[np.ndarray, "3"]
+    window: RoomWindow
+    color: Float[np.ndarray, "3"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Lighting:
-    """All lights of a room. `above` and `below` are the colours of open space there."""
+    """Lights of a room. `above` and `below` are the colours of open space."""
 
-    lamps: list[Lamp]
+    lamps: list[RoundLight]
     panels: list[Panel]
     above: Float[np.ndarray, "3"]
     below: Float[np.ndarray, "3"]
 
 
 def _tinted(rng: np.random.Generator, power: float) -> np.ndarray:
-    """From candle to blue sky, seldom coloured."""
+    """Random tint from candle to blue sky, seldom coloured."""
     warm = rng.uniform(-0.35, 0.35)
-    colour = np.array([1 + warm, 1.0, 1 - warm])
+    color = np.array([1 + warm, 1.0, 1 - warm])
     if rng.random() < 0.06:
-        colour = rng.uniform(0.2, 1.2, 3)
-    return power * colour
+        color = rng.uniform(0.2, 1.2, 3)
+    return power * color
 
 
 def draw_lighting(room: RandomRoom, rng: np.random.Generator) -> Lighting:
-    """Light a room: by day, by lamps, or both."""
+    """Draw the lights of a room: by day, by lamps, or both."""
     panels = [Panel(w, _tinted(rng, rng.uniform(1, 8))) for w in room.windows]
     down = np.array([0.0, 0.0, -1.0])
     if not panels or rng.random() < 0.4:
         half = rng.uniform(0.1, 0.6, 2)
         place = np.append(rng.uniform(0.2, 0.8, 2) * room.size[:2], room.size[2] - 0.02)
-        ceiling = Window(place, np.array([half[0], 0, 0]), np.array([0, half[1], 0]), down)
+        ceiling = RoomWindow(place, np.array([half[0], 0, 0]), np.array([0, half[1], 0]), down)
         panels.append(Panel(ceiling, _tinted(rng, rng.uniform(2, 14))))
     lamps = []
     for _ in range(int(rng.choice([0, 1, 1, 2, 3]))):
@@ -100,7 +101,7 @@ def draw_lighting(room: RandomRoom, rng: np.random.Generator) -> Lighting:
         aim = rng.uniform([0, 0, 0], room.size * (1, 1, 0.5)) - place
         cosine = float(np.cos(np.radians(rng.uniform(15, 50)))) if rng.random() < 0.35 else -1.0
         slats = float(rng.choice([0.0, rng.uniform(0.03, 0.15)], p=[0.85, 0.15]))
-        lamps.append(Lamp(place, float(rng.choice([0.0, 0.0, 0.04, 0.12])), _tinted(rng, rng.uniform(0.3, 3)),
+        lamps.append(RoundLight(place, float(rng.choice([0.0, 0.0, 0.04, 0.12])), _tinted(rng, rng.uniform(0.3, 3)),
                           aim / np.linalg.norm(aim), cosine, slats=slats))  # fmt: skip
     if room.windows and rng.random() < 0.6:
         window = room.windows[rng.integers(len(room.windows))]
@@ -108,23 +109,23 @@ def draw_lighting(room: RandomRoom, rng: np.random.Generator) -> Lighting:
         toward = toward / np.linalg.norm(toward) + (0, 0, rng.uniform(0.2, 1.0))
         toward /= np.linalg.norm(toward)
         slats = float(rng.choice([0.0, 0.0, rng.uniform(0.01, 0.05)]))
-        lamps.append(Lamp(toward, 0.0, _tinted(rng, rng.uniform(2, 8)), -toward, sun=True, slats=slats))
+        lamps.append(RoundLight(toward, 0.0, _tinted(rng, rng.uniform(2, 8)), -toward, sun=True, slats=slats))
     ambient = rng.uniform(0.08, 0.7)
     above = _tinted(rng, ambient)
     return Lighting(lamps, panels, above, above * rng.uniform(0.3, 0.8))
 
 
-def flash(camera: Float[np.ndarray, "3"], rng: np.random.Generator) -> Lamp:
-    """A light beside the camera."""
-    return Lamp(
+def flash(camera: Float[np.ndarray, "3"], rng: np.random.Generator) -> RoundLight:
+    """Flash next to the camera."""
+    return RoundLight(
         camera + rng.normal(0, 0.04, 3), 0.0, _tinted(rng, rng.uniform(0.3, 1.5)), np.array([0.0, 0.0, 1.0])
     )
 
 
 def hard_light(
-    lamp: Lamp, caster: RayCaster, points: Points, rng: np.random.Generator
+    lamp: RoundLight, caster: RayCaster, points: Points, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """(irradiance / π of a lamp with its shadows, unit directions towards it)."""
+    """Irradiance / π of a lamp with its shadows, and unit directions towards it."""
     p = points.position
     way = np.broadcast_to(lamp.position.astype(np.float32), p.shape) - (0 if lamp.sun else p)
     if lamp.radius > 0:
@@ -144,16 +145,16 @@ def hard_light(
     start = p[lit] + OFFSET * points.normal[lit]
     shadow = caster.occluded(start, way[lit], 1e4 if lamp.sun else 0.999)
     strength[lit[shadow]] = 0.0
-    return strength[:, None] * lamp.colour.astype(np.float32), unit.astype(np.float32)
+    return strength[:, None] * lamp.color.astype(np.float32), unit.astype(np.float32)
 
 
 def _interleaved(shape: tuple[int, int], count: int, salt: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """`count` points of the unit square for each pixel; together a block's points fill it evenly (R2 sequence)."""
+    """Sample `count` points of the unit square per pixel; all points of a block fill it evenly (R2 sequence)."""
     block = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]])
-    tiles = (-(-shape[0] // BLOCK), -(-shape[1] // BLOCK))
+    tiles = (-(-shape[0] // BLOCK_SIDE), -(-shape[1] // BLOCK_SIDE))
     points = []
     for k in range(count):
-        u, v = (((block + k * BLOCK**2) * step + salt) % 1.0 for step in (0.7548776662, 0.5698402910))
+        u, v = (((block + k * BLOCK_SIDE**2) * step + salt) % 1.0 for step in (0.7548776662, 0.5698402910))
         points.append(
             tuple(np.tile(a, tiles)[: shape[0], : shape[1]].reshape(-1, 1).astype(np.float32) for a in (u, v))
         )
@@ -187,7 +188,7 @@ def soft_light(
             weight *= area / np.maximum(dot(way, way), 0.02) ** 2
             lit = np.flatnonzero(weight > 1e-4)
             weight[lit[caster.occluded(start[lit], way[lit], 0.999)]] = 0
-            total += weight[:, None] * (panel.colour / rays).astype(np.float32)
+            total += weight[:, None] * (panel.color / rays).astype(np.float32)
     x, y = _frame(points.normal)
     above, below = lighting.above.astype(np.float32), lighting.below.astype(np.float32)
     for u, v in _interleaved(shape, SKY_RAYS, salt + 0.37):
@@ -197,7 +198,7 @@ def soft_light(
         up = 0.5 + 0.5 * way[:, 2:]
         open_space = below + (above - below) * up
         # Light sent back by what is hit: all of open space's if it is far, little if it is near.
-        share = np.minimum(np.where(hits.hit, hits.distance, 1e3) / REACH, 1)[:, None].astype(np.float32)
+        share = np.minimum(np.where(hits.hit, hits.distance, 1e3) / OPEN_DISTANCE, 1)[:, None].astype(np.float32)
         albedo = looks.mean(rows(look, hits.face))
         albedo[~hits.hit] = 1.5
         total += open_space * (0.25 + 0.75 * share) * (0.35 + 0.65 * albedo) / SKY_RAYS
@@ -205,7 +206,7 @@ def soft_light(
 
 
 def _frame(normal: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Two unit vectors that make a frame with each normal (Duff et al., JCGT 6(1), 2017)."""
+    """Tangent frames: two unit vectors for each normal (Duff et al., JCGT 6(1), 2017)."""
     sign = np.copysign(np.float32(1), normal[:, 2])
     a = -1 / (sign + normal[:, 2])
     b = normal[:, 0] * normal[:, 1] * a
@@ -231,8 +232,8 @@ def smooth(light: Float[np.ndarray, "n 3"], points: Points, shape: tuple[int, in
     h, w = shape
     i, j = np.indices(shape)
     total, weight = light.copy(), np.ones(len(light), np.float32)
-    for di in range(-BLOCK // 2, BLOCK // 2):
-        for dj in range(-BLOCK // 2, BLOCK // 2):
+    for di in range(-BLOCK_SIDE // 2, BLOCK_SIDE // 2):
+        for dj in range(-BLOCK_SIDE // 2, BLOCK_SIDE // 2):
             if di == 0 and dj == 0:
                 continue
             near = (np.clip(i + di, 0, h - 1) * w + np.clip(j + dj, 0, w - 1)).ravel()

@@ -1,4 +1,4 @@
-"""Looks of surfaces: random palettes over patterns from a bank that is drawn once for each process."""
+"""Looks of surfaces: random palettes over patterns from a bank."""
 
 import colorsys
 import dataclasses
@@ -12,21 +12,21 @@ from hyjax.synthetic.surface import rows
 
 @dataclasses.dataclass(frozen=True)
 class Role:
-    """The range of looks of surfaces made for a purpose.
+    """Role of a surface: the range of its looks.
 
     Attributes:
         families: of patterns, with weights.
-        colours: scheme of its palette.
+        colors: scheme of its palette.
         gloss: (share of glossy ones, strength of their mirror image).
     """
 
     families: dict[str, float]
-    colours: str
+    colors: str
     gloss: tuple[float, float] = (0.0, 0.0)
 
 
 PHOTOGRAPHS = "photographs"
-"""A family that the bank may hold beside `FAMILIES`: pictures of other rooms, linear red, green and blue."""
+"""Name of a further family of the bank: pictures of other rooms, linear red, green and blue."""
 
 _CLOTH = {"plain": 2, "weave": 3, "stripes": 2, "checks": 2, "dots": 1, "zigzag": 1, "motif": 2, "clouds": 0.5}
 _PRINT = {
@@ -64,15 +64,15 @@ ROLES = {
     "leaf": Role({"clouds": 2, "plain": 2, "stripes": 0.5}, "leaf", (0.6, 0.4)),
     "soil": Role({"speckle": 1}, "dark"),
 }  # fmt: skip
-ODD = 0.05
-"""Share of looks with a pattern and colours of no particular sense."""
+ODD_SHARE = 0.05
+"""Probability of a look with any pattern and colours."""
 DETAILS = ("clouds", "speckle", "weave", "grain")
 """Families whose first colour's share is laid over other patterns as unevenness."""
-ALIKE = 0.18
-"""Share of looks that borrow the palette of another look in the room: borders with little contrast."""
+SHARED_PALETTE = 0.18
+"""Probability of borrowing the palette of another look in the room, which gives borders of low contrast."""
 
 
-def _colour(hue: float, saturation: float, value: float) -> np.ndarray:
+def _color(hue: float, saturation: float, value: float) -> np.ndarray:
     """Linear albedo of a display colour."""
     saturation, value = (float(np.clip(x, 0, 1)) for x in (saturation, value))
     # Strong pigments swallow most of the light.
@@ -81,7 +81,7 @@ def _colour(hue: float, saturation: float, value: float) -> np.ndarray:
 
 
 def _ground(rng: np.random.Generator, scheme: str) -> tuple[float, float, float]:
-    """Hue, saturation and value of a palette's first colour."""
+    """Draw hue, saturation and value of a palette's first colour."""
     u = rng.uniform
     kind = rng.random()
     if scheme == "wood":
@@ -115,28 +115,28 @@ def _primaries(rng: np.random.Generator) -> Float[np.ndarray, "4 3"]:
 
 
 def palette(rng: np.random.Generator, scheme: str) -> Float[np.ndarray, "4 3"]:
-    """Four linear albedos."""
+    """Draw a palette of four linear albedos."""
     hue, saturation, value = _ground(rng, scheme)
     tonal = {"wood": 0.95, "floor": 0.8, "wall": 0.75, "bright": 0.1, "leaf": 0.9}.get(scheme, 0.5)
-    colours = [_colour(hue, saturation, value)]
+    colors = [_color(hue, saturation, value)]
     same = rng.random() < tonal
     contrast = rng.uniform(0.1, 0.7)
     for k in range(3):
         if scheme == "paper":
             dark = rng.random() < 0.7
-            colours.append(_colour(rng.random(), 0.1 if dark else 0.7, rng.uniform(0.05, 0.3 if dark else 0.8)))
+            colors.append(_color(rng.random(), 0.1 if dark else 0.7, rng.uniform(0.05, 0.3 if dark else 0.8)))
         elif same:
             # Away from the nearer end of the scale of brightness.
             change = rng.uniform(0.2, 1) * contrast * (-1 if value > 0.5 else 1)
-            colours.append(_colour(hue + rng.normal(0, 0.02), saturation + rng.normal(0, 0.1), value + change))
+            colors.append(_color(hue + rng.normal(0, 0.02), saturation + rng.normal(0, 0.1), value + change))
         else:
             other = _ground(rng, "any" if scheme in ("grey", "pale", "wall") or k == 2 else scheme)
-            colours.append(_colour(*other))
-    return np.array(colours, dtype=np.float32)
+            colors.append(_color(*other))
+    return np.array(colors, dtype=np.float32)
 
 
 class Looks:
-    """The looks of one room.
+    """Looks of one room.
 
     Attributes:
         patterns: the bank.
@@ -149,25 +149,25 @@ class Looks:
         self._table: tuple[np.ndarray, ...] | None = None
 
     def draw(self, rng: np.random.Generator, role: str, tile: float | None = None) -> int:
-        """A new look; returns its number.
+        """Draw a new look and return its number.
 
         Args:
-            rng: what it is drawn from.
+            rng: of the draw.
             role: a key of `ROLES`.
-            tile: metres along a side of the pattern; None for what is usual.
+            tile: metres along a side of the pattern; None for the usual size.
         """
         kind = ROLES[role]
-        odd = rng.random() < ODD
+        odd = rng.random() < ODD_SHARE
         families = dict.fromkeys(FAMILIES, 1.0) if odd else kind.families
         names = [name for name in families if name in self.patterns.family]
         weights = np.array([families[name] for name in names])
         name = names[rng.choice(len(names), p=weights / weights.sum())]
         pattern = int(rng.choice(self.patterns.family[name]))
-        colours = palette(rng, "any" if odd else kind.colours)
+        colors = palette(rng, "any" if odd else kind.colors)
         if name == PHOTOGRAPHS:
-            colours = _primaries(rng)
-        elif self._palettes and role not in ("leaf", "soil", "paper", "screen") and rng.random() < ALIKE:
-            colours = self._palettes[rng.integers(len(self._palettes))] * rng.uniform(0.85, 1.15, 3)
+            colors = _primaries(rng)
+        elif self._palettes and role not in ("leaf", "soil", "paper", "screen") and rng.random() < SHARED_PALETTE:
+            colors = self._palettes[rng.integers(len(self._palettes))] * rng.uniform(0.85, 1.15, 3)
         low, high = FAMILIES[name].tile if name in FAMILIES else (0.2, 0.6)
         size = tile if tile is not None else low * (high / low) ** rng.random()
         turn = 0.0 if tile is not None or rng.random() < 0.7 else rng.uniform(0, 2 * np.pi)
@@ -183,20 +183,20 @@ class Looks:
         shine = 10 ** rng.uniform(1.0, 2.7)
         c, s = np.cos(turn) / size, np.sin(turn) / size
         self._rows.append((pattern, (c, -s, s, c), shift, detail, rng.uniform(0.05, 0.8), amount, gloss, shine))
-        self._palettes.append(colours)
+        self._palettes.append(colors)
         self._table = None
         return len(self._rows) - 1
 
     def _columns(self) -> tuple[np.ndarray, ...]:
         if self._table is None:
             pattern, matrix, shift, detail, detail_tile, amount, gloss, shine = zip(*self._rows)
-            colours = np.stack(self._palettes).astype(np.float32)
-            colours[:, 1:] -= colours[:, :1]
-            mean = colours[:, 0] + np.einsum("lk,lkc->lc", self.patterns.mean[list(pattern)], colours[:, 1:])
+            colors = np.stack(self._palettes).astype(np.float32)
+            colors[:, 1:] -= colors[:, :1]
+            mean = colors[:, 0] + np.einsum("lk,lkc->lc", self.patterns.mean[list(pattern)], colors[:, 1:])
             floats = (matrix, shift, detail_tile, amount, gloss, shine, mean)
             self._table = (
                 np.array(pattern, dtype=np.int32), np.array(detail, dtype=np.int32),
-                colours.reshape(-1, 12), *(np.array(f, dtype=np.float32) for f in floats),
+                colors.reshape(-1, 12), *(np.array(f, dtype=np.float32) for f in floats),
             )  # fmt: skip
         return self._table
 
@@ -204,12 +204,12 @@ class Looks:
         self, look: Int[np.ndarray, "n"], uv: Float[np.ndarray, "n 2"], footprint: Float[np.ndarray, "n"]
     ) -> Float[np.ndarray, "n 3"]:
         """Linear albedo at `uv` (metres), filtered to `footprint` (metres a pixel)."""
-        pattern, detail, colours, matrix, shift, detail_tile, amount, *_ = self._columns()
+        pattern, detail, colors, matrix, shift, detail_tile, amount, *_ = self._columns()
         m = rows(matrix, look)
         unit = np.stack([m[:, 0] * uv[:, 0] + m[:, 1] * uv[:, 1], m[:, 2] * uv[:, 0] + m[:, 3] * uv[:, 1]], -1)
         scale = np.hypot(m[:, 0], m[:, 1])
         share = self.patterns.shares(rows(pattern, look), unit + rows(shift, look), footprint * scale)
-        c = rows(colours, look)
+        c = rows(colors, look)
         albedo = c[:, :3] + share[:, :1] * c[:, 3:6] + share[:, 1:2] * c[:, 6:9] + share[:, 2:] * c[:, 9:]
         some = np.flatnonzero(rows(amount, look) > 0)
         which, tile = look[some], rows(detail_tile, look[some])

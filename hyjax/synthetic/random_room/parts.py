@@ -1,4 +1,4 @@
-"""Parts that several pieces of furniture have."""
+"""Common parts of furniture."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from hyjax.synthetic.shapes import box, tube
 
 
 def add_legs(build: RoomBuilder, x: float, y: float, tall: float, look: int) -> None:
-    """Four legs with their centres at (±x, ±y): square, round, tapered or splayed."""
+    """Add four legs with their centres at (±x, ±y): square, round, tapered or splayed."""
     thick, round_ = build.rng.uniform(0.012, 0.045), build.rng.random() < 0.5
     splay = 1 + build.rng.choice([0.0, min(0.04, 0.1 * tall / max(x, y))])
     for sx in (-x, x):
@@ -19,7 +19,7 @@ def add_legs(build: RoomBuilder, x: float, y: float, tall: float, look: int) -> 
 
 
 def add_fronts(build: RoomBuilder, x0: float, x1: float, z0: float, z1: float, y: float, look: int) -> None:
-    """Doors or drawers with gaps and handles on the plane `y`, facing -y."""
+    """Add doors or drawers with gaps and handles on the plane `y`, facing -y."""
     drawers = build.rng.random() < 0.4
     across = max(1, round((x1 - x0) / build.rng.uniform(0.35, 0.8)))
     down = int(build.rng.integers(2, 5)) if drawers else 1

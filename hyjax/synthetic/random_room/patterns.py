@@ -28,7 +28,7 @@ def _step(x: np.ndarray, n: int, rate: float = 1.0) -> np.ndarray:
 
 
 def plain(n: int, rng: np.random.Generator) -> Shares:
-    """Nothing but a breath of unevenness."""
+    """Plain surface with slight unevenness."""
     return _shares(0.03 * noise(n, n / 8, n / 8, rng) + 0.03)
 
 
@@ -105,8 +105,8 @@ def stripes(n: int, rng: np.random.Generator) -> Shares:
     count = int(rng.choice([2, 4, 8, 16]))
     edges = np.sort(rng.random(count))
     band = np.searchsorted(edges, v[:, 0]) % count
-    colour = rng.integers(0, 4, count)
-    lines = np.stack([colour[band] == k for k in (1, 2, 3)], -1).astype(np.float32)
+    color = rng.integers(0, 4, count)
+    lines = np.stack([color[band] == k for k in (1, 2, 3)], -1).astype(np.float32)
     return np.broadcast_to(lines[:, None], (n, n, 3)).copy()
 
 
@@ -174,10 +174,10 @@ def curves(n: int, rng: np.random.Generator) -> Shares:
 
 
 def leaves(n: int, rng: np.random.Generator) -> Shares:
-    """Dead leaves: shapes of all sizes that cover each other, each shaded; as like a photograph as noise can be.
+    """Dead leaves: shaded shapes of all sizes that cover each other, the noise most like a photograph.
 
-    Borders in it look like borders of objects, and are none. (Lee, Mumford, Huang: Occlusion Models for Natural
-    Images, IJCV 2001.)
+    Borders in it look like borders of objects. (Lee, Mumford, Huang: Occlusion Models for Natural Images, IJCV
+    2001.)
     """
     out = np.zeros((n, n, 3), np.float32) + rng.random(3) * 0.5
     for radius in np.sort(0.03 * rng.random(160) ** -0.55)[::-1] * n:
@@ -214,7 +214,7 @@ def text(n: int, rng: np.random.Generator) -> Shares:
 
 
 def _line(
-    page: Shares, x: int, y: int, tall: int, end: int, colour: int, rng: np.random.Generator, word: int = 5
+    page: Shares, x: int, y: int, tall: int, end: int, color: int, rng: np.random.Generator, word: int = 5
 ) -> None:
     """Letters of two or three strokes each, from column `x` to `end`."""
     pen = max(1, tall // 6)
@@ -226,10 +226,10 @@ def _line(
         for _ in range(int(rng.integers(2, 4))):
             if rng.random() < 0.5:
                 at = x + int(rng.integers(0, max(1, wide - pen)))
-                page[y + rise : y + tall, at : at + pen, colour] = 1
+                page[y + rise : y + tall, at : at + pen, color] = 1
             else:
                 at = y + rise + int(rng.integers(0, max(1, tall - rise - pen)))
-                page[at : at + pen, x : x + wide, colour] = 1
+                page[at : at + pen, x : x + wide, color] = 1
         x += wide + pen
 
 

@@ -1,17 +1,17 @@
-"""Furniture of random sizes: each a `Piece`."""
+"""Furniture of random sizes: each a `Furnishing`."""
 
 import numpy as np
 
 from hyjax.synthetic.random_room.builder import RoomBuilder
 from hyjax.synthetic.random_room.parts import add_fronts, add_legs
-from hyjax.synthetic.random_room.plan import Make, Piece, Top
+from hyjax.synthetic.random_room.plan import Furnishing, Make, Top
 from hyjax.synthetic.random_room.seats import bed, chair, office_chair, sofa
 from hyjax.synthetic.room import furniture as made
 from hyjax.synthetic.room import things as small
 from hyjax.synthetic.shapes import box, panel, revolve, tube
 
 
-def table(rng: np.random.Generator, low: bool = False) -> Piece:
+def table(rng: np.random.Generator, low: bool = False) -> Furnishing:
     """A table: rectangular or round, with legs, a foot or side walls."""
     wide, deep = rng.uniform(0.7, 2.2), rng.uniform(0.5, 1.0)
     tall = rng.uniform(0.3, 0.5) if low else rng.uniform(0.68, 0.95)
@@ -44,15 +44,15 @@ def table(rng: np.random.Generator, low: bool = False) -> Piece:
                     box(build, (0.06 - x, a, under - 0.07), (x - 0.06, b, under), leg)
         return [Top((-x, -y), (x, y), tall, 0.8)]
 
-    return Piece(wide, deep, tall, add)
+    return Furnishing(wide, deep, tall, add)
 
 
-def coffee_table(rng: np.random.Generator) -> Piece:
+def coffee_table(rng: np.random.Generator) -> Furnishing:
     """A low table."""
     return table(rng, low=True)
 
 
-def radiator(rng: np.random.Generator) -> Piece:
+def radiator(rng: np.random.Generator) -> Furnishing:
     """A radiator with ribs, or a flat one."""
     wide, low, high, flat = (
         rng.uniform(0.5, 1.6),
@@ -76,10 +76,10 @@ def radiator(rng: np.random.Generator) -> Piece:
         )
         return []
 
-    return Piece(wide + 0.12, 0.12, high, add, wall=True)
+    return Furnishing(wide + 0.12, 0.12, high, add, wall=True)
 
 
-def dining(rng: np.random.Generator) -> Piece:
+def dining(rng: np.random.Generator) -> Furnishing:
     """A table with chairs round it, some pulled out."""
     desk = table(rng)
     places = []
@@ -96,10 +96,10 @@ def dining(rng: np.random.Generator) -> Piece:
                 one.add(build)
         return desk.add(build)
 
-    return Piece(desk.wide + 0.1, desk.deep + 1.6, max(desk.tall, 1.1), add)
+    return Furnishing(desk.wide + 0.1, desk.deep + 1.6, max(desk.tall, 1.1), add)
 
 
-def bookcase(rng: np.random.Generator) -> Piece:
+def bookcase(rng: np.random.Generator) -> Furnishing:
     """Open shelves."""
     wide, tall = rng.uniform(0.5, 1.6), rng.uniform(0.7, 2.2)
     shelves = max(2, round(tall / rng.uniform(0.28, 0.45)))
@@ -111,10 +111,10 @@ def bookcase(rng: np.random.Generator) -> Piece:
         boards = [Top((-half, -0.13), (half, 0.13), z, room, "shelf") for z in tops]
         return [*boards, Top((-half, -0.13), (half, 0.13), tall, 0.3)]
 
-    return Piece(wide, 0.3, tall, add, wall=True)
+    return Furnishing(wide, 0.3, tall, add, wall=True)
 
 
-def cabinet(rng: np.random.Generator) -> Piece:
+def cabinet(rng: np.random.Generator) -> Furnishing:
     """A cabinet, chest of drawers, sideboard or wardrobe."""
     wide, deep = rng.uniform(0.4, 1.8), rng.uniform(0.3, 0.6)
     tall = rng.uniform(0.5, 1.1) if rng.random() < 0.7 else rng.uniform(1.6, 2.2)
@@ -130,10 +130,10 @@ def cabinet(rng: np.random.Generator) -> Piece:
             add_legs(build, x - 0.05, y - 0.06, foot, build.draw("metal"))
         return [Top((-x, 0.02 - y), (x, y), tall, 0.6)]
 
-    return Piece(wide, deep + 0.07, tall, add, wall=True)
+    return Furnishing(wide, deep + 0.07, tall, add, wall=True)
 
 
-def counter(rng: np.random.Generator) -> Piece:
+def counter(rng: np.random.Generator) -> Furnishing:
     """A kitchen worktop over cabinets, with a splashback and perhaps wall cabinets above."""
     wide, deep, tall = rng.uniform(1.2, 3.0), rng.uniform(0.55, 0.65), rng.uniform(0.85, 0.95)
     above = rng.random() < 0.6
@@ -152,10 +152,10 @@ def counter(rng: np.random.Generator) -> Piece:
             add_fronts(build, -x, x, low, high, y - 0.32, body)
         return [Top((-x, -y), (x, y - 0.01), tall, 0.5)]
 
-    return Piece(wide, deep + 0.07, tall + (1.2 if above else 0.55), add, wall=True)
+    return Furnishing(wide, deep + 0.07, tall + (1.2 if above else 0.55), add, wall=True)
 
 
-def floor_lamp(rng: np.random.Generator) -> Piece:
+def floor_lamp(rng: np.random.Generator) -> Furnishing:
     """A standing lamp."""
     scale = rng.uniform(0.8, 1.15)
 
@@ -164,10 +164,10 @@ def floor_lamp(rng: np.random.Generator) -> Piece:
             made.add_floor_lamp(build, "lamp")
         return []
 
-    return Piece(0.45 * scale, 0.45 * scale, 1.6 * scale, add)
+    return Furnishing(0.45 * scale, 0.45 * scale, 1.6 * scale, add)
 
 
-def tall_plant(rng: np.random.Generator) -> Piece:
+def tall_plant(rng: np.random.Generator) -> Furnishing:
     """A big plant in a pot."""
     tall = rng.uniform(0.6, 1.5)
 
@@ -177,10 +177,10 @@ def tall_plant(rng: np.random.Generator) -> Piece:
             small.plant(build, int(build.rng.integers(9, 20)), tall, 0.13 * tall + 0.03, 0.4, pot)
         return []
 
-    return Piece(0.8, 0.8, 1.15 * tall, add)
+    return Furnishing(0.8, 0.8, 1.15 * tall, add)
 
 
-def cases(rng: np.random.Generator) -> Piece:
+def cases(rng: np.random.Generator) -> Furnishing:
     """Cartons, crates or suitcases piled up."""
     count = int(rng.integers(1, 5))
     size = rng.uniform(0.2, 0.6, (count, 3)) * (1, 0.8, 0.7)
@@ -198,10 +198,10 @@ def cases(rng: np.random.Generator) -> Piece:
             z += tall + 0.005
         return [Top((-0.3 * wide, -0.3 * deep), (0.3 * wide, 0.3 * deep), z, 0.4)]
 
-    return Piece(size[:, 0].max() * 1.2, size[:, 1].max() * 1.3, size[:, 2].sum() + 0.02, add)
+    return Furnishing(size[:, 0].max() * 1.2, size[:, 1].max() * 1.3, size[:, 2].sum() + 0.02, add)
 
 
-def machine(rng: np.random.Generator) -> Piece:
+def machine(rng: np.random.Generator) -> Furnishing:
     """A refrigerator, washing machine or stove: a box with a door, knobs or a round window."""
     wide, deep = rng.uniform(0.5, 0.7), rng.uniform(0.55, 0.65)
     tall = float(rng.choice([0.85, rng.uniform(1.2, 1.9)]))
@@ -228,7 +228,7 @@ def machine(rng: np.random.Generator) -> Piece:
                      build.draw("metal"))  # fmt: skip
         return [Top((-x, 0.03 - y), (x, y), tall, 0.4)]
 
-    return Piece(wide, deep + 0.08, tall, add, wall=True)
+    return Furnishing(wide, deep + 0.08, tall, add, wall=True)
 
 
 WALL_PIECES: dict[Make, float] = {

@@ -1,4 +1,4 @@
-"""Rectangles that things stand on, and finding free places there."""
+"""Floor plan and tops: rectangles that carry things, and the search for free places on them."""
 
 import dataclasses
 from collections.abc import Callable
@@ -11,13 +11,13 @@ from hyjax.synthetic.random_room.builder import RoomBuilder
 
 @dataclasses.dataclass(frozen=True)
 class Top:
-    """A level rectangle that things can stand on, in the axes of the piece it belongs to.
+    """Top: a level rectangle that carries things, in the axes of its furnishing.
 
     Attributes:
         low, high: its corners (x, y).
         z: its height.
         room: free height above it.
-        kind: what is put there: "things", "shelf" (upright, from the back) or "floor".
+        kind: of its things: "things", "shelf" (upright, from the back) or "floor".
     """
 
     low: tuple[float, float]
@@ -28,12 +28,12 @@ class Top:
 
 
 @dataclasses.dataclass(frozen=True)
-class Piece:
-    """An object to be placed, standing on z = 0 with its front towards -y and its footprint centred on the origin.
+class Furnishing:
+    """Object to place, standing on z = 0 with its front towards -y and its footprint centred on the origin.
 
     Attributes:
         wide, deep, tall: of the box around it, in metres.
-        add: builds it and returns the rectangles that other things can stand on.
+        add: builds it and returns its tops.
         wall: stands with its back to a wall.
     """
 
@@ -76,11 +76,11 @@ def overlap(a: Float[np.ndarray, "4 2"], b: Float[np.ndarray, "4 2"]) -> bool:
     return bool(((p.min(0) < q.max(0) - 1e-9) & (q.min(0) < p.max(0) - 1e-9)).all())
 
 
-Make = Callable[[np.random.Generator], Piece]
-"""Draws a piece of a kind."""
+Make = Callable[[np.random.Generator], Furnishing]
+"""Function that draws a furnishing of a kind."""
 
 
-def draw(rng: np.random.Generator, makers: dict[Make, float]) -> Piece:
-    """One of several kinds, by weight."""
+def draw(rng: np.random.Generator, makers: dict[Make, float]) -> Furnishing:
+    """Draw one of several kinds, by weight."""
     weights = np.array(list(makers.values()))
     return list(makers)[rng.choice(len(weights), p=weights / weights.sum())](rng)

@@ -1,4 +1,4 @@
-"""Pictures of a random room: light on looks, highlights, mirror images, and edges without stairs."""
+"""Renderer of a random room: light on looks, highlights, mirror images, and antialiasing."""
 
 import dataclasses
 
@@ -14,14 +14,14 @@ from hyjax.synthetic.random_room.light import Lighting, Points, dot
 from hyjax.synthetic.surface import rows
 
 EDGE_SAMPLES = 4
-"""Further rays through a pixel that more than one surface shares."""
+"""Number of further rays through a pixel with several surfaces."""
 STEP = 2
-"""Pixels between samples of soft light."""
+"""Distance between samples of soft light in pixels."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Shot:
-    """A picture and what it shows.
+class RenderedView:
+    """Rendered view: a picture with its true depth and normals.
 
     Attributes:
         image: display-encoded, float32 in 8-bit steps.
@@ -36,7 +36,7 @@ class Shot:
 
 def shoot(
     room: RandomRoom, caster: RayCaster, lighting: Lighting, camera: Camera, rng: np.random.Generator
-) -> Shot:
+) -> RenderedView:
     """Photograph a room."""
     h, w = camera.intrinsics.shape
     rays = camera.rays().reshape(-1, 3).astype(np.float32)
@@ -45,20 +45,20 @@ def shoot(
     pixel = 1.0 / camera.intrinsics.fx
     hit = hits.hit
     irradiance, shine = _light(room, caster, lighting, points, hits, rays, (h, w), camera, rng)
-    colour = _radiance(room, caster, hits, rays, points, irradiance, pixel)
-    sky = rng.uniform(0.6, 4.0) * np.mean([p.colour for p in lighting.panels], axis=0)
-    colour[~hit] = _outside(rays[~hit], sky, rng)
-    colour += shine + _mirror(room, caster, lighting, hits, rays, points)
-    picture = colour.reshape(h, w, 3)
+    color = _radiance(room, caster, hits, rays, points, irradiance, pixel)
+    sky = rng.uniform(0.6, 4.0) * np.mean([p.color for p in lighting.panels], axis=0)
+    color[~hit] = _outside(rays[~hit], sky, rng)
+    color += shine + _mirror(room, caster, lighting, hits, rays, points)
+    picture = color.reshape(h, w, 3)
     edge = _shared(room, hits, points, (h, w))
     picture[edge] = _antialias(room, caster, camera, edge, picture, points, irradiance, rng)
     normal = np.where(hit[:, None], points.normal @ camera.pose[:3, :3].astype(np.float32), 0)
     depth = np.where(hit, hits.distance, 0).astype(np.float32)
-    return Shot(develop(picture, rng), depth.reshape(h, w), normal.reshape(h, w, 3).astype(np.float32))
+    return RenderedView(develop(picture, rng), depth.reshape(h, w), normal.reshape(h, w, 3).astype(np.float32))
 
 
 def _points(caster: RayCaster, origin: np.ndarray, rays: np.ndarray, hits: Hits) -> Points:
-    """End points of rays, with normals on the side that they come from."""
+    """End points of rays, with normals on the side of the ray."""
     distance = np.where(hits.hit, hits.distance, 20.0).astype(np.float32)
     position = origin.astype(np.float32) + rays * distance[:, None]
     face = caster.mesh.face_normals.astype(np.float32)[hits.face]
@@ -119,7 +119,7 @@ def _light(
 def _spread(
     light: np.ndarray, coarse: Points, points: Points, shape: tuple[int, int], size: tuple[int, int]
 ) -> Float[np.ndarray, "n 3"]:
-    """Soft light from its samples to all pixels, never across borders (joint bilateral upsampling)."""
+    """Upsample soft light from its samples to all pixels, never across borders (joint bilateral upsampling)."""
     i, j = np.indices(shape)
     total = np.zeros_like(points.position)
     weight = np.zeros(len(total), np.float32)
@@ -143,7 +143,7 @@ def _radiance(
     irradiance: np.ndarray,
     pixel: float,
 ) -> Float[np.ndarray, "n 3"]:
-    """Albedo × light."""
+    """Radiance: albedo × light."""
     furnished = room.furnished
     face = hits.face
     cosine = np.abs(dot(points.normal, rays)) / np.sqrt(dot(rays, rays))
@@ -153,7 +153,7 @@ def _radiance(
 
 
 def _outside(rays: np.ndarray, sky: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """A bright sky over something dark."""
+    """Radiance outside: a bright sky over dark ground."""
     up = rays[:, 2] / np.linalg.norm(rays, axis=1)
     land = rng.uniform(0.05, 0.6) * rng.uniform(0.7, 1.0, 3) * sky
     edge = rng.uniform(-0.3, 0.2) + 0.05 * np.sin(9 * np.arctan2(rays[:, 1], rays[:, 0]) + rng.uniform(0, 6))
@@ -163,7 +163,7 @@ def _outside(rays: np.ndarray, sky: np.ndarray, rng: np.random.Generator) -> Flo
 def _mirror(
     room: RandomRoom, caster: RayCaster, lighting: Lighting, hits: Hits, rays: np.ndarray, points: Points
 ) -> Float[np.ndarray, "n 3"]:
-    """Reflections in glossy things, in open light; not sharp, for few surfaces are."""
+    """Reflections in glossy things, in open light; blurred, as on most surfaces."""
     furnished = room.furnished
     gloss, _ = furnished.looks.gloss(rows(furnished.look, hits.face))
     some = np.flatnonzero((gloss > 0.05) & hits.hit)
@@ -178,7 +178,7 @@ def _mirror(
     uv = np.einsum("nk,nkc->nc", mirrored.barycentric.astype(np.float32), rows(furnished.uv, mirrored.face))
     far = np.minimum(np.where(mirrored.hit, mirrored.distance, 5), 5).astype(np.float32)
     albedo = furnished.looks.albedo(rows(furnished.look, mirrored.face), uv, 0.01 + 0.02 * far)
-    bright = np.mean([p.colour for p in lighting.panels], axis=0).astype(np.float32)
+    bright = np.mean([p.color for p in lighting.panels], axis=0).astype(np.float32)
     level = (lighting.above + 0.15 * bright).astype(np.float32)
     image = np.where(mirrored.hit[:, None], albedo * level, bright)
     fresnel = np.minimum((0.04 + 0.96 * (1 - cosine) ** 5) * gloss[some], 0.6)
@@ -187,7 +187,7 @@ def _mirror(
 
 
 def _shared(room: RandomRoom, hits: Hits, points: Points, shape: tuple[int, int]) -> Int[np.ndarray, "h w"]:
-    """Pixels where looks, depth or normals change to a neighbour: one ray a pixel would leave stairs there."""
+    """Mask of pixels where looks, depth or normals change to a neighbour, which need antialiasing."""
     look = np.where(hits.hit, rows(room.furnished.look, hits.face), -1).reshape(shape)
     depth, normal = points.depth.reshape(shape), points.normal.reshape(*shape, 3)
     edge = np.zeros(shape, dtype=bool)
@@ -211,7 +211,7 @@ def _antialias(
     irradiance: np.ndarray,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "n 3"]:
-    """Mean over further rays through the chosen pixels, each in the light of the likest neighbour."""
+    """Average further rays through the chosen pixels, each in the light of the most similar neighbour."""
     h, w = edge.shape
     i, j = np.nonzero(edge)
     k, turn = camera.intrinsics, camera.pose[:3, :3].astype(np.float32)
@@ -233,8 +233,8 @@ def _antialias(
             cost = off * 20 + 1 - dot(here.normal, there.normal)
             better = cost < best - 1e-4
             best[better], chosen[better] = cost[better], near[better]
-        colour = _radiance(room, caster, hits, rays, here, rows(irradiance, chosen), 1 / k.fx)
+        color = _radiance(room, caster, hits, rays, here, rows(irradiance, chosen), 1 / k.fx)
         missed = ~hits.hit
-        colour[missed] = rows(picture.reshape(-1, 3), chosen[missed])
-        total += np.minimum(colour, top)
+        color[missed] = rows(picture.reshape(-1, 3), chosen[missed])
+        total += np.minimum(color, top)
     return total / (1 + EDGE_SAMPLES)

@@ -1,15 +1,15 @@
-"""Seats and beds of random sizes: each a `Piece`."""
+"""Seats and beds of random sizes: each a `Furnishing`."""
 
 import numpy as np
 
 from hyjax.synthetic.random_room.builder import RoomBuilder
 from hyjax.synthetic.random_room.parts import add_legs
-from hyjax.synthetic.random_room.plan import Piece, Top
+from hyjax.synthetic.random_room.plan import Furnishing, Top
 from hyjax.synthetic.room import furniture as made
 from hyjax.synthetic.shapes import box, cushion, pillow, revolve, sheet, tube
 
 
-def chair(rng: np.random.Generator) -> Piece:
+def chair(rng: np.random.Generator) -> Furnishing:
     """A chair with spindles, slats or a panel as its back; a stool without one."""
     style, wide, tall = int(rng.integers(4)), rng.uniform(0.38, 0.5), rng.uniform(0.42, 0.5)
 
@@ -35,10 +35,10 @@ def chair(rng: np.random.Generator) -> Piece:
                 box(build, (0.02 - half, -0.012, 0.12 * back), (half - 0.02, 0.012, back), seat, bevel=0.008)
         return [Top((-0.8 * half, -0.8 * half), (0.8 * half, 0.5 * half), tall, 0.3)] * (build.rng.random() < 0.3)
 
-    return Piece(1.15 * wide, 1.25 * wide, tall + 0.5, add)
+    return Furnishing(1.15 * wide, 1.25 * wide, tall + 0.5, add)
 
 
-def office_chair(rng: np.random.Generator) -> Piece:
+def office_chair(rng: np.random.Generator) -> Furnishing:
     """A chair on five castors, with or without arms."""
     wide, tall, arms = rng.uniform(0.44, 0.54), rng.uniform(0.42, 0.55), rng.random() < 0.5
 
@@ -63,10 +63,10 @@ def office_chair(rng: np.random.Generator) -> Piece:
             box(build, (1.12 * side - 0.03, -0.15, tall + 0.2), (1.12 * side + 0.03, 0.14, tall + 0.225), frame)
         return []
 
-    return Piece(max(0.66, 1.25 * wide), 0.8, tall + 0.7, add)
+    return Furnishing(max(0.66, 1.25 * wide), 0.8, tall + 0.7, add)
 
 
-def sofa(rng: np.random.Generator) -> Piece:
+def sofa(rng: np.random.Generator) -> Furnishing:
     """A sofa or an armchair with loose cushions."""
     if rng.random() < 0.4:
         scale = rng.uniform(0.8, 1.15)
@@ -78,7 +78,7 @@ def sofa(rng: np.random.Generator) -> Piece:
                 build.rng.random() < 0.4
             )
 
-        return Piece(2.1 * scale, 0.95 * scale, 0.85 * scale, add_made, wall=True)
+        return Furnishing(2.1 * scale, 0.95 * scale, 0.85 * scale, add_made, wall=True)
     seats = int(rng.integers(1, 4))
     wide, deep, seat = 0.25 + 0.62 * seats, rng.uniform(0.75, 0.95), rng.uniform(0.38, 0.46)
     back, arm = rng.uniform(0.7, 0.95), rng.uniform(0.08, 0.2)
@@ -114,7 +114,7 @@ def sofa(rng: np.random.Generator) -> Piece:
             _throw(build, -inner, inner, deep / 2 - 0.25, back)
         return []
 
-    return Piece(wide, deep, back + 0.05, add, wall=True)
+    return Furnishing(wide, deep, back + 0.05, add, wall=True)
 
 
 def _throw(build: RoomBuilder, low: float, high: float, y: float, top: float) -> None:
@@ -129,7 +129,7 @@ def _throw(build: RoomBuilder, low: float, high: float, y: float, top: float) ->
     sheet(build, grid[:, ::-1], build.draw("cloth"), thickness=0.004)
 
 
-def bed(rng: np.random.Generator) -> Piece:
+def bed(rng: np.random.Generator) -> Furnishing:
     """A bed with a blanket and pillows, its head at the wall."""
     wide, deep, tall = rng.uniform(0.8, 1.9), rng.uniform(1.9, 2.15), rng.uniform(0.35, 0.55)
 
@@ -150,4 +150,4 @@ def bed(rng: np.random.Generator) -> Piece:
                     bulge=0.06)  # fmt: skip
         return [Top((-0.7 * x, -0.8 * y), (0.7 * x, 0.1 * y), tall + 0.055, 0.4)] * (build.rng.random() < 0.5)
 
-    return Piece(wide + 0.1, deep + 0.03, tall + 0.6, add, wall=True)
+    return Furnishing(wide + 0.1, deep + 0.03, tall + 0.6, add, wall=True)

@@ -1,16 +1,16 @@
-"""Boxes, books, papers and cloth that lie about, each a `Piece`; and what lies where."""
+"""Boxes, books, papers and cloth that lie about, each a `Furnishing`; and their weights by place."""
 
 import numpy as np
 
 from hyjax.synthetic.random_room.builder import RoomBuilder
 from hyjax.synthetic.random_room.gadgets import cable, keyboard, laptop, monitor, phone, tool
-from hyjax.synthetic.random_room.plan import Make, Piece, Top
+from hyjax.synthetic.random_room.plan import Furnishing, Make, Top
 from hyjax.synthetic.random_room.vessels import ball, basket, bowl, can, lamp, mug, plant, plate, turned
 from hyjax.synthetic.room import things as made
 from hyjax.synthetic.shapes import box, cushion, sheet
 
 
-def carton(rng: np.random.Generator) -> Piece:
+def carton(rng: np.random.Generator) -> Furnishing:
     """A printed box: cereals, tea, medicine, a toy."""
     wide, deep, tall = np.sort(rng.uniform(0.03, 0.3, 3))[[2, 0, 1]]
     if rng.random() < 0.6:
@@ -23,14 +23,14 @@ def carton(rng: np.random.Generator) -> Piece:
             uv=(build.rng.choice([0.0, wide / 2]), 0.0))  # fmt: skip
         return [_on(wide, deep, tall)]
 
-    return Piece(wide, deep, tall, add)
+    return Furnishing(wide, deep, tall, add)
 
 
 def _on(wide: float, deep: float, tall: float) -> Top:
     return Top((-wide / 2, -deep / 2), (wide / 2, deep / 2), tall, 0.3)
 
 
-def block(rng: np.random.Generator) -> Piece:
+def block(rng: np.random.Generator) -> Furnishing:
     """A plain box: a case, a speaker, a brick, a tin."""
     wide, deep, tall = rng.uniform(0.03, 0.25, 3)
     role = str(rng.choice(["plastic", "wood", "metal", "lacquer", "cloth", "front"]))
@@ -44,7 +44,7 @@ def block(rng: np.random.Generator) -> Piece:
             box(build, low, high, build.draw(role), bevel=radius / 3)
         return [_on(wide, deep, tall)]
 
-    return Piece(wide, deep, tall, add)
+    return Furnishing(wide, deep, tall, add)
 
 
 def _book(build: RoomBuilder, wide: float, deep: float, thick: float) -> None:
@@ -58,7 +58,7 @@ def _book(build: RoomBuilder, wide: float, deep: float, thick: float) -> None:
     box(build, (board - x, 0.004 - y, board), (x - 0.004, y - 0.004, thick - board), pages, bevel=0)
 
 
-def book_stack(rng: np.random.Generator) -> Piece:
+def book_stack(rng: np.random.Generator) -> Furnishing:
     """Books or magazines lying on each other."""
     size, count = float(rng.uniform(0.7, 1.3)), int(rng.integers(1, 7))
     wide, deep = 0.16 * size, 0.23 * size
@@ -73,10 +73,10 @@ def book_stack(rng: np.random.Generator) -> Piece:
             z += thick[k]
         return [_on(0.6 * wide, 0.6 * deep, z)]
 
-    return Piece(1.3 * wide, 1.2 * deep, float(thick.sum()), add)
+    return Furnishing(1.3 * wide, 1.2 * deep, float(thick.sum()), add)
 
 
-def upright_books(rng: np.random.Generator) -> Piece:
+def upright_books(rng: np.random.Generator) -> Furnishing:
     """A row of standing books, the last perhaps leaning."""
     wide, tall = float(rng.uniform(0.1, 0.5)), float(rng.uniform(0.15, 0.3))
 
@@ -94,10 +94,10 @@ def upright_books(rng: np.random.Generator) -> Piece:
             x += thick + 0.001
         return []
 
-    return Piece(wide, 0.2, tall, add, wall=True)
+    return Furnishing(wide, 0.2, tall, add, wall=True)
 
 
-def paper(rng: np.random.Generator) -> Piece:
+def paper(rng: np.random.Generator) -> Furnishing:
     """A sheet of paper or a magazine lying flat, its far corner perhaps curled: hardly any relief, much print."""
     wide = float(rng.uniform(0.1, 0.3))
     deep = wide * float(rng.choice([1.41, 0.71, 1.0]))
@@ -110,10 +110,10 @@ def paper(rng: np.random.Generator) -> Piece:
         sheet(build, np.stack([s * wide, t * deep, lift], -1), look, thickness=0.0006)
         return []
 
-    return Piece(wide, deep, 0.005 + curl, add)
+    return Furnishing(wide, deep, 0.005 + curl, add)
 
 
-def framed(rng: np.random.Generator) -> Piece:
+def framed(rng: np.random.Generator) -> Furnishing:
     """A photograph in a frame, leaning back on its stand."""
     wide, tall = rng.uniform(0.1, 0.3, 2)
 
@@ -123,10 +123,10 @@ def framed(rng: np.random.Generator) -> Piece:
             made.framed_picture(build, 2 * wide, 2 * tall, (0.3, 0.2, 0.1))
         return []
 
-    return Piece(wide, 0.45 * tall, tall, add, wall=True)
+    return Furnishing(wide, 0.45 * tall, tall, add, wall=True)
 
 
-def cloth(rng: np.random.Generator) -> Piece:
+def cloth(rng: np.random.Generator) -> Furnishing:
     """A crumpled cloth or jacket thrown down."""
     wide, deep, high = rng.uniform(0.15, 0.45), rng.uniform(0.15, 0.4), rng.uniform(0.02, 0.09)
 
@@ -142,7 +142,7 @@ def cloth(rng: np.random.Generator) -> Piece:
         sheet(build, np.stack([s * wide / 2 * bend, t * deep / 2, z], -1), build.draw("cloth"), thickness=0.003)
         return []
 
-    return Piece(wide, deep, high, add)
+    return Furnishing(wide, deep, high, add)
 
 
 ON_TABLES: dict[Make, float] = {

@@ -1,14 +1,14 @@
-"""Small things that are turned on an axis: bottles, tins, crockery, pots, lamps; each a `Piece`."""
+"""Small solids of revolution: bottles, tins, crockery, pots, lamps; each a `Furnishing`."""
 
 import numpy as np
 
 from hyjax.synthetic.random_room.builder import RoomBuilder
-from hyjax.synthetic.random_room.plan import Piece, Top
+from hyjax.synthetic.random_room.plan import Furnishing, Top
 from hyjax.synthetic.room import things as made
 from hyjax.synthetic.shapes import revolve
 
 
-def turned(rng: np.random.Generator) -> Piece:
+def turned(rng: np.random.Generator) -> Furnishing:
     """A turned body: bottle, jar, vase, glass, skittle, candlestick."""
     tall = float(rng.uniform(0.06, 0.35))
     radius = float(tall * rng.uniform(0.12, 0.45))
@@ -36,10 +36,10 @@ def turned(rng: np.random.Generator) -> Piece:
                             (0.0, 1.08 * tall)], build.draw("plastic"), sides=20)  # fmt: skip
         return []
 
-    return Piece(2 * radius, 2 * radius, 1.09 * tall, add)
+    return Furnishing(2 * radius, 2 * radius, 1.09 * tall, add)
 
 
-def can(rng: np.random.Generator) -> Piece:
+def can(rng: np.random.Generator) -> Furnishing:
     """A tin or a jar with a printed label."""
     radius, tall = float(rng.uniform(0.025, 0.06)), float(rng.uniform(0.07, 0.2))
 
@@ -50,10 +50,10 @@ def can(rng: np.random.Generator) -> Piece:
         revolve(build, label, build.draw("print", tall), sides=28)
         return []
 
-    return Piece(2.1 * radius, 2.1 * radius, tall, add)
+    return Furnishing(2.1 * radius, 2.1 * radius, tall, add)
 
 
-def ball(rng: np.random.Generator) -> Piece:
+def ball(rng: np.random.Generator) -> Furnishing:
     """A ball, an egg or a fruit."""
     radius, squash = float(rng.uniform(0.025, 0.13)), float(rng.choice([1.0, 1.0, rng.uniform(0.7, 1.3)]))
 
@@ -64,10 +64,10 @@ def ball(rng: np.random.Generator) -> Piece:
         revolve(build, line, build.draw(role), sides=28)
         return []
 
-    return Piece(2 * radius, 2 * radius, 2 * radius * squash, add)
+    return Furnishing(2 * radius, 2 * radius, 2 * radius * squash, add)
 
 
-def mug(rng: np.random.Generator) -> Piece:
+def mug(rng: np.random.Generator) -> Furnishing:
     """A mug with a handle."""
     size = float(rng.uniform(0.8, 1.3))
 
@@ -76,10 +76,10 @@ def mug(rng: np.random.Generator) -> Piece:
             made.mug(build, (0.5, 0.5, 0.5))
         return []
 
-    return Piece(0.14 * size, 0.14 * size, 0.12 * size, add)
+    return Furnishing(0.14 * size, 0.14 * size, 0.12 * size, add)
 
 
-def bowl(rng: np.random.Generator) -> Piece:
+def bowl(rng: np.random.Generator) -> Furnishing:
     """A bowl, perhaps with fruit."""
     radius = float(rng.uniform(0.06, 0.18))
 
@@ -91,10 +91,10 @@ def bowl(rng: np.random.Generator) -> Piece:
                     made.fruit(build, 0.27 * radius, (0.1 * (k % 2), 0.2, 0.1))
         return []
 
-    return Piece(2 * radius, 2 * radius, 0.6 * radius, add)
+    return Furnishing(2 * radius, 2 * radius, 0.6 * radius, add)
 
 
-def plate(rng: np.random.Generator) -> Piece:
+def plate(rng: np.random.Generator) -> Furnishing:
     """A flat plate."""
     radius = float(rng.uniform(0.07, 0.16))
 
@@ -103,10 +103,10 @@ def plate(rng: np.random.Generator) -> Piece:
         revolve(build, line, build.draw("glazed", 2 * radius), sides=36, lay="above")
         return []
 
-    return Piece(2 * radius, 2 * radius, 0.025, add)
+    return Furnishing(2 * radius, 2 * radius, 0.025, add)
 
 
-def plant(rng: np.random.Generator) -> Piece:
+def plant(rng: np.random.Generator) -> Furnishing:
     """A pot plant."""
     tall = float(rng.uniform(0.15, 0.5))
     spread, pot = 0.4 * tall, 0.17 * tall
@@ -116,10 +116,10 @@ def plant(rng: np.random.Generator) -> Piece:
             made.plant(build, int(build.rng.integers(5, 12)), tall, pot, spread, (0.5, 0.5, 0.5))
         return []
 
-    return Piece(2 * spread, 2 * spread, 1.2 * tall, add)
+    return Furnishing(2 * spread, 2 * spread, 1.2 * tall, add)
 
 
-def lamp(rng: np.random.Generator) -> Piece:
+def lamp(rng: np.random.Generator) -> Furnishing:
     """A table lamp."""
     tall = float(rng.uniform(0.25, 0.55))
     radius = float(tall * rng.uniform(0.25, 0.4))
@@ -136,10 +136,10 @@ def lamp(rng: np.random.Generator) -> Piece:
         revolve(build, shade, build.draw("cloth", 0.3), sides=32)
         return []
 
-    return Piece(2 * radius, 2 * radius, tall, add)
+    return Furnishing(2 * radius, 2 * radius, tall, add)
 
 
-def basket(rng: np.random.Generator) -> Piece:
+def basket(rng: np.random.Generator) -> Furnishing:
     """A basket or a bin."""
     radius = float(rng.uniform(0.08, 0.22))
     tall = radius * float(rng.uniform(0.6, 2))
@@ -149,4 +149,4 @@ def basket(rng: np.random.Generator) -> Piece:
             made.basket(build, radius, tall)
         return []
 
-    return Piece(2 * radius, 2 * radius, tall, add)
+    return Furnishing(2 * radius, 2 * radius, tall, add)

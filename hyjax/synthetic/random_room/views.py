@@ -1,4 +1,4 @@
-"""Camera poses in random rooms, as a hand might hold the camera."""
+"""Hand-held camera poses in random rooms."""
 
 import numpy as np
 from jaxtyping import Float
@@ -7,15 +7,16 @@ from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.synthetic.random_room.layout import RandomRoom
 
-NEAREST = 0.28
-"""Metres that nothing in the picture may come nearer than."""
+LEAST_DEPTH = 0.28
+"""Least depth of a picture in metres."""
 TRIES = 40
-PROBE = 20
-"""Rays along a side of the picture that test a view."""
+"""Most draws of a view."""
+PROBE_RAYS = 20
+"""Number of rays along a side of the picture that test a view."""
 
 
 def draw_view(room: RandomRoom, caster: RayCaster, size: int, rng: np.random.Generator) -> Camera:
-    """A hand-held camera with objects in view: from across the room down to half a metre off a table."""
+    """Draw a hand-held camera with objects in view: from across the room down to half a metre off a table."""
     best, best_score = None, -np.inf
     for _ in range(TRIES):
         camera = _camera(room, size, rng)
@@ -59,23 +60,23 @@ def _intrinsics(size: int, degrees: float) -> Intrinsics:
 
 
 def _fallback(room: RandomRoom, size: int) -> Camera:
-    """From the middle of the room, for a room too full to look about in."""
+    """View from the middle of the room, for a room too full for others."""
     middle = room.size * (0.5, 0.5, 0.75)
     return Camera(_intrinsics(size, 75.0), look_at(middle, room.size * (0.1, 0.1, 0.1), np.array([0, 0, 1.0])))
 
 
 def _score(camera: Camera, caster: RayCaster) -> float:
-    """Positive if the view is a picture: nothing too near, no inside of a solid, enough to see."""
+    """Score of a view, positive if nothing is too near, the camera in no solid, and enough to see."""
     k = camera.intrinsics
-    rays = Camera(k.resize(PROBE, PROBE), camera.pose).rays().reshape(-1, 3)
+    rays = Camera(k.resize(PROBE_RAYS, PROBE_RAYS), camera.pose).rays().reshape(-1, 3)
     hits = caster.cast(camera.origin, rays)
     if hits.hit.mean() < 0.7:
         return -3.0
     depth = hits.distance[hits.hit]
     normal = caster.mesh.face_normals[hits.face[hits.hit]]
-    if depth.min() < NEAREST or (np.einsum("nk,nk->n", normal, rays[hits.hit]) > 0).mean() > 0.02:
+    if depth.min() < LEAST_DEPTH or (np.einsum("nk,nk->n", normal, rays[hits.hit]) > 0).mean() > 0.02:
         return -2.0 + depth.min()
-    grid = np.where(hits.hit, hits.distance, 0).reshape(PROBE, PROBE)
+    grid = np.where(hits.hit, hits.distance, 0).reshape(PROBE_RAYS, PROBE_RAYS)
     jumps = (np.abs(np.diff(np.log(np.maximum(grid, 1e-3)), axis=1)) > 0.12).mean()
     return float(jumps - 0.02)
 

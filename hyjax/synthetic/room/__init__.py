@@ -1,4 +1,4 @@
-"""A furnished room made by code: its exact surface, and photographs of it.
+"""Built-in furnished room: its exact surface, and photographs of it.
 
 `make_room` builds the geometry, `camera_path` a walk through it, and `render_room` photographs along the way.
 The pictures come from a small renderer: daylight is baked into light maps by ray casting with several bounces,
@@ -29,10 +29,10 @@ __all__ = ["Room", "camera_path", "make_room", "render_room"]
 
 @dataclasses.dataclass(frozen=True)
 class Room:
-    """A room: metres, z up.
+    """Built-in room: metres, z up.
 
     Attributes:
-        seed: what its small details were drawn from.
+        seed: of its small details.
         surface: triangles with materials and light-map charts.
         anchors: named places as plain numbers: `window_0` (center, right and up half-axes, inward normal,
             width, height), `lamp_0`, `lamp_1`, `sofa`, `table`, `bookcase`, `room_center` (position), `bounds`
@@ -45,7 +45,7 @@ class Room:
 
     @property
     def mesh(self) -> trimesh.Trimesh:
-        """The exact surface; normals point into the room."""
+        """Exact surface; normals point into the room."""
         return self.surface.mesh
 
 
@@ -59,7 +59,7 @@ def camera_path(room: Room, n_frames: int = 24, width: int = 640, height: int = 
     """Cameras along a hand-held way round `room`, evenly spaced, 62 degrees wide.
 
     Raises:
-        InputError: there is nothing to see: no frame, or fewer than 16×16 pixels.
+        InputError: no frame, or fewer than 16×16 pixels.
     """
     del room  # Furniture stands in the same places for every seed.
     return path.camera_path(n_frames, width, height)

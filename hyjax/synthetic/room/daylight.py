@@ -1,4 +1,4 @@
-"""The view outside: a hazy sky over a garden."""
+"""View outside: a hazy sky over a garden."""
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +12,7 @@ GARDEN = np.array([0.20, 0.23, 0.15], dtype=np.float32)
 
 
 def sky_radiance(direction: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Smooth radiance by unit direction, for lighting the room."""
+    """Smooth radiance of the sky by unit direction, for lighting the room."""
     up = direction[:, 2:]
     sky = HORIZON + (ZENITH - HORIZON) * np.clip(up, 0, 1) ** 0.6
     toward = np.clip(direction @ SUN.astype(np.float32), 0, 1)[:, None]
@@ -22,7 +22,7 @@ def sky_radiance(direction: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"
 
 
 def view(direction: Float[np.ndarray, "n 3"], foliage: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """The view outside in a camera exposed for the room, in multiples of white: a washed-out garden, blank sky."""
+    """View outside in a camera exposed for the room, in multiples of white: a washed-out garden, blank sky."""
     azimuth = np.arctan2(direction[:, 1], -direction[:, 0])
     crown_edge = 0.05 + 0.6 * (foliage[:, 1] - 0.2)
     for k, (rate, height) in enumerate(((3.1, 0.09), (7.3, 0.05), (17.0, 0.03), (41.0, 0.015))):

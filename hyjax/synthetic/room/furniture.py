@@ -5,18 +5,18 @@ import numpy as np
 from hyjax.synthetic.room import materials as m
 from hyjax.synthetic.room.shell import BRASS, STEEL
 from hyjax.synthetic.shapes import box, cushion, panel, pillow, revolve, tube
-from hyjax.synthetic.surface import Builder, Colour
+from hyjax.synthetic.surface import Builder, Color
 
-OAK: Colour = (0.50, 0.40, 0.31)
-WALNUT: Colour = (0.27, 0.17, 0.11)
-BEECH: Colour = (0.58, 0.47, 0.36)
-LINEN: Colour = (0.80, 0.75, 0.66)
-SOFA_COLOURS: tuple[Colour, ...] = ((0.27, 0.28, 0.29), (0.40, 0.36, 0.31), (0.15, 0.20, 0.26))
+OAK: Color = (0.50, 0.40, 0.31)
+WALNUT: Color = (0.27, 0.17, 0.11)
+BEECH: Color = (0.58, 0.47, 0.36)
+LINEN: Color = (0.80, 0.75, 0.66)
+SOFA_COLORS: tuple[Color, ...] = ((0.27, 0.28, 0.29), (0.40, 0.36, 0.31), (0.15, 0.20, 0.26))
 
 
 def add_sofa(build: Builder) -> None:
     """A two-seat sofa, 2.04 m wide and 0.9 m deep, with loose cushions."""
-    cloth = SOFA_COLOURS[build.rng.integers(len(SOFA_COLOURS))]
+    cloth = SOFA_COLORS[build.rng.integers(len(SOFA_COLORS))]
     for x in (-0.9, 0.9):
         for y in (-0.36, 0.36):
             with build.placed(x, y):
@@ -51,7 +51,7 @@ def add_table(build: Builder) -> None:
             tube(build, [(side * 0.63, y * 1.03, 0), (side * 0.62, y, 0.722)], [0.019, 0.032], m.WOOD, OAK, 16)
 
 
-def add_chair(build: Builder, tint: Colour) -> None:
+def add_chair(build: Builder, tint: Color) -> None:
     """A spindle-backed chair."""
     cushion(build, (-0.215, -0.21, 0.432), (0.215, 0.21, 0.462), 0.0149, m.WOOD, tint, texel=0.02)
     for x in (-0.18, 0.18):
@@ -128,7 +128,7 @@ def add_pendant(build: Builder, name: str, ceiling: float) -> None:
     _bulb(build, name, 1.74)
 
 
-def _shade(build: Builder, z: float, low: float, high: float, tall: float, material: int, tint: Colour) -> None:
+def _shade(build: Builder, z: float, low: float, high: float, tall: float, material: int, tint: Color) -> None:
     outer = [(low, z), (high, z + tall)]
     inner = [(high - 0.004, z + tall), (low - 0.004, z)]
     revolve(build, [*inner, (low - 0.002, z - 0.001), *outer, (high - 0.002, z + tall + 0.001), inner[0]],

@@ -15,7 +15,7 @@ BOOKCASE = (2.02, DEPTH - 0.004)
 
 
 def arrange(seed: int) -> tuple[Surface, dict[str, dict[str, object]]]:
-    """The whole room and its anchors."""
+    """Build the whole room and its anchors."""
     build = Builder(seed)
     add_shell(build)
     _dining(build)

@@ -1,4 +1,4 @@
-"""Baking diffuse light: sky through the window, then bounces between texels.
+"""Baked diffuse light: sky through the window, then bounces between texels.
 
 Every texel casts its rays once. Where they end is remembered, so that a further bounce is a table lookup and five
 bounces cost hardly more than one. Neighbouring texels take different, interleaved rays; a small filter then merges
@@ -15,23 +15,23 @@ from scipy.ndimage import correlate1d
 from hyjax.geometry.raycast import RayCaster
 from hyjax.synthetic.room.daylight import sky_radiance
 from hyjax.synthetic.room.lightmap import Texels, at_hits
-from hyjax.synthetic.room.shell import THICK, WINDOW
+from hyjax.synthetic.room.shell import WALL_THICKNESS, WINDOW
 from hyjax.synthetic.surface import Surface, rows
 
 BOUNCES = 6
-CHUNK = 1 << 17
-"""Rays in flight a thread."""
+CHUNK_RAYS = 1 << 17
+"""Number of rays in flight per thread."""
 OFFSET = 2e-3
-"""Metres between a texel and where its rays start: curved charts bulge that far over their triangles."""
+"""Distance from a texel, in metres, where its rays start: curved charts bulge that far over their triangles."""
 WORKERS = 2
 
 
 @dataclasses.dataclass(frozen=True)
-class Light:
-    """Baked light.
+class BakedLight:
+    """Baked light in light maps.
 
     Attributes:
-        texels: where it is known.
+        texels: of the light maps.
         irradiance: irradiance / π of each texel, so that radiance is this times albedo.
     """
 
@@ -41,7 +41,7 @@ class Light:
 
 @dataclasses.dataclass(frozen=True)
 class _Gathered:
-    """Result of the texels' rays: direct light, texels they hit, mean distance, whether it is in the open."""
+    """Result of the texels' rays: direct light, hit texels, mean distance, whether they are in the open."""
 
     direct: Float[np.ndarray, "n 3"]
     hit_texels: Int[np.ndarray, "n k"]
@@ -51,8 +51,8 @@ class _Gathered:
 
 def bake(
     surface: Surface, caster: RayCaster, albedo: Float[np.ndarray, "c 3"], scale: float, side: int, seed: int
-) -> Light:
-    """Light all charts.
+) -> BakedLight:
+    """Bake the light of all charts.
 
     Args:
         surface: the room.
@@ -63,7 +63,7 @@ def bake(
         seed: of the jitter.
     """
     texels = Texels(surface, scale)
-    step = max(1, CHUNK // side**2)
+    step = max(1, CHUNK_RAYS // side**2)
     chunks = [slice(a, min(a + step, len(texels))) for a in range(0, len(texels), step)]
 
     def work(k: int) -> _Gathered:
@@ -81,7 +81,7 @@ def bake(
             radiance = np.concatenate([reflectance * total, np.zeros((1, 3), np.float32)])
             indirect = np.concatenate(list(pool.map(lambda p: mean_of(radiance, p.hit_texels), parts)))  # noqa: B023
             total = direct + indirect
-    return Light(texels, smooth(texels, direct, indirect, distance, valid))
+    return BakedLight(texels, smooth(texels, direct, indirect, distance, valid))
 
 
 def mean_of(values: Float[np.ndarray, "t 3"], index: Int[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
@@ -93,7 +93,7 @@ def mean_of(values: Float[np.ndarray, "t 3"], index: Int[np.ndarray, "n k"]) -> 
 
 
 def strata(side: int, cell: int, rng: np.random.Generator) -> Float[np.ndarray, "g k 2"]:
-    """`cell`² groups of side² points in the unit square: each group is even, and so are all groups together."""
+    """Strata: `cell`² groups of side² points in the unit square, even in each group and over all groups."""
     base = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(1, -1, 2)
     shift = np.stack(np.meshgrid(np.arange(cell), np.arange(cell)), axis=-1).reshape(-1, 1, 2)
     jitter = rng.random((cell * cell, side * side, 2))
@@ -101,7 +101,7 @@ def strata(side: int, cell: int, rng: np.random.Generator) -> Float[np.ndarray, 
 
 
 def group(texels: Texels, chunk: slice, cell: int) -> Int[np.ndarray, "n"]:
-    """Group of rays of each texel: neighbours take different ones."""
+    """Group of rays of each texel; neighbours take different ones."""
     order = np.random.default_rng(0).permutation(cell * cell)
     return order[texels.i[chunk] % cell + cell * (texels.j[chunk] % cell)]
 
@@ -113,7 +113,7 @@ def _patterns(side: int, seed: int) -> tuple[Float[np.ndarray, "16 k 3"], Float[
     y0, y1, z0, z1 = WINDOW
     square = strata(side, 2, rng)
     y, z = y0 + square[..., 0] * (y1 - y0), z0 + square[..., 1] * (z1 - z0)
-    return lobe.astype(np.float32), np.stack([np.full_like(y, -THICK), y, z], axis=-1).astype(np.float32)
+    return lobe.astype(np.float32), np.stack([np.full_like(y, -WALL_THICKNESS), y, z], axis=-1).astype(np.float32)
 
 
 def _gather(surface: Surface, caster: RayCaster, texels: Texels, chunk: slice, side: int, seed: int) -> _Gathered:
@@ -154,7 +154,7 @@ def cosine_lobe(square: Float[np.ndarray, "g k 2"]) -> Float[np.ndarray, "g k 3"
 
 
 def frames(normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
-    """Rows x, y and z of a right-handed frame with z along the normal."""
+    """Right-handed frames with z along the normals, as rows x, y and z."""
     helper = np.where(np.abs(normal[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     x = np.cross(helper, normal)
     x /= np.linalg.norm(x, axis=1, keepdims=True)
@@ -165,7 +165,7 @@ def _window_share(origin: np.ndarray, direction: np.ndarray, normal: np.ndarray)
     """Weight of window sampling against cosine sampling for rays that leave (balance heuristic)."""
     y0, y1, z0, z1 = WINDOW
     facing = np.maximum(-direction[:, 0], 1e-6)
-    distance = (origin[:, 0] + THICK) / facing
+    distance = (origin[:, 0] + WALL_THICKNESS) / facing
     by_window = distance**2 / (facing * (y1 - y0) * (z1 - z0))
     by_cosine = np.maximum(np.einsum("nk,nk->n", direction, normal), 0) / np.pi
     return by_window / (by_window + by_cosine)

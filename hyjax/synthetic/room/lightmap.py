@@ -1,4 +1,4 @@
-"""Light maps: texels on every chart, their places in the room, and reading them back."""
+"""Light maps: texels on every chart, their places in the room, and their lookup."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -7,11 +7,11 @@ from hyjax.geometry.raycast import Hits
 from hyjax.synthetic.surface import Surface, rows
 
 MAX_TEXELS = 512
-"""Along one side of a chart."""
+"""Most texels along one side of a chart."""
 
 
 class Texels:
-    """The texels of all charts in one array, chart after chart, each row by row.
+    """Texels of all charts in one array, chart after chart, each row by row.
 
     Attributes:
         columns, rows: texels along s and t of each chart.

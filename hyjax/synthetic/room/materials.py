@@ -1,4 +1,4 @@
-"""The table of materials, and looking up their textures with trilinear filtering."""
+"""Table of materials, and trilinear lookup of their textures."""
 
 import dataclasses
 from collections.abc import Callable
@@ -15,14 +15,14 @@ Image = Float[np.ndarray, "n n 3"]
 
 @dataclasses.dataclass(frozen=True)
 class Material:
-    """One row of the table.
+    """Material, a row of the table.
 
     Attributes:
         paint: draws the square, repeating albedo texture.
         size: pixels along a side, a power of two.
         tile: metres along a side.
         gloss: strength of the mirror reflection, 1 for a clean dielectric.
-        blur: how much the mirror reflection is smeared, in pixels of a 640-pixel-wide picture.
+        blur: of the mirror reflection, in pixels of a 640-pixel-wide picture.
     """
 
     paint: Callable[[int, np.random.Generator], Image]
@@ -32,7 +32,7 @@ class Material:
     blur: float = 0.0
 
 
-TABLE = (
+MATERIALS = (
     Material(patterns.paint, 512, 2.6),
     Material(patterns.planks, 2048, 5.2, 0.45, 7.0),
     Material(patterns.wood, 1024, 1.6, 0.4, 5.0),
@@ -49,27 +49,27 @@ TABLE = (
     Material(patterns.pages, 128, 0.05),
 )
 (PAINT, FLOOR, WOOD, FABRIC, STRIPES, RUG, BOOK, CERAMIC, LACQUER, LEAF, SOIL, PICTURE, WEAVE, PAGES) = range(
-    len(TABLE)
+    len(MATERIALS)
 )
-GLOSS = np.array([m.gloss for m in TABLE], dtype=np.float32)
-BLUR = np.array([m.blur for m in TABLE], dtype=np.float32)
-TILE = np.array([m.tile for m in TABLE], dtype=np.float32)
+GLOSS = np.array([m.gloss for m in MATERIALS], dtype=np.float32)
+BLUR = np.array([m.blur for m in MATERIALS], dtype=np.float32)
+TILE = np.array([m.tile for m in MATERIALS], dtype=np.float32)
 
 
 class Textures:
-    """All textures with their mip levels in one array of pixels, so that one lookup serves mixed materials."""
+    """Textures of all materials with their mip levels in one array, so that one lookup serves mixed materials."""
 
     def __init__(self, seed: int, quality: float = 1.0) -> None:
         shift = max(0, round(np.log2(1 / quality)))
         levels, starts, at = [], [], 0
 
         def draw(row: int) -> Image:
-            size = max(32, TABLE[row].size >> shift)
-            image = TABLE[row].paint(size, np.random.default_rng((seed, row)))
+            size = max(32, MATERIALS[row].size >> shift)
+            image = MATERIALS[row].paint(size, np.random.default_rng((seed, row)))
             return np.clip(image, 0.0, 1.0, dtype=np.float32)
 
         with ThreadPoolExecutor(2) as pool:
-            images = list(pool.map(draw, range(len(TABLE))))
+            images = list(pool.map(draw, range(len(MATERIALS))))
         for image in images:
             start = []
             while True:

@@ -1,4 +1,4 @@
-"""The way a visitor holds the camera: once round the room at eye height, looking across it."""
+"""Camera path of a visitor: once round the room at eye height, looking across it."""
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -24,7 +24,7 @@ STATIONS = (
 
 
 def camera_path(n_frames: int, width: int, height: int) -> list[Camera]:
-    """`n_frames` poses spread evenly over the way, 62 degrees wide."""
+    """Camera path of `n_frames` poses spread evenly over the way, 62 degrees wide."""
     if n_frames < 1 or width < 16 or height < 16:
         raise InputError(f"room: need at least 1 frame of 16x16 pixels, got {n_frames} of {width}x{height}")
     focal = 525.0 * width / 640

@@ -9,7 +9,7 @@ Image = Float[np.ndarray, "n n 3"]
 
 
 def mix(a: tuple[float, ...], b: tuple[float, ...], amount: Float[np.ndarray, "n n"]) -> Image:
-    """From colour `a` to colour `b`."""
+    """Mixture of colour `a` and colour `b`."""
     t = np.clip(amount, 0.0, 1.0)[..., None].astype(np.float32)
     return np.asarray(a, np.float32) * (1 - t) + np.asarray(b, np.float32) * t
 
@@ -19,7 +19,7 @@ def _grey(value: Float[np.ndarray, "n n"]) -> Image:
 
 
 def plain(n: int, rng: np.random.Generator) -> Image:
-    """White, for the tint alone to colour."""
+    """Plain white, coloured by the tint alone."""
     del rng
     return np.ones((n, n, 3), np.float32)
 
@@ -100,13 +100,13 @@ def rug(n: int, rng: np.random.Generator) -> Image:
     lattice = (np.abs((xs / 0.48) % 1 - 0.5) + np.abs((ys / 0.48) % 1 - 0.5)) * 2
     cream, red, blue, dark = (0.62, 0.54, 0.42), (0.36, 0.115, 0.085), (0.085, 0.14, 0.22), (0.05, 0.055, 0.08)
     image = mix(red, red, lattice)
-    for low, high, colour in ((0.0, 0.25, cream), (0.35, 0.5, blue), (0.9, 1.1, cream), (1.3, 1.45, blue),
+    for low, high, color in ((0.0, 0.25, cream), (0.35, 0.5, blue), (0.9, 1.1, cream), (1.3, 1.45, blue),
                               (1.75, 2.01, dark)):  # fmt: skip
-        image[(lattice >= low) & (lattice < high)] = colour
+        image[(lattice >= low) & (lattice < high)] = color
     teeth = np.abs(((x + y) / 0.12) % 1 - 0.5) * 2
-    for low, high, colour in ((0.0, 0.03, dark), (0.03, 0.17, blue), (0.17, 0.19, cream), (0.19, 0.23, red),
+    for low, high, color in ((0.0, 0.03, dark), (0.03, 0.17, blue), (0.17, 0.19, cream), (0.19, 0.23, red),
                               (0.23, 0.245, cream)):  # fmt: skip
-        image[(edge >= low) & (edge < high)] = colour
+        image[(edge >= low) & (edge < high)] = color
     image[(edge >= 0.06) & (edge < 0.14) & (teeth > 0.55)] = cream
     yarn = 1 + 0.10 * noise(n, 2.5, 0.6, rng) + 0.07 * noise(n, 40, 3, rng) + 0.05 * noise(n, 50, 50, rng)
     soft = sum(np.roll(image, k, axis=a) for k in (-1, 0, 1) for a in (0, 1)) / 6
@@ -132,7 +132,7 @@ def books(n: int, rng: np.random.Generator) -> Image:
 
 
 def leaf(n: int, rng: np.random.Generator) -> Image:
-    """Green with paler blotches."""
+    """Green leaves with paler blotches."""
     return mix((0.035, 0.10, 0.025), (0.13, 0.27, 0.07), 0.45 + 0.2 * noise(n, 12, 30, rng))
 
 

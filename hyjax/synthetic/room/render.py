@@ -1,4 +1,4 @@
-"""Photographs of the lit room: albedo × baked light, mirror reflections, and a camera's imperfections."""
+"""Renderer of the lit room: albedo × baked light, mirror reflections, and a camera's imperfections."""
 
 import dataclasses
 from typing import Protocol
@@ -11,29 +11,29 @@ from skimage.transform import resize
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import Hits, RayCaster
 from hyjax.synthetic.room.daylight import sky_radiance, view
-from hyjax.synthetic.room.light import Light
+from hyjax.synthetic.room.light import BakedLight
 from hyjax.synthetic.room.lightmap import at_hits
 from hyjax.synthetic.room.materials import LEAF
 from hyjax.synthetic.surface import Surface, rows
 from hyjax.synthetic.tone_curve import encode, tone
 
-BALANCE = np.array([0.975, 1.0, 1.035], np.float32)
-"""White balance: most of the warmth that the walls and the floor lend to the light is taken out."""
+WHITE_BALANCE = np.array([0.975, 1.0, 1.035], np.float32)
+"""White balance, which removes most of the warmth of light from the walls and the floor."""
 CONTRAST = 0.3
 SHARPNESS = 0.7
-"""Texture filter width in pixels; the lens blurs them a little more."""
+"""Width of the texture filter in pixels; the lens blurs textures a little more."""
 DEPTH_JUMP = 0.025
-"""Of the depth itself: more than a floor seen at a grazing angle changes from one pixel to the next."""
+"""Relative jump of depth at a border, above that of a floor at a grazing angle."""
 EDGE_SAMPLES = 7
-"""Rays through a pixel that more than one surface shares."""
+"""Number of rays through a pixel with several surfaces."""
 BLURS = (0.0, 2.0, 6.0)
-"""Smears of the mirror image that rough reflections are mixed from, in pixels at a width of 640."""
+"""Blurs of the mirror image that are mixed for rough reflections, in pixels at a width of 640."""
 LIGHT_SAMPLES, EDGE_LIGHT_SAMPLES = 16, 2
-"""Points of a hard light that a pixel's ray is lit from, and those of one of the rays through a shared pixel."""
+"""Number of points of a hard light per pixel, and per ray through a pixel with several surfaces."""
 
 
 class Paints(Protocol):
-    """Albedo of materials, and of each its mean and how it mirrors: strength and blur, see `Material`."""
+    """Albedo of materials, with mean, and strength and blur of reflections, see `Material`."""
 
     mean: Float[np.ndarray, "m 3"]
     gloss: Float[np.ndarray, "m"]
@@ -46,7 +46,7 @@ class Paints(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Lit:
-    """Base of a room under some light, ready for photographs.
+    """Base of lit rooms, ready for photographs.
 
     Attributes:
         surface: the room.
@@ -68,33 +68,33 @@ class Lit:
         self, origin: Float[np.ndarray, "*n 3"], rays: Float[np.ndarray, "n 3"], nearest: Hits,
         st: Float[np.ndarray, "n 2"], samples: int,
     ) -> Float[np.ndarray, "n 3"]:  # fmt: skip
-        """Irradiance / π where rays ended; `samples` points of each hard light, 0 for what a light map tells."""
+        """Irradiance / π at the ends of rays; `samples` points of each hard light, 0 for the light map alone."""
         raise NotImplementedError
 
     def emitted(
         self, origin: Float[np.ndarray, "*n 3"], rays: Float[np.ndarray, "n 3"], nearest: Hits
     ) -> Float[np.ndarray, "n 3"] | None:
-        """Radiance of lit lamps where rays ended; None if there are none."""
+        """Radiance of lit lamps at the ends of rays; None if there are none."""
         return None
 
     def outside(
         self, origin: Float[np.ndarray, "*n 3"], rays: Float[np.ndarray, "n 3"]
     ) -> Float[np.ndarray, "n 3"]:
-        """Radiance of what rays see that leave the room."""
+        """Radiance outside along rays that leave the room."""
         raise NotImplementedError
 
     def mirrored_outside(
         self, origin: Float[np.ndarray, "n 3"], rays: Float[np.ndarray, "n 3"]
     ) -> Float[np.ndarray, "n 3"]:
-        """The same in a mirror image, without detail."""
+        """Radiance outside in a mirror image, without detail."""
         raise NotImplementedError
 
 
 @dataclasses.dataclass(frozen=True)
 class BakedRoom(Lit):
-    """The built-in room by day."""
+    """Built-in room by day."""
 
-    light: Light
+    light: BakedLight
 
     def irradiance(
         self, origin: np.ndarray, rays: np.ndarray, nearest: Hits, st: np.ndarray, samples: int
@@ -111,7 +111,7 @@ class BakedRoom(Lit):
 def photograph(
     baked: Lit, camera: Camera, number: int
 ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
-    """One frame: display-encoded picture in 8-bit steps, and exact depth in metres (0 where nothing is)."""
+    """Photograph a frame: display-encoded picture in 8-bit steps, and exact depth in metres (0 in holes)."""
     h, w = camera.intrinsics.shape
     rng = np.random.default_rng((baked.seed, 1, number))
     rays = camera.rays().reshape(-1, 3)
@@ -157,12 +157,12 @@ def _diffuse(
 
 
 def _some(origin: Float[np.ndarray, "*n 3"], chosen: Bool[np.ndarray, "n"]) -> Float[np.ndarray, "*k 3"]:
-    """Origins of some of the rays; one origin for all stays one."""
+    """Select origins of some of the rays; one origin for all stays one."""
     return origin if origin.ndim == 1 else origin[chosen]
 
 
 def garden(textures: Paints, rays: Float[np.ndarray, "n 3"], leaf: int) -> Float[np.ndarray, "n 3"]:
-    """The view outside by directions from a window that faces -x, in multiples of white; `leaf` is its foliage."""
+    """View outside by directions from a window that faces -x, in multiples of white; `leaf` is its foliage."""
     direction = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
     place = np.stack([np.arctan2(direction[:, 1], -direction[:, 0]), direction[:, 2]], axis=-1)
     n = len(direction)
@@ -172,12 +172,12 @@ def garden(textures: Paints, rays: Float[np.ndarray, "n 3"], leaf: int) -> Float
 
 
 def select(hits: Hits, chosen: Bool[np.ndarray, "n"]) -> Hits:
-    """Some of the hits."""
+    """Select some of the hits."""
     return Hits(hits.distance[chosen], hits.face[chosen], hits.barycentric[chosen])
 
 
 def _shared_pixels(surface: Surface, hits: Hits, depth: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels on borders between charts and on jumps of depth, where one ray a pixel would leave stairs."""
+    """Mask of pixels on borders between charts and on jumps of depth, which need antialiasing."""
     chart = np.where(hits.hit, rows(surface.chart, hits.face), -1).reshape(depth.shape)
     edge = np.zeros(depth.shape, dtype=bool)
     across, down = chart[:, 1:] != chart[:, :-1], chart[1:] != chart[:-1]
@@ -268,7 +268,7 @@ def _smear(
 
 
 def _develop(linear: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Float[np.ndarray, "h w 3"]:
-    """Lens, sensor and tone curve: exposed linear light → display-encoded picture in 8-bit steps."""
+    """Develop exposed linear light to a display-encoded picture in 8-bit steps, by lens, sensor and tone curve."""
     h, w, _ = linear.shape
     scale = w / 640
     sharp = gaussian_filter(linear, (0.42 * scale, 0.42 * scale, 0), truncate=3)
@@ -280,7 +280,7 @@ def _develop(linear: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Fl
     deviation = np.sqrt(2.5e-5 * np.maximum(image, 0) + 4e-7)
     grain = rng.standard_normal(image.shape, dtype=np.float32)
     image = np.maximum(image + deviation * grain, 0)
-    display = encode(tone(image * BALANCE))
+    display = encode(tone(image * WHITE_BALANCE))
     # A slight S, as every camera's picture style has.
     display += CONTRAST * (display * display * (3 - 2 * display) - display)
     return (np.round(display * 255) / 255).astype(np.float32)
@@ -299,6 +299,6 @@ def _glare(linear: Float[np.ndarray, "h w 3"], scale: float) -> Float[np.ndarray
 
 
 def white_level(irradiance: Float[np.ndarray, "t 3"]) -> float:
-    """Exposure that brings the room's typical lit surface to middle grey; the same for every frame."""
+    """White level: exposure of the room's typical lit surface to middle grey, the same for every frame."""
     typical = np.median(irradiance.mean(axis=1)[irradiance.mean(axis=1) > 1e-4])
     return float(0.36 / typical)

@@ -1,4 +1,4 @@
-"""The empty room: walls with a window and a door, floor, ceiling, skirting, radiator and curtains.
+"""Shell of the room: walls with a window and a door, floor, ceiling, skirting, radiator and curtains.
 
 x runs from the window wall to the sofa wall, y from the door wall to the shelf wall, z up; metres.
 """
@@ -7,27 +7,27 @@ import numpy as np
 
 from hyjax.synthetic.room import materials as m
 from hyjax.synthetic.shapes import box, panel, revolve, sheet, tube
-from hyjax.synthetic.surface import Builder, Colour
+from hyjax.synthetic.surface import Builder, Color
 
 WIDTH, DEPTH, HEIGHT = 4.4, 5.2, 2.6
-THICK = 0.24
+WALL_THICKNESS = 0.24
 OVERLAP = 0.006
-"""The shell's rectangles reach this far into each other, so that no ray slips out where they meet."""
+"""Overlap of the shell's rectangles in metres, so that no ray slips out where they meet."""
 WINDOW = (1.75, 4.15, 0.82, 2.22)
-"""y from, y to, z from, z to."""
+"""Window: y from, y to, z from, z to, in metres."""
 DOOR = (3.12, 3.98, 2.04)
-"""x from, x to, height."""
+"""Door: x from, x to, height, in metres."""
 
-WARM_WHITE: Colour = (0.80, 0.775, 0.73)
-CEILING: Colour = (0.86, 0.855, 0.84)
-TRIM: Colour = (0.80, 0.79, 0.76)
-BRASS: Colour = (0.55, 0.38, 0.16)
-STEEL: Colour = (0.10, 0.10, 0.105)
-ACCENTS: tuple[Colour, ...] = ((0.30, 0.385, 0.37), (0.29, 0.36, 0.42), (0.42, 0.40, 0.33))
+WARM_WHITE: Color = (0.80, 0.775, 0.73)
+CEILING: Color = (0.86, 0.855, 0.84)
+TRIM: Color = (0.80, 0.79, 0.76)
+BRASS: Color = (0.55, 0.38, 0.16)
+STEEL: Color = (0.10, 0.10, 0.105)
+ACCENTS: tuple[Color, ...] = ((0.30, 0.385, 0.37), (0.29, 0.36, 0.42), (0.42, 0.40, 0.33))
 
 
 def add_shell(build: Builder) -> None:
-    """Walls, floor and ceiling with everything that is fixed to them."""
+    """Add walls, floor and ceiling with everything fixed to them."""
     accent = ACCENTS[build.rng.integers(len(ACCENTS))]
     y0, y1, z0, z1 = WINDOW
     x0, x1, top = DOOR
@@ -66,7 +66,7 @@ def _window(build: Builder) -> None:
     y0, y1, z0, z1 = WINDOW
     # The reveal stands a hair back from the wall's edge: the wall covers the joint.
     y0, y1, z0, z1 = y0 - 0.001, y1 + 0.001, z0 - 0.001, z1 + 0.001
-    dy, dz, t = y1 - y0, z1 - z0, THICK
+    dy, dz, t = y1 - y0, z1 - z0, WALL_THICKNESS
     for origin, s, u in (
         ((-t, y0, z0), (t, 0, 0), (0, dy, 0)),
         ((-t, y0, z1), (0, dy, 0), (t, 0, 0)),

@@ -4,17 +4,17 @@ import numpy as np
 
 from hyjax.synthetic.room import materials as m
 from hyjax.synthetic.shapes import box, panel, revolve, sheet, tube
-from hyjax.synthetic.surface import WHITE, Builder, Colour
+from hyjax.synthetic.surface import WHITE, Builder, Color
 
-COVERS: tuple[Colour, ...] = (
+COVERS: tuple[Color, ...] = (
     (0.45, 0.07, 0.05), (0.06, 0.13, 0.28), (0.08, 0.20, 0.12), (0.60, 0.42, 0.10), (0.70, 0.66, 0.56),
     (0.10, 0.10, 0.11), (0.42, 0.20, 0.10), (0.16, 0.30, 0.36), (0.55, 0.24, 0.18), (0.75, 0.73, 0.70),
     (0.20, 0.09, 0.13), (0.35, 0.38, 0.20),
 )  # fmt: skip
-GLAZES: tuple[Colour, ...] = ((0.72, 0.70, 0.66), (0.10, 0.22, 0.33), (0.50, 0.22, 0.12), (0.25, 0.36, 0.30))
+GLAZES: tuple[Color, ...] = ((0.72, 0.70, 0.66), (0.10, 0.22, 0.33), (0.50, 0.22, 0.12), (0.25, 0.36, 0.30))
 
 
-def _cover(build: Builder) -> Colour:
+def _cover(build: Builder) -> Color:
     r, g, b = np.clip(np.array(COVERS[build.rng.integers(len(COVERS))]) * build.rng.uniform(0.8, 1.25), 0, 0.85)
     grey = 0.12 * (r + g + b) / 3
     return float(0.88 * r + grey), float(0.88 * g + grey), float(0.88 * b + grey)
@@ -58,7 +58,7 @@ def book_stack(build: Builder, count: int) -> None:
         z += thick
 
 
-def vase(build: Builder, tall: float, tint: Colour) -> None:
+def vase(build: Builder, tall: float, tint: Color) -> None:
     """A glazed vase with a narrow neck, hollow at the top."""
     z = np.linspace(0, 1, 25)
     radius = 0.30 * np.sin(np.pi * np.clip(z * 0.80 + 0.13, 0, 1)) ** 1.2 + 0.06 + 0.09 * z**8
@@ -68,7 +68,7 @@ def vase(build: Builder, tall: float, tint: Colour) -> None:
             40)  # fmt: skip
 
 
-def bowl(build: Builder, radius: float, tint: Colour) -> None:
+def bowl(build: Builder, radius: float, tint: Color) -> None:
     """An open bowl on a foot."""
     angle = np.linspace(0.18, 1.0, 14) * np.pi / 2
     outer = [(radius * np.sin(a), 0.55 * radius * (1 - np.cos(a)) + 0.008) for a in angle]
@@ -78,7 +78,7 @@ def bowl(build: Builder, radius: float, tint: Colour) -> None:
             m.CERAMIC, tint, 48)  # fmt: skip
 
 
-def mug(build: Builder, tint: Colour) -> None:
+def mug(build: Builder, tint: Color) -> None:
     """A mug with a handle."""
     revolve(build, [(0, 0), (0.036, 0), (0.039, 0.002), (0.041, 0.006), (0.042, 0.09), (0.0415, 0.093),
                     (0.039, 0.093), (0.0385, 0.09), (0.038, 0.012), (0.034, 0.008), (0, 0.008)],
@@ -87,7 +87,7 @@ def mug(build: Builder, tint: Colour) -> None:
     tube(build, [(0.036 + 0.026 * np.cos(a), 0, 0.048 + 0.029 * np.sin(a)) for a in bend], 0.0048, m.CERAMIC, tint)
 
 
-def fruit(build: Builder, radius: float, tint: Colour) -> None:
+def fruit(build: Builder, radius: float, tint: Color) -> None:
     """A round fruit in a bowl."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, 13)
     dimple = 1 - 0.12 * np.exp(-(((angle - np.pi / 2) / 0.25) ** 2))
@@ -95,7 +95,7 @@ def fruit(build: Builder, radius: float, tint: Colour) -> None:
             m.LACQUER, tint, 24)  # fmt: skip
 
 
-def framed_picture(build: Builder, width: float, height: float, tint: Colour, shift: float = 0.0) -> None:
+def framed_picture(build: Builder, width: float, height: float, tint: Color, shift: float = 0.0) -> None:
     """A picture under glass, its back on the local plane y = 0, centred on the origin."""
     half, tall, bar, mat = width / 2, height / 2, 0.022, 0.06
     for low, high in (
@@ -111,7 +111,7 @@ def framed_picture(build: Builder, width: float, height: float, tint: Colour, sh
     panel(build, (-a, -0.0095, -b), (2 * a, 0, 0), (0, 0, 2 * b), m.PICTURE, texel=0.03, stretch=shift)
 
 
-def storage_box(build: Builder, wide: float, deep: float, tall: float, tint: Colour) -> None:
+def storage_box(build: Builder, wide: float, deep: float, tall: float, tint: Color) -> None:
     """A cardboard box with a lid."""
     box(build, (-wide / 2, -deep / 2, 0), (wide / 2, deep / 2, tall * 0.72), m.WEAVE, tint)
     box(build, (-wide / 2 - 0.004, -deep / 2 - 0.004, tall * 0.72), (wide / 2 + 0.004, deep / 2 + 0.004, tall),
@@ -126,7 +126,7 @@ def basket(build: Builder, radius: float, tall: float) -> None:
             (0.62, 0.44, 0.26), 48, 0.015, 3)  # fmt: skip
 
 
-def plant(build: Builder, leaves: int, tall: float, pot: float, spread: float, tint: Colour) -> None:
+def plant(build: Builder, leaves: int, tall: float, pot: float, spread: float, tint: Color) -> None:
     """A pot with arching stems, each ending in a broad leaf, within `spread` of its axis."""
     revolve(build, [(0, 0), (0.72 * pot, 0), (0.74 * pot, 0.004), (pot, 1.7 * pot), (pot, 1.75 * pot),
                     (0.92 * pot, 1.75 * pot), (0.90 * pot, 1.6 * pot)], m.CERAMIC, tint, 40, 0.015)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Rooms that can be lit by anything: photos under their own light, and true pictures of them under new lights.
+"""Rooms of known truth: photos under their own light, and true pictures of them under new lights.
 
     room = lit_room("builtin-0")                       # or "random-5-2-both"
     mean = room.mean_light(room.photo_light, cameras)  # K
@@ -15,25 +15,25 @@ import re
 
 from hyjax.synthetic.truth.builtin import lit_builtin_room
 from hyjax.synthetic.truth.generated import RoomName, lit_random_room
-from hyjax.synthetic.truth.room import RoomLight, TruthRoom
+from hyjax.synthetic.truth.room import TruthLight, TruthRoom
 from hyjax.synthetic.truth.source import Daylight, Source
 from hyjax.util.errors import InputError
 
 __all__ = [
-    "CHOOSE", "REPORT", "Daylight", "RoomLight", "RoomName", "Source", "TruthRoom", "lit_builtin_room",
-    "lit_random_room", "lit_room",
+    "DEVELOPMENT_ROOMS", "TEST_ROOMS", "Daylight", "RoomName", "Source", "TruthLight", "TruthRoom",
+    "lit_builtin_room", "lit_random_room", "lit_room",
 ]  # fmt: skip
 
-CHOOSE: tuple[str, ...] = ("builtin-0", "random-5-6-day", "random-11-0-both", "random-23-6-lamps")
-REPORT: tuple[str, ...] = ("builtin-3", "random-5-7-day", "random-5-2-both", "random-23-1-lamps")
-"""Rooms for choosing among methods, and rooms to report on: plans, windows and lamps differ."""
+DEVELOPMENT_ROOMS: tuple[str, ...] = ("builtin-0", "random-5-6-day", "random-11-0-both", "random-23-6-lamps")
+TEST_ROOMS: tuple[str, ...] = ("builtin-3", "random-5-7-day", "random-5-2-both", "random-23-1-lamps")
+"""Rooms for development and for test; their plans, windows and lamps differ."""
 
 
 def lit_room(name: str, quality: float = 1.0) -> TruthRoom:
-    """A room by name: `builtin-SEED`, or `random-SEED-NUMBER-BY` with BY what lights its photos.
+    """Room by name: `builtin-SEED`, or `random-SEED-NUMBER-BY` with BY the light of its photos.
 
     Args:
-        name: see there; BY is `day`, `lamps` or `both`.
+        name: of the room; BY is `day`, `lamps` or `both`.
         quality: of light and textures; 1 for pictures to look at.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Random rooms that can be lit by anything; their photos have daylight, lamps or both."""
+"""Random rooms of known truth under any light; their photos have daylight, lamps or both."""
 
 import functools
 from typing import NamedTuple
@@ -9,27 +9,27 @@ from jaxtyping import Float, Int
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Light
 from hyjax.synthetic.random_room import bank_of
-from hyjax.synthetic.random_room.fittings import THICK
+from hyjax.synthetic.random_room.fittings import REVEAL_DEPTH
 from hyjax.synthetic.random_room.layout import plan
 from hyjax.synthetic.random_room.looks import Looks
 from hyjax.synthetic.truth.lamps import add_lamps
 from hyjax.synthetic.truth.opening import Opening
 from hyjax.synthetic.truth.picture import Bulb
-from hyjax.synthetic.truth.room import RoomLight, TruthRoom, Walks
+from hyjax.synthetic.truth.room import TruthLight, TruthRoom, Walks
 from hyjax.synthetic.truth.source import Daylight, Source
-from hyjax.synthetic.truth.walk import FIELD, walk
+from hyjax.synthetic.truth.walk import FIELD_DEGREES, walk
 
-MIDDLE = 0.56
+MIDDLE_WHITE = 0.56
 """Display-linear value of white under the photo's mean light, as in the built-in room."""
-BALANCED = 0.75
-"""Share of the light's colour that the camera's white balance takes out."""
-SKY = (700.0, 2600.0)
-"""Luminance of the sky in windows, candela a square metre."""
+BALANCED_SHARE = 0.75
+"""Share of the light's colour that the camera's white balance removes."""
+SKY_LUMINANCE = (700.0, 2600.0)
+"""Range of the sky's luminance in windows, in candela per square metre."""
 GLOSS_LIMIT = 0.9
 
 
 class RoomName(NamedTuple):
-    """A random room: its seed, its number, and what lights its photos (`day`, `lamps` or `both`)."""
+    """Name of a random room: its seed, its number, and the light of its photos (`day`, `lamps` or `both`)."""
 
     seed: int
     number: int
@@ -37,7 +37,7 @@ class RoomName(NamedTuple):
 
 
 class LookPaints:
-    """Looks as the built-in room's renderer takes materials, with one more for the leaves outside.
+    """Looks as materials of the built-in room's renderer, with one more for the leaves outside.
 
     Attributes:
         gloss, blur: of the mirror image of each look.
@@ -77,20 +77,20 @@ def lit_random_room(room: RoomName, quality: float = 1.0) -> TruthRoom:
     surface = build.finish()
     openings = [
         Opening(np.asarray(w.centre, float), np.asarray(w.right, float), np.asarray(w.up, float),
-                np.asarray(w.normal, float), THICK)
+                np.asarray(w.normal, float), REVEAL_DEPTH)
         for w in windows
     ]  # fmt: skip
     sources: list[Source] = list(lights)
     if room.by != "lamps":
         for k in range(len(openings)):
             warm = rng.uniform(-0.08, 0.12)
-            level = rng.uniform(*SKY) * (0.5 if room.by == "both" else 1.0)
+            level = rng.uniform(*SKY_LUMINANCE) * (0.5 if room.by == "both" else 1.0)
             sources.append(Daylight(k, (level * (1 - warm), level, level * (1 + warm))))
     anchors |= {f"window_{k}": opening.anchor() for k, opening in enumerate(openings)}
     anchors["bounds"] = {"low": [0.0, 0.0, 0.0], "high": [float(x) for x in size]}
     paints = LookPaints(build.looks, rng)
     caster = RayCaster(surface.mesh)
-    photos, scan = (functools.partial(walk, caster, size, (*key, k), f) for k, f in ((0, FIELD), (1, 62.7)))
+    photos, scan = (functools.partial(walk, caster, size, (*key, k), f) for k, f in ((0, FIELD_DEGREES), (1, 62.7)))
     return TruthRoom(
         f"random-{room.seed}-{room.number}-{room.by}",
         surface,
@@ -107,7 +107,7 @@ def lit_random_room(room: RoomName, quality: float = 1.0) -> TruthRoom:
     )
 
 
-def _level(room: TruthRoom, light: RoomLight) -> Float[np.ndarray, "3"]:
-    """The mean light in middle brightness, most of its colour balanced."""
+def _level(room: TruthRoom, light: TruthLight) -> Float[np.ndarray, "3"]:
+    """Exposure of the mean light to middle brightness, with most of its colour balanced."""
     mean = room.mean_light(light, room.walks.photos(12, 160, 120))
-    return MIDDLE / (mean.mean() ** (1 - BALANCED) * mean**BALANCED)
+    return MIDDLE_WHITE / (mean.mean() ** (1 - BALANCED_SHARE) * mean**BALANCED_SHARE)

@@ -9,11 +9,12 @@ from hyjax.synthetic.random_room.builder import RoomBuilder
 from hyjax.synthetic.shapes import box, revolve, tube
 from hyjax.synthetic.truth.picture import Bulb
 
-FREE = 0.3
-"""Metres of free space that a lamp wants about it."""
+FREE_RADIUS = 0.3
+"""Radius of free space around a lamp, in metres."""
 TRIES = 60
+"""Most draws of a lamp's place."""
 LUMENS_PER_AREA = (90.0, 170.0)
-"""Of all lamps together, for a square metre of floor."""
+"""Range of the flux of all lamps per floor area, in lumens per square metre."""
 
 
 def add_lamps(
@@ -22,11 +23,11 @@ def add_lamps(
     """Put lamps of random kinds into a room. Returns their light, their places as anchors, and the round ones.
 
     Args:
-        build: what they are added to.
-        caster: rays of what is there already.
+        build: to add them to.
+        caster: rays of the room so far.
         size: of the room, metres.
         count: of lamps; fewer where there is no place.
-        rng: what they are drawn from.
+        rng: of the draws.
     """
     lights: list[Light] = []
     anchors: dict[str, dict[str, object]] = {}
@@ -67,7 +68,7 @@ def _place(kind: str, size: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _is_free(kind: str, caster: RayCaster, place: np.ndarray, size: np.ndarray) -> bool:
-    """Whether nothing stands where the lamp goes."""
+    """Whether the place of a lamp is free."""
     down, up = np.array([[0, 0, -1.0]]), np.array([[0, 0, 1.0]])
     if kind == "panel":
         corners = place + np.array([[x, y, -0.1] for x in (-0.6, 0, 0.6) for y in (-0.6, 0, 0.6)])
@@ -76,7 +77,7 @@ def _is_free(kind: str, caster: RayCaster, place: np.ndarray, size: np.ndarray) 
         return bool((below > 0.5).all() and (above > 0.08).all() and (above < 0.2).all())
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=-1)
-    if caster.cast(place, ring).distance.min() < FREE:
+    if caster.cast(place, ring).distance.min() < FREE_RADIUS:
         return False
     if kind == "hanging":
         above, below = caster.cast(place[None], up).distance[0], caster.cast(place[None], down).distance[0]

@@ -1,4 +1,4 @@
-"""Openings: windows that light comes in through, from a sky that depends on the direction."""
+"""Openings: windows that let in light from a sky that depends on the direction."""
 
 import dataclasses
 from collections.abc import Callable
@@ -11,17 +11,17 @@ from hyjax.synthetic.room.daylight import sky_radiance
 from hyjax.util.vectors import unit
 
 Radiance = Callable[[int, Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
-"""Radiance that comes in through an opening (its number) by unit directions that point outwards."""
+"""Function from an opening (its number) and unit outward directions to radiance."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Opening:
-    """A window: the rectangle centre ± right ± up in the wall's inner face.
+    """Window opening: the rectangle centre ± right ± up in the wall's inner face.
 
     Attributes:
         centre, right, up: metres.
         normal: unit, into the room.
-        depth: of the reveal, metres: light is taken to come from the rectangle that far outside.
+        depth: of the reveal, metres: light comes from the rectangle that far outside.
     """
 
     centre: Float[np.ndarray, "3"]
@@ -37,11 +37,11 @@ class Opening:
 
     @property
     def area(self) -> float:
-        """Square metres."""
+        """Area in square metres."""
         return float(4 * np.linalg.norm(np.cross(self.right, self.up)))
 
     def anchor(self) -> dict[str, object]:
-        """The opening as plain numbers, an entry of a capture's anchors."""
+        """Opening as plain numbers, an entry of a capture's anchors."""
         return {
             "center": [float(x) for x in self.centre],
             "right": [float(x) for x in self.right],
@@ -52,13 +52,13 @@ class Opening:
         }
 
     def to_sky(self, direction: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Directions turned about z as if the window faced -x, as the built-in room's does."""
+        """Directions turned about z as if the window faced -x, like the built-in room's."""
         c, s = self.normal[:2] / np.linalg.norm(self.normal[:2])
         x, y, z = np.asarray(direction).T
         return np.stack([c * x + s * y, c * y - s * x, z], axis=-1).astype(np.float32)
 
     def sky(self, direction: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Radiance of the hazy sky that all windows look at, by unit direction."""
+        """Radiance of the hazy sky outside all windows, by unit direction."""
         return sky_radiance(self.to_sky(direction))
 
     def crossing(
@@ -77,9 +77,9 @@ class Opening:
 def leaving(
     openings: list[Opening], origin: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "n 3"]
 ) -> Int[np.ndarray, "n"]:
-    """Number of the opening that each ray leaves through; -1 for none.
+    """Number of each ray's exit opening; -1 for none.
 
-    A ray that slips through a crack goes with the window that it faces most, as the built-in room has it.
+    A ray that slips through a crack goes with the window that it faces most, as in the built-in room.
     """
     if not openings:
         return np.full(len(direction), -1)
@@ -119,8 +119,8 @@ def from_opening(
     Args:
         caster: the room's rays.
         opening: the window.
-        radiance: what comes in, by unit directions that point outwards.
-        origin, normal: where it falls on.
+        radiance: from outside, by unit directions that point outwards.
+        origin, normal: of the lit points.
         square: points of the unit square, for each place.
         whole: whether there are no other samples: else the part is left out that cosine sampling finds better.
     """

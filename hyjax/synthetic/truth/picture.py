@@ -1,4 +1,4 @@
-"""A room under any light, as the built-in room's camera sees it."""
+"""Pictures of a room under any light by the built-in room's camera."""
 
 import dataclasses
 
@@ -17,12 +17,12 @@ from hyjax.synthetic.truth.transport import Maps
 from hyjax.util.vectors import unit
 
 PANEL_DEPTH = 0.03
-"""A panel light shines from surfaces up to this far behind its rectangle, metres."""
+"""Largest depth, in metres, of shining surfaces behind a panel light's rectangle."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Bulb:
-    """A lamp's ball of glass, which shines when a point light is lit inside it."""
+    """Bulb: a lamp's ball of glass, which shines when a point light is lit inside it."""
 
     centre: Float[np.ndarray, "3"]
     radius: float
@@ -30,17 +30,17 @@ class Bulb:
 
 @dataclasses.dataclass(frozen=True)
 class LitPicture(Lit):
-    """A room under baked light, with hard light traced to every pixel.
+    """Room under baked light, with hard light traced to every pixel.
 
     Attributes:
         texels, maps: the light maps.
         hard, soft: lights whose shadows are traced, and rectangles.
         openings: windows.
         bulbs: lamps that shine if they are lit.
-        panes: of each window, what the view's texture is multiplied by.
+        panes: factor of the view's texture in each window.
         sky: radiance through the windows in mirror images.
         leaf: material of the leaves outside.
-        turn: where the samples' shifts are drawn from.
+        turn: generator of the samples' shifts.
     """
 
     texels: Texels
@@ -89,7 +89,7 @@ class LitPicture(Lit):
         return total
 
     def _lit_bulbs(self) -> list[tuple[Light, Bulb | None]]:
-        """Point lights with the bulbs that they are in."""
+        """Point lights with their bulbs."""
         points = [
             (light, e.position) for light in self.hard if (e := light.emitter()) is not None and e.kind == "point"
         ]
@@ -121,7 +121,7 @@ class LitPicture(Lit):
 
 
 def mean_garden(textures: Paints, leaf: int) -> Float[np.ndarray, "3"]:
-    """Mean of the view's texture over what a room sees of it."""
+    """Mean of the view's texture over its visible part."""
     azimuth, height = np.meshgrid(np.linspace(-1.0, 1.0, 64), np.linspace(-0.45, 0.45, 48))
     rays = np.stack([-np.cos(azimuth), np.sin(azimuth), height], axis=-1).reshape(-1, 3)
     return garden(textures, rays, leaf).mean(axis=0)
@@ -130,9 +130,9 @@ def mean_garden(textures: Paints, leaf: int) -> Float[np.ndarray, "3"]:
 def smooth_places(
     surface: Surface, caster: RayCaster, hits: Hits
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Positions and smooth normals at hits, and where shadow rays start from there.
+    """Positions and smooth normals at hits, and the starts of shadow rays there.
 
-    Those start on the round surface that the triangles stand for, so that these throw no shadow on themselves
+    Rays start on the round surface that the triangles approximate, so that these cast no shadow on themselves
     (Hanika, "Hacking the shadow terminator", Ray Tracing Gems II, 2021).
     """
     corners = np.asarray(surface.mesh.vertices)[np.asarray(surface.mesh.faces)[hits.face]]
@@ -145,12 +145,12 @@ def smooth_places(
 
 
 def texel_light(texels: Texels, values: Float[np.ndarray, "t 3"], surface: Surface, hits: Hits) -> np.ndarray:
-    """A light map at hits, all of which must have hit."""
+    """Look up a light map at hits, all of which must have hit."""
     return texels.lookup(values, rows(surface.chart, hits.face), at_hits(surface.st, hits))
 
 
 def _on_panel(emitter: Emitter, position: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, float]:
-    """Places on the panel behind a rectangle light, and its radiance."""
+    """Mask of places on the panel behind a rectangle light, and its radiance."""
     right, up = np.asarray(emitter.right), np.asarray(emitter.up)
     across = np.cross(right, up)
     axis = unit(across)
@@ -162,7 +162,7 @@ def _on_panel(emitter: Emitter, position: np.ndarray, normal: np.ndarray) -> tup
 
 
 def _on_bulb(bulb: Bulb, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Places on a bulb."""
+    """Mask of places on a bulb."""
     out = position - bulb.centre
     distance = np.linalg.norm(out, axis=1)
     return (distance < 1.1 * bulb.radius) & (np.einsum("nk,nk->n", out, normal) > 0.7 * distance)

@@ -1,4 +1,4 @@
-"""A room that can be lit by anything: true pictures under the light of its photos and under new lights.
+"""Room of known truth: pictures under the light of its photos and under new lights.
 
 Light is irradiance / π in the units of its sources: lux / π for our own lights and in random rooms.
 """
@@ -24,20 +24,22 @@ from hyjax.synthetic.surface import Surface, rows
 from hyjax.synthetic.truth.opening import Opening
 from hyjax.synthetic.truth.picture import Bulb, LitPicture, mean_garden, smooth_places, texel_light
 from hyjax.synthetic.truth.source import Daylight, Source, direct, hard_lights, soft_lights
-from hyjax.synthetic.truth.transport import Maps, Transport
+from hyjax.synthetic.truth.transport import Maps, TexelTransport
 from hyjax.util.cache import cached_arrays
 from hyjax.util.vectors import unit
 
-VERSION = 2
-"""Of the light in rooms that can be lit. Add one whenever it comes out differently."""
-FILLS = 0.06
-"""Metres from a window's plane within which a rectangle light fills the window."""
+VERSION = 3
+"""Version of the baked light. Add one when it changes."""
+FILL_DISTANCE = 0.06
+"""Distance from a window's plane, in metres, within which a rectangle light fills the window."""
 PROBE_SAMPLES = 16
+"""Number of samples of a light at places near the surface."""
 NEIGHBOURS = 24
+"""Number of candidate texels near a place."""
 
 
 @dataclasses.dataclass(frozen=True)
-class RoomLight:
+class TruthLight:
     """Baked light of some sources in a room, from `TruthRoom.bake`."""
 
     sources: tuple[Source, ...]
@@ -53,7 +55,7 @@ class Walks:
 
 
 class TruthRoom:
-    """A room with its windows, and the sources that lit its photos.
+    """Room with its windows, and the sources that lit its photos.
 
     Exposure. K is the geometric mean, channel by channel, of the photo's own light E_old over what a set of frames
     shows (`mean_light`). A photo shows albedo · E_old · e, with e the exposure `white` of each channel. Under new
@@ -88,7 +90,7 @@ class TruthRoom:
         quality: float,
         seed: int,
         leaf: int,
-        level: "Callable[[TruthRoom, RoomLight], Float[np.ndarray, '3']]",
+        level: "Callable[[TruthRoom, TruthLight], Float[np.ndarray, '3']]",
     ) -> None:
         self.name, self.surface, self.textures, self.openings, self.bulbs = name, surface, textures, openings, bulbs
         self.sources, self.anchors, self.walks = sources, anchors, walks
@@ -99,19 +101,19 @@ class TruthRoom:
 
     @property
     def mesh(self) -> trimesh.Trimesh:
-        """The true surface in metres, z up; normals point into the room."""
+        """True surface in metres, z up; normals point into the room."""
         return self.surface.mesh
 
     @functools.cached_property
-    def transport(self) -> Transport:
-        """Rays between all places, cast when first asked for."""
+    def transport(self) -> TexelTransport:
+        """Rays between all texels, cast on first use."""
         albedo = np.zeros((len(self.surface.nodes), 3), np.float32)
         albedo[self.surface.chart] = self.textures.mean[self.surface.material] * self.surface.tint
         side = max(2, round(7 * np.sqrt(self.quality)))
-        return Transport(self.surface, self.caster, albedo, self.openings, 1 / self.quality, side, self.seed)
+        return TexelTransport(self.surface, self.caster, albedo, self.openings, 1 / self.quality, side, self.seed)
 
-    def bake(self, sources: Sequence[Source], folder: Path | None = None) -> RoomLight:
-        """Light of any sources after six bounces; the room's own are dark unless they are among them.
+    def bake(self, sources: Sequence[Source], folder: Path | None = None) -> TruthLight:
+        """Bake the light of any sources after six bounces; the room's own are dark unless they are among them.
 
         Args:
             sources: `Daylight` and lights of `hyjax.light.kinds`; ambient light is left out.
@@ -126,26 +128,26 @@ class TruthRoom:
             return dataclasses.asdict(maps)
 
         if folder is None:
-            return RoomLight(sources, Maps(**make()))
+            return TruthLight(sources, Maps(**make()))
         file = folder / f"truth-v{VERSION}-{self.name}-q{self.quality:g}-{source_key(sources)}.npz"
-        return cached_arrays(file, lambda arrays: RoomLight(sources, Maps(**arrays)), make)
+        return cached_arrays(file, lambda arrays: TruthLight(sources, Maps(**arrays)), make)
 
     @functools.cached_property
-    def photo_light(self) -> RoomLight:
+    def photo_light(self) -> TruthLight:
         """Light of the room's own sources."""
         return self.bake(self.sources)
 
     @functools.cached_property
     def white(self) -> Float[np.ndarray, "3"]:
-        """The photos' exposure e of each channel."""
+        """Exposure e of the photos, per channel."""
         return np.asarray(self._level(self, self.photo_light), np.float32)
 
     def exposure(self, mean_light: Float[np.ndarray, "3"], reference_lux: float) -> Float[np.ndarray, "3"]:
-        """`truth_exposure` with the photos' own exposure."""
+        """Exposure by `truth_exposure` with the photos' own exposure."""
         return truth_exposure(self.white, mean_light, reference_lux)
 
-    def mean_light(self, light: RoomLight, cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
-        """K: geometric mean, channel by channel, of irradiance / π over the surface that cameras see."""
+    def mean_light(self, light: TruthLight, cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
+        """Mean light K: geometric mean per channel of irradiance / π over the visible surface."""
         total, count = np.zeros(3), 0
         values = light.maps.soft + light.maps.hard + light.maps.bounce
         for camera in cameras:
@@ -157,9 +159,9 @@ class TruthRoom:
         return np.exp(total / max(count, 1))
 
     def photograph(
-        self, light: RoomLight, camera: Camera, number: int, exposure: Float[np.ndarray, "3"] | None = None
+        self, light: TruthLight, camera: Camera, number: int, exposure: Float[np.ndarray, "3"] | None = None
     ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
-        """A picture: display-encoded in 8-bit steps, and exact depth in metres (0 where nothing is).
+        """Photograph a picture: display-encoded in 8-bit steps, and exact depth in metres (0 in holes).
 
         Args:
             light: from `bake`.
@@ -170,7 +172,7 @@ class TruthRoom:
         return render.photograph(self._lit(light, number, exposure), camera, number)
 
     def irradiance(
-        self, light: RoomLight, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
+        self, light: TruthLight, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
         """True (direct, bounced) irradiance / π at places near the surface, such as the vertices of another mesh.
 
@@ -186,7 +188,7 @@ class TruthRoom:
     def _near(
         self, maps: Maps, points: np.ndarray, normals: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Places projected to the surface with its normals, and the soft direct and bounced light there."""
+        """Project places to the surface, with its normals, and the soft direct and bounced light there."""
         texels = self.transport.texels
         distance, near = self._tree.query(points, NEIGHBOURS)
         near = self._open[near]
@@ -215,7 +217,7 @@ class TruthRoom:
     def _tree(self) -> cKDTree:
         return cKDTree(self.transport.texels.position[self._open])
 
-    def _lit(self, light: RoomLight, number: int, exposure: Float[np.ndarray, "3"] | None) -> LitPicture:
+    def _lit(self, light: TruthLight, number: int, exposure: Float[np.ndarray, "3"] | None) -> LitPicture:
         return LitPicture(
             self.surface,
             self._corners,
@@ -238,7 +240,7 @@ class TruthRoom:
     def _radiance(
         self, sources: tuple[Source, ...], window: int, direction: Float[np.ndarray, "n 3"], panels: bool = False
     ) -> Float[np.ndarray, "n 3"]:
-        """What comes in through a window; with `panels`, also of rectangle lights that fill it."""
+        """Radiance through a window; with `panels`, also of rectangle lights that fill it."""
         total = np.zeros((len(direction), 3), np.float32)
         for source in sources:
             if isinstance(source, Daylight):
@@ -258,22 +260,22 @@ class TruthRoom:
             across = np.cross(emitter.right, emitter.up)  # type: ignore[arg-type]
             at = emitter.position - opening.centre
             beside = max(abs(at @ axis) / (axis @ axis) for axis in (opening.right, opening.up))
-            if unit(across) @ opening.normal > 0.9 and abs(at @ opening.normal) < FILLS and beside < 0.5:
+            if unit(across) @ opening.normal > 0.9 and abs(at @ opening.normal) < FILL_DISTANCE and beside < 0.5:
                 radiance = emitter.strength / (4 * np.linalg.norm(across) * np.pi)
                 total += np.asarray(light.color, np.float32) * np.float32(radiance)
         return total
 
     def _panes(self, sources: tuple[Source, ...]) -> Float[np.ndarray, "w 3"]:
-        """What the view's texture is multiplied by in each window.
+        """Factor of the view's texture in each window.
 
         A photo's daylight shows the view as a camera exposed for the room does, washed out but not burnt out.
         """
-        own = {s.window: np.asarray(s.color) for s in self.sources if isinstance(s, Daylight)}
+        daylight = {s.window: np.asarray(s.color) for s in self.sources if isinstance(s, Daylight)}
         panes = np.zeros((len(self.openings), 3), np.float32)
         for k in range(len(panes)):
             for source in sources:
                 if isinstance(source, Daylight) and source.window == k:
-                    panes[k] += np.asarray(source.color) / own.get(k, 1.0) / self.white
+                    panes[k] += np.asarray(source.color) / daylight.get(k, 1.0) / self.white
             panes[k] += self._filling(sources, k) / mean_garden(self.textures, self._leaf)
         return panes
 
@@ -281,7 +283,7 @@ class TruthRoom:
 def truth_exposure(
     white: Float[np.ndarray, "3"], mean_light: Float[np.ndarray, "3"], reference_lux: float
 ) -> Float[np.ndarray, "3"]:
-    """Exposure of the truth under new lights, for `TruthRoom.photograph`; see `TruthRoom` for what it stands for.
+    """Exposure of the truth under new lights, for `TruthRoom.photograph`; see `TruthRoom` for its definition.
 
     Args:
         white: exposure e of the photos.
@@ -299,7 +301,7 @@ def _is_sky(source: Source) -> bool:
 
 
 def source_key(sources: Sequence[Source]) -> str:
-    """A key that changes whenever a source does."""
+    """Key of a source, which changes whenever the source does."""
     parts = [repr(s) if isinstance(s, Daylight) else _light_key(s) for s in sources]
     return hashlib.sha256("|".join(parts).encode()).hexdigest()[:12]
 

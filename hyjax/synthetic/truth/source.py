@@ -1,4 +1,4 @@
-"""Sources of light in a room, and what falls from each directly on points: Monte Carlo with shadow rays.
+"""Sources of light in a room, and their direct light on points: Monte Carlo with shadow rays.
 
 The truth of one of our lights (`hyjax.light.kinds`) is its own `illuminance_at`, times the share of its emitter
 that shadow rays reach: the ball of a bulb, the area of a rectangle, the disc of the sun.
@@ -18,18 +18,18 @@ from hyjax.light.kinds.emitter import Emitter
 from hyjax.util.vectors import orthonormal_frame, r2_sequence, unit
 
 OFFSET = 2e-3
-"""Metres off the surface at which shadow rays start."""
-AT_ONCE = 1 << 16
-"""Points whose illuminance is computed at once, padded: JAX compiles for one shape."""
-FEW = 4
-"""Samples that tell whether a point lies in a penumbra."""
-NEAREST = 0.05
-"""Metres: no point is lit as if it were nearer to a bulb than this."""
+"""Distance from the surface, in metres, where shadow rays start."""
+CHUNK_POINTS = 1 << 16
+"""Number of points whose illuminance is computed at once, padded: JAX compiles for one shape."""
+PROBE_SAMPLES = 4
+"""Number of samples that decide whether a point lies in a penumbra."""
+LEAST_DISTANCE = 0.05
+"""Least distance from a bulb, in metres, in the illuminance of points."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Daylight:
-    """The sky of a day, seen through one window.
+    """Daylight through one window.
 
     Attributes:
         window: its number.
@@ -50,7 +50,7 @@ def hard_lights(sources: Sequence[Source]) -> list[Light]:
 
 
 def soft_lights(sources: Sequence[Source]) -> list[Light]:
-    """Rectangles. Skies come in through the openings, and light without direction is left out."""
+    """Sources with soft shadows: rectangles. Skies come in through the openings; ambient light is left out."""
     lights = [s for s in sources if isinstance(s, Light)]
     return [light for light in lights if (e := light.emitter()) is not None and e.kind == "rect"]
 
@@ -68,11 +68,11 @@ def direct(
 
     Args:
         light: of a kind with an emitter.
-        caster: what casts shadows.
-        position, normal: where it falls on.
+        caster: of the shadows.
+        position, normal: of the lit points.
         samples: points of the emitter.
         turn: shifts the samples of each point by a share of the unit square.
-        start: where shadow rays start; by default a hair above the surface.
+        start: of the shadow rays; by default a hair above the surface.
     """
     emitter = light.emitter()
     assert emitter is not None
@@ -83,7 +83,7 @@ def direct(
         return total
     n, shift = normal[lit], turn[lit]
     begin = (position[lit] + OFFSET * n) if start is None else start[lit]
-    few = min(FEW, samples) if emitter.kind != "rect" else samples
+    few = min(PROBE_SAMPLES, samples) if emitter.kind != "rect" else samples
     share = _visible_share(emitter, caster, begin, n, few, shift)
     if emitter.extent > 0 and few < samples:
         # Only a penumbra is worth all samples: where a few of them differ, or differ from the neighbours'.
@@ -96,17 +96,17 @@ def direct(
 def unshadowed(
     light: Light, position: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n"]:
-    """Lux as the light defines it, without shadow and colour; bounded near a bulb."""
+    """Illuminance (lux) by the light's own definition, without shadow and colour; bounded near a bulb."""
     parts = []
-    for k in range(0, len(position), AT_ONCE):
-        p, n = (np.asarray(a[k : k + AT_ONCE], np.float32) for a in (position, normal))
-        pad = ((0, AT_ONCE - len(p)), (0, 0))
+    for k in range(0, len(position), CHUNK_POINTS):
+        p, n = (np.asarray(a[k : k + CHUNK_POINTS], np.float32) for a in (position, normal))
+        pad = ((0, CHUNK_POINTS - len(p)), (0, 0))
         parts.append(np.asarray(_lux(light, np.pad(p, pad), np.pad(n, pad)))[: len(p)])
     lux = np.concatenate(parts) if parts else np.zeros(0, np.float32)
     emitter = light.emitter()
     if emitter is not None and emitter.kind in ("point", "spot"):
         squared = ((position - emitter.position) ** 2).sum(axis=1)
-        lux = lux * np.minimum(squared / max(NEAREST, emitter.extent) ** 2, 1)
+        lux = lux * np.minimum(squared / max(LEAST_DISTANCE, emitter.extent) ** 2, 1)
     return lux.astype(np.float32)
 
 
@@ -143,7 +143,7 @@ def _visible_share(
 
 
 def _to_bulb(emitter: Emitter, start: np.ndarray, square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ways to the disc that a ball shows, and the share of them that is open to shadow casters."""
+    """Vectors to the visible disc of a ball, and their share that is open to shadow casters."""
     to = emitter.position - start
     distance = np.linalg.norm(to, axis=1)
     x, y, _ = np.moveaxis(orthonormal_frame(np.where(distance[:, None] > 1e-9, to, [0, 0, 1.0])), -2, 0)
@@ -154,7 +154,7 @@ def _to_bulb(emitter: Emitter, start: np.ndarray, square: np.ndarray) -> tuple[n
 
 
 def _to_sun(emitter: Emitter, start: np.ndarray, square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ways to the disc of the sun, and distances to its aperture; negative where they pass beside it."""
+    """Vectors to the disc of the sun, and distances to its aperture; negative where they miss it."""
     x, y, z = orthonormal_frame(-np.asarray(emitter.direction))
     disc = _disc(square) * np.tan(emitter.extent)
     way = unit(z + disc[..., :1] * x + disc[..., 1:] * y)
@@ -176,7 +176,7 @@ def _to_sun(emitter: Emitter, start: np.ndarray, square: np.ndarray) -> tuple[np
 def _to_rectangle(
     emitter: Emitter, start: np.ndarray, normal: np.ndarray, square: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ways to points of a rectangle, and their form factors up to a constant."""
+    """Vectors to points of a rectangle, and their form factors up to a constant."""
     right, up = np.asarray(emitter.right), np.asarray(emitter.up)
     place = 2 * square - 1
     way = emitter.position + place[..., :1] * right + place[..., 1:] * up - start[:, None]

@@ -12,7 +12,7 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Light
 from hyjax.synthetic.room.light import (
     BOUNCES,
-    CHUNK,
+    CHUNK_RAYS,
     OFFSET,
     WORKERS,
     cosine_lobe,
@@ -29,7 +29,7 @@ from hyjax.synthetic.truth.opening import Opening, Radiance, cosine_share, from_
 from hyjax.synthetic.truth.source import direct
 
 HARD_SAMPLES = 8
-"""Shadow rays of a texel to a bulb or the sun."""
+"""Number of shadow rays of a texel to a bulb or the sun."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,9 +37,9 @@ class Maps:
     """Light maps, irradiance / π of each texel.
 
     Attributes:
-        soft: straight from windows and panels.
-        hard: straight from bulbs, spots and the sun.
-        bounce: all that has bounced.
+        soft: direct light of windows and panels.
+        hard: direct light of bulbs, spots and the sun.
+        bounce: indirect light.
     """
 
     soft: Float[np.ndarray, "t 3"]
@@ -47,8 +47,8 @@ class Maps:
     bounce: Float[np.ndarray, "t 3"]
 
 
-class Transport:
-    """Rays between the texels of a room.
+class TexelTransport:
+    """Light transport by rays between the texels of a room.
 
     Args:
         surface: the room.
@@ -60,7 +60,7 @@ class Transport:
         seed: of the jitter.
 
     Attributes:
-        texels: places that the maps tell the light of.
+        texels: of the light maps.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Transport:
     ) -> None:
         self._surface, self._caster, self._openings, self._side, self._seed = surface, caster, openings, side, seed
         self.texels = Texels(surface, scale)
-        step = max(1, CHUNK // side**2)
+        step = max(1, CHUNK_RAYS // side**2)
         self._chunks = [slice(a, min(a + step, len(self.texels))) for a in range(0, len(self.texels), step)]
         rng = np.random.default_rng((seed, 2))
         self._lobe = cosine_lobe(strata(side, 4, rng)).astype(np.float32)
@@ -92,7 +92,7 @@ class Transport:
         """Light of some sources after all bounces.
 
         Args:
-            radiance: what comes in through the windows; None for a dark night.
+            radiance: through the windows; None for a dark night.
             soft: rectangles.
             hard: bulbs, spots, sun.
         """
@@ -102,7 +102,7 @@ class Transport:
             near += np.concatenate([self._through_windows(k, radiance) for k in range(len(self._chunks))])
         turn = self._turn()
         for lights, total, samples in ((soft, near, self._side**2), (hard, sharp, HARD_SAMPLES)):
-            step = max(1, 4 * CHUNK // samples)
+            step = max(1, 4 * CHUNK_RAYS // samples)
             for light in lights:
                 for a in range(0, len(total), step):
                     some = slice(a, a + step)
@@ -114,7 +114,7 @@ class Transport:
         return Maps(*(smooth(self.texels, a, b, self._distance, self.valid) for a, b in maps))
 
     def bounced(self, first: Float[np.ndarray, "t 3"]) -> Float[np.ndarray, "t 3"]:
-        """What comes of direct light after `BOUNCES` bounces, without it."""
+        """Indirect light from direct light after `BOUNCES` bounces."""
         total, indirect = first, np.zeros_like(first)
         with ThreadPoolExecutor(WORKERS) as pool:
             for _ in range(BOUNCES):
@@ -125,7 +125,7 @@ class Transport:
         return indirect
 
     def _turn(self) -> Float[np.ndarray, "t 2"]:
-        """Shift of each texel's samples: sixteen neighbours take different ones."""
+        """Shift of each texel's samples; sixteen neighbours take different ones."""
         cell = self.texels.i % 4 + 4 * (self.texels.j % 4)
         place = np.random.default_rng((self._seed, 3)).permutation(16)[cell]
         return np.stack([(place / 16.0) % 1, (place * 7 / 16.0 + 0.03) % 1], axis=-1)

@@ -81,7 +81,7 @@ class FrameClock:
 
     def _call(self, configuration: Configuration) -> Callable[[], Any]:
         relighter, frames = self.scene.relighter(self.lights, configuration), itertools.cycle(self._frames)
-        return lambda: np.asarray(to_display_bytes(relighter.picture(0, next(frames))))
+        return lambda: np.asarray(to_display_bytes(relighter.picture(next(frames))))
 
 
 def rounds_of(

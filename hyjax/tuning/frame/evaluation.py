@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hyjax.configuration import Configuration
-from hyjax.relighting.frame_relighter import refined_picture
+from hyjax.scene.relighter import refined_picture
 from hyjax.tuning.frame.clock import FrameClock
 from hyjax.tuning.frame.loss import PictureLoss
 from hyjax.tuning.frame.padding import padded
@@ -44,8 +44,7 @@ class Judge:
             relighter = scene.relighter(lights, scene.judged(configuration))
             for case in cases:
                 if case[:2] == (place, lights) and case not in found:
-                    frame = scene.scene.frame(case[2])
-                    lit = padded(relighter.prepare(0, frame, relighter.gbuffer(frame.camera)), most)
+                    lit = padded(relighter.lit(case[2]), most)
                     image = np.asarray(refined_picture(lit, relighter.configuration))
                     found[case] = self.loss.scores(image, scene.target(lights, case[2]))
         return [found[case] for case in cases]

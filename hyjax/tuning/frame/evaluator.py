@@ -1,5 +1,7 @@
-"""Evaluator of a search: quality on cases, times in turns, both kept in a study."""
+"""Evaluator of trials: quality on cases and times in turns, both kept in a study."""
 
+import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -9,16 +11,21 @@ from hyjax.configuration import Configuration
 from hyjax.tuning.frame.clock import FrameClock
 from hyjax.tuning.frame.evaluation import Case, Judge
 from hyjax.tuning.frame.refinement import numbers_of, refine_numbers
-from hyjax.tuning.frame.search import Trial
+from hyjax.tuning.frame.relaxed import Price, relaxed_choices
 from hyjax.tuning.frame.space import Choices, Space, key_of, structure
 from hyjax.tuning.frame.study import Study
+from hyjax.tuning.frame.trial import Trial
 
 ROUNDS = 25
 """Frames that a trial is timed on, in turns with the default."""
+RELAXED_CASES = 4
+"""Cases of the first batch that a relaxation looks at."""
+PRICED_STEPS = 24
+"""Steps more at one level, from whose time the price of a step follows."""
 
 
 class StudyEvaluator:
-    """What `FrameSearch` asks, answered from frames, or from the study where it was asked before.
+    """Judge of trials on frames.
 
     Args:
         space: of the choices.
@@ -26,6 +33,7 @@ class StudyEvaluator:
         cases: in the order of batches.
         clock: of whole frames.
         study: keeps results.
+        seed: of the relaxation.
         progress: called with each iteration of a refinement and its loss.
         expired: whether the time is up.
     """
@@ -38,63 +46,98 @@ class StudyEvaluator:
         clock: FrameClock,
         study: Study,
         *,
+        seed: int = 0,
         progress: Callable[[int, float], None] = lambda iteration, loss: None,
         expired: Callable[[], bool] = lambda: False,
     ) -> None:
         self.space, self.judge, self.cases, self.clock, self.study = space, judge, tuple(cases), clock, study
-        self._progress, self._expired = progress, expired
+        self._seed, self._progress, self._expired = seed, progress, expired
         self._default: dict[Case, float] = {}
-        self._pending: dict[str, Any] = {}
+        self._judged: dict[str, tuple[float, ...]] = {}
+        # What differs from the default in numbers alone takes as long; of the paper's form none does.
+        self._times: dict[str, float] = {} if space.paper else {structure(space.default, space): 1.0}
 
-    def losses(self, choices: Choices, first: int, last: int) -> list[float]:
+    def __call__(self, trial: Trial) -> Trial:
+        """The trial, made better by gradients if it asks for that, with losses on its cases and a time."""
+        choices = trial.choices
+        if trial.improve == "numbers":
+            choices = self.refined(choices, trial.cases)
+        elif trial.improve == "relaxed":
+            choices = self.relaxed(choices, trial)
+        known = self._judged.get(key := key_of(choices), ())
+        losses = known + self.losses(choices, len(known), max(trial.cases, len(known)))
+        self._judged[key] = losses
+        return dataclasses.replace(trial, choices=choices, losses=losses, time=self.time(choices))
+
+    def losses(self, choices: Choices, first: int, last: int) -> tuple[float, ...]:
         """Losses relative to the default's on cases of these numbers."""
-        key = f"losses {first}:{last} {key_of(choices)}"
-        known = self.study.known(key)
-        if known is None:
-            known = self.relative(self.space.configuration(choices), self.cases[first:last])
-            self._pending[key] = known
-        return known
+        return tuple(self.relative(self.space.configuration(choices), self.cases[first:last]))
 
     def relative(self, configuration: Configuration, cases: Sequence[Case]) -> list[float]:
         """Losses of a configuration over the default's."""
-        missing = [case for case in cases if case not in self._default]
-        if missing:
+        if missing := [case for case in cases if case not in self._default]:
             rows = self.judge.scores(Configuration(), missing)
             self._default |= {case: row["loss"] for case, row in zip(missing, rows, strict=True)}
-        rows = self.judge.scores(configuration, cases)
+        rows = self.judge.scores(configuration, cases) if cases else []
         return [row["loss"] / max(self._default[case], 1e-9) for row, case in zip(rows, cases, strict=True)]
 
     def time(self, choices: Choices) -> float:
         """Median time of a frame over the default's, in turns."""
-        key = self.study.timed(f"time {structure(choices, self.space)}")
-        known = self.study.known(key)
-        if known is None:
+        key = structure(choices, self.space)
+        if key not in self._times:
             (time,) = self.clock.times([self.space.configuration(choices)], ROUNDS)
-            known = self._pending[key] = time.ratio
-        return float(known)
+            self._times[key] = time.ratio
+        return self._times[key]
 
-    def keep(self, trial: Trial) -> None:
-        """Add a trial to the study, unless it is there."""
-        if self._pending:
-            self.study.add(self.space, trial.choices, trial.phase, trial.loss, trial.time or 1.0, self._pending)
-            self._pending = {}
+    def known(self, trial: Trial) -> Trial:
+        """A trial of the study with its time on this machine."""
+        self._judged[key_of(trial.choices)] = trial.losses
+        if trial.time is None:
+            return dataclasses.replace(trial, time=self.time(trial.choices))
+        self._times.setdefault(structure(trial.choices, self.space), trial.time)
+        return trial
 
-    def refine(self, choices: Choices, batch: int) -> Choices:
-        """The choices with the numbers that the gradient leads to on the first cases."""
+    def refined(self, choices: Choices, batch: int) -> Choices:
+        """The choices with the numbers that the gradient leads to on the first cases: of the default one for all
+        levels, later one for each."""
+        levels = choices != self.space.default
+        found = refine_numbers(
+            self.space.configuration(choices),
+            self.judge,
+            self.cases[:batch],
+            levels=levels,
+            report=self._progress,
+            expired=self._expired,
+        )
+        changed = dict(choices)
+        for name, value in numbers_of(found, levels=levels).items():
+            parameter = self.space.named.get(name)
+            if parameter is not None and name in choices:
+                numbers = np.clip(np.atleast_1d(np.asarray(value, float)), *parameter.values).tolist()
+                changed[name] = tuple(numbers) if len(numbers) > 1 else numbers[0]
+        return self.space.complete(changed)
 
-        def compute() -> Choices:
-            found = refine_numbers(
-                self.space.configuration(choices),
-                self.judge,
-                self.cases[:batch],
-                report=self._progress,
-                expired=self._expired,
-            )
-            numbers = {name: float(np.asarray(value)) for name, value in numbers_of(found, levels=False).items()}
-            inside = {p.name: p for p in self.space.parameters if p.name in numbers}
-            return choices | {
-                name: float(np.clip(numbers[name], *p.values)) for name, p in inside.items() if name in choices
-            }
+    def relaxed(self, choices: Choices, trial: Trial) -> Choices:
+        """The choices with the levels and steps of a relaxation within the trial's budget."""
+        return relaxed_choices(
+            choices,
+            self.space,
+            self.judge,
+            self.cases[: min(trial.cases, RELAXED_CASES)],
+            price=self._price(),
+            room=trial.budget - self.time(choices) if math.isfinite(trial.budget) else math.inf,
+            seed=self._seed,
+            expired=self._expired,
+        )
 
-        key = f"refined {batch} {key_of(choices)}"
-        return self.space.complete(self.study.remember(key, compute, expired=self._expired))
+    def _price(self) -> Price:
+        """Time of a step at each factor, from that of many at one level: a level has 1 / factor² of the pixels."""
+
+        def compute() -> Any:
+            usual = self.space.default
+            more = self.space.complete(usual | {"cascade_4": usual["cascade_4"] + PRICED_STEPS})
+            (time,) = self.clock.times([self.space.configuration(more)], ROUNDS)
+            return max((time.ratio - 1.0) / PRICED_STEPS, 1e-4)
+
+        price = float(self.study.remember(self.study.timed("price of a step"), compute))
+        return {p.factor: price * (4 / p.factor) ** 2 for p in self.space.parameters if p.cascade == "cascade"}

@@ -1,6 +1,7 @@
-"""Loss of a relit picture against its target: what a frame is tuned by, and the scores that are told beside it."""
+"""Loss of a relit picture against its target, which a frame is tuned by, and its scores in all metrics."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hyjax.light.color import to_display
-from hyjax.metrics import LpipsWeights, load_lpips, lpips, psnr, ssim
+from hyjax.metrics import LpipsWeights, Metric, load_lpips, lpips, plain_metrics, psnr
 from hyjax.metrics.exposure import fit_gains
 from hyjax.metrics.losses import LossWeights, display_loss
 from hyjax.synthetic.tone_curve import encode
@@ -47,7 +48,7 @@ class PictureLoss:
         return fit_gains(image, target.picture, encode, valid=target.valid).astype(np.float32)
 
     def scores(self, image: Float[np.ndarray, "h w 3"], target: Target) -> dict[str, float]:
-        """Loss and metrics by name; `psnr_raw` is that of the picture as it is.
+        """Loss and all metrics of the registry by name; `psnr_raw` is that of the picture as it is.
 
         Args:
             image: relit picture, linear.
@@ -59,7 +60,7 @@ class PictureLoss:
         return {name: float(value) for name, value in own.items()} | {"psnr_raw": float(raw)}
 
     def _scores(self, image: np.ndarray, picture: np.ndarray, valid: np.ndarray) -> dict[str, Array]:
-        found = _plain_scores(*map(jnp.asarray, (image, picture, valid)))
+        found = _plain_scores(*map(jnp.asarray, (image, picture, valid)), tuple(plain_metrics().items()))
         if self.weights is not None:
             shown, known = (jnp.where(valid[..., None], x, 0.0) for x in (to_display(jnp.asarray(image)), picture))
             distance = lpips(shown, known, self.weights)
@@ -84,16 +85,16 @@ class PictureLoss:
         return display_loss(to_display(image * gains), picture, valid, weights=terms, perceptual=perceptual)
 
 
-@jax.jit
+@functools.partial(jax.jit, static_argnames="metrics")
 def _plain_scores(
-    image: Float[Array, "h w 3"], picture: Float[Array, "h w 3"], valid: Bool[Array, "h w"]
+    image: Float[Array, "h w 3"],
+    picture: Float[Array, "h w 3"],
+    valid: Bool[Array, "h w"],
+    metrics: tuple[tuple[str, Metric], ...],
 ) -> dict[str, Array]:
     shown = to_display(image)
-    return {
-        "loss": display_loss(shown, picture, valid),
-        "psnr": psnr(shown, picture, valid=valid),
-        "ssim": ssim(shown, picture, valid=valid),
-    }
+    found = {"loss": display_loss(shown, picture, valid)}
+    return found | {name: metric.function(shown, picture, valid=valid) for name, metric in metrics}
 
 
 @jax.jit

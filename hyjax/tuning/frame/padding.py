@@ -5,7 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 
 from hyjax.light.emission import Emission
-from hyjax.relighting.frame_relighter import LitFrame
+from hyjax.scene.relighter import LitFrame
 
 
 def padded(lit: LitFrame, most: int) -> LitFrame:

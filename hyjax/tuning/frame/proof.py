@@ -15,8 +15,8 @@ from hyjax.tuning.frame.bench import FrameBench
 from hyjax.tuning.frame.clock import FrameClock, FrameTime
 from hyjax.tuning.frame.evaluation import Judge, mean_scores
 from hyjax.tuning.frame.result import Effect, FrameCandidate
-from hyjax.tuning.frame.search import Trial
 from hyjax.tuning.frame.space import Space
+from hyjax.tuning.frame.trial import Trial
 from hyjax.tuning.result import Budget
 from hyjax.util.errors import InputError
 
@@ -69,8 +69,8 @@ def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, cl
     if least.milliseconds >= base.p95:
         return
     cheap = [
-        space.complete({"scale": 4, "cascade": "8:4", "shadow pass": "none", "guide": "none"}),
-        space.complete({"scale": 4, "cascade": "4:6", "shadow pass": "none", "sampling": 4}),
+        space.complete({"scale": 4, "cascade": "8:4", "shadow_pass": "none", "guide": "none"}),
+        space.complete({"scale": 4, "cascade": "4:6", "shadow_pass": "none", "sampling": 4}),
     ]
     fastest = [space.configuration(each, "fastest") for each in cheap]
     time, configuration = min(
@@ -116,7 +116,7 @@ def examples(bench: FrameBench, front: Sequence[FrameCandidate]) -> list[tuple[s
         pictures: dict[str, Any] = {"photo": frame.image}
         for candidate in spread(list(front), 3):
             own = scene.judged(candidate.configuration)
-            image = jnp.asarray(scene.relighter(lights, own).picture(0, frame))
+            image = jnp.asarray(scene.relighter(lights, own).picture(frame))
             pictures[f"{candidate.name}, {candidate.time.median:.1f} ms"] = np.asarray(to_display(image))
         pictures["target"] = scene.target(lights, index).picture
         rows.append((f"{scene.name}, {lights}, frame {index}", pictures))

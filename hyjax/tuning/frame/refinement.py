@@ -9,30 +9,21 @@ from collections.abc import Callable, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from hyjax.choices.table import choice_named
 from hyjax.configuration import Configuration
-from hyjax.core.schedule import Schedule
-from hyjax.relighting.frame_relighter import LitFrame, refined_picture
+from hyjax.scene.relighter import LitFrame, refined_picture
+from hyjax.tuning.frame.cascade_numbers import with_numbers as with_cascade_numbers
 from hyjax.tuning.frame.evaluation import Case, Judge
 from hyjax.tuning.frame.padding import padded
 from hyjax.tuning.frame.scene import Target
 
 ITERATIONS = 12
-RATE = 0.12
+RATE = 0.3
 """Of Adam, in units of a number's logarithm."""
-RANGES: dict[str, tuple[float, float]] = {
-    "kappa": (0.005, 0.5),
-    "lam": (0.05, 0.2499),
-    "fidelity": (0.01, 3.0),
-    "shadow kappa": (0.002, 0.3),
-    "photo exponent": (0.7, 1.8),
-    "bounce gain": (0.4, 2.0),
-}
-"""Numbers that are refined, as in `hyjax.tuning.frame.space`."""
 Numbers = dict[str, Float[Array, "*l"]]
 """Each number, or one for each level."""
 
@@ -52,12 +43,12 @@ def numbers_of(configuration: Configuration, *, levels: bool) -> Numbers:
     if all(level.fidelity is not None for level in own.levels):
         found["fidelity"] = [max(float(np.asarray(level.fidelity)), 0.01) for level in own.levels]
     if any(level.steps for level in shadow.levels):
-        found["shadow kappa"] = [float(np.asarray(level.kappa)) for level in shadow.levels]
+        found["shadow_kappa"] = [float(np.asarray(level.kappa)) for level in shadow.levels]
     if configuration.mode == "linear" and light.photo_light == "divided":
-        found["photo exponent"] = [light.photo_exponent]
+        found["photo_exponent"] = [light.photo_exponent]
         if light.bounces:
-            found["bounce gain"] = [light.bounce_gain]
-    single = ("photo exponent", "bounce gain")
+            found["bounce_gain"] = [light.bounce_gain]
+    single = ("photo_exponent", "bounce_gain")
     return {
         name: jnp.asarray(values if levels and name not in single else np.exp(np.mean(np.log(values))), jnp.float32)
         for name, values in found.items()
@@ -66,38 +57,22 @@ def numbers_of(configuration: Configuration, *, levels: bool) -> Numbers:
 
 def with_numbers(configuration: Configuration, numbers: Mapping[str, Array]) -> Configuration:
     """The configuration with other numbers of its cascades; they may be traced."""
-    own = _schedule(configuration.schedule, numbers, "kappa", "lam", "fidelity")
-    shadow = _schedule(configuration.shadow_schedule, numbers, "shadow kappa", "", "")
-    return dataclasses.replace(configuration, schedule=own, shadow_schedule=shadow)
+    own = {name: numbers.get(name) for name in ("kappa", "lam", "fidelity")}
+    return dataclasses.replace(
+        configuration,
+        schedule=with_cascade_numbers(configuration.schedule, **own),
+        shadow_schedule=with_cascade_numbers(configuration.shadow_schedule, kappa=numbers.get("shadow_kappa")),
+    )
 
 
 def settled(configuration: Configuration, numbers: Mapping[str, Array]) -> Configuration:
     """`with_numbers` of known numbers, those of the light among them."""
     whole = with_numbers(configuration, numbers)
     light = configuration.light
-    for name in ("photo exponent", "bounce gain"):
+    for name in ("photo_exponent", "bounce_gain"):
         if name in numbers:
-            light = msgspec.structs.replace(light, **{name.replace(" ", "_"): round(float(numbers[name]), 4)})
+            light = light.replace(**{name: round(float(numbers[name]), 4)})
     return dataclasses.replace(whole, light=light).check()
-
-
-def _schedule(schedule: Schedule, numbers: Mapping[str, Array], kappa: str, lam: str, fidelity: str) -> Schedule:
-    count = len(schedule.levels)
-
-    def each(name: str) -> list[Array] | None:
-        return list(jnp.broadcast_to(numbers[name], (count,))) if name in numbers else None
-
-    kappas, lams, fidelities = each(kappa), each(lam), each(fidelity)
-    levels = []
-    for place, level in enumerate(schedule.levels):
-        if kappas is not None:
-            level = dataclasses.replace(level, kappa=kappas[place])
-        if lams is not None and level.steps:
-            level = dataclasses.replace(level, step_sizes=jnp.full(level.steps, lams[place]))
-        if fidelities is not None:
-            level = dataclasses.replace(level, fidelity=fidelities[place])
-        levels.append(level)
-    return dataclasses.replace(schedule, levels=tuple(levels))
 
 
 def refine_numbers(
@@ -121,7 +96,7 @@ def refine_numbers(
         report: called with each iteration and its loss, relative to the first.
         expired: asked before each iteration.
     """
-    lit = [_lit(configuration, judge, case) for case in cases]
+    lit = [lit_case(configuration, judge, case) for case in cases]
     gains = [judge.loss.gains(np.asarray(refined_picture(frame, own)), target) for frame, target, own in lit]
     most = max(frame.shaded.illuminance.shape[-1] for frame, _, _ in lit)
     alike = [padded(frame, most) for frame, _, _ in lit]
@@ -163,25 +138,26 @@ def refine_numbers(
 
 
 def _bounded(name: str, log: Array) -> Array:
-    low, high = RANGES[name]
+    tried = choice_named(name).tried
+    assert tried is not None
+    low, high = tried.values
     return jnp.clip(log, np.log(low), np.log(high))
 
 
-def _lit(configuration: Configuration, judge: Judge, case: Case) -> tuple[LitFrame, Target, Configuration]:
+def lit_case(configuration: Configuration, judge: Judge, case: Case) -> tuple[LitFrame, Target, Configuration]:
     scene = judge.scenes[case[0]]
     own = scene.judged(configuration)
-    relighter, frame = scene.relighter(case[1], own), scene.scene.frame(case[2])
-    return relighter.prepare(0, frame, relighter.gbuffer(frame.camera)), scene.target(case[1], case[2]), own
+    return scene.relighter(case[1], own).lit(case[2]), scene.target(case[1], case[2]), own
 
 
 def _picture(logs: Numbers, start: Numbers, configuration: Configuration, lit: LitFrame) -> Float[Array, "h w 3"]:
     numbers, shaded = {name: jnp.exp(value) for name, value in logs.items()}, lit.shaded
-    if "photo exponent" in numbers and shaded.photo_light is not None:
-        more = numbers["photo exponent"] / start["photo exponent"]
+    if "photo_exponent" in numbers and shaded.photo_light is not None:
+        more = numbers["photo_exponent"] / start["photo_exponent"]
         light, known = shaded.photo_light, shaded.photo_light > 0
         shaded = dataclasses.replace(
             shaded, photo_light=jnp.where(known, jnp.where(known, light, 1.0) ** more, light)
         )
-    if "bounce gain" in numbers and shaded.bounced is not None:
-        shaded = dataclasses.replace(shaded, bounced=shaded.bounced * numbers["bounce gain"] / start["bounce gain"])
+    if "bounce_gain" in numbers and shaded.bounced is not None:
+        shaded = dataclasses.replace(shaded, bounced=shaded.bounced * numbers["bounce_gain"] / start["bounce_gain"])
     return refined_picture(dataclasses.replace(lit, shaded=shaded), with_numbers(configuration, numbers))

@@ -11,9 +11,9 @@ from hyjax.tuning.frame.evaluation import Judge
 from hyjax.tuning.frame.loss import PictureLoss
 from hyjax.tuning.frame.proof import best_within, effects, examples, front_of, prove
 from hyjax.tuning.frame.result import FrameTuned
-from hyjax.tuning.frame.search import Trial, front_of_trials
 from hyjax.tuning.frame.space import Space
 from hyjax.tuning.frame.study import kept_trials
+from hyjax.tuning.frame.trial import Trial, front_of_trials
 from hyjax.tuning.settings import TuneSettings
 
 POINTS = 3

@@ -4,6 +4,7 @@ import csv
 import io
 from pathlib import Path
 
+from hyjax.metrics import plain_metrics
 from hyjax.tuning.frame.report_html import page
 from hyjax.tuning.frame.report_plots import draw_front_plot
 from hyjax.tuning.frame.report_text import (
@@ -23,13 +24,21 @@ from hyjax.util.files import atomic_write, write_text
 __all__ = ["CSV_COLUMNS", "summary", "write_results"]
 
 CONFIGURATION = "configuration"
-SCORES = ("relative", "loss", "psnr", "ssim", "lpips", "psnr_raw")
 CSV_COLUMNS = (
     *("name", "kind", "best_for", "front", "choices", "cases", "relative_loss", "relative_time"),
     *("median_ms", "p95_ms", "default_ms"),
-    *(f"{frames}_{score}" for frames in ("tuning", "held_out") for score in SCORES),
 )
-"""Columns of the CSV file."""
+"""Columns of the CSV file; after them `score_columns`."""
+
+
+def score_names() -> list[str]:
+    """Names of scores: losses, all metrics, and PSNR before gains are fitted."""
+    return ["relative", "loss", *plain_metrics(), "lpips", "psnr_raw"]
+
+
+def score_columns() -> list[str]:
+    """Scores on the tuning and on the held-out frames, such as `held_out_psnr`."""
+    return [f"{frames}_{score}" for frames in ("tuning", "held_out") for score in score_names()]
 
 
 def write_results(out: Path, tuned: FrameTuned) -> None:
@@ -99,13 +108,14 @@ def _free(stem: str, taken: dict[str, str]) -> str:
 def write_pareto_csv(path: Path, tuned: FrameTuned) -> None:
     """Write a row for each candidate, then one for each trial; what is not known is empty.
 
-    Columns are `CSV_COLUMNS`. Losses of candidates are on all tuning frames, those of trials on the first `cases`.
+    Columns are `CSV_COLUMNS` and `score_columns`. Losses of candidates are on all tuning frames, those of trials on
+    the first `cases`.
 
     Raises:
         InputError: the file cannot be written.
     """
     buffer = io.StringIO()
-    table = csv.DictWriter(buffer, CSV_COLUMNS, restval="", lineterminator="\n")
+    table = csv.DictWriter(buffer, [*CSV_COLUMNS, *score_columns()], restval="", lineterminator="\n")
     table.writeheader()
     for kind, candidate in candidates(tuned):
         table.writerow(_candidate_row(tuned, kind, candidate))
@@ -126,7 +136,7 @@ def _candidate_row(tuned: FrameTuned, kind: str, candidate: FrameCandidate) -> d
         "default_ms": time.default,
     }
     for frames, scores in (("tuning", candidate.tuning), ("held_out", candidate.held_out or {})):
-        numbers |= {f"{frames}_{name}": scores.get(name) for name in SCORES}
+        numbers |= {f"{frames}_{name}": scores.get(name) for name in score_names()}
     return {
         "name": candidate.name,
         "kind": kind,

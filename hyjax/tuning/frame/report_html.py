@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hyjax.configuration import Configuration
+from hyjax.metrics import plain_metrics
 from hyjax.tuning import report_html, report_text
 from hyjax.tuning.frame import report_text as text
 from hyjax.tuning.frame.report_plots import draw_effects, draw_front_plot
@@ -12,7 +13,11 @@ from hyjax.tuning.frame.result import FrameTuned
 from hyjax.tuning.report_axes import svg
 from hyjax.tuning.report_pictures import Example, data_uris, pair_to_compare
 
-SCORES = {"relative": ("loss over the default's", ".3f"), "psnr": ("PSNR dB", ".2f"), "ssim": ("SSIM", ".4f")}
+
+def score_forms() -> dict[str, tuple[str, str]]:
+    """Heading and number format of each score that the page shows."""
+    metrics = {name: (metric.label, f".{metric.digits}f") for name, metric in plain_metrics().items()}
+    return {"relative": ("loss over the default's", ".3f")} | metrics
 
 
 def page(tuned: FrameTuned, examples: Sequence[Example]) -> str:
@@ -43,7 +48,7 @@ def page(tuned: FrameTuned, examples: Sequence[Example]) -> str:
         trials=[(text.choices_text(trial.choices, default), trial) for trial in tuned.trials],
         examples=[(e, uris, pair_to_compare(list(uris))) for e, uris in zip(examples, data_uris(examples))],
         plots=plots,
-        scores=SCORES,
+        scores=score_forms(),
         usual_choices=text.described(Configuration()),
         missing=report_text.MISSING,
         record=json.dumps(tuned.record, indent=2, ensure_ascii=False, default=str),

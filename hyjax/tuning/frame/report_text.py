@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from hyjax.choices.table import CHOICES
 from hyjax.configuration import DEFAULT, Configuration
 from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
-from hyjax.tuning.report_text import MISSING, budget_text, milliseconds, steps_text
+from hyjax.tuning.report_text import MISSING, budget_text, milliseconds
 from hyjax.tuning.result import Budget
-
-NO_STEPS = "none"
 
 
 def candidates(tuned: FrameTuned) -> list[tuple[str, FrameCandidate]]:
@@ -84,38 +83,16 @@ def configuration_text(configuration: Configuration) -> str:
 
 
 def described(configuration: Configuration) -> dict[str, str]:
-    """Choices of a configuration by name, in words; numbers that mean nothing beside the others are left out."""
-    own, shadow, light = configuration.schedule, configuration.shadow_schedule, configuration.light
-    shadows = any(level.steps for level in shadow.levels)
-    found = {
-        "mode": configuration.mode,
-        "scale": str(configuration.scale),
-        "cascade": steps_text(own),
-        "pooling": own.pooling,
-        "upsampling": own.upsampling,
-        "norm": own.norm,
-        "κ": _levels(level.kappa for level in own.levels),
-        "λ": _levels(np.mean(level.step_sizes) for level in own.levels if level.steps),
-        "α": _levels(level.fidelity for level in own.levels),
-        "shadow pass": steps_text(shadow) if shadows else NO_STEPS,
+    """Choices of a configuration in words; those that mean nothing beside the others are left out."""
+    return {
+        CHOICES[name].label or name: _levels(value) if isinstance(value, tuple) else value_text(value)
+        for name, value in configuration.values().items()
     }
-    if shadows:
-        found["shadow κ"] = _levels(level.kappa for level in shadow.levels)
-    found["guide"] = configuration.guide.name
-    if configuration.guide.size is not None:
-        found["guide size"] = str(configuration.guide.size)
-    parts: dict[str, Any] = {name: getattr(light, name) for name in light.__struct_fields__}
-    parts["sampling"] = configuration.sampling
-    parts |= {name: getattr(configuration.shadows, name) for name in configuration.shadows.__struct_fields__}
-    if light.photo_light != "divided":
-        for name in ("bounces", "photo_exponent", "bounce_gain"):
-            del parts[name]
-    return found | {name.replace("_", " "): value_text(value) for name, value in parts.items()}
 
 
 def _levels(values: Iterable[Any]) -> str:
     """A number for each level, or one if they are alike; a dash for what a level does not have."""
-    told = ["-" if value is None else f"{float(np.asarray(value)):.4g}" for value in values]
+    told = ["-" if value is None else f"{value:.4g}" for value in values]
     return " ".join(told[:1] if len(set(told)) == 1 else told)
 
 
@@ -132,10 +109,7 @@ def sentence(tuned: FrameTuned, budget: Budget, best: FrameCandidate) -> str:
     """What fits a budget, how long it takes, and what it is worth against the default."""
     base = default_of(tuned)
     time = f"median {milliseconds(best.time.median)} ms, p95 {milliseconds(best.time.p95)} ms"
-    if base is not None:
-        against = f"median {milliseconds(base.time.median)} ms, p95 {milliseconds(base.time.p95)} ms"
-    else:
-        against = f"median {milliseconds(best.time.default)} ms"
+    against = f"median {milliseconds(best.time.default)} ms"
     text = (
         f"{budget_text(budget)}: {best.name} ({configuration_text(best.configuration)}); {time}, in turns with the "
         f"default's {against}; loss {change_text(best.tuning['relative'])} on tuning frames"

@@ -6,7 +6,7 @@ from typing import Any
 from hyjax.configuration import Configuration
 from hyjax.tuning.frame.clock import FrameTime
 from hyjax.tuning.frame.evaluation import Scores
-from hyjax.tuning.frame.search import Trial
+from hyjax.tuning.frame.trial import Trial
 from hyjax.tuning.result import Budget
 
 

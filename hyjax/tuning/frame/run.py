@@ -3,10 +3,12 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from hyjax.configuration import PRESETS, Configuration, Measured
 from hyjax.data.capture import Capture
@@ -28,16 +30,17 @@ from hyjax.tuning.frame.proof import (
 )
 from hyjax.tuning.frame.refinement import refine_numbers
 from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
-from hyjax.tuning.frame.search import FrameSearch, Trial
-from hyjax.tuning.frame.space import Space
+from hyjax.tuning.frame.search import State, init, search, update
+from hyjax.tuning.frame.space import Choices, Space
 from hyjax.tuning.frame.study import Study, check_installed
+from hyjax.tuning.frame.trial import Trial
 from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.result import Budget
 from hyjax.tuning.settings import TuneSettings
 from hyjax.util.claims import claimed
 from hyjax.util.environment import cores, environment, peak_memory_mib
 from hyjax.util.errors import InputError
-from hyjax.util.files import digest, make_writable
+from hyjax.util.files import digest, make_writable, write_text
 
 EXTRA = (0.35, 0.5, 0.7, 1.0, 1.5)
 """Further points of the front, in times of the default."""
@@ -63,9 +66,9 @@ def tune_frame(settings: TuneSettings, *, capture: Capture | None = None) -> Fra
         raise InputError(
             "stage: `tune` is for the whole frame on this machine; for the rest there is `tune_schedule`"
         )
-    check_installed()
     settings.check()
     budgets, monitor = settings.budgets(), RunMonitor(settings.time_limit, not settings.quiet)
+    check_installed()
     if settings.out is not None:
         make_writable(settings.out)
     with claimed(settings.out):
@@ -91,7 +94,7 @@ class FrameRun:
         self.clock = FrameClock(bench.scenes[0], bench.lights)
         truth = all(bench.scenes[place].has_truth for place, *_ in bench.cases)
         self.space = Space.of(truth=truth)
-        self.machine = environment()
+        self.machine, self._kept = environment(), Choices()
         told = {name: self.machine["versions"][name] for name in ("jax", "jaxlib")}
         machine = ", ".join(
             [
@@ -106,12 +109,17 @@ class FrameRun:
         """Search, refine, prove, write."""
         from hyjax.tuning.frame.report import write_results
 
-        (base,) = self.clock.times([Configuration()], BASE_ROUNDS)
-        check_reachable(self.budgets, base, self.space, self.clock)
         study = self._study("frame", resume=self.settings.resume)
-        base = FrameTime(**study.remember(study.timed("default"), lambda: dataclasses.asdict(base)))
-        search = self._search(self.space, study, self._limits(base))
-        candidates = self._finalists(search, base)
+
+        def timed() -> dict[str, float]:
+            (base,) = self.clock.times([Configuration()], BASE_ROUNDS)
+            if not study.trials:
+                check_reachable(self.budgets, base, self.space, self.clock)
+            return dataclasses.asdict(base)
+
+        base = FrameTime(**study.remember(study.timed("default"), timed))
+        state = self._search(self.space, study, self._limits(base), keep=self._keep)
+        candidates = self._finalists(state, base)
         references = [Configuration(), *map(Configuration.preset, PRESETS)]
         if self.settings.frame.paper_form:
             references.append(Configuration.paper())
@@ -124,7 +132,7 @@ class FrameRun:
             [*candidates, *references], self.bench, self.judge, self.clock, progress=not self.settings.quiet
         )
         tuned, known = told[: len(candidates)], told[len(candidates) :]
-        result = self._result(search, tuned, known, base)
+        result = self._result(state, tuned, known, base)
         if self.settings.out is not None:
             write_results(self.settings.out, result)
         return result
@@ -133,46 +141,65 @@ class FrameRun:
     def _polish_study(self) -> Study:
         return self._study("polish", resume=True)
 
-    def _search(self, space: Space, study: Study, limits: Sequence[float]) -> FrameSearch:
+    def _search(
+        self,
+        space: Space,
+        study: Study,
+        limits: Sequence[float],
+        *,
+        keep: Callable[[State, float], None] | None = None,
+    ) -> State:
         count, first = len(self.bench.cases), max(FEWEST, len(self.bench.scenes))
         batches = sorted({min(first, count), min(2 * first, count), count})
         # The paper's form has fewer choices.
         count_of_trials = self.settings.frame.trials // (2 if space.paper else 1)
+        seed, expired = self.settings.scene.seed, self.monitor.expired
+        starts = [] if space.paper else [space.choices_of(Configuration.preset(name)) for name in PRESETS]
+        starts = starts[: count_of_trials // 4]  # of few trials, some are left for the search
+        state = init(space, batches, count_of_trials, starts=starts, relaxes=not space.paper, seed=seed)
         with self.monitor.watching(f"{study.name}, {count_of_trials} trials"):
             evaluator = StudyEvaluator(
-                space, self.judge, self.bench.cases, self.clock, study, expired=self.monitor.expired
+                space, self.judge, self.bench.cases, self.clock, study, seed=seed, expired=expired
             )
+            for trial in study.trials:
+                state = update(state, known := evaluator.known(trial))
+                if trial.time is None:
+                    study.add(space, known)
 
-            def report(trial: Trial) -> None:
-                evaluator.keep(trial)
+            def report(state: State, trial: Trial) -> None:
+                study.add(space, trial)
                 self.monitor.note(trial.phase, trial.loss)
+                if keep is not None:
+                    keep(state, limits[0])
 
-            search = FrameSearch(
-                space,
-                evaluator,
-                batches,
-                seed=self.settings.scene.seed,
-                report=report,
-                expired=self.monitor.expired,
-            )
-            search.run(limits, count_of_trials)
-        return search
+            try:
+                return search(state, evaluator, limits, report=report, expired=expired)
+            except KeyboardInterrupt:
+                if (out := self.settings.out) is not None:
+                    best = f"; {out / 'configuration.json'} is the best so far" if self._kept else ""
+                    tqdm.write(f"hyjax: stopped; --resume goes on with {out}{best}", file=sys.stderr)
+                raise
+
+    def _keep(self, state: State, limit: float) -> None:
+        """Write the best so far, so that whoever stops the run has it."""
+        best, out = state.best(limit), self.settings.out
+        if best is not None and out is not None and best.choices != self._kept:
+            self._kept = best.choices
+            own = self.space.configuration(best.choices, f"tuned-{self.budgets[0].slug}")
+            write_text(out / "configuration.json", own.to_json() + "\n")
 
     def _limits(self, base: FrameTime) -> list[float]:
         """Budgets in times of the default, by its p95; further points of the front if they are asked for."""
         asked = [ROOM * budget.milliseconds / base.p95 for budget in self.budgets]
         return [*asked, *(EXTRA if self.settings.extra else ())]
 
-    def _finalists(self, search: FrameSearch, base: FrameTime) -> list[Configuration]:
+    def _finalists(self, state: State, base: FrameTime) -> list[Configuration]:
         """The best of each budget, refined level by level."""
         found: dict[str, Configuration] = {}
         for limit in self._limits(base):
-            known = [t for t in search.trials.values() if len(t.losses) >= len(self.bench.cases)]
-            fitting = [t for t in known if t.time is not None and t.time <= limit]
-            for trial in sorted(fitting, key=lambda t: t.loss)[:1]:
-                name = f"tuned-{trial.time:.3f}"
-                if name not in found:
-                    found[name] = self._polished(self.space.configuration(trial.choices, name))
+            best = state.best(limit, cases=len(self.bench.cases))
+            if best is not None and (name := f"tuned-{best.time:.3f}") not in found:
+                found[name] = self._polished(self.space.configuration(best.choices, name))
         return list(found.values())
 
     def _polished(self, configuration: Configuration) -> Configuration:
@@ -199,7 +226,7 @@ class FrameRun:
         return Configuration.from_json(study.remember(study_key, compute, expired=self.monitor.expired))
 
     def _result(
-        self, search: FrameSearch, tuned: list[FrameCandidate], known: list[FrameCandidate], base: FrameTime
+        self, state: State, tuned: list[FrameCandidate], known: list[FrameCandidate], base: FrameTime
     ) -> FrameTuned:
         usable = [c for c in (*tuned, *known) if c.form == "hyjax"]
         best = []
@@ -207,14 +234,14 @@ class FrameRun:
             chosen = self._timed_again(budget, usable)
             best.append(dataclasses.replace(chosen, configuration=self._measured(chosen, budget)))
         front = front_of(usable)
-        errors = [abs(guess / true - 1) for guess, true in search.predictions]
+        errors = [abs(guess / true - 1) for guess, true in state.predictions]
         record = {
             "settings": self.settings.record(),
             "scenes": [scene.name for scene in self.bench.scenes],
             "cases": len(self.bench.cases),
             "held-out cases": len(self.bench.held_out),
             "timed under": self.bench.lights,
-            "trials": len(search.trials),
+            "trials": len(state.trials),
             "prediction errors": errors,
             "default p95 at the start": base.p95,
             "kept": [budget.label for budget, c in zip(self.budgets, best) if c.time.p95 <= budget.milliseconds],
@@ -228,8 +255,8 @@ class FrameRun:
             self.budgets,
             front,
             known,
-            list(search.trials.values()),
-            effects(list(search.trials.values())),
+            list(state.trials.values()),
+            effects(list(state.trials.values())),
             examples(self.bench, front),
             record,
         )

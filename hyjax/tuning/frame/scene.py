@@ -9,12 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from hyjax.configuration import Configuration
-from hyjax.core.schedule import Schedule
 from hyjax.data.truth_room import TruthCapture, load_truth_room
 from hyjax.light.color import to_display
 from hyjax.light.setup import LightSetup
-from hyjax.pipeline import relight
-from hyjax.relighting.frame_relighter import FrameRelighter
+from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.tuning.bench import open_scenes
@@ -76,9 +74,9 @@ class TuningScene:
         """Target of a frame under a set-up; kept."""
         return self._target(lights, index)
 
-    def relighter(self, lights: str, configuration: Configuration) -> FrameRelighter:
+    def relighter(self, lights: str, configuration: Configuration) -> Relighter:
         """What relights the frames as a configuration says, to be timed."""
-        return FrameRelighter(self.scene, self.setup(lights), configuration)
+        return Relighter(self.scene, self.setup(lights), configuration)
 
     def judged(self, configuration: Configuration) -> Configuration:
         """The configuration as its pictures are compared: without what this scene's targets do not tell."""
@@ -91,15 +89,14 @@ class TuningScene:
             picture = capture.truth(setup, [index])[0]
             return Target(picture, np.ones(picture.shape[:2], bool), True)
         view = self.accurate.view(index)
-        shaded = self.accurate.shade(view, setup, keep_photo_light=True, occluders="surface")
-        relit = relight(view, shaded, view.display, Schedule.preset("hyjax"))
+        plain = Configuration().with_choices({"sampling": 1, "photo_light": "kept"})
+        relit = Relighter(self.accurate, setup, plain, occluders="surface").relit(index)
         return Target(np.asarray(to_display(relit.unrefined)), np.asarray(view.gbuffer.hit), False)
 
 
 def with_photo_light(configuration: Configuration) -> Configuration:
     """The configuration with the photo's light left in."""
-    light = type(configuration.light)(sampling=configuration.light.sampling, photo_light="kept")
-    return dataclasses.replace(configuration, light=light)
+    return configuration.with_choices({"photo_light": "kept"})
 
 
 def open_room(name: str, size: str | None = None, seed: int = 0) -> TuningScene:

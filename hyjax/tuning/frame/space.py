@@ -1,33 +1,52 @@
-"""Search space of configurations: what may be chosen, and which choices others depend on."""
+"""Search space of configurations: parameters of the choices, and which of them others depend on.
+
+A cascade has a parameter for each of its levels, the number of its steps: `cascade_16` is that of the level of
+factor 16, 0 where there is no such level. A number of a cascade may be one for all levels or one for each.
+"""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from hyjax.configuration import Configuration, GuideOptions, LightOptions, ShadowOptions
-from hyjax.core.schedule import DEFAULT_KAPPA, GUIDED_FIDELITY, GUIDED_KAPPA, PAPER_KAPPA, Schedule
-from hyjax.core.step_size import DEFAULT_LAM
+from hyjax.choices.choice import Choice, Tried
+from hyjax.choices.table import CASCADES, CHOICES, NO_STEPS
+from hyjax.configuration import Configuration
+from hyjax.core.cascade import largest_sampling
+from hyjax.core.schedule import Schedule
+from hyjax.guide.choose import NO_GUIDE
+from hyjax.tuning.budget import MOST_STEPS
+from hyjax.tuning.frame.cascade_numbers import with_numbers
 from hyjax.util.errors import InputError
 
 Choices = dict[str, Any]
 """Value of each parameter by name; those that are not active are left out."""
-Steps = tuple[tuple[int, int], ...]
+NUMBERS_OF_LEVELS = ("kappa", "lam", "fidelity", "shadow_kappa")
+"""Names of numbers that each level of a cascade may have of its own."""
+Levels = tuple[tuple[int, int], ...]
+COUNTS = (0, 1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30)
+"""Numbers of steps that are drawn; any up to `MOST_STEPS` may be taken."""
+BARE = ((4, 0),)
+"""Levels of a cascade without steps."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """One choice.
+    """One choice, or the steps of one level of a cascade.
 
     Attributes:
-        name: what tables call it.
+        name: in tables and journals.
         values: that it may have, in order where it has one; of a range, (lowest, highest).
         default: today's.
-        continuous: whether all values between the two of `values` may be taken, on a logarithmic scale.
+        continuous: whether all values between the two of `values` may be taken.
         ordered: whether neighbouring values are alike.
         active: whether it means anything beside other choices.
+        log: whether a range is on a logarithmic scale.
+        cascade: choice whose level's steps it is, if it is that.
+        factor: of that level.
     """
 
     name: str
@@ -36,127 +55,67 @@ class Parameter:
     continuous: bool = False
     ordered: bool = False
     active: Callable[[Mapping[str, Any]], bool] = lambda choices: True
+    log: bool = True
+    cascade: str = ""
+    factor: int = 0
+
+    @classmethod
+    def of(cls, choice: Choice, tried: Tried, *, paper: bool = False) -> "list[Parameter]":
+        """Parameters of a row of the table with the values tried; in the paper's form all mean something."""
+        start = choice.default if tried.start is None else tried.start
+        if tried.scale == "steps":
+            steps = dict(levels_of(start))
+            return [
+                cls(f"{choice.name}_{f}", COUNTS, steps.get(f, 0), ordered=True, cascade=choice.name, factor=f)
+                for f in tried.values
+            ]
+        ranged, ordered = tried.scale in ("linear", "log"), tried.scale == "ordered"
+        active = (lambda choices: True) if paper else choice.active
+        return [cls(choice.name, tried.values, start, ranged, ordered, active, tried.scale == "log")]
 
     def holds(self, value: Any) -> bool:
         """Whether it may have a value."""
+        if self.factor:
+            return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MOST_STEPS
         if not self.continuous:
             return value in self.values
         low, high = self.values
-        return isinstance(value, int | float) and low <= value <= high
+        numbers = value if isinstance(value, tuple) and value else (value,)
+        return all(isinstance(x, int | float) and low <= x <= high for x in numbers)
 
     def place(self, value: Any) -> float:
         """Value as a number in [0, 1], in the order of the values."""
+        if self.factor:
+            return math.log2(1 + value) / math.log2(1 + MOST_STEPS)
         if self.continuous:
-            low, high = (math.log(x) for x in self.values)
-            return (math.log(value) - low) / (high - low)
+            low, high, own = (math.log(x) if self.log else x for x in (*self.values, self.middle(value)))
+            return (own - low) / (high - low)
         return self.values.index(value) / max(len(self.values) - 1, 1)
+
+    def middle(self, value: Any) -> float:
+        """A range's number, or the mean of those of several levels."""
+        numbers = np.atleast_1d(np.asarray(value, float))
+        mean = np.exp(np.mean(np.log(numbers))) if self.log else np.mean(numbers)
+        return float(np.clip(mean, *self.values))
 
     def at(self, place: float) -> Any:
         """Value of a range at a number in [0, 1]."""
-        low, high = (math.log(x) for x in self.values)
-        return float(np.clip(math.exp(low + place * (high - low)), *self.values))
+        low, high = (math.log(x) if self.log else x for x in self.values)
+        value = low + place * (high - low)
+        return float(np.clip(math.exp(value) if self.log else value, *self.values))
 
     def draw(self, rng: np.random.Generator) -> Any:
-        """A random value."""
+        """A random value; every other level has no steps."""
+        if self.factor and rng.random() < 0.5:
+            return 0
         return self.at(rng.random()) if self.continuous else self.values[int(rng.integers(len(self.values)))]
 
-
-CASCADES: dict[str, Steps] = {
-    "16:3 8:4 4:6": ((16, 3), (8, 4), (4, 6)),
-    "8:4": ((8, 4),),
-    "4:6": ((4, 6),),
-    "8:3 4:3": ((8, 3), (4, 3)),
-    "16:3 8:4": ((16, 3), (8, 4)),
-    "8:4 4:6 2:4": ((8, 4), (4, 6), (2, 4)),
-    "16:6 8:8 4:12": ((16, 6), (8, 8), (4, 12)),
-    "16:5 8:10 4:15 2:20": ((16, 5), (8, 10), (4, 15), (2, 20)),
-}
-SHADOW_CASCADES: dict[str, Steps] = {
-    "4:5 1:2": ((4, 5), (1, 2)),
-    "none": ((4, 0),),
-    "4:2": ((4, 2),),
-    "4:2 1:2": ((4, 2), (1, 2)),
-    "4:4 2:3": ((4, 4), (2, 3)),
-    "2:2": ((2, 2),),
-    "1:2": ((1, 2),),
-    "4:15 1:4": ((4, 15), (1, 4)),
-}
-PAPER_CASCADES: dict[str, Steps] = {
-    "16:10 8:15 4:25 2:30": ((16, 10), (8, 15), (4, 25), (2, 30)),
-    "16:5 8:10 4:15 2:20": CASCADES["16:5 8:10 4:15 2:20"],
-    "8:4": CASCADES["8:4"],
-    "16:3 8:4 4:6": CASCADES["16:3 8:4 4:6"],
-    "2:50": ((2, 50),),
-}
-PAPER_SHADOWS: dict[str, Steps] = {
-    "1:8": ((1, 8),),
-    "1:2": ((1, 2),),
-    "2:4": ((2, 4),),
-    "4:4 1:2": ((4, 4), (1, 2)),
-}
-UNITS = ("l2", "mean_abs")
-
-
-def _divided(choices: Mapping[str, Any]) -> bool:
-    return choices["photo light"] == "divided"
-
-
-def _bounced(choices: Mapping[str, Any]) -> bool:
-    return _divided(choices) and choices["bounces"]
-
-
-def _learned(choices: Mapping[str, Any]) -> bool:
-    return choices["guide"] == "small"
-
-
-def _guided(choices: Mapping[str, Any]) -> bool:
-    return choices["guide"] != "none"
-
-
-def _held(choices: Mapping[str, Any]) -> bool:
-    return choices["data term"]
-
-
-_CASCADE = (
-    Parameter("pooling", ("guide", "edges"), "guide", active=_guided),
-    Parameter("upsampling", ("guide", "bilinear"), "guide", active=_guided),
-    Parameter("norm", UNITS, "l2", active=_guided),
-    Parameter("kappa", (0.005, 0.5), GUIDED_KAPPA, continuous=True, active=_guided),
-    Parameter("lam", (0.05, 0.2499), DEFAULT_LAM, continuous=True),
-    Parameter("data term", (True, False), True),
-    Parameter("fidelity", (0.01, 3.0), GUIDED_FIDELITY, continuous=True, active=_held),
-    Parameter("shadow kappa", (0.002, 0.3), DEFAULT_KAPPA, continuous=True, active=_guided),
-)
-LINEAR = (
-    Parameter("scale", (1, 2, 3, 4), 1, ordered=True),
-    Parameter("sampling", (1, 2, 4), 2, ordered=True),
-    Parameter("cascade", tuple(CASCADES), "16:3 8:4 4:6"),
-    Parameter("shadow pass", tuple(SHADOW_CASCADES), "4:5 1:2"),
-    Parameter("guide", ("rgb", "none", "small"), "rgb"),
-    Parameter("guide size", (128, 256, 512), 256, ordered=True, active=_learned),
-    *_CASCADE,
-    Parameter("map scale", (0.25, 0.5, 1.0), 1.0, ordered=True),
-    Parameter("views", (4, 8, 16, None), None, ordered=True),
-    Parameter("least share", (0.0, 0.02, 0.05, 0.15), 0.0, ordered=True),
-)
-"""Parameters of linear light."""
-PHOTO = (
-    Parameter("photo light", ("divided", "kept"), "divided"),
-    Parameter("photo exponent", (0.7, 1.8), 1.0, continuous=True, active=_divided),
-    Parameter("bounces", (True, False), True, active=_divided),
-    Parameter("bounce gain", (0.4, 2.0), 1.0, continuous=True, active=_bounced),
-)
-"""Of the photo's own light, which only true pictures can judge."""
-PAPER = (
-    Parameter("cascade", tuple(PAPER_CASCADES), "16:10 8:15 4:25 2:30"),
-    Parameter("shadow pass", tuple(PAPER_SHADOWS), "1:8"),
-    Parameter("norm", UNITS, "l2"),
-    Parameter("pooling", ("edges", "guide"), "edges"),
-    Parameter("kappa", (0.005, 0.5), PAPER_KAPPA, continuous=True),
-    Parameter("lam", (0.05, 0.2499), DEFAULT_LAM, continuous=True),
-    Parameter("shadow kappa", (0.002, 0.3), DEFAULT_KAPPA, continuous=True),
-)
-"""Of the paper's own form: display values, holes black."""
+    def others(self, value: Any) -> list[Any]:
+        """Other values to try in the place of one: all, or of steps none, half and twice as many, one more."""
+        if self.factor:
+            found = (0, value // 2, value + 1, min(2 * value, MOST_STEPS) if value else 4)
+            return [n for n in dict.fromkeys(found) if n != value and n <= MOST_STEPS]
+        return [other for other in self.values if other != value]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -166,10 +125,12 @@ class Space:
     Attributes:
         parameters: each after those that it depends on.
         paper: whether it is of the paper's form.
+        fixed: choices that are not searched, in the place of the default's.
     """
 
     parameters: tuple[Parameter, ...]
     paper: bool = False
+    fixed: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of(cls, *, truth: bool, paper: bool = False) -> "Space":
@@ -180,45 +141,93 @@ class Space:
             paper: the paper's form.
         """
         if paper:
-            return cls(PAPER, True)
-        return cls((*LINEAR, *PHOTO) if truth else LINEAR)
+            own = [p for c in CHOICES.values() if c.paper for p in Parameter.of(c, c.paper, paper=True)]
+            return cls(tuple(own), True)
+        chosen = [choice for choice in CHOICES.values() if truth or not choice.truth]
+        return cls(tuple(p for choice in chosen if choice.tried for p in Parameter.of(choice, choice.tried)))
 
-    @property
+    @functools.cached_property
+    def named(self) -> dict[str, Parameter]:
+        """Parameters by name."""
+        return {parameter.name: parameter for parameter in self.parameters}
+
+    @functools.cached_property
     def default(self) -> Choices:
         """Choices of the default configuration."""
         return self.complete({})
 
+    def levels(self, choices: Mapping[str, Any], cascade: str) -> Levels:
+        """Levels of a cascade that have steps, coarse to fine; `BARE` if none has."""
+        own = [p for p in self.parameters if p.cascade == cascade]
+        found = tuple((p.factor, choices.get(p.name, p.default)) for p in own if choices.get(p.name, p.default))
+        return found or BARE
+
     def complete(self, choices: Mapping[str, Any]) -> Choices:
-        """Choices with defaults for what is not told, and without what means nothing beside the others.
+        """Choices with defaults for what is not said, and without what means nothing beside the others.
+
+        Cascades may be given as text, such as `cascade="16:3 8:4"`. Of samplings that the cascades do not allow,
+        the largest that they do.
 
         Raises:
             InputError: a name or value that is none of the space's.
         """
-        known = {parameter.name for parameter in self.parameters}
-        if unknown := sorted(choices.keys() - known):
-            raise InputError(f"choices: no parameter {unknown[0]!r}; there are {', '.join(sorted(known))}")
-        whole = {p.name: choices.get(p.name, p.default) for p in self.parameters}
-        kept: Choices = {}
-        for parameter in self.parameters:
-            value = whole[parameter.name]
-            if not parameter.holds(value):
-                raise InputError(f"choices: {parameter.name} {value!r} is not among {parameter.values}")
-            if parameter.active(whole):
-                kept[parameter.name] = value
-        return kept
+        given = {name: tuple(v) if isinstance(v, list) else v for name, v in self._expanded(choices).items()}
+        if unknown := sorted(given.keys() - self.named.keys()):
+            raise InputError(f"choices: no parameter {unknown[0]!r}; there are {', '.join(sorted(self.named))}")
+        whole = {p.name: given.get(p.name, p.default) for p in self.parameters}
+        for name, value in whole.items():
+            if not self.named[name].holds(value):
+                raise InputError(f"choices: {name} {value!r} is not among {self.named[name].values}")
+        text = self.seen(whole)
+        if "sampling" in self.named and "cascade" in self._cascades:
+            held = text.get("data_term", True)
+            allowed = _allowed(whole["sampling"], text["cascade"], text.get("shadow_pass", NO_STEPS), held)
+            whole["sampling"] = allowed
+        for name, value in whole.items():
+            if isinstance(value, tuple):
+                cascade = "shadow_pass" if name.startswith("shadow") else "cascade"
+                apart = name in NUMBERS_OF_LEVELS and len(value) == len(self.levels(whole, cascade))
+                if not apart or len(set(value)) == 1:
+                    whole[name] = self.named[name].middle(value)
+        return {p.name: whole[p.name] for p in self.parameters if p.active(text)}
+
+    def seen(self, choices: Mapping[str, Any]) -> Choices:
+        """Choices as rows of the table look at them, cascades as text among them."""
+        return dict(self.fixed) | dict(choices) | {name: self._text(choices, name) for name in self._cascades}
+
+    @functools.cached_property
+    def _cascades(self) -> list[str]:
+        return list(dict.fromkeys(p.cascade for p in self.parameters if p.cascade))
+
+    def _expanded(self, choices: Mapping[str, Any]) -> Choices:
+        """Choices with the steps of each level in the place of a cascade's text."""
+        found = dict(choices)
+        for name in self._cascades:
+            if name in found:
+                steps = dict(levels_of(found.pop(name)))
+                found |= {p.name: steps.pop(p.factor, 0) for p in self.parameters if p.cascade == name}
+                if any(steps.values()):
+                    raise InputError(f"choices: {name} has no level of factor {max(steps)} in this search")
+        return found
+
+    def _text(self, choices: Mapping[str, Any], cascade: str) -> str:
+        levels = self.levels(choices, cascade)
+        return NO_STEPS if levels == BARE else " ".join(f"{factor}:{count}" for factor, count in levels)
 
     def random(self, rng: np.random.Generator) -> Choices:
         """Random choices."""
         return self.complete({parameter.name: parameter.draw(rng) for parameter in self.parameters})
 
     def changes(self, choices: Choices) -> list[Choices]:
-        """All choices that differ in one discrete parameter."""
+        """Choices that differ in one discrete parameter, and in what it does not allow."""
         found: list[Choices] = []
         for parameter in self.parameters:
             if parameter.continuous or parameter.name not in choices:
                 continue
-            others = [value for value in parameter.values if value != choices[parameter.name]]
-            found += [self.complete(choices | {parameter.name: value}) for value in others]
+            for value in parameter.others(choices[parameter.name]):
+                changed = self.complete(choices | {parameter.name: value})
+                if changed[parameter.name] == value:
+                    found.append(changed)
         return found
 
     def mutated(self, choices: Choices, rng: np.random.Generator, rate: float) -> Choices:
@@ -227,43 +236,88 @@ class Space:
         for parameter in self.parameters:
             if rng.random() >= rate:
                 continue
+            value = choices.get(parameter.name, parameter.default)
             if parameter.continuous:
-                place = parameter.place(choices.get(parameter.name, parameter.default))
-                changed[parameter.name] = parameter.at(place + 0.12 * rng.standard_normal())
+                changed[parameter.name] = parameter.at(parameter.place(value) + 0.12 * rng.standard_normal())
+            elif parameter.factor and rng.random() < 0.7:
+                changed[parameter.name] = int(rng.choice(parameter.others(value)))
             else:
                 changed[parameter.name] = parameter.draw(rng)
         return self.complete(changed)
 
+    def choices_of(self, configuration: Configuration) -> Choices:
+        """Choices of a configuration; the default's where it has what the space does not."""
+        found: Choices = {}
+        for name, value in self._expanded(_known(configuration.values(), self)).items():
+            parameter = self.named.get(name)
+            if parameter is not None and parameter.continuous and value is not None:
+                value = value if isinstance(value, tuple) else (value,)
+                value = tuple(float(np.clip(x, *parameter.values)) for x in value if x is not None)
+                value = value[0] if len(value) == 1 else value
+            if parameter is not None and parameter.holds(value):
+                found[name] = value
+        return self.complete(found)
+
     def configuration(self, choices: Mapping[str, Any], name: str = "tuned") -> Configuration:
         """Configuration of these choices."""
-        full = {p.name: p.default for p in self.parameters} | dict(choices)
-        cascades, shadows = (PAPER_CASCADES, PAPER_SHADOWS) if self.paper else (CASCADES, SHADOW_CASCADES)
-        alike = {"lam": full["lam"], "norm": full["norm"]}
-        shadow = Schedule.uniform(shadows[full["shadow pass"]], kappa=full["shadow kappa"], norm=full["norm"])
+        known = self._expanded(choices)
+        full = dict(self.fixed) | {p.name: p.default for p in self.parameters} | known
+        shadow = Schedule.uniform(self.levels(full, "shadow_pass"), norm=full.get("norm", "l2"))
         own = Schedule.uniform(
-            cascades[full["cascade"]],
-            kappa=full["kappa"],
-            fidelity=full["fidelity"] if full.get("data term") else None,
+            self.levels(full, "cascade"),
+            fidelity=1.0 if full.get("data_term") else None,
             pooling=full["pooling"],
+            norm=full.get("norm", "l2"),
             upsampling=full.get("upsampling", "bilinear"),
             name=name,
-            **alike,
         )
-        shadow = dataclasses.replace(shadow, name=f"{name}-shadow")
+        own = with_numbers(own, kappa=full["kappa"], lam=full["lam"], fidelity=full.get("fidelity"))
+        shadow = with_numbers(shadow, kappa=full["shadow_kappa"])
+        schedules: dict[str, Any] = {
+            "schedule": own.check(),
+            "shadow_schedule": dataclasses.replace(shadow.check(), name=f"{name}-shadow"),
+        }
         if self.paper:
-            return dataclasses.replace(Configuration.paper(), name=name, schedule=own, shadow_schedule=shadow)
-        learned = full["guide"] == "small"
-        light = LightOptions(
-            sampling=full["sampling"],
-            photo_light=full.get("photo light", "divided"),
-            bounces=full.get("bounces", True),
-            photo_exponent=full.get("photo exponent", 1.0),
-            bounce_gain=full.get("bounce gain", 1.0),
-        )
-        options = ShadowOptions(map_scale=full["map scale"], views=full["views"], least_share=full["least share"])
-        guide = GuideOptions(name=full["guide"], size=full["guide size"] if learned else None)
-        scale = full["scale"]
-        return Configuration(name, own, shadow, "linear", scale, light, options, guide).check()
+            return dataclasses.replace(Configuration.paper(), name=name, **schedules)
+        if full["guide"] in ("rgb", NO_GUIDE):
+            full.pop("guide_size", None)
+        options = {n: full[n] for n, choice in CHOICES.items() if n in full and choice.part not in CASCADES}
+        return dataclasses.replace(Configuration(), name=name, **schedules).with_choices(options).check()
+
+
+def _known(values: Mapping[str, Any], space: Space) -> Choices:
+    """Values of choices without cascades that have a level which the space does not."""
+    own: Choices = dict(values)
+    for name in ("cascade", "shadow_pass"):
+        factors = {p.factor for p in space.parameters if p.cascade == name}
+        if name in own and not {factor for factor, count in levels_of(own[name]) if count} <= factors:
+            del own[name]
+    return own
+
+
+def levels_of(text: str) -> Levels:
+    """Levels of a cascade from their text.
+
+    >>> levels_of("16:3 8:4"), levels_of("none")
+    (((16, 3), (8, 4)), ((4, 0),))
+
+    Raises:
+        InputError: it is none.
+    """
+    if text == NO_STEPS:
+        return BARE
+    try:
+        levels = [level.split(":") for level in text.split()]
+        return tuple((int(factor), int(steps)) for factor, steps in levels)
+    except (AttributeError, ValueError):
+        raise InputError(f"choices: cascade {text!r:.60}: must be levels as in 16:3 8:4") from None
+
+
+@functools.cache
+def _allowed(sampling: int, cascade: str, shadow_pass: str, data_term: bool) -> int:
+    """Sampling that the cascades allow."""
+    own = Schedule.uniform(levels_of(cascade), fidelity=1.0 if data_term else None)
+    return largest_sampling([own, Schedule.uniform(levels_of(shadow_pass))], sampling)
 
 
 def structure(choices: Mapping[str, Any], space: Space) -> str:

@@ -8,14 +8,18 @@ Losses hold on any machine. Times are kept by machine: a search that goes on els
 """
 
 import contextlib
+import dataclasses
 import math
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyjax.tuning.frame.search import Trial
+import msgspec
+
+from hyjax.tuning.budget import MOST_STEPS
 from hyjax.tuning.frame.space import Choices, Parameter, Space, key_of
+from hyjax.tuning.frame.trial import Trial
 from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
 from hyjax.util.reading import check_regular
@@ -27,8 +31,10 @@ if TYPE_CHECKING:
 NAME = "study.log"
 UNUSABLE = 1e9
 """Stands for a loss that is not a number."""
-VERSION = 1
+VERSION = 3
 """Of what is kept. Add one whenever it means something else."""
+KEPT = ("choices", "phase", "losses", "time", "cases", "improve", "source", "predicted")
+"""Of a trial; its budget is known while it is proposed alone."""
 
 
 @contextlib.contextmanager
@@ -40,7 +46,10 @@ def _quietly() -> Iterator[None]:
 
 
 class Study:
-    """Results of a search by key, on disk as it goes.
+    """Trials of a search and other results by key, on disk as they come.
+
+    Attributes:
+        trials: those that were kept, in their order; without a time where another machine took it.
 
     Args:
         folder: where `study.log` is kept; None keeps it in memory.
@@ -94,22 +103,15 @@ class Study:
         if not told:
             self._study.set_user_attr("settings", as_json(settings))
             self._study.set_user_attr("version", VERSION)
-        self._results: dict[str, Any] = {}
         try:
-            for trial in self._study.get_trials(deepcopy=False):
-                self._results |= trial.user_attrs.get("results", {})
+            self.trials = _merged([_trial(each) for each in self._study.get_trials(deepcopy=False)], machine)
         except Exception as error:  # as above
-            raise InputError(f"{path}: holds a trial that is none ({type(error).__name__}); remove it") from None
-        self._results |= {key: value for key, value in told.items() if key.startswith("result ")}
-        self.resumed = len(self._results)
+            raise InputError(f"{path}: holds no trials of a search ({type(error).__name__}); remove it") from None
+        self._results = {key: value for key, value in told.items() if key.startswith("result ")}
 
     def timed(self, key: str) -> str:
         """Key of a time, which is of this machine alone."""
         return f"{key} on {self.machine}"
-
-    def known(self, key: str) -> Any:
-        """Result that was kept under a key; None if there is none."""
-        return self._results.get(key)
 
     def remember(self, key: str, compute: Callable[[], Any], *, expired: Callable[[], bool] = lambda: False) -> Any:
         """Result of `compute`, which is called at most once for each key; of no trial in particular.
@@ -129,29 +131,28 @@ class Study:
                     raise _unwritable(error) from None
         return self._results[name]
 
-    def add(
-        self, space: Space, choices: Choices, phase: str, loss: float, time: float, results: dict[str, Any]
-    ) -> None:
-        """Add a trial with results to remember.
+    def add(self, space: Space, trial: Trial) -> None:
+        """Add a judged trial.
 
         Raises:
             InputError: the journal cannot be written.
         """
         import optuna
 
-        known = {p.name: p for p in space.parameters}
+        values = {n: space.named[n].middle(v) if isinstance(v, tuple) else v for n, v in trial.choices.items()}
+        loss = trial.loss if math.isfinite(trial.loss) else UNUSABLE
+        content = {name: getattr(trial, name) for name in KEPT} | {"machine": self.machine}
         try:
             self._study.add_trial(
                 optuna.trial.create_trial(
-                    params=dict(choices),
-                    distributions={name: _distribution(known[name]) for name in choices},
-                    values=[loss if math.isfinite(loss) else UNUSABLE, time],
-                    user_attrs={"phase": phase, "key": key_of(choices), "results": as_json(results)},
+                    params=values,
+                    distributions={name: _distribution(space.named[name]) for name in values},
+                    values=[loss, 1.0 if trial.time is None else trial.time],
+                    user_attrs=as_json(content),
                 )
             )
         except OSError as error:
             raise _unwritable(error) from None
-        self._results |= as_json(results)
 
 
 def _unwritable(error: OSError) -> InputError:
@@ -189,21 +190,54 @@ def kept_trials(path: Path, name: str = "frame") -> list[Trial]:
     try:
         study = optuna.load_study(study_name=name, storage=JournalStorage(JournalFileBackend(str(path))))
         for each in study.get_trials(deepcopy=False):
-            key, values = each.user_attrs["key"], each.values
-            trial = found.setdefault(key, Trial(dict(each.params), each.user_attrs["phase"], [], values[1]))
-            results = each.user_attrs["results"].items()
-            trial.losses += [loss for of, losses in results if of.startswith("losses ") for loss in losses]
+            trial, _ = _trial(each)
+            before = found.get(key := key_of(trial.choices))
+            if before is None or "results" not in each.user_attrs:
+                found[key] = max(before or trial, trial, key=lambda t: len(t.losses))
+            else:
+                found[key] = dataclasses.replace(before, losses=before.losses + trial.losses)
     except Exception as error:  # whatever a damaged journal makes of Optuna, and of what is asked for
         raise InputError(f"{path}: has no trials of {name!r}, or is damaged ({type(error).__name__})") from None
     return list(found.values())
 
 
+def _trial(kept: "optuna.trial.FrozenTrial") -> tuple[Trial, str]:
+    """Trial as it was kept, and the machine that timed it."""
+    told, values = kept.user_attrs, kept.values
+    if "results" in told:  # of versions 1 and 2, in which each batch was a trial of its own
+        results = told["results"].items()
+        losses = [loss for of, several in results if of.startswith("losses ") for loss in several]
+        return Trial(_named(kept.params), told["phase"], tuple(losses), values[1]), ""
+    trial = msgspec.convert({name: told[name] for name in KEPT}, Trial)
+    choices = {name: tuple(v) if isinstance(v, list) else v for name, v in trial.choices.items()}
+    return dataclasses.replace(trial, choices=choices), str(told["machine"])
+
+
+def _merged(kept: Sequence[tuple[Trial, str]], machine: str) -> list[Trial]:
+    """Trials in their order, each with all of its losses, and with its time if this machine took it."""
+    found: dict[tuple[str, str, str], Trial] = {}
+    for trial, on in kept:
+        key = key_of(trial.choices), trial.improve, trial.source
+        before, time = found.get(key, trial), trial.time if on == machine else None
+        losses = max(before.losses, trial.losses, key=len)
+        known = found[key].time if key in found else None
+        found[key] = dataclasses.replace(before, losses=losses, time=known if time is None else time)
+    return list(found.values())
+
+
+def _named(choices: dict[str, Any]) -> Choices:
+    """Choices of a journal by today's names: those of version 1 had blanks."""
+    return {name.replace(" ", "_"): value for name, value in choices.items()}
+
+
 def _distribution(parameter: Parameter) -> "optuna.distributions.BaseDistribution":
     import optuna
 
+    if parameter.factor:
+        return optuna.distributions.IntDistribution(0, MOST_STEPS)
     if parameter.continuous:
         low, high = parameter.values
-        return optuna.distributions.FloatDistribution(low, high, log=True)
+        return optuna.distributions.FloatDistribution(low, high, log=parameter.log)
     return optuna.distributions.CategoricalDistribution(parameter.values)
 
 

@@ -1,0 +1,95 @@
+"""Choice: what one row of the table says."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from hyjax.light.photo_light import SurfaceLight
+
+Scale = Literal["any", "ordered", "linear", "log", "steps"]
+Values = Mapping[str, Any]
+"""Value of each choice by name."""
+Renderer = Literal["webgpu", "page", "tour", "live tour", "file", "live", "blender", "video", "frames"]
+RENDERERS: dict[Renderer, str] = {
+    "webgpu": "--renderer webgpu",
+    "page": "exported pages",
+    "tour": "tours",
+    "live tour": "tours of frames as they arrive",
+    "file": "files for other runtimes",
+    "live": "frames relit as they arrive",
+    "blender": "--renderer blender",
+    "video": "--video",
+    "frames": "frames without --video",
+}
+"""Renderers that do not follow all choices, in words."""
+ELSEWHERE: tuple[Renderer, ...] = ("webgpu", "page", "tour", "live tour")
+
+
+@dataclasses.dataclass(frozen=True)
+class Tried:
+    """Values of a choice that a search tries.
+
+    Attributes:
+        values: each; of a range, (lowest, highest); of a cascade, the factors of its levels.
+        start: that of the default configuration; the choice's own default if None.
+        scale: of a range: `linear` or `log`; of single values whether neighbours are alike: `ordered`, or `any`; of
+            a cascade `steps`: each of its levels may have any number of them.
+    """
+
+    values: tuple[Any, ...]
+    start: Any = None
+    scale: Scale = "any"
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice:
+    """One choice.
+
+    Attributes:
+        name: in options, files, tables and reports.
+        field: its place in a `Configuration`: `light.sampling`, or `schedule.kappa` of a cascade.
+        type: of its values; None may be given where it is the default.
+        default: value where nothing is said.
+        help: one sentence.
+        bounds: least and greatest value that may be given.
+        label: in reports; its name if empty.
+        tried: by the search; None for what is not searched.
+        paper: likewise in the paper's form.
+        truth: whether only true pictures can judge it.
+        active: whether it means anything beside the others.
+        said: renderers that do not follow it, and say so where it is not the default.
+        refused: renderers that refuse another value than the default.
+        use: the light on the surface as a value makes it, for choices of that light.
+    """
+
+    name: str
+    field: str
+    type: Any
+    default: Any
+    help: str
+    bounds: tuple[float, float] | None = None
+    label: str = ""
+    tried: Tried | None = None
+    paper: Tried | None = None
+    truth: bool = False
+    active: Callable[[Values], bool] = lambda values: True
+    said: tuple[Renderer, ...] = ELSEWHERE
+    refused: tuple[Renderer, ...] = ()
+    use: "Callable[[SurfaceLight, Any], SurfaceLight] | None" = None
+
+    @property
+    def part(self) -> str:
+        """Part of a configuration that has it; empty for the configuration itself."""
+        return self.field.rpartition(".")[0]
+
+    @property
+    def key(self) -> str:
+        """Name in its part."""
+        return self.field.rpartition(".")[2]
+
+    def ignored_by(self, renderer: Renderer) -> bool:
+        """Whether a renderer leaves it out: files hold the cascade of the light alone, live frames no bounces."""
+        if renderer == "file":
+            return self.part != "schedule"
+        return renderer in self.said or (renderer == "live" and self.use is not None)

@@ -1,0 +1,343 @@
+"""Table of the choices."""
+
+import dataclasses
+from typing import TYPE_CHECKING, Literal
+
+from hyjax.choices.choice import ELSEWHERE, Choice, Tried, Values
+from hyjax.core.presets import DEFAULT_KAPPA, GUIDED_FIDELITY, GUIDED_KAPPA, PAPER_KAPPA
+from hyjax.core.step_size import DEFAULT_LAM
+from hyjax.util.errors import InputError, did_you_mean
+
+if TYPE_CHECKING:
+    from hyjax.light.photo_light import SurfaceLight
+
+NO_STEPS = "none"
+_NORMS = ("l2", "mean_abs")
+
+
+def _guided(values: Values) -> bool:
+    return values["guide"] != "none"
+
+
+def _learned(values: Values) -> bool:
+    return values["guide"] not in ("none", "rgb")
+
+
+def _shadowed(values: Values) -> bool:
+    return values["shadow_pass"] != NO_STEPS
+
+
+def _divided(values: Values) -> bool:
+    return values["photo_light"] == "divided"
+
+
+def _raised(light: "SurfaceLight", exponent: float) -> "SurfaceLight":
+    return light if exponent == 1.0 else dataclasses.replace(light, photo_light=light.photo_light**exponent)
+
+
+def _bounced(light: "SurfaceLight", bounces: bool) -> "SurfaceLight":
+    return light if bounces else dataclasses.replace(light, bounced=None)
+
+
+def _gained(light: "SurfaceLight", gain: float) -> "SurfaceLight":
+    return light if light.bounced is None else dataclasses.replace(light, bounced=gain * light.bounced)
+
+
+_KAPPA, _LAM, _SHADOW_KAPPA = (Tried(x, scale="log") for x in ((0.005, 0.5), (0.05, 0.2499), (0.002, 0.3)))
+PARTS = ("light", "shadows", "guide")
+"""Parts of a configuration that have options."""
+CASCADES = "schedule", "shadow_schedule"  # of which a choice is one number or word
+CHOICES: dict[str, Choice] = {}
+"""Table of all choices by name, each after those that it depends on."""
+
+
+def register_choice(choice: Choice) -> None:
+    """Add a row to the table.
+
+    Raises:
+        InputError: its name or field is taken or cannot be an option's, or the default is out of bounds.
+    """
+    if choice.part not in PARTS:
+        raise InputError(f"choices: {choice.field}: must be in one of {', '.join(f'{part}.' for part in PARTS)}")
+    if not choice.key.isidentifier() or choice.key.startswith("_") or choice.key in ("values", "replace", "PART"):
+        raise InputError(f"choices: {choice.field}: {choice.key!r} cannot be the name of an option")
+    low, high = choice.bounds or (choice.default, choice.default)
+    if choice.default is not None and not low <= choice.default <= high:
+        raise InputError(f"choices: {choice.name}: its default {choice.default} is not within {low} to {high}")
+    _add(choice)
+
+
+def _add(choice: Choice) -> None:
+    for other in CHOICES.values():
+        if choice.name == other.name or choice.field == other.field:
+            raise InputError(f"choices: {choice.name!r} ({choice.field}) is there already")
+    CHOICES[choice.name] = choice
+
+
+def choice_named(name: str) -> Choice:
+    """Choice of a name.
+
+    Raises:
+        InputError: there is none.
+    """
+    if name not in CHOICES:
+        raise InputError(
+            f"choices: no choice {name!r}{did_you_mean(name, CHOICES)}; there are {', '.join(sorted(CHOICES))}"
+        )
+    return CHOICES[name]
+
+
+def options_of(part: str) -> dict[str, Choice]:
+    """Choices of a part of a configuration, by their names in it."""
+    return {choice.key: choice for choice in CHOICES.values() if choice.part == part}
+
+
+for _row in (
+    Choice(
+        "mode",
+        "mode",
+        Literal["linear", "paper"],
+        "linear",
+        "Multiply linear light, with holes filled; or exactly the paper: display values, holes black.",
+        said=(),
+        refused=(*ELSEWHERE, "file", "video"),
+    ),
+    Choice(
+        "scale",
+        "scale",
+        int,
+        1,
+        "The frame is relit at its size over this, and the filter brought to full size under the frame.",
+        bounds=(1, 8),
+        tried=Tried((1, 2, 3, 4), scale="ordered"),
+        said=("page", "tour", "live tour"),
+        refused=("webgpu", "blender", "video"),
+    ),
+    Choice(
+        "sampling",
+        "light.sampling",
+        int,
+        2,
+        "Light at one pixel in each block of so many by so many, as far as the schedules average over blocks.",
+        bounds=(1, 16),
+        tried=Tried((1, 2, 4), scale="ordered"),
+        said=(),
+    ),
+    Choice(
+        "cascade",
+        "schedule.steps",
+        str,
+        "16:3 8:4 4:6",
+        "Levels of the cascade for the light, coarse to fine, as factor:steps.",
+        tried=Tried((16, 8, 4, 2), scale="steps"),
+        paper=Tried((16, 8, 4, 2), "16:10 8:15 4:25 2:30", "steps"),
+        said=(),
+    ),
+    Choice(
+        "shadow_pass",
+        "shadow_schedule.steps",
+        str,
+        "4:5 1:2",
+        "Levels of the cascade for the visibility; none leaves the shadow pass out.",
+        tried=Tried((4, 2, 1), scale="steps"),
+        paper=Tried((4, 2, 1), "1:8", "steps"),
+        said=("live tour",),
+    ),
+    Choice(
+        "guide",
+        "guide.name",
+        str,
+        "rgb",
+        "What guides the diffusion: rgb, none, a network that comes with hyjax, or a safetensors file.",
+        tried=Tried(("rgb", "none", "small")),
+        said=("page",),
+    ),
+    Choice(
+        "guide_size",
+        "guide.size",
+        int,
+        None,
+        "Longer side, in pixels, that a network sees, at least; the frame's where nothing is said.",
+        bounds=(32, 2**31),
+        tried=Tried((128, 256, 512), 256, "ordered"),
+        active=_learned,
+        said=("page",),
+    ),
+    Choice(
+        "guide_every",
+        "guide.every",
+        int,
+        1,
+        "A network sees one frame of so many of a video; the others' features follow the surface's motion.",
+        bounds=(1, 64),
+        active=_learned,
+        said=(*ELSEWHERE, "frames"),
+    ),
+    Choice(
+        "pooling",
+        "schedule.pooling",
+        Literal["guide", "edges"],
+        "guide",
+        "Conductances of coarse levels: of the pooled guide, or the least of the fine ones.",
+        tried=Tried(("guide", "edges")),
+        paper=Tried(("edges", "guide"), "edges"),
+        active=_guided,
+        said=(),
+    ),
+    Choice(
+        "upsampling",
+        "schedule.upsampling",
+        Literal["guide", "bilinear"],
+        "guide",
+        "From level to level along the guide, or bilinear.",
+        tried=Tried(("guide", "bilinear")),
+        active=_guided,
+        said=(),
+    ),
+    Choice(
+        "norm",
+        "schedule.norm",
+        str,
+        "l2",
+        "Norm of guide differences.",
+        tried=Tried(_NORMS),
+        paper=Tried(_NORMS),
+        active=_guided,
+        said=(),
+    ),
+    Choice(
+        "kappa",
+        "schedule.kappa",
+        float,
+        GUIDED_KAPPA,
+        "Edge sensitivity.",
+        label="κ",
+        tried=_KAPPA,
+        paper=dataclasses.replace(_KAPPA, start=PAPER_KAPPA),
+        active=_guided,
+        said=(),
+    ),
+    Choice(
+        "lam",
+        "schedule.lam",
+        float,
+        DEFAULT_LAM,
+        "Step size.",
+        label="λ",
+        tried=_LAM,
+        paper=_LAM,
+        said=(),
+    ),
+    Choice(
+        "data_term",
+        "schedule.data_term",
+        bool,
+        True,
+        "Whether steps hold on to the cell means of their level.",
+        tried=Tried((True, False)),
+        said=(),
+    ),
+    Choice(
+        "fidelity",
+        "schedule.fidelity",
+        float,
+        GUIDED_FIDELITY,
+        "How much they hold on to them.",
+        label="α",
+        tried=Tried((0.01, 3.0), scale="log"),
+        active=lambda values: values["data_term"],
+        said=(),
+    ),
+    Choice(
+        "shadow_kappa",
+        "shadow_schedule.kappa",
+        float,
+        DEFAULT_KAPPA,
+        "Edge sensitivity of the shadow pass.",
+        label="shadow κ",
+        tried=_SHADOW_KAPPA,
+        paper=_SHADOW_KAPPA,
+        active=lambda values: _guided(values) and _shadowed(values),
+        said=("live tour",),
+    ),
+    Choice(
+        "map_scale",
+        "shadows.map_scale",
+        float,
+        1.0,
+        "Resolution of the shadow maps, relative to the usual one.",
+        bounds=(0.05, 4.0),
+        tried=Tried((0.25, 0.5, 1.0), scale="ordered"),
+        said=("webgpu", "tour", "live tour", "blender"),
+    ),
+    Choice(
+        "views",
+        "shadows.views",
+        int,
+        None,
+        "Views of a soft light in its shadow map, at most; all that it has where nothing is said.",
+        bounds=(1, 2**31),
+        tried=Tried((4, 8, 16, None), scale="ordered"),
+        said=(*ELSEWHERE, "blender"),
+    ),
+    Choice(
+        "least_share",
+        "shadows.least_share",
+        float,
+        0.0,
+        "A light that gives the surface a smaller share of its light than this casts no shadow.",
+        bounds=(0.0, 1.0),
+        tried=Tried((0.0, 0.02, 0.05, 0.15), scale="ordered"),
+        said=(*ELSEWHERE, "blender"),
+    ),
+    Choice(
+        "photo_light",
+        "light.photo_light",
+        Literal["divided", "kept"],
+        "divided",
+        "Whether the light that the frames were taken under is divided out, or kept.",
+        tried=Tried(("divided", "kept")),
+        truth=True,
+        said=("live tour",),
+        refused=("page",),
+    ),
+    Choice(
+        "photo_exponent",
+        "light.photo_exponent",
+        float,
+        1.0,
+        "Exponent of E_old / K before it is divided by: above 1 where its estimate is too even.",
+        bounds=(0.0, 4.0),
+        tried=Tried((0.7, 1.8), scale="log"),
+        truth=True,
+        active=_divided,
+        said=("live tour",),
+        use=_raised,
+    ),
+    Choice(
+        "bounces",
+        "light.bounces",
+        bool,
+        True,
+        "Whether light that surfaces send on is added, where the photo's light is divided out.",
+        tried=Tried((True, False)),
+        truth=True,
+        active=_divided,
+        said=("webgpu", "page", "live tour"),
+        use=_bounced,
+    ),
+    Choice(
+        "bounce_gain",
+        "light.bounce_gain",
+        float,
+        1.0,
+        "Factor of the bounces.",
+        bounds=(0.0, 4.0),
+        tried=Tried((0.4, 2.0), scale="log"),
+        truth=True,
+        active=lambda values: _divided(values) and values["bounces"],
+        said=("webgpu", "page", "live tour"),
+        use=_gained,
+    ),
+):
+    _add(_row)

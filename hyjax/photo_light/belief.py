@@ -1,0 +1,115 @@
+"""Belief in an estimate of the photo's light: how much flatter it makes planes that its fit has not seen."""
+
+import dataclasses
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from hyjax.photo_light.fit import RADIANCE_FLOOR, FitProblem, fit_sources, illuminance
+
+FOLDS = 3
+"""Number of parts of the scan; each judges a fit on the others."""
+FOLD_ITERATIONS = 60
+"""Most iterations of a fit that only judges: its last ones change the flatness little."""
+EXPONENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Candidate exponents of E_old."""
+LEAST_GAIN = 0.04
+"""Least relative gain in flatness of planes on held-out pairs; below it nothing is divided out."""
+LEAST_PAIRS = 100
+"""Fewest pairs of vertices in a fold; with less nothing is told of the light."""
+LARGEST_SIDE, SMALLEST_SIDE = 0.9, 0.15
+"""Sides, in metres, of the blocks of space that a fold has whole: large ones tell more, many are needed."""
+LEAST_SHARE = 0.2
+"""Least share of the pairs in each fold."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Belief:
+    """Belief in an estimate, brightness and hue apart.
+
+    Attributes:
+        exponent: of the brightness of E_old: 0 where dividing would do harm, 1 where it is believed.
+        hue_exponent: of the hue of E_old, which is harder to separate from that of the surfaces.
+        flatness: mean difference of log brightness on planes after the division over that before it, on pairs that
+            were held out, for each of `EXPONENTS`.
+    """
+
+    exponent: float
+    hue_exponent: float
+    flatness: tuple[float, ...]
+
+
+NO_BELIEF = Belief(0.0, 0.0, (1.0,) * len(EXPONENTS))
+"""Where scan and frames tell too little."""
+
+
+def folds(position: Float[np.ndarray, "n 3"], seed: int = 0) -> Int[np.ndarray, "n"]:
+    """Fold of each point: whole blocks of space, as large as leaves every fold enough of them."""
+    rng, side = np.random.default_rng(seed), LARGEST_SIDE
+    while True:
+        _, block = np.unique(np.floor(position / side).astype(np.int64), axis=0, return_inverse=True)
+        sizes = np.bincount(block.reshape(-1), minlength=1)
+        fold, total = np.zeros(len(sizes), int), np.zeros(FOLDS)
+        for number in np.argsort(rng.random(len(sizes)) - sizes):
+            fold[number] = np.argmin(total)
+            total[fold[number]] += sizes[number]
+        if total.min() >= LEAST_SHARE * total.sum() or side / 2 < SMALLEST_SIDE:
+            return fold[block.reshape(-1)]
+        side /= 2
+
+
+def fit_and_judge(
+    problem: Callable[[Int[np.ndarray, "m 2"]], FitProblem],
+    pairs: Int[np.ndarray, "n 2"],
+    position: Float[np.ndarray, "v 3"],
+) -> tuple[Float[np.ndarray, "k 3"], Belief] | None:
+    """Strengths of the sources fitted to all pairs, and the belief from fits that leave one fold out each.
+
+    Args:
+        problem: the fit to some pairs.
+        pairs: of vertices on one plane.
+        position: of the vertices.
+
+    Returns:
+        Strengths and belief; None where there are too few pairs.
+    """
+    fold = folds(position[pairs[:, 0]]) if len(pairs) else np.zeros(0, int)
+    counts = np.bincount(fold, minlength=FOLDS)
+    if counts.min() < LEAST_PAIRS:
+        return None
+    fewest = len(pairs) - counts.max()  # one size, one program
+    bright, hue = np.zeros(len(EXPONENTS)), np.zeros(len(EXPONENTS))
+    for number, share in enumerate(counts / len(pairs)):
+        part = problem(pairs[fold != number][:fewest])
+        light = np.log(
+            np.asarray(illuminance(part, jnp.asarray(fit_sources(part, FOLD_ITERATIONS), jnp.float32)))
+            + RADIANCE_FLOOR
+        )
+        logs = zip(split(np.log(np.asarray(part.radiance))), split(light))
+        own = [flatness(radiance, e, pairs[fold == number]) for radiance, e in logs]
+        bright, hue = bright + share * np.array(own[0]), hue + share * np.array(own[1])
+    belief = Belief(best(bright), best(hue), tuple(float(x) for x in bright))
+    return fit_sources(problem(pairs)), belief
+
+
+def split(log: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "v 1"], Float[np.ndarray, "v 3"]]:
+    """Split logarithms into brightness and hue."""
+    mean = log.mean(axis=1, keepdims=True)
+    return mean, log - mean
+
+
+def flatness(
+    log_radiance: Float[np.ndarray, "v c"], log_light: Float[np.ndarray, "v c"], pairs: Int[np.ndarray, "n 2"]
+) -> tuple[float, ...]:
+    """Mean absolute difference across pairs after dividing by E to each exponent, relative to the one before."""
+    c, e = (v[pairs[:, 0]] - v[pairs[:, 1]] for v in (log_radiance, log_light))
+    spread = [np.abs(c - k * e).mean() for k in EXPONENTS]
+    return tuple(float(s / max(spread[0], 1e-9)) for s in spread)
+
+
+def best(found: Float[np.ndarray, "e"]) -> float:
+    """Exponent that flattens most; 0 where none gains enough."""
+    number = int(np.argmin(found))
+    return EXPONENTS[number] if found[number] < 1 - LEAST_GAIN else 0.0

@@ -1,0 +1,82 @@
+"""Search for lamps that burn out their surroundings, too: places that are burnt out in all pictures that show them.
+
+A lamp by night, its shade, the wall and the ceiling behind it are one burnt-out blob, which changes its form from
+picture to picture and may reach the border, so that there are no middles whose rays would meet. Its place is the
+volume that all these blobs share (Laurentini, *The Visual Hull Concept*, 1994).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+from hyjax.geometry.raycast import RayCaster
+from hyjax.photo_light.sightings import Sighting
+from hyjax.photo_light.sources import Vector
+from hyjax.util.vectors import orthonormal_frame
+
+CELL = 0.1
+"""Side, in metres, of a cell of the volume."""
+MOST_CELLS = 2_000_000
+FEWEST_FRAMES = 3
+"""Fewest pictures that show a place."""
+LEAST_SHARE = 0.8
+"""Least share of them in which it is burnt out."""
+DARK_PICTURE = 0.45
+"""Largest median value of the pictures; in brighter ones daylight burns walls and floors out, too."""
+LEAST_HEIGHT = 0.9
+"""Least height, in metres, of a lamp's middle above the scan's lowest surface."""
+HIDDEN = 0.3
+"""Distance, in metres, behind the scan from which a place is hidden."""
+FEWEST_CELLS, MOST_LAMPS = 3, 3
+RADIUS = 0.03
+"""Radius, in metres, of a lamp of unknown form: too small to be drawn where its form would show."""
+
+
+def glowing_places(caster: RayCaster, sightings: Sequence[Sighting], up: Vector) -> list[tuple[Vector, float]]:
+    """Places and radii of lamps in dark pictures that burn out what is around them, the largest first.
+
+    Args:
+        caster: the scan.
+        sightings: of the pictures.
+        up: against gravity.
+    """
+    if np.median([np.median(s.low) for s in sightings]) > DARK_PICTURE:
+        return []
+    axes = orthonormal_frame(up)
+    local = np.asarray(caster.arrays.vertices, float) @ axes.T
+    low, high = np.quantile(local, 0.001, axis=0), np.quantile(local, 0.999, axis=0)
+    floor = low[2]
+    low[2] += LEAST_HEIGHT
+    shape = tuple(np.maximum(((high - low) / CELL).astype(int) + 1, 1))
+    if np.prod(shape, dtype=float) > MOST_CELLS or high[2] - floor < LEAST_HEIGHT:
+        return []
+    cells = np.stack(np.meshgrid(*(low[k] + CELL * np.arange(shape[k]) for k in range(3)), indexing="ij"), axis=-1)
+    places = cells.reshape(-1, 3) @ axes
+    shown, burnt = np.zeros(len(places), int), np.zeros(len(places), int)
+    for s in sightings:
+        here, glows = _seen(s, places)
+        shown += here
+        burnt += here & glows
+    glowing = (shown >= FEWEST_FRAMES) & (burnt >= FEWEST_FRAMES) & (burnt >= LEAST_SHARE * shown)
+    labels, number = ndimage.label(glowing.reshape(shape), np.ones((3, 3, 3)))
+    parts = [np.flatnonzero(labels.reshape(-1) == k) for k in range(1, number + 1)]
+    parts = sorted((part for part in parts if len(part) >= FEWEST_CELLS), key=len, reverse=True)
+    return [
+        (np.median(places[part], axis=0), RADIUS) for part in parts[:MOST_LAMPS] if 2 * len(part) >= len(parts[0])
+    ]
+
+
+def _seen(s: Sighting, places: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Whether a picture shows places, and whether it is burnt out there."""
+    pose, k = s.frame.camera.pose, s.frame.camera.intrinsics
+    local = (places - pose[:3, 3]) @ pose[:3, :3]
+    depth = np.maximum(local[:, 2], 1e-6)
+    height, width = s.low.shape
+    column = ((k.fx * local[:, 0] / depth + k.cx) / k.width * width).astype(int)
+    row = ((k.fy * local[:, 1] / depth + k.cy) / k.height * height).astype(int)
+    inside = (local[:, 2] > 0.2) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    row, column = np.where(inside, row, 0), np.where(inside, column, 0)
+    inside &= s.known[row, column] & ~(s.depth[row, column] < depth - HIDDEN)
+    return inside, ndimage.binary_dilation(s.burnt)[row, column]

@@ -1,0 +1,144 @@
+"""Relit frames of a run in their order: by a `Relighter` on every device that takes frames, or by WebGPU."""
+
+import contextlib
+import itertools
+import logging
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hyjax.configuration import Configuration
+from hyjax.data.capture import Frame
+from hyjax.geometry.camera import Camera
+from hyjax.guide.choose import FrameGuide
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.relit import Relit
+from hyjax.light.setup import LightSetup
+from hyjax.light.shaded import Shaded
+from hyjax.light.view import View
+from hyjax.relighting.settings import RelightSettings
+from hyjax.scene.relighter import DirectLight, Relighter
+from hyjax.scene.scene import Scene
+from hyjax.util.clock import StageClock
+from hyjax.util.cores import cores
+from hyjax.util.errors import InputError
+from hyjax.util.prefetch import prefetch
+
+FEW = 3
+"""Frames that take less time by rays than the rasteriser takes to load."""
+MOST_AT_ONCE = 4
+"""Frames that one processor relights at a time: each takes memory."""
+_log = logging.getLogger(__name__)
+
+
+def readable(scene: Scene, index: int) -> Frame | None:
+    """A frame of a scene; None, with a line, for one whose picture is damaged, unless the capture is strict."""
+    try:
+        return scene.frame(index)
+    except InputError as error:
+        if scene.capture.strict:
+            raise
+        _log.warning("%s; this frame is left out", error)
+        return None
+
+
+def cycles(
+    scene: Scene, setup: LightSetup, settings: RelightSettings, clock: StageClock, stack: ExitStack
+) -> DirectLight:
+    """Direct light by Blender, which ends with the stack."""
+    from hyjax.scene.blender import BlenderRenderer  # trimesh is slow to load
+
+    with clock("blender start"):
+        blender = stack.enter_context(BlenderRenderer(scene.mesh, setup.lights, shadows=settings.shadows))
+
+    def direct(view: View, camera: Camera) -> tuple[View, Shaded]:
+        with clock("blender"):
+            rendering = blender.render(camera)
+        return rendering.shade(view, setup)
+
+    return direct
+
+
+def relit_frames(
+    scene: Scene, chosen: Sequence[int], relighter: Relighter, clock: StageClock, *, once: bool
+) -> Generator[tuple[Frame, Relit | None]]:
+    """Frames with their relit pictures, in order; None for one that sees no surface.
+
+    On each device in turns, unless frames must follow each other (`once`).
+    """
+    devices = jax.local_devices()[: 1 if once else None]
+    # Small stages run on one core each, so that frames share the cores of a processor best.
+    several = not once and devices[0].platform == "cpu"
+    at_once = max(len(devices), min(cores(), MOST_AT_ONCE) if several else 1)
+    relighters = [relighter.on(device) for device in devices] if len(devices) > 1 else [relighter]
+
+    def cast(index: int) -> tuple[Frame, GBuffer] | None:
+        with clock("read"):
+            frame = readable(scene, index)
+        if frame is None:
+            return None
+        with clock("g-buffer"):
+            return frame, jax.block_until_ready(relighter.gbuffer(frame.camera, rays=len(chosen) <= FEW))
+
+    def relight_frame(numbered: tuple[int, tuple[Frame, GBuffer]]) -> tuple[Frame, Relit | None]:
+        number, (frame, gbuffer) = numbered
+        if not np.asarray(gbuffer.hit).any():
+            return frame, None
+        return frame, clock.follow(relighters[number % len(relighters)].stages(frame, gbuffer=gbuffer))
+
+    with ExitStack() as running:
+        cast_ahead = enumerate(filter(None, running.enter_context(contextlib.closing(prefetch(cast, chosen)))))
+        # The first alone: several at once would each compile what it compiles.
+        alone = 1 if at_once > 1 else None
+        yield from map(relight_frame, itertools.islice(cast_ahead, alone))
+        relit = prefetch(relight_frame, cast_ahead, at_once, threads=at_once)
+        yield from running.enter_context(contextlib.closing(relit))
+
+
+def relit_on_device(
+    scene: Scene,
+    chosen: Sequence[int],
+    setup: LightSetup,
+    settings: RelightSettings,
+    configuration: Configuration,
+    guide: FrameGuide,
+    clock: StageClock,
+    device: Any,
+) -> Generator[tuple[Frame, Relit | None]]:
+    """Frames with their relit pictures by WebGPU, in order; None for one that sees no surface."""
+    from hyjax.device.renderer import DeviceRenderer
+
+    renderer: DeviceRenderer | None = None
+    for index in chosen:
+        with clock("read"):
+            frame = readable(scene, index)
+        if frame is None:
+            continue
+        with clock("guide"):
+            features = jax.block_until_ready(guide.features(jnp.asarray(frame.image)))
+        if guide.name != "rgb" and features.shape[-1] == 3:
+            raise InputError(
+                "guide: webgpu takes three features for the frame itself; train with another --features"
+            )
+        size = frame.camera.intrinsics.shape
+        if renderer is None or renderer.program.size != size:
+            with clock("shadow maps"):
+                renderer = DeviceRenderer(
+                    scene,
+                    setup,
+                    size,
+                    configuration.schedule,
+                    configuration.shadow_schedule,
+                    features=features.shape[-1],
+                    shadows=settings.shadows,
+                    light=configuration.light,
+                    occluders=settings.shadow_occluders,
+                    device=device,
+                )
+        with clock("frame"):
+            relit = renderer.relit(frame.image, frame.camera, features)
+        yield frame, relit if renderer.sees_surface else None

@@ -1,0 +1,254 @@
+"""Places for light sources in a captured room: the windows and lamps that it knows, or made-up ones along the walk.
+
+A *stop* is a part of the walk: cameras that look at one place. Every stop has a lamp in free space and a window
+that reaches what is seen there; a room that is seen from one spot is a single stop.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from hyjax.data.capture import Capture
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.raycast import RayCaster
+from hyjax.light.kinds import Aperture, RectLight
+from hyjax.scene.exposure import SeenSurface
+from hyjax.util.vectors import perpendicular, reject, unit
+
+Vector = Float[np.ndarray, "3"]
+SURVEY_CAMERAS = 24
+"""Most cameras of a survey."""
+STOP_DISTANCE = 4.0
+"""Least distance, in metres, between the lamps of two stops that see each other."""
+MOST_STOPS, MOST_WINDOWS = 8, 4
+"""Most stops of a walk, and most windows that are made up along it."""
+LAMP_REACH = 3.0
+"""Largest distance, in metres, of a known lamp from where a stop would have its own."""
+SHADE_RADIUS = 0.35
+"""Distance from a known lamp, in metres, where what is in the way is its own shade."""
+LEAST_REACHED = 0.15
+"""Least share of a stop's points that a known window must reach for the stop to need no other."""
+WINDOW_WIDTH, WINDOW_HEIGHT = 1.6, 1.2
+"""Size, in metres, of a window that is made up."""
+WALL_DISTANCES = (0.6, 6.0)
+"""Least and largest distance, in metres, of a wall for a window from the middle of a stop."""
+OUTER_DEPTH = (0.15, 3.0)
+"""Depths, in metres, behind an outer wall between which nothing was scanned."""
+AZIMUTHS = 16
+"""Number of directions in which walls are looked for."""
+
+
+@dataclasses.dataclass(frozen=True)
+class WindowPlace:
+    """Window of a room.
+
+    Attributes:
+        center: of the opening.
+        inward: unit normal, into the room.
+        width, height: in metres.
+    """
+
+    center: Vector
+    inward: Vector
+    width: float
+    height: float
+
+    def opening(self, up: Vector) -> Aperture:
+        """Opening of the window, a centimetre inside its wall."""
+        return Aperture.facing(self.center + 0.01 * self.inward, self.inward, up, self.width, self.height)
+
+
+@dataclasses.dataclass(frozen=True)
+class Stop:
+    """Part of a walk: cameras that look at one place.
+
+    Attributes:
+        focus: median point of the surface that they see.
+        eye: mean position of the cameras.
+        lamp: place in free space above the focus.
+        points: which points of the seen surface they see.
+    """
+
+    focus: Vector
+    eye: Vector
+    lamp: Vector
+    points: Bool[np.ndarray, "n"]
+
+
+@dataclasses.dataclass(frozen=True)
+class LightAnchors:
+    """Places for light sources in a captured room. Metres, world axes.
+
+    Attributes:
+        up: against gravity.
+        focus: median point of the visible surface.
+        points: two places in free space, above the focus and nearer to the viewer.
+        lamps: the room's own lamps, and those of the stops that have none; `points` where there is a single stop
+            without any.
+        windows: the room's own windows, and those of the stops that none of these reaches.
+        stops: parts of the walk.
+        seen: visible surface.
+    """
+
+    up: Vector
+    focus: Vector
+    points: list[Vector]
+    lamps: list[Vector]
+    windows: list[WindowPlace]
+    stops: list[Stop]
+    seen: SeenSurface
+
+
+def survey(
+    caster: RayCaster, cameras: Sequence[Camera], up: Vector, anchors: Mapping[str, Any] | None = None
+) -> LightAnchors:
+    """Find places for lights.
+
+    Args:
+        caster: the captured surface.
+        cameras: a few, spread over the capture.
+        up: unit vector against gravity.
+        anchors: places the capture knows: `window_0`, `window_1`, … with center, normal, width, height, and
+            `lamp_0`, `lamp_1`, … with position. What is missing is made up.
+
+    Raises:
+        InputError: no camera sees any surface.
+    """
+    seen, eyes = SeenSurface.of(caster, cameras, SURVEY_CAMERAS)
+    known = anchors or {}
+    # Two places for the whole capture, by few cameras: those of the paper's benchmarks.
+    few, few_eyes = SeenSurface.of(caster, cameras)
+    focus, eye = np.median(few.points, axis=0), few_eyes.mean(axis=0)
+    points = _points(caster, focus, eye, up)
+    stops = _stops(caster, seen, eyes, up)
+    lamps = [np.asarray(known[name]["position"], float) for name in sorted(known) if name.startswith("lamp")]
+    if lamps or len(stops) > 1:
+        lamps += [stop.lamp for stop in stops if not _has_lamp(caster, stop, lamps)]
+    windows = [_known_window(known[name]) for name in sorted(known) if name.startswith("window")]
+    dark = [stop for stop in stops if not _has_window(seen, stop, windows, up)]
+    chosen = dark if len(dark) <= MOST_WINDOWS else dark[:: -(-len(dark) // MOST_WINDOWS)]
+    if windows and len(stops) == 1:
+        chosen = []
+    windows += [_made_up_window(caster, seen, stop, up) for stop in chosen]
+    return LightAnchors(up, focus, points, lamps or points, windows, stops, seen)
+
+
+def survey_capture(caster: RayCaster, capture: Capture, anchors: Mapping[str, Any] | None = None) -> LightAnchors:
+    """Survey with cameras from the whole capture, so that any choice of its frames is lit alike.
+
+    Args:
+        caster: the captured surface.
+        capture: its cameras, and places that it knows.
+        anchors: places that are known in the place of the capture's own.
+    """
+    cameras = [capture.camera(i) for i in range(0, len(capture), -(-len(capture) // SURVEY_CAMERAS))]
+    return survey(caster, cameras, capture.up, capture.anchors if anchors is None else anchors)
+
+
+def _stops(caster: RayCaster, seen: SeenSurface, eyes: Float[np.ndarray, "c 3"], up: Vector) -> list[Stop]:
+    """Stops of the walk, in its order."""
+    found: list[tuple[Vector, list[int]]] = []
+    for camera, eye in enumerate(eyes):
+        own = seen.points[seen.camera == camera]
+        if not len(own):
+            continue
+        lamp = _points(caster, np.median(own, axis=0), eye, up)[0]
+        near = [number for number, (place, _) in enumerate(found) if _together(caster, place, lamp)]
+        if near:
+            found[min(near, key=lambda n: float(np.linalg.norm(found[n][0] - lamp)))][1].append(camera)
+        else:
+            found.append((lamp, [camera]))
+    stops = []
+    for _, members in found:
+        chosen = np.isin(seen.camera, members)
+        focus, eye = np.median(seen.points[chosen], axis=0), eyes[members].mean(axis=0)
+        stops.append(Stop(focus, eye, _points(caster, focus, eye, up)[0], chosen))
+    step = -(-len(stops) // MOST_STOPS)
+    return stops[::step]
+
+
+def _together(caster: RayCaster, place: Vector, lamp: Vector) -> bool:
+    """Whether two lamps would light one place."""
+    to = lamp - place
+    return bool(np.linalg.norm(to) < STOP_DISTANCE and not caster.occluded(place[None], to[None], 0.98)[0])
+
+
+def _has_lamp(caster: RayCaster, stop: Stop, lamps: Sequence[Vector]) -> bool:
+    """Whether a known lamp lights a stop."""
+    for lamp in lamps:
+        to = lamp - stop.lamp
+        length = float(np.linalg.norm(to))
+        before_shade = max(1.0 - SHADE_RADIUS / max(length, 1e-6), 0.0)
+        if length < LAMP_REACH and not caster.occluded(stop.lamp[None], to[None], before_shade)[0]:
+            return True
+    return False
+
+
+def _known_window(place: Mapping[str, Any]) -> WindowPlace:
+    center, inward = (np.asarray(place[key], float) for key in ("center", "normal"))
+    return WindowPlace(center, unit(inward), float(place["width"]), float(place["height"]))
+
+
+def _has_window(seen: SeenSurface, stop: Stop, windows: Sequence[WindowPlace], up: Vector) -> bool:
+    """Whether known windows reach a good part of what is seen at a stop."""
+    lights = [RectLight.filling(window.opening(up), 1000.0, np.ones(3)) for window in windows]
+    if not lights:
+        return False
+    lux = seen.chosen(stop.points).lux(lights).sum(axis=1)
+    return bool((lux > 1.0).mean() > LEAST_REACHED)
+
+
+def _made_up_window(caster: RayCaster, seen: SeenSurface, stop: Stop, up: Vector) -> WindowPlace:
+    """Window in the outer wall from where it lights most of a stop evenly; in free space where there is no wall."""
+    forward = level_direction(stop.focus - stop.eye, up)
+    middle = 0.5 * (stop.focus + stop.eye)
+    middle += min(0.4, 0.7 * _free(caster, middle, up)) * up
+    aside = np.cross(forward, up)
+    angles = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    rays = np.cos(angles)[:, None] * forward + np.sin(angles)[:, None] * aside
+    hits = caster.cast(np.broadcast_to(middle, rays.shape), rays)
+    places = []
+    for ray, distance, face in zip(rays, hits.distance, hits.face, strict=True):
+        if not WALL_DISTANCES[0] < distance < WALL_DISTANCES[1]:
+            continue
+        normal = np.asarray(caster.arrays.face_normals[face], float)
+        normal = normal if normal @ ray < 0 else -normal
+        if abs(normal @ up) > 0.3 or normal @ ray > -0.3:
+            continue
+        inward = level_direction(normal, up)
+        center = middle + (distance - 0.02) * ray
+        behind = center - OUTER_DEPTH[0] * inward
+        if _free(caster, behind, -inward) > OUTER_DEPTH[1]:
+            places.append(WindowPlace(center, inward, WINDOW_WIDTH, WINDOW_HEIGHT))
+    if not places:  # beside the view, to the side with more room
+        for side in (aside, -aside):
+            reach = min(_free(caster, middle, side), 2.5)
+            places.append(WindowPlace(middle + 0.9 * reach * side, -side, WINDOW_WIDTH, WINDOW_HEIGHT))
+    lights = [RectLight.filling(place.opening(up), 1000.0, np.ones(3)) for place in places]
+    lux = seen.chosen(stop.points).lux(lights)
+    return places[int(np.argmax(np.log(lux + 1.0).mean(axis=0)))]
+
+
+def _points(caster: RayCaster, focus: Vector, eye: Vector, up: Vector) -> list[Vector]:
+    """Two places in free space: above the focus, and above and to the side of the viewer."""
+    forward = level_direction(focus - eye, up)
+    aside = unit(np.cross(forward, up))
+    starts = [focus - 0.4 * forward + 0.3 * up, 0.5 * (focus + eye) - 0.2 * forward]
+    shifts = [0.5 * up + 0.35 * aside, 0.6 * up - 0.9 * aside]
+    return [
+        start + unit(s) * min(np.linalg.norm(s), 0.7 * _free(caster, start, s)) for start, s in zip(starts, shifts)
+    ]
+
+
+def _free(caster: RayCaster, start: Vector, direction: Vector) -> float:
+    """Distance in metres from `start` to the first surface in `direction`."""
+    return float(caster.cast(start[None], unit(direction)[None]).distance[0])
+
+
+def level_direction(vector: Vector, up: Vector) -> Vector:
+    """Horizontal direction of a vector; any horizontal one if it runs along `up`."""
+    level = reject(vector, up)
+    return unit(level if np.linalg.norm(level) > 1e-6 else perpendicular(up))

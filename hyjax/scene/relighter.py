@@ -1,0 +1,309 @@
+"""Relighter: frames of a place under new lights, as a configuration says. All relit frames come from here."""
+
+import copy
+import dataclasses
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hyjax.choices.table import CHOICES
+from hyjax.configuration import Configuration
+from hyjax.core.pyramid import downsample, level_shape
+from hyjax.core.schedule import Schedule
+from hyjax.data.capture import Frame
+from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.guide.choose import FrameGuide, configured_guide
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.kinds import Light
+from hyjax.light.photo_light import SurfaceLight
+from hyjax.light.relit import Relit
+from hyjax.light.setup import LightSetup
+from hyjax.light.shaded import Shaded
+from hyjax.light.shading import shade_each
+from hyjax.light.shadow_map import ShadowMap
+from hyjax.light.view import View
+from hyjax.pipeline import TemporalFilter, relight_stages
+from hyjax.scene.place import Place, camera_view, view_of
+from hyjax.scene.settings import Occluders
+from hyjax.util.clock import StageClock
+from hyjax.util.errors import InputError
+from hyjax.util.programs import run_kept
+from hyjax.video import CarriedGuide, Video
+
+TRACED = (
+    "lights: are traced, as by jax.grad or jax.jit, and shadow maps are not cast of such; cast them first "
+    "(scene.shadow_maps) and shade by view.shade(lights, shadow_maps=...)"
+)
+"""Message about lights whose values are not known yet."""
+MOST_POINTS = 20_000
+"""Points of the surface that tell how much each light gives."""
+Stages = Iterator[tuple[str, Any]]
+Maps = tuple[ShadowMap | None, ...] | None
+DirectLight = Callable[[View, Camera], tuple[View, Shaded]]
+"""Light of a set-up that comes straight, with the view that it is on."""
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class LitFrame:
+    """A frame under new lights, ready to be refined.
+
+    Attributes:
+        view: at the size that is worked at.
+        shaded: light on it.
+        features: of the guide.
+        full: the frame at full size, where the view is smaller.
+    """
+
+    view: View
+    shaded: Shaded
+    features: Float[Array, "h w f"]
+    full: Float[Array, "fh fw 3"] | None = None
+
+
+def refine(lit: LitFrame, configuration: Configuration, *, temporal_filter: TemporalFilter | None = None) -> Stages:
+    """Stages of the refinement of a frame by a configuration's cascades, see `relight_stages`."""
+    return relight_stages(
+        lit.view,
+        lit.shaded,
+        lit.features,
+        configuration.schedule,
+        shadow_schedule=configuration.shadow_schedule,
+        temporal_filter=temporal_filter,
+        mode=configuration.mode,
+        full=lit.full,
+        run=run_kept,
+    )
+
+
+def refined_picture(lit: LitFrame, configuration: Configuration) -> Float[Array, "h w 3"]:
+    """Relit picture alone, linear."""
+    return next(result for stage, result in refine(lit, configuration) if stage == "composite")
+
+
+class Relighter:
+    """Relighting of the frames of a place under lights, as a configuration says.
+
+    Shadow maps and the light on the surface are made once, and again when the surface has changed.
+
+    `setup` are its lights, `guide` makes its guides.
+
+    Args:
+        place: a `Scene`, or a `LiveScene`.
+        lights: lights, a set-up, or its name or file.
+        configuration: a configuration, its name or file, or a schedule for the default one; None for that one.
+        guide: in the place of the configuration's.
+        shadows: whether lights cast shadows.
+        occluders: what throws them; the paper's form knows the bare surface alone.
+        video: whether refined light is carried from each frame to the next.
+        direct: makes the direct light in the place of shadow maps.
+        clock: takes the times of what is made once.
+
+    Raises:
+        InputError: any of these cannot be used, or the set-up keeps sources of a photo whose light is kept whole.
+
+    Example:
+        relighter = Relighter(scene, "evening-lamps", "fast")
+        pictures = [relighter.relit(index).image for index in range(len(scene))]
+    """
+
+    def __init__(
+        self,
+        place: Place,
+        lights: LightSetup | Sequence[Light] | str | Path,
+        configuration: Configuration | Schedule | str | Path | None = None,
+        *,
+        guide: FrameGuide | None = None,
+        shadows: bool = True,
+        occluders: Occluders = "completed",
+        video: bool = False,
+        direct: DirectLight | None = None,
+        clock: StageClock | None = None,
+    ) -> None:
+        self.place, self.configuration = place, Configuration.of(configuration)
+        options = self.configuration
+        self._divides = options.light.photo_light == "divided" and place.knows_photo_light
+        self.setup = place.lights(lights, at_photo_sources=self._divides)
+        self.setup.check_existing(divided=self._divides)
+        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(self.setup))
+        if traced and (self._divides or (shadows and direct is None)):
+            raise InputError(TRACED)
+        self.guide = guide or configured_guide(options.guide)
+        self._shadows, self._direct, self._clock = shadows, direct, clock or StageClock()
+        self._occluders: Occluders = "surface" if options.mode == "paper" else occluders
+        self._video = Video() if video else None
+        self._carried = CarriedGuide(options.guide.every) if video and options.guide.every > 1 else None
+        self._device: jax.Device | None = None
+        self._lock = threading.Lock()
+        self._made: tuple[int | None, LightSetup, Maps, SurfaceLight | None] = (None, self.setup, None, None)
+        if place.revision is not None:
+            self._light()
+
+    def on(self, device: jax.Device) -> "Relighter":
+        """The same with its light, and the frames that it relights, on a device."""
+        other, (revision, setup, *made) = copy.copy(self), self._light()
+        lights, maps, light = jax.device_put((setup.lights, *made), device)
+        other._device, other._made = device, (revision, dataclasses.replace(setup, lights=lights), maps, light)
+        return other
+
+    def gbuffer(self, camera: Camera, *, rays: bool = False) -> GBuffer:
+        """Surface that a camera sees, at the configuration's scale; see `Scene.gbuffer`."""
+        return self.place.gbuffer(scaled(camera, self.configuration.scale), rays=rays)
+
+    def view(self, frame: int | Frame) -> View:
+        """View of a frame, at the configuration's scale."""
+        own = self.place.frame(frame)
+        return self._view(own, self.gbuffer(own.camera))[0]
+
+    def shade(self, view: View, *, sampling: int | None = None) -> Shaded:
+        """Light on what a view sees.
+
+        Args:
+            view: of the place.
+            sampling: in the place of the configuration's, see `View.shade`.
+        """
+        if self._direct is not None:
+            raise InputError("shade: the direct light is made of whole frames here; use stages or relit")
+        *_, (_, shaded) = self._shade_stages(view, sampling)
+        return shaded
+
+    def relit(self, frame: int | Frame, *, rays: bool = False) -> Relit:
+        """Relit frame.
+
+        Args:
+            frame: any of the place, or its position.
+            rays: see `Scene.gbuffer`.
+        """
+        own = self.place.frame(frame)
+        *_, (_, relit) = self.stages(own, gbuffer=self.gbuffer(own.camera, rays=rays))
+        return relit
+
+    def picture(self, frame: int | Frame) -> Float[Array, "h w 3"]:
+        """Relit picture alone, linear; nothing to compare it with is made."""
+        return refined_picture(self.lit(frame), self.configuration)
+
+    def stages(self, frame: int | Frame, *, gbuffer: GBuffer | None = None) -> Stages:
+        """Frame stage by stage: each stage's name with its result. The last is `Relit`, see `relight_stages`.
+
+        Args:
+            frame: any of the place, or its position.
+            gbuffer: of its camera, where it was made before, see `Relighter.gbuffer`.
+        """
+        remember = None
+        for stage, result in self._lit_stages(frame, gbuffer):
+            yield stage, result
+        if self._video is not None:
+            remember = self._video.filter(result.view, self.setup, result.features, self.configuration.schedule)
+        yield from refine(result, self.configuration, temporal_filter=remember)
+
+    def lit(self, frame: int | Frame, *, gbuffer: GBuffer | None = None) -> LitFrame:
+        """All that the refinement of a frame takes. Arguments: see `stages`."""
+        lit: LitFrame = StageClock().follow(self._lit_stages(frame, gbuffer))
+        return lit
+
+    def _lit_stages(self, frame: int | Frame, gbuffer: GBuffer | None) -> Stages:
+        """Stages up to a `LitFrame`."""
+        own = self.place.frame(frame)
+        if gbuffer is None:
+            gbuffer = self.gbuffer(own.camera)
+            yield "g-buffer", gbuffer
+        view, full = self._view(own, gbuffer)
+        yield "view", view
+        if self._direct is None:
+            for stage, shaded in self._shade_stages(view):
+                yield stage, shaded
+        else:
+            view, shaded = self._direct(view, own.camera)
+            _, setup, _, light = self._light()
+            shaded = shaded if light is None else view.add_surface_light(shaded, light, setup.lights)
+            yield "shaded", shaded
+        make = self.guide.features
+        carried = self._carried
+        features = make(view.display) if carried is None else carried.features(view, lambda: make(view.display))
+        yield "guide", LitFrame(view, shaded, features, full)
+
+    def _view(self, frame: Frame, gbuffer: GBuffer) -> tuple[View, Float[Array, "fh fw 3"] | None]:
+        """View at the configuration's scale, and the whole frame where that is smaller."""
+        scale = self.configuration.scale
+        full = jax.device_put(frame.image) if scale > 1 else None
+        if full is None:
+            view = view_of(frame, gbuffer)
+        else:
+            view = camera_view(downsample(full, scale), gbuffer, scaled(frame.camera, scale))
+        return (view, full) if self._device is None else jax.device_put((view, full), self._device)
+
+    def _shade_stages(self, view: View, sampling: int | None = None) -> Stages:
+        _, setup, maps, light = self._light()
+        sampling = self.configuration.light.sampling if sampling is None else sampling
+        return view.shade_stages(setup, shadow_maps=maps, surface_light=light, sampling=sampling, run=run_kept)
+
+    def _light(self) -> tuple[int | None, LightSetup, Maps, SurfaceLight | None]:
+        """Lights with their shadow maps and the light on the surface as it is now."""
+        with self._lock:
+            revision, maps, light = self.place.revision, None, None
+            if revision is None or revision != self._made[0]:
+                if self._shadows and self._direct is None:
+                    with self._clock("shadow maps"):
+                        maps = self._shadow_maps()
+                if self._divides:
+                    with self._clock("photo light"):
+                        light = jax.block_until_ready(self._surface_light())
+                setup = self.setup
+                if self._device is not None:
+                    lights, maps, light = jax.device_put((setup.lights, maps, light), self._device)
+                    setup = dataclasses.replace(setup, lights=lights)
+                self._made = revision, setup, maps, light
+            return self._made
+
+    def _shadow_maps(self) -> tuple[ShadowMap | None, ...]:
+        """Shadow maps; None for a light that gives too little to cast a shadow."""
+        options = self.configuration.shadows
+        maps = self.place.shadow_maps(
+            self.setup, occluders=self._occluders, scale=options.map_scale, most_views=options.views
+        )
+        if not options.least_share:
+            return maps
+        given = shares(self.place, self.setup.lights)
+        return tuple(own if share >= options.least_share else None for own, share in zip(maps, given, strict=True))
+
+    def _surface_light(self) -> SurfaceLight:
+        """Photo's light and bounces on the surface."""
+        light = self.place.surface_light(self.setup, shadows=self._shadows, occluders=self._occluders)
+        return configured_light(light, self.configuration)
+
+
+def configured_light(light: SurfaceLight, configuration: Configuration) -> SurfaceLight:
+    """Light on the surface as a configuration's choices of it make it, in the order of the table."""
+    for name, choice in CHOICES.items():
+        if choice.use is not None:
+            light = choice.use(light, configuration.value(name))
+    return light
+
+
+def shares(place: Place, lights: Sequence[Light]) -> np.ndarray:
+    """Share of each light in the unshadowed light on the surface."""
+    mesh = place.caster.arrays
+    chosen = np.unique(np.linspace(0, len(mesh.faces) - 1, min(MOST_POINTS, len(mesh.faces))).astype(int))
+    corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)[chosen]]
+    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(doubled, axis=1)
+    normal = doubled / np.maximum(area, 1e-12)[:, None]
+    position = jnp.asarray(corners.mean(axis=1)[None], jnp.float32)
+    points = GBuffer(position, jnp.asarray(normal[None], jnp.float32), jnp.ones(area.shape)[None], area[None] > 0)
+    lux = np.asarray(run_kept(shade_each, points, tuple(lights)))[0]
+    given = area @ lux * [float(np.mean(np.asarray(light.color))) for light in lights]
+    return given / max(float(given.sum()), 1e-12)
+
+
+def scaled(camera: Camera, factor: int) -> Camera:
+    """Camera of the picture whose pixels are cells of `factor` × `factor`."""
+    k = camera.intrinsics
+    height, width = level_shape((k.height, k.width), factor)
+    parts = (each / factor for each in (k.fx, k.fy, k.cx, k.cy))
+    return Camera(Intrinsics(width, height, *parts), camera.pose)

@@ -1,0 +1,188 @@
+"""Relaxed proposal: levels and steps of a frame's cascade as real numbers, which follow the gradient of its loss.
+
+The cascade of a configuration is replaced by `hyjax.tuning.relaxation`, all else of the frame stays: filling,
+shadow pass and composite. Projected descent within a time, and the choice among the whole steps around its end, are
+those of `hyjax.tuning.descent`.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hyjax.configuration import Configuration
+from hyjax.core.schedule import Schedule
+from hyjax.scene.relighter import LitFrame, refine
+from hyjax.tuning.budget import moves, neighbours
+from hyjax.tuning.cost_model import CostModel
+from hyjax.tuning.descent import Objective, promising, relax, whole, with_steps
+from hyjax.tuning.frame.evaluation import Case, Judge
+from hyjax.tuning.frame.padding import padded
+from hyjax.tuning.frame.refinement import lit_case
+from hyjax.tuning.frame.space import Choices, Space
+from hyjax.tuning.relaxation import (
+    FIDELITY_RANGE,
+    LAM_RANGE,
+    Prepared,
+    RelaxedSchedule,
+    logit,
+    prepare_channels,
+    relaxed_channels,
+)
+
+ITERATIONS = 16
+LEVEL_STEPS = 3.0
+"""Cost of having a level at all, in steps of it: conductances, and interpolation to the next."""
+LOOKED_AT = 3
+"""Whole steps around the start, and around the end of the descent, of which the loss is computed."""
+UNLIMITED_STEPS = 4.0
+"""Without a budget, the cascade may take so many times as long as it does."""
+
+Price = dict[int, float]
+"""Time of one step at each factor, over that of the default's frame."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameObjective(Objective):
+    """Mean loss over frames, relative to that of a configuration, of a point in the place of its cascade.
+
+    Attributes:
+        lit, gains, targets: of each frame.
+        configuration: of which the cascade is replaced.
+        value: loss of a picture, see `PictureLoss.value`.
+    """
+
+    lit: Sequence[LitFrame] = ()
+    gains: Sequence[Array] = ()
+    targets: Sequence[tuple[Array, Array]] = ()
+    configuration: Configuration = dataclasses.field(default_factory=Configuration)
+    value: Callable[..., Array] = lambda *_: jnp.zeros(())
+
+    @functools.cached_property
+    def _slope(self) -> Callable[..., tuple[Array, RelaxedSchedule]]:
+        def loss(point: RelaxedSchedule, prepared: Prepared, lit: LitFrame, *rest: Array) -> Array:
+            return self.value(self._picture(point, prepared, lit), *rest)
+
+        return jax.jit(jax.value_and_grad(loss))
+
+    def _picture(self, point: RelaxedSchedule, prepared: Prepared, lit: LitFrame) -> Float[Array, "h w 3"]:
+        def relaxed(_: Array, visibility: Array) -> tuple[Array, Array]:
+            return relaxed_channels(prepared, point, self.factors), visibility
+
+        stages = refine(lit, self.configuration, temporal_filter=relaxed)
+        picture: Array = next(result for stage, result in stages if stage == "composite")
+        return picture
+
+    def __call__(self, point: RelaxedSchedule) -> float:
+        return float(self.gradient(point)[0])
+
+    def gradient(
+        self, point: RelaxedSchedule, frames: Iterable[int] | None = None
+    ) -> tuple[float, RelaxedSchedule]:
+        chosen = range(len(self.lit)) if frames is None else list(frames)
+        parts = [self._slope(point, self.prepared[i], self.lit[i], self.gains[i], *self.targets[i]) for i in chosen]
+        return jax.tree.map(lambda *x: np.mean(x, axis=0), *parts)
+
+
+def relaxed_choices(
+    choices: Choices,
+    space: Space,
+    judge: Judge,
+    cases: Sequence[Case],
+    *,
+    price: Price,
+    room: float,
+    seed: int = 0,
+    expired: Callable[[], bool] = lambda: False,
+) -> Choices:
+    """Choices with better levels and steps within a time; the same if there are none.
+
+    Looked at are the end of a relaxed descent, and neighbours of the start that the gradient there promises.
+
+    Args:
+        choices: to start from.
+        space: of them.
+        judge: of the cases' scenes.
+        cases: one of them is looked at in each iteration.
+        price: of steps.
+        room: time, over the default's frame's, that the cascade may take beyond its own; infinite for no budget.
+        seed: of the order of frames.
+        expired: asked before each iteration.
+    """
+    configuration = space.configuration(choices)
+    own, sampling = configuration.schedule, configuration.light.sampling
+    known = [p.factor for p in space.parameters if p.cascade == "cascade"]
+    factors = tuple(f for f in known if sampling == 1 or f % (2 * sampling) == 0)
+    held = all(level.fidelity is not None for level in own.levels)
+    if not held or own.pooling != "guide" or own.upsampling != "guide" or own.norm != "l2" or not factors:
+        return choices  # the relaxation knows the form of our presets alone
+    objective = frame_objective(configuration, judge, cases, factors)
+    start = relaxed_of(own, factors)
+    step = tuple(price[f] for f in factors)
+    cost = CostModel(0.0, tuple(LEVEL_STEPS * x for x in step), step, (0.0,) * len(factors))
+    spent = cost(np.asarray(start.steps).tolist()) if np.any(np.asarray(start.steps) > 0) else 0.0
+    budget = spent + room if math.isfinite(room) else UNLIMITED_STEPS * spent
+    if budget <= min(step) * (1 + LEVEL_STEPS):
+        return choices
+    before, slope = objective.gradient(start)
+    found = [with_steps(start, n) for n in promising(moves(whole(start), cost, budget), start, slope, LOOKED_AT)]
+    end = relax(objective, start, cost, budget, ITERATIONS, seed, expired)
+    real = np.asarray(end.steps)
+    if np.any(real > 0):
+        near = neighbours(real, cost, budget, maximal=False)
+        found += [with_steps(end, n) for n in promising(near, end, objective.gradient(end)[1], LOOKED_AT)]
+    losses = [objective(each) for each in found]
+    if not losses or min(losses) >= before:
+        return choices
+    point = found[int(np.argmin(losses))]
+    steps = whole(point)
+    there = np.asarray(point.steps) > 0
+    changed: Choices = {f"cascade_{factor}": n for factor, n in zip(factors, steps)}
+    changed |= {f"cascade_{factor}": 0 for factor in known if factor not in factors}
+    for name, values in (("kappa", point.kappa), ("lam", point.lam), ("fidelity", point.fidelity)):
+        if name in choices:
+            low, high = space.named[name].values
+            changed[name] = tuple(np.clip(np.asarray(values, float)[there], low, high).tolist())
+    return space.complete(choices | changed)
+
+
+def frame_objective(
+    configuration: Configuration, judge: Judge, cases: Sequence[Case], factors: tuple[int, ...]
+) -> FrameObjective:
+    """Objective on cases."""
+    lit = [lit_case(configuration, judge, case) for case in cases]
+    most = max(frame.shaded.illuminance.shape[-1] for frame, _, _ in lit)
+    frames, gains, targets, prepared = [], [], [], []
+    for frame, target, own in lit:
+        frame = padded(frame, most)
+        picture = next(result for stage, result in refine(frame, own) if stage == "composite")
+        gains.append(jnp.asarray(judge.loss.gains(np.asarray(picture), target)))
+        frames.append(frame)
+        targets.append((jnp.asarray(target.picture), jnp.asarray(target.valid)))
+        shaded = frame.shaded
+        channels = jnp.concatenate([shaded.illuminance, *shaded.surface_fields], axis=-1)
+        prepared.append(_prepare(channels, shaded.confidence, frame.features, factors, shaded.sampling))
+    return FrameObjective(
+        prepared, factors, frames, gains, targets, judge.scenes[cases[0][0]].judged(configuration), judge.loss.value
+    )
+
+
+_prepare = jax.jit(prepare_channels, static_argnums=(3, 4))
+
+
+def relaxed_of(schedule: Schedule, factors: Sequence[int]) -> RelaxedSchedule:
+    """A schedule as a relaxed one; λ is the mean of a level's steps, a level that it lacks is like the nearest."""
+    levels = {level.factor: level for level in schedule.levels}
+    near = [levels[min(levels, key=lambda own: abs(math.log2(own / factor)))] for factor in factors]
+    steps = [levels[factor].steps if factor in levels else 0 for factor in factors]
+    kappa = [float(np.asarray(level.kappa)) for level in near]
+    weights = [FIDELITY_RANGE[0] if x.fidelity is None else float(np.asarray(x.fidelity)) for x in near]
+    lam = [float(np.mean(np.asarray(level.step_sizes))) if level.steps else 0.24 for level in near]
+    point = RelaxedSchedule.of(steps, kappa, fidelity=[max(x, FIDELITY_RANGE[0]) for x in weights])
+    logits = [logit(4.0 * min(max(x, LAM_RANGE[0]), LAM_RANGE[1])) for x in lam]
+    return dataclasses.replace(point, logit_lam=jnp.asarray(logits, jnp.float32))
