@@ -229,5 +229,6 @@ def test_a_cache_that_cannot_be_written_is_no_obstacle(capture: Path, true_mesh:
     options = ("--capture", capture, "--mesh", true_mesh, "--lights", "center-point", "--no-shadows", "--frames", 0)
     done = relight(*options, "--out", tmp_path / "out", HYJAX_CACHE=str(tmp_path / "file" / "cache"))
     assert done.returncode == 0, done.stderr
-    # One line on the cache, one on the light of photos that say nothing of it.
-    assert len(done.stderr.splitlines()) <= 2
+    cache, light = done.stderr.splitlines()
+    assert "cannot keep files there for the next start (Not a directory)" in cache
+    assert "it stays in the pictures" in light

@@ -161,8 +161,12 @@ def relight_capture(
                 f"{scene.capture.name}: no ray of any chosen frame met the mesh; are the mesh and the poses in the "
                 "same coordinates (metres, camera-to-world)?"
             )
-        if divides and scene.photo_light.sources.origin in ("found", "none"):
-            _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary())
+        if (
+            divides
+            and scene.photo_light.sources.origin in ("found", "none")
+            and scene.photo_light.estimate.exponent
+        ):
+            _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary(scene.photo_light.estimate))
         if str(settings.lights if lights is None else lights) not in DARK_SETUPS:
             tell_of_darkness(summary, setup)
         write_contact_sheet(out / "contact_sheet.png", summary.rows, HEADINGS)

@@ -93,7 +93,7 @@ class ScenePhotoLight:
         """
         found = self._stored[0]
         if found.exponent == 0:
-            _log.warning("%s: the light of the photos stays in the pictures: %s", self._capture.name, found.reason)
+            _log.warning("%s: %s", self._capture.name, self.summary(found))
         return found
 
     def surface_light(self, setup: LightSetup, shadow_maps: Sequence[ShadowMap | None] | None) -> SurfaceLight:
@@ -116,14 +116,15 @@ class ScenePhotoLight:
         self._last = setup, shadow_maps, light
         return light
 
-    def summary(self) -> str:
-        """Line on what lit the photos, how far it is believed, and what to do where that is wrong."""
-        sources, estimate = self.sources, self.estimate
+    def summary(self, estimate: Estimate) -> str:
+        """Line on the sources of the photos, the belief in the estimate, and the remedy where that is wrong."""
+        sources = self.sources
         names = [window.name for window in sources.windows] + [lamp.name for lamp in sources.lamps]
         origin = {"file": "named", "capture": "known of the capture", "found": "found in the pictures", "none": ""}
         lit = f"{', '.join(names)} ({origin[sources.origin]})" if names else "no window and no lamp was found"
-        shares = f"brightness is believed by {estimate.exponent:.0%}, hue by {estimate.hue_exponent:.0%}"
-        return f"light of the photos: {lit}; its {shares}; name what else was lit with --photo-sources"
+        shares = f"its brightness is believed by {estimate.exponent:.0%}, hue by {estimate.hue_exponent:.0%}"
+        fate = shares if estimate.exponent else f"it stays in the pictures: {estimate.reason}"
+        return f"light of the photos: {lit}; {fate}; name what else was lit with --photo-sources"
 
     def record(self) -> dict[str, Any]:
         """Entries of the photo's light in a run's record."""

@@ -61,7 +61,10 @@ def tell_unkept(folder: Path, error: Exception) -> None:
     """Warn, once for a folder and those in it, that what can be computed again cannot be kept there."""
     if not any(folder == told or told in folder.parents or folder in told.parents for told in _refused):
         _refused.add(folder)
-        _log.warning("%s: cannot keep there what the next start could use (%s)", folder, error)
+        reason = getattr(error if isinstance(error, OSError) else error.__context__, "strerror", None) or error
+        _log.warning(
+            "%s: cannot keep files there for the next start (%s); HYJAX_CACHE names another folder", folder, reason
+        )
 
 
 def touch(file: Path) -> None:
