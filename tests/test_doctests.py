@@ -80,6 +80,10 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+SMALLER = "640x480", "128x96"
+"""Size of pictures in snippets, and that in which they are run."""
+
+
 def snippets_of(page: str) -> list[str]:
     """Python blocks of a page; those that include an example's file are run as examples."""
     found = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
@@ -154,7 +158,7 @@ def test_snippets(page: str, reader: Path, monkeypatch: pytest.MonkeyPatch) -> N
     known = [dict(registry) for registry in (LIGHT_KINDS, METRICS, ENCODERS, CHOICES)]
     try:
         for snippet in snippets_of(page):
-            exec(snippet, {"__name__": "snippet"})
+            exec(snippet.replace(*SMALLER), {"__name__": "snippet"})
     finally:
         for registry, before in zip((LIGHT_KINDS, METRICS, ENCODERS, CHOICES), known):
             registry.clear()

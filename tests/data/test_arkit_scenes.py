@@ -315,8 +315,14 @@ def test_depth_maps_fuse_to_the_room(room: RoomCapture, caster: RayCaster, tmp_p
 def test_the_command_takes_a_scan(room: RoomCapture, tmp_path: Path) -> None:
     scan = export_arkit_scan(tmp_path, room, room.reference(), quarter_turns=1)
     command = [str(Path(sys.executable).with_name("hyjax")), "relight", "--quiet", "--capture", str(scan)]
-    options = ["--out", str(tmp_path / "out"), "--size", "64x48", "--lights", "center-point", "--no-shadows"]
-    done = subprocess.run(command + options, capture_output=True, text=True, timeout=300, check=False)
+    options = ["--size", "64x48", "--lights", "center-point", "--no-shadows", "--keep-photo-light"]
+    done = subprocess.run(
+        [*command, *options, "--out", str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     made = {file.name for file in (tmp_path / "out").iterdir()}
     assert {f"{FIRST}.relit.png", f"{SECOND}.relit.exr", "contact_sheet.png"} <= made

@@ -1,4 +1,4 @@
-"""Whole frames a second: a small run, the guard, and the difference that sampling makes."""
+"""Whole frames a second: the guard, and the difference that sampling makes; `.ci/run` makes a small run."""
 
 from pathlib import Path
 from typing import Any
@@ -6,23 +6,8 @@ from typing import Any
 import pytest
 
 from experiments import frame_rate
-from experiments.records import Row, of_kind
+from experiments.records import Row
 from hyjax.util.errors import InputError
-
-
-@pytest.mark.slow
-def test_a_small_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frame_rate, "RATE_SIZE", 128)
-    monkeypatch.setattr(frame_rate, "WARM_UP", 1)
-    config = frame_rate.Config(frames=4, triangles=(30_000,), sizes=(64, 128), long=10, long_size=64, out=tmp_path)
-    rows = frame_rate.main(config)
-    rates = of_kind(rows, "rate")
-    assert [(row["sampling"], row["divided"]) for row in rates] == [(2, True), (1, True), (2, True)]
-    assert rates[-1]["faces"] >= 30_000 > rates[0]["faces"]
-    assert all(row["fps"] > 0 and row["cpu_ms"] > 0 for row in (*rates, *of_kind(rows, "size")))
-    assert [row["frames"] for row in of_kind(rows, "long")] == [1, 5, 10]
-    assert {"G-buffer", "light", "cascade", "shadow pass", "composite", "bytes"} == set(rates[0]["stages"])
-    assert (tmp_path / "frame_rate.png").is_file()
 
 
 def rate(sampling: int, cpu_ms: float, gbuffer: float = 1.0) -> Row:

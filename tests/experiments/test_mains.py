@@ -267,6 +267,7 @@ def test_readme_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:relight. nothing of the frame is known")  # its surface came late
 def test_live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live, "SIZES", ((64, 48),))
     removal = live.removal

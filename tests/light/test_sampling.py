@@ -181,7 +181,7 @@ def test_a_relit_frame_hardly_changes() -> None:
     """Quarter of the pixels, quarter of the views: what a smooth room shows stays."""
     from hyjax.data.builtin_room import load_room
 
-    room = load_room(n_frames=2, width=160, height=120, quality=0.25, progress=False)
+    room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
     scene = hyjax.Scene(room, room.reference())
     view, schedule = scene.view(0), Schedule.preset("hyjax")
     pictures = []
