@@ -23,7 +23,6 @@ import itertools
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
 from tqdm import tqdm
 
 from experiments.blocks import Block, Picture, Table
@@ -118,12 +117,9 @@ def blocks(rows: list[Row], folder: Path) -> list[Block]:
     if not found:
         return ["No picture has been judged yet."]
     made: list[Block] = []
-    for geometry in dict.fromkeys(row["geometry"] for row in found):
-        own = [row for row in found if row["geometry"] == geometry]
-        made.append(_table(own, ("psnr",), geometry))
-    for geometry in dict.fromkeys(row["geometry"] for row in found):
-        own = [row for row in found if row["geometry"] == geometry]
-        made.append(_table(own, ("ssim", "lpips", "sie", "lfe"), geometry))
+    for metrics in (("psnr",), ("ssim", "lpips", "sie", "lfe")):
+        for geometry in dict.fromkeys(row["geometry"] for row in found):
+            made.append(_table([row for row in found if row["geometry"] == geometry], metrics, geometry))
     made.append(_lights(found))
     for row in found:
         name = f"{row['pair']}-{row['geometry']}-{'ab' if row['direction'] == 'a → b' else 'ba'}.png"
@@ -163,11 +159,6 @@ def _lights(rows: list[Row]) -> Table:
     return Table(
         "The photo's own light as the default estimates it, and the share of burnt pixels.", header, lines, 3
     )
-
-
-def mean_psnr(rows: list[Row], method: str) -> float:
-    """Mean PSNR of a method over rows of pictures."""
-    return float(np.mean([row["methods"][method]["psnr"] for row in of_kind(rows, "picture")]))
 
 
 if __name__ == "__main__":

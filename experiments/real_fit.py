@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage, optimize
 
 from hyjax.photo_light.radiance import linear
+from hyjax.synthetic.tone_curve import encode_unclipped
 
 BLOCK = 32
 """Side, in pixels, of the blocks of the checkerboard: half are fitted on, half scored."""
@@ -24,14 +25,8 @@ Columns = Float[np.ndarray, "h w k 3"]
 Picture = Float[np.ndarray, "h w 3"]
 
 
-def display(light: np.ndarray) -> np.ndarray:
-    """Linear light → sRGB, in NumPy."""
-    x = np.clip(light, 0.0, None)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
 def slope(light: np.ndarray) -> np.ndarray:
-    """Derivative of `display`."""
+    """Derivative of `encode_unclipped`."""
     return np.where(light <= 0.0031308, 12.92, 1.055 / 2.4 * np.maximum(light, 0.0031308) ** (1 / 2.4 - 1))
 
 
@@ -77,18 +72,25 @@ def fit_strengths(columns: Columns, target: Target, *, encoded: bool = False) ->
         wanted = target.at(target.display)[:, channel].astype(np.float64)
         light = wanted if encoded else linear(wanted)
         weight = np.ones_like(light) if encoded else slope(np.maximum(light, 2e-3))
-        strengths[:, channel] = _refined(matrix, wanted, _non_negative(matrix, light, weight), encoded)
+        normal, side, scale = _normal_equations(matrix, light, weight)
+        strengths[:, channel] = _refined(matrix, wanted, _non_negative(normal, side) / scale, encoded)
     return strengths
 
 
-def _non_negative(matrix: np.ndarray, light: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Non-negative least squares, from the normal equations."""
+def _normal_equations(
+    matrix: np.ndarray, light: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normal matrix and right-hand side of weighted least squares, and the scales of the columns."""
     weighted = matrix * weight[:, None]
     scale = np.maximum(np.sqrt((weighted**2).mean(axis=0)), SMALLEST)
-    normal = (weighted / scale).T @ (weighted / scale) / len(light)
+    weighted = weighted / scale
+    return weighted.T @ weighted / len(light), weighted.T @ (light * weight) / len(light), scale
+
+
+def _non_negative(normal: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Non-negative least squares, from the normal equations."""
     root = np.linalg.cholesky(normal + 1e-7 * np.eye(len(normal)))
-    side = np.linalg.solve(root, (weighted / scale).T @ (light * weight) / len(light))
-    return optimize.nnls(root.T, side, maxiter=50 * len(normal))[0] / scale
+    return optimize.nnls(root.T, np.linalg.solve(root, side), maxiter=50 * len(normal))[0]
 
 
 def _refined(matrix: np.ndarray, wanted: np.ndarray, start: np.ndarray, encoded: bool) -> np.ndarray:
@@ -98,7 +100,7 @@ def _refined(matrix: np.ndarray, wanted: np.ndarray, start: np.ndarray, encoded:
 
     def loss(theta: np.ndarray) -> tuple[float, np.ndarray]:
         light = own @ theta
-        off = (light if encoded else display(light)) - wanted
+        off = (light if encoded else encode_unclipped(light)) - wanted
         off = np.where((off > 0) & (wanted >= 1), 0.0, off)
         pull = off if encoded else off * slope(light)
         return float((off**2).mean()), 2 * own.T @ pull / len(wanted)
@@ -118,22 +120,17 @@ def chosen_lamps(
     columns: Columns, lamps: Sequence[int], fixed: Sequence[int], target: Target, count: int
 ) -> list[int]:
     """Columns of the lamps that help most, one after the other, beside those that are always there."""
-    grams = []
+    equations = []
     for channel in range(3):
         light = linear(target.at(target.display)[:, channel].astype(np.float64))
-        weight = slope(np.maximum(light, 2e-3))
-        matrix = target.at(columns[..., channel]).astype(np.float64) * weight[:, None]
-        scale = np.maximum(np.sqrt((matrix**2).mean(axis=0)), SMALLEST)
-        matrix = matrix / scale
-        grams.append((matrix.T @ matrix / len(light), matrix.T @ (light * weight) / len(light)))
+        matrix = target.at(columns[..., channel]).astype(np.float64)
+        equations.append(_normal_equations(matrix, light, slope(np.maximum(light, 2e-3)))[:2])
 
     def error(chosen: list[int]) -> float:
         total = 0.0
-        for gram, side in grams:
-            part = gram[np.ix_(chosen, chosen)] + 1e-7 * np.eye(len(chosen))
-            root = np.linalg.cholesky(part)
-            right = np.linalg.solve(root, side[chosen])
-            theta, _ = optimize.nnls(root.T, right, maxiter=50 * len(chosen))
+        for normal, side in equations:
+            part = normal[np.ix_(chosen, chosen)]
+            theta = _non_negative(part, side[chosen])
             total += theta @ part @ theta - 2 * theta @ side[chosen]
         return total
 
@@ -162,7 +159,7 @@ def smooth_picture(photo: Picture, order: int, target: Target) -> Picture:
 
         def loss(c: np.ndarray, own: np.ndarray = own, before: np.ndarray = before, wanted: np.ndarray = wanted):  # type: ignore[no-untyped-def]
             made = before * np.exp(np.clip(own @ c, -8, 8))
-            off = display(made) - wanted
+            off = encode_unclipped(made) - wanted
             return float((off**2).mean()), 2 * own.T @ (off * slope(made) * made) / len(wanted)
 
         found = optimize.minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
@@ -199,7 +196,7 @@ def fit_both(
 
         def loss(x: np.ndarray, own: np.ndarray = own, before: np.ndarray = before, wanted: np.ndarray = wanted):  # type: ignore[no-untyped-def]
             image, under = relit(x, own, before)
-            off = display(image) - wanted
+            off = encode_unclipped(image) - wanted
             pull = 2 * off * slope(image) * before / under / len(wanted)
             change = np.concatenate([own.T @ pull, -own.T @ (pull * image / np.maximum(before, SMALLEST))])
             return 1e3 * float((off**2).mean()), 1e3 * change

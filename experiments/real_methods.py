@@ -13,12 +13,12 @@ from experiments.real_fit import (
     blurred_ratio,
     checkerboard,
     chosen_lamps,
-    display,
     fit_both,
     fit_strengths,
     smooth_picture,
 )
 from hyjax.photo_light.radiance import linear
+from hyjax.synthetic.tone_curve import encode
 
 PHOTO, GAINS, SMOOTH, SMOOTHER = "untouched photo", "three gains", "exp(polynomial 4)", "exp(polynomial 7)"
 PAPER, KEPT, NEW = "paper's method", "hyjax 0.1", "default"
@@ -70,7 +70,7 @@ def pictures(place: RealPlace) -> Iterator[tuple[str, Made]]:
 
 
 def _shown(light: Picture, unknowns: int) -> Made:
-    return Made(np.clip(display(light), 0, 1), unknowns)
+    return Made(encode(light), unknowns)
 
 
 def _chosen(columns: Columns, place: RealPlace, target: Target, more: int | None = None) -> list[int]:

@@ -70,13 +70,10 @@ def glowing_places(caster: RayCaster, sightings: Sequence[Sighting], up: Vector)
 
 def _seen(s: Sighting, places: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
     """Whether a picture shows places, and whether it is burnt out there."""
-    pose, k = s.frame.camera.pose, s.frame.camera.intrinsics
-    local = (places - pose[:3, 3]) @ pose[:3, :3]
-    depth = np.maximum(local[:, 2], 1e-6)
-    height, width = s.low.shape
-    column = ((k.fx * local[:, 0] / depth + k.cx) / k.width * width).astype(int)
-    row = ((k.fy * local[:, 1] / depth + k.cy) / k.height * height).astype(int)
-    inside = (local[:, 2] > 0.2) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    row, column = np.where(inside, row, 0), np.where(inside, column, 0)
+    camera, (height, width) = s.frame.camera, s.low.shape
+    pixels, depth = camera.project(places)
+    at = np.floor(pixels * (width / camera.intrinsics.width, height / camera.intrinsics.height))
+    inside = (depth > 0.2) & (at >= 0).all(axis=1) & (at < (width, height)).all(axis=1)
+    column, row = np.where(inside[:, None], at, 0).astype(int).T
     inside &= s.known[row, column] & ~(s.depth[row, column] < depth - HIDDEN)
     return inside, ndimage.binary_dilation(s.burnt)[row, column]

@@ -12,6 +12,11 @@ def tone(x: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
 
 def encode(linear: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Linear light → sRGB."""
-    x = np.clip(linear, 0, 1)
+    """Linear light → sRGB, at most 1."""
+    return encode_unclipped(np.minimum(linear, 1))
+
+
+def encode_unclipped(linear: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Linear light → values on sRGB's curve, which goes on beyond white."""
+    x = np.maximum(linear, 0)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(np.maximum(x, 1e-9), 1 / 2.4) - 0.055)
