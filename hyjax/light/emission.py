@@ -22,6 +22,13 @@ PANE_REFLECTANCE, LAMP_REFLECTANCE = 0.04, 0.6
 PANE_SHARE = 0.4
 """Brightness of the view through a pane over the mean light that it lets in: the horizon is darker than the sky
 above. Chosen on two of the rooms that `experiments.truth` chooses on."""
+PANE_WHITE = 0.75
+"""Linear value that the mean of a pane stays below, unless it was brighter in the photos: exposed for the room,
+a view would burn out with all that is in it."""
+PANE_LIT = 0.3
+"""Least mean of a pane in the photos from which what is dark in it, before a hole of the scan, does not shine."""
+PANE_FLOOR = 0.02
+"""Linear value below which the photos' view through a pane is noise."""
 PANE_SLACK = 0.12
 """Distance before a pane, in metres, within which a scanned surface belongs to it: bars, blinds, noise."""
 SOURCE_RADIUS = 0.1
@@ -80,7 +87,7 @@ class SourcePixels:
     Attributes:
         weight: how far a pixel belongs to a source, in [0, 1].
         source: which one, panes first; -1 for none.
-        pattern: of its light, relative to the mean light that comes in.
+        pattern: of its light, relative to its mean.
     """
 
     weight: Float[Array, "h w 1"]
@@ -178,9 +185,11 @@ def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]
     """Emission of the pixels of panes and lamps under new lights."""
     sent, reflectance = jnp.zeros_like(frame), jnp.zeros_like(frame)
     shares = [PANE_REFLECTANCE] * len(emitters.panes) + [LAMP_REFLECTANCE] * len(emitters.lamps)
+    count, light = len(emitters.panes), emitters.sent * emitters.mean
+    light = jnp.concatenate([_view_light(light[:count], emitters.pane_means), light[count:]])
     for k, share in enumerate(shares):  # a few; gathering from a table takes longer
         here = pixels.source[..., None] == k
-        radiance = emitters.sent[k] * emitters.mean * pixels.pattern + emitters.kept[k] * frame
+        radiance = light[k] * pixels.pattern + emitters.kept[k] * frame
         sent = jnp.where(here, radiance, sent)
         # The kept part of the photo holds its reflections, too.
         reflected = share * emitters.mean * jnp.maximum(1.0 - emitters.kept[k], 0.0)
@@ -208,7 +217,7 @@ def source_pixels(
     ray, depth, pixel = _rays(gbuffer, pose, intrinsics)
     weight, pattern = jnp.zeros(depth.shape), jnp.ones((*depth.shape, 3))
     source = jnp.full(depth.shape, -1)
-    shares = list(pane_shares(emitters.panes, frame, gbuffer, pose, intrinsics))
+    shares = list(pane_shares(emitters.panes, emitters.pane_means, frame, gbuffer, pose, intrinsics))
     for *place, radius in emitters.lamps:
         toward = jnp.stack(place) - pose[:3, 3]
         along = dot(toward, ray) / dot(ray, ray)
@@ -219,25 +228,40 @@ def source_pixels(
     for k, share in enumerate(shares):
         shown = jnp.ones(3)
         if k < len(emitters.panes):
-            shown = PANE_SHARE * frame / jnp.maximum(emitters.pane_means[k], 1e-3)
+            shown = (frame + PANE_FLOOR) / (emitters.pane_means[k] + PANE_FLOOR)
         weight = jnp.maximum(weight, share)
         source = jnp.where(share > 0, k, source)
         pattern = jnp.where(share[..., None] > 0, shown, pattern)
     return SourcePixels(weight[..., None], source, pattern)
 
 
+def _view_light(light: Float[Array, "n 3"], means: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """Mean of the view through each pane, by the light that it lets in; a shoulder holds it below white."""
+    light = PANE_SHARE * light
+    peak = jnp.max(light, axis=-1, keepdims=True)
+    white = jnp.maximum(jnp.max(means, axis=-1, keepdims=True), PANE_WHITE)
+    held = jnp.where(2 * peak < white, peak, white * (1.0 - 0.5 * jnp.exp(1.0 - 2 * peak / white)))
+    return light * held / jnp.maximum(peak, 1e-9)
+
+
 @jax.jit
 def pane_shares(
     panes: Float[Array, "n 3 3"],
+    means: Float[Array, "n 3"],
     frame: Float[Array, "h w 3"],
     gbuffer: GBuffer,
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
 ) -> Float[Array, "n h w"]:
-    """Weight of each pane in each pixel, in [0, 1]; arguments as of `source_pixels`."""
+    """Weight of each pane in each pixel, in [0, 1].
+
+    Args:
+        panes, means: see `Emitters`; dark pixels before a hole of the scan belong to a pane that is dark as well.
+        frame, gbuffer, pose, intrinsics: see `source_pixels`.
+    """
     ray, depth, pixel = _rays(gbuffer, pose, intrinsics)
     brightness, shares = jnp.min(frame, axis=-1), []
-    for center, right, up in panes:
+    for (center, right, up), mean in zip(panes, means, strict=True):
         normal = cross(right, up)
         slope = dot(ray, normal)
         distance = dot(center - pose[:3, 3], normal) / jnp.where(jnp.abs(slope) > 1e-9, slope, 1e-9)
@@ -246,7 +270,8 @@ def pane_shares(
         inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
         cover = jnp.clip(jnp.minimum(*inside) / (pixel * jnp.maximum(distance, 1e-3)) + 0.5, 0.0, 1.0)
         cover *= (distance > 0) & (slope < 0) & (depth > distance - PANE_SLACK)
-        shares.append(cover * _ramp(brightness, PANE_DARK, PANE_BRIGHT))
+        least = jnp.where(gbuffer.hit, 1.0, jnp.clip(jnp.min(mean) / PANE_LIT, 1e-3, 1.0))
+        shares.append(cover * _ramp(brightness / least, PANE_DARK, PANE_BRIGHT))
     return jnp.stack(shares) if shares else jnp.zeros((0, *depth.shape))
 
 

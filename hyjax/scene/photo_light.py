@@ -34,7 +34,7 @@ FRAME_WIDTH = 800
 """Largest longer side of these frames, in pixels."""
 PANE_FRAMES, PANE_WIDTH = 12, 320
 """Number of frames for the means of panes, and their longer side in pixels."""
-VERSION = 12
+VERSION = 13
 """Version of sources and estimate. Add one when either changes."""
 _log = logging.getLogger(__name__)
 
@@ -195,12 +195,13 @@ class ScenePhotoLight:
         windows = self.sources.windows
         panes = jnp.asarray(np.array([(w.center, w.right, w.up) for w in windows]).reshape(-1, 3, 3), jnp.float32)
         total, weight = np.zeros((len(windows), 3)), np.full(len(windows), 1e-6)
+        dark = jnp.zeros((len(windows), 3))  # so that all that is open counts
         for frame in spread(self._frames, PANE_FRAMES) if windows else []:
             small = shrink(frame, PANE_WIDTH)
             matrices = small.camera.pose, small.camera.intrinsics.matrix
             pose, intrinsics = (jnp.asarray(matrix, jnp.float32) for matrix in matrices)
             linear = to_linear(jnp.asarray(small.image))
-            shares = pane_shares(panes, linear, self._caster.gbuffer(small.camera), pose, intrinsics)
+            shares = pane_shares(panes, dark, linear, self._caster.gbuffer(small.camera), pose, intrinsics)
             for number, share in enumerate(shares):
                 total[number] += np.einsum("hw,hwc->c", share, linear)
                 weight[number] += float(share.sum())

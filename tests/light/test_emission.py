@@ -8,7 +8,7 @@ import pytest
 
 from hyjax.core.schedule import Schedule
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
-from hyjax.light.emission import PANE_REFLECTANCE, PANE_SHARE, Emitters, emission, radiant_filter
+from hyjax.light.emission import PANE_REFLECTANCE, PANE_SHARE, PANE_WHITE, Emitters, emission, radiant_filter
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import AmbientLight, Aperture, Light, PointLight, RectLight
 from hyjax.light.photo_light import SurfaceLight
@@ -110,6 +110,25 @@ def test_what_stands_before_a_pane_or_is_dark_does_not_shine() -> None:
     assert float(found(source, bright, wall(1.5)).weight.max()) == 0
     assert float(found(source, 0.02 * bright, wall(2.0)).weight.max()) == 0
     assert float(found(source, bright, wall(9.0, hit=False)).weight.max()) == 1
+
+
+def test_a_window_that_was_dark_in_the_photos_shines_as_the_new_sky() -> None:
+    """Only where the scan is open: a dark surface in the pane's place stays a surface."""
+    source = dataclasses.replace(emitters(np.array([[1.0, 1.0, 1.0]])), pane_means=jnp.full((1, 3), 0.01))
+    dark = jnp.full((*LENS.shape, 3), 0.01)
+    shining = found(source, dark, wall(hit=False))
+    assert float(shining.weight[12, 16, 0]) == 1
+    np.testing.assert_allclose(np.asarray(shining.sent)[12, 16], 0.5 * PANE_SHARE, rtol=1e-4)
+    assert float(found(source, dark, wall(2.0)).weight.max()) == 0
+
+
+def test_a_view_does_not_burn_out_and_keeps_its_contrast() -> None:
+    frame = jnp.full((*LENS.shape, 3), 0.6).at[:, 16:].set(0.3)
+    noon = dataclasses.replace(emitters(np.array([[20.0, 18.0, 16.0]])), pane_means=jnp.full((1, 3), 0.5))
+    sent = np.asarray(found(noon, frame, wall(hit=False)).sent)
+    assert 0.5 < sent[12, 14].max() < PANE_WHITE * 0.62 / 0.52
+    np.testing.assert_allclose(sent[12, 17] / sent[12, 14], 0.32 / 0.62, rtol=1e-4)
+    np.testing.assert_allclose(sent[12, 14] / sent[12, 14].max(), [1.0, 0.9, 0.8], rtol=1e-4)
 
 
 def test_a_lamp_covers_a_disc_where_the_photo_is_burnt_out() -> None:

@@ -12,6 +12,9 @@
 const PANE_REFLECTANCE = 0.04;
 const LAMP_REFLECTANCE = 0.6;
 const PANE_SHARE = 0.4;
+const PANE_WHITE = 0.75;
+const PANE_LIT = 0.3;
+const PANE_FLOOR = 0.02;
 const SLACK = 0.12;
 
 @compute @workgroup_size(8, 8)
@@ -40,6 +43,15 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     image[pixel] = vec4<f32>(result, emission.w);
 }
 
+// Mean of the view through a pane, held below white.
+fn view_light(sent: vec3<f32>, mean: vec3<f32>) -> vec3<f32> {
+    let light = PANE_SHARE * sent;
+    let peak = max(light.x, max(light.y, light.z));
+    let white = max(max(mean.x, max(mean.y, mean.z)), PANE_WHITE);
+    let held = select(white * (1.0 - 0.5 * exp(1.0 - 2.0 * peak / white)), peak, 2.0 * peak < white);
+    return light * held / max(peak, 1e-9);
+}
+
 // What panes and lamps send from a pixel, and how far it belongs to one: `hyjax.light.emission`. Of each pane there
 // are centre, right, up, sent, kept and mean; of each lamp position with radius, sent and kept.
 fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, surface: f32, shining: vec3<f32>) -> vec4<f32> {
@@ -59,15 +71,17 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, surface: f32, shining: vec3<f
         let distance = dot(center - frame.origin.xyz, normal) / select(1e-9, slope, abs(slope) > 1e-9);
         let place = frame.origin.xyz + distance * ray - center;
         let inside = min(length(right) - abs(dot(place, normalize(right))), length(up) - abs(dot(place, normalize(up))));
-        var cover = clamp(inside / (width * max(distance, 1e-3)) + 0.5, 0.0, 1.0) * select(smoothstep(0.1, 0.3, darkest), 1.0, hole);
+        let mean = emitters[6u * k + 5u].xyz;
+        let least = select(1.0, clamp(min(mean.x, min(mean.y, mean.z)) / PANE_LIT, 1e-3, 1.0), surface <= 0.0);
+        var cover = clamp(inside / (width * max(distance, 1e-3)) + 0.5, 0.0, 1.0)
+            * select(smoothstep(0.1, 0.3, darkest / least), 1.0, hole);
         if (distance <= 0.0 || slope >= 0.0 || depth <= distance - SLACK) { cover = 0.0; }
         weight = max(weight, cover);
         if (cover > 0.0) {
             let kept = emitters[6u * k + 4u].xyz;
-            let mean = max(emitters[6u * k + 5u].xyz, vec3<f32>(1e-3));
             let pane = select(photo, mean, hole);
-            let pattern = PANE_SHARE * pane / mean;
-            sent = emitters[6u * k + 3u].xyz * frame.mean.xyz * pattern + kept * pane
+            let pattern = (pane + PANE_FLOOR) / (mean + PANE_FLOOR);
+            sent = view_light(emitters[6u * k + 3u].xyz * frame.mean.xyz, mean) * pattern + kept * pane
                 + PANE_REFLECTANCE * frame.mean.xyz * max(1.0 - kept, vec3<f32>(0.0)) * shining;
         }
     }
