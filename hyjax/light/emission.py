@@ -236,12 +236,9 @@ def source_pixels(
 
 
 def _view_light(light: Float[Array, "n 3"], means: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """Mean of the view through each pane, by the light that it lets in; a shoulder holds it below white."""
-    light = PANE_SHARE * light
-    peak = jnp.max(light, axis=-1, keepdims=True)
-    white = jnp.maximum(jnp.max(means, axis=-1, keepdims=True), PANE_WHITE)
-    held = jnp.where(2 * peak < white, peak, white * (1.0 - 0.5 * jnp.exp(1.0 - 2 * peak / white)))
-    return light * held / jnp.maximum(peak, 1e-9)
+    """Mean of the view through each pane by the light that comes in; a shoulder holds it below white."""
+    light, white = PANE_SHARE * light, jnp.maximum(means, PANE_WHITE)
+    return jnp.where(2 * light < white, light, white * (1.0 - 0.5 * jnp.exp(1.0 - 2 * light / white)))
 
 
 @jax.jit

@@ -46,10 +46,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 // Mean of the view through a pane, held below white.
 fn view_light(sent: vec3<f32>, mean: vec3<f32>) -> vec3<f32> {
     let light = PANE_SHARE * sent;
-    let peak = max(light.x, max(light.y, light.z));
-    let white = max(max(mean.x, max(mean.y, mean.z)), PANE_WHITE);
-    let held = select(white * (1.0 - 0.5 * exp(1.0 - 2.0 * peak / white)), peak, 2.0 * peak < white);
-    return light * held / max(peak, 1e-9);
+    let white = max(mean, vec3<f32>(PANE_WHITE));
+    return select(white * (1.0 - 0.5 * exp(1.0 - 2.0 * light / white)), light, 2.0 * light < white);
 }
 
 // What panes and lamps send from a pixel, and how far it belongs to one: `hyjax.light.emission`. Of each pane there
