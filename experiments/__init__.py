@@ -6,6 +6,7 @@ EXPERIMENTS = (
     "beyond",
     "truth",
     "real",
+    "dark_frames",
     "readme_picture",
     "flicker",
     "ablation_cascade",

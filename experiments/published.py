@@ -73,6 +73,7 @@ TABLES: dict[str, Published] = {
     "real": Published("real", 0, lines=REAL_LINES),
     "real-scores": Published("real", 1, lines=REAL_LINES),
     "real-light": Published("real", 2),
+    "dark-frames": Published("dark_frames"),
     # the paper's tables
     "directions-room": Published("paper_table_room", 0),
     "directions-kitchen": Published("paper_table_kitchen", 0),

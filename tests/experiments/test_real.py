@@ -1,11 +1,12 @@
 """Real places under two lights: the protocol's fit, its scores, and a generated room through an S-curve camera."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from experiments import real, real_bench
+from experiments import dark_frames, real, real_bench
 from experiments.real_fit import Target, checkerboard, fit_strengths, smooth_picture
 from experiments.real_methods import BLUR_4, GAINS, METHODS, NEW, PHOTO, SMOOTH
 from experiments.real_scores import ratio_scores
@@ -55,6 +56,20 @@ def test_a_generated_room_through_an_s_curve(tmp_path: Path, monkeypatch: pytest
         assert scores[NEW]["psnr"] > scores[GAINS]["psnr"]
         assert scores[BLUR_4]["sie"] < scores[NEW]["sie"]
     assert {file.name for file in config.out.glob("*.png")} == {"builtin-0-true-ab.png", "builtin-0-true-ba.png"}
+
+
+def test_dark_and_burnt_shares_of_every_set_up(scan: Path, tmp_path: Path) -> None:
+    config = dark_frames.Config(
+        captures=(scan,), setups=("evening-lamps",), frames=1, size="64", out=tmp_path / "out"
+    )
+    rows = dark_frames.main(config)
+    assert [row["capture"] for row in of_kind(rows, "picture")] == ["built-in room", scan.name]
+    for row in of_kind(rows, "picture"):
+        assert 0 <= row["black"] <= 1 and 0 <= row["burnt"] <= 1 and not row["too_dark"]
+    (table,) = dark_frames.blocks(rows, config.out)
+    assert [line[1] for line in table.rows] == ["evening-lamps"] * 2
+    with pytest.raises(InputError, match="no set-up 'dawn'"):
+        dark_frames.main(dataclasses.replace(config, setups=("dawn",)))
 
 
 def test_bad_options_are_one_line(tmp_path: Path) -> None:
