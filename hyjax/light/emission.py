@@ -25,8 +25,9 @@ above. Chosen on two of the rooms that `experiments.truth` chooses on."""
 PANE_WHITE = 0.75
 """Linear value that the mean of a pane stays below, unless it was brighter in the photos: exposed for the room,
 a view would burn out with all that is in it."""
-PANE_LIT = 0.3
-"""Least mean of a pane in the photos from which what is dark in it, before a hole of the scan, does not shine."""
+PANE_UNLIT, PANE_LIT = 0.05, 0.1
+"""Linear means of panes in the photos between which they turn from dark, where dark pixels before holes of the scan
+are open, to bright, where bright ones are; and values between which a pixel of a dark pane becomes a bar."""
 PANE_FLOOR = 0.02
 """Linear value below which the photos' view through a pane is noise."""
 PANE_SLACK = 0.12
@@ -253,12 +254,39 @@ def pane_shares(
     """Weight of each pane in each pixel, in [0, 1].
 
     Args:
-        panes, means: see `Emitters`; dark pixels before a hole of the scan belong to a pane that is dark as well.
+        panes, means: see `Emitters`.
         frame, gbuffer, pose, intrinsics: see `source_pixels`.
     """
+    brightness = jnp.min(frame, axis=-1)
+    bright = _ramp(brightness, PANE_DARK, PANE_BRIGHT)
+    dark = jnp.where(gbuffer.hit, 0.0, 1.0 - _ramp(brightness, PANE_UNLIT, PANE_LIT))
+    lit = _ramp(jnp.min(means, axis=-1), PANE_UNLIT, PANE_LIT)[:, None, None]
+    return _covers(panes, gbuffer, pose, intrinsics) * (lit * bright + (1.0 - lit) * dark)
+
+
+@jax.jit
+def open_shares(
+    panes: Float[Array, "n 3 3"],
+    frame: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+    pose: Float[Array, "4 4"],
+    intrinsics: Float[Array, "3 3"],
+) -> Float[Array, "n h w"]:
+    """Share of each pane in each pixel, in [0, 1], where it is bright or the scan has a hole.
+
+    Args: see `pane_shares`.
+    """
+    shown = jnp.where(gbuffer.hit, _ramp(jnp.min(frame, axis=-1), PANE_DARK, PANE_BRIGHT), 1.0)
+    return _covers(panes, gbuffer, pose, intrinsics) * shown
+
+
+def _covers(
+    panes: Float[Array, "n 3 3"], gbuffer: GBuffer, pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
+) -> Float[Array, "n h w"]:
+    """Share of each pane in each pixel, with nothing before it."""
     ray, depth, pixel = _rays(gbuffer, pose, intrinsics)
-    brightness, shares = jnp.min(frame, axis=-1), []
-    for (center, right, up), mean in zip(panes, means, strict=True):
+    shares = []
+    for center, right, up in panes:
         normal = cross(right, up)
         slope = dot(ray, normal)
         distance = dot(center - pose[:3, 3], normal) / jnp.where(jnp.abs(slope) > 1e-9, slope, 1e-9)
@@ -266,9 +294,7 @@ def pane_shares(
         # Metres inside the border, over the width of a pixel there: a border without stairs.
         inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
         cover = jnp.clip(jnp.minimum(*inside) / (pixel * jnp.maximum(distance, 1e-3)) + 0.5, 0.0, 1.0)
-        cover *= (distance > 0) & (slope < 0) & (depth > distance - PANE_SLACK)
-        least = jnp.where(gbuffer.hit, 1.0, jnp.clip(jnp.min(mean) / PANE_LIT, 1e-3, 1.0))
-        shares.append(cover * _ramp(brightness / least, PANE_DARK, PANE_BRIGHT))
+        shares.append(cover * ((distance > 0) & (slope < 0) & (depth > distance - PANE_SLACK)))
     return jnp.stack(shares) if shares else jnp.zeros((0, *depth.shape))
 
 
@@ -283,6 +309,6 @@ def _rays(
     return ray, jnp.where(gbuffer.hit, gbuffer.depth, jnp.inf), 1.0 / intrinsics[0, 0]
 
 
-def _ramp(x: Float[Array, "h w"], low: float, high: float) -> Float[Array, "h w"]:
+def _ramp(x: Float[Array, "*s"], low: float, high: float) -> Float[Array, "*s"]:
     t = jnp.clip((x - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)

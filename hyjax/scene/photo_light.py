@@ -16,7 +16,7 @@ from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import shrink, spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
-from hyjax.light.emission import Emitters, pane_shares, radiant_filter
+from hyjax.light.emission import Emitters, open_shares, radiant_filter
 from hyjax.light.photo_light import SurfaceLight, bounced_light
 from hyjax.light.setup import LightSetup, same_setup
 from hyjax.light.shadow_map import ShadowMap
@@ -195,13 +195,12 @@ class ScenePhotoLight:
         windows = self.sources.windows
         panes = jnp.asarray(np.array([(w.center, w.right, w.up) for w in windows]).reshape(-1, 3, 3), jnp.float32)
         total, weight = np.zeros((len(windows), 3)), np.full(len(windows), 1e-6)
-        dark = jnp.zeros((len(windows), 3))  # so that all that is open counts
         for frame in spread(self._frames, PANE_FRAMES) if windows else []:
             small = shrink(frame, PANE_WIDTH)
             matrices = small.camera.pose, small.camera.intrinsics.matrix
             pose, intrinsics = (jnp.asarray(matrix, jnp.float32) for matrix in matrices)
             linear = to_linear(jnp.asarray(small.image))
-            shares = pane_shares(panes, dark, linear, self._caster.gbuffer(small.camera), pose, intrinsics)
+            shares = open_shares(panes, linear, self._caster.gbuffer(small.camera), pose, intrinsics)
             for number, share in enumerate(shares):
                 total[number] += np.einsum("hw,hwc->c", share, linear)
                 weight[number] += float(share.sum())

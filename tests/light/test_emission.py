@@ -113,11 +113,11 @@ def test_what_stands_before_a_pane_or_is_dark_does_not_shine() -> None:
 
 
 def test_a_window_that_was_dark_in_the_photos_shines_as_the_new_sky() -> None:
-    """Only where the scan is open: a dark surface in the pane's place stays a surface."""
-    source = dataclasses.replace(emitters(np.array([[1.0, 1.0, 1.0]])), pane_means=jnp.full((1, 3), 0.01))
-    dark = jnp.full((*LENS.shape, 3), 0.01)
+    """Only where the scan is open: a dark surface in the pane's place stays one, as do bars that lamps lit."""
+    source = dataclasses.replace(emitters(np.array([[1.0, 1.0, 1.0]])), pane_means=jnp.zeros((1, 3)))
+    dark = jnp.zeros((*LENS.shape, 3)).at[:, 18].set(0.2)
     shining = found(source, dark, wall(hit=False))
-    assert float(shining.weight[12, 16, 0]) == 1
+    assert float(shining.weight[12, 16, 0]) == 1 and float(shining.weight[12, 18, 0]) == 0
     np.testing.assert_allclose(np.asarray(shining.sent)[12, 16], 0.5 * PANE_SHARE, rtol=1e-4)
     assert float(found(source, dark, wall(2.0)).weight.max()) == 0
 

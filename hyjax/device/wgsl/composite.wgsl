@@ -13,7 +13,8 @@ const PANE_REFLECTANCE = 0.04;
 const LAMP_REFLECTANCE = 0.6;
 const PANE_SHARE = 0.4;
 const PANE_WHITE = 0.75;
-const PANE_LIT = 0.3;
+const PANE_UNLIT = 0.05;
+const PANE_LIT = 0.1;
 const PANE_FLOOR = 0.02;
 const SLACK = 0.12;
 
@@ -70,9 +71,10 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, surface: f32, shining: vec3<f
         let place = frame.origin.xyz + distance * ray - center;
         let inside = min(length(right) - abs(dot(place, normalize(right))), length(up) - abs(dot(place, normalize(up))));
         let mean = emitters[6u * k + 5u].xyz;
-        let least = select(1.0, clamp(min(mean.x, min(mean.y, mean.z)) / PANE_LIT, 1e-3, 1.0), surface <= 0.0);
+        let lit = smoothstep(PANE_UNLIT, PANE_LIT, min(mean.x, min(mean.y, mean.z)));
+        let dark = select(1.0 - smoothstep(PANE_UNLIT, PANE_LIT, darkest), 0.0, surface > 0.0);
         var cover = clamp(inside / (width * max(distance, 1e-3)) + 0.5, 0.0, 1.0)
-            * select(smoothstep(0.1, 0.3, darkest / least), 1.0, hole);
+            * select(mix(dark, smoothstep(0.1, 0.3, darkest), lit), 1.0, hole);
         if (distance <= 0.0 || slope >= 0.0 || depth <= distance - SLACK) { cover = 0.0; }
         weight = max(weight, cover);
         if (cover > 0.0) {
