@@ -32,6 +32,8 @@ MOST_LAMPS = 10
 LAMP_LUMENS = 900.0
 NOON_SKY, EVENING_SKY, DUSK_SKY, NIGHT_SKY = 950.0, 300.0, 36.0, 2.1
 """Lumens of a square metre of window by noon, by a low sun, at dusk and at night."""
+LOW_SUN, SUNSET_SKY = 3000.0, 4500.0
+"""Colour temperatures of a low sun, and of what windows towards it show: the sky and ground around it."""
 EXPOSURES = {
     "noon-window": Exposure(0.6, 0.3, 2.5),
     "golden-hour": Exposure(0.4, 0.16, 2.0),
@@ -51,8 +53,9 @@ def noon_window(anchors: LightAnchors) -> LightSetup:
 
 def golden_hour(anchors: LightAnchors) -> LightSetup:
     """Low warm sun."""
-    sun = _sun(anchors, (13.0, 10.0, 28.0), 700.0, blackbody(3000.0))
-    return LightSetup((*_sky(anchors, EVENING_SKY, blackbody(7000.0)), AmbientLight(28.0, blackbody(4200.0)), *sun))
+    sun = _sun(anchors, (13.0, 10.0, 28.0), 700.0, blackbody(LOW_SUN))
+    sky = _sky(anchors, EVENING_SKY, blackbody(SUNSET_SKY))
+    return LightSetup((*sky, AmbientLight(28.0, blackbody(4200.0)), *sun))
 
 
 def evening_lamps(anchors: LightAnchors) -> LightSetup:
