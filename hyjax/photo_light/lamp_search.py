@@ -24,7 +24,9 @@ RAY_TOLERANCE = 0.1
 LARGEST_RADIUS, LEAST_RADIUS = 0.35, 0.025
 """Largest and least radius of a lamp, in metres."""
 LEAST_THICKNESS = 0.02
-"""Least thickness of a lamp in metres; a flatter burnt-out surface is paper, a screen or a tabletop."""
+"""Least thickness of a lamp in metres; a flatter burnt-out surface is paper, a screen, a sign or a tabletop."""
+FEWEST_POINTS, SURROUNDINGS = 12, 0.2
+"""Fewest burnt-out points that tell a thickness; of fewer, that of all within so many metres is taken."""
 LEAST_FOOT = 0.15
 """Least height, in metres, of a lamp's lower end above its support."""
 MOST_CANDIDATES = 20000
@@ -52,8 +54,7 @@ def search_lamps(
         ceiling = bool(box[1][4] - box[0][4] @ place < 0.25)
         if not len(points) and votes < FEWEST_UNSCANNED:
             continue
-        flat = len(points) >= 12 and _thickness(points) < LEAST_THICKNESS
-        if not ceiling and (flat or _lies(caster, place, radius, up)):
+        if not ceiling and (is_flat(sightings, place, points) or _lies(caster, place, radius, up)):
             continue
         lamps.append(PhotoLamp("", place, radius, faces))
     for place, radius in ceiling_lamps(
@@ -167,6 +168,17 @@ def _surface(
         points.append(at[near])
         faces.append(s.face[chosen][near])
     return np.concatenate(points), np.unique(np.concatenate(faces))
+
+
+def is_flat(sightings: Sequence[Sighting], place: Vector, burnt: Float[np.ndarray, "n 3"]) -> bool:
+    """Whether a burnt-out place is part of something flat, by its own points or, of few, by those about it."""
+    points = burnt
+    if 0 < len(burnt) < FEWEST_POINTS:
+        points = np.concatenate(
+            [s.frame.camera.origin + s.rays[s.face >= 0] * s.depth[s.face >= 0][:, None] for s in sightings]
+        )
+        points = points[np.linalg.norm(points - place, axis=-1) < SURROUNDINGS]
+    return len(points) >= FEWEST_POINTS and _thickness(points) < LEAST_THICKNESS
 
 
 def _thickness(points: Float[np.ndarray, "n 3"]) -> float:

@@ -9,7 +9,7 @@ from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.photo_light.ceiling_lamps import Blob, ceiling_lamps
 from hyjax.photo_light.glowing_places import glowing_places
-from hyjax.photo_light.lamp_search import blobs_of
+from hyjax.photo_light.lamp_search import blobs_of, is_flat
 from hyjax.photo_light.sightings import sight
 from hyjax.photo_light.source_search import search_sources
 from hyjax.util.vectors import unit
@@ -78,6 +78,16 @@ def test_a_lamp_is_found_that_burns_out_the_wall_and_touches_the_border(box: Ray
     for frame in bright:
         paint(frame, LAMP, 0.15)
     assert glowing_places(box, [sight(box, frame) for frame in bright], UP) == []  # daylight burns walls out, too
+
+
+def test_a_small_lit_sign_on_a_wall_is_flat_and_a_bulb_before_it_is_not(box: RayCaster) -> None:
+    """Its own few points tell nothing; the wall around it does."""
+    sightings = [sight(box, picture(eye, np.array([0.0, 3.0, 0.6]))) for eye in EYES]
+    sign = np.array([0.0, 3.0, 0.6])
+    few = sign + np.array([[0.01, 0.0, 0.0], [0.0, 0.0, 0.01], [-0.01, 0.0, 0.0]])
+    assert is_flat(sightings, sign, few)
+    assert not is_flat(sightings, sign - np.array([0.0, 0.3, 0.0]), few)  # nothing was scanned near it
+    assert not is_flat(sightings, sign, few[:0])
 
 
 def test_a_wall_that_is_merely_burnt_out_is_no_window(box: RayCaster) -> None:
