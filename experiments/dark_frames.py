@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from experiments.blocks import Block, Table
+from experiments.blocks import Block, Picture, Table
 from experiments.command import RunConfig, Start, experiment, run
 from experiments.records import Row, of_kind
 from hyjax.data.frames import spread
@@ -27,6 +27,7 @@ from hyjax.scene.light_setups import DARK_SETUPS, EXPOSURES, check_setup_name
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
+from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
 
 ROOM = "built-in room"
@@ -37,7 +38,7 @@ SHARES = tuple(field.name for field in dataclasses.fields(DarkShare))
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Config(RunConfig):
     captures: tuple[Path, ...] = tuple(
-        DATA / name for name in ("kitchen", "scanner3d_chair", "dining", "scanner3d_corridor", "scanner3d_board")
+        DATA / name for name in ("scanner3d_board", "scanner3d_corridor", "scanner3d_chair", "kitchen")
     )
     """Captures beside the built-in room."""
     setups: tuple[str, ...] = tuple(name for name in EXPOSURES if name not in DARK_SETUPS)
@@ -57,33 +58,37 @@ def main(config: Config, start: Start) -> None:
     for setup in config.setups:
         check_setup_name(setup)
     results = start()
-    done = {(row["capture"], row["setup"], row["index"]) for row in of_kind(results.rows, "picture")}
-    captures = (None, *config.captures)
-    with tqdm(total=len(captures) * len(config.setups), unit="set-up") as bar:
-        for path in captures:
-            name, scene = path.name if path else ROOM, Scene.open(SceneSettings(path, size=config.size))
-            for setup in config.setups:
-                bar.set_description(f"{name}, {setup}")
-                relighter = Relighter(scene, setup)
-                for index in spread(range(len(scene)), config.frames):
-                    if (name, setup, index) not in done:
-                        relit = np.asarray(to_display(relighter.picture(index)))
-                        share = dark_share(scene.frame(index).image, relit)
-                        shares = dataclasses.asdict(share) | {"too_dark": share.too_dark}
-                        results.add(kind="picture", capture=name, setup=setup, index=index, **shares)
-                bar.update()
+    done = {row["capture"] for row in of_kind(results.rows, "capture")}
+    for path in tqdm((None, *config.captures), unit="capture"):
+        name = path.name if path else ROOM
+        if name not in done:
+            scene = Scene.open(SceneSettings(path, size=config.size))
+            relighters = {setup: Relighter(scene, setup) for setup in config.setups}
+            shares, sheet = [], []
+            for index in spread(range(len(scene)), config.frames):
+                photo = np.asarray(scene.frame(index).image)
+                relit = {setup: np.asarray(to_display(own.picture(index))) for setup, own in relighters.items()}
+                found = {setup: dark_share(photo, picture) for setup, picture in relit.items()}
+                shares.append(
+                    {setup: dataclasses.asdict(s) | {"too_dark": s.too_dark} for setup, s in found.items()}
+                )
+                sheet.append((f"frame {index}", [photo, *relit.values()]))
+            write_contact_sheet(results.out / f"{name}.png", sheet, ("photo", *config.setups))
+            results.add(kind="capture", capture=name, shares=shares)
 
 
 def blocks(rows: list[Row], folder: Path) -> list[Block]:
-    """Table from the rows."""
-    del folder
-    found, lines = of_kind(rows, "picture"), []
-    for capture, setup in dict.fromkeys((row["capture"], row["setup"]) for row in found):
-        own = [row for row in found if (row["capture"], row["setup"]) == (capture, setup)]
-        worst = [f"{100 * max(row[share] for row in own):.0f} %" for share in SHARES]
-        lines.append([capture, setup, *worst, f"{sum(row['too_dark'] for row in own)} of {len(own)}"])
+    """Table and sheets from the rows."""
+    found, lines = of_kind(rows, "capture"), []
+    for row in found:
+        for setup in row["shares"][0]:
+            own = [shares[setup] for shares in row["shares"]]
+            worst = [f"{100 * max(one[share] for one in own):.0f} %" for share in SHARES]
+            lines.append([row["capture"], setup, *worst, f"{sum(one['too_dark'] for one in own)} of {len(own)}"])
     header = ["", "set-up", "black, photo", "black, relit", "burnt, photo", "burnt, relit", "too dark"]
-    return [Table("Share of nearly black and of burnt-out pixels, each in its worst picture.", header, lines, 2)]
+    caption = "Share of nearly black and of burnt-out pixels, each in its worst picture."
+    sheets = [Picture(folder / f"{row['capture']}.png", f"{row['capture']}: photo and relit.") for row in found]
+    return [Table(caption, header, lines, 2), *sheets]
 
 
 if __name__ == "__main__":
