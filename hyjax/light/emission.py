@@ -28,8 +28,6 @@ a view would burn out with all that is in it."""
 PANE_UNLIT, PANE_LIT = 0.05, 0.1
 """Linear means of panes in the photos between which they turn from dark, where dark pixels before holes of the scan
 are open, to bright, where bright ones are; and values between which a pixel of a dark pane becomes a bar."""
-PANE_FLOOR = 0.02
-"""Linear value below which the photos' view through a pane is noise."""
 PANE_SLACK = 0.12
 """Distance before a pane, in metres, within which a scanned surface belongs to it: bars, blinds, noise."""
 SOURCE_RADIUS = 0.1
@@ -229,7 +227,8 @@ def source_pixels(
     for k, share in enumerate(shares):
         shown = jnp.ones(3)
         if k < len(emitters.panes):
-            shown = (frame + PANE_FLOOR) / (emitters.pane_means[k] + PANE_FLOOR)
+            mean = emitters.pane_means[k]
+            shown = 1.0 + _lit(mean) * (frame / jnp.maximum(mean, 1e-3) - 1.0)  # of a dark pane, an even sky
         weight = jnp.maximum(weight, share)
         source = jnp.where(share > 0, k, source)
         pattern = jnp.where(share[..., None] > 0, shown, pattern)
@@ -260,7 +259,7 @@ def pane_shares(
     brightness = jnp.min(frame, axis=-1)
     bright = _ramp(brightness, PANE_DARK, PANE_BRIGHT)
     dark = jnp.where(gbuffer.hit, 0.0, 1.0 - _ramp(brightness, PANE_UNLIT, PANE_LIT))
-    lit = _ramp(jnp.min(means, axis=-1), PANE_UNLIT, PANE_LIT)[:, None, None]
+    lit = _lit(means)[:, None, None]
     return _covers(panes, gbuffer, pose, intrinsics) * (lit * bright + (1.0 - lit) * dark)
 
 
@@ -278,6 +277,11 @@ def open_shares(
     """
     shown = jnp.where(gbuffer.hit, _ramp(jnp.min(frame, axis=-1), PANE_DARK, PANE_BRIGHT), 1.0)
     return _covers(panes, gbuffer, pose, intrinsics) * shown
+
+
+def _lit(means: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+    """How far panes of such means are bright ones."""
+    return _ramp(jnp.min(means, axis=-1), PANE_UNLIT, PANE_LIT)
 
 
 def _covers(

@@ -15,7 +15,6 @@ const PANE_SHARE = 0.4;
 const PANE_WHITE = 0.75;
 const PANE_UNLIT = 0.05;
 const PANE_LIT = 0.1;
-const PANE_FLOOR = 0.02;
 const SLACK = 0.12;
 
 @compute @workgroup_size(8, 8)
@@ -80,7 +79,7 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, surface: f32, shining: vec3<f
         if (cover > 0.0) {
             let kept = emitters[6u * k + 4u].xyz;
             let pane = select(photo, mean, hole);
-            let pattern = (pane + PANE_FLOOR) / (mean + PANE_FLOOR);
+            let pattern = mix(vec3<f32>(1.0), pane / max(mean, vec3<f32>(1e-3)), lit);
             sent = view_light(emitters[6u * k + 3u].xyz * frame.mean.xyz, mean) * pattern + kept * pane
                 + PANE_REFLECTANCE * frame.mean.xyz * max(1.0 - kept, vec3<f32>(0.0)) * shining;
         }
