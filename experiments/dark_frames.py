@@ -8,7 +8,7 @@ values below and from `hyjax.metrics.dark_share.BLACK_VALUE` and `BURNT_VALUE`, 
 
 Takes some minutes a capture on two cores, most of it once: the fusion of its depth, and the photo's own light.
 
-Expect: nothing too dark but by night-moon, and windows that are not burnt out more than in the photo.
+Expect: windows that are not burnt out more than in the photo; a dark floor out of the low sun's reach is too dark.
 """
 
 import dataclasses
