@@ -15,7 +15,7 @@ from trimesh.resolvers import FilePathResolver
 
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
-from hyjax.util.reading import check_regular, parse_json, read_bytes
+from hyjax.util.reading import LARGEST_TEXT, check_most, check_regular, open_regular, parse_json, read_bytes
 from hyjax.util.vectors import SHORTEST, unit
 
 READABLE = (".ply", ".obj", ".glb", ".gltf")
@@ -153,10 +153,7 @@ class _FilesBeside(FilePathResolver):
 
 def _check_nodes(path: Path, content: bytes | None) -> None:
     """Raise `InputError` for a glTF whose nodes are nested too deep, or in more than one other."""
-    content = read_bytes(path, most=LARGEST_BUFFER) if content is None else content
-    if content.startswith(b"glTF"):
-        content = content[20 : 20 + int.from_bytes(content[12:16], "little")]
-    tree = parse_json(content, str(path))
+    tree = parse_json(_gltf_header(path, content), str(path))
     nodes = tree.get("nodes", [])
     parents = {child: parent for parent, node in enumerate(nodes) for child in node.get("children", [])}
     if len(parents) < sum(len(node.get("children", [])) for node in nodes):
@@ -167,6 +164,19 @@ def _check_nodes(path: Path, content: bytes | None) -> None:
             depth += 1
         if depth > DEEPEST_NODE:
             raise InputError(f"{path}: its nodes are nested over {DEEPEST_NODE} deep")
+
+
+def _gltf_header(path: Path, content: bytes | None) -> bytes:
+    """The JSON of a glTF, or of a GLB, whose buffers stay unread."""
+    with open_regular(path) if content is None else io.BytesIO(content) as file:
+        start = file.read(20)
+        if start.startswith(b"glTF"):
+            size = int.from_bytes(start[12:16], "little")
+            check_most(size, LARGEST_TEXT, str(path))
+            return file.read(size)
+        check_most(file.seek(0, io.SEEK_END), LARGEST_TEXT, str(path))
+        file.seek(0)
+        return file.read()
 
 
 def _transformed(part: trimesh.Trimesh, transform: Float[np.ndarray, "4 4"]) -> Part:

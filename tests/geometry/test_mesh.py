@@ -3,6 +3,8 @@
 import base64
 import json
 import os
+import struct
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -175,6 +177,20 @@ def test_small_files_that_ask_for_much(tmp_path: Path) -> None:
         file.write_bytes(gltf(nodes, roots, faces))
         with pytest.raises(InputError, match=reason):
             load_mesh(file)
+
+
+def test_the_header_of_a_glb_is_read_without_its_buffers(tmp_path: Path) -> None:
+    file, tree = tmp_path / "room.glb", gltf(nested(100), [0])
+    start = struct.pack("<4s3I4s", b"glTF", 2, 1 << 28, len(tree), b"JSON")
+    file.write_bytes(start + tree)
+    os.truncate(file, 1 << 28)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match="nested over 64 deep"):
+            load_mesh(file)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 24
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("uri", ["pipe", "../outside.bin", "/proc/self/mem", "inside.bin"])
