@@ -128,9 +128,9 @@ def run_kept(function: Callable[..., Any], *arrays: Any, **static: Any) -> Any:
     if _folder is None or len(static) > 1:
         return function(*arrays, **static)
     with _lock:
-        known = _functions.setdefault(function, None) or KeptFunction(function, next(iter(static), None))
-        _functions[function] = known
-    return known(*arrays, **static)
+        if function not in _functions:
+            _functions[function] = KeptFunction(function, next(iter(static), None))
+    return _functions[function](*arrays, **static)
 
 
 def _compile_anew(function: Callable[..., Any], name: str, args: Any, kwargs: Any) -> jax.stages.Compiled:
