@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from jax.test_util import check_grads
 
 from hyjax import InputError, conductance, diffuse, solve
+from hyjax.core import checks
 from hyjax.core.solver import _apply
 
 
@@ -78,6 +79,16 @@ def test_refusals() -> None:
             solve(source, edges, 0.1, tolerance=tolerance)
     with pytest.raises(InputError, match=r"^most_iterations: must be at least 1, got 0"):
         solve(source, edges, 0.1, most_iterations=0)
-    for beyond in ((edges[0] + 2.0, edges[1]), (edges[0], edges[1] - 2.0)):
+    for beyond in ((edges[0] + 2.0, edges[1]), (edges[0], edges[1] - 2.0), (edges[0] * np.nan, edges[1])):
         with pytest.raises(InputError, match=r"^edges: conductances lie in \[0, 1\]"):
             solve(source, beyond, 0.1)
+
+
+def test_edges_are_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their values would be waited for at each step."""
+    source, edges = problem(3, 4, 0, np.float32)
+    looks: list[object] = []
+    monkeypatch.setattr(checks, "concrete", lambda value: looks.append(value) or np.asarray(value))
+    for _ in range(3):
+        checks.check_edges(source, edges)
+    assert len(looks) == 2
