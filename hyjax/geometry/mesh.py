@@ -15,7 +15,7 @@ from trimesh.resolvers import FilePathResolver
 
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
-from hyjax.util.reading import LARGEST_TEXT, check_most, check_regular, open_regular, parse_json, read_bytes
+from hyjax.util.reading import LARGEST_JSON, check_most, check_regular, open_regular, parse_json, read_bytes
 from hyjax.util.vectors import SHORTEST, unit
 
 READABLE = (".ply", ".obj", ".glb", ".gltf")
@@ -172,9 +172,9 @@ def _gltf_header(path: Path, content: bytes | None) -> bytes:
         start = file.read(20)
         if start.startswith(b"glTF"):
             size = int.from_bytes(start[12:16], "little")
-            check_most(size, LARGEST_TEXT, str(path))
+            check_most(size, LARGEST_JSON, str(path))
             return file.read(size)
-        check_most(file.seek(0, io.SEEK_END), LARGEST_TEXT, str(path))
+        check_most(file.seek(0, io.SEEK_END), LARGEST_JSON, str(path))
         file.seek(0)
         return file.read()
 

@@ -18,13 +18,16 @@ from typing import Any, BinaryIO, NoReturn
 from hyjax.util.errors import InputError, shown
 
 LARGEST_TEXT = 1 << 28
-"""Bytes; poses and intrinsics of a hundred thousand frames have less."""
+"""Bytes of a text."""
+LARGEST_JSON = 1 << 26
+"""Characters; poses and intrinsics of a hundred thousand frames have less. One letter beyond Latin makes four bytes
+of each, in the text and in what is read of it."""
 LARGEST_WRITTEN_BY_HAND = 1 << 18
 """Bytes of a YAML file, which takes three seconds to read; a large one is better JSON."""
 DEEPEST = 64
 """Lists and mappings within each other."""
-MOST_MARKS = 1 << 23
-"""Commas, colons and opening brackets of a JSON text: as many values take three seconds and 0.4 GiB."""
+MOST_MARKS = 1 << 22
+"""Commas, colons and opening brackets of a JSON text: mappings in mappings take three seconds and 0.4 GiB."""
 MOST_DIGITS = 20
 """Of a whole number; it must have at most 64 bits too, with a sign or without."""
 HALF_LETTER = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
@@ -141,7 +144,7 @@ def as_text(content: bytes, where: str) -> str:
         raise InputError(f"{where}: not a text file (byte {error.start} is not UTF-8)") from None
 
 
-def read_json(path: Path, where: str | None = None, most: int = LARGEST_TEXT) -> Any:
+def read_json(path: Path, where: str | None = None, most: int = LARGEST_JSON) -> Any:
     """Plain data of a JSON file; see `parse_json`."""
     return parse_json(read_text(path, where, most), where or str(path))
 
@@ -155,13 +158,15 @@ def parse_json(text: str | bytes, where: str, *, only_finite: bool = False) -> A
         only_finite: refuse NaN and infinite numbers too, which Python writes though JSON has none.
 
     Raises:
-        InputError: no text, no JSON, too many values, whole numbers beyond 64 bits, or lists and mappings more
-            than 64 deep.
+        InputError: no text, no JSON, over 64 MiB, too many values, whole numbers beyond 64 bits, or lists and
+            mappings more than 64 deep.
 
     Example:
         >>> parse_json('{"size": [640, 480]}', "camera.json")
         {'size': [640, 480]}
     """
+    if isinstance(text, bytes | str):
+        check_most(len(text), LARGEST_JSON, where)
     if isinstance(text, bytes):
         text = as_text(text, where)
     if not isinstance(text, str):

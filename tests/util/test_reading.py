@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzz.cases import Peak
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -195,3 +196,13 @@ def test_a_json_of_too_many_values_is_refused_before_it_is_read(monkeypatch: pyt
     for text in ("[" + "[]," * 60 + "[]]", '[{"a":' * 40 + "0" + "}]" * 40):
         with pytest.raises(InputError, match=r"^a\.json: has over 100 values"):
             parse_json(text, "a.json")
+
+
+def test_a_json_text_of_one_wide_letter_is_bounded() -> None:
+    """It makes four bytes of each letter: in the text, in the value, and where its surrogates are looked at."""
+    text, end = b'["\\ud83d\\ude00', b'"]'
+    peak = Peak()
+    assert parse_json(text + b"a" * (reading.LARGEST_JSON - len(text) - len(end)) + end, "a.json")
+    assert peak.mib() < 1024
+    with pytest.raises(InputError, match=r"^a\.json: has over 64 MiB"):
+        parse_json(text + b"a" * reading.LARGEST_JSON + end, "a.json")
