@@ -14,6 +14,7 @@ cs.nyu.edu/~fergus/datasets/nyu_depth_v2.html.
 
 import contextlib
 import importlib
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,10 @@ from hyjax.util.reading import check_regular
 
 ARRAYS = {"images": 4, "depths": 3, "rawDepths": 3}
 """Numbers of axes of the arrays, by name."""
+MOST_PIXELS = 1 << 22
+"""Of a picture; the published ones have 640 x 480. HDF5 declares what it does not hold."""
+MOST_CHUNK_BYTES = 1 << 28
+"""Of what is unpacked at once."""
 
 
 class NyuPairs:
@@ -46,10 +51,13 @@ class NyuPairs:
                     raise InputError(
                         f"{path}: has no array {name!r} of {axes} axes; give nyu_depth_v2_labeled.mat as published"
                     )
+                _check_stored(path, file, name)
             shapes = {name: file[name].shape for name in ARRAYS}
         images, depths, raw = shapes.values()
         if images[1] != 3 or depths != raw or depths != (images[0], *images[2:]) or 0 in images:
             raise InputError(f"{path}: arrays do not belong together: {shapes}")
+        if images[2] * images[3] > MOST_PIXELS:
+            raise InputError(f"{path}: pictures of {images[2]}x{images[3]} pixels; at most {MOST_PIXELS} are read")
         self._count = int(images[0])
 
     @property
@@ -92,6 +100,17 @@ class NyuPairs:
                 raise
             except Exception as error:  # as above
                 raise InputError(f"{self._path}: {damage} ({error})") from None
+
+
+def _check_stored(path: Path, file: Any, name: str) -> None:
+    """Raise `InputError` for an array that other files hold, or that is unpacked as a whole, or of no numbers."""
+    array, link = file[name], file.get(name, getlink=True)
+    if type(link).__name__ != "HardLink" or array.external or array.is_virtual:
+        raise InputError(f"{path}: {name!r} lies in another place; give the file as published")
+    if array.dtype.kind not in "fu":
+        raise InputError(f"{path}: {name!r} must be numbers, got {array.dtype}")
+    if array.chunks and math.prod(array.chunks) * array.dtype.itemsize > MOST_CHUNK_BYTES:
+        raise InputError(f"{path}: {name!r} is packed in pieces of over {MOST_CHUNK_BYTES >> 20} MiB")
 
 
 KIND = PairsKind("nyu", lambda path, options: NyuPairs(path))
