@@ -217,6 +217,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
 
 class _Listener(http.server.ThreadingHTTPServer):
     daemon_threads = True
+    request_queue_size = 128  # of five, fifty connections that say nothing keep others waiting for seconds
     context: ssl.SSLContext | None = None
 
     def finish_request(self, request: Any, client_address: Any) -> None:

@@ -2,8 +2,10 @@
 
 import http.client
 import json
+import socket
 import ssl
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -129,6 +131,29 @@ def test_other_machines_need_the_token(folder: Path) -> None:
         assert all(hint in words for hint in ("warns once", "adb reverse", "export --to bench"))
     finally:
         server.stop()
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2"])
+def test_connections_that_hang_break_off_or_send_rubbish_hold_up_nobody(host: str, folder: Path) -> None:
+    """Neither in HTTP nor in HTTPS, where the handshake hangs, too."""
+    need("device")
+    server, begin = Server(FolderSite(folder), host), time.monotonic()
+    long, visitors = b"POST /hello HTTP/1.1\r\nContent-Length: 100\r\n\r\n{", list[socket.socket]()
+    try:
+        for sent in (b"", long, bytes(range(256)) * 40, b"\x16\x03\x01\xff\xff", b"GET /" + b"x" * 70_000):
+            for closes in (False, True):
+                visitors.append(socket.create_connection((host, server.port), timeout=5))
+                visitors[-1].sendall(sent)
+                if closes:
+                    visitors[-1].close()
+        for _ in range(50):
+            visitors.append(socket.create_connection((host, server.port), timeout=5))
+        assert ask(server, "/")[0] == 200
+    finally:
+        server.stop()
+        for visitor in visitors:
+            visitor.close()
+    assert time.monotonic() - begin < 5
 
 
 class Phone:
