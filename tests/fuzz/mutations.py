@@ -232,7 +232,10 @@ def _json(content: bytes, source: random.Random) -> bytes:
             value = json.loads(lines[place])
         except (ValueError, RecursionError):
             return _word(content, source)
-    lines[place] = json.dumps(_changed(value, source)).encode()
+    text = json.dumps(_changed(value, source))
+    if source.random() < 0.1 and text.startswith('{"'):  # its first key twice
+        text = text[:1] + text[1 : text.index('"', 2) + 1] + ": null, " + text[1:]
+    lines[place] = text.encode()
     return b"\n".join(lines)
 
 
@@ -244,9 +247,15 @@ def _changed(value: Any, source: random.Random) -> Any:
         holder = holder[key]
         key = source.choice(list(holder) if isinstance(holder, dict) else range(len(holder)))
     what = source.random()
-    if what < 0.3 and isinstance(holder, dict):
+    if what < 0.1:  # its value and another's change places, or it comes many times, as instances of a mesh do
+        if isinstance(holder, list) and source.random() < 0.5:
+            holder += [holder[key]] * source.choice((1, 1000))
+        else:
+            other = source.choice(list(holder) if isinstance(holder, dict) else range(len(holder)))
+            holder[key], holder[other] = holder[other], holder[key]
+    elif what < 0.3 and isinstance(holder, dict):
         taken = holder.pop(key)
-        if what < 0.1:
+        if what < 0.15:
             holder["unknown"] = taken
     elif what < 0.4:
         for _ in range(source.choice((1, 3, 200))):
