@@ -24,6 +24,7 @@ from hyjax.choices.table import CASCADES, CHOICES, NO_STEPS, choice_named
 from hyjax.core.cascade import largest_sampling
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.pipeline import Mode
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, did_you_mean, shown
 from hyjax.util.reading import parse_json, read_text
 
@@ -92,7 +93,8 @@ class Configuration:
     def __post_init__(self) -> None:
         asked = self.light.sampling if isinstance(self.light, LightOptions) else 1
         if isinstance(asked, int) and asked > 1:
-            allowed = 1 if self.mode == "paper" else largest_sampling([self.schedule, self.shadow_schedule], asked)
+            paper = isinstance(self.mode, str) and self.mode == "paper"
+            allowed = 1 if paper else largest_sampling([self.schedule, self.shadow_schedule], asked)
             if allowed < asked:
                 object.__setattr__(self, "light", self.light.replace(sampling=allowed))
 
@@ -108,6 +110,7 @@ class Configuration:
         )
 
     @classmethod
+    @checked_arguments
     def preset(cls, name: str) -> "Configuration":
         """A configuration by name: `default`, `paper`, or one of `PRESETS`.
 
@@ -144,6 +147,7 @@ class Configuration:
             )
         return configuration.check()
 
+    @checked_arguments
     def value(self, name: str) -> Any:
         """Value of a choice; of one of a cascade that each level has, a tuple.
 
@@ -160,6 +164,7 @@ class Configuration:
         found = {name: self.value(name) for name in CHOICES}
         return {name: value for name, value in found.items() if CHOICES[name].active(found)}
 
+    @checked_arguments
     def with_choices(self, values: Mapping[str, Any]) -> "Configuration":
         """The configuration with other values of choices by name; text is read as that of an option.
 
@@ -211,6 +216,7 @@ class Configuration:
             raise InputError(f"{where}: mode 'paper' keeps the photo's light and works at full size (scale 1)")
         return self
 
+    @checked_arguments
     def followed_by(self, renderer: Renderer, *, say: bool = True) -> "Configuration":
         """The configuration as a renderer follows it: with the default of each choice that it does not know.
 
@@ -279,6 +285,7 @@ class Configuration:
         return cls(**fields).check()
 
     @classmethod
+    @checked_arguments
     def open(cls, text: str) -> "Configuration":
         """A configuration by name or from a file.
 

@@ -147,6 +147,7 @@ SYSTEM = {"os", "pathlib", "pickle", "platform", "shutil", "subprocess", "sys", 
 """Files, processes and the environment, which the pure layers do not know."""
 PURE_UTIL = {
     "errors",
+    "argument_kinds",
     "arguments",
     "geometry",
     "reading",

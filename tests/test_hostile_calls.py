@@ -5,117 +5,33 @@ import json
 import logging
 import re
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hostile import (
+    CALLS,
+    GBUFFER,
+    LIGHT,
+    MAY_MAKE_SENSE,
+    PICTURE,
+    SCHEDULE,
+    SHADED,
+    VIEW,
+    H,
+    W,
+    more_calls,
+    nonsense,
+    raw_answers,
+)
 
 import hyjax
-from hyjax import metrics, video
-from hyjax.util import arguments
+from hyjax import video
+from hyjax.util import argument_kinds
 
-H, W = 12, 16
-RNG = np.random.default_rng(0)
-PICTURE = jnp.asarray(RNG.random((H, W, 3)), jnp.float32)
-MASK = jnp.ones((H, W), bool)
-EDGES = (jnp.ones((H - 1, W)), jnp.ones((H, W - 1)))
-CELLS = jnp.asarray(RNG.random((H // 2, W // 2, 3)), jnp.float32)
-SCHEDULE = hyjax.Schedule.uniform([(4, 1), (2, 1)])
-LIGHT = hyjax.PointLight(jnp.array([0.5, 0.5, 2.0]), jnp.asarray(800.0), jnp.ones(3))
-GBUFFER = hyjax.GBuffer(PICTURE, jnp.zeros((H, W, 3)).at[..., 2].set(1.0), jnp.ones((H, W)), MASK)
-CAMERA = {"pose": jnp.eye(4), "intrinsics": jnp.array([[10.0, 0.0, 8.0], [0.0, 10.0, 6.0], [0.0, 0.0, 1.0]])}
-VIEW = hyjax.View.of(PICTURE, GBUFFER, **CAMERA)
-SHADED = hyjax.Shaded.of([LIGHT], PICTURE[..., :1], PICTURE[..., :1], MASK)
-MEMORY = video.Memory(PICTURE[..., :2], jnp.ones((H, W)), *CAMERA.values(), (LIGHT,))
-
-Call = tuple[Callable[..., Any], dict[str, Any]]
-CALLS: dict[str, Call] = {
-    "conductance": (hyjax.conductance, {"guide": PICTURE, "kappa": 0.1}),
-    "diffuse": (hyjax.diffuse, {"y": PICTURE, "edges": EDGES, "step_sizes": jnp.full(2, 0.2), "source": PICTURE}),
-    "diffuse_step": (hyjax.diffuse_step, {"y": PICTURE, "edges": EDGES, "lam": 0.2}),
-    "downsample": (hyjax.downsample, {"y": PICTURE, "factor": 2}),
-    "upsample": (hyjax.upsample, {"y": CELLS, "factor": 2, "shape": (H, W)}),
-    "min_pool": (hyjax.min_pool, {"edges": EDGES, "factor": 2}),
-    "cascade": (hyjax.cascade, {"y": PICTURE, "guide": PICTURE, "schedule": SCHEDULE, "sampling": 1}),
-    "level_edges": (hyjax.level_edges, {"guide": PICTURE, "schedule": SCHEDULE}),
-    "cascade_known": (
-        hyjax.cascade_known,
-        {"y": PICTURE, "confidence": MASK[..., None], "guide": PICTURE, "schedule": SCHEDULE},
-    ),
-    "shadow_pass": (hyjax.shadow_pass, {"raw": PICTURE, "guide": PICTURE, "schedule": SCHEDULE}),
-    "fill_visibility": (hyjax.fill_visibility, {"raw": PICTURE, "known": PICTURE > 0.5, "guide": PICTURE}),
-    "solve": (hyjax.solve, {"source": PICTURE, "edges": EDGES, "fidelity": 1.0, "start": PICTURE}),
-    "super_resolve": (
-        hyjax.super_resolve,
-        {"source": CELLS, "known": MASK[::2, ::2], "guide": PICTURE, "schedule": SCHEDULE, "factor": 2},
-    ),
-    "guided_upsample": (hyjax.guided_upsample, {"y": CELLS, "factor": 2, "guide": PICTURE, "kappa": 0.1}),
-    "step_cycle": (hyjax.step_cycle, {"n": 4, "time": 1.5}),
-    "uniform": (hyjax.Schedule.uniform, {"steps": [(2, 1)], "kappa": 0.1, "lam": 0.2, "norm": "l2"}),
-    "blackbody": (hyjax.blackbody, {"kelvin": 3000.0}),
-    "luminance": (hyjax.luminance, {"linear": PICTURE}),
-    "to_linear": (hyjax.to_linear, {"display": PICTURE}),
-    "to_display": (hyjax.to_display, {"linear": PICTURE}),
-    "composite": (hyjax.composite, {"relight_filter": PICTURE, "frame": PICTURE}),
-    "shade": (hyjax.shade, {"gbuffer": GBUFFER, "lights": [LIGHT]}),
-    "shade_each": (hyjax.shade_each, {"gbuffer": GBUFFER, "lights": [LIGHT]}),
-    "colored": (hyjax.colored, {"each": PICTURE[..., :1], "lights": [LIGHT]}),
-    "visibility": (hyjax.visibility, {"gbuffer": GBUFFER, "light": LIGHT, "shadow_map": None}),
-    "visibilities": (hyjax.visibilities, {"gbuffer": GBUFFER, "lights": [LIGHT], "shadow_maps": [None]}),
-    "View.of": (hyjax.View.of, {"display": PICTURE, "gbuffer": GBUFFER}),
-    "View.shade": (VIEW.shade, {"lights": [LIGHT], "sampling": 1}),
-    "Shaded.of": (
-        hyjax.Shaded.of,
-        {"setup": [LIGHT], "illuminance": PICTURE[..., :1], "visibility": PICTURE[..., :1], "hit": MASK},
-    ),
-    "relight": (
-        hyjax.relight,
-        {"view": VIEW, "shaded": SHADED, "guide": PICTURE, "schedule": SCHEDULE, "shadow_schedule": SCHEDULE},
-    ),
-    "psnr": (metrics.psnr, {"image": PICTURE, "reference": PICTURE, "valid": MASK}),
-    "ssim": (metrics.ssim, {"image": PICTURE, "reference": PICTURE, "valid": MASK}),
-    "filter_loss": (
-        metrics.losses.filter_loss,
-        {"relight_filter": PICTURE, "target": PICTURE, "frame": PICTURE, "valid": MASK},
-    ),
-    "charbonnier": (metrics.losses.charbonnier, {"x": PICTURE, "epsilon": 0.1}),
-    "fill_depth": (video.fill_depth, {"gbuffer": GBUFFER, "guide": PICTURE, "schedule": SCHEDULE}),
-    "recall": (video.recall, {"memory": MEMORY, "depth": jnp.ones((H, W)), **CAMERA}),
-    "steady": (
-        video.steady,
-        {"channels": PICTURE[..., :2], "depth": jnp.ones((H, W)), **CAMERA, "memory": MEMORY, "keep": 0.5},
-    ),
-    "tune": (hyjax.tune, {"settings": None, "fps": 60.0, "budget_ms": None}),
-    "tune_schedule": (hyjax.tune_schedule, {"settings": None, "fps": 60.0, "budget_ms": None}),
-}
-DEFAULTS = {"source", "start", "shadow_schedule", "valid"}
-"""Arguments that None stands for a default of."""
-NONSENSE: dict[str, Any] = {
-    "text": "abc",
-    "number": -1.5,
-    "huge": 1e300,
-    "huge_int": 10**400,
-    "nan": float("nan"),
-    "complex": 1j,
-    "bool": True,
-    "mapping": {"a": 1},
-    "ragged": [[1.0, 2.0], [3.0]],
-    "words": ["a", "b"],
-    "object": object(),
-    "class": int,
-    "empty": np.zeros((0, 0, 3), np.float32),
-    "int_array": np.ones((H, W, 3), np.int32),
-    "complex_array": np.ones((H, W, 3), np.complex64),
-    "no_channels": np.ones((H, W), np.float32),
-    "many_axes": np.ones((2, H, W, 3), np.float32),
-    "other_size": np.ones((H + 1, W, 3), np.float32),
-    "texts": np.array([["a"]]),
-    "key": jax.random.key(0),
-}
-MAY_MAKE_SENSE = {"number", "nan", "empty", "no_channels", "many_axes", "other_size", "bool", "None", "text"}
-"""Of some argument or other: all else is refused wherever it is given."""
 SYNONYMS = {"setup": "lights", "lam": "lam"}
 
 
@@ -129,11 +45,7 @@ def hostile() -> Iterator[Any]:
 def test_nonsense_is_refused_by_name(name: str, argument: str) -> None:
     """Sizes that disagree may be laid to any of the arguments."""
     function, given = CALLS[name]
-    for kind, value in {"None": None, **NONSENSE}.items():
-        if kind == "None" and (given[argument] is None or argument in DEFAULTS):
-            continue
-        if name.startswith("tune") and kind in MAY_MAKE_SENSE - {"text"} and argument == "budget_ms":
-            continue
+    for kind, value in nonsense(name, argument, given[argument]):
         try:
             function(**given | {argument: value})
         except hyjax.InputError as error:
@@ -146,6 +58,40 @@ def test_nonsense_is_refused_by_name(name: str, argument: str) -> None:
         else:
             assert kind in MAY_MAKE_SENSE, f"{name}({argument}={kind}) is taken"
             assert kind != "text" or argument == "schedule"
+
+
+@pytest.mark.slow
+def test_nothing_raw_of_what_reads_writes_and_holds_a_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of those that compute nothing; `python -m tests.hostile` calls all."""
+    monkeypatch.chdir(tmp_path)  # a text may be taken for a path
+    calls = more_calls(tmp_path)
+    raw = [
+        f"{name}({argument}={kind}): {error!r}"
+        for name in sorted(calls.keys() - COMPUTING)
+        for argument, kind, error in raw_answers(name, calls[name])
+        if error is not None
+    ]
+    assert not raw, "\n".join(raw)
+
+
+COMPUTING = {
+    "Scene",
+    "Scene.shade",
+    "Scene.relit",
+    "Relighter",
+    "Relighter.relit",
+    "Relighter.picture",
+    "cast_shadow_maps",
+}
+
+
+def test_a_memory_of_other_channels_is_refused() -> None:
+    for count in (1, 3):
+        given = CALLS["steady"][1] | {"channels": jnp.ones((H, W, count))}
+        with pytest.raises(hyjax.InputError, match=rf"^channels: {count} of this frame, 2 in the memory"):
+            video.steady(**given)
 
 
 CHEAP = ("conductance", "diffuse_step", "downsample", "composite", "luminance", "to_linear", "charbonnier")
@@ -177,7 +123,7 @@ def test_pictures_of_bytes_are_scaled_and_that_is_said_once(name: str, caplog: p
     function, given = CALLS[name]
     argument = next(iter(given))
     frame = np.asarray(255 * PICTURE).astype(np.uint8)
-    arguments._told.clear()
+    argument_kinds._told.clear()
     with caplog.at_level(logging.WARNING):
         results = [
             function(**given | {argument: value}) for value in (frame, frame, frame.astype(np.float32) / 255)

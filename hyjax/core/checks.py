@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.cycles import stable_cycle
 from hyjax.core.stencil import Edges
-from hyjax.util.arguments import described, is_numeric
+from hyjax.util.argument_kinds import described, is_numeric
 from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 

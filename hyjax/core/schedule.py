@@ -150,6 +150,7 @@ class Schedule:
         return cls(tuple(levels), pooling, norm, name, upsampling).check()
 
     @classmethod
+    @checked_arguments
     def preset(cls, name: str, *, kappa: float | None = None, lam: float = DEFAULT_LAM) -> "Schedule":
         """Preset by name: our `hyjax`, `hyjax-shadow`, `hyjax-scan-shadow`; the paper's `paper-50`, `paper-80`,
         `shadow`; its baselines `naive-50`, `naive-1000`.

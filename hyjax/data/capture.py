@@ -14,6 +14,7 @@ from hyjax.data.file_tree import FileTree
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.depth_sensor import UNKNOWN, DepthSensor
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from hyjax.geometry.scan import PosedDepths, ScanConfig
 
 
+@checked_arguments
 @dataclasses.dataclass(frozen=True)
 class Frame:
     """A posed picture, with depth if the device measured it.

@@ -49,6 +49,7 @@ from hyjax.light.color import BLACKBODY_KELVIN
 from hyjax.light.kinds import LIGHT_KINDS, AmbientLight, Light, kind_name
 from hyjax.light.kinds.file_keys import LARGEST_NUMBER, REQUIRED, FileKey, plain
 from hyjax.light.setup import REFERENCE_LUX, LightSetup
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.files import write_text
 from hyjax.util.reading import read_yaml
@@ -84,6 +85,7 @@ def is_light_file(text: str) -> bool:
     return Path(text).suffix.lower() in (".yaml", ".yml", ".json")
 
 
+@checked_arguments
 def read_lights(path: Path, up: Float[np.ndarray, "3"], *, warn: bool = True) -> LightSetup:
     """Read a lights file; see the module's docstring for its form.
 
@@ -94,6 +96,7 @@ def read_lights(path: Path, up: Float[np.ndarray, "3"], *, warn: bool = True) ->
     return parse_lights(read_yaml(path), up, str(path), warn=warn)
 
 
+@checked_arguments
 def parse_lights(
     content: Any, up: Float[np.ndarray, "3"], where: str = "lights", *, warn: bool = True
 ) -> LightSetup:
@@ -114,6 +117,7 @@ def parse_lights(
     return LightSetup(jax.tree.map(jnp.asarray, lights), values["reference_lux"], existing)
 
 
+@checked_arguments
 def write_lights(path: Path, setup: LightSetup) -> None:
     """Write a set-up as a JSON lights file that `read_lights` takes back.
 

@@ -25,6 +25,7 @@ from hyjax.data.file_tree import FileTree
 from hyjax.data.scaled import ScaledCapture
 from hyjax.data.trees import open_tree
 from hyjax.geometry.depth_sensor import PHONE_LIDAR, UNKNOWN
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 
 CAPTURE_FORMATS = [
@@ -66,6 +67,7 @@ def known_formats() -> str:
     return "; ".join(f"{entry.name} ({entry.signs})" for entry in CAPTURE_FORMATS)
 
 
+@checked_arguments
 def open_capture(
     path: Path | str | None = None,
     progress: bool = True,

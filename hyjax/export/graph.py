@@ -15,6 +15,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.export.settings import ExportSettings
 from hyjax.export.unroll import fenced, unrolled
 from hyjax.guide.choose import FrameGuide, open_guide
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 
 CASCADE_TOLERANCE = 1e-4
@@ -97,6 +98,7 @@ class Graph:
         return call
 
 
+@checked_arguments
 def build_graph(settings: ExportSettings) -> Graph:
     """The function that the settings ask for.
 
@@ -110,6 +112,7 @@ def build_graph(settings: ExportSettings) -> Graph:
     return cascade_graph(settings.open_schedule(), guide, settings.shape, channels=settings.channels, known=known)
 
 
+@checked_arguments
 def cascade_graph(
     schedule: Schedule, guide: FrameGuide, shape: tuple[int, int], *, channels: int = 3, known: bool = True
 ) -> Graph:
@@ -153,6 +156,7 @@ def cascade_graph(
     )
 
 
+@checked_arguments
 def guide_graph(guide: FrameGuide, shape: tuple[int, int]) -> Graph:
     """The network that computes a guide."""
     picture = example_inputs(shape, 1)["display"]
@@ -168,6 +172,7 @@ def guide_graph(guide: FrameGuide, shape: tuple[int, int]) -> Graph:
     )
 
 
+@checked_arguments
 def example_inputs(shape: tuple[int, int], channels: int) -> Named:
     """A frame of flat patches with noise, and a filter with holes: `display`, `filter` and `confidence`."""
     height, width = shape

@@ -8,9 +8,11 @@ from hyjax.export.graph import build_graph, check_parity
 from hyjax.export.readme import write_readme
 from hyjax.export.settings import ExportSettings
 from hyjax.export.targets import open_target
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.files import atomic_write, make_writable, new_folder, write_text
 
 
+@checked_arguments
 def export_file(settings: ExportSettings) -> Path:
     """Write a function's file for a runtime, and its README.md; the folder of both.
 

@@ -10,7 +10,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.util.errors import InputError
+from hyjax.util.arguments import checked_arguments
+from hyjax.util.errors import InputError, shown
 
 # A pose read from a text file carries six or seven digits; scanners' trackers are orthonormal to about 1e-4.
 RIGID_TOLERANCE = 1e-3
@@ -23,6 +24,7 @@ LARGEST_VALUE = 1e7
 """Pixels, of focal lengths and of the principal point."""
 
 
+@checked_arguments
 @dataclasses.dataclass(frozen=True)
 class Intrinsics:
     """Pinhole intrinsics in pixels of a `width` × `height` image."""
@@ -60,15 +62,18 @@ class Intrinsics:
         """The 3×3 calibration matrix K."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    @checked_arguments
     def crop(self, top: int, left: int, height: int, width: int) -> "Intrinsics":
         """Intrinsics of the window of `height` × `width` pixels whose first pixel is (top, left)."""
         return dataclasses.replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
+    @checked_arguments
     def resize(self, height: int, width: int) -> "Intrinsics":
         """Intrinsics of the same view resampled to `height` × `width` pixels."""
         sx, sy = width / self.width, height / self.height
         return Intrinsics(width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy)
 
+    @checked_arguments
     def turned(self, quarters: int) -> "Intrinsics":
         """Intrinsics of the picture turned clockwise by `quarters` quarter turns."""
         k = self
@@ -77,6 +82,7 @@ class Intrinsics:
         return k
 
 
+@checked_arguments
 @dataclasses.dataclass(frozen=True)
 class Camera:
     """Intrinsics and a pose (4×4 camera-to-world, metres)."""
@@ -87,6 +93,7 @@ class Camera:
     def __post_init__(self) -> None:
         check_pose(self.pose)
 
+    @checked_arguments
     def turned(self, quarters: int) -> "Camera":
         """The camera of the picture turned clockwise by `quarters` quarter turns; each pixel keeps its ray."""
         # The new picture's x runs along the old -y, its y along the old x.
@@ -109,6 +116,7 @@ class Camera:
         local = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1)
         return local @ self.pose[:3, :3].T
 
+    @checked_arguments
     def project(
         self, points: Float[np.ndarray, "*n 3"]
     ) -> tuple[Float[np.ndarray, "*n 2"], Float[np.ndarray, "*n"]]:
@@ -120,6 +128,7 @@ class Camera:
             xy = local[..., :2] / depth[..., None] * (k.fx, k.fy) + (k.cx, k.cy)
         return xy, depth
 
+    @checked_arguments
     def unproject(self, depth: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
         """A depth map of this camera's size (metres along its axis) → world points."""
         return self.origin + self.rays() * depth[..., None]
@@ -127,6 +136,8 @@ class Camera:
 
 def check_pose(pose: Float[np.ndarray, "4 4"], where: str = "pose") -> None:
     """Raise `InputError` unless `pose` is a rigid motion (rotation and translation)."""
+    if not (isinstance(pose, np.ndarray) and pose.dtype.kind in "fiu"):
+        raise InputError(f"{where}: need a finite 4x4 camera-to-world matrix, got {shown(pose)}")
     if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
         raise InputError(f"{where}: need a finite 4x4 camera-to-world matrix, got shape {pose.shape}")
     if np.abs(pose).max() > FARTHEST:
@@ -142,6 +153,7 @@ def check_pose(pose: Float[np.ndarray, "4 4"], where: str = "pose") -> None:
         )
 
 
+@checked_arguments
 def look_at(
     eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"]:

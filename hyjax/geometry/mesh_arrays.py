@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
+from hyjax.util.errors import InputError, shown
 from hyjax.util.vectors import SHORTEST, unit
 
 if TYPE_CHECKING:
@@ -36,9 +37,15 @@ class MeshArrays:
 
     @classmethod
     def of(cls, mesh: "trimesh.Trimesh | MeshArrays") -> "MeshArrays":
-        """Arrays of a mesh, which stays what `mesh` is; arrays as they are."""
+        """Arrays of a mesh, which stays what `mesh` is; arrays as they are.
+
+        Raises:
+            InputError: it is no mesh.
+        """
         if isinstance(mesh, MeshArrays):
             return mesh
+        if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+            raise InputError(f"mesh: must be a trimesh.Trimesh, got {shown(mesh)}")
         arrays = cls(mesh.vertices, mesh.faces)
         arrays.mesh = mesh
         return arrays

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from hyjax.geometry.voxels import REACH, voxel_keys
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.vectors import SHORTEST, unit
 
@@ -27,6 +28,7 @@ CORNERS = np.sqrt(np.pi) / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np
 """Of a square as large as the unit disc, which takes two triangles."""
 
 
+@checked_arguments
 def disc_mesh(
     points: Float[np.ndarray, "n 3"], voxel: float | None = None, progress: bool = True
 ) -> trimesh.Trimesh:
@@ -42,8 +44,8 @@ def disc_mesh(
     Raises:
         InputError: not n points of three finite coordinates, fewer than 17 of them, an unusable voxel.
     """
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise InputError(f"point cloud: need finite points of shape (n, 3), got {points.shape} or non-finite ones")
+    if not np.isfinite(points).all():
+        raise InputError("point cloud: need finite points, some are not")
     points = points if voxel is None else thinned(points, voxel)
     if len(points) <= NEIGHBOURS:
         at = "" if voxel is None else f" at a voxel of {voxel:g} m"

@@ -14,6 +14,7 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.geometry.rasterizer import Rasterizer, RasterView
 from hyjax.light.gbuffer import GBuffer
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 
 if TYPE_CHECKING:
@@ -96,9 +97,10 @@ class RayCaster:
             np.ascontiguousarray(directions, dtype=np.float32),
         )
 
+    @checked_arguments
     def cast(
         self,
-        origins: Float[np.ndarray, "n 3"],
+        origins: Float[np.ndarray, "o 3"] | Float[np.ndarray, "3"],
         directions: Float[np.ndarray, "n 3"],
         grid: tuple[int, int] | None = None,
     ) -> Hits:
@@ -140,9 +142,10 @@ class RayCaster:
         ]
         return {key: np.concatenate([part[key] for part in parts]) for key in ("tfar", "primID", "u", "v")}
 
+    @checked_arguments
     def occluded(
         self,
-        origins: Float[np.ndarray, "n 3"],
+        origins: Float[np.ndarray, "o 3"] | Float[np.ndarray, "3"],
         directions: Float[np.ndarray, "n 3"],
         max_distance: Float[np.ndarray, "n"] | float = 1e37,
     ) -> Bool[np.ndarray, "n"]:
@@ -158,10 +161,12 @@ class RayCaster:
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
         return np.where(hits.hit[:, None] & (length > 0), normal / np.maximum(length, 1e-20), 0.0)
 
+    @checked_arguments
     def gbuffer(self, camera: Camera) -> GBuffer:
         """G-buffer of the mesh in `camera`. Normals are interpolated from the vertices and face the camera."""
         return self.rasterizer.gbuffer(camera, self.normals)
 
+    @checked_arguments
     def gbuffer_by_rays(self, camera: Camera) -> GBuffer:
         """`gbuffer` by single rays: sooner there for the first few pictures, as the rasteriser is slow to load."""
         shape, rays = camera.intrinsics.shape, camera.rays().astype(np.float32).reshape(-1, 3)

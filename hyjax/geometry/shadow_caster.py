@@ -16,13 +16,14 @@ from hyjax.light.kinds import Light
 from hyjax.light.kinds.shadow_views import Projection, RadialViews, ShadowViews
 from hyjax.light.shadow_map import ShadowMap, map_rays
 from hyjax.util.cache import cached_arrays, remove_oldest, touch
+from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 from hyjax.util.vectors import orthonormal_frame
 
 RESOLUTION = 1024  # texels a side of a map with one view
 VIEW_RESOLUTION = 512  # of each view, where there are several
-
-
+LARGEST_SCALE = 16.0
+"""Of the resolution: maps of a gigabyte."""
 VERSION = 1
 """Of what is drawn. Add one whenever it comes out differently."""
 MOST_BYTES = 400_000_000
@@ -47,7 +48,12 @@ def cast_shadow_maps(
         slack: see `ShadowMap`.
         most_views: of each light, at most; None for all that it has.
         folder: to keep maps in, under mesh and light, and to find them in again; None to draw them anew.
+
+    Raises:
+        InputError: no scale above 0 and up to 16.
     """
+    if not 0 < scale <= LARGEST_SCALE:
+        raise InputError(f"scale: must be > 0 and at most {LARGEST_SCALE:g}, got {scale:g}")
     thinned = (_thinned(light.shadow_views(), most_views) for light in lights)
     maps = tuple(_cast(caster, views, scale, folder) for views in thinned)
     if slack is None:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from hyjax.configuration import GuideOptions
 from hyjax.core.pyramid import downsample, upsample
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, did_you_mean
 
 NO_GUIDE = "none"
@@ -46,6 +47,7 @@ class RgbGuide:
     name: str = "rgb"
     fingerprint: str = "rgb"
 
+    @checked_arguments
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
         """Features of a frame: the frame itself."""
         return display
@@ -125,6 +127,7 @@ def _reduced(guide: FrameGuide, display: Float[Array, "h w 3"], factor: int) -> 
     return upsample(guide.features(downsample(display, factor)), factor, (display.shape[0], display.shape[1]))
 
 
+@checked_arguments
 def configured_guide(options: GuideOptions) -> FrameGuide:
     """Guide of a configuration.
 
@@ -143,6 +146,7 @@ def _opened(name: str) -> FrameGuide:
     return open_guide(name)
 
 
+@checked_arguments
 def open_guide(name: str = "rgb") -> FrameGuide:
     """Open a guide by name.
 

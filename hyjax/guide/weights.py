@@ -20,6 +20,7 @@ from jaxtyping import Shaped
 
 from hyjax.guide.layers import ConvNorm
 from hyjax.guide.network import ENCODERS, GuideNetwork
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
 from hyjax.util.reading import check_regular
@@ -36,6 +37,7 @@ CLASSIFIER = ("conv_head.", "norm_head.", "classifier.")
 HUB = "hf://"
 
 
+@checked_arguments
 def save_guide(
     path: str | os.PathLike[str],
     network: GuideNetwork,
@@ -77,6 +79,7 @@ def save_guide(
         temporary.write_bytes(safetensors.numpy.save(tensors, metadata=texts))
 
 
+@checked_arguments
 def load_network(
     path: str | os.PathLike[str], *, encoder: str | None = None
 ) -> tuple[GuideNetwork, dict[str, str]]:
@@ -105,6 +108,7 @@ def load_network(
     return network, metadata
 
 
+@checked_arguments
 def kappa_of(metadata: Mapping[str, str], path: str | os.PathLike[str]) -> float:
     """The κ that goes with the features of a file's network.
 
@@ -122,6 +126,7 @@ def kappa_of(metadata: Mapping[str, str], path: str | os.PathLike[str]) -> float
     return kappa
 
 
+@checked_arguments
 def load_weights(path: str | os.PathLike[str], network: GuideNetwork) -> dict[str, str]:
     """Fill a network with the weights of a file, and return the file's metadata.
 

@@ -7,7 +7,8 @@ import jax
 import numpy as np
 
 from hyjax.light.kinds import Light
-from hyjax.util.arguments import is_numeric
+from hyjax.util.argument_kinds import is_numeric
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 
@@ -32,6 +33,7 @@ class LightSetup:
     existing: Mapping[str, tuple[float, float, float]] = dataclasses.field(default_factory=dict)
 
     @classmethod
+    @checked_arguments
     def of(cls, lights: "LightSetup | Sequence[Light] | Light") -> "LightSetup":
         """Return a set-up as it is, or make one of lights (or a single one) under the usual reference.
 

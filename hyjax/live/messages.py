@@ -20,6 +20,7 @@ from hyjax.data.capture import Frame
 from hyjax.data.capture_files import read_colour
 from hyjax.data.recording import rigid
 from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.reading import parse_json
 
@@ -32,6 +33,7 @@ QUALITY = 90
 _log = logging.getLogger(__name__)
 
 
+@checked_arguments
 def write_live_frame(stream: BinaryIO, frame: Frame) -> None:
     """Write a frame as a message: its picture as JPEG, its depth in whole millimetres."""
     picture = io.BytesIO()

@@ -68,6 +68,7 @@ def squared_error_map(
     return jnp.mean((image - reference) ** 2, axis=-1)
 
 
+@checked_arguments
 def decibels(squared_error: float) -> float:
     """PSNR in dB of a mean squared error of pictures in [0, 1].
 

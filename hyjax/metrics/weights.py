@@ -13,6 +13,7 @@ import safetensors.numpy
 from jaxtyping import Array, Float
 
 from hyjax.metrics.networks import NETWORKS, Net
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.cache import cache_folder
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.reading import check_regular
@@ -43,6 +44,7 @@ class LpipsWeights:
     net: Net
 
 
+@checked_arguments
 def load_lpips(path: str | Path | None = None, *, net: Net = "alex") -> LpipsWeights:
     """Read the weights of LPIPS v0.1.
 

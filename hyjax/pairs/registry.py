@@ -25,6 +25,7 @@ from pathlib import Path
 
 from hyjax.pairs import captures, diml, folder, generated_rooms, middlebury, nyu
 from hyjax.pairs.depth_pairs import SELECTION_OPTIONS, ChosenPairs, DepthPairs, PairsKind, selected
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, did_you_mean
 
 PAIRS_KINDS: dict[str, PairsKind] = {}
@@ -54,6 +55,7 @@ for _kind in (
     register_pairs(_kind)
 
 
+@checked_arguments
 def open_pairs(text: str) -> DepthPairs:
     """Open a source of pairs; see this module for the syntax.
 

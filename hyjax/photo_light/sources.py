@@ -27,6 +27,7 @@ from jaxtyping import Float, Int
 from hyjax.data.hand_written import check_keys
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.reading import read_yaml
 from hyjax.util.vectors import unit
@@ -58,6 +59,7 @@ class PhotoWindow:
     normal: Vector
 
     @classmethod
+    @checked_arguments
     def facing(
         cls, name: str, center: Vector, normal: Vector, up: Vector, width: float, height: float
     ) -> "PhotoWindow":
@@ -154,6 +156,7 @@ FORMS = {
 }
 
 
+@checked_arguments
 def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarray, "n 3"]) -> PhotoSources:
     """Sources from a file; see the module for its form.
 

@@ -31,6 +31,7 @@ from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.light_setups import DARK_SETUPS
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.claims import claimed
 from hyjax.util.clock import StageClock, Stopwatch
 from hyjax.util.contact_sheet import write_contact_sheet
@@ -47,6 +48,7 @@ WARM_UP = DEPTH + 2
 """Frames that do not count for frames per second: the first compiles, and others are read meanwhile."""
 
 
+@checked_arguments
 def relight_capture(
     settings: RelightSettings,
     *,

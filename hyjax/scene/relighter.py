@@ -31,6 +31,7 @@ from hyjax.light.view import View
 from hyjax.pipeline import TemporalFilter, relight_stages
 from hyjax.scene.place import Place, camera_view, view_of
 from hyjax.scene.settings import Occluders
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
 from hyjax.util.programs import run_kept
@@ -113,6 +114,7 @@ class Relighter:
         pictures = [relighter.relit(index).image for index in range(len(scene))]
     """
 
+    @checked_arguments
     def __init__(
         self,
         place: Place,
@@ -152,15 +154,18 @@ class Relighter:
         other._device, other._made = device, (revision, dataclasses.replace(setup, lights=lights), maps, light)
         return other
 
+    @checked_arguments
     def gbuffer(self, camera: Camera, *, rays: bool = False) -> GBuffer:
         """Surface that a camera sees, at the configuration's scale; see `Scene.gbuffer`."""
         return self.place.gbuffer(scaled(camera, self.configuration.scale), rays=rays)
 
+    @checked_arguments
     def view(self, frame: int | Frame) -> View:
         """View of a frame, at the configuration's scale."""
         own = self.place.frame(frame)
         return self._view(own, self.gbuffer(own.camera))[0]
 
+    @checked_arguments
     def shade(self, view: View, *, sampling: int | None = None) -> Shaded:
         """Light on what a view sees.
 
@@ -173,6 +178,7 @@ class Relighter:
         *_, (_, shaded) = self._shade_stages(view, sampling)
         return shaded
 
+    @checked_arguments
     def relit(self, frame: int | Frame, *, rays: bool = False) -> Relit:
         """Relit frame.
 
@@ -184,10 +190,12 @@ class Relighter:
         *_, (_, relit) = self.stages(own, gbuffer=self.gbuffer(own.camera, rays=rays))
         return relit
 
+    @checked_arguments
     def picture(self, frame: int | Frame) -> Float[Array, "h w 3"]:
         """Relit picture alone, linear; nothing to compare it with is made."""
         return refined_picture(self.lit(frame), self.configuration)
 
+    @checked_arguments
     def stages(self, frame: int | Frame, *, gbuffer: GBuffer | None = None) -> Stages:
         """Frame stage by stage: each stage's name with its result. The last is `Relit`, see `relight_stages`.
 
@@ -202,6 +210,7 @@ class Relighter:
             remember = self._video.filter(result.view, self.setup, result.features, self.configuration.schedule)
         yield from refine(result, self.configuration, temporal_filter=remember)
 
+    @checked_arguments
     def lit(self, frame: int | Frame, *, gbuffer: GBuffer | None = None) -> LitFrame:
         """All that the refinement of a frame takes. Arguments: see `stages`."""
         lit: LitFrame = StageClock().follow(self._lit_stages(frame, gbuffer))

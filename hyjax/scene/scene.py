@@ -33,6 +33,7 @@ from hyjax.scene.place import view_of
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.settings import Occluders, SceneSettings, parse_size
 from hyjax.scene.surfaces import surface_arrays, will_fuse
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.cache import cache_folder
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
@@ -67,6 +68,7 @@ class Scene:
         InputError: the capture has no frames, or no unit vector against gravity.
     """
 
+    @checked_arguments
     def __init__(
         self,
         capture: Capture,
@@ -92,6 +94,7 @@ class Scene:
         self._sources_file, self._progress = photo_sources, progress
 
     @classmethod
+    @checked_arguments
     def open(
         cls,
         settings: SceneSettings,
@@ -164,6 +167,7 @@ class Scene:
         """Whether the light that the frames were taken under can be divided out."""
         return True
 
+    @checked_arguments
     def frame(self, index: int | Frame) -> Frame:
         """Frame of the capture, at the size that is worked at; any other as it is.
 
@@ -176,10 +180,12 @@ class Scene:
             raise InputError(f"frame {index}: the capture has frames 0 to {len(self) - 1}")
         return fit(self.capture[index], self.size)
 
+    @checked_arguments
     def gbuffer(self, camera: Camera, *, rays: bool = False) -> GBuffer:
         """Surface points seen by a camera; by single rays, if so, which is sooner for a picture or two."""
         return self.caster.gbuffer_by_rays(camera) if rays else self.caster.gbuffer(camera)
 
+    @checked_arguments
     def view(self, index: int | Frame) -> View:
         """View of a frame: its picture, and the surface in it.
 
@@ -189,6 +195,7 @@ class Scene:
         frame = self.frame(index)
         return view_of(frame, self.gbuffer(frame.camera))
 
+    @checked_arguments
     def lights(
         self, lights: LightSetup | Sequence[Light] | str | Path, *, at_photo_sources: bool = False
     ) -> LightSetup:
@@ -229,6 +236,7 @@ class Scene:
         """Of shadow maps of `occluders`, see `ShadowMap`."""
         return None if self.exact else SLACK
 
+    @checked_arguments
     def shadow_maps(
         self,
         lights: LightSetup | Sequence[Light],
@@ -255,6 +263,7 @@ class Scene:
         self._maps = [*self._maps, (key, own, maps)][-self.most_maps :]
         return maps
 
+    @checked_arguments
     def shade(
         self,
         view: View,
@@ -283,6 +292,7 @@ class Scene:
         relighter = Relighter(self, lights, own, shadows=shadows, occluders=occluders)
         return relighter.shade(view, sampling=sampling)
 
+    @checked_arguments
     def relit(
         self,
         frame: int | Frame,
@@ -313,6 +323,7 @@ class Scene:
             progress=self._progress,
         )
 
+    @checked_arguments
     def surface_light(
         self,
         lights: LightSetup | Sequence[Light],

@@ -35,6 +35,7 @@ from hyjax.training.log import TrainingLog
 from hyjax.training.settings import TrainSettings
 from hyjax.training.state import Progress, TrainState, Updater
 from hyjax.training.validation import Validation, sample_of
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.claims import claimed
 from hyjax.util.environment import environment
 from hyjax.util.errors import InputError
@@ -46,6 +47,7 @@ MEMORY_MARGIN = 0.9
 """Largest share of the free memory for an update."""
 
 
+@checked_arguments
 def train(
     settings: TrainSettings,
     out: Path,

@@ -6,46 +6,19 @@ called, the values of arrays never: traced arrays pass as others do, and nothing
 Arrays are compared with their annotations by jaxtyping.
 """
 
-import collections.abc
-import dataclasses
 import functools
 import inspect
-import itertools
-import logging
-import math
 import types
 import typing
-import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Literal, ParamSpec, TypeVar, Union, overload
+from collections.abc import Callable, Sequence
+from typing import Any, ParamSpec, TypeVar, overload
 
-import jax
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float, jaxtyped
+from jaxtyping import jaxtyped
 
-from hyjax.util.errors import InputError, did_you_mean, shown
+from hyjax.util.argument_kinds import Kind, Seen, kind_of
 
 P = ParamSpec("P")
 T = TypeVar("T")
-LARGEST = float(np.finfo(np.float32).max)
-LARGEST_WHOLE = 1 << 62
-NUMBERS: Any = (int, float, np.integer, np.floating)
-MAY_BE_EMPTY = ("n", "h_1", "w_1", "ch_1", "cw_1")
-"""Axes that may have no entries: steps may be none, and edges of one row or column."""
-TYPE_NAMES: dict[Any, str] = {
-    int: "a whole number",
-    float: "a number",
-    bool: "True or False",
-    str: "a text",
-    type(None): "None",
-}
-DTYPE_NAMES: dict[Any, str] = {"float32": "a float", "bool": "a bool", "int32": "an integer", "uint8": "a uint8"}
-SCALED = "%s: a picture of bytes is taken for display values of 0 to 255, and divided by 255 (told once)"
-_log = logging.getLogger(__name__)
-_told: set[str] = set()
-_checked: weakref.WeakValueDictionary[int, Any] = weakref.WeakValueDictionary()
-"""Objects whose fields have been looked at; they are frozen."""
 
 
 @overload
@@ -63,18 +36,21 @@ def checked_arguments(function: Any = None, *, display: Sequence[str] = ()) -> A
     hyjax.util.errors.InputError: count: must be a whole number, got 1.5
 
     Args:
-        function: to be decorated.
+        function: to be decorated; of a class what makes its objects.
         display: names of arguments that are display-encoded pictures: one of bytes is divided by 255, which is
             logged once.
     """
     if function is None:
         return functools.partial(checked_arguments, display=display)
+    if isinstance(function, type):
+        function.__init__ = checked_arguments(display=display)(function.__init__)  # type: ignore[misc]
+        return function
 
     @functools.cache  # at the first call, when all that annotations name is there
     def prepare() -> tuple[list[str], dict[str, Kind]]:
         plain: Any = inspect.unwrap(function)
-        hints = {name: hint for name, hint in plain.__annotations__.items() if name != "return"}
-        hints = typing.get_type_hints(types.SimpleNamespace(__annotations__=hints), plain.__globals__)
+        given = plain.__annotations__.items()
+        hints = {name: _resolved(hint, plain.__globals__) for name, hint in given if name != "return"}
         parameters = inspect.signature(function).parameters.values()
         by_place = [parameter.name for parameter in parameters if parameter.kind is parameter.POSITIONAL_OR_KEYWORD]
         return by_place, {name: kind_of(hint, display=name in display) for name, hint in hints.items()}
@@ -93,249 +69,9 @@ def checked_arguments(function: Any = None, *, display: Sequence[str] = ()) -> A
     return call
 
 
-@dataclasses.dataclass(frozen=True)
-class Kind:
-    """What values an annotation takes.
-
-    Attributes:
-        wanted: what would be right, for messages.
-        arrays: annotations of jaxtyping.
-        classes: of other values; float and int are for numbers of Python and NumPy.
-        words: of a literal.
-        each: kind of the entries of a sequence.
-        parts: kinds of a tuple's entries.
-        display: whether bytes are taken for display values of 0 to 255.
-        may_be_empty: whether arrays may be; their axes of `MAY_BE_EMPTY` always may.
-        anything: whether the annotation says nothing that can be checked.
-    """
-
-    wanted: str = ""
-    arrays: tuple[Any, ...] = ()
-    classes: tuple[Any, ...] = ()
-    words: tuple[Any, ...] = ()
-    each: "Kind | None" = None
-    parts: "tuple[Kind, ...]" = ()
-    display: bool = False
-    may_be_empty: bool = False
-    anything: bool = False
-
-    def __call__(self, name: str, value: Any, seen: "Seen") -> Any:
-        """The value to pass on: as it is, or what it clearly stands for.
-
-        Args:
-            name: of the argument.
-            value: that was given.
-            seen: arguments before it, to which it is added.
-
-        Raises:
-            InputError: it is of another kind.
-        """
-        if self.anything:
-            return value
-        if isinstance(value, np.ndarray):
-            value = _narrowed(value)
-        if not self.takes(value):
-            readings = (reading for reading in self._readings(value) if self.takes(reading))
-            given, value = value, next(readings, None)
-            if value is None:
-                raise self.refusal(name, given, seen)
-            if getattr(given, "dtype", None) == np.uint8 and name not in _told:
-                _told.add(name)
-                _log.warning(SCALED, name)
-        seen[name] = self, value
-        if isinstance(value, tuple) and (self.parts or self.each):
-            parts: Any = self.parts or itertools.repeat(self.each)
-            return tuple([part(f"{name}[{k}]", x, seen) for k, (part, x) in enumerate(zip(parts, value))])
-        check_content(name, value)
-        return value
-
-    def takes(self, value: Any) -> bool:
-        """Whether a value is of this kind as it is; a tuple's entries are not looked at."""
-        if self.anything:
-            return True
-        if isinstance(value, bool | np.bool_ | str):
-            of = str if isinstance(value, str) else type(value)
-            return of in self.classes or any(type(value) is type(word) and value == word for word in self.words)
-        if isinstance(value, NUMBERS):
-            if int in self.classes and isinstance(value, int):
-                return abs(value) <= LARGEST_WHOLE
-            return float in self.classes and not LARGEST < abs(value) < math.inf
-        if isinstance(value, tuple):
-            return len(value) == len(self.parts) if self.parts else self.each is not None
-        if isinstance(value, self.arrays):
-            return (
-                self.may_be_empty
-                or 0 not in value.shape
-                or all(n or axis in MAY_BE_EMPTY for axis, n in self.sizes(value).items())
-            )
-        return isinstance(value, self.classes)
-
-    def _readings(self, value: Any) -> Iterator[Any]:
-        """What a value may stand for, the likeliest first."""
-        if isinstance(value, np.generic):
-            yield value.item()
-        if self.each is not None and self.each.classes and self.each.takes(value):
-            yield (value,)
-        if isinstance(value, list) or (self.each and _is_iterable(value)):
-            yield tuple(value)
-        if self.arrays and (isinstance(value, list | tuple) or hasattr(value, "__array__")):
-            yield from self._arrays(value)
-
-    def _arrays(self, value: Any) -> Iterator[Any]:
-        listed = isinstance(value, list | tuple)
-        on_device = listed and any(isinstance(x, jax.Array) for x in jax.tree.leaves(value))
-        try:
-            array = value if isinstance(value, jax.Array) else (jnp if on_device else np).asarray(value)
-        except (TypeError, ValueError, OverflowError, MemoryError):
-            return
-        yield _narrowed(array)
-        # 0 for 0.0, as people write lists; 255 in a display picture may be meant for a byte.
-        if listed and array.dtype == np.int64 and not (self.display and array.max(initial=0) > 1):
-            yield _narrowed(array.astype(float))
-        if self.display and array.dtype == np.uint8:
-            yield jnp.asarray(array, jnp.float32) / 255.0
-
-    def refusal(self, name: str, value: Any, seen: "Seen") -> InputError:
-        """Error for a value of another kind, or of another size than those before it."""
-        if isinstance(value, str) and self.words:
-            hint = did_you_mean(value, map(str, self.words))
-            return InputError(f"{name}: {shown(value)} is unknown{hint}; use {self.wanted}")
-        if not (hasattr(value, "dtype") and hasattr(value, "shape")):
-            return InputError(f"{name}: must be {self.wanted}, got {shown(value)}")
-        got = f"must be {self.wanted}, got {described(value)}"
-        if value.dtype == np.uint8 and self.arrays:
-            return InputError(f"{name}: {got}; divide a picture of bytes by 255")
-        own = self.sizes(value)
-        for axis, size in own.items():
-            for other, (kind, earlier) in seen.items():
-                if (known := kind.sizes(earlier).get(axis, size)) != size:
-                    return InputError(f"{name}: {got}; {axis} is {known} by {other}")
-        return InputError(f"{name}: {'' if all(own.values()) else 'is empty; '}{got}")
-
-    def sizes(self, value: Any) -> dict[str, int]:
-        """Sizes of an array's named axes; axes before a variadic one are left out."""
-        axes = self.arrays[0].dim_str.split() if self.arrays else ()
-        sizes = [*zip(axes[::-1], getattr(value, "shape", ())[::-1])]
-        return {axis: size for axis, size in reversed(sizes) if axis.isidentifier()}
-
-
-Seen = dict[str, tuple[Kind, Any]]
-"""Kinds and values of arguments by name."""
-
-
-def kind_of(hint: Any, **options: Any) -> Kind:
-    """The kind of values that an annotation takes; the options are `display` and `may_be_empty` of `Kind`.
-
-    >>> kind_of(int | None).wanted
-    'a whole number or None'
-    """
-    origin, parts = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (Union, types.UnionType):
-        return _any_of([kind_of(part, **options) for part in parts])
-    if hasattr(hint, "dim_str"):
-        arrays = hint if hint.array_type is np.ndarray else hint.dtype[jax.Array, hint.dim_str]
-        both = (arrays, hint.dtype[np.ndarray, hint.dim_str])
-        return Kind(_array_name(hint), both, () if hint.dim_str else (float,), **options)
-    if origin is Literal:
-        return Kind(f"one of {', '.join(map(str, parts))}", words=parts)
-    if origin is tuple and parts and parts[-1] is not Ellipsis:
-        kinds = tuple(map(kind_of, parts))
-        names = " and ".join(dict.fromkeys(kind.wanted or "anything" for kind in kinds))
-        return Kind(f"{len(kinds)} values, each {names}", parts=kinds)
-    if origin in (tuple, collections.abc.Sequence, collections.abc.Iterable, list):
-        each = kind_of(parts[0])
-        return Kind(f"several, each {each.wanted}" if each.wanted else "several values", each=each)
-    if origin is collections.abc.Callable:
-        return Kind("a function", classes=(collections.abc.Callable,))
-    if hint is float:
-        return Kind(TYPE_NAMES[float], (Float[Array, ""],), (float,))
-    if isinstance(hint, type) and issubclass(hint, np.generic):  # of jaxtyping's ArrayLike
-        return Kind()
-    if isinstance(hint, type) and hint is not object:
-        article = "an" if hint.__name__[0] in "AEIO" else "a"
-        return Kind(TYPE_NAMES.get(hint, f"{article} {hint.__name__}"), classes=(hint,))
-    return Kind(anything=True)
-
-
-def _any_of(kinds: Sequence[Kind]) -> Kind:
-    """The kind of a union; arrays take lists of numbers as well, and those of no axes take numbers."""
-    arrays = sum((kind.arrays for kind in kinds), ())
-    each = None if any(a.dim_str for a in arrays) else next((kind.each for kind in kinds if kind.each), None)
-    return Kind(
-        " or ".join(dict.fromkeys(kind.wanted for kind in kinds if kind.wanted)),
-        arrays,
-        sum((kind.classes for kind in kinds), ()),
-        sum((kind.words for kind in kinds), ()),
-        each,
-        next((kind.parts for kind in kinds if kind.parts), ()),
-        any(kind.display for kind in kinds),
-        any(kind.may_be_empty for kind in kinds),
-        any(kind.anything for kind in kinds),
-    )
-
-
-def _array_name(hint: Any) -> str:
-    kind = next((said for name, said in DTYPE_NAMES.items() if name in hint.dtypes), "a number")
-    axes = ["..." if axis.startswith("*") else axis for axis in hint.dim_str.split()]
-    if not axes:
-        return "a number"
-    return f"{kind} array" + ("" if axes == ["..."] else f" of shape {' x '.join(axes)}")
-
-
-def _is_iterable(value: Any) -> bool:
-    no_sequence = isinstance(value, str | bytes | Mapping) or getattr(value, "ndim", 1) == 0
-    return isinstance(value, collections.abc.Iterable) and not no_sequence
-
-
-def _narrowed(array: Any) -> Any:
-    """Doubles in single precision, unless JAX is set to have them."""
-    if array.dtype != np.float64 or jax.dtypes.canonicalize_dtype(float) == np.float64:
-        return array
-    with np.errstate(over="ignore"):
-        return array.astype(np.float32)
-
-
-def check_content(name: str, value: Any) -> None:
-    """Raise `InputError` for an object whose own checks fail, or whose arrays are not as its fields say."""
-    if hasattr(value, "check_values"):
-        value.check_values(name)
-        return
-    fields = _fields_of(value.__class__)
-    if fields and _checked.get(id(value)) is not value:
-        seen: Seen = {}
-        with jaxtyped("context"):
-            for field, kind in fields:
-                content = getattr(value, field)
-                if not kind.takes(content):
-                    raise kind.refusal(f"{name}.{field}", content, seen)
-                seen[f"{name}.{field}"] = kind, content
-                check_content(f"{name}.{field}", content)
-        _checked[id(value)] = value
-
-
-@functools.cache
-def _fields_of(cls: Any) -> tuple[tuple[str, Kind], ...]:
-    """Fields of a dataclass without arrays of whole numbers, which callers may map; none of one with checks."""
-    if not dataclasses.is_dataclass(cls) or hasattr(cls, "check"):
-        return ()
-    hints = typing.get_type_hints(cls)
-    kinds = ((f.name, kind_of(hints[f.name], may_be_empty=True)) for f in dataclasses.fields(cls))
-    return tuple((name, kind) for name, kind in kinds if all("float32" in a.dtypes for a in kind.arrays))
-
-
-def described(value: Any) -> str:
-    """Type and shape of an array, for messages.
-
-    >>> described(np.zeros((4, 5), np.uint8))
-    'uint8 of shape (4, 5)'
-    """
-    return f"{value.dtype} of shape {value.shape}"
-
-
-def is_numeric(array: np.ndarray) -> bool:
-    """Whether an array holds real numbers: no truth values, text, or objects.
-
-    >>> is_numeric(np.ones(2)), is_numeric(np.array(["1"])), is_numeric(np.array(True))
-    (True, False, False)
-    """
-    return jnp.issubdtype(array.dtype, np.integer) or jnp.issubdtype(array.dtype, np.floating)
+def _resolved(hint: Any, names: dict[str, Any]) -> Any:
+    """An annotation; `Any` where it names a module that type checkers alone load."""
+    try:
+        return typing.get_type_hints(types.SimpleNamespace(__annotations__={"it": hint}), names)["it"]
+    except NameError:
+        return Any

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
 from hyjax.util.picture_header import check_packing, check_picture, check_size
@@ -121,7 +122,8 @@ def _read(path: Path, where: str | None, only: str | None = None) -> np.ndarray:
     return pixels
 
 
-def write_png(path: Path, display: Float[np.ndarray, "h w c"]) -> None:
+@checked_arguments
+def write_png(path: Path, display: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w c"]) -> None:
     """Write display-encoded values in [0, 1] as an 8-bit PNG."""
     pixels = np.round(np.clip(np.asarray(display, dtype=np.float32), 0.0, 1.0) * 255.0).astype(np.uint8)
     _write(path, pixels, "uint8", {"oiio:ColorSpace": "srgb_rec709_scene", "png:compressionLevel": PNG_LEVEL})

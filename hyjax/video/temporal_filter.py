@@ -152,7 +152,13 @@ def steady(
 
     Returns:
         Points that the last frame did not see as they were given; all of them if it saw hardly any.
+
+    Raises:
+        InputError: the memory has another number of channels.
     """
+    kept, count = memory.channels.shape[-1], channels.shape[-1]
+    if kept != count:
+        raise InputError(f"channels: {count} of this frame, {kept} in the memory; they must be as many")
     before, found = recall(memory, depth, pose, intrinsics)
     usable = (found & (jnp.mean(found) >= LEAST_FOUND))[..., None] & jnp.isfinite(before)
     mean = jnp.where(jnp.isfinite(channels), channels + keep * (before - channels), before)

@@ -111,7 +111,7 @@ def test_isolated_points_go_and_sparse_parts_stay() -> None:
     ("points", "said"),
     [
         (grid(4, 1.0), r"16 points make no surface; need at least 17"),
-        (np.zeros((100, 2)), r"shape \(n, 3\)"),
+        (np.zeros((100, 2)), r"of shape n x 3"),
         (np.full((100, 3), np.nan), "finite"),
     ],
 )

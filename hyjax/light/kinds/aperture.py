@@ -7,6 +7,7 @@ import numpy as np
 
 from hyjax.light.kinds.base import Vector, pytree
 from hyjax.light.kinds.file_keys import FileKey, Triple, direction, plain
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.vectors import perpendicular, reject, unit
 
@@ -29,6 +30,7 @@ class Aperture:
     up: Vector
 
     @classmethod
+    @checked_arguments
     def facing(
         cls,
         center: Triple,

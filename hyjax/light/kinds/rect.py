@@ -13,6 +13,7 @@ from hyjax.light.kinds.emitter import Emitter
 from hyjax.light.kinds.file_keys import LUMINOUS_FLUX, plain
 from hyjax.light.kinds.polygon import polygon_form_factor
 from hyjax.light.kinds.shadow_views import HEMISPHERE, RadialViews
+from hyjax.util.arguments import checked_arguments
 from hyjax.util.geometry import cross, dot, inner
 from hyjax.util.vectors import orthonormal_frame, r2_sequence
 
@@ -43,6 +44,7 @@ class RectLight(Light):
     color: Vector
 
     @classmethod
+    @checked_arguments
     def filling(cls, opening: Aperture, luminous_flux: Scalar, color: Vector) -> Self:
         """Light of an opening's place and size."""
         return cls(opening.center, opening.right, opening.up, luminous_flux, color)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hyjax.light.kinds.file_keys import FileKey
-from hyjax.util.arguments import described, is_numeric
+from hyjax.util.argument_kinds import described, is_numeric
 from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 
