@@ -24,8 +24,6 @@ from hyjax.util.errors import InputError
 
 Choices = dict[str, Any]
 """Value of each parameter by name; those that are not active are left out."""
-NUMBERS_OF_LEVELS = ("kappa", "lam", "fidelity", "shadow_kappa")
-"""Names of numbers that each level of a cascade may have of its own."""
 Levels = tuple[tuple[int, int], ...]
 COUNTS = (0, 1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30)
 """Numbers of steps that are drawn; any up to `MOST_STEPS` may be taken."""
@@ -185,8 +183,8 @@ class Space:
             whole["sampling"] = allowed
         for name, value in whole.items():
             if isinstance(value, tuple):
-                cascade = "shadow_pass" if name.startswith("shadow") else "cascade"
-                apart = name in NUMBERS_OF_LEVELS and len(value) == len(self.levels(whole, cascade))
+                cascade = _cascade_of(name)
+                apart = cascade and len(value) == len(self.levels(whole, cascade))
                 if not apart or len(set(value)) == 1:
                     whole[name] = self.named[name].middle(value)
         return {p.name: whole[p.name] for p in self.parameters if p.active(text)}
@@ -293,6 +291,12 @@ def _known(values: Mapping[str, Any], space: Space) -> Choices:
         if name in own and not {factor for factor, count in levels_of(own[name]) if count} <= factors:
             del own[name]
     return own
+
+
+def _cascade_of(name: str) -> str:
+    """Name of the steps of the cascade that a choice is a number of; empty for one that is of no cascade."""
+    part = CHOICES[name].part
+    return next((n for n, row in CHOICES.items() if row.field == f"{part}.steps"), "") if part in CASCADES else ""
 
 
 def levels_of(text: str) -> Levels:
