@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from hyjax.choices.table import choice_named
 from hyjax.configuration import Configuration
+from hyjax.core.step_size import DEFAULT_LAM
 from hyjax.scene.relighter import LitFrame, refined_picture
 from hyjax.tuning.frame.cascade_numbers import with_numbers as with_cascade_numbers
 from hyjax.tuning.frame.evaluation import Case, Judge
@@ -38,7 +39,7 @@ def numbers_of(configuration: Configuration, *, levels: bool) -> Numbers:
     own, shadow, light = configuration.schedule, configuration.shadow_schedule, configuration.light
     found: dict[str, list[float]] = {
         "kappa": [float(np.asarray(level.kappa)) for level in own.levels],
-        "lam": [float(np.mean(np.asarray(level.step_sizes))) if level.steps else 0.24 for level in own.levels],
+        "lam": [float(np.mean(np.asarray(level.step_sizes))) if level.steps else DEFAULT_LAM for level in own.levels],
     }
     if all(level.fidelity is not None for level in own.levels):
         found["fidelity"] = [max(float(np.asarray(level.fidelity)), 0.01) for level in own.levels]

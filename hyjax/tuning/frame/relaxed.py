@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
+from hyjax.core.step_size import DEFAULT_LAM
 from hyjax.scene.relighter import LitFrame, refine
 from hyjax.tuning.budget import moves, neighbours
 from hyjax.tuning.cost_model import CostModel
@@ -182,7 +183,7 @@ def relaxed_of(schedule: Schedule, factors: Sequence[int]) -> RelaxedSchedule:
     steps = [levels[factor].steps if factor in levels else 0 for factor in factors]
     kappa = [float(np.asarray(level.kappa)) for level in near]
     weights = [FIDELITY_RANGE[0] if x.fidelity is None else float(np.asarray(x.fidelity)) for x in near]
-    lam = [float(np.mean(np.asarray(level.step_sizes))) if level.steps else 0.24 for level in near]
+    lam = [float(np.mean(np.asarray(level.step_sizes))) if level.steps else DEFAULT_LAM for level in near]
     point = RelaxedSchedule.of(steps, kappa, fidelity=[max(x, FIDELITY_RANGE[0]) for x in weights])
     logits = [logit(4.0 * min(max(x, LAM_RANGE[0]), LAM_RANGE[1])) for x in lam]
     return dataclasses.replace(point, logit_lam=jnp.asarray(logits, jnp.float32))
