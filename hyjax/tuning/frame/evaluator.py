@@ -98,8 +98,10 @@ class StudyEvaluator:
         return trial
 
     def refined(self, choices: Choices, batch: int) -> Choices:
-        """The choices with the numbers that the gradient leads to on the first cases: of the default one for all
-        levels, later one for each."""
+        """Choices with numbers improved by gradients on the first cases.
+
+        The default's numbers are shared by all levels; of other choices each level has its own.
+        """
         levels = choices != self.space.default
         found = refine_numbers(
             self.space.configuration(choices),

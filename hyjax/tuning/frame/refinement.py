@@ -39,7 +39,9 @@ def numbers_of(configuration: Configuration, *, levels: bool) -> Numbers:
     own, shadow, light = configuration.schedule, configuration.shadow_schedule, configuration.light
     found: dict[str, list[float]] = {
         "kappa": [float(np.asarray(level.kappa)) for level in own.levels],
-        "lam": [float(np.mean(np.asarray(level.step_sizes))) if level.steps else DEFAULT_LAM for level in own.levels],
+        "lam": [
+            float(np.mean(np.asarray(level.step_sizes))) if level.steps else DEFAULT_LAM for level in own.levels
+        ],
     }
     if all(level.fidelity is not None for level in own.levels):
         found["fidelity"] = [max(float(np.asarray(level.fidelity)), 0.01) for level in own.levels]
