@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import hyjax
-from hyjax.tuning.search import Effort
-from hyjax.tuning.settings import TuneScene
+from hyjax.tuning.settings import FrameOptions, TuneScene
 
 SIZE = sys.argv[1] if len(sys.argv) > 1 else "320x240"
 OUT = Path("out/examples/09_tune_a_schedule.png")
@@ -22,16 +21,15 @@ settings = hyjax.TuneSettings(
     budget_ms=(20.0,),  # or fps=(60,)
     frames="2,8",
     holdout="20",
+    frame=FrameOptions(trials=12),  # a short search; leave it out for the full one
     extra=False,  # no other points of the curve of quality against time
     quiet=True,
 )
-# A short search; leave `effort` out for the full one.
-effort = Effort(sampled=4, relaxed=1, iterations=5, rounded=6, polished=1, polishing=3, descents=1)
-tuned = hyjax.tune_schedule(settings=settings, effort=effort)
+tuned = hyjax.tune_schedule(settings=settings)
 best = tuned.best[0]
-print(f"{best.measured.p95:.1f} ms (95 %), loss {best.tuning.loss:.4f} on the tuning frames")
-for known in tuned.baselines:
-    print(f"beside it {known.name}: {known.predicted.median:.1f} ms predicted, loss {known.tuning.loss:.4f}")
+print(f"{best.time.p95:.1f} ms (95 %), loss {best.tuning['loss']:.4f} on the tuning frames")
+for known in tuned.references:
+    print(f"beside it {known.name}: {known.time.median:.1f} ms, loss {known.tuning['loss']:.4f}")
 print(tuned.schedule)
 
 scan, true = (hyjax.Scene.open(hyjax.SceneSettings(size=SIZE, mesh=mesh)) for mesh in ("scan", "true"))

@@ -246,9 +246,7 @@ def judge_filters(config: Config, results: Results, bench: Workbench) -> None:
     chosen: dict[str, tuple[float, float] | None] = {}
     for who in ("raw filter", *CASCADES, *options):
         tried = options.get(who, [None])
-        found = [
-            scores(tuning, [filtered(case, who, option) for case in tuning]).metrics["psnr"] for option in tried
-        ]
+        found = [scores(tuning, [filtered(case, who, option) for case in tuning])["psnr"] for option in tried]
         chosen[who] = option = tried[int(np.argmax(found))]
         score = scores(held_out, [filtered(case, who, option) for case in held_out])
         ends = {value for values in zip(*tried) for value in (min(values), max(values))} if option else set()

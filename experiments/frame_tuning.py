@@ -34,12 +34,10 @@ from hyjax.configuration import FOLDER, PRESETS, Configuration
 from hyjax.scene.settings import parse_size
 from hyjax.synthetic.truth import DEVELOPMENT_ROOMS, TEST_ROOMS
 from hyjax.tuning.frame.bench import open_frame_bench
-from hyjax.tuning.frame.clock import FrameClock
-from hyjax.tuning.frame.evaluation import Judge
-from hyjax.tuning.frame.loss import PictureLoss
 from hyjax.tuning.frame.proof import prove
-from hyjax.tuning.frame.result import FrameCandidate
+from hyjax.tuning.frame.result import Candidate
 from hyjax.tuning.frame.run import tune_frame
+from hyjax.tuning.frame.stage import FrameStage
 from hyjax.tuning.settings import SETUPS, FrameOptions, TuneScene, TuneSettings
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
@@ -108,7 +106,7 @@ def settings_of(
     return TuneSettings(scene, frame=options, budget_ms=(UNLIMITED_MS,), out=out, resume=out.exists())
 
 
-def described(candidate: FrameCandidate) -> dict[str, Any]:
+def described(candidate: Candidate) -> dict[str, Any]:
     """A candidate as JSON's types."""
     return candidate.row() | {"configuration": candidate.configuration.to_json()}
 
@@ -149,8 +147,7 @@ def add_presets(results: Results, config: Config) -> None:
     for row in of_kind(results.rows, "candidate"):
         if row["name"] == "paper-tuned":
             configurations.append(Configuration.from_json(row["configuration"]))
-    judge, clock = Judge(bench.scenes, PictureLoss()), FrameClock(bench.scenes[0], bench.lights)
-    for candidate in prove(configurations, bench, judge, clock, progress=True):
+    for candidate in prove(configurations, FrameStage(bench, TuneSettings()), progress=True):
         results.add(kind="preset", front=False, **described(candidate))
 
 

@@ -44,13 +44,13 @@ from experiments.tuning_scenes import (
     texts,
 )
 from hyjax.core.schedule import Schedule
+from hyjax.tuning.cascade import BASELINES, tune_bench
 from hyjax.tuning.cases import Case, raw_filter, refined_filter
 from hyjax.tuning.descent import Objective, polish
 from hyjax.tuning.latency_estimator import CascadeEstimator
 from hyjax.tuning.relaxation import RelaxedSchedule, prepare
 from hyjax.tuning.result import Budget
-from hyjax.tuning.run import BASELINES, tune_bench
-from hyjax.tuning.settings import TuneScene, TuneSettings
+from hyjax.tuning.settings import FrameOptions, TuneScene, TuneSettings
 from hyjax.util.errors import InputError
 
 COMPARISONS = (
@@ -127,17 +127,18 @@ def candidates(scene: Scene, tuning: list[Case], config: Config) -> tuple[dict[s
 
 def tuned(scene: Scene, config: Config, budgets: dict[str, float]) -> dict[str, Schedule]:
     """Tuned schedules by the names of their budgets, without those that the device cannot keep."""
-    settings = TuneSettings(TuneScene(seed=config.seed), extra=False)
+    options = FrameOptions(trials=config.trials)
+    settings = TuneSettings(TuneScene(seed=config.seed), frame=options, extra=False)
     ascending = sorted(budgets, key=lambda name: budgets[name])
     while ascending:
         names = [name for name in budgets if name in ascending]
         try:
             limits = [Budget(f"{budgets[name]:.3g} ms", budgets[name]) for name in names]
-            found = tune_bench(scene.bench, settings, budgets=limits, frames=scene.frames, effort=config.effort)
+            found = tune_bench(scene.bench, settings, budgets=limits, frames=scene.frames)
         except InputError as error:
             print(f"{scene.name}: {ascending.pop(0)}: {error}", file=sys.stderr)
             continue
-        return {name: best.schedule for name, best in zip(names, found.best, strict=True)}
+        return {name: best.configuration.schedule for name, best in zip(names, found.best, strict=True)}
     return {}
 
 

@@ -11,16 +11,16 @@ from experiments.blocks import Table
 from experiments.command import RunConfig
 from experiments.judging import summarise
 from experiments.records import Results, Row, machine, of_kind
+from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
 from hyjax.metrics import plain_metrics
 from hyjax.tuning.bench import Workbench, open_bench
 from hyjax.tuning.calibration import compile_all, time_calls
 from hyjax.tuning.cases import Case, scores
-from hyjax.tuning.report_text import fidelity_text, kappa_text, lam_text, steps_text
+from hyjax.tuning.frame.report_text import described
 from hyjax.tuning.request import split_frames
 from hyjax.tuning.result import Milliseconds
-from hyjax.tuning.search import Effort
 from hyjax.tuning.settings import TuneScene, TuneSettings
 from hyjax.util.errors import InputError
 
@@ -41,7 +41,8 @@ class ComparisonConfig(RunConfig):
     """How many to hold out, of the last quarter."""
     repeats: int = 100
     """Rounds of the timing at the end."""
-    effort: Effort = dataclasses.field(default_factory=Effort)
+    trials: int = 60
+    """Of the search, for all budgets together."""
     seed: int = 0
 
 
@@ -123,14 +124,15 @@ def add_scores(
 ) -> None:
     """A row for each held-out frame under its filter."""
     for frame, case in held.items():
-        found = scores([case], [relight_filter(case)]).row()
+        found = scores([case], [relight_filter(case)])
         results.add(kind="score", scene=scene, name=name, frame=frame, **found)
 
 
 def texts(schedule: Schedule) -> dict[str, str]:
     """A schedule's name, steps, κ, λ and α, for a row."""
-    parts = {"steps": steps_text, "kappa": kappa_text, "lam": lam_text, "fidelity": fidelity_text}
-    return {"schedule": schedule.name} | {key: text(schedule) for key, text in parts.items()}
+    told = described(Configuration(schedule=schedule))
+    parts = {"steps": "cascade", "kappa": "κ", "lam": "λ", "fidelity": "α"}
+    return {"schedule": schedule.name} | {key: told.get(name, "-") for key, name in parts.items()}
 
 
 def scenes_of(rows: Sequence[Row]) -> list[str]:

@@ -1,7 +1,8 @@
 """Searches of `hyjax tune` trial by trial, from their journals: the loss that so many trials have led to.
 
     hyjax tune --rooms builtin-0 --room-size 160x120 --room-frames 3 --trials 24 --budget-ms 10000 --out tuned
-    python -m experiments.tuning_search --study tuned OTHER [--limits 0.5 1 1.5] [--out results/tuning_search]
+    python -m experiments.tuning_search --study tuned OTHER [--limits 0.5 1 1.5] [--stage cascade]
+        [--out results/tuning_search]
 
 Journals of any version of the search are read, so that a search can be compared with an earlier one on the same
 frames: losses of trials are relative to the default's there. Takes seconds.
@@ -13,6 +14,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from experiments.blocks import Block, Table
 from experiments.command import RunConfig, Start, experiment, run
@@ -31,6 +33,8 @@ class Config(RunConfig):
     """Folders of runs of `hyjax tune`, of the same frames."""
     limits: tuple[float, ...] = (0.5, 1.0, 1.5)
     """Times over the default's that a trial may take."""
+    stage: Literal["frame", "cascade"] = "frame"
+    """Stage that they were of."""
     seed: int = 0
 
 
@@ -38,7 +42,7 @@ class Config(RunConfig):
 def main(config: Config, start: Start) -> None:
     if not config.study:
         raise InputError("study: none given; give folders of runs of hyjax tune")
-    found = {path.name: kept_trials(path / NAME) for path in config.study}
+    found = {path.name: kept_trials(path / NAME, config.stage) for path in config.study}
     results = start()
     for name, trials in found.items():
         first = min(len(trial.losses) for trial in trials)

@@ -183,31 +183,23 @@ def run_tune(settings: TuneSettings) -> None:
     from hyjax.tuning.tune import tune, tune_schedule, write_request
 
     _keep_for_later()
-    if settings.tunes_frame:
-        from hyjax.tuning.frame import report
-
-        for sentence in report.summary(tune(settings=settings)):
-            print(sentence)
-        if settings.out is not None:
-            file = settings.out / "configuration.json"
-            print(f"Look at {settings.out / 'report.html'}; relight with --configuration {file}")
-        return
-    from hyjax.tuning.report import summary
+    from hyjax.tuning.frame.report import STEMS, best_file, summary
 
     if (path := settings.target_device.request) is not None:
         request = write_request(settings, path)
         print(f"{len(request.schedules)} schedules to time at {request.workload}: {path}")
         return
-    tuned = tune_schedule(settings=settings)
-    if tuned.record["frames without surface"]:
-        names = ", ".join(tuned.record["frames without surface"])
-        print(f"hyjax: left out, no ray met the mesh: {names}", file=sys.stderr)
-    print(f"latency table: {tuned.record['latency']['table']}")
-    print(tuned.schedule)
+    tuned = (tune if settings.tunes_frame else tune_schedule)(settings=settings)
+    if blind := tuned.record.get("frames without surface"):
+        print(f"hyjax: left out, no ray met the mesh: {', '.join(blind)}", file=sys.stderr)
+    if tuned.stage == "cascade":
+        print(f"latency table: {tuned.record['latency']['table']}")
+        print(tuned.schedule)
     for sentence in summary(tuned):
         print(sentence)
     if settings.out is not None:
-        print(f"Look at {settings.out / 'report.html'}; relight with --schedule {settings.out / 'schedule.json'}")
+        option, file = STEMS[tuned.stage], settings.out / best_file(tuned.stage)
+        print(f"Look at {settings.out / 'report.html'}; relight with --{option} {file}")
 
 
 def run_swept(settings: SweepSettings) -> None:

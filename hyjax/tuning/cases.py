@@ -15,7 +15,6 @@ from hyjax.light.shading import mix_channels
 from hyjax.metrics import Metric, plain_metrics
 from hyjax.metrics.losses import filter_loss
 from hyjax.pipeline import refine_illuminance
-from hyjax.tuning.result import Scores
 
 
 @jax.tree_util.register_dataclass
@@ -66,9 +65,8 @@ def _scores(case: Case, relight_filter: Float[Array, "h w 3"], metrics: tuple[Me
     return [filter_loss(relight_filter, case.target, case.frame, case.valid), *values]
 
 
-def scores(cases: Sequence[Case], filters: Sequence[Float[Array, "h w 3"]]) -> Scores:
-    """Loss and metrics of the relit frames, where the target is known; the mean over all cases."""
+def scores(cases: Sequence[Case], filters: Sequence[Float[Array, "h w 3"]]) -> dict[str, float]:
+    """Loss and metrics by name of the relit frames, where the target is known; the mean over all cases."""
     metrics = plain_metrics()
     rows = [_scores(case, f, tuple(metrics.values())) for case, f in zip(cases, filters, strict=True)]
-    loss, *values = np.mean(np.asarray(rows, float), axis=0).tolist()
-    return Scores(loss, dict(zip(metrics, values)))
+    return dict(zip(("loss", *metrics), np.mean(np.asarray(rows, float), axis=0).tolist()))

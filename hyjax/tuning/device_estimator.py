@@ -14,7 +14,7 @@ from hyjax.tuning.cost_model import fit, leave_one_out
 from hyjax.tuning.device_latency import DeviceLatency, DeviceWorkload, read_latency, write_latency
 from hyjax.tuning.device_measuring import ConnectedDevice
 from hyjax.tuning.device_request import calibration_schedules, each_once, has_levels, latency_request
-from hyjax.tuning.latency_estimator import has_searched_form, workload_of
+from hyjax.tuning.latency_estimator import ScheduleClock, has_searched_form, workload_of
 from hyjax.tuning.latency_table import LatencyTable
 from hyjax.tuning.result import CalibrationTime, Milliseconds
 from hyjax.tuning.workload import factors_for, schedule_key
@@ -85,7 +85,7 @@ def _check_complete(steps: Sequence[tuple[int, ...]], factors: Sequence[int]) ->
         )
 
 
-class DeviceEstimator:
+class DeviceEstimator(ScheduleClock):
     """Times of a frame's diffusion on another device, or of its whole frame.
 
     Args:

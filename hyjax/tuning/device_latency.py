@@ -21,9 +21,12 @@ FORMAT: Literal[1] = 1
 FEWEST_SAMPLES = 10
 """Of each schedule: fewer say nothing of a 95th percentile."""
 MOST_BYTES = 16 << 20
-LONGEST = 1e6
+SHORTEST, LONGEST = 1e-3, 1e6
+"""Milliseconds; a time below a microsecond is in another unit."""
+NOISE = 1.25
+"""A schedule with more steps may seem so many times faster."""
 
-Duration = Annotated[float, msgspec.Meta(gt=0.0, le=LONGEST)]
+Duration = Annotated[float, msgspec.Meta(ge=SHORTEST, le=LONGEST)]
 """Milliseconds of something that was timed."""
 Instant = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
 """Seconds since the first round began."""
@@ -235,6 +238,7 @@ class DeviceLatency(Record, frozen=True):
                 raise InputError(f"{where}: the schedule of measured[{twin}] again")
             if self.rounds and timed.milliseconds and len(timed.milliseconds) != len(self.rounds):
                 raise InputError(f"{where}: {len(timed.milliseconds)} samples in {len(self.rounds)} rounds")
+        _check_rising(self.measured)
         for name, stage in self.stages.items():
             if stage.p95 < stage.median:
                 raise InputError(f"stages.{name}: p95 {stage.p95:g} is below the median {stage.median:g}")
@@ -247,6 +251,25 @@ class DeviceLatency(Record, frozen=True):
     def fingerprint(self) -> str:
         """A short hash."""
         return hashlib.sha256(msgspec.json.encode(self)).hexdigest()[:16]
+
+
+def _check_rising(measured: Sequence[Timed]) -> None:
+    """Raise `InputError` where more steps of the same levels take less time, by more than noise."""
+    alike: dict[Any, list[int]] = {}
+    for number, timed in enumerate(measured):
+        form = timed.pooling, timed.upsampling, timed.norm, timed.fidelity
+        alike.setdefault((form, tuple(sorted(f for f, n in timed.steps.items() if n))), []).append(number)
+    for (_, factors), numbers in alike.items():
+        steps = np.array([[measured[k].steps[factor] for factor in factors] for k in numbers])
+        medians = np.array([measured[k].time.median for k in numbers])
+        for place, number in enumerate(numbers):
+            slower = np.all(steps <= steps[place], axis=1) & (medians > NOISE * medians[place])
+            if slower.any():
+                other = int(slower.argmax())
+                raise InputError(
+                    f"measured[{number}]: {medians[place]:g} ms, but measured[{numbers[other]}] takes "
+                    f"{medians[other]:g} ms for fewer steps of the same levels; times must rise with steps"
+                )
 
 
 def drift(samples: Sequence[Sequence[float]]) -> float | None:

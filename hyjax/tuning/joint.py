@@ -21,8 +21,7 @@ import optax
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from hyjax.core.schedule import GUIDED_FIDELITY, GUIDED_KAPPA, Schedule
-from hyjax.core.step_size import DEFAULT_LAM
+from hyjax.core.schedule import Schedule
 from hyjax.guide.choose import FrameGuide
 from hyjax.guide.convolution import convolve
 from hyjax.guide.inference import Guide
@@ -32,8 +31,7 @@ from hyjax.tuning.cases import Case, refined_filter, scores
 from hyjax.tuning.descent import bounded
 from hyjax.tuning.latency_estimator import LatencyEstimator
 from hyjax.tuning.monitor import RunMonitor
-from hyjax.tuning.relaxation import FIDELITY_RANGE, LAM_RANGE, RelaxedSchedule, logit, prepare, relaxed_loss
-from hyjax.tuning.result import Scores
+from hyjax.tuning.relaxation import RelaxedSchedule, prepare, relaxed_loss, relaxed_of
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
 
@@ -150,8 +148,8 @@ class JointlyTuned:
 
     guide: Guide
     schedule: Schedule
-    tuning: tuple[Scores, Scores]
-    held_out: tuple[Scores, Scores] | None
+    tuning: tuple[dict[str, float], dict[str, float]]
+    held_out: tuple[dict[str, float], dict[str, float]] | None
 
 
 def tune_guide_and_schedule(
@@ -244,8 +242,7 @@ def tune_and_save(
     found.guide.save(out / "guide.safetensors")
     write_text(out / "joint.json", found.schedule.to_json() + "\n")
     compared = {"tuning": found.tuning} | ({} if found.held_out is None else {"held out": found.held_out})
-    compared_rows = {name: [scores.row() for scores in pair] for name, pair in compared.items()}
-    return {"schedule": schedule.name, "measured": dataclasses.asdict(time)} | compared_rows
+    return {"schedule": schedule.name, "measured": dataclasses.asdict(time)} | compared
 
 
 def check_joint(guide: FrameGuide, out: Path | None) -> Guide:
@@ -255,19 +252,3 @@ def check_joint(guide: FrameGuide, out: Path | None) -> Guide:
     if out is None:
         raise InputError("joint: needs a folder for the tuned guide; give out")
     return guide
-
-
-def relaxed_of(schedule: Schedule, factors: Sequence[int]) -> RelaxedSchedule:
-    """A schedule as a relaxed one; a level's λ is the mean of its steps', its α small if it has none."""
-    levels = {level.factor: level for level in schedule.levels if level.steps}
-    steps, kappa, lam, fidelity = [], [], [], []
-    for factor in factors:
-        level = levels.get(factor)
-        steps.append(0 if level is None else level.steps)
-        kappa.append(GUIDED_KAPPA if level is None else float(np.asarray(level.kappa)))
-        weight = GUIDED_FIDELITY if level is None else level.fidelity
-        fidelity.append(FIDELITY_RANGE[0] if weight is None else float(np.asarray(weight)))
-        mean = DEFAULT_LAM if level is None else float(np.mean(np.asarray(level.step_sizes)))
-        lam.append(min(mean, LAM_RANGE[1]))  # of a step cycle it may be beyond
-    point = RelaxedSchedule.of(steps, kappa, fidelity=[max(x, FIDELITY_RANGE[0]) for x in fidelity])
-    return dataclasses.replace(point, logit_lam=jnp.asarray([logit(4.0 * x) for x in lam], jnp.float32))

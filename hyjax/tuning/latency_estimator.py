@@ -1,10 +1,13 @@
-"""Latency estimators: predicted and measured times of a schedule."""
+"""Clock of the diffusion alone: times of a schedule, predicted by a latency table and measured."""
 
+import abc
 from collections.abc import Sequence
 from typing import Protocol
 
+from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule, guided_schedule
 from hyjax.tuning.cases import Case
+from hyjax.tuning.frame.clock import FrameTime
 from hyjax.tuning.latency_table import (
     CostModel,
     LatencyTable,
@@ -18,32 +21,30 @@ from hyjax.tuning.result import Milliseconds
 from hyjax.util.errors import InputError
 
 REPEATS = 100
-STAGE_REPEATS = 20
 
 
-class LatencyEstimator(Protocol):
-    """Times of whatever a budget is for, by schedule."""
+class ScheduleClock(abc.ABC):
+    """Times of schedules.
+
+    Attributes:
+        table: where they are kept.
+        cost: of the 95th percentile, over the table's factors: what a search keeps below a budget.
+        source: in a few words, where the times are from.
+        device: name of the device, where it is not the one that searches; else empty.
+        base: schedule that others are relative to.
+    """
 
     table: LatencyTable
-    """Where its times are kept."""
-
     cost: CostModel
-    """Of the 95th percentile, over the table's factors: what the search keeps below the budget."""
-
     source: str
-    """In a few words, where the times are from."""
+    device: str = ""
+    base: Schedule
 
-    device: str
-    """Name of the device, where it is not the one that searches; else empty."""
-
+    @abc.abstractmethod
     def predict(self, schedule: Schedule) -> Milliseconds:
         """By the latency table."""
-        ...
 
-    def is_timed(self, schedule: Schedule) -> bool:
-        """Whether what `measure` has said of a schedule was timed; predicted if not."""
-        ...
-
+    @abc.abstractmethod
     def measure(
         self, schedules: Sequence[Schedule], *, again: bool = False, progress: bool = True
     ) -> list[Milliseconds]:
@@ -51,11 +52,28 @@ class LatencyEstimator(Protocol):
 
         What was timed on this table before is timed again only if asked for.
         """
-        ...
 
+    @abc.abstractmethod
     def parts(self) -> dict[str, float]:
         """Milliseconds (95th percentile) of what no schedule can change, dearest first."""
-        ...
+
+    def is_timed(self, schedule: Schedule) -> bool:
+        """Whether what `measure` says of a schedule is timed; predicted if not."""
+        return True
+
+    def times(
+        self, configurations: Sequence[Configuration], repeats: int = REPEATS, *, most_seconds: float | None = None
+    ) -> list[FrameTime]:
+        """Times of the configurations' cascades for the light, in turns with the base.
+
+        How often each runs is this clock's own.
+        """
+        schedules = [configuration.schedule for configuration in configurations]
+        *own, base = self.measure([*schedules, self.base], again=True, progress=False)
+        return [
+            FrameTime(time.median, time.p95, base.median, time.median / base.median, not self.is_timed(schedule))
+            for time, schedule in zip(own, schedules, strict=True)
+        ]
 
 
 def workload_of(case: Case) -> Workload:
@@ -71,30 +89,20 @@ def has_searched_form(schedule: Schedule) -> bool:
 
 
 class LatencySource(Protocol):
-    """What makes the estimator of a run, in the place of this machine's."""
+    """Source of the clock of a run, in the place of this machine's."""
 
     @property
     def fingerprint(self) -> str:
         """Of the times."""
         ...
 
-    def __call__(self, case: Case) -> LatencyEstimator:
-        """Estimator for frames like this one."""
+    def __call__(self, case: Case) -> ScheduleClock:
+        """Clock for frames like this one."""
         ...
 
 
-class OwnEstimator:
-    """Base of this machine's estimators."""
-
-    device = ""
-
-    def is_timed(self, schedule: Schedule) -> bool:
-        """Always: this machine is there."""
-        return True
-
-
-class CascadeEstimator(OwnEstimator):
-    """Times of the diffusion stage, `cascade_known`.
+class CascadeEstimator(ScheduleClock):
+    """Times of the diffusion stage, `cascade_known`, on this machine.
 
     Args:
         case: the arrays to time on.
@@ -127,20 +135,20 @@ class CascadeEstimator(OwnEstimator):
         return {"reading, weighting and upsampling the filter": self.table.p95.fixed, "one level": cheapest}
 
 
-def smallest_schedules(estimator: LatencyEstimator) -> list[Schedule]:
+def smallest_schedules(clock: ScheduleClock) -> list[Schedule]:
     """One step at each level of the table's factors alone, the fastest first, by the latency table."""
-    singles = [guided_schedule([(factor, 1)], name=f"1 step at 1/{factor}") for factor in estimator.table.factors]
-    return sorted(singles, key=lambda schedule: estimator.predict(schedule).p95)
+    singles = [guided_schedule([(factor, 1)], name=f"1 step at 1/{factor}") for factor in clock.table.factors]
+    return sorted(singles, key=lambda schedule: clock.predict(schedule).p95)
 
 
-def check_reachable(estimator: LatencyEstimator, milliseconds: float) -> None:
+def check_reachable(clock: ScheduleClock, milliseconds: float) -> None:
     """Raise `InputError` if even the smallest schedule, on the clock, takes longer than the budget."""
-    cheapest = smallest_schedules(estimator)[:2]
-    fastest = min(time.p95 for time in estimator.measure(cheapest, progress=False))
+    cheapest = smallest_schedules(clock)[:2]
+    fastest = min(time.p95 for time in clock.measure(cheapest, progress=False))
     if fastest > milliseconds:  # not to refuse for a bad moment that the table remembers
-        fastest = min(time.p95 for time in estimator.measure(cheapest, again=True, progress=False))
+        fastest = min(time.p95 for time in clock.measure(cheapest, again=True, progress=False))
     if fastest > milliseconds:
-        parts = ", ".join(f"{name} {time:.2f} ms" for name, time in estimator.parts().items())
+        parts = ", ".join(f"{name} {time:.2f} ms" for name, time in clock.parts().items())
         raise InputError(
             f"budget {milliseconds:.3g} ms: out of reach on this device; the smallest reachable time (p95) is "
             f"{fastest:.2f} ms ({parts}); give at least --budget-ms {fastest * 1.05:.3g}, or a smaller --size"

@@ -8,7 +8,7 @@ import hashlib
 import json
 import logging
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,7 @@ class LatencyTable:
             predicted from all the others. The worst is a level on its own, of whose cost no other schedule tells.
         probe: a paper-like schedule timed on its own, to recognise later whether the device still is as fast.
         calibration: the schedules timed: `steps`, `median_ms`, `p95_ms`.
-        stages: fixed costs of other stages, by name, see `time_stages`.
+        stages: fixed costs of other stages, by name.
         timed: whole schedules timed for real, by `schedule_key`, see `time_schedules`.
     """
 
@@ -165,21 +165,6 @@ def new_table(
         calibration=found.schedules,
         stages=found.stages,
     )
-
-
-def time_stages(
-    table: LatencyTable, calls: Mapping[str, Callable[[], Any]], repeats: int = calibration.REPEATS
-) -> dict[str, Milliseconds]:
-    """Time other stages of the pipeline in turns and keep the times in `table.stages`.
-
-    Args:
-        table: what they are added to; equal names are replaced.
-        calls: by the stage's name; each returns what has to be waited for.
-        repeats: rounds after the first one, which compiles.
-    """
-    times = calibration.time_calls(calls, repeats)
-    table.stages.update(times)
-    return times
 
 
 def time_schedules(

@@ -18,6 +18,7 @@ serves all candidates. Conductance distances and cell means do not depend on wha
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Sequence
 
 import jax
@@ -43,6 +44,8 @@ KAPPA_RANGE = (1e-3, 1.0)
 """For guides in [0, 1], of which an edge of full contrast differs by √3."""
 LAM_RANGE = (0.01, 0.2499)
 FIDELITY_RANGE = (1e-4, 10.0)
+RANGES = {"kappa": KAPPA_RANGE, "lam": LAM_RANGE, "fidelity": FIDELITY_RANGE}
+"""Ranges by the names of the choices."""
 
 
 @jax.tree_util.register_dataclass
@@ -109,6 +112,19 @@ class RelaxedSchedule:
 def logit(p: float) -> float:
     """Inverse of the logistic function."""
     return float(np.log(p) - np.log1p(-p))
+
+
+def relaxed_of(schedule: Schedule, factors: Sequence[int]) -> RelaxedSchedule:
+    """A schedule as a relaxed one; λ is the mean of a level's steps, a level that it lacks is like the nearest."""
+    levels = {level.factor: level for level in schedule.levels}
+    near = [levels[min(levels, key=lambda own: abs(math.log2(own / factor)))] for factor in factors]
+    steps = [levels[factor].steps if factor in levels else 0 for factor in factors]
+    kappa = [float(np.asarray(level.kappa)) for level in near]
+    weights = [FIDELITY_RANGE[0] if x.fidelity is None else float(np.asarray(x.fidelity)) for x in near]
+    lam = [float(np.mean(np.asarray(level.step_sizes))) if level.steps else DEFAULT_LAM for level in near]
+    point = RelaxedSchedule.of(steps, kappa, fidelity=[max(x, FIDELITY_RANGE[0]) for x in weights])
+    logits = [logit(4.0 * min(max(x, LAM_RANGE[0]), LAM_RANGE[1])) for x in lam]
+    return dataclasses.replace(point, logit_lam=jnp.asarray(logits, jnp.float32))
 
 
 @jax.tree_util.register_dataclass

@@ -45,13 +45,6 @@ def log_x(axes: Axes, values: list[float]) -> None:
     plain_ticks(axes.xaxis, high / low)
 
 
-def log_if_wide(axes: Axes, values: list[float]) -> None:
-    """A logarithmic axis of ordinates if the values differ more than fivefold."""
-    if values and min(values) > 0 and max(values) > 5 * min(values):
-        axes.set_yscale("log")
-        plain_ticks(axes.yaxis, max(values) / min(values))
-
-
 def plain_ticks(axis: Any, ratio: float) -> None:
     """Ticks at 1, 2 and 5 times powers of ten, as plain numbers."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 2000 else (1.0,)))

@@ -28,12 +28,10 @@ class Example:
         name: such as "frame 12, evening-lamps".
         pictures: heading → display-encoded picture, in the order they are shown. Compared first are the last ones
             whose headings begin with "paper" and with "tuned".
-        note: a line below the name, such as "paper-50 3.11 ms, tuned 3.02 ms".
     """
 
     name: str
     pictures: Mapping[str, Float[np.ndarray, "h w 3"]]
-    note: str = ""
 
 
 def data_uris(examples: Sequence[Example], most_bytes: int = MOST_BYTES) -> list[dict[str, str]]:
@@ -101,7 +99,4 @@ def contact_sheet_rows(
         blank = np.full_like(next(iter(example.pictures.values())), BLANK)
         yield from (example.pictures.get(heading, blank) for heading in headings)
 
-    return [
-        (f"{example.name}: {example.note}" if example.note else example.name, list(pictures(example)))
-        for example in examples
-    ], headings
+    return [(example.name, list(pictures(example))) for example in examples], headings

@@ -86,7 +86,7 @@ class FrameOptions(Settings):
     room_frames: int = 4
     """Of each room, under each set-up of lights."""
     trials: int = 60
-    """Configurations to try, besides those that are timed and judged in the end."""
+    """Configurations, or schedules of the diffusion, to try, besides those that are timed and judged in the end."""
     lpips: float = 0.0
     """Weight of LPIPS in the loss; it needs the extra lpips."""
     paper_form: bool = False
@@ -174,8 +174,8 @@ class TuneSettings(Settings):
             raise InputError(f"lights: the diffusion is tuned under one set-up, got {', '.join(several)}")
         for lights in several:
             check_lights_name(lights)
+        self.frame.check()
         if self.tunes_frame:
-            self.frame.check()
             self._check_frame_alone()
         self.scene.check()
         if self.target != CONVERGED:

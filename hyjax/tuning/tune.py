@@ -13,21 +13,18 @@ from tqdm import tqdm
 from hyjax.data.capture import Capture
 from hyjax.guide.choose import open_guide
 from hyjax.tuning.bench import open_bench
-from hyjax.tuning.journal import check_free
+from hyjax.tuning.cascade import tune_bench
+from hyjax.tuning.frame.result import Tuned
+from hyjax.tuning.frame.run import opened, tune_frame
 from hyjax.tuning.latency_estimator import LatencySource, workload_of
 from hyjax.tuning.request import split_frames
-from hyjax.tuning.result import Tuned
-from hyjax.tuning.run import tune_bench
-from hyjax.tuning.search import Effort
 from hyjax.tuning.settings import TuneSettings
 from hyjax.util.arguments import checked_arguments
-from hyjax.util.claims import claimed
 from hyjax.util.errors import InputError
-from hyjax.util.files import make_writable, write_text
+from hyjax.util.files import write_text
 
 if TYPE_CHECKING:
     from hyjax.tuning.device_request import LatencyRequest
-    from hyjax.tuning.frame.result import FrameTuned
 
 
 @checked_arguments
@@ -37,7 +34,7 @@ def tune(
     fps: float | Sequence[float] | None = None,
     budget_ms: float | Sequence[float] | None = None,
     capture: Capture | None = None,
-) -> "FrameTuned":
+) -> Tuned:
     """Find the configuration whose relit frames come closest to their targets within each time budget.
 
     Args:
@@ -53,8 +50,6 @@ def tune(
     Raises:
         InputError: any of these cannot be used, or a budget is out of reach on this device.
     """
-    from hyjax.tuning.frame.run import tune_frame
-
     return tune_frame(_settings(settings, fps, budget_ms), capture=capture)
 
 
@@ -65,7 +60,6 @@ def tune_schedule(
     fps: float | Sequence[float] | None = None,
     budget_ms: float | Sequence[float] | None = None,
     capture: Capture | None = None,
-    effort: Effort | None = None,
 ) -> Tuned:
     """Find the schedule of the diffusion alone whose filters come closest to the target's within each time budget.
 
@@ -76,10 +70,9 @@ def tune_schedule(
         fps: frame rates, one or several, in the place of the settings'.
         budget_ms: budgets in milliseconds, likewise.
         capture: frames that were opened before, in the place of those that the settings name.
-        effort: how long to look at each budget.
 
     Returns:
-        Schedules, measured, with their history and the front of quality against time. Its `schedule` goes into
+        Schedules, measured, with all trials and the front of quality against time. Its `schedule` goes into
         `hyjax.relight` as it is.
 
     Raises:
@@ -96,14 +89,9 @@ def tune_schedule(
         from hyjax.tuning.joint import check_joint  # with flax, which only learned guides need
 
         check_joint(guide, settings.out)
-    if settings.out is not None:
-        make_writable(settings.out)
-    with claimed(settings.out):
-        if settings.out is not None:
-            check_free(settings.out, settings.resume)
-        with _latency_source(settings) as latency:
-            bench = open_bench(settings, capture=capture, guide=guide)
-            return tune_bench(bench, settings, effort=effort, latency=latency)
+    with opened(settings) as monitor, _latency_source(settings) as latency:
+        bench = open_bench(settings, capture=capture, guide=guide)
+        return tune_bench(bench, settings, latency=latency, monitor=monitor)
 
 
 @contextlib.contextmanager

@@ -31,9 +31,8 @@ from hyjax.tuning.device_latency import (
     write_latency,
 )
 from hyjax.tuning.device_request import calibration_schedules, latency_request, measure_program, request_text
-from hyjax.tuning.report_text import summary
-from hyjax.tuning.search import Effort
-from hyjax.tuning.settings import OtherDevice, TuneScene, TuneSettings
+from hyjax.tuning.frame.report_text import summary
+from hyjax.tuning.settings import FrameOptions, OtherDevice, TuneScene, TuneSettings
 from hyjax.tuning.tune import write_request
 from hyjax.tuning.workload import factors_for, schedule_key
 
@@ -104,8 +103,8 @@ def changed(content: dict[str, Any], path: str, value: Any) -> str:
     [
         ("format", 2, ["format 2", "reads format 1"]),
         ("format", ..., ["format None"]),
-        ("measured.0.milliseconds.3", -1.0, ["> 0", "measured[0].milliseconds[3]"]),
-        ("measured.0.milliseconds.3", 0.0, ["> 0", "measured[0].milliseconds[3]"]),
+        ("measured.0.milliseconds.3", -1.0, [">= 0.001", "measured[0].milliseconds[3]"]),
+        ("measured.0.milliseconds.3", 1e-4, [">= 0.001", "measured[0].milliseconds[3]"]),
         ("measured.0.milliseconds.3", float("nan"), ["not JSON", "NaN"]),
         ("measured.0.milliseconds.3", "fast", ["float", "measured[0].milliseconds[3]"]),
         ("measured.0.milliseconds", [1.0] * 4, ["measured[0]", "4 samples are too few", "10"]),
@@ -133,6 +132,16 @@ def test_bad_files_are_refused_in_one_line(path: str, value: Any, words: list[st
     line = str(refused.value)
     assert "\n" not in line and "bad.json" in line
     assert all(word in line for word in words), line
+
+
+def test_times_that_fall_with_steps_are_refused() -> None:
+    few, many = (Timed(steps={16: n, 4: 1}, milliseconds=(0.1 * n,) * 20) for n in (2, 24))
+    latency(measured=(few, many)).check()
+    twisted = Timed(steps={16: 24, 4: 1}, milliseconds=(0.1,) * 20)
+    with pytest.raises(InputError, match=r"^measured\[1\]: 0\.1 ms, but measured\[0\] takes 0\.2 ms for fewer"):
+        latency(measured=(few, twisted)).check()
+    noisy = Timed(steps={16: 24, 4: 1}, milliseconds=(0.19,) * 20)
+    latency(measured=(few, noisy)).check()
 
 
 def test_twice_the_same_schedule_is_refused() -> None:
@@ -252,19 +261,17 @@ def test_a_schedule_for_a_device_that_is_not_here(tmp_path: Path) -> None:
     path = tmp_path / "phone.json"
     write_latency(path, value)
     options: dict[str, Any] = {"frames": "0:2", "holdout": "3", "extra": False, "quiet": True}
-    settings = TuneSettings(
-        scene, OtherDevice(latency=path), budget_ms=(3.0,), **options, out=tmp_path / "out"
-    )  # fmt: skip
-    effort = Effort(sampled=3, relaxed=1, iterations=3, rounded=3, polished=1, polishing=2, descents=1)
-    tuned = tune(settings=settings, capture=room, effort=effort)
+    options |= {"frame": FrameOptions(trials=4), "out": tmp_path / "out"}
+    settings = TuneSettings(scene, OtherDevice(latency=path), budget_ms=(3.0,), **options)
+    tuned = tune(settings=settings, capture=room)
     (best,) = tuned.best
-    assert best.measured is None and best.predicted.p95 <= 3.0 and best.name.endswith(" on Phone")
+    assert best.time.predicted and best.time.p95 <= 3.0 and best.name.endswith(" on Phone")
     assert tuned.record["device"] == "Phone" and "searched on" in tuned.record
     assert "for Phone predicted, not timed" in summary(tuned)[0]
     page = (tmp_path / "out" / "report.html").read_text()
     assert "p95, predicted" in page and "Phone" in page
     with pytest.raises(InputError, match=r"budget 0\.5 ms: out of reach"):
-        tune(settings=dataclasses.replace(settings, out=None), budget_ms=0.5, capture=room, effort=effort)
+        tune(settings=dataclasses.replace(settings, out=None), budget_ms=0.5, capture=room)
 
 
 def test_the_example_of_the_documentation_is_right() -> None:

@@ -16,20 +16,17 @@ from hyjax.device.server import FolderSite, Server
 from hyjax.export.bench import write_bench
 from hyjax.tuning import device_request
 from hyjax.tuning.bench import open_bench
+from hyjax.tuning.cascade import tune_bench
 from hyjax.tuning.device_estimator import ConnectedTimes
 from hyjax.tuning.device_latency import DeviceWorkload, parse_latency, read_latency
 from hyjax.tuning.device_measuring import ConnectedDevice
-from hyjax.tuning.report_text import time_of
-from hyjax.tuning.run import tune_bench
-from hyjax.tuning.search import Effort
-from hyjax.tuning.settings import OtherDevice, TuneScene, TuneSettings
+from hyjax.tuning.settings import FrameOptions, OtherDevice, TuneScene, TuneSettings
 
 WEBGPU = (
     "--enable-unsafe-webgpu",
     "--use-webgpu-adapter=swiftshader",
     "--enable-features=Vulkan",
 )
-TINY = Effort(sampled=3, relaxed=1, iterations=3, rounded=3, polished=1, polishing=2, descents=1)
 AMPLE = 2000.0
 
 
@@ -61,6 +58,7 @@ def test_a_schedule_for_the_browser_keeps_its_budget(page: Any, tmp_path: Path) 
     room = load_room(n_frames=6, width=160, height=120, quality=0.25, progress=False)
     scene = TuneScene(size="64x48")
     options: dict[str, Any] = {"frames": "0:2", "holdout": "3", "extra": False, "quiet": True}
+    options["frame"] = FrameOptions(trials=4)
     settings = TuneSettings(scene, OtherDevice(device=True), budget_ms=(AMPLE,), **options, out=tmp_path / "ample")
     lines: list[str] = []
     found: dict[str, Any] = {}
@@ -70,13 +68,13 @@ def test_a_schedule_for_the_browser_keeps_its_budget(page: Any, tmp_path: Path) 
             bench = open_bench(settings, capture=room)
             kept = tmp_path / "latency.json"
             times = ConnectedTimes(device, kept)
-            found["ample"] = tune_bench(bench, settings, effort=TINY, latency=times)
+            found["ample"] = tune_bench(bench, settings, latency=times)
             # Less than the full resolution takes; more than the levels below it.
             coarse = [timed.time.p95 for timed in read_latency(kept).measured if not timed.steps.get(1)]
             found["budget"] = 1.5 * max(coarse)
             tight = TuneSettings(scene, budget_ms=(found["budget"],), **options, out=tmp_path / "tight")
             again = ConnectedTimes(device, kept, resume=True)
-            found["tight"] = tune_bench(bench, tight, effort=TINY, latency=again)
+            found["tight"] = tune_bench(bench, tight, latency=again)
             schedules = [found["ample"].schedule, found["tight"].schedule]
             request = device_request.latency_request(read_latency(kept).workload, schedules)
             found["again"] = device.times(request, schedules)
@@ -90,7 +88,7 @@ def test_a_schedule_for_the_browser_keeps_its_budget(page: Any, tmp_path: Path) 
     for name, budget in (("ample", AMPLE), ("tight", found["budget"])):
         tuned = found[name]
         (best,) = tuned.best
-        assert best.measured is not None and time_of(best).p95 <= budget
+        assert not best.time.predicted and best.time.p95 <= budget
         assert "swiftshader" in tuned.record["device"] and "timed on it" in tuned.record["latency"]["table"]
         kept = Schedule.from_json((tmp_path / name / "schedule.json").read_text())
         assert kept.to_json() == tuned.schedule.to_json()

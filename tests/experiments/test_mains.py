@@ -36,11 +36,9 @@ from experiments.truth_methods import METHODS as METHODS_OF_TRUTH
 from experiments.truth_methods import OPENCV, PHOTO, TRUE_ALL
 from hyjax.relighting.settings import RelightSettings
 from hyjax.tuning import workload
-from hyjax.tuning.search import Effort
 from hyjax.util.errors import InputError
 
 SIZE = 64
-LITTLE = Effort(sampled=2, relaxed=1, iterations=1, rounded=2, polished=1, polishing=1, descents=1)
 AMPLE = 1000.0  # milliseconds, in which every schedule fits
 
 
@@ -182,7 +180,7 @@ def check_schedules(rows: list[Row], scenes: set[str], tuned: str) -> None:
 def test_tuning_gain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workload, "FEWEST_CELLS", 4)  # so that the paper's schedules fit small pictures
     monkeypatch.setattr(tuning_gain, "BASELINES", ("hyjax", "paper-80"))
-    common: dict[str, Any] = {"size": (SIZE, SIZE), "frames": 1, "holdout": 1, "repeats": 10, "effort": LITTLE}
+    common: dict[str, Any] = {"size": (SIZE, SIZE), "frames": 1, "holdout": 1, "repeats": 10, "trials": 4}
     config = tuning_gain.Config(**common, polishing=1, out=tmp_path)
     check_schedules(rows_of(tuning_gain.main, config, "tuning_gain.png"), {"room"}, "paper-80 polished")
 

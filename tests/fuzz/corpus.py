@@ -202,14 +202,6 @@ def training_run(folder: Path) -> None:
     log.add(iteration=2, loss=0.4, validation={"loss": 0.3})
 
 
-def journal(folder: Path) -> None:
-    from hyjax.tuning.journal import Journal
-
-    kept = Journal(folder, {"seed": 0, "factors": [8, 4]})
-    for key in "abc":
-        kept.remember(key, lambda: {"loss": 0.1, "times": [1.0, 2.0]})
-
-
 def study(folder: Path) -> None:
     from hyjax.tuning.frame.space import Space
     from hyjax.tuning.frame.study import Study

@@ -165,13 +165,6 @@ def _training_run(path: Path) -> object:
     return lines, log.validations(), log.last_is_best()
 
 
-def _journal(path: Path) -> object:
-    from hyjax.tuning.journal import Journal
-
-    journal = Journal(path, {"seed": 0, "factors": [8, 4]}, resume=True)
-    return journal.remember("z", lambda: 1)
-
-
 def _study(path: Path) -> object:
     from hyjax.tuning.frame.study import Study
 
@@ -294,7 +287,6 @@ READERS: dict[str, Reader] = {
     "sweep rows": Reader(corpus.sweep_rows, _sweep_rows, True),
     "run log": Reader(corpus.run_logs, _run_log),
     "training run": Reader(corpus.training_run, _training_run, True, True),
-    "tuning journal": Reader(corpus.journal, _journal, True, True),
     "study": Reader(corpus.study, _study, True, True, extra="tune"),
     "kept trials": Reader(corpus.study, _kept_trials, writes=True, extra="tune"),
     "results": Reader(corpus.rows_of_results, _results),

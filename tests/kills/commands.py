@@ -94,14 +94,14 @@ def _tuned(out: Path) -> dict[str, Any]:
     """What was chosen depends on times: only that all files are there, and that each is one of its kind."""
     names = sorted(str(file.relative_to(out)) for file in out.rglob("*.*") if "front" not in file.parts)
     json.loads((out / "schedule.json").read_text())
-    header, *entries = lines(out / "journal.jsonl")
-    keys = [entry["key"] for entry in entries]
-    return {"files": names, "settings": header, "each key once": len(set(keys)) == len(keys)}
+    return {"files": names, "trials": bool(entries(out))}
 
 
 def entries(out: Path) -> dict[str, Any]:
-    """Entries of a tuning's journal; those of one key are equal in all runs."""
-    return {entry["key"]: entry["value"] for entry in lines(out / "journal.jsonl")[1:]}
+    """Losses of a tuning's trials by their choices; those of one key are equal in all runs."""
+    from hyjax.tuning.frame.study import NAME, kept_trials
+
+    return {repr(sorted(t.choices.items())): t.losses for t in kept_trials(out / NAME, "cascade")}
 
 
 TRAIN = ["--pairs", "rooms", "--size", "32", "--batch", "1", "--features", "4", "--factors", "8"]

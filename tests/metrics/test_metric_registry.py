@@ -16,14 +16,13 @@ from hyjax.configuration import Configuration
 from hyjax.light.color import to_linear
 from hyjax.light.shaded import Shaded
 from hyjax.metrics import METRICS, LpipsWeights, Metric, plain_metrics, register_metric
-from hyjax.tuning import report
 from hyjax.tuning.cases import Case, scores
 from hyjax.tuning.frame import report as frame_report
 from hyjax.tuning.frame.clock import FrameTime
 from hyjax.tuning.frame.evaluation import mean_scores
 from hyjax.tuning.frame.loss import PictureLoss
 from hyjax.tuning.frame.report_html import page as frame_page
-from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
+from hyjax.tuning.frame.result import Candidate, Tuned
 from hyjax.tuning.frame.scene import Target
 from hyjax.tuning.result import Budget
 
@@ -76,11 +75,11 @@ def test_a_metric_from_outside_is_one_of_the_tuners_scores(mae: Metric) -> None:
     shaded = Shaded(target, jnp.ones_like(target), jnp.eye(3), 1.0 * valid[..., None], jnp.ones(()), jnp.zeros(3))
     case = Case(shaded, frame, frame, target, valid)
     found = scores([case, case], [target, jnp.where(valid[..., None], target, 0.0)])
-    assert found.loss == 0.0 and found.metrics["mae"] == 0.0 and found.metrics["psnr"] == np.inf
+    assert found["loss"] == 0.0 and found["mae"] == 0.0 and found["psnr"] == np.inf
     worse = scores([case], [0.5 * target])
-    assert list(worse.row()) == ["loss", "psnr", "ssim", "mae"]
-    assert worse.metrics["mae"] > 0.05 and worse.metrics["ssim"] < 1.0
-    assert {"tuning_mae", "held_out_mae", "tuning_psnr_db"} <= set(report.score_columns())
+    assert list(worse) == ["loss", "psnr", "ssim", "mae"]
+    assert worse["mae"] > 0.05 and worse["ssim"] < 1.0
+    assert {"tuning_mae", "held_out_mae", "tuning_psnr"} <= set(frame_report.score_columns())
 
 
 def test_a_metric_from_outside_is_in_reports_of_frames_and_in_rows_of_sweeps(
@@ -94,8 +93,8 @@ def test_a_metric_from_outside_is_in_reports_of_frames_and_in_rows_of_sweeps(
     assert set(found) == {"loss", "psnr", "ssim", "mae", "psnr_raw"} and 0 < found["mae"] < 0.1
     assert mean_scores([found, found])["mae"] == pytest.approx(found["mae"])
     time = FrameTime(10.0, 11.0, 20.0, 0.5)
-    candidate = FrameCandidate(Configuration(), found | {"relative": 1.0}, None, time)
-    tuned = FrameTuned(Configuration(), [candidate], [Budget("9 ms", 9.0)], [candidate], [], [], [], [], {})
+    candidate = Candidate(Configuration(), found | {"relative": 1.0}, None, time)
+    tuned = Tuned(Configuration(), [candidate], [Budget("9 ms", 9.0)], [candidate], [], [], [], [], {})
     frame_report.write_pareto_csv(tmp_path / "pareto.csv", tuned)
     (row,) = csv.DictReader((tmp_path / "pareto.csv").read_text(encoding="utf-8").splitlines())
     assert float(row["tuning_mae"]) == pytest.approx(found["mae"], rel=1e-4) and row["held_out_mae"] == ""

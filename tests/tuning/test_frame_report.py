@@ -11,11 +11,12 @@ import pytest
 from page_checks import RUDE, parse
 
 from hyjax.configuration import Configuration, GuideOptions, LightOptions
+from hyjax.core.schedule import Schedule
 from hyjax.tuning.frame import report
 from hyjax.tuning.frame.clock import FrameTime
 from hyjax.tuning.frame.report_plots import draw_effects, draw_front_plot, trial_dots
 from hyjax.tuning.frame.report_text import candidates, configuration_text, described
-from hyjax.tuning.frame.result import Effect, FrameCandidate, FrameTuned
+from hyjax.tuning.frame.result import Candidate, Effect, Tuned
 from hyjax.tuning.frame.space import Space
 from hyjax.tuning.frame.trial import Trial
 from hyjax.tuning.result import Budget
@@ -31,8 +32,8 @@ def scores(relative: float) -> dict[str, float]:
     return {"loss": 0.08 * relative, "psnr": 24.0 - relative, "ssim": 0.8, "psnr_raw": 22.0, "relative": relative}
 
 
-def candidate(name: str, ms: float, relative: float, *, held_out: bool = True, **choices: Any) -> FrameCandidate:
-    return FrameCandidate(
+def candidate(name: str, ms: float, relative: float, *, held_out: bool = True, **choices: Any) -> Candidate:
+    return Candidate(
         dataclasses.replace(Configuration(), name=name, **choices),
         scores(relative),
         scores(1.02 * relative) if held_out else None,
@@ -49,7 +50,7 @@ def trials() -> list[Trial]:
     return [Trial(SPACE.default, "default", [1.0, 1.0], 1.0), *rest]
 
 
-def fake(budgets: list[Budget], *, held_out: bool = True, ms: float = 9.0, **changes: Any) -> FrameTuned:
+def fake(budgets: list[Budget], *, held_out: bool = True, ms: float = 9.0, **changes: Any) -> Tuned:
     found = [
         candidate("tuned-0.30", 6.0, 1.1, held_out=held_out, scale=2),
         candidate("tuned-0.45", ms, 0.9, held_out=held_out, guide=GuideOptions(name="none")),
@@ -86,7 +87,7 @@ def fake(budgets: list[Budget], *, held_out: bool = True, ms: float = 9.0, **cha
         "cases": 16,
         RUDE: RUDE,
     }
-    whole = FrameTuned(best[0].configuration, best, budgets, found, references, trials(), effects, examples, record)
+    whole = Tuned(best[0].configuration, best, budgets, found, references, trials(), effects, examples, record)
     return dataclasses.replace(whole, **changes)
 
 
@@ -148,9 +149,34 @@ def test_every_candidate_once() -> None:
         *("tuned-0.30", "tuned-60fps", f"tuned-{RUDE}"),
         *("fast", "default", "paper"),
     ]
-    renamed = dataclasses.replace(tuned.references[0], configuration=Configuration(name="tuned-60fps"))
-    again = dataclasses.replace(tuned, best=[renamed], front=[tuned.references[0]])
-    assert [c.name for _, c in candidates(again)] == ["fast", "default", "paper"]
+    reference = next(c for c in tuned.references if c.name == "fast")
+    timed = dataclasses.replace(reference, time=FrameTime(1.0, 2.0, 20.0, 0.05))
+    again = candidates(dataclasses.replace(tuned, best=[timed], front=[reference]))
+    assert [(kind, c.name) for kind, c in again] == [("preset", "fast"), ("preset", "default"), ("paper", "paper")]
+    assert again[0][1].time.median == 1.0, "one median for one configuration: the last one"
+
+
+def test_a_bargain_is_told() -> None:
+    tuned = fake([FPS60])
+    cheap = dataclasses.replace(tuned.front[0], tuning=tuned.best[0].tuning | {"relative": 0.905})
+    cheap = dataclasses.replace(cheap, time=FrameTime(4.0, 4.2, 20.0, 0.2))
+    assert not any("bargain" in line for line in report.summary(dataclasses.replace(tuned, front=tuned.front[-1:])))
+    said = report.summary(dataclasses.replace(tuned, front=[cheap]))[1]
+    assert "takes 4.00 ms, 2.2 times less, for 0.6 % more loss" in said
+
+
+def test_the_diffusion_alone_leaves_schedules(tmp_path: Path) -> None:
+    record = fake([FPS60]).record | {"stage": "cascade", "device": "Phone"}
+    tuned = fake([FPS60, FPS100], record=record)
+    report.write_results(tmp_path, tuned)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"schedule.json", "schedule-60fps.json", "schedule-100fps.json"} <= names
+    assert "configuration.json" not in names
+    for path in (tmp_path / "schedule.json", *(tmp_path / "front").iterdir()):
+        Schedule.from_json(path.read_text(encoding="utf-8")).check()
+    far = [dataclasses.replace(c, time=FrameTime(9.0, 9.9, 20.0, 0.45, predicted=True)) for c in tuned.best]
+    said = report.summary(dataclasses.replace(tuned, best=far))
+    assert "for Phone predicted, not timed: median 9.00 ms" in said[0] and "in turns" not in said[0]
 
 
 # ---- sentences ----

@@ -161,7 +161,7 @@ def test_the_best_get_more_cases() -> None:
 
 def test_phases_come_in_their_order() -> None:
     told: list[Trial] = []
-    found = search(begun(24, relaxes=True), Known(), (0.5,), report=lambda _, trial: told.append(trial))
+    found = search(begun(24, relaxes=1), Known(), (0.5,), report=lambda _, trial: told.append(trial))
     phases = list(dict.fromkeys(trial.phase for trial in told))
     assert phases == ["default", "ranges", "relaxed", "screening", "combining"]
     count = Counter(t.phase for t in found.trials.values())
@@ -185,8 +185,8 @@ def test_starts_are_tried() -> None:
 def test_a_kept_search_goes_on_where_it_stopped(kept: int) -> None:
     """Nothing but its trials has to be kept, and nothing that is known is asked again."""
     whole: list[Trial] = []
-    end = search(begun(20, relaxes=True), Known(), (0.5,), report=lambda _, trial: whole.append(trial))
-    again = functools.reduce(update, whole[:kept], begun(20, relaxes=True))
+    end = search(begun(20, relaxes=1), Known(), (0.5,), report=lambda _, trial: whole.append(trial))
+    again = functools.reduce(update, whole[:kept], begun(20, relaxes=1))
     rest: list[Trial] = []
     resumed = search(again, Known(), (0.5,), report=lambda _, trial: rest.append(trial))
     assert rest == whole[kept:] and dict(resumed.trials) == dict(end.trials)

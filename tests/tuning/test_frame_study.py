@@ -56,7 +56,7 @@ class Counting(StudyEvaluator):
 def run(folder: Path | None, trials: int, *, most: float = math.inf, **options: Any) -> tuple[State, Counting]:
     """A search that breaks off after so many computations."""
     study = Study(folder, "frame", SETTINGS, **options)
-    evaluator, state = Counting(study), init(SPACE, [2, 4, 8], trials, relaxes=True)
+    evaluator, state = Counting(study), init(SPACE, [2, 4, 8], trials, relaxes=1)
     for trial in study.trials:
         state = update(state, known := evaluator.known(trial))
         if trial.time is None:

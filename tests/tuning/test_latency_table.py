@@ -27,7 +27,6 @@ from hyjax.tuning.latency_table import (
     save_table,
     schedule_key,
     time_schedules,
-    time_stages,
 )
 from hyjax.tuning.result import Milliseconds
 from hyjax.util import clock as latency
@@ -167,12 +166,7 @@ def test_arguments_of_other_shapes_are_refused(table: LatencyTable) -> None:
 
 def test_no_repeats_is_refused(table: LatencyTable) -> None:
     with pytest.raises(InputError, match="repeats"):
-        time_stages(table, {"a": int}, 0)
-
-
-def test_stages_are_kept(table: LatencyTable) -> None:
-    assert time_stages(table, {"guide": int}, 3) == {"guide": Milliseconds(1.0, 1.5)}
-    assert list(table.stages) == ["conductance", "guide"]
+        time_schedules(table, [Schedule.preset("shadow")], repeats=0, progress=False)
 
 
 # ---- the file and the cache ----

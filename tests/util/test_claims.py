@@ -12,7 +12,7 @@ import pytest
 from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.settings import SceneSettings
-from hyjax.tuning.journal import NAME
+from hyjax.tuning.frame.study import NAME
 from hyjax.tuning.settings import TuneSettings
 from hyjax.tuning.tune import tune_schedule
 from hyjax.util.claims import claimed

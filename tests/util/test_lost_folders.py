@@ -13,7 +13,6 @@ import pytest
 
 import hyjax
 from hyjax.sweep.rows import RowWriter
-from hyjax.tuning.journal import Journal
 from hyjax.tuning.monitor import RunMonitor
 from hyjax.util.cache import cached_arrays
 from hyjax.util.claims import claimed
@@ -42,7 +41,6 @@ WRITES: dict[str, Callable[[Path], object]] = {
     "text": lambda out: write_text(out / "a.json", "{}"),
     "picture": lambda out: write_png(out / "a.png", PICTURE),
     "log": lambda out: RunLog(out / "log.jsonl").add({"a": 1}),
-    "journal": lambda out: Journal(out, {}).remember("a", lambda: 1),
     "rows": RowWriter,
     "claim": claim,
 }

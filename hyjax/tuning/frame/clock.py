@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -26,12 +26,24 @@ class FrameTime:
         default: median of the default configuration, in turns with it.
         ratio: median over the rounds of its time over the default's in the same round: other work on the machine
             changes it less than the medians.
+        predicted: whether it follows from other times, and was not measured.
     """
 
     median: float
     p95: float
     default: float
     ratio: float
+    predicted: bool = False
+
+
+class Clock(Protocol):
+    """Times of configurations, on this machine or another device."""
+
+    def times(
+        self, configurations: Sequence[Configuration], repeats: int, *, most_seconds: float | None = None
+    ) -> list[FrameTime]:
+        """Times of configurations in turns with the default; see `FrameClock.times`."""
+        ...
 
 
 class FrameClock:

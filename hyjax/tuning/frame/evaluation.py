@@ -3,7 +3,7 @@
 import functools
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -21,6 +21,14 @@ TIMED_FRAMES = 60
 LIGHTS = 4
 """Frames are padded to a multiple of so many lights, see `padded`."""
 KEPT_SCENES = 8
+
+
+class Scorer(Protocol):
+    """Scores of configurations on cases."""
+
+    def scores(self, configuration: Configuration, cases: Sequence[Any]) -> list[Scores]:
+        """Scores of each case, in their order."""
+        ...
 
 
 class Judge:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from hyjax.configuration import Configuration
-from hyjax.tuning.frame.clock import FrameClock
-from hyjax.tuning.frame.evaluation import Case, Judge
+from hyjax.tuning.frame.clock import Clock
+from hyjax.tuning.frame.evaluation import Scorer
 from hyjax.tuning.frame.refinement import numbers_of, refine_numbers
 from hyjax.tuning.frame.relaxed import Price, relaxed_choices
 from hyjax.tuning.frame.space import Choices, Space, key_of, structure
@@ -41,9 +41,9 @@ class StudyEvaluator:
     def __init__(
         self,
         space: Space,
-        judge: Judge,
-        cases: Sequence[Case],
-        clock: FrameClock,
+        judge: Scorer,
+        cases: Sequence[Any],
+        clock: Clock,
         study: Study,
         *,
         seed: int = 0,
@@ -52,10 +52,13 @@ class StudyEvaluator:
     ) -> None:
         self.space, self.judge, self.cases, self.clock, self.study = space, judge, tuple(cases), clock, study
         self._seed, self._progress, self._expired = seed, progress, expired
-        self._default: dict[Case, float] = {}
+        self._default: dict[Any, float] = {}
         self._judged: dict[str, tuple[float, ...]] = {}
         # What differs from the default in numbers alone takes as long; of the paper's form none does.
         self._times: dict[str, float] = {} if space.paper else {structure(space.default, space): 1.0}
+
+    cost: Callable[[Choices], float] | None = None
+    """Time of choices over the default's, where it is known without measuring."""
 
     def __call__(self, trial: Trial) -> Trial:
         """The trial, made better by gradients if it asks for that, with losses on its cases and a time."""
@@ -73,7 +76,7 @@ class StudyEvaluator:
         """Losses relative to the default's on cases of these numbers."""
         return tuple(self.relative(self.space.configuration(choices), self.cases[first:last]))
 
-    def relative(self, configuration: Configuration, cases: Sequence[Case]) -> list[float]:
+    def relative(self, configuration: Configuration, cases: Sequence[Any]) -> list[float]:
         """Losses of a configuration over the default's."""
         if missing := [case for case in cases if case not in self._default]:
             rows = self.judge.scores(Configuration(), missing)

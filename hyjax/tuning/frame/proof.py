@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,12 +13,15 @@ from hyjax.data.frames import spread
 from hyjax.light.color import to_display
 from hyjax.tuning.frame.bench import FrameBench
 from hyjax.tuning.frame.clock import FrameClock, FrameTime
-from hyjax.tuning.frame.evaluation import Judge, mean_scores
-from hyjax.tuning.frame.result import Effect, FrameCandidate
+from hyjax.tuning.frame.evaluation import mean_scores
+from hyjax.tuning.frame.result import Candidate, Effect
 from hyjax.tuning.frame.space import Space
 from hyjax.tuning.frame.trial import Trial
 from hyjax.tuning.result import Budget
 from hyjax.util.errors import InputError
+
+if TYPE_CHECKING:
+    from hyjax.tuning.frame.stage import Stage
 
 ROUNDS = 100
 MOST_SECONDS = 20.0
@@ -27,21 +30,17 @@ BASE_ROUNDS = 60
 EXAMPLE_CASES = 3
 
 
-def prove(
-    configurations: Sequence[Configuration], bench: FrameBench, judge: Judge, clock: FrameClock, *, progress: bool
-) -> list[FrameCandidate]:
-    """Configurations with times of whole frames in turns, and scores on all cases.
+def prove(configurations: Sequence[Configuration], stage: "Stage", *, progress: bool) -> list[Candidate]:
+    """Configurations with times in turns, and scores on all cases.
 
     Args:
         configurations: each.
-        bench: cases, and those held out.
-        judge: of the bench's scenes.
-        clock: times them.
+        stage: that they are of: its cases, and those held out, its judge and its clock.
         progress: show a bar on stderr.
     """
-    times = clock.times(configurations, ROUNDS, most_seconds=MOST_SECONDS * len(configurations))
-    cases, count = [*bench.cases, *bench.held_out], len(bench.cases)
-    default, found = judge.scores(Configuration(), cases), []
+    times = stage.clock.times(configurations, ROUNDS, most_seconds=MOST_SECONDS * len(configurations))
+    cases, count, judge = [*stage.cases, *stage.held_out], len(stage.cases), stage.judge
+    default, found = judge.scores(stage.base, cases), []
     bar = tqdm(configurations, "judging", unit="configuration", disable=not progress)
     for configuration, time in zip(bar, times, strict=True):
         rows = judge.scores(configuration, cases)
@@ -52,7 +51,7 @@ def prove(
         )
         assert tuning is not None
         form = "paper" if configuration.mode == "paper" else "hyjax"
-        found.append(FrameCandidate(configuration, tuning, held_out, time, form))
+        found.append(Candidate(configuration, tuning, held_out, time, form))
     return found
 
 
@@ -86,16 +85,16 @@ def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, cl
         )
 
 
-def front_of(candidates: Sequence[FrameCandidate]) -> list[FrameCandidate]:
+def front_of(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Candidates that no other beats in both median time and tuning loss, by time."""
-    front: list[FrameCandidate] = []
+    front: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda c: (c.time.median, c.tuning["relative"])):
         if not front or candidate.tuning["relative"] < front[-1].tuning["relative"]:
             front.append(candidate)
     return front
 
 
-def best_within(budget: Budget, candidates: Sequence[FrameCandidate]) -> FrameCandidate:
+def best_within(budget: Budget, candidates: Sequence[Candidate]) -> Candidate:
     """The best of those whose p95 is within a budget, or else the fastest."""
     fitting = [c for c in candidates if c.time.p95 <= budget.milliseconds]
     if not fitting:
@@ -103,7 +102,7 @@ def best_within(budget: Budget, candidates: Sequence[FrameCandidate]) -> FrameCa
     return min(fitting, key=lambda c: c.tuning["relative"])
 
 
-def examples(bench: FrameBench, front: Sequence[FrameCandidate]) -> list[tuple[str, dict[str, Any]]]:
+def examples(bench: FrameBench, front: Sequence[Candidate]) -> list[tuple[str, dict[str, Any]]]:
     """Pictures of some cases, held out where there are any, at three points of the front beside the target.
 
     Returns:

@@ -16,31 +16,27 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.configuration import Configuration
-from hyjax.core.schedule import Schedule
-from hyjax.core.step_size import DEFAULT_LAM
 from hyjax.scene.relighter import LitFrame, refine
-from hyjax.tuning.budget import moves, neighbours
+from hyjax.tuning.budget import fits, moves, neighbours, project
 from hyjax.tuning.cost_model import CostModel
-from hyjax.tuning.descent import Objective, promising, relax, whole, with_steps
+from hyjax.tuning.descent import Found, Objective, promising, relax, whole, with_steps
 from hyjax.tuning.frame.evaluation import Case, Judge
 from hyjax.tuning.frame.padding import padded
 from hyjax.tuning.frame.refinement import lit_case
 from hyjax.tuning.frame.space import Choices, Space
 from hyjax.tuning.relaxation import (
-    FIDELITY_RANGE,
-    LAM_RANGE,
     Prepared,
     RelaxedSchedule,
-    logit,
     prepare_channels,
     relaxed_channels,
+    relaxed_of,
 )
 
 ITERATIONS = 16
 LEVEL_STEPS = 3.0
 """Cost of having a level at all, in steps of it: conductances, and interpolation to the next."""
 LOOKED_AT = 3
-"""Whole steps around the start, and around the end of the descent, of which the loss is computed."""
+"""Whole steps around the start, and around the end of the descent, of which the loss of a frame is computed."""
 UNLIMITED_STEPS = 4.0
 """Without a budget, the cascade may take so many times as long as it does."""
 
@@ -130,21 +126,54 @@ def relaxed_choices(
     budget = spent + room if math.isfinite(room) else UNLIMITED_STEPS * spent
     if budget <= min(step) * (1 + LEVEL_STEPS):
         return choices
+    found = relaxed_points(objective, start, cost, budget, seed=seed, expired=expired)
+    return with_point(choices, space, found[0].point, factors) if found and found[0].point is not start else choices
+
+
+def relaxed_points(
+    objective: Objective,
+    start: RelaxedSchedule,
+    cost: CostModel,
+    budget: float,
+    *,
+    iterations: int = ITERATIONS,
+    looked_at: int = LOOKED_AT,
+    seed: int = 0,
+    expired: Callable[[], bool] = lambda: False,
+) -> list[Found]:
+    """Points of whole steps within a budget, the best first: the start, or what fits of it, among them.
+
+    Args:
+        objective: what is minimised.
+        start: point of whole steps.
+        cost: of steps.
+        budget: that the cost is kept within.
+        iterations: of the relaxed descent.
+        looked_at: whole steps around the start, and around the end of the descent, of which the loss is computed.
+        seed: of the order of frames.
+        expired: asked before each iteration.
+    """
+    if not fits(whole(start), cost, budget):
+        start = with_steps(start, np.floor(project(np.asarray(start.steps), cost, budget)))
+        if not np.any(np.asarray(start.steps)):
+            return []
     before, slope = objective.gradient(start)
-    found = [with_steps(start, n) for n in promising(moves(whole(start), cost, budget), start, slope, LOOKED_AT)]
-    end = relax(objective, start, cost, budget, ITERATIONS, seed, expired)
+    found = [with_steps(start, n) for n in promising(moves(whole(start), cost, budget), start, slope, looked_at)]
+    end = relax(objective, start, cost, budget, iterations, seed, expired)
     real = np.asarray(end.steps)
     if np.any(real > 0):
         near = neighbours(real, cost, budget, maximal=False)
-        found += [with_steps(end, n) for n in promising(near, end, objective.gradient(end)[1], LOOKED_AT)]
-    losses = [objective(each) for each in found]
-    if not losses or min(losses) >= before:
-        return choices
-    point = found[int(np.argmin(losses))]
-    steps = whole(point)
+        found += [with_steps(end, n) for n in promising(near, end, objective.gradient(end)[1], looked_at)]
+    return sorted(
+        [Found(start, float(before)), *(Found(p, objective(p)) for p in found)], key=lambda each: each.loss
+    )
+
+
+def with_point(choices: Choices, space: Space, point: RelaxedSchedule, factors: Sequence[int]) -> Choices:
+    """Choices with the steps of a point, and with the numbers of its levels that the space has."""
     there = np.asarray(point.steps) > 0
-    changed: Choices = {f"cascade_{factor}": n for factor, n in zip(factors, steps)}
-    changed |= {f"cascade_{factor}": 0 for factor in known if factor not in factors}
+    changed: Choices = {p.name: 0 for p in space.parameters if p.cascade == "cascade"}
+    changed |= {f"cascade_{factor}": n for factor, n in zip(factors, whole(point))}
     for name, values in (("kappa", point.kappa), ("lam", point.lam), ("fidelity", point.fidelity)):
         if name in choices:
             low, high = space.named[name].values
@@ -174,16 +203,3 @@ def frame_objective(
 
 
 _prepare = jax.jit(prepare_channels, static_argnums=(3, 4))
-
-
-def relaxed_of(schedule: Schedule, factors: Sequence[int]) -> RelaxedSchedule:
-    """A schedule as a relaxed one; λ is the mean of a level's steps, a level that it lacks is like the nearest."""
-    levels = {level.factor: level for level in schedule.levels}
-    near = [levels[min(levels, key=lambda own: abs(math.log2(own / factor)))] for factor in factors]
-    steps = [levels[factor].steps if factor in levels else 0 for factor in factors]
-    kappa = [float(np.asarray(level.kappa)) for level in near]
-    weights = [FIDELITY_RANGE[0] if x.fidelity is None else float(np.asarray(x.fidelity)) for x in near]
-    lam = [float(np.mean(np.asarray(level.step_sizes))) if level.steps else DEFAULT_LAM for level in near]
-    point = RelaxedSchedule.of(steps, kappa, fidelity=[max(x, FIDELITY_RANGE[0]) for x in weights])
-    logits = [logit(4.0 * min(max(x, LAM_RANGE[0]), LAM_RANGE[1])) for x in lam]
-    return dataclasses.replace(point, logit_lam=jnp.asarray(logits, jnp.float32))

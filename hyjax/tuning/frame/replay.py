@@ -6,12 +6,10 @@ from pathlib import Path
 from hyjax.configuration import Configuration
 from hyjax.data.frames import spread
 from hyjax.tuning.frame.bench import open_frame_bench
-from hyjax.tuning.frame.clock import FrameClock
-from hyjax.tuning.frame.evaluation import Judge
-from hyjax.tuning.frame.loss import PictureLoss
 from hyjax.tuning.frame.proof import best_within, effects, examples, front_of, prove
-from hyjax.tuning.frame.result import FrameTuned
+from hyjax.tuning.frame.result import Tuned
 from hyjax.tuning.frame.space import Space
+from hyjax.tuning.frame.stage import FrameStage
 from hyjax.tuning.frame.study import kept_trials
 from hyjax.tuning.frame.trial import Trial, front_of_trials
 from hyjax.tuning.settings import TuneSettings
@@ -19,7 +17,7 @@ from hyjax.tuning.settings import TuneSettings
 POINTS = 3
 
 
-def replay(journal: Path, settings: TuneSettings) -> FrameTuned:
+def replay(journal: Path, settings: TuneSettings) -> Tuned:
     """Result of a kept study without searching again.
 
     A few points of the front, the default and the paper's form are timed here and judged on the frames of the
@@ -34,14 +32,12 @@ def replay(journal: Path, settings: TuneSettings) -> FrameTuned:
     """
     trials = kept_trials(journal)
     bench = open_frame_bench(settings.check())
-    judge = Judge(bench.scenes, PictureLoss.of(settings.frame.lpips))
-    clock = FrameClock(bench.scenes[0], bench.lights)
     found = [Configuration(), Configuration.paper(), *front_configurations(trials)]
-    told = prove(found, bench, judge, clock, progress=not settings.quiet)
+    told = prove(found, FrameStage(bench, settings), progress=not settings.quiet)
     references, tuned, budgets = told[:2], told[2:], settings.budgets()
     best = [best_within(budget, tuned) for budget in budgets]
     front = front_of(tuned)
-    return FrameTuned(
+    return Tuned(
         best[0].configuration,
         best,
         budgets,

@@ -1,9 +1,10 @@
-"""The files that a run on the whole frame leaves: configurations, a table, a plot, a contact sheet and a page."""
+"""The files that a tuning run leaves: configurations or schedules, a table, a plot, a contact sheet and a page."""
 
 import csv
 import io
 from pathlib import Path
 
+from hyjax.configuration import Configuration
 from hyjax.metrics import plain_metrics
 from hyjax.tuning.frame.report_html import page
 from hyjax.tuning.frame.report_plots import draw_front_plot
@@ -15,15 +16,17 @@ from hyjax.tuning.frame.report_text import (
     on_front,
     summary,
 )
-from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
+from hyjax.tuning.frame.result import Candidate, Tuned
 from hyjax.tuning.report_files import file_stem, write_folder
 from hyjax.tuning.report_pictures import Example, contact_sheet_rows
+from hyjax.tuning.settings import BudgetStage
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.files import atomic_write, write_text
 
 __all__ = ["CSV_COLUMNS", "summary", "write_results"]
 
-CONFIGURATION = "configuration"
+STEMS: dict[BudgetStage, str] = {"frame": "configuration", "cascade": "schedule"}
+"""Names of the files with what was found: a whole configuration, or the schedule of the diffusion alone."""
 CSV_COLUMNS = (
     *("name", "kind", "best_for", "front", "choices", "cases", "relative_loss", "relative_time"),
     *("median_ms", "p95_ms", "default_ms"),
@@ -41,11 +44,12 @@ def score_columns() -> list[str]:
     return [f"{frames}_{score}" for frames in ("tuning", "held_out") for score in score_names()]
 
 
-def write_results(out: Path, tuned: FrameTuned) -> None:
+def write_results(out: Path, tuned: Tuned) -> None:
     """Write all files of a run.
 
     `configuration.json` is for the first budget; with several there is `configuration-60fps.json` and so on as
     well. `front` has a configuration for each point of the front, `pareto.csv` a row for each candidate and trial.
+    Of the diffusion alone they are schedules: `schedule.json`.
 
     Args:
         out: a folder that is there.
@@ -66,27 +70,37 @@ def write_results(out: Path, tuned: FrameTuned) -> None:
     write_text(out / "report.html", page(tuned, examples))
 
 
-def write_configurations(out: Path, tuned: FrameTuned) -> list[Path]:
+def best_file(stage: BudgetStage) -> str:
+    """Name of the file with the best for the first budget."""
+    return f"{STEMS[stage]}.json"
+
+
+def text_of(configuration: Configuration, stage: BudgetStage) -> str:
+    """Content of a file: the configuration, or its schedule of the diffusion."""
+    return (configuration if stage == "frame" else configuration.schedule).to_json() + "\n"
+
+
+def write_configurations(out: Path, tuned: Tuned) -> list[Path]:
     """Write the configuration for each budget.
 
     Returns:
-        The files, `configuration.json` first.
+        The files, that for the first budget first.
 
     Raises:
         InputError: a file cannot be written.
     """
-    texts = {"configuration.json": tuned.configuration.to_json()}
+    stage, stem = tuned.stage, STEMS[tuned.stage]
+    texts = {best_file(stage): text_of(tuned.configuration, stage)}
     if len(tuned.budgets) > 1:
         for budget, best in zip(tuned.budgets, tuned.best, strict=True):
-            texts[_free(f"configuration-{file_stem(budget.slug, CONFIGURATION)}", texts)] = (
-                best.configuration.to_json()
-            )
+            name = _free(f"{stem}-{file_stem(budget.slug, stem)}", texts)
+            texts[name] = text_of(best.configuration, stage)
     for name, text in texts.items():
-        write_text(out / name, text + "\n")
+        write_text(out / name, text)
     return [out / name for name in texts]
 
 
-def write_front(folder: Path, tuned: FrameTuned) -> None:
+def write_front(folder: Path, tuned: Tuned) -> None:
     """Write the configurations of the front, by name, into a folder of their own; what was beaten since goes.
 
     Raises:
@@ -94,7 +108,8 @@ def write_front(folder: Path, tuned: FrameTuned) -> None:
     """
     texts: dict[str, str] = {}
     for candidate in tuned.front:
-        texts[_free(file_stem(candidate.name, CONFIGURATION), texts)] = candidate.configuration.to_json() + "\n"
+        name = _free(file_stem(candidate.name, STEMS[tuned.stage]), texts)
+        texts[name] = text_of(candidate.configuration, tuned.stage)
     write_folder(folder, texts, "*.json")
 
 
@@ -105,7 +120,7 @@ def _free(stem: str, taken: dict[str, str]) -> str:
     return next(name for name in names if name.lower() not in lower)
 
 
-def write_pareto_csv(path: Path, tuned: FrameTuned) -> None:
+def write_pareto_csv(path: Path, tuned: Tuned) -> None:
     """Write a row for each candidate, then one for each trial; what is not known is empty.
 
     Columns are `CSV_COLUMNS` and `score_columns`. Losses of candidates are on all tuning frames, those of trials on
@@ -126,7 +141,7 @@ def write_pareto_csv(path: Path, tuned: FrameTuned) -> None:
     write_text(path, buffer.getvalue())
 
 
-def _candidate_row(tuned: FrameTuned, kind: str, candidate: FrameCandidate) -> dict[str, str]:
+def _candidate_row(tuned: Tuned, kind: str, candidate: Candidate) -> dict[str, str]:
     time = candidate.time
     numbers: dict[str, float | None] = {
         "relative_loss": candidate.tuning["relative"],

@@ -1,17 +1,45 @@
-"""Page of a run on the whole frame: what the template `frame.html.jinja` shows."""
+"""Page of a tuning run: what the template `frame.html.jinja` shows."""
 
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+import jinja2
 
 from hyjax.configuration import Configuration
 from hyjax.metrics import plain_metrics
-from hyjax.tuning import report_html, report_text
 from hyjax.tuning.frame import report_text as text
 from hyjax.tuning.frame.report_plots import draw_effects, draw_front_plot
-from hyjax.tuning.frame.result import FrameTuned
+from hyjax.tuning.frame.result import Tuned
 from hyjax.tuning.report_axes import svg
 from hyjax.tuning.report_pictures import Example, data_uris, pair_to_compare
+
+
+def templates(*folders: Path) -> jinja2.Environment:
+    """Templates of folders, which escape everything that is not markup already."""
+    loader = jinja2.FileSystemLoader(folders)
+    return jinja2.Environment(
+        loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+
+
+def machine(record: Mapping[str, Any]) -> str:
+    """Device and version of jax, of a run's record."""
+    versions = record.get("versions")
+    jax = f"jax {versions['jax']}" if isinstance(versions, dict) and "jax" in versions else ""
+    return ", ".join(str(part) for part in (record.get("device", ""), jax) if part)
+
+
+def percent(share: float) -> str:
+    """A share in percent."""
+    return f"{100 * share:.1f}%"
+
+
+def signed_percent(share: float, digits: int = 0) -> str:
+    """A change in percent, with its sign."""
+    return f"{100 * share:+.{digits}f}%".replace("-", "−") if math.isfinite(share) else text.MISSING
 
 
 def score_forms() -> dict[str, tuple[str, str]]:
@@ -20,7 +48,7 @@ def score_forms() -> dict[str, tuple[str, str]]:
     return {"relative": ("loss over the default's", ".3f")} | metrics
 
 
-def page(tuned: FrameTuned, examples: Sequence[Example]) -> str:
+def page(tuned: Tuned, examples: Sequence[Example]) -> str:
     """The whole page as one HTML text, which needs nothing else.
 
     Args:
@@ -31,7 +59,7 @@ def page(tuned: FrameTuned, examples: Sequence[Example]) -> str:
         InputError: there are more examples than fit.
     """
     here = Path(__file__).parent
-    environment = report_html.templates(here, here.parent)
+    environment = templates(here, here.parent)
     environment.globals |= {function.__name__: function for function in FUNCTIONS}
     rows = [(kind, text.best_for(tuned, c), c) for kind, c in text.candidates(tuned)]
     plots = {"front": svg(draw_front_plot(tuned), "front", "Time of a frame against loss")}
@@ -40,9 +68,9 @@ def page(tuned: FrameTuned, examples: Sequence[Example]) -> str:
     default = next((trial.choices for trial in tuned.trials if trial.phase == "default"), None)
     return environment.get_template("frame.html.jinja").render(
         tuned=tuned,
-        heading="Tuned configurations",
+        heading="Tuned configurations" if tuned.stage == "frame" else "Tuned schedules",
         lead=text.summary(tuned),
-        machine=report_html.machine(tuned.record),
+        machine=machine(tuned.record),
         found=list(zip(tuned.budgets, tuned.best, strict=True)),
         rows=rows,
         trials=[(text.choices_text(trial.choices, default), trial) for trial in tuned.trials],
@@ -50,13 +78,13 @@ def page(tuned: FrameTuned, examples: Sequence[Example]) -> str:
         plots=plots,
         scores=score_forms(),
         usual_choices=text.described(Configuration()),
-        missing=report_text.MISSING,
+        missing=text.MISSING,
         record=json.dumps(tuned.record, indent=2, ensure_ascii=False, default=str),
     )
 
 
 FUNCTIONS = (
-    *(report_text.budget_text, report_text.milliseconds, report_html.percent, report_html.signed_percent),
+    *(text.budget_text, text.milliseconds, percent, signed_percent),
     *(text.configuration_text, text.described, text.missed, text.score_text, text.value_text),
 )
 """Functions that the template calls, by their names."""

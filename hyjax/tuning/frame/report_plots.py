@@ -1,4 +1,4 @@
-"""Plots of a run on the whole frame: the front of time against loss, and what each choice costs and brings."""
+"""Plots of a tuning run: the front of time against loss, and what each choice costs and brings."""
 
 from collections.abc import Callable
 
@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from hyjax.tuning.frame.report_text import best_for, candidates, on_front, value_text
-from hyjax.tuning.frame.result import Effect, FrameCandidate, FrameTuned
+from hyjax.tuning.frame.result import Candidate, Effect, Tuned
 from hyjax.tuning.report_axes import COLORS, FONT, GROUND, INK, QUIET, fixed_ticks, log_x, style
 from hyjax.tuning.report_points import (
     Point,
@@ -19,7 +19,14 @@ from hyjax.tuning.report_points import (
     name_points,
 )
 
-KINDS = {"tuned": "the front", "preset": "the default and presets", "paper": "the paper's form"}
+KINDS = {
+    "tuned": "the front",
+    "preset": "the default and presets",
+    "paper": "the paper's form",
+    "naive": "naive diffusion",
+}
+WHOLE = {"frame": "a whole frame", "cascade": "the diffusion"}
+"""Stages that budgets are for, in words."""
 LOSS_TICKS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
 CHANGE_TICKS = (-75, -50, -20, -10, -5, 0, 5, 10, 20, 50, 100, 200, 500, 1000)
 NAMED_EFFECTS = 12
@@ -27,7 +34,7 @@ WIDE = 40.0
 """Per cent beyond which an axis of changes is compressed."""
 
 
-def draw_front_plot(tuned: FrameTuned) -> Figure:
+def draw_front_plot(tuned: Tuned) -> Figure:
     """Median time of a frame against loss relative to the default: tuning frames above, held-out ones below.
 
     Nine inches wide. Small dots are trials, on the tuning frames that they were tried on; their times are those
@@ -59,7 +66,7 @@ def draw_front_plot(tuned: FrameTuned) -> Figure:
         fixed_ticks(axes.yaxis, LOSS_TICKS)
     panels[0].plot([x for x, _ in dots], [y for _, y in dots], ".", color=QUIET, markersize=4, alpha=0.6, zorder=1)
     panels[-1].set_xlabel(
-        "milliseconds of a whole frame: median (marker) to 95th percentile (line)", color=INK, fontsize=FONT
+        f"milliseconds of {WHOLE[tuned.stage]}: median (marker) to 95th percentile (line)", color=INK, fontsize=FONT
     )
     name_budgets(panels[0], tuned.budgets)
     legend(figure, every, KINDS, budgets=bool(tuned.budgets))
@@ -69,13 +76,13 @@ def draw_front_plot(tuned: FrameTuned) -> Figure:
     return figure
 
 
-def trial_dots(tuned: FrameTuned) -> list[tuple[float, float]]:
+def trial_dots(tuned: Tuned) -> list[tuple[float, float]]:
     """(milliseconds, loss over the default's) of each trial that was timed."""
     base = next((c.time.default for c in (*tuned.best, *tuned.references)), 1.0)
     return [(t.time * base, t.loss) for t in tuned.trials if t.time is not None and t.losses]
 
 
-def _points(tuned: FrameTuned, scores: Callable[[FrameCandidate], dict[str, float] | None]) -> list[Point]:
+def _points(tuned: Tuned, scores: Callable[[Candidate], dict[str, float] | None]) -> list[Point]:
     found = []
     for kind, candidate in candidates(tuned):
         told, time, best = scores(candidate), candidate.time, bool(best_for(tuned, candidate))
@@ -83,7 +90,17 @@ def _points(tuned: FrameTuned, scores: Callable[[FrameCandidate], dict[str, floa
             front, named = on_front(tuned, candidate), best or kind != "tuned"
             label = candidate.name
             found.append(
-                Point(label, kind, time.median, time.p95, told["relative"], best=best, front=front, named=named)
+                Point(
+                    label,
+                    kind,
+                    time.median,
+                    time.p95,
+                    told["relative"],
+                    measured=not time.predicted,
+                    best=best,
+                    front=front,
+                    named=named,
+                )
             )
     return found
 

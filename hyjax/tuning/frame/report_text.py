@@ -1,5 +1,6 @@
-"""What a run on the whole frame found, in words and cells: shared by the table, the plots and the page."""
+"""Results of a tuning run in words and cells: shared by the table, the plots and the page."""
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -7,43 +8,52 @@ import numpy as np
 
 from hyjax.choices.table import CHOICES
 from hyjax.configuration import DEFAULT, Configuration
-from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
-from hyjax.tuning.report_text import MISSING, budget_text, milliseconds
+from hyjax.tuning.frame.result import Candidate, Tuned
 from hyjax.tuning.result import Budget
 
+MISSING = "–"
 
-def candidates(tuned: FrameTuned) -> list[tuple[str, FrameCandidate]]:
+
+KINDS = ("tuned", "preset", "paper", "naive")
+"""Kinds of candidates, in the order of tables."""
+
+
+def candidates(tuned: Tuned) -> list[tuple[str, Candidate]]:
     """(kind, candidate) for everything measured, each once, by time within its kind.
 
-    Kinds are `tuned`, `preset` (the default is one) and `paper`. What is best for a budget is told under the name
-    that it has for that, unless it is a reference.
+    Kinds are `tuned`, `preset` (the default is one), `paper` and `naive`. What is best for a budget is told with
+    the name and the time that it has for that.
     """
-    found: list[FrameCandidate] = []
-    for candidate in (*tuned.references, *tuned.best, *tuned.front):
+    found: list[Candidate] = []
+    for candidate in (*tuned.best, *tuned.references, *tuned.front):
         if not any(same(candidate, other) for other in found):
             found.append(candidate)
-    kinds = {id(c): "paper" if c.form == "paper" else "preset" for c in tuned.references}
-    order = {"tuned": 0, "preset": 1, "paper": 2}
-    rows = [(kinds.get(id(c), "tuned"), c) for c in found]
-    return sorted(rows, key=lambda row: (order[row[0]], row[1].time.median))
+    rows = [(_kind(tuned, candidate), candidate) for candidate in found]
+    return sorted(rows, key=lambda row: (KINDS.index(row[0]), row[1].time.median))
 
 
-def same(a: FrameCandidate, b: FrameCandidate) -> bool:
+def _kind(tuned: Tuned, candidate: Candidate) -> str:
+    if not any(same(candidate, other) for other in tuned.references):
+        return "tuned"
+    return next((kind for kind in ("paper", "naive") if candidate.name.startswith(kind)), "preset")
+
+
+def same(a: Candidate, b: Candidate) -> bool:
     """Whether two are one measured configuration, under whatever names."""
     return a is b or a.tuning is b.tuning  # the best is timed once more
 
 
-def best_for(tuned: FrameTuned, candidate: FrameCandidate) -> list[str]:
+def best_for(tuned: Tuned, candidate: Candidate) -> list[str]:
     """Labels of the budgets that a candidate is the best for."""
     return [b.label for b, best in zip(tuned.budgets, tuned.best, strict=True) if same(best, candidate)]
 
 
-def on_front(tuned: FrameTuned, candidate: FrameCandidate) -> bool:
+def on_front(tuned: Tuned, candidate: Candidate) -> bool:
     """Whether a candidate is on the front."""
     return any(same(candidate, other) for other in tuned.front)
 
 
-def default_of(tuned: FrameTuned) -> FrameCandidate | None:
+def default_of(tuned: Tuned) -> Candidate | None:
     """The default, as it was measured and judged with the others."""
     return next((c for c in tuned.references if c.name == DEFAULT), None)
 
@@ -96,23 +106,53 @@ def _levels(values: Iterable[Any]) -> str:
     return " ".join(told[:1] if len(set(told)) == 1 else told)
 
 
-def summary(tuned: FrameTuned) -> list[str]:
+def summary(tuned: Tuned) -> list[str]:
     """Sentences that say what came out: one for each budget, what was missed, and how well times were predicted."""
     sentences = []
     for budget, best in zip(tuned.budgets, tuned.best, strict=True):
         sentences.append(sentence(tuned, budget, best))
         sentences += missed(budget, best)
-    return sentences + prediction(tuned)
+    return sentences + bargain(tuned) + jointly(tuned) + prediction(tuned)
 
 
-def sentence(tuned: FrameTuned, budget: Budget, best: FrameCandidate) -> str:
+def bargain(tuned: Tuned) -> list[str]:
+    """The fastest candidate within 1 % of the main result's loss, if it takes less than two thirds of its time."""
+    best = tuned.best[0]
+    for cheap in tuned.front:
+        more = 100.0 * (cheap.tuning["relative"] / best.tuning["relative"] - 1.0)
+        if more <= 1.0 and 1.5 * cheap.time.median < best.time.median:
+            return [
+                f"A bargain: {cheap.name} ({configuration_text(cheap.configuration)}) takes "
+                f"{milliseconds(cheap.time.median)} ms, {best.time.median / cheap.time.median:.1f} times less, for "
+                f"{max(more, 0.0):.1f} % more loss (tuning frames)."
+            ]
+    return []
+
+
+def jointly(tuned: Tuned) -> list[str]:
+    """Gain of tuning the guide's last layer with the schedule, if it was asked for."""
+    record = tuned.record.get("joint")
+    if record is None:
+        return []
+    before, after = record.get("held out", record["tuning"])
+    frames = "held-out" if "held out" in record else "tuning"
+    return [
+        f"With the guide's last layer tuned too (guide.safetensors and joint.json): loss {before['loss']:.4g} "
+        f"before, {after['loss']:.4g} after ({frames} frames), {milliseconds(record['measured']['median'])} ms."
+    ]
+
+
+def sentence(tuned: Tuned, budget: Budget, best: Candidate) -> str:
     """What fits a budget, how long it takes, and what it is worth against the default."""
     base = default_of(tuned)
     time = f"median {milliseconds(best.time.median)} ms, p95 {milliseconds(best.time.p95)} ms"
-    against = f"median {milliseconds(best.time.default)} ms"
+    if best.time.predicted:
+        time = f"for {tuned.record.get('device', 'the device')} predicted, not timed: {time}"
+    beside = "beside" if best.time.predicted else "in turns with"
+    against = f"{beside} the default's median {milliseconds(best.time.default)} ms"
     text = (
-        f"{budget_text(budget)}: {best.name} ({configuration_text(best.configuration)}); {time}, in turns with the "
-        f"default's {against}; loss {change_text(best.tuning['relative'])} on tuning frames"
+        f"{budget_text(budget)}: {best.name} ({configuration_text(best.configuration)}); {time}, {against}; loss "
+        f"{change_text(best.tuning['relative'])} on tuning frames"
     )
     if best.held_out is not None:
         text += f", {change_text(best.held_out['relative'])} on held-out ones"
@@ -135,7 +175,7 @@ def change_text(ratio: float) -> str:
     return f"{abs(change):.1f} % {'more' if change > 0 else 'less'} than the default"
 
 
-def missed(budget: Budget, best: FrameCandidate) -> list[str]:
+def missed(budget: Budget, best: Candidate) -> list[str]:
     """What is to be said if even the fastest took longer than a budget."""
     if best.time.p95 <= budget.milliseconds:
         return []
@@ -145,7 +185,7 @@ def missed(budget: Budget, best: FrameCandidate) -> list[str]:
     ]
 
 
-def prediction(tuned: FrameTuned) -> list[str]:
+def prediction(tuned: Tuned) -> list[str]:
     """How far times were from those that the surrogate had predicted; nothing if there are none."""
     errors = tuned.record.get("prediction errors") or []
     if not errors:
@@ -154,6 +194,23 @@ def prediction(tuned: FrameTuned) -> list[str]:
         f"Times of {len(errors)} proposed configurations were predicted with an error of "
         f"{100 * float(np.median(errors)):.1f} % (median), {100 * max(errors):.1f} % at worst."
     ]
+
+
+def milliseconds(value: float | None) -> str:
+    """A time with as many decimals as can be believed."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    return f"{value:.2f}" if value >= 1 else f"{value:.3f}"
+
+
+def budget_text(budget: Budget) -> str:
+    """`60 fps = 16.67 ms`, or the label alone where it is the time."""
+    time = (
+        f"{budget.milliseconds:.4g} ms"
+        if budget.milliseconds < 1
+        else f"{budget.milliseconds:.2f}".rstrip("0").rstrip(".") + " ms"
+    )
+    return budget.label if budget.slug == time.replace(" ", "") else f"{budget.label} = {time}"
 
 
 def score_text(scores: Mapping[str, float] | None, name: str, form: str) -> str:

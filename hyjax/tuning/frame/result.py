@@ -4,14 +4,16 @@ import dataclasses
 from typing import Any
 
 from hyjax.configuration import Configuration
+from hyjax.core.schedule import Schedule
 from hyjax.tuning.frame.clock import FrameTime
 from hyjax.tuning.frame.evaluation import Scores
 from hyjax.tuning.frame.trial import Trial
 from hyjax.tuning.result import Budget
+from hyjax.tuning.settings import BudgetStage
 
 
 @dataclasses.dataclass(frozen=True)
-class FrameCandidate:
+class Candidate:
     """A configuration with what is known of it.
 
     Attributes:
@@ -65,8 +67,8 @@ class Effect:
 
 
 @dataclasses.dataclass(frozen=True)
-class FrameTuned:
-    """What `hyjax.tune` returns.
+class Tuned:
+    """Result of `hyjax.tune` and `hyjax.tune_schedule`.
 
     Attributes:
         configuration: the best for the first budget, measured to fit.
@@ -77,21 +79,31 @@ class FrameTuned:
         trials: all of the search.
         effects: of the choices that were tried one by one.
         examples: pictures: rows of (name of the case, pictures by name).
-        record: settings, device, versions, cases, prediction errors: JSON's types.
+        record: stage, settings, device, versions, cases, prediction errors: JSON's types.
     """
 
     configuration: Configuration
-    best: list[FrameCandidate]
+    best: list[Candidate]
     budgets: list[Budget]
-    front: list[FrameCandidate]
-    references: list[FrameCandidate]
+    front: list[Candidate]
+    references: list[Candidate]
     trials: list[Trial]
     effects: list[Effect]
     examples: list[tuple[str, dict[str, Any]]]
     record: dict[str, Any]
 
     @property
-    def candidates(self) -> list[FrameCandidate]:
+    def schedule(self) -> Schedule:
+        """Cascade for the light of the best configuration."""
+        return self.configuration.schedule
+
+    @property
+    def stage(self) -> BudgetStage:
+        """Stage of a frame that the budgets are for."""
+        return self.record.get("stage", "frame")
+
+    @property
+    def candidates(self) -> list[Candidate]:
         """References, front and the best of each budget, each once."""
         found = {id(c): c for c in (*self.references, *self.front, *self.best)}
         return list(found.values())

@@ -1,38 +1,27 @@
-"""Tuning run of the whole frame: search, refinement of the best, proof on the clock and on held-out scenes."""
+"""Tuning run: search, refinement of the best, proof on the clock and on held-out frames."""
 
+import contextlib
 import dataclasses
 import functools
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-import numpy as np
+import jax
 from tqdm import tqdm
 
-from hyjax.configuration import PRESETS, Configuration, Measured
+from hyjax.configuration import Configuration
 from hyjax.data.capture import Capture
-from hyjax.tuning.frame.bench import FrameBench, open_frame_bench
-from hyjax.tuning.frame.clock import FrameClock, FrameTime
-from hyjax.tuning.frame.evaluation import Judge
-from hyjax.tuning.frame.evaluator import StudyEvaluator
-from hyjax.tuning.frame.loss import PictureLoss
-from hyjax.tuning.frame.proof import (
-    BASE_ROUNDS,
-    MOST_SECONDS,
-    ROUNDS,
-    best_within,
-    check_reachable,
-    effects,
-    examples,
-    front_of,
-    prove,
-)
-from hyjax.tuning.frame.refinement import refine_numbers
-from hyjax.tuning.frame.result import FrameCandidate, FrameTuned
+from hyjax.tuning.frame.bench import open_frame_bench
+from hyjax.tuning.frame.clock import FrameTime
+from hyjax.tuning.frame.proof import MOST_SECONDS, ROUNDS, best_within, effects, front_of, prove
+from hyjax.tuning.frame.report import best_file, text_of, write_results
+from hyjax.tuning.frame.result import Candidate, Tuned
 from hyjax.tuning.frame.search import State, init, search, update
 from hyjax.tuning.frame.space import Choices, Space
-from hyjax.tuning.frame.study import Study, check_installed
+from hyjax.tuning.frame.stage import FrameStage, Stage
+from hyjax.tuning.frame.study import Study, check_free, check_installed
 from hyjax.tuning.frame.trial import Trial
 from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.result import Budget
@@ -40,19 +29,16 @@ from hyjax.tuning.settings import TuneSettings
 from hyjax.util.claims import claimed
 from hyjax.util.environment import cores, environment, peak_memory_mib
 from hyjax.util.errors import InputError
-from hyjax.util.files import digest, make_writable, write_text
+from hyjax.util.files import make_writable, write_text
 
 EXTRA = (0.35, 0.5, 0.7, 1.0, 1.5)
 """Further points of the front, in times of the default."""
-FEWEST = 6
-"""Cases of the first batch, at least."""
-POLISH_CASES = 12
 ATTEMPTS = 3
-ROOM = 0.98
-"""Share of a budget that is aimed at: a p95 is a noisy number."""
+MORE_TRIALS = 8
+"""Trials for a budget that the clock, unlike the prediction, finds exceeded."""
 
 
-def tune_frame(settings: TuneSettings, *, capture: Capture | None = None) -> FrameTuned:
+def tune_frame(settings: TuneSettings, *, capture: Capture | None = None) -> Tuned:
     """The configuration with the best pictures within each time budget.
 
     Args:
@@ -67,72 +53,80 @@ def tune_frame(settings: TuneSettings, *, capture: Capture | None = None) -> Fra
             "stage: `tune` is for the whole frame on this machine; for the rest there is `tune_schedule`"
         )
     settings.check()
-    budgets, monitor = settings.budgets(), RunMonitor(settings.time_limit, not settings.quiet)
-    check_installed()
-    if settings.out is not None:
-        make_writable(settings.out)
-    with claimed(settings.out):
-        bench = open_frame_bench(settings, capture)
-        return FrameRun(bench, settings, budgets, monitor).run()
+    with opened(settings) as monitor:
+        stage = FrameStage(open_frame_bench(settings, capture), settings)
+        return Run(stage, settings, settings.budgets(), monitor).run()
 
 
-class FrameRun:
+@contextlib.contextmanager
+def opened(settings: TuneSettings) -> Iterator[RunMonitor]:
+    """The clock of a run whose folder is this process's alone.
+
+    Raises:
+        InputError: the folder cannot be used, or the device no longer works.
+    """
+    monitor, out = RunMonitor(settings.time_limit, not settings.quiet), settings.out
+    if out is not None:
+        check_installed()
+        make_writable(out)
+    with claimed(out):
+        if out is not None:
+            check_free(out, settings.resume)
+        try:
+            yield monitor
+        except jax.errors.JaxRuntimeError as error:
+            kept = f"; what was found so far is in {out}, and --resume goes on from there" if out else ""
+            line = [*str(error).splitlines(), type(error).__name__][0]
+            raise InputError(f"device: {jax.default_backend()} no longer works ({line}){kept}") from None
+
+
+class Run:
     """One run, from the search to the files.
 
     Args:
-        bench: what is tuned on.
+        stage: what is tuned.
         settings: of the search.
-        budgets: of time.
+        budgets: of time; the first one's configuration is the main result.
         monitor: time limit and progress.
     """
 
     def __init__(
-        self, bench: FrameBench, settings: TuneSettings, budgets: Sequence[Budget], monitor: RunMonitor
+        self, stage: Stage, settings: TuneSettings, budgets: Sequence[Budget], monitor: RunMonitor
     ) -> None:
-        self.bench, self.settings, self.budgets, self.monitor = bench, settings, list(budgets), monitor
-        self.judge = Judge(bench.scenes, PictureLoss.of(settings.frame.lpips))
-        self.clock = FrameClock(bench.scenes[0], bench.lights)
-        truth = all(bench.scenes[place].has_truth for place, *_ in bench.cases)
-        self.space = Space.of(truth=truth)
-        self.machine, self._kept = environment(), Choices()
-        told = {name: self.machine["versions"][name] for name in ("jax", "jaxlib")}
-        machine = ", ".join(
-            [
-                f"{bench.lights}, {self.machine['device']}",
-                f"{cores()} cores",
-                *(f"{n} {v}" for n, v in told.items()),
-            ]
-        )
-        self._study = functools.partial(Study, settings.out, settings=self._decisive(), machine=machine)
+        self.stage, self.settings, self.budgets, self.monitor = stage, settings, list(budgets), monitor
+        self._environment, self._kept = environment(), Choices()
+        told = [f"{name} {self._environment['versions'][name]}" for name in ("jax", "jaxlib")]
+        lights = stage.record().get("timed under", stage.name)
+        machine = ", ".join([f"{lights}, {self._environment['device']}", f"{cores()} cores", *told])
+        self._study = functools.partial(Study, settings.out, settings=stage.decisive(), machine=machine)
 
-    def run(self) -> FrameTuned:
+    def run(self) -> Tuned:
         """Search, refine, prove, write."""
-        from hyjax.tuning.frame.report import write_results
+        try:
+            return self._run()
+        except KeyboardInterrupt:
+            if (out := self.settings.out) is not None:
+                best = f"; {out / best_file(self.stage.name)} is the best so far" if self._kept else ""
+                tqdm.write(f"hyjax: stopped; --resume goes on with {out}{best}", file=sys.stderr)
+            raise
 
-        study = self._study("frame", resume=self.settings.resume)
-
-        def timed() -> dict[str, float]:
-            (base,) = self.clock.times([Configuration()], BASE_ROUNDS)
-            if not study.trials:
-                check_reachable(self.budgets, base, self.space, self.clock)
-            return dataclasses.asdict(base)
-
-        base = FrameTime(**study.remember(study.timed("default"), timed))
-        state = self._search(self.space, study, self._limits(base), keep=self._keep)
-        candidates = self._finalists(state, base)
-        references = [Configuration(), *map(Configuration.preset, PRESETS)]
-        if self.settings.frame.paper_form:
-            references.append(Configuration.paper())
+    def _run(self) -> Tuned:
+        study = self._study(self.stage.name, resume=self.settings.resume)
+        base = self.stage.base_time(study, self.budgets)
+        limits = [self.stage.limit(budget, base) for budget in self.budgets]
+        limits += EXTRA if self.settings.extra else ()
+        state = self._searched(self.stage.space, study, limits, keep=True)
+        candidates, state = self._finalists(state, study, limits)
+        references = self.stage.references()
+        if self.settings.frame.paper_form and self.stage.name == "frame":
             paper = Space.of(truth=True, paper=True)
-            found = self._search(paper, self._study("paper", resume=True), [math.inf])
-            best = found.best(math.inf, cases=len(self.bench.cases))
+            found = self._searched(paper, self._study("paper", resume=True), [math.inf])
+            best = found.best(math.inf, cases=len(self.stage.cases))
             if best is not None:
                 references.append(self._polished(paper.configuration(best.choices, "paper-tuned")))
-        told = prove(
-            [*candidates, *references], self.bench, self.judge, self.clock, progress=not self.settings.quiet
-        )
-        tuned, known = told[: len(candidates)], told[len(candidates) :]
-        result = self._result(state, tuned, known, base)
+        told = prove([*candidates, *references], self.stage, progress=not self.settings.quiet)
+        result = self._result(state, told[: len(candidates)], told[len(candidates) :], base)
+        result.record.update(self.stage.after(result, self.monitor))
         if self.settings.out is not None:
             write_results(self.settings.out, result)
         return result
@@ -141,167 +135,137 @@ class FrameRun:
     def _polish_study(self) -> Study:
         return self._study("polish", resume=True)
 
-    def _search(
-        self,
-        space: Space,
-        study: Study,
-        limits: Sequence[float],
-        *,
-        keep: Callable[[State, float], None] | None = None,
-    ) -> State:
-        count, first = len(self.bench.cases), max(FEWEST, len(self.bench.scenes))
+    def _searched(self, space: Space, study: Study, limits: Sequence[float], *, keep: bool = False) -> State:
+        """A search from its kept trials to its end."""
+        count, first = len(self.stage.cases), self.stage.first
         batches = sorted({min(first, count), min(2 * first, count), count})
         # The paper's form has fewer choices.
-        count_of_trials = self.settings.frame.trials // (2 if space.paper else 1)
-        seed, expired = self.settings.scene.seed, self.monitor.expired
-        starts = [] if space.paper else [space.choices_of(Configuration.preset(name)) for name in PRESETS]
-        starts = starts[: count_of_trials // 4]  # of few trials, some are left for the search
-        state = init(space, batches, count_of_trials, starts=starts, relaxes=not space.paper, seed=seed)
-        with self.monitor.watching(f"{study.name}, {count_of_trials} trials"):
-            evaluator = StudyEvaluator(
-                space, self.judge, self.bench.cases, self.clock, study, seed=seed, expired=expired
-            )
+        trials = self.settings.frame.trials // (2 if space.paper else 1)
+        evaluator = self.stage.evaluator(space, study, self.monitor.expired)
+        # Of few trials, some are left for the search.
+        starts = [] if space.paper else self.stage.starts(limits)[: trials // 4]
+        seed, cost = self.settings.scene.seed, evaluator.cost
+        state = init(
+            space,
+            batches,
+            trials,
+            starts=starts,
+            relaxes=0 if space.paper else self.stage.relaxes,
+            turn=self.stage.turn,
+            seed=seed,
+            cost=cost,
+        )
+        with self.monitor.watching(f"tuning, {study.name}", trials):
             for trial in study.trials:
                 state = update(state, known := evaluator.known(trial))
                 if trial.time is None:
                     study.add(space, known)
+            return self._go_on(state, evaluator, study, limits, keep=keep)
 
-            def report(state: State, trial: Trial) -> None:
-                study.add(space, trial)
-                self.monitor.note(trial.phase, trial.loss)
-                if keep is not None:
-                    keep(state, limits[0])
+    def _go_on(
+        self,
+        state: State,
+        evaluator: Callable[[Trial], Trial],
+        study: Study,
+        limits: Sequence[float],
+        *,
+        keep: bool = False,
+    ) -> State:
+        def report(state: State, trial: Trial) -> None:
+            study.add(state.space, trial)
+            self.monitor.note(trial.phase, trial.loss)
+            if keep:
+                self._keep(state, limits[0])
 
-            try:
-                return search(state, evaluator, limits, report=report, expired=expired)
-            except KeyboardInterrupt:
-                if (out := self.settings.out) is not None:
-                    best = f"; {out / 'configuration.json'} is the best so far" if self._kept else ""
-                    tqdm.write(f"hyjax: stopped; --resume goes on with {out}{best}", file=sys.stderr)
-                raise
+        return search(state, evaluator, limits, report=report, expired=self.monitor.expired)
 
     def _keep(self, state: State, limit: float) -> None:
         """Write the best so far, so that whoever stops the run has it."""
         best, out = state.best(limit), self.settings.out
         if best is not None and out is not None and best.choices != self._kept:
             self._kept = best.choices
-            own = self.space.configuration(best.choices, f"tuned-{self.budgets[0].slug}")
-            write_text(out / "configuration.json", own.to_json() + "\n")
+            own = self.stage.space.configuration(best.choices, f"tuned-{self.budgets[0].slug}")
+            write_text(out / best_file(self.stage.name), text_of(own, self.stage.name))
 
-    def _limits(self, base: FrameTime) -> list[float]:
-        """Budgets in times of the default, by its p95; further points of the front if they are asked for."""
-        asked = [ROOM * budget.milliseconds / base.p95 for budget in self.budgets]
-        return [*asked, *(EXTRA if self.settings.extra else ())]
+    def _finalists(self, state: State, study: Study, limits: Sequence[float]) -> tuple[list[Configuration], State]:
+        """The best for each limit, refined level by level, and the state after the search for them.
 
-    def _finalists(self, state: State, base: FrameTime) -> list[Configuration]:
-        """The best of each budget, refined level by level."""
+        Where times are predicted and the clock says that a budget is exceeded, the search goes on below it.
+        """
         found: dict[str, Configuration] = {}
-        for limit in self._limits(base):
-            best = state.best(limit, cases=len(self.bench.cases))
-            if best is not None and (name := f"tuned-{best.time:.3f}") not in found:
-                found[name] = self._polished(self.space.configuration(best.choices, name))
-        return list(found.values())
+        for number, limit in enumerate(limits):
+            budget = self.budgets[number] if number < len(self.budgets) else None
+            for _ in range(ATTEMPTS):
+                best = state.best(limit, cases=len(self.stage.cases))
+                if best is None:
+                    break
+                name = f"tuned-{best.time:.3f}"
+                if name not in found:
+                    found[name] = self._polished(self.stage.space.configuration(best.choices, name))
+                if budget is None or not self.stage.predicts:
+                    break
+                (time,) = self.stage.clock.times([found[name]], ROUNDS)
+                if time.p95 <= budget.milliseconds or self.monitor.expired():
+                    break
+                limit = 0.98 * min(limit, best.time or limit) * budget.milliseconds / time.p95
+                evaluator = self.stage.evaluator(state.space, study, self.monitor.expired)
+                state = dataclasses.replace(state, count=len(state.trials) + MORE_TRIALS)
+                state = self._go_on(state, evaluator, study, [limit])
+        return list(found.values()), state
 
     def _polished(self, configuration: Configuration) -> Configuration:
         """The configuration with numbers for each level, if they are better on all cases."""
         if self.monitor.expired():
             return configuration
-        study_key = f"polished {configuration.to_json()}"
+        expired = self.monitor.expired
 
         def compute() -> str:
-            better = refine_numbers(
-                configuration,
-                self.judge,
-                self.bench.cases[:POLISH_CASES],
-                levels=True,
-                expired=self.monitor.expired,
-            )
-            before, after = (
-                np.mean(np.log([row["loss"] for row in self.judge.scores(each, self.bench.cases)]))
-                for each in (configuration, better)
-            )
-            return (better if after < before else configuration).to_json()
+            return self.stage.polished(configuration, expired).to_json()
 
-        study = self._polish_study
-        return Configuration.from_json(study.remember(study_key, compute, expired=self.monitor.expired))
+        key = f"polished {configuration.to_json()}"
+        return Configuration.from_json(self._polish_study.remember(key, compute, expired=expired))
 
-    def _result(
-        self, state: State, tuned: list[FrameCandidate], known: list[FrameCandidate], base: FrameTime
-    ) -> FrameTuned:
+    def _result(self, state: State, tuned: list[Candidate], known: list[Candidate], base: FrameTime) -> Tuned:
         usable = [c for c in (*tuned, *known) if c.form == "hyjax"]
         best = []
         for budget in self.budgets:
             chosen = self._timed_again(budget, usable)
-            best.append(dataclasses.replace(chosen, configuration=self._measured(chosen, budget)))
+            best.append(dataclasses.replace(chosen, configuration=self.stage.named(chosen, budget)))
         front = front_of(usable)
-        errors = [abs(guess / true - 1) for guess, true in state.predictions]
-        record = {
+        record: dict[str, Any] = {
+            "stage": self.stage.name,
             "settings": self.settings.record(),
-            "scenes": [scene.name for scene in self.bench.scenes],
-            "cases": len(self.bench.cases),
-            "held-out cases": len(self.bench.held_out),
-            "timed under": self.bench.lights,
+            "cases": len(self.stage.cases),
+            "held-out cases": len(self.stage.held_out),
             "trials": len(state.trials),
-            "prediction errors": errors,
+            "prediction errors": self.stage.prediction_errors(state, tuned),
             "default p95 at the start": base.p95,
             "kept": [budget.label for budget, c in zip(self.budgets, best) if c.time.p95 <= budget.milliseconds],
             "seconds": round(self.monitor.clock.seconds, 1),
             "peak memory, MiB": round(peak_memory_mib()),
             "cores": cores(),
-        } | self.machine
-        return FrameTuned(
+        }
+        trials = list(state.trials.values())
+        return Tuned(
             best[0].configuration,
             best,
             self.budgets,
             front,
             known,
-            list(state.trials.values()),
-            effects(list(state.trials.values())),
-            examples(self.bench, front),
-            record,
+            trials,
+            effects(trials),
+            self.stage.examples(front, known),
+            record | self._environment | self.stage.record(),
         )
 
-    def _timed_again(self, budget: Budget, usable: Sequence[FrameCandidate]) -> FrameCandidate:
+    def _timed_again(self, budget: Budget, usable: Sequence[Candidate]) -> Candidate:
         """The best within a budget, timed once more: of several, one may have fitted by luck."""
         left = list(usable)
         for _ in range(ATTEMPTS):
             chosen = best_within(budget, left)
-            (time,) = self.clock.times([chosen.configuration], ROUNDS, most_seconds=MOST_SECONDS)
+            (time,) = self.stage.clock.times([chosen.configuration], ROUNDS, most_seconds=MOST_SECONDS)
             again = dataclasses.replace(chosen, time=time)
             if len(left) == 1 or not time.p95 > budget.milliseconds >= chosen.time.p95:
                 break
             left = [c for c in left if c is not chosen]
         return again
-
-    def _measured(self, candidate: FrameCandidate, budget: Budget) -> Configuration:
-        time, scene = candidate.time, self.bench.scenes[0].scene
-        size = scene.frame(0).camera.intrinsics.shape
-        told = Measured(
-            device=self.machine["device"],
-            cores=cores(),
-            size=(int(size[0]), int(size[1])),
-            median_ms=round(time.median, 3),
-            p95_ms=round(time.p95, 3),
-            default_ms=round(time.default, 3),
-        )
-        name = f"tuned-{budget.slug}" if candidate.name.startswith("tuned-") else candidate.name
-        return dataclasses.replace(candidate.configuration, name=name, measured=told)
-
-    def _decisive(self) -> dict[str, Any]:
-        """All that decides the losses, for the study; the machine decides on the times."""
-        scenes = self.bench.scenes
-        surfaces = [
-            [each.scene.caster.arrays.key, None if each.accurate is None else each.accurate.caster.arrays.key]
-            for each in scenes
-        ]
-        setups = {name: [digest([str(each.setup(name))]) for each in scenes] for name in self.settings.set_ups()}
-        return {
-            "scenes": [[scene.name, scene.scene.capture.fingerprint] for scene in scenes],
-            "surfaces": surfaces,
-            "sizes": [None if each.scene.size is None else list(each.scene.size) for each in scenes],
-            "lights": setups,
-            "cases": [list(case) for case in self.bench.cases],
-            "lpips": self.settings.frame.lpips,
-            "seed": self.settings.scene.seed,
-            "hyjax": self.machine["versions"]["hyjax"],
-        }

@@ -55,7 +55,9 @@ class State:
         batches: numbers of cases of the batches, growing.
         count: of trials on the first batch; half of them may be for screening.
         starts: choices that are tried first, such as presets'.
-        relaxes: whether levels and steps can be relaxed.
+        relaxes: of how many of the best levels and steps are relaxed before the screening; 0 if they cannot be.
+            If of several, they come before numbers afterwards, too.
+        turn: one in so many combinations is the best of a budget, made better by gradients.
         seed: of the proposals.
         cost: time of choices over the default's where it is known; else the surrogate tells it.
         trials: so far, by key of their choices.
@@ -67,7 +69,8 @@ class State:
     batches: tuple[int, ...]
     count: int
     starts: tuple[Choices, ...] = ()
-    relaxes: bool = False
+    relaxes: int = 0
+    turn: int = GRADIENT_TURN
     seed: int = 0
     cost: Callable[[Choices], float] | None = None
     trials: Mapping[str, Trial] = dataclasses.field(default_factory=dict)
@@ -94,12 +97,13 @@ def init(
     count: int,
     *,
     starts: Sequence[Choices] = (),
-    relaxes: bool = False,
+    relaxes: int = 0,
+    turn: int = GRADIENT_TURN,
     seed: int = 0,
     cost: Callable[[Choices], float] | None = None,
 ) -> State:
     """State of a search that has not begun; arguments are its attributes."""
-    return State(space, tuple(batches), count, tuple(starts), relaxes, seed, cost)
+    return State(space, tuple(batches), count, tuple(starts), relaxes, turn, seed, cost)
 
 
 def update(state: State, trial: Trial) -> State:
@@ -136,13 +140,16 @@ def propose(state: State, budgets: Sequence[float]) -> Proposed | None:
         base = trials[key_of(space.default)]
         if proposed := _improved(state, base, "numbers", "ranges"):
             return proposed
-        if state.relaxes and not any(how == "relaxed" for how, _ in state.tried):
-            return _improved(state, _start(state), "relaxed", "relaxed", budgets[0])
+        if (relaxed := sum(how == "relaxed" for how, _ in state.tried)) < state.relaxes:
+            ranked = [_start(state), *sorted(trials.values(), key=lambda t: t.loss)]
+            for trial in ranked[relaxed:]:
+                if proposed := _improved(state, trial, "relaxed", "relaxed", budgets[relaxed % len(budgets)]):
+                    return proposed
         if sum(t.phase == "screening" for t in trials.values()) < state.count // 2:
             screened = _screened(state)
             if screened is not None:
                 return state, Trial(screened, "screening", cases=first)
-        if len(trials) % GRADIENT_TURN == 0 and (proposed := _better(state, budgets)):
+        if len(trials) % state.turn == 0 and (proposed := _better(state, budgets)):
             return proposed
         budget = budgets[len(trials) % len(budgets)]
         found = _combined(state, budget)
@@ -205,9 +212,10 @@ def _improved(
 
 def _better(state: State, budgets: Sequence[float]) -> Proposed | None:
     """The best of a budget, to be made better by gradients, unless that was done for all of them."""
-    turn = len(state.trials) // GRADIENT_TURN
+    turn = len(state.trials) // state.turn
     ways: list[tuple[Improvement, str]] = [("numbers", "ranges")]
     ways += [("relaxed", "relaxed")] if state.relaxes else []
+    ways = ways[::-1] if state.relaxes > 1 else ways
     for how, phase in ways:
         for number in range(len(budgets)):
             budget = budgets[(turn + number) % len(budgets)]

@@ -144,6 +144,23 @@ class Space:
         chosen = [choice for choice in CHOICES.values() if truth or not choice.truth]
         return cls(tuple(p for choice in chosen if choice.tried for p in Parameter.of(choice, choice.tried)))
 
+    @classmethod
+    def of_cascade(cls, factors: Sequence[int], ranges: Mapping[str, tuple[float, float]]) -> "Space":
+        """Space of the default's cascade for the light: levels and steps, and its numbers.
+
+        Args:
+            factors: of the levels, coarse to fine.
+            ranges: of κ, λ and α, by the names of their choices.
+        """
+        usual = dict(levels_of(CHOICES["cascade"].default))
+        start = (
+            " ".join(f"{f}:{n}" for f, n in usual.items() if f in factors) or f"{factors[0]}:{usual[min(usual)]}"
+        )
+        tried = {"cascade": Tried(tuple(factors), start, "steps")}
+        tried |= {name: Tried(values, scale="log") for name, values in ranges.items()}
+        own = [p for name, values in tried.items() for p in Parameter.of(CHOICES[name], values)]
+        return cls(tuple(own), fixed=Configuration().values())
+
     @functools.cached_property
     def named(self) -> dict[str, Parameter]:
         """Parameters by name."""
@@ -260,7 +277,6 @@ class Space:
         """Configuration of these choices."""
         known = self._expanded(choices)
         full = dict(self.fixed) | {p.name: p.default for p in self.parameters} | known
-        shadow = Schedule.uniform(self.levels(full, "shadow_pass"), norm=full.get("norm", "l2"))
         own = Schedule.uniform(
             self.levels(full, "cascade"),
             fidelity=1.0 if full.get("data_term") else None,
@@ -270,11 +286,12 @@ class Space:
             name=name,
         )
         own = with_numbers(own, kappa=full["kappa"], lam=full["lam"], fidelity=full.get("fidelity"))
-        shadow = with_numbers(shadow, kappa=full["shadow_kappa"])
-        schedules: dict[str, Any] = {
-            "schedule": own.check(),
-            "shadow_schedule": dataclasses.replace(shadow.check(), name=f"{name}-shadow"),
-        }
+        shadow = Configuration().shadow_schedule
+        if "shadow_pass" in self._cascades:
+            shadow = Schedule.uniform(self.levels(full, "shadow_pass"), norm=full.get("norm", "l2"))
+            shadow = with_numbers(shadow, kappa=full["shadow_kappa"])
+            shadow = dataclasses.replace(shadow.check(), name=f"{name}-shadow")
+        schedules: dict[str, Any] = {"schedule": own.check(), "shadow_schedule": shadow}
         if self.paper:
             return dataclasses.replace(Configuration.paper(), name=name, **schedules)
         if full["guide"] in ("rgb", NO_GUIDE):

@@ -59,30 +59,30 @@ class Study:
         resume: go on with the study that is there.
 
     Raises:
-        InputError: Optuna is not installed, there is a study and `resume` is not set, it is damaged, or it was
-            made with other settings or by another version.
+        InputError: a folder is given and Optuna is not installed; or there is a study and `resume` is not set, it
+            is damaged, or it was made with other settings or by another version.
     """
 
     @_quietly()
     def __init__(
         self, folder: Path | None, name: str, settings: dict[str, Any], *, machine: str = "", resume: bool = False
     ) -> None:
-        check_installed()
         self.name, self.machine = name, machine
+        self.trials, self._results, self._study = list[Trial](), dict[str, Any](), None
+        if folder is None:
+            return
+        check_installed()
         import optuna
-        from optuna.storages import InMemoryStorage, JournalStorage
+        from optuna.storages import JournalStorage
         from optuna.storages.journal import JournalFileBackend
 
         optuna.logging.set_verbosity(optuna.logging.ERROR)
-        path = None if folder is None else folder / NAME
-        if path is not None and path.exists() and not resume:
-            raise InputError(
-                f"{folder}: holds the trials of another run; add --resume to go on with it, or choose another --out"
-            )
+        path = folder / NAME
+        check_free(folder, resume)
         try:
-            if path is not None and path.exists():
+            if path.exists():
                 _cut_to_lines(path)
-            storage = InMemoryStorage() if path is None else JournalStorage(JournalFileBackend(str(path)))
+            storage = JournalStorage(JournalFileBackend(str(path)))
             self._study = optuna.create_study(
                 storage=storage, study_name=name, directions=["minimize", "minimize"], load_if_exists=True
             )
@@ -96,7 +96,7 @@ class Study:
                 f"{path}: trials of version {told.get('version')} of the search, this is {VERSION}; they cannot be "
                 "gone on with, choose another --out"
             )
-        if told and folder is not None:
+        if told:
             if not isinstance(told.get("settings"), dict):
                 raise InputError(f"{path}: has no settings of a study; remove it")
             check_same_settings(folder, told["settings"], as_json(settings))
@@ -124,7 +124,7 @@ class Study:
         name = f"result {key}"
         if name not in self._results:
             self._results[name] = as_json(compute())
-            if not expired():
+            if not expired() and self._study is not None:
                 try:
                     self._study.set_user_attr(name, self._results[name])
                 except OSError as error:
@@ -137,6 +137,8 @@ class Study:
         Raises:
             InputError: the journal cannot be written.
         """
+        if self._study is None:
+            return
         import optuna
 
         values = {n: space.named[n].middle(v) if isinstance(v, tuple) else v for n, v in trial.choices.items()}
@@ -239,6 +241,14 @@ def _distribution(parameter: Parameter) -> "optuna.distributions.BaseDistributio
         low, high = parameter.values
         return optuna.distributions.FloatDistribution(low, high, log=parameter.log)
     return optuna.distributions.CategoricalDistribution(parameter.values)
+
+
+def check_free(folder: Path, resume: bool) -> None:
+    """Raise `InputError` if the folder holds a run that is not to be resumed."""
+    if not resume and (folder / NAME).exists():
+        raise InputError(
+            f"{folder}: holds the trials of another run; add --resume to go on with it, or choose another --out"
+        )
 
 
 def check_installed() -> None:

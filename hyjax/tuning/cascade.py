@@ -1,0 +1,289 @@
+"""Stage of the diffusion alone: levels, steps, κ, λ and α of the cascade for the light, within its own budget."""
+
+import dataclasses
+import hashlib
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from hyjax.configuration import Configuration
+from hyjax.core.schedule import PRESETS, Schedule
+from hyjax.data.frames import spread
+from hyjax.light.color import to_display
+from hyjax.scene.scene import Scene
+from hyjax.tuning.bench import Workbench
+from hyjax.tuning.budget import MOST_STEPS
+from hyjax.tuning.cascade_evaluator import CascadeEvaluator
+from hyjax.tuning.cases import Case, raw_filter, refined_filter, scores
+from hyjax.tuning.descent import Objective, polish, starts
+from hyjax.tuning.frame.clock import FrameTime
+from hyjax.tuning.frame.evaluation import Scores
+from hyjax.tuning.frame.proof import best_within
+from hyjax.tuning.frame.relaxed import with_point
+from hyjax.tuning.frame.result import Candidate, Tuned
+from hyjax.tuning.frame.run import Run
+from hyjax.tuning.frame.search import State
+from hyjax.tuning.frame.space import Choices, Space
+from hyjax.tuning.frame.study import Study
+from hyjax.tuning.latency_estimator import (
+    CascadeEstimator,
+    LatencySource,
+    ScheduleClock,
+    check_reachable,
+    has_searched_form,
+)
+from hyjax.tuning.monitor import RunMonitor
+from hyjax.tuning.relaxation import RANGES, RelaxedSchedule, prepare, relaxed_of
+from hyjax.tuning.request import split_frames
+from hyjax.tuning.result import Budget
+from hyjax.tuning.settings import BudgetStage, TuneSettings
+from hyjax.util.environment import environment
+from hyjax.util.errors import InputError
+
+BASELINES = ("hyjax", "paper-50", "paper-80", "naive-50", "naive-1000")
+"""Presets that the tuned schedules are told beside, the default first."""
+FIRST = 6
+"""Cases of the first batch."""
+RELAXED, TURN = 4, 2
+"""Relaxations before the screening, and one in so many trials afterwards: here gradients cost little."""
+STARTS = 8
+"""Starting points of the search for each limit, at most."""
+POLISHING = 8
+"""Iterations of the quasi-Newton steps on the numbers of a schedule."""
+MOST_EXAMPLES = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class CascadeJudge:
+    """Scores of the cascades of configurations, by the functions that `relight` runs.
+
+    Attributes:
+        known: cases, which are told by their positions.
+    """
+
+    known: Sequence[Case]
+
+    def scores(self, configuration: Configuration, cases: Sequence[int]) -> list[Scores]:
+        """Scores of each case, in their order."""
+        own = [self.known[place] for place in cases]
+        return [scores([case], [refined_filter(case, configuration.schedule)]) for case in own]
+
+
+class CascadeStage:
+    """The diffusion alone, see `hyjax.tuning.frame.stage.Stage`.
+
+    Args:
+        bench: the capture, its meshes and lights.
+        settings: of the run.
+        frames: indices to tune on.
+        holdout: indices that are only reported on.
+        latency: of another device, in the place of this machine's.
+
+    Raises:
+        InputError: no frame sees the mesh, or times that cannot be used.
+    """
+
+    name: BudgetStage = "cascade"
+    predicts, first, relaxes, turn = True, FIRST, RELAXED, TURN
+
+    def __init__(
+        self,
+        bench: Workbench,
+        settings: TuneSettings,
+        frames: Sequence[int],
+        holdout: Sequence[int],
+        latency: LatencySource | None = None,
+    ) -> None:
+        self.bench, self.settings, self.latency = bench, settings, latency
+        self.frames, self._environment, progress = list(frames), environment(), not settings.quiet
+        tuning, blind = bench.cases(frames, "tuning", progress)
+        held_out, more = bench.cases(list(holdout), "held-out", progress)
+        self.blind, self.holdout = blind + more, [i for i in holdout if bench.name(i) not in more]
+        self._asked = list(holdout)
+        self.judge = CascadeJudge([*tuning, *held_out])
+        self.cases, self.held_out = range(len(tuning)), range(len(tuning), len(tuning) + len(held_out))
+        self.clock: ScheduleClock = (
+            latency(tuning[0])
+            if latency
+            else CascadeEstimator(tuning[0], recalibrate=settings.recalibrate, progress=progress)
+        )
+        self.factors = self.clock.table.factors
+        self.space = Space.of_cascade(self.factors, RANGES)
+        usual = self.space.configuration(self.space.default, "hyjax").schedule
+        self.base = dataclasses.replace(Configuration(), schedule=usual)
+        self.clock.base = usual
+        self._usual_cost = self.clock.cost(self.clock.table.steps_of(usual))
+        self.objective = Objective([prepare(case, self.factors) for case in tuning], self.factors)
+
+    def base_time(self, study: Study, budgets: Sequence[Budget]) -> FrameTime:
+        time = self.clock.predict(self.base.schedule)
+        return FrameTime(time.median, time.p95, time.median, 1.0, True)
+
+    def limit(self, budget: Budget, base: FrameTime) -> float:
+        return budget.milliseconds / self._usual_cost
+
+    def starts(self, limits: Sequence[float]) -> list[Choices]:
+        """Steps of the paper's schedules, and for each limit in turn time shared between runs of levels."""
+        table, seed = self.clock.table, self.settings.scene.seed
+        known = [table.steps_of(c.schedule) for c in self.references()]
+        points = [RelaxedSchedule.of(steps) for steps in known if max(steps) <= MOST_STEPS]
+        drawn = [starts(STARTS, self.clock.cost, limit * self._usual_cost, seed) for limit in limits]
+        size = len(self.factors)
+        turns = itertools.zip_longest(*(own[size:] + own[:size] for own in drawn))  # single steps last
+        points += [point for turn in turns for point in turn if point is not None]
+        return [with_point(self.space.default, self.space, point, self.factors) for point in points]
+
+    def references(self) -> list[Configuration]:
+        reached = [n for n in BASELINES[1:] if all(factor in self.factors for factor, _ in PRESETS[n].steps)]
+        return [self.base, *(Configuration(name=name, schedule=Schedule.preset(name)) for name in reached)]
+
+    def evaluator(self, space: Space, study: Study, expired: Callable[[], bool]) -> CascadeEvaluator:
+        seed = self.settings.scene.seed
+        return CascadeEvaluator(space, self.objective, self.judge, self.clock, study, seed=seed, expired=expired)
+
+    def polished(self, configuration: Configuration, expired: Callable[[], bool]) -> Configuration:
+        start = relaxed_of(configuration.schedule, self.factors)
+        if not np.any(np.asarray(start.steps)):
+            return configuration
+        schedule = polish(self.objective, start, POLISHING).point.schedule(self.factors, configuration.name)
+        return dataclasses.replace(configuration, schedule=schedule)
+
+    def examples(
+        self, front: Sequence[Candidate], references: Sequence[Candidate]
+    ) -> list[tuple[str, dict[str, Any]]]:
+        """At most four frames: the frame, its filters and relit pictures under the paper's and the tuned schedule.
+
+        They take equal time: the tuned one is the best that is no slower than the paper's.
+        """
+        paper = next((c for c in references if c.name == "paper-50"), references[0])
+        within = [c for c in front if c.time.median <= paper.time.median]
+        shown = paper, (within[-1] if within else front[0])
+        made = []
+        for index in spread(self.holdout or self.frames, MOST_EXAMPLES):
+            case = self.bench.case(index)
+            if case is not None:
+                made.append((self.bench.name(index), _pictures(case, *shown)))
+        return made
+
+    def named(self, candidate: Candidate, budget: Budget) -> Configuration:
+        own = candidate.configuration
+        if not candidate.name.startswith("tuned-"):
+            return own
+        name = f"tuned-{budget.slug}" + (f" on {self.clock.device}" if self.clock.device else "")
+        return dataclasses.replace(own, name=name, schedule=dataclasses.replace(own.schedule, name=name))
+
+    def prediction_errors(self, state: State, tuned: Sequence[Candidate]) -> list[float]:
+        timed = [c for c in tuned if not c.time.predicted]
+        return [abs(self.clock.predict(c.configuration.schedule).median / c.time.median - 1) for c in timed]
+
+    def decisive(self) -> dict[str, Any]:
+        scene, accurate = self.bench.scene, self.bench.accurate
+        told = {
+            "capture": scene.capture.fingerprint,
+            "meshes": [_fingerprint(scene), None if accurate is None else _fingerprint(accurate)],
+            "lights": str(self.bench.lights),
+            "guide": self.bench.guide.fingerprint,
+            "frames": [int(index) for index in self.frames],
+            "size": None if scene.size is None else list(scene.size),
+            "seed": self.settings.scene.seed,
+            "device": self._environment["device"],
+            "versions": {name: self._environment["versions"][name] for name in ("hyjax", "jax", "jaxlib")},
+        }
+        return told if self.latency is None else told | {"latency": self.latency.fingerprint}
+
+    def record(self) -> dict[str, Any]:
+        name, table = self.bench.name, self.clock.table
+        told: dict[str, Any] = {
+            "capture": self.bench.scene.capture.name,
+            "guide": self.bench.guide.name,
+            "meshes": self.bench.description,
+            "frames": {"tuned on": [*map(name, self.frames)], "held out": [*map(name, self._asked)]},
+            "frames without surface": self.blind,
+            "latency": {
+                "table": self.clock.source,
+                "workload": str(table.workload),
+                "median relative error": table.error["median_relative"],
+                "worst relative error": table.error["worst_relative"],
+                "median ms of other stages": {name: time.median for name, time in table.stages.items()},
+            },
+        }
+        if self.clock.device:
+            told |= {"device": self.clock.device, "searched on": self._environment["device"]}
+        return told
+
+    def after(self, tuned: Tuned, monitor: RunMonitor) -> dict[str, Any]:
+        """The guide's last layer tuned with the best schedule of the searched form, if that is asked for."""
+        if not self.settings.joint or self.settings.out is None:
+            return {}
+        from hyjax.tuning.joint import tune_and_save  # with flax, which only learned guides need
+
+        own = [
+            c for c in (*tuned.best, *tuned.front, *tuned.references) if has_searched_form(c.configuration.schedule)
+        ]
+        best = best_within(tuned.budgets[0], own).configuration.schedule
+        seed = self.settings.scene.seed
+        return {
+            "joint": tune_and_save(
+                self.bench, best, self.clock, self.frames, self.holdout, self.settings.out, monitor, seed=seed
+            )
+        }
+
+
+def tune_bench(
+    bench: Workbench,
+    settings: TuneSettings,
+    *,
+    budgets: Sequence[Budget] | None = None,
+    frames: Sequence[int] | None = None,
+    holdout: Sequence[int] = (),
+    latency: LatencySource | None = None,
+    monitor: RunMonitor | None = None,
+) -> Tuned:
+    """Find the schedule whose relit frames are closest to the target's within each budget.
+
+    Args:
+        bench: the capture, its meshes and lights.
+        settings: of the search; of the scene they tell the seed alone.
+        budgets: in the place of the settings'; the first one's schedule is the main result.
+        frames: indices to tune on, in the place of the settings' frames, held-out ones included.
+        holdout: indices that are only reported on, if `frames` are given.
+        latency: of another device, in the place of this machine's.
+        monitor: time limit and progress.
+
+    Raises:
+        InputError: no frame left to tune on or none that sees the mesh, or a budget that cannot be reached.
+    """
+    if frames is None:
+        frames, holdout = split_frames(len(bench.scene), settings.frames, settings.holdout)
+    chosen = [index for index in frames if index not in holdout]
+    if not chosen:
+        raise InputError("frames: none is left to tune on; give frames that are not held out")
+    stage = CascadeStage(bench, settings, chosen, holdout, latency)
+    monitor = monitor or RunMonitor(settings.time_limit, not settings.quiet)
+    budgets = budgets or settings.budgets()
+    for budget in budgets:  # before the folder holds a run
+        check_reachable(stage.clock, budget.milliseconds)
+    return Run(stage, settings, budgets, monitor).run()
+
+
+def _pictures(case: Case, paper: Candidate, ours: Candidate) -> dict[str, Float[np.ndarray, "h w 3"]]:
+    filters = {
+        "raw": raw_filter(case.shaded),
+        f"{paper.name}, {paper.time.median:.2f} ms": refined_filter(case, paper.configuration.schedule),
+        f"tuned, {ours.time.median:.2f} ms": refined_filter(case, ours.configuration.schedule),
+        "target": jnp.where(case.valid[..., None], case.target, 0.0),
+    }
+    # Filters brighter than white are dimmed, all alike, until their structure shows.
+    dim = max(1.0, float(np.percentile(np.asarray(case.target), 98)))
+    pictures: dict[str, Any] = {"frame": to_display(case.frame)}
+    pictures |= {f"filter: {name}": to_display(relight_filter / dim) for name, relight_filter in filters.items()}
+    pictures |= {name: to_display(relight_filter * case.frame) for name, relight_filter in filters.items()}
+    return {name: np.asarray(picture) for name, picture in pictures.items()}
+
+
+def _fingerprint(scene: Scene) -> str:
+    return hashlib.sha256(scene.mesh.vertices.tobytes() + scene.mesh.faces.tobytes()).hexdigest()[:16]

@@ -1,0 +1,219 @@
+"""Stage that a run tunes for: space, frames, judge and clock; and that of the whole frame."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from hyjax.configuration import PRESETS, Configuration, Measured
+from hyjax.tuning.frame.bench import FrameBench
+from hyjax.tuning.frame.clock import Clock, FrameClock, FrameTime
+from hyjax.tuning.frame.evaluation import Judge, Scorer
+from hyjax.tuning.frame.evaluator import StudyEvaluator
+from hyjax.tuning.frame.loss import PictureLoss
+from hyjax.tuning.frame.proof import BASE_ROUNDS, check_reachable, examples
+from hyjax.tuning.frame.refinement import refine_numbers
+from hyjax.tuning.frame.result import Candidate, Tuned
+from hyjax.tuning.frame.search import GRADIENT_TURN, State
+from hyjax.tuning.frame.space import Choices, Space
+from hyjax.tuning.frame.study import Study
+from hyjax.tuning.monitor import RunMonitor
+from hyjax.tuning.result import Budget
+from hyjax.tuning.settings import BudgetStage, TuneSettings
+from hyjax.util.environment import cores, environment
+from hyjax.util.files import digest
+
+FEWEST = 6
+"""Cases of the first batch, at least."""
+POLISH_CASES = 12
+ROOM = 0.98
+"""Share of a budget that is aimed at: a p95 is a noisy number."""
+
+
+class Stage(Protocol):
+    """Stage that a run tunes for.
+
+    Attributes:
+        name: in the record.
+        space: that is searched.
+        cases: frames to tune on, in the order of batches.
+        held_out: frames on which nothing is chosen.
+        judge: of them.
+        clock: of configurations.
+        base: configuration that losses and times are relative to.
+        predicts: whether times of trials are predicted, so that the clock may correct the search.
+        first: cases of the first batch.
+        relaxes, turn: of the search, see `State`.
+    """
+
+    name: BudgetStage
+    space: Space
+    cases: Sequence[Any]
+    held_out: Sequence[Any]
+    judge: Scorer
+    clock: Clock
+    base: Configuration
+    predicts: bool
+    first: int
+    relaxes: int
+    turn: int
+
+    def base_time(self, study: Study, budgets: Sequence[Budget]) -> FrameTime:
+        """Time of the base.
+
+        Raises:
+            InputError: a budget is out of reach.
+        """
+        ...
+
+    def limit(self, budget: Budget, base: FrameTime) -> float:
+        """Time over the base's that trials for a budget may take."""
+        ...
+
+    def starts(self, limits: Sequence[float]) -> list[Choices]:
+        """Choices that are tried first."""
+        ...
+
+    def references(self) -> list[Configuration]:
+        """Configurations beside which the tuned ones are told, the base first."""
+        ...
+
+    def evaluator(self, space: Space, study: Study, expired: Callable[[], bool]) -> StudyEvaluator:
+        """Judge of trials."""
+        ...
+
+    def polished(self, configuration: Configuration, expired: Callable[[], bool]) -> Configuration:
+        """The configuration with better numbers for each level, or as it is."""
+        ...
+
+    def examples(
+        self, front: Sequence[Candidate], references: Sequence[Candidate]
+    ) -> list[tuple[str, dict[str, Any]]]:
+        """Pictures of some frames by heading."""
+        ...
+
+    def named(self, candidate: Candidate, budget: Budget) -> Configuration:
+        """Configuration of a candidate as the best for a budget."""
+        ...
+
+    def decisive(self) -> dict[str, Any]:
+        """All that decides the losses, for the study."""
+        ...
+
+    def record(self) -> dict[str, Any]:
+        """Parts of the run's record, as JSON's types."""
+        ...
+
+    def prediction_errors(self, state: State, tuned: Sequence[Candidate]) -> list[float]:
+        """Relative errors of predicted times."""
+        ...
+
+    def after(self, tuned: Tuned, monitor: RunMonitor) -> dict[str, Any]:
+        """Parts of the record of work that is left when all is proved."""
+        ...
+
+
+class FrameStage:
+    """The whole frame on this machine, see `Stage`.
+
+    Args:
+        bench: scenes and cases.
+        settings: of the run.
+    """
+
+    name: BudgetStage = "frame"
+    predicts, relaxes, turn = False, 1, GRADIENT_TURN
+
+    def __init__(self, bench: FrameBench, settings: TuneSettings) -> None:
+        self.bench, self.settings = bench, settings
+        self.cases, self.held_out = bench.cases, bench.held_out
+        self.judge = Judge(bench.scenes, PictureLoss.of(settings.frame.lpips))
+        self.clock = FrameClock(bench.scenes[0], bench.lights)
+        self.space = Space.of(truth=all(bench.scenes[place].has_truth for place, *_ in bench.cases))
+        self.base = Configuration()
+        self.first = max(FEWEST, len(bench.scenes))
+        self._environment = environment()
+
+    def base_time(self, study: Study, budgets: Sequence[Budget]) -> FrameTime:
+        def timed() -> dict[str, float]:
+            (base,) = self.clock.times([self.base], BASE_ROUNDS)
+            if not study.trials:
+                check_reachable(budgets, base, self.space, self.clock)
+            return dataclasses.asdict(base)
+
+        return FrameTime(**study.remember(study.timed("default"), timed))
+
+    def limit(self, budget: Budget, base: FrameTime) -> float:
+        return ROOM * budget.milliseconds / base.p95
+
+    def starts(self, limits: Sequence[float]) -> list[Choices]:
+        return [self.space.choices_of(Configuration.preset(name)) for name in PRESETS]
+
+    def references(self) -> list[Configuration]:
+        paper = [Configuration.paper()] if self.settings.frame.paper_form else []
+        return [self.base, *map(Configuration.preset, PRESETS), *paper]
+
+    def evaluator(self, space: Space, study: Study, expired: Callable[[], bool]) -> StudyEvaluator:
+        seed = self.settings.scene.seed
+        return StudyEvaluator(space, self.judge, self.cases, self.clock, study, seed=seed, expired=expired)
+
+    def polished(self, configuration: Configuration, expired: Callable[[], bool]) -> Configuration:
+        cases = self.cases[:POLISH_CASES]
+        better = refine_numbers(configuration, self.judge, cases, levels=True, expired=expired)
+        before, after = (_mean_log(self.judge.scores(each, self.cases)) for each in (configuration, better))
+        return better if after < before else configuration
+
+    def examples(
+        self, front: Sequence[Candidate], references: Sequence[Candidate]
+    ) -> list[tuple[str, dict[str, Any]]]:
+        return examples(self.bench, front)
+
+    def named(self, candidate: Candidate, budget: Budget) -> Configuration:
+        time, scene = candidate.time, self.bench.scenes[0].scene
+        size = scene.frame(0).camera.intrinsics.shape
+        told = Measured(
+            device=self._environment["device"],
+            cores=cores(),
+            size=(int(size[0]), int(size[1])),
+            median_ms=round(time.median, 3),
+            p95_ms=round(time.p95, 3),
+            default_ms=round(time.default, 3),
+        )
+        name = f"tuned-{budget.slug}" if candidate.name.startswith("tuned-") else candidate.name
+        return dataclasses.replace(candidate.configuration, name=name, measured=told)
+
+    def decisive(self) -> dict[str, Any]:
+        scenes = self.bench.scenes
+        surfaces = [
+            [each.scene.caster.arrays.key, None if each.accurate is None else each.accurate.caster.arrays.key]
+            for each in scenes
+        ]
+        setups = {name: [digest([str(each.setup(name))]) for each in scenes] for name in self.settings.set_ups()}
+        return {
+            "scenes": [[scene.name, scene.scene.capture.fingerprint] for scene in scenes],
+            "surfaces": surfaces,
+            "sizes": [None if each.scene.size is None else list(each.scene.size) for each in scenes],
+            "lights": setups,
+            "cases": [list(case) for case in self.cases],
+            "lpips": self.settings.frame.lpips,
+            "seed": self.settings.scene.seed,
+            "hyjax": self._environment["versions"]["hyjax"],
+        }
+
+    def record(self) -> dict[str, Any]:
+        return {
+            "scenes": [scene.name for scene in self.bench.scenes],
+            "timed under": self.bench.lights,
+        }
+
+    def prediction_errors(self, state: State, tuned: Sequence[Candidate]) -> list[float]:
+        return [abs(guess / true - 1) for guess, true in state.predictions]
+
+    def after(self, tuned: Tuned, monitor: RunMonitor) -> dict[str, Any]:
+        return {}
+
+
+def _mean_log(rows: Sequence[Mapping[str, float]]) -> float:
+    return float(np.mean([math.log(row["loss"]) for row in rows]))
