@@ -17,7 +17,7 @@ from hyjax.light.color import to_display
 from hyjax.scene.scene import Scene
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.budget import MOST_STEPS
-from hyjax.tuning.cascade_evaluator import CascadeEvaluator
+from hyjax.tuning.cascade_evaluator import POLISHING, CascadeEvaluator
 from hyjax.tuning.cases import Case, raw_filter, refined_filter, scores
 from hyjax.tuning.descent import Objective, polish, starts
 from hyjax.tuning.frame.clock import FrameTime
@@ -52,8 +52,6 @@ RELAXED, TURN = 4, 2
 """Relaxations before the screening, and one in so many trials afterwards: here gradients cost little."""
 STARTS = 8
 """Starting points of the search for each limit, at most."""
-POLISHING = 8
-"""Iterations of the quasi-Newton steps on the numbers of a schedule."""
 MOST_EXAMPLES = 4
 
 

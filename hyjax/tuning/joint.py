@@ -29,7 +29,7 @@ from hyjax.light.color import to_display
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.cases import Case, refined_filter, scores
 from hyjax.tuning.descent import bounded
-from hyjax.tuning.latency_estimator import LatencyEstimator
+from hyjax.tuning.latency_estimator import ScheduleClock
 from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.relaxation import RelaxedSchedule, prepare, relaxed_loss, relaxed_of
 from hyjax.util.errors import InputError
@@ -208,7 +208,7 @@ def tune_guide_and_schedule(
 def tune_and_save(
     bench: Workbench,
     schedule: Schedule,
-    estimator: LatencyEstimator,
+    estimator: ScheduleClock,
     frames: Sequence[int],
     holdout: Sequence[int],
     out: Path,

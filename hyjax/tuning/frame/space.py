@@ -146,20 +146,13 @@ class Space:
 
     @classmethod
     def of_cascade(cls, factors: Sequence[int], ranges: Mapping[str, tuple[float, float]]) -> "Space":
-        """Space of the default's cascade for the light: levels and steps, and its numbers.
-
-        Args:
-            factors: of the levels, coarse to fine.
-            ranges: of κ, λ and α, by the names of their choices.
-        """
+        """Space of the cascade for the light alone, with levels of these factors and ranges of its numbers."""
         usual = dict(levels_of(CHOICES["cascade"].default))
-        start = (
-            " ".join(f"{f}:{n}" for f, n in usual.items() if f in factors) or f"{factors[0]}:{usual[min(usual)]}"
-        )
-        tried = {"cascade": Tried(tuple(factors), start, "steps")}
+        start = {f: n for f, n in usual.items() if f in factors} or {factors[0]: usual[min(usual)]}
+        tried = {"cascade": Tried(tuple(factors), " ".join(f"{f}:{n}" for f, n in start.items()), "steps")}
         tried |= {name: Tried(values, scale="log") for name, values in ranges.items()}
-        own = [p for name, values in tried.items() for p in Parameter.of(CHOICES[name], values)]
-        return cls(tuple(own), fixed=Configuration().values())
+        found = [p for name, values in tried.items() for p in Parameter.of(CHOICES[name], values)]
+        return cls(tuple(found), fixed=Configuration().values())
 
     @functools.cached_property
     def named(self) -> dict[str, Parameter]:
@@ -186,7 +179,7 @@ class Space:
         Raises:
             InputError: a name or value that is none of the space's.
         """
-        given = {name: tuple(v) if isinstance(v, list) else v for name, v in self._expanded(choices).items()}
+        given = {n: tuple(v) if isinstance(v, list) else v for n, v in self._expanded(choices).items()}
         if unknown := sorted(given.keys() - self.named.keys()):
             raise InputError(f"choices: no parameter {unknown[0]!r}; there are {', '.join(sorted(self.named))}")
         whole = {p.name: given.get(p.name, p.default) for p in self.parameters}
@@ -289,8 +282,8 @@ class Space:
         shadow = Configuration().shadow_schedule
         if "shadow_pass" in self._cascades:
             shadow = Schedule.uniform(self.levels(full, "shadow_pass"), norm=full.get("norm", "l2"))
-            shadow = with_numbers(shadow, kappa=full["shadow_kappa"])
-            shadow = dataclasses.replace(shadow.check(), name=f"{name}-shadow")
+            shadow = with_numbers(shadow, kappa=full["shadow_kappa"]).check()
+            shadow = dataclasses.replace(shadow, name=f"{name}-shadow")
         schedules: dict[str, Any] = {"schedule": own.check(), "shadow_schedule": shadow}
         if self.paper:
             return dataclasses.replace(Configuration.paper(), name=name, **schedules)
@@ -328,8 +321,7 @@ def levels_of(text: str) -> Levels:
     if text == NO_STEPS:
         return BARE
     try:
-        levels = [level.split(":") for level in text.split()]
-        return tuple((int(factor), int(steps)) for factor, steps in levels)
+        return tuple((int(factor), int(steps)) for factor, steps in (level.split(":") for level in text.split()))
     except (AttributeError, ValueError):
         raise InputError(f"choices: cascade {text!r:.60}: must be levels as in 16:3 8:4") from None
 
@@ -343,8 +335,7 @@ def _allowed(sampling: int, cascade: str, shadow_pass: str, data_term: bool) -> 
 
 def structure(choices: Mapping[str, Any], space: Space) -> str:
     """Key of what decides on the time: choices without the numbers of ranges."""
-    names = [p.name for p in space.parameters if not p.continuous]
-    return repr([(name, choices[name]) for name in names if name in choices])
+    return repr([(p.name, choices[p.name]) for p in space.parameters if not p.continuous and p.name in choices])
 
 
 def key_of(choices: Mapping[str, Any]) -> str:
