@@ -28,6 +28,7 @@ from hyjax.tuning.frame.result import Candidate, Tuned
 from hyjax.tuning.frame.run import Run
 from hyjax.tuning.frame.search import State
 from hyjax.tuning.frame.space import Choices, Space
+from hyjax.tuning.frame.stage import Stage
 from hyjax.tuning.frame.study import Study
 from hyjax.tuning.latency_estimator import (
     CascadeEstimator,
@@ -71,8 +72,8 @@ class CascadeJudge:
         return [scores([case], [refined_filter(case, configuration.schedule)]) for case in own]
 
 
-class CascadeStage:
-    """The diffusion alone, see `hyjax.tuning.frame.stage.Stage`.
+class CascadeStage(Stage):
+    """The diffusion alone.
 
     Args:
         bench: the capture, its meshes and lights.
@@ -104,21 +105,21 @@ class CascadeStage:
         self._asked = list(holdout)
         self.judge = CascadeJudge([*tuning, *held_out])
         self.cases, self.held_out = range(len(tuning)), range(len(tuning), len(tuning) + len(held_out))
-        self.clock: ScheduleClock = (
+        self.own_clock: ScheduleClock = (
             latency(tuning[0])
             if latency
             else CascadeEstimator(tuning[0], recalibrate=settings.recalibrate, progress=progress)
         )
-        self.factors = self.clock.table.factors
+        self.clock, self.factors = self.own_clock, self.own_clock.table.factors
         self.space = Space.of_cascade(self.factors, RANGES)
         usual = self.space.configuration(self.space.default, "hyjax").schedule
         self.base = dataclasses.replace(Configuration(), schedule=usual)
-        self.clock.base = usual
-        self._usual_cost = self.clock.cost(self.clock.table.steps_of(usual))
+        self.own_clock.base = usual
+        self._usual_cost = self.own_clock.cost(self.own_clock.table.steps_of(usual))
         self.objective = Objective([prepare(case, self.factors) for case in tuning], self.factors)
 
     def base_time(self, study: Study, budgets: Sequence[Budget]) -> FrameTime:
-        time = self.clock.predict(self.base.schedule)
+        time = self.own_clock.predict(self.base.schedule)
         return FrameTime(time.median, time.p95, time.median, 1.0, True)
 
     def limit(self, budget: Budget, base: FrameTime) -> float:
@@ -126,10 +127,10 @@ class CascadeStage:
 
     def starts(self, limits: Sequence[float]) -> list[Choices]:
         """Steps of the paper's schedules, and for each limit in turn time shared between runs of levels."""
-        table, seed = self.clock.table, self.settings.scene.seed
+        table, seed = self.own_clock.table, self.settings.scene.seed
         known = [table.steps_of(c.schedule) for c in self.references()]
         points = [RelaxedSchedule.of(steps) for steps in known if max(steps) <= MOST_STEPS]
-        drawn = [starts(STARTS, self.clock.cost, limit * self._usual_cost, seed) for limit in limits]
+        drawn = [starts(STARTS, self.own_clock.cost, limit * self._usual_cost, seed) for limit in limits]
         size = len(self.factors)
         turns = itertools.zip_longest(*(own[size:] + own[:size] for own in drawn))  # single steps last
         points += [point for turn in turns for point in turn if point is not None]
@@ -141,7 +142,7 @@ class CascadeStage:
 
     def evaluator(self, space: Space, study: Study, expired: Callable[[], bool]) -> CascadeEvaluator:
         seed = self.settings.scene.seed
-        return CascadeEvaluator(space, self.objective, self.judge, self.clock, study, seed=seed, expired=expired)
+        return CascadeEvaluator(space, self.objective, self.own_clock, seed=seed, expired=expired)
 
     def polished(self, configuration: Configuration, expired: Callable[[], bool]) -> Configuration:
         start = relaxed_of(configuration.schedule, self.factors)
@@ -171,12 +172,12 @@ class CascadeStage:
         own = candidate.configuration
         if not candidate.name.startswith("tuned-"):
             return own
-        name = f"tuned-{budget.slug}" + (f" on {self.clock.device}" if self.clock.device else "")
+        name = f"tuned-{budget.slug}" + (f" on {self.own_clock.device}" if self.own_clock.device else "")
         return dataclasses.replace(own, name=name, schedule=dataclasses.replace(own.schedule, name=name))
 
     def prediction_errors(self, state: State, tuned: Sequence[Candidate]) -> list[float]:
         timed = [c for c in tuned if not c.time.predicted]
-        return [abs(self.clock.predict(c.configuration.schedule).median / c.time.median - 1) for c in timed]
+        return [abs(self.own_clock.predict(c.configuration.schedule).median / c.time.median - 1) for c in timed]
 
     def decisive(self) -> dict[str, Any]:
         scene, accurate = self.bench.scene, self.bench.accurate
@@ -194,7 +195,7 @@ class CascadeStage:
         return told if self.latency is None else told | {"latency": self.latency.fingerprint}
 
     def record(self) -> dict[str, Any]:
-        name, table = self.bench.name, self.clock.table
+        name, table = self.bench.name, self.own_clock.table
         told: dict[str, Any] = {
             "capture": self.bench.scene.capture.name,
             "guide": self.bench.guide.name,
@@ -202,15 +203,15 @@ class CascadeStage:
             "frames": {"tuned on": [*map(name, self.frames)], "held out": [*map(name, self._asked)]},
             "frames without surface": self.blind,
             "latency": {
-                "table": self.clock.source,
+                "table": self.own_clock.source,
                 "workload": str(table.workload),
                 "median relative error": table.error["median_relative"],
                 "worst relative error": table.error["worst_relative"],
                 "median ms of other stages": {name: time.median for name, time in table.stages.items()},
             },
         }
-        if self.clock.device:
-            told |= {"device": self.clock.device, "searched on": self._environment["device"]}
+        if self.own_clock.device:
+            told |= {"device": self.own_clock.device, "searched on": self._environment["device"]}
         return told
 
     def after(self, tuned: Tuned, monitor: RunMonitor) -> dict[str, Any]:
@@ -226,7 +227,14 @@ class CascadeStage:
         seed = self.settings.scene.seed
         return {
             "joint": tune_and_save(
-                self.bench, best, self.clock, self.frames, self.holdout, self.settings.out, monitor, seed=seed
+                self.bench,
+                best,
+                self.own_clock,
+                self.frames,
+                self.holdout,
+                self.settings.out,
+                monitor,
+                seed=seed,
             )
         }
 
@@ -264,7 +272,7 @@ def tune_bench(
     monitor = monitor or RunMonitor(settings.time_limit, not settings.quiet)
     budgets = budgets or settings.budgets()
     for budget in budgets:  # before the folder holds a run
-        check_reachable(stage.clock, budget.milliseconds)
+        check_reachable(stage.own_clock, budget.milliseconds)
     return Run(stage, settings, budgets, monitor).run()
 
 

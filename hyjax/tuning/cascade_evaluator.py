@@ -1,17 +1,14 @@
 """Evaluator of trials of the diffusion alone: losses by the relaxed cascade, times by a latency table."""
 
-import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from hyjax.configuration import Configuration
 from hyjax.tuning.descent import Objective, polish
-from hyjax.tuning.frame.evaluation import Scorer
-from hyjax.tuning.frame.evaluator import StudyEvaluator
+from hyjax.tuning.frame.evaluator import Evaluator
 from hyjax.tuning.frame.relaxed import UNLIMITED_STEPS, relaxed_points, with_point
-from hyjax.tuning.frame.space import Choices, Space, key_of
-from hyjax.tuning.frame.study import Study
+from hyjax.tuning.frame.space import Choices, Space
 from hyjax.tuning.frame.trial import Trial
 from hyjax.tuning.latency_estimator import ScheduleClock
 from hyjax.tuning.relaxation import RelaxedSchedule, evaluate, relaxed_of
@@ -28,7 +25,7 @@ NEVER = 1e6
 """Time over the default's of no steps at all, which no budget allows."""
 
 
-class CascadeEvaluator(StudyEvaluator):
+class CascadeEvaluator(Evaluator):
     """Judge of trials of the diffusion alone.
 
     One compiled program has the losses of all trials, since their steps are its arguments.
@@ -36,9 +33,7 @@ class CascadeEvaluator(StudyEvaluator):
     Args:
         space: of the choices.
         objective: of the frames.
-        judge: of the frames, too.
         clock: of schedules, whose model predicts times.
-        study: keeps results.
         seed: of the relaxation.
         expired: whether the time is up.
     """
@@ -47,15 +42,12 @@ class CascadeEvaluator(StudyEvaluator):
         self,
         space: Space,
         objective: Objective,
-        judge: Scorer,
         clock: ScheduleClock,
-        study: Study,
         *,
         seed: int = 0,
         expired: Callable[[], bool] = lambda: False,
     ) -> None:
-        cases = range(len(objective.prepared))
-        super().__init__(space, judge, cases, clock, study, seed=seed, expired=expired)
+        super().__init__(space, range(len(objective.prepared)), seed=seed, expired=expired)
         self.objective, self._model = objective, clock.cost
         self._usual = self._model(self._steps(space.default))
         self.cost = self.time
@@ -71,11 +63,6 @@ class CascadeEvaluator(StudyEvaluator):
     def time(self, choices: Choices) -> float:
         steps = self._steps(choices)
         return self._model(steps) / self._usual if any(steps) else NEVER
-
-    def known(self, trial: Trial) -> Trial:
-        """A trial of the study with the time that the table tells now."""
-        self._judged[key_of(trial.choices)] = trial.losses
-        return dataclasses.replace(trial, time=self.time(trial.choices))
 
     def refined(self, choices: Choices, batch: int) -> Choices:
         start = self._point(choices)

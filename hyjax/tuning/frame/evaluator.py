@@ -1,5 +1,6 @@
 """Evaluator of trials: quality on cases and times in turns, both kept in a study."""
 
+import abc
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
@@ -9,7 +10,7 @@ import numpy as np
 
 from hyjax.configuration import Configuration
 from hyjax.tuning.frame.clock import Clock
-from hyjax.tuning.frame.evaluation import Scorer
+from hyjax.tuning.frame.evaluation import Case, Judge
 from hyjax.tuning.frame.refinement import numbers_of, refine_numbers
 from hyjax.tuning.frame.relaxed import Price, relaxed_choices
 from hyjax.tuning.frame.space import Choices, Space, key_of, structure
@@ -24,41 +25,25 @@ PRICED_STEPS = 24
 """Steps more at one level, from whose time the price of a step follows."""
 
 
-class StudyEvaluator:
-    """Judge of trials on frames.
+class Evaluator(abc.ABC):
+    """Judge of trials: losses relative to the default's on cases, and times.
 
     Args:
         space: of the choices.
-        judge: of the cases.
         cases: in the order of batches.
-        clock: of whole frames.
-        study: keeps results.
-        seed: of the relaxation.
-        progress: called with each iteration of a refinement and its loss.
+        seed: of relaxations.
         expired: whether the time is up.
     """
 
-    def __init__(
-        self,
-        space: Space,
-        judge: Scorer,
-        cases: Sequence[Any],
-        clock: Clock,
-        study: Study,
-        *,
-        seed: int = 0,
-        progress: Callable[[int, float], None] = lambda iteration, loss: None,
-        expired: Callable[[], bool] = lambda: False,
-    ) -> None:
-        self.space, self.judge, self.cases, self.clock, self.study = space, judge, tuple(cases), clock, study
-        self._seed, self._progress, self._expired = seed, progress, expired
-        self._default: dict[Any, float] = {}
-        self._judged: dict[str, tuple[float, ...]] = {}
-        # What differs from the default in numbers alone takes as long; of the paper's form none does.
-        self._times: dict[str, float] = {} if space.paper else {structure(space.default, space): 1.0}
-
     cost: Callable[[Choices], float] | None = None
     """Time of choices over the default's, where it is known without measuring."""
+
+    def __init__(
+        self, space: Space, cases: Sequence[Any], *, seed: int = 0, expired: Callable[[], bool] = lambda: False
+    ) -> None:
+        self.space, self.cases, self._seed, self._expired = space, tuple(cases), seed, expired
+        self._default: dict[Any, float] = {}
+        self._judged: dict[str, tuple[float, ...]] = {}
 
     def __call__(self, trial: Trial) -> Trial:
         """The trial, made better by gradients if it asks for that, with losses on its cases and a time."""
@@ -75,6 +60,57 @@ class StudyEvaluator:
     def losses(self, choices: Choices, first: int, last: int) -> tuple[float, ...]:
         """Losses relative to the default's on cases of these numbers."""
         return tuple(self.relative(self.space.configuration(choices), self.cases[first:last]))
+
+    def known(self, trial: Trial) -> Trial:
+        """A trial of a study with its time here."""
+        self._judged[key_of(trial.choices)] = trial.losses
+        return dataclasses.replace(trial, time=self.time(trial.choices))
+
+    @abc.abstractmethod
+    def relative(self, configuration: Configuration, cases: Sequence[Any]) -> list[float]:
+        """Losses of a configuration over the default's."""
+
+    @abc.abstractmethod
+    def time(self, choices: Choices) -> float:
+        """Time of choices over the default's."""
+
+    @abc.abstractmethod
+    def refined(self, choices: Choices, batch: int) -> Choices:
+        """Choices with numbers improved by gradients on the first cases."""
+
+    @abc.abstractmethod
+    def relaxed(self, choices: Choices, trial: Trial) -> Choices:
+        """The choices with the levels and steps of a relaxation within the trial's budget."""
+
+
+class StudyEvaluator(Evaluator):
+    """Judge of trials on whole frames.
+
+    Args:
+        space: of the choices.
+        judge: of the cases.
+        cases: in the order of batches.
+        clock: of whole frames.
+        study: keeps the price of a step.
+        seed: of the relaxation.
+        expired: whether the time is up.
+    """
+
+    def __init__(
+        self,
+        space: Space,
+        judge: Judge,
+        cases: Sequence[Case],
+        clock: Clock,
+        study: Study,
+        *,
+        seed: int = 0,
+        expired: Callable[[], bool] = lambda: False,
+    ) -> None:
+        super().__init__(space, cases, seed=seed, expired=expired)
+        self.judge, self.clock, self.study = judge, clock, study
+        # What differs from the default in numbers alone takes as long; of the paper's form none does.
+        self._times: dict[str, float] = {} if space.paper else {structure(space.default, space): 1.0}
 
     def relative(self, configuration: Configuration, cases: Sequence[Any]) -> list[float]:
         """Losses of a configuration over the default's."""
@@ -93,12 +129,9 @@ class StudyEvaluator:
         return self._times[key]
 
     def known(self, trial: Trial) -> Trial:
-        """A trial of the study with its time on this machine."""
-        self._judged[key_of(trial.choices)] = trial.losses
-        if trial.time is None:
-            return dataclasses.replace(trial, time=self.time(trial.choices))
-        self._times.setdefault(structure(trial.choices, self.space), trial.time)
-        return trial
+        if trial.time is not None:
+            self._times.setdefault(structure(trial.choices, self.space), trial.time)
+        return super().known(trial)
 
     def refined(self, choices: Choices, batch: int) -> Choices:
         """Choices with numbers improved by gradients on the first cases.
@@ -111,7 +144,6 @@ class StudyEvaluator:
             self.judge,
             self.cases[:batch],
             levels=levels,
-            report=self._progress,
             expired=self._expired,
         )
         changed = dict(choices)

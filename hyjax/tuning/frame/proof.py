@@ -12,7 +12,7 @@ from hyjax.configuration import Configuration
 from hyjax.data.frames import spread
 from hyjax.light.color import to_display
 from hyjax.tuning.frame.bench import FrameBench
-from hyjax.tuning.frame.clock import FrameClock, FrameTime
+from hyjax.tuning.frame.clock import Clock, FrameTime
 from hyjax.tuning.frame.evaluation import mean_scores
 from hyjax.tuning.frame.result import Candidate, Effect
 from hyjax.tuning.frame.space import Space
@@ -55,7 +55,7 @@ def prove(configurations: Sequence[Configuration], stage: "Stage", *, progress: 
     return found
 
 
-def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, clock: FrameClock) -> None:
+def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, clock: Clock) -> None:
     """Raise `InputError` if even the cheapest configurations, on the clock, take longer than a budget.
 
     Args:

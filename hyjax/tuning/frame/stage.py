@@ -1,9 +1,10 @@
 """Stage that a run tunes for: space, frames, judge and clock; and that of the whole frame."""
 
+import abc
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from hyjax.configuration import PRESETS, Configuration, Measured
 from hyjax.tuning.frame.bench import FrameBench
 from hyjax.tuning.frame.clock import Clock, FrameClock, FrameTime
 from hyjax.tuning.frame.evaluation import Judge, Scorer
-from hyjax.tuning.frame.evaluator import StudyEvaluator
+from hyjax.tuning.frame.evaluator import Evaluator, StudyEvaluator
 from hyjax.tuning.frame.loss import PictureLoss
 from hyjax.tuning.frame.proof import BASE_ROUNDS, check_reachable, examples
 from hyjax.tuning.frame.refinement import refine_numbers
@@ -32,7 +33,7 @@ ROOM = 0.98
 """Share of a budget that is aimed at: a p95 is a noisy number."""
 
 
-class Stage(Protocol):
+class Stage(abc.ABC):
     """Stage that a run tunes for.
 
     Attributes:
@@ -60,63 +61,63 @@ class Stage(Protocol):
     relaxes: int
     turn: int
 
+    @abc.abstractmethod
     def base_time(self, study: Study, budgets: Sequence[Budget]) -> FrameTime:
         """Time of the base.
 
         Raises:
             InputError: a budget is out of reach.
         """
-        ...
 
+    @abc.abstractmethod
     def limit(self, budget: Budget, base: FrameTime) -> float:
         """Time over the base's that trials for a budget may take."""
-        ...
 
+    @abc.abstractmethod
     def starts(self, limits: Sequence[float]) -> list[Choices]:
         """Choices that are tried first."""
-        ...
 
+    @abc.abstractmethod
     def references(self) -> list[Configuration]:
         """Configurations beside which the tuned ones are told, the base first."""
-        ...
 
-    def evaluator(self, space: Space, study: Study, expired: Callable[[], bool]) -> StudyEvaluator:
+    @abc.abstractmethod
+    def evaluator(self, space: Space, study: Study, expired: Callable[[], bool]) -> Evaluator:
         """Judge of trials."""
-        ...
 
+    @abc.abstractmethod
     def polished(self, configuration: Configuration, expired: Callable[[], bool]) -> Configuration:
         """The configuration with better numbers for each level, or as it is."""
-        ...
 
+    @abc.abstractmethod
     def examples(
         self, front: Sequence[Candidate], references: Sequence[Candidate]
     ) -> list[tuple[str, dict[str, Any]]]:
         """Pictures of some frames by heading."""
-        ...
 
+    @abc.abstractmethod
     def named(self, candidate: Candidate, budget: Budget) -> Configuration:
         """Configuration of a candidate as the best for a budget."""
-        ...
 
+    @abc.abstractmethod
     def decisive(self) -> dict[str, Any]:
         """All that decides the losses, for the study."""
-        ...
 
+    @abc.abstractmethod
     def record(self) -> dict[str, Any]:
         """Parts of the run's record, as JSON's types."""
-        ...
 
+    @abc.abstractmethod
     def prediction_errors(self, state: State, tuned: Sequence[Candidate]) -> list[float]:
         """Relative errors of predicted times."""
-        ...
 
     def after(self, tuned: Tuned, monitor: RunMonitor) -> dict[str, Any]:
         """Parts of the record of work that is left when all is proved."""
-        ...
+        return {}
 
 
-class FrameStage:
-    """The whole frame on this machine, see `Stage`.
+class FrameStage(Stage):
+    """The whole frame on this machine.
 
     Args:
         bench: scenes and cases.
@@ -129,7 +130,7 @@ class FrameStage:
     def __init__(self, bench: FrameBench, settings: TuneSettings) -> None:
         self.bench, self.settings = bench, settings
         self.cases, self.held_out = bench.cases, bench.held_out
-        self.judge = Judge(bench.scenes, PictureLoss.of(settings.frame.lpips))
+        self.judge = self._judge = Judge(bench.scenes, PictureLoss.of(settings.frame.lpips))
         self.clock = FrameClock(bench.scenes[0], bench.lights)
         self.space = Space.of(truth=all(bench.scenes[place].has_truth for place, *_ in bench.cases))
         self.base = Configuration()
@@ -157,11 +158,11 @@ class FrameStage:
 
     def evaluator(self, space: Space, study: Study, expired: Callable[[], bool]) -> StudyEvaluator:
         seed = self.settings.scene.seed
-        return StudyEvaluator(space, self.judge, self.cases, self.clock, study, seed=seed, expired=expired)
+        return StudyEvaluator(space, self._judge, self.cases, self.clock, study, seed=seed, expired=expired)
 
     def polished(self, configuration: Configuration, expired: Callable[[], bool]) -> Configuration:
         cases = self.cases[:POLISH_CASES]
-        better = refine_numbers(configuration, self.judge, cases, levels=True, expired=expired)
+        better = refine_numbers(configuration, self._judge, cases, levels=True, expired=expired)
         before, after = (_mean_log(self.judge.scores(each, self.cases)) for each in (configuration, better))
         return better if after < before else configuration
 
@@ -210,9 +211,6 @@ class FrameStage:
 
     def prediction_errors(self, state: State, tuned: Sequence[Candidate]) -> list[float]:
         return [abs(guess / true - 1) for guess, true in state.predictions]
-
-    def after(self, tuned: Tuned, monitor: RunMonitor) -> dict[str, Any]:
-        return {}
 
 
 def _mean_log(rows: Sequence[Mapping[str, float]]) -> float:
