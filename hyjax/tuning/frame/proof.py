@@ -1,6 +1,5 @@
 """Proof of configurations: whole frames timed in turns, and judged on all cases, the held-out ones among them."""
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +27,8 @@ MOST_SECONDS = 20.0
 """Of timing, for each configuration."""
 BASE_ROUNDS = 60
 EXAMPLE_CASES = 3
+LEAST = 1e-9
+"""Loss that is told from none."""
 
 
 def prove(configurations: Sequence[Configuration], stage: "Stage", *, progress: bool) -> list[Candidate]:
@@ -44,7 +45,8 @@ def prove(configurations: Sequence[Configuration], stage: "Stage", *, progress: 
     bar = tqdm(configurations, "judging", unit="configuration", disable=not progress)
     for configuration, time in zip(bar, times, strict=True):
         rows = judge.scores(configuration, cases)
-        logs = [math.log(row["loss"] / max(own["loss"], 1e-9)) for row, own in zip(rows, default, strict=True)]
+        own, base = (np.log([max(row["loss"], LEAST) for row in several]) for several in (rows, default))
+        logs = own - base
         tuning, held_out = (
             mean_scores(rows[part]) | {"relative": float(np.exp(np.mean(logs[part])))} if rows[part] else None
             for part in (slice(0, count), slice(count, None))
