@@ -257,6 +257,7 @@ def test_time_is_up_at_once(surroundings: dict[str, Any], tmp_path: Path) -> Non
     result = run_tune(**surroundings | {"time_limit": 1e-3, "out": tmp_path / "out"})
     assert result.best[0].time.p95 <= 3.0
     assert (tmp_path / "out" / "report.html").is_file()
+    assert "--resume with more time goes on" in summary(result)[-1]
 
 
 def test_without_a_folder_nothing_is_written(

@@ -112,7 +112,14 @@ def summary(tuned: Tuned) -> list[str]:
     for budget, best in zip(tuned.budgets, tuned.best, strict=True):
         sentences.append(sentence(tuned, budget, best))
         sentences += missed(budget, best)
-    return sentences + bargain(tuned) + jointly(tuned) + prediction(tuned)
+    return sentences + bargain(tuned) + jointly(tuned) + prediction(tuned) + cut_short(tuned)
+
+
+def cut_short(tuned: Tuned) -> list[str]:
+    """That the time limit has ended the search, if it has."""
+    if not tuned.record.get("time was up"):
+        return []
+    return [f"The time was up after {tuned.record['trials']} trials; --resume with more time goes on."]
 
 
 def bargain(tuned: Tuned) -> list[str]:

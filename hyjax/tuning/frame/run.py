@@ -241,6 +241,7 @@ class Run:
             "prediction errors": self.stage.prediction_errors(state, tuned),
             "default p95 at the start": base.p95,
             "kept": [budget.label for budget, c in zip(self.budgets, best) if c.time.p95 <= budget.milliseconds],
+            "time was up": self.monitor.expired(),
             "seconds": round(self.monitor.clock.seconds, 1),
             "peak memory, MiB": round(peak_memory_mib()),
             "cores": cores(),
