@@ -49,7 +49,7 @@ BASELINES = ("hyjax", "paper-50", "paper-80", "naive-50", "naive-1000")
 """Presets that the tuned schedules are told beside, the default first."""
 FIRST = 6
 """Cases of the first batch."""
-RELAXED, TURN = 3, 4
+RELAXED, TURN = 5, 4
 """Relaxations before the screening, and one in so many trials afterwards: here gradients cost little."""
 STARTS = 8
 """Starting points of the search for each limit, at most."""

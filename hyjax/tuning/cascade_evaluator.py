@@ -15,7 +15,7 @@ from hyjax.tuning.relaxation import RelaxedSchedule, evaluate, relaxed_of
 
 ITERATIONS = 30
 """Of a relaxed descent, one frame each."""
-LOOKED_AT = 12
+LOOKED_AT = 16
 """Whole steps around the start, and around the end of the descent, of which the loss is computed."""
 POLISHING = 8
 """Iterations of the quasi-Newton steps on the numbers of a schedule."""

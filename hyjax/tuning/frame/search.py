@@ -55,8 +55,8 @@ class State:
         batches: numbers of cases of the batches, growing.
         count: of trials on the first batch; half of them may be for screening.
         starts: choices that are tried first, such as presets'.
-        relaxes: of how many of the best levels and steps are relaxed before the screening; 0 if they cannot be.
-            If of several, they come before numbers afterwards, too.
+        relaxes: number of trials whose levels and steps are relaxed before the screening: the default's, then the
+            best starts; 0 if they cannot be. If several, they come before numbers afterwards, too.
         turn: one in so many combinations is the best of a budget, made better by gradients.
         seed: of the proposals.
         cost: time of choices over the default's where it is known; else the surrogate tells it.
@@ -141,7 +141,8 @@ def propose(state: State, budgets: Sequence[float]) -> Proposed | None:
         if proposed := _improved(state, base, "numbers", "ranges"):
             return proposed
         if (relaxed := sum(how == "relaxed" for how, _ in state.tried)) < state.relaxes:
-            ranked = [_start(state), *sorted(trials.values(), key=lambda t: t.loss)]
+            started = sorted((t for t in trials.values() if t.phase == "start"), key=lambda t: t.loss)
+            ranked = [_start(state), *started]
             for trial in ranked[relaxed:]:
                 if proposed := _improved(state, trial, "relaxed", "relaxed", budgets[relaxed % len(budgets)]):
                     return proposed

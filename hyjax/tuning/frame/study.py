@@ -83,9 +83,11 @@ class Study:
             if path.exists():
                 _cut_to_lines(path)
             storage = JournalStorage(JournalFileBackend(str(path)))
-            self._study = optuna.create_study(
-                storage=storage, study_name=name, directions=["minimize", "minimize"], load_if_exists=True
-            )
+            if name in optuna.get_all_study_names(storage):  # a run that is refused writes nothing
+                self._study = optuna.load_study(study_name=name, storage=storage)
+            else:
+                directions = ["minimize", "minimize"]
+                self._study = optuna.create_study(storage=storage, study_name=name, directions=directions)
             told = self._study.user_attrs
         except OSError as error:
             raise InputError(f"{path}: cannot write ({error.strerror or error})") from None
