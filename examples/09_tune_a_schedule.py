@@ -18,7 +18,7 @@ OUT = Path("out/examples/09_tune_a_schedule.png")
 
 settings = hyjax.TuneSettings(
     scene=TuneScene(size=SIZE),
-    budget_ms=(20.0,),  # or fps=(60,)
+    budget_ms=(40.0,),  # or fps=(25,)
     frames="2,8",
     holdout="20",
     frame=FrameOptions(trials=12),  # a short search; leave it out for the full one
