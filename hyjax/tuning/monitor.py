@@ -21,6 +21,10 @@ class RunMonitor:
         self.clock, self.limit, self.progress = Stopwatch(), limit, progress
         self.best, self.bar = math.inf, tqdm(disable=True)
 
+    def begin(self) -> None:
+        """Count the time from now: what is opened and calibrated before a search is none of it."""
+        self.clock = Stopwatch()
+
     def expired(self) -> bool:
         return self.limit is not None and self.clock.seconds > self.limit
 

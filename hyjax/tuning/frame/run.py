@@ -113,6 +113,7 @@ class Run:
     def _run(self) -> Tuned:
         study = self._study(self.stage.name, resume=self.settings.resume)
         base = self.stage.base_time(study, self.budgets)
+        self.monitor.begin()
         limits = [self.stage.limit(budget, base) for budget in self.budgets]
         limits += EXTRA if self.settings.extra else ()
         state = self._searched(self.stage.space, study, limits, keep=True)
