@@ -24,8 +24,8 @@ from hyjax.util.errors import InputError, did_you_mean, shown
 LARGEST = float(np.finfo(np.float32).max)
 LARGEST_WHOLE = 1 << 62
 NUMBERS: Any = (int, float, np.integer, np.floating)
-MAY_BE_EMPTY = ("n", "h_1", "w_1", "ch_1", "cw_1")
-"""Axes that may have no entries: steps may be none, and edges of one row or column."""
+MAY_BE_EMPTY = ("n", "o", "h_1", "w_1", "ch_1", "cw_1")
+"""Axes that may have no entries: steps and rays may be none, and edges of one row or column."""
 TYPE_NAMES: dict[Any, str] = {
     int: "a whole number",
     float: "a number",

@@ -297,7 +297,9 @@ def test_the_other_network(tmp_path: Path, arrays: dict[str, np.ndarray]) -> Non
     path = write(tmp_path / "w.safetensors", arrays)
     with pytest.raises(InputError, match=r"w.safetensors: has no array VGG16_0.Conv_0.kernel"):
         load_lpips(path, net="vgg")
-    with pytest.raises(InputError, match=r"net: must be one of alex, vgg, got 'alexx' \(did you mean 'alex'\?\)"):
+    with pytest.raises(
+        InputError, match=r"net: 'alexx' is unknown \(did you mean 'alex'\?\); use one of alex, vgg"
+    ):
         load_lpips(path, net="alexx")  # type: ignore[arg-type]
 
 

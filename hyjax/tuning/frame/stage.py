@@ -6,15 +6,17 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from hyjax.configuration import PRESETS, Configuration, Measured
+from hyjax.data.frames import spread
+from hyjax.light.color import to_display
 from hyjax.tuning.frame.bench import FrameBench
 from hyjax.tuning.frame.clock import Clock, FrameClock, FrameTime
 from hyjax.tuning.frame.evaluation import Judge, Scorer
 from hyjax.tuning.frame.evaluator import Evaluator, StudyEvaluator
 from hyjax.tuning.frame.loss import PictureLoss
-from hyjax.tuning.frame.proof import BASE_ROUNDS, check_reachable, examples
 from hyjax.tuning.frame.refinement import refine_numbers
 from hyjax.tuning.frame.result import Candidate, Tuned
 from hyjax.tuning.frame.search import GRADIENT_TURN, State
@@ -24,11 +26,14 @@ from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.result import Budget
 from hyjax.tuning.settings import BudgetStage, TuneSettings
 from hyjax.util.environment import cores, environment
+from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 
 FEWEST = 6
 """Cases of the first batch, at least."""
 POLISH_CASES = 12
+BASE_ROUNDS = 60
+EXAMPLE_CASES = 3
 ROOM = 0.98
 """Share of a budget that is aimed at: a p95 is a noisy number."""
 
@@ -215,3 +220,53 @@ class FrameStage(Stage):
 
 def _mean_log(rows: Sequence[Mapping[str, float]]) -> float:
     return float(np.mean([math.log(row["loss"]) for row in rows]))
+
+
+def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, clock: Clock) -> None:
+    """Raise `InputError` if even the cheapest configurations, on the clock, take longer than a budget.
+
+    Args:
+        budgets: each.
+        base: time of the default.
+        space: of the choices.
+        clock: times them.
+    """
+    least = min(budgets, key=lambda budget: budget.milliseconds)
+    if least.milliseconds >= base.p95:
+        return
+    cheap = [
+        space.complete({"scale": 4, "cascade": "8:4", "shadow_pass": "none", "guide": "none"}),
+        space.complete({"scale": 4, "cascade": "4:6", "shadow_pass": "none", "sampling": 4}),
+    ]
+    fastest = [space.configuration(each, "fastest") for each in cheap]
+    time, configuration = min(
+        zip(clock.times(fastest, BASE_ROUNDS), fastest, strict=True), key=lambda pair: pair[0].p95
+    )
+    if time.p95 > least.milliseconds:
+        busy = "; other work on the machine disturbs the clock" if time.p95 >= base.p95 else ""
+        steps = " ".join(f"{level.factor}:{level.steps}" for level in configuration.schedule.levels)
+        raise InputError(
+            f"budget {least.milliseconds:.3g} ms: out of reach on this device; the fastest that was found takes "
+            f"{time.p95:.2f} ms (p95; scale {configuration.scale}, cascade {steps}, no shadow pass), the default "
+            f"{base.p95:.2f}; give at least --budget-ms {1.1 * time.p95:.3g}, or a smaller --size{busy}"
+        )
+
+
+def examples(bench: FrameBench, front: Sequence[Candidate]) -> list[tuple[str, dict[str, Any]]]:
+    """Pictures of some cases, held out where there are any, at three points of the front beside the target.
+
+    Returns:
+        (name of the case, pictures by heading).
+    """
+    rows = []
+    for place, lights, index in spread(bench.held_out or bench.cases, EXAMPLE_CASES):
+        scene = bench.scenes[place]
+        frame = scene.scene.frame(index)
+        pictures: dict[str, Any] = {"photo": frame.image}
+        for candidate in spread(list(front), 3):
+            own = scene.judged(candidate.configuration)
+            image = jnp.asarray(scene.relighter(lights, own).picture(frame))
+            pictures[f"{candidate.name}, {candidate.time.median:.1f} ms"] = np.asarray(to_display(image))
+        pictures["target"] = scene.target(lights, index).picture
+        rows.append((f"{scene.name}, {lights}, frame {index}", pictures))
+    return rows

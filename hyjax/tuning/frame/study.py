@@ -86,8 +86,9 @@ class Study:
             if name in optuna.get_all_study_names(storage):  # a run that is refused writes nothing
                 self._study = optuna.load_study(study_name=name, storage=storage)
             else:
-                directions = ["minimize", "minimize"]
-                self._study = optuna.create_study(storage=storage, study_name=name, directions=directions)
+                self._study = optuna.create_study(
+                    storage=storage, study_name=name, directions=["minimize", "minimize"]
+                )
             told = self._study.user_attrs
         except OSError as error:
             raise InputError(f"{path}: cannot write ({error.strerror or error})") from None
@@ -131,6 +132,10 @@ class Study:
                     self._study.set_user_attr(name, self._results[name])
                 except OSError as error:
                     raise _unwritable(error) from None
+                except ValueError as error:  # Optuna reads the journal again
+                    raise InputError(
+                        f"{NAME}: is no journal of a study ({type(error).__name__}); remove it"
+                    ) from None
         return self._results[name]
 
     def add(self, space: Space, trial: Trial) -> None:
