@@ -80,6 +80,7 @@ class Study:
         path = folder / NAME
         check_free(folder, resume)
         try:
+            folder.mkdir(parents=True, exist_ok=True)
             if path.exists():
                 _cut_to_lines(path)
             storage = JournalStorage(JournalFileBackend(str(path)))
