@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import need
 from reference.seven_scenes_export import export_seven_scenes
 
 import hyjax
@@ -36,6 +37,8 @@ from hyjax.tuning.settings import FrameOptions, TuneScene, TuneSettings
 from hyjax.tuning.workload import schedule_key
 from hyjax.util import clock as latency
 from hyjax.util.images import read_image
+
+need("tune")
 
 SIZE = (48, 64)  # a factors of two levels: the gradient is quick to compile
 OPTIONS: dict[str, Any] = {

@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import pytest
+from extras import need
 from reference.seven_scenes_export import export_seven_scenes
 from test_tune import steady_clock
 
@@ -18,6 +19,8 @@ from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.tuning.cascade import CascadeStage
 from hyjax.tuning.descent import Objective
 from hyjax.util import clock as latency
+
+need("tune")
 
 ROOT = logging.getLogger()
 
