@@ -40,7 +40,7 @@ def page(browser_wanted: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]
         yield launched.new_page()
 
 
-def watch(page: Any, thread: threading.Thread, seconds: float = 200.0) -> list[str]:
+def watch(page: Any, thread: threading.Thread, seconds: float = 600.0) -> list[str]:
     """What the page says until a thread has ended."""
     said: list[str] = []
     for _ in range(int(seconds / 0.2)):

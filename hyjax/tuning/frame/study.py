@@ -104,11 +104,13 @@ class Study:
             if not isinstance(told.get("settings"), dict):
                 raise InputError(f"{path}: has no settings of a study; remove it")
             check_same_settings(folder, told["settings"], as_json(settings))
-        if not told:
-            self._study.set_user_attr("settings", as_json(settings))
-            self._study.set_user_attr("version", VERSION)
         try:
+            if not told:
+                self._study.set_user_attr("settings", as_json(settings))
+                self._study.set_user_attr("version", VERSION)
             self.trials = _merged([_trial(each) for each in self._study.get_trials(deepcopy=False)], machine)
+        except OSError as error:
+            raise InputError(f"{path}: cannot write ({error.strerror or error})") from None
         except Exception as error:  # as above
             raise InputError(f"{path}: holds no trials of a search ({type(error).__name__}); remove it") from None
         self._results = {key: value for key, value in told.items() if key.startswith("result ")}
