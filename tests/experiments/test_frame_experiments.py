@@ -35,7 +35,7 @@ def small(room: TuningScene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hyjax.tuning.settings.SETUPS", ("two-colors",))
     monkeypatch.setattr("hyjax.tuning.frame.proof.ROUNDS", 3)
     # Gradients are compiled for most of a minute, and tests of their own look at them.
-    for module_name in ("evaluator", "run"):
+    for module_name in ("evaluator", "stage"):
         monkeypatch.setattr(f"hyjax.tuning.frame.{module_name}.refine_numbers", lambda own, *_, **__: own)
 
 
