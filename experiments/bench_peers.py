@@ -252,7 +252,7 @@ def judge_filters(config: Config, results: Results, bench: Workbench) -> None:
         ends = {value for values in zip(*tried) for value in (min(values), max(values))} if option else set()
         results.add(
             kind="quality", who=who, chosen=option, at_end=bool(option) and not ends.isdisjoint(option),
-            **score.row(),
+            **score,
         )  # fmt: skip
     case = held_out[0]
     calls = {who: repair(case, who, option) for who, option in chosen.items() if who != "raw filter"}

@@ -220,6 +220,6 @@ def test_the_kitchen_is_its_photo_times_a_filter_that_follows_the_lamps(kitchen:
     assert shining.mean() < 0.001
     np.testing.assert_allclose(relit[~shining], filtered[~shining], rtol=5e-3, atol=1e-3)  # half floats
     brightness = (refined * visible).mean(axis=-1)
-    assert np.percentile(brightness, 95) > 2 * np.percentile(brightness, 5) > 0, "lamps light some of it more"
+    assert np.percentile(brightness, 95) > 1.5 * np.percentile(brightness, 5) > 0, "lamps light some of it more"
     warm = (refined[..., 0] / refined[..., 2]).mean()
     assert warm > 1.2, "lamps are warmer than the light that the photo was taken under"
