@@ -23,7 +23,7 @@ FEWEST_SAMPLES = 10
 MOST_BYTES = 16 << 20
 SHORTEST, LONGEST = 1e-3, 1e6
 """Milliseconds; a time below a microsecond is in another unit."""
-NOISE = 1.25
+NOISE = 1.9
 """A schedule with more steps may seem so many times faster."""
 
 Duration = Annotated[float, msgspec.Meta(ge=SHORTEST, le=LONGEST)]
