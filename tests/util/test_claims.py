@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from extras import need
 from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.settings import SceneSettings
@@ -86,6 +87,7 @@ def test_a_relighting_that_is_refused_leaves_the_files_of_the_other(
 
 
 def test_a_tuning_of_a_folder_in_use_does_not_say_that_it_can_go_on(tmp_path: Path) -> None:
+    need("tune")
     (tmp_path / NAME).write_text("{}\n")
     with of_another(tmp_path), pytest.raises(InputError, match="another run writes there"):
         tune_schedule(settings=TuneSettings(fps=(30.0,), out=tmp_path, quiet=True))
