@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
 from extras import need
+
 from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.settings import SceneSettings
