@@ -103,9 +103,8 @@ class DeviceRenderer:
             engine.upload("jobs", records.jobs)
         if self._divides:
             kept = scene.photo_light.kept(self.setup.existing)
-            rows = np.vstack(
-                [kept.reshape(-1, 3), least_bounced(self.setup.lights) / float(self.setup.reference_lux)]
-            )
+            least = least_bounced(self.setup.lights, scene.photo_light.estimate.light.filled_share)
+            rows = np.vstack([kept.reshape(-1, 3), least / float(self.setup.reference_lux)])
             engine.upload("kept", np.pad(rows, ((0, 0), (0, 1))).astype(np.float32))
         if self.emitters is not None:
             engine.upload("emitters", emitter_vectors(self.emitters))

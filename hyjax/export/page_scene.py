@@ -102,6 +102,7 @@ def describe_scene(scene: Scene, setup: LightSetup, arrays: SceneArrays) -> dict
         "bounds": [plain(corner) for corner in bounds],
         "slack": scene.slack,
         "mean": plain(arrays.mean),
+        "filled_share": photo.estimate.light.filled_share,
         "sources": list(photo.estimate.names) if arrays.counts.sources else [],
         "panes": [[plain(vector) for vector in pane] for pane in np.asarray(panes)],
         "lamps": [plain(lamp) for lamp in np.asarray(lamps)],

@@ -44,6 +44,7 @@ class PhotoLight:
         mean: K, the linear value that a white surface in the mean light would have in the frames.
         albedo: of the transport's points.
         transport: between them.
+        filled_share: of ambient light, that bounces are filled up to.
     """
 
     illuminance: Float[Array, "v 3"]
@@ -51,6 +52,7 @@ class PhotoLight:
     mean: Float[Array, "3"]
     albedo: Float[Array, "p 3"]
     transport: Transport
+    filled_share: float = dataclasses.field(default=FILLED_SHARE, metadata={"static": True})
 
 
 @jax.jit
@@ -81,11 +83,15 @@ def bounced_light(
     if not chosen:
         return jnp.zeros_like(photo.illuminance)
     own, maps = zip(*chosen, strict=True)
-    return _bounced(photo, own, maps, least_bounced(lights))
+    return _bounced(photo, own, maps, least_bounced(lights, photo.filled_share))
 
 
-def least_bounced(lights: Sequence[Light]) -> Float[Array, "3"]:
+def least_bounced(lights: Sequence[Light], filled_share: float = FILLED_SHARE) -> Float[Array, "3"]:
     """Illuminance that bounces are filled up to, a share of ambient lights'; 0 where there are no other lights.
+
+    Args:
+        lights: of a set-up.
+        filled_share: see `PhotoLight`.
 
     >>> from hyjax import AmbientLight, PointLight
     >>> lights = [AmbientLight(jnp.float32(100.0), jnp.ones(3)), PointLight(jnp.zeros(3), 900.0, jnp.ones(3))]
@@ -95,7 +101,7 @@ def least_bounced(lights: Sequence[Light]) -> Float[Array, "3"]:
     ambient = [light for light in lights if light.UNIFORM]
     least = jnp.zeros(3)
     for light in ambient if len(ambient) < len(lights) else []:
-        least += FILLED_SHARE * jnp.asarray(getattr(light, light.STRENGTH)) * jnp.asarray(light.color)
+        least += filled_share * jnp.asarray(getattr(light, light.STRENGTH)) * jnp.asarray(light.color)
     return least
 
 

@@ -47,10 +47,14 @@ def shade_each(gbuffer: GBuffer, lights: Sequence[Light]) -> Float[Array, "h w l
         InputError: no lights.
     """
     check_lights(lights)
-    illuminance = [
-        jnp.where(gbuffer.hit, light.illuminance_at(gbuffer.position, gbuffer.normal), 0.0) for light in lights
-    ]
-    return jnp.stack(illuminance, axis=-1)
+    illuminance = [_illuminance(light, gbuffer.position, gbuffer.normal) for light in lights]
+    return jnp.where(gbuffer.hit[..., None], jnp.stack(illuminance, axis=-1), 0.0)
+
+
+@jax.jit
+def _illuminance(light: Light, position: Float[Array, "*s 3"], normal: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
+    """Illuminance by a light; a function of its own is traced once for all lights of a kind."""
+    return light.illuminance_at(position, normal)
 
 
 @checked_arguments

@@ -128,14 +128,20 @@ def estimate_arrays(
 
 
 def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
-    """Estimate from the arrays of `estimate_arrays`."""
+    """Estimate from the arrays of `estimate_arrays`.
+
+    Where nothing is believed no light bounces and all ambient light is left, as where the photo's light is kept.
+    """
     transport = _transport(caster, arrays["hits"], arrays["position"], arrays["normal"])
     parts = ("illuminance", "sources", "mean", "albedo")
     illuminance, shares, mean, albedo = (jax.device_put(arrays[name]) for name in parts)
     names = tuple(str(name) for name in arrays["names"])
     flatness = tuple(float(x) for x in arrays["flatness"])
+    exponent = float(arrays["exponent"])
     light = PhotoLight(illuminance, shares, mean, albedo, transport)
-    return Estimate(light, names, float(arrays["exponent"]), float(arrays["hue_exponent"]), flatness)
+    if exponent == 0:
+        light = dataclasses.replace(light, albedo=jnp.zeros_like(albedo), filled_share=1.0)
+    return Estimate(light, names, exponent, float(arrays["hue_exponent"]), flatness)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -25,6 +25,8 @@ REFLECTED_SHARE = 0.3
 """Light by way of other surfaces, over the mean of what comes straight."""
 DIMMINGS = 4
 """Number of times that sun and exposure are brought in line with each other."""
+POINTS_AT_ONCE = 2048
+"""Points are shaded in multiples of so many, so that there are few programs."""
 OFFSET = 0.02
 """Distance from the surface, in metres, where rays to lights start."""
 _log = logging.getLogger(__name__)
@@ -108,11 +110,16 @@ class SeenSurface:
 
     def lux(self, lights: Sequence[Light]) -> Float[np.ndarray, "n l"]:
         """Illuminance of lights on the points, with shadows; times the strongest channels of their colours."""
-        every = np.ones((1, len(self.points)), bool)
-        place, facing = (np.asarray(each[None], np.float32) for each in (self.points, self.normals))
+        count = len(self.points)
+        padded = [(0, 0), (0, -count % POINTS_AT_ONCE), (0, 0)]
+        place, facing = (
+            np.pad(np.asarray(each[None], np.float32), padded, mode="edge") for each in (self.points, self.normals)
+        )
+        every = np.ones(place.shape[:2], bool)
         points = GBuffer(*map(jax.device_put, (place, facing, every.astype(np.float32), every)))
-        lux = np.asarray(run_kept(shade_each, points, tuple(lights)))[0]
-        return np.stack([self._reached(light, lux[:, k]) for k, light in enumerate(lights)], axis=-1)
+        # One by one: lights of a kind share a program, however many there are.
+        lux = [np.asarray(run_kept(shade_each, points, (light,)))[0, :count, 0] for light in lights]
+        return np.stack([self._reached(light, own) for light, own in zip(lights, lux, strict=True)], axis=-1)
 
     def _reached(self, light: Light, lux: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         every = np.ones(len(self.points), bool)

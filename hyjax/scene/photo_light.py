@@ -153,9 +153,10 @@ class ScenePhotoLight:
         return np.array([existing.get(name, (0.0, 0.0, 0.0)) for name in self.estimate.names])
 
     def emitters(self, setup: LightSetup) -> Emitters | None:
-        """Panes and lamps with their radiance under new lights; None if there are none."""
+        """Panes and lamps with their radiance under new lights; None if there are none that are believed."""
         windows, lamps = self.sources.windows, self.sources.lamps
-        if not windows and not lamps:
+        believed = self.estimate.exponent > 0 or self.sources.origin == "file"
+        if not (windows or lamps) or not believed:
             return None
         panes = np.array([(w.center, w.right, w.up) for w in windows]).reshape(-1, 3, 3)
         bulbs = np.array([(*lamp.position, lamp.radius) for lamp in lamps]).reshape(-1, 4)

@@ -174,12 +174,12 @@ class Renderer:
             ]
             jax.block_until_ready(layers)
         view = View(pixels.linear, pixels.display, gbuffer)
-        least = least_bounced(setup.lights)
-        setup = dataclasses.replace(setup, lights=lights)
+        asked, setup = setup.lights, dataclasses.replace(setup, lights=lights)
         shaded = stack_layers(setup, layers, samples.hit, sampling=sampling)
         photo_light: tuple[Float[Array, "h w 3"], ...] = ()
         if self.room_light is not None:
             with clock("bounces"):
+                least = least_bounced(asked, self.room_light.filled_share)
                 light = self.room_light.surface_light(setup, qualities, parts, least, cancelled)
                 photographed = self._photographed(viewpoint, frame, pixels)
                 shaded = jax.block_until_ready(add_room_light(shaded, light, photographed, pixels.linear, samples))
@@ -232,7 +232,8 @@ class Renderer:
             channels.append(getattr(light, light.STRENGTH) * illuminance * visible)
         lux = colored(jnp.stack(channels, axis=-1), lights)[:, :count]
         if self.room_light is not None:
-            own, least = dataclasses.replace(setup, lights=lights), least_bounced(setup.lights)
+            own = dataclasses.replace(setup, lights=lights)
+            least = least_bounced(setup.lights, self.room_light.filled_share)
             lux += bounced_at_vertices(self.room_light.surface_light(own, qualities, parts, least), parts)
         shades = lux / setup.reference_lux
         mesh.visual.vertex_colors = to_bytes(to_display(ALBEDO * shades))[0]  # type: ignore[union-attr]

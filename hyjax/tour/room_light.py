@@ -96,6 +96,11 @@ class RoomLight:
         """Why the photo's light stays in the pictures; None if it is divided out."""
         return self._photo.estimate.reason if self._photo.estimate.exponent == 0 else None
 
+    @property
+    def filled_share(self) -> float:
+        """Share of ambient light that bounces are filled up to."""
+        return self._light.filled_share
+
     def unknown(self, existing: Mapping[str, float]) -> str | None:
         """Which names are no source of these photos, in words; None if all are."""
         return self._photo.unknown(existing)

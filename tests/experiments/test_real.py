@@ -11,6 +11,8 @@ from experiments.real_fit import Target, checkerboard, fit_strengths, smooth_pic
 from experiments.real_methods import BLUR_4, GAINS, METHODS, NEW, PHOTO, SMOOTH
 from experiments.real_scores import ratio_scores
 from experiments.records import of_kind
+from hyjax.data import builtin_room
+from hyjax.data.builtin_room import load_room
 from hyjax.synthetic.tone_curve import encode_unclipped
 from hyjax.util.errors import InputError
 
@@ -58,7 +60,9 @@ def test_a_generated_room_through_an_s_curve(tmp_path: Path, monkeypatch: pytest
     assert {file.name for file in config.out.glob("*.png")} == {"builtin-0-true-ab.png", "builtin-0-true-ba.png"}
 
 
-def test_dark_and_burnt_shares_of_every_set_up(scan: Path, tmp_path: Path) -> None:
+def test_dark_and_burnt_shares_of_every_set_up(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
+    monkeypatch.setattr(builtin_room, "load_room", lambda progress: small)
     config = dark_frames.Config(
         captures=(scan,), setups=("evening-lamps",), frames=1, size="64", out=tmp_path / "out"
     )

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from hyjax import LightSetup, PointLight, Scene
+from hyjax import AmbientLight, LightSetup, PointLight, Scene
+from hyjax.configuration import Configuration, LightOptions
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
 from hyjax.photo_light.sources import PhotoLamp, PhotoSources, PhotoWindow
+from hyjax.scene.relighter import Relighter
 
 UP = np.array([0.0, 0.0, 1.0])
 LENS = Intrinsics(16, 12, 10.0, 10.0, 8.0, 6.0)
@@ -98,6 +100,19 @@ def test_whatever_decides_on_the_light_is_in_its_key(named: Path) -> None:
     assert room.read
     light(Scene(room := Room(), walls()))
     assert room.read
+
+
+def test_where_nothing_is_believed_the_picture_is_that_of_the_kept_light() -> None:
+    scene, lamp = Scene(Room(), walls()), PointLight(jnp.array([0.5, 0.0, 0.5]), 900.0, jnp.ones(3))
+    ambient = AmbientLight(jnp.float32(40.0), jnp.array([1.0, 0.8, 0.6]))
+    assert scene.photo_light.estimate.exponent == 0
+    for lights in ([lamp, ambient], [lamp], [ambient]):
+        setup = LightSetup(tuple(lights), 100.0)
+        divided, kept = (
+            Relighter(scene, setup, Configuration(light=LightOptions(photo_light=photo_light))).relit(0)
+            for photo_light in ("divided", "kept")
+        )
+        np.testing.assert_allclose(divided.image, kept.image, atol=1e-5)
 
 
 def test_sources_come_back_from_their_arrays() -> None:

@@ -99,15 +99,13 @@ export function ambientFilter(lights, reference) {
   return [0, 1, 2].map((k) => ambient.reduce((sum, light) => sum + (light.strength * light.color[k]) / reference, 0));
 }
 
-const FILLED_SHARE = 0.25; // as `hyjax.light.photo_light.FILLED_SHARE`
-
 /** What is left of each source of the photo, and last the light that bounces are filled up to; four numbers each. */
-export function keptVectors(existing, names, lights, reference) {
+export function keptVectors(existing, { sources, filled_share }, lights, reference) {
   const ambient = lights.some((light) => light.kind === "ambient");
   // Lights that fall on any surface alike are left where there are no others.
   const fills = ambient && lights.some((light) => light.kind !== "ambient");
-  const least = fills ? ambientFilter(lights, reference).map((x) => FILLED_SHARE * x) : [0, 0, 0];
-  return new Float32Array([...names.flatMap((name) => [...(existing[name] ?? [0, 0, 0]), 0]), ...least, 0]);
+  const least = fills ? ambientFilter(lights, reference).map((x) => filled_share * x) : [0, 0, 0];
+  return new Float32Array([...sources.flatMap((name) => [...(existing[name] ?? [0, 0, 0]), 0]), ...least, 0]);
 }
 
 /** What panes and lamps send under new lights: `hyjax.light.emission.radiant_filter`. */

@@ -55,7 +55,7 @@ export class Renderer {
     this.jobs = [...numbers].flatMap((number) => records.jobs[number] ?? []);
     Object.assign(this, { records, lights, setup });
     this.engine.upload("lights", records.words);
-    this.engine.upload("kept", keptVectors(setup.existing, scene.sources, lights, setup.reference_lux));
+    this.engine.upload("kept", keptVectors(setup.existing, scene, lights, setup.reference_lux));
     this.engine.upload("emitters", emitterVectors(lights, setup.reference_lux, setup.existing, scene));
     if (this.jobs.length) this.pending.add("shadows");
     this.pending.add("bounces").add("frame");
