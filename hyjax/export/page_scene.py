@@ -17,7 +17,7 @@ from hyjax.scene.scene import Scene
 
 ALIGNMENT = 16
 """Bytes that each array's place in the file is a multiple of."""
-GZIP_LEVEL = 9
+GZIP_LEVEL = 5
 
 
 @dataclasses.dataclass(frozen=True)

@@ -374,7 +374,7 @@ def test_the_command_on_the_real_clock(folder: Path, surroundings: dict[str, Any
     assert done.returncode == 0, done.stderr
     assert "schedule.json" in done.stdout and done.stderr == ""
     again = [hyjax, "relight", *common, "--frames", "1", "--schedule", str(out / "schedule.json")]
-    again += ["--out", str(tmp_path / "relit")]
+    again += ["--keep-photo-light", "--out", str(tmp_path / "relit")]
     done = subprocess.run(again, capture_output=True, text=True, env=ENVIRONMENT, timeout=400, check=False)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "relit" / "contact_sheet.png").is_file()
