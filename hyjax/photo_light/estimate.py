@@ -12,7 +12,7 @@ from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import enclose, trace
-from hyjax.light.photo_light import LEAST_PHOTO_LIGHT, PhotoLight
+from hyjax.light.photo_light import FILLED_SHARE, LEAST_PHOTO_LIGHT, PhotoLight
 from hyjax.light.transport import Transport, bounce, gather, send
 from hyjax.photo_light.basis import Basis, make_basis
 from hyjax.photo_light.belief import LEAST_GAIN, NO_BELIEF, Belief, fit_and_judge, split
@@ -132,15 +132,17 @@ def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
 
     Where nothing is believed no light bounces and all ambient light is left, as where the photo's light is kept.
     """
-    transport = _transport(caster, arrays["hits"], arrays["position"], arrays["normal"])
+    exponent, hits, position = float(arrays["exponent"]), arrays["hits"], arrays["position"]
+    if exponent == 0:  # every ray ends in an opening
+        openings = len(caster.arrays.faces) + len(position) - len(caster.arrays.vertices)
+        hits = np.full((1, len(position)), openings, np.int32)
+    transport = _transport(caster, hits, position, arrays["normal"])
     parts = ("illuminance", "sources", "mean", "albedo")
     illuminance, shares, mean, albedo = (jax.device_put(arrays[name]) for name in parts)
     names = tuple(str(name) for name in arrays["names"])
     flatness = tuple(float(x) for x in arrays["flatness"])
-    exponent = float(arrays["exponent"])
-    light = PhotoLight(illuminance, shares, mean, albedo, transport)
-    if exponent == 0:
-        light = dataclasses.replace(light, albedo=jnp.zeros_like(albedo), filled_share=1.0)
+    filled_share = FILLED_SHARE if exponent else 1.0
+    light = PhotoLight(illuminance, shares, mean, albedo, transport, filled_share)
     return Estimate(light, names, exponent, float(arrays["hue_exponent"]), flatness)
 
 
