@@ -19,7 +19,6 @@ EXPERIMENTS = (
     "guide_worth",
     "frame_tuning",
     "tuning_gain",
-    "tuning_search",
     "stage_times",
     "frame_rate",
     "first_picture",

@@ -120,7 +120,6 @@ TABLES: dict[str, Published] = {
     "frame-rate-balanced": Published("frame_rate_balanced", 0),
     "frame-rate-fast": Published("frame_rate_fast", 0),
     "tuning-gain": Published("tuning_gain"),
-    "tuning-search": Published("tuning_search"),
     # the learned guide
     "conductances": Published("conductances_kitchen"),
     "depth-middlebury": Published("depth_sr", 0),

@@ -6,16 +6,12 @@ from pathlib import Path
 import pytest
 from extras import need
 
-from experiments import frame_tuning, tuning_search
+from experiments import frame_tuning
 from hyjax.configuration import Configuration
 from hyjax.data.builtin_room import load_room
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.tuning.frame.scene import TuningScene
-from hyjax.tuning.frame.space import Space
-from hyjax.tuning.frame.study import Study
-from hyjax.tuning.frame.trial import Trial
-from hyjax.util.errors import InputError
 
 need("tune")
 
@@ -61,26 +57,6 @@ def test_tuning(small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         made = json.loads((folder / f"{name}.json").read_text())
         assert made["name"] == name and made["measured"] is None
     assert (tmp_path / "out" / "contact_sheet.png").is_file()
-
-
-def test_searches_are_compared_by_their_journals(tmp_path: Path) -> None:
-    """The best within a time after so many trials, on the first frames that all were judged on."""
-    space = Space.of(truth=True)
-    for name, gain in (("before", 0.0), ("now", 0.1)):
-        (tmp_path / name).mkdir()
-        study = Study(tmp_path / name, "frame", {})
-        study.add(space, Trial(space.default, "default", (1.0, 1.0), 1.0))
-        for scale in (2, 3, 4):
-            losses = (0.8 + 0.1 * scale - gain,) * (2 if scale < 4 else 1)
-            study.add(space, Trial(space.complete({"scale": scale}), "screening", losses, 1.0 / scale))
-    folders = (tmp_path / "before", tmp_path / "now")
-    rows = tuning_search.main(tuning_search.Config(study=folders, limits=(0.4, 1.0), out=tmp_path / "out"))
-    ends = {(row["study"], row["limit"]): row["loss"] for row in rows if row["kind"] == "end"}
-    assert ends == pytest.approx({("before", 0.4): 1.1, ("before", 1.0): 1.0, ("now", 0.4): 1.0, ("now", 1.0): 0.9})
-    first = {(row["study"], row["limit"]): row["loss"] for row in rows if row["kind"] == "best"}
-    assert first["now", 1.0] == pytest.approx(0.9) and next(iter(rows))["cases"] == 1
-    with pytest.raises(InputError, match="study: none given"):
-        tuning_search.main(tuning_search.Config(out=tmp_path / "none"))
 
 
 def test_presets_are_chosen_by_tuning_rooms_and_time() -> None:
