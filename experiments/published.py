@@ -109,8 +109,6 @@ TABLES: dict[str, Published] = {
     "stage-times": Published("stage_times", 0),
     "first-picture": Published("first_picture", 0),
     "first-picture-stages": Published("first_picture", 1),
-    "gbuffer": Published("gbuffer_methods", 0),
-    "shadow-maps": Published("gbuffer_methods", 1),
     "peers": Published("bench_peers"),
     # tuning
     "presets": Published("frame_tuning", 0),

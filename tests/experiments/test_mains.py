@@ -27,7 +27,6 @@ from experiments import (
     sweep_scale,
     tour_latency,
     truth,
-    tuning_gain,
 )
 from experiments.command import Experiment
 from experiments.paper_bench import METHODS
@@ -35,7 +34,6 @@ from experiments.records import FILE, Row, of_kind, read_rows
 from experiments.truth_methods import METHODS as METHODS_OF_TRUTH
 from experiments.truth_methods import OPENCV, PHOTO, TRUE_ALL
 from hyjax.relighting.settings import RelightSettings
-from hyjax.tuning import workload
 from hyjax.util.errors import InputError
 
 SIZE = 64
@@ -162,27 +160,6 @@ def test_stage_times(scan: Path, tmp_path: Path) -> None:
     stages = {row["stage"]: row["median_ms"] for row in of_kind(rows, "stage")}
     assert {"shading", "cascade paper-80", "shadow pass", "composite"} < set(stages)
     assert all(time > 0 for time in stages.values()) and len(of_kind(rows, "part")) == 8
-
-
-def check_schedules(rows: list[Row], scenes: set[str], tuned: str) -> None:
-    """Every scene has scores of the raw filter and of tuned schedules, which are no worse, and times."""
-    scores = of_kind(rows, "score")
-    assert {row["scene"] for row in scores} == scenes
-    for scene in scenes:
-        loss = {row["name"]: row["loss"] for row in scores if row["scene"] == scene}
-        own = [value for name, value in loss.items() if name.startswith(tuned)]
-        assert own and max(own) < loss["raw filter"]
-    assert all(row["psnr"] > 5 and 0 < row["ssim"] <= 1 for row in scores)
-    assert all(0 < row["median"] <= row["p95"] for row in of_kind(rows, "time"))
-
-
-@pytest.mark.slow
-def test_tuning_gain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workload, "FEWEST_CELLS", 4)  # so that the paper's schedules fit small pictures
-    monkeypatch.setattr(tuning_gain, "BASELINES", ("hyjax", "paper-80"))
-    common: dict[str, Any] = {"size": (SIZE, SIZE), "frames": 1, "holdout": 1, "repeats": 10, "trials": 4}
-    config = tuning_gain.Config(**common, polishing=1, out=tmp_path)
-    check_schedules(rows_of(tuning_gain.main, config, "tuning_gain.png"), {"room"}, "paper-80 polished")
 
 
 @pytest.mark.slow
