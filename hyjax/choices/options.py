@@ -14,9 +14,6 @@ from hyjax.util.errors import InputError, did_you_mean
 class Options:
     """Values of the choices of a part of a configuration, as attributes; see `hyjax.choices.table`.
 
-    Raises:
-        InputError: there is no choice of a name.
-
     Example:
         >>> LightOptions(bounces=False).replace(sampling=1)
         LightOptions(sampling=1, bounces=False)

@@ -13,11 +13,7 @@ three decimals, and what rounding adds to it."""
 
 
 def read_intrinsics(path: Path) -> Intrinsics:
-    """Read a `.pincam` file.
-
-    Raises:
-        InputError: not six numbers, a size that is not whole, focal lengths that are not positive.
-    """
+    """Read a `.pincam` file."""
     width, height, *focal_and_centre = (float(value) for value in read_numbers(path, (6,), COLUMNS))
     if not (width.is_integer() and height.is_integer()):
         raise InputError(f"{path}: picture size {width:g}x{height:g} is not whole; need {COLUMNS}")

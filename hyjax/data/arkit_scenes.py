@@ -168,9 +168,6 @@ class ArkitScenes(Capture):
         """Frame at a position in order of time. IndexError beyond the end ends a `for` loop.
 
         Depth is 0 where its confidence is low, which is 0 too; medium is 0.5, high is 1.
-
-        Raises:
-            InputError: a picture is damaged or of another size than its intrinsics, or these are malformed.
         """
         shot = self._frames[index]
         image, intrinsics = read_colour(shot.picture), read_intrinsics(shot.intrinsics)

@@ -24,11 +24,7 @@ TIMED = re.compile(r"(?:\d+_)?(\d+\.\d+)")
 
 
 def read_numbers(path: Path, shape: tuple[int, ...], meaning: str = "row by row") -> Float[np.ndarray, "*shape"]:
-    """All numbers of a text file, separated by blanks and line ends.
-
-    Raises:
-        InputError: the file cannot be read, holds anything but numbers, or another number of them.
-    """
+    """All numbers of a text file, separated by blanks and line ends."""
     return parse_numbers(read_text(path, most=LARGEST_OF_NUMBERS), str(path), shape, meaning)
 
 
@@ -56,11 +52,7 @@ def parse_numbers(
 
 
 def read_colour(path: Path, where: str | None = None) -> Float[np.ndarray, "h w 3"]:
-    """A colour picture, without its alpha channel if it has one.
-
-    Raises:
-        InputError: it cannot be read, or has no colour.
-    """
+    """A colour picture, without its alpha channel if it has one."""
     image = read_image(path, where)
     if image.shape[2] < 3:
         raise InputError(f"{where or path}: need a colour picture, this one has {image.shape[2]} channel(s)")
@@ -86,11 +78,7 @@ def tree_labels(tree: FileTree, name: str) -> UInt8[np.ndarray, "h w"]:
 
 
 def tree_json(tree: FileTree, name: str) -> Any:
-    """Content of a JSON file of a tree.
-
-    Raises:
-        InputError: it cannot be read, or is no JSON.
-    """
+    """Content of a JSON file of a tree."""
     return parse_json(tree.text(name), tree.where(name))
 
 
@@ -196,11 +184,7 @@ class TimedFiles:
 
 
 def timed_files(folder: Path, suffix: str) -> TimedFiles:
-    """The files of a folder that are named as `47333462_6845.210.png`: video (or nothing), time in seconds, suffix.
-
-    Raises:
-        InputError: two files of the same time.
-    """
+    """The files of a folder that are named as `47333462_6845.210.png`: video (or nothing), time in seconds, suffix."""
     found: dict[float, Path] = {}
     for entry in sorted(folder.glob(f"*{suffix}")):
         if match := TIMED.fullmatch(entry.name.removesuffix(suffix)):

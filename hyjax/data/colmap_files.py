@@ -60,11 +60,7 @@ PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4, 6, 2)
 
 
 def read_array(content: bytes, where: str) -> Float[np.ndarray, "h w"]:
-    """A depth map of COLMAP's dense reconstruction: `width&height&1&`, then float32 row by row.
-
-    Raises:
-        InputError: it is damaged or truncated.
-    """
+    """A depth map of COLMAP's dense reconstruction: `width&height&1&`, then float32 row by row."""
     head = content[:64].split(b"&", 3)
     try:
         width, height, channels = (int(word) for word in head[:3])

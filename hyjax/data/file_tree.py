@@ -67,28 +67,16 @@ class FileTree:
 
     @property
     def folder(self) -> Path:
-        """The folder on disk, for readers that need one.
-
-        Raises:
-            InputError: it is an archive.
-        """
+        """The folder on disk, for readers that need one."""
         return self._root / self._top
 
     def read(self, name: str) -> bytes:
-        """Content of a file.
-
-        Raises:
-            InputError: there is none of this name, or it cannot be read.
-        """
+        """Content of a file."""
         return read_bytes(self._file(name), self.where(name), LARGEST_READ)
 
     @contextlib.contextmanager
     def local(self, name: str) -> Iterator[Path]:
-        """A file's path on disk: its own, or, of an archive, that of a copy that is there for the block alone.
-
-        Raises:
-            InputError: there is none of this name, or it cannot be read.
-        """
+        """A file's path on disk: its own, or, of an archive, that of a copy that is there for the block alone."""
         yield self._file(name)
 
     @contextlib.contextmanager
@@ -96,9 +84,6 @@ class FileTree:
         """A file opened for reading from any place in it, for the block alone.
 
         Of an archive it is a copy on disk, which is made once and is there as long as the tree.
-
-        Raises:
-            InputError: there is none of this name, or it cannot be read.
         """
         with open_regular(self._file(name), self.where(name)) as file:
             yield file
@@ -127,11 +112,7 @@ class FileTree:
         return digest_of(str(self._root), self._marks())
 
     def text(self, name: str, most: int = LARGEST_TEXT) -> str:
-        """A text file of at most so many bytes.
-
-        Raises:
-            InputError: it cannot be read, is no UTF-8, or is larger than any capture's.
-        """
+        """A text file of at most so many bytes."""
         if name in self:
             check_most(self.size(name), most, self.where(name))
         return as_text(self.read(name), self.where(name))

@@ -51,11 +51,7 @@ def shrink(frame: Frame, longest: int) -> Frame:
 
 
 def select_frames(text: str, count: int) -> list[int]:
-    """Frame indices from `all`, `7`, `0:300:30` (as Python slices) or a comma-separated list of these.
-
-    Raises:
-        InputError: not of this form, past the end of the capture, or nothing selected.
-    """
+    """Frame indices from `all`, `7`, `0:300:30` (as Python slices) or a comma-separated list of these."""
     chosen: list[int] = []
     for part in text.split(","):
         fields = ["", "", ""] if part.strip() == "all" else part.strip().split(":")
@@ -77,11 +73,7 @@ def select_frames(text: str, count: int) -> list[int]:
 
 
 def spread(items: Sequence[T], count: int) -> list[T]:
-    """At most `count` of the items, evenly spread, first and last among them; none if there are none.
-
-    Raises:
-        InputError: `count` is less than 1.
-    """
+    """At most `count` of the items, evenly spread, first and last among them; none if there are none."""
     if count < 1:
         raise InputError(f"frames: must be at least 1, got {count}")
     if not items:

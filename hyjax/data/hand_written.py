@@ -14,9 +14,6 @@ def check_keys(where: str, content: Any, known: Collection[str], required: Colle
         content: the entry.
         known: keys that it may have, in the order in which they are told.
         required: those that it must have.
-
-    Raises:
-        InputError: no mapping, an unknown key (the nearest right one is named), or a missing one.
     """
     if not isinstance(content, dict):
         raise InputError(f"{where}: must be a mapping with {', '.join(known)}")

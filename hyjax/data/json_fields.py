@@ -12,11 +12,7 @@ from hyjax.util.errors import InputError
 
 
 def json_object(tree: FileTree, name: str) -> dict[str, Any]:
-    """The object that a JSON file of a tree holds.
-
-    Raises:
-        InputError: it cannot be read, or holds something else.
-    """
+    """The object that a JSON file of a tree holds."""
     content = tree_json(tree, name)
     if not isinstance(content, dict):
         raise InputError(f"{tree.where(name)}: need a JSON object, got {_kind(content)}")
@@ -31,9 +27,6 @@ def json_number(fields: Mapping[str, Any], key: str, where: str, *, default: flo
         key: in it.
         where: the file, for messages.
         default: where there is no such key; None if there must be one.
-
-    Raises:
-        InputError: there is none, or it is no finite number.
     """
     if default is not None and key not in fields:
         return default
@@ -41,11 +34,7 @@ def json_number(fields: Mapping[str, Any], key: str, where: str, *, default: flo
 
 
 def json_count(fields: Mapping[str, Any], key: str, where: str) -> int:
-    """A whole number of at least one, such as a picture's width.
-
-    Raises:
-        InputError: there is none, or it is another number.
-    """
+    """A whole number of at least one, such as a picture's width."""
     number = json_number(fields, key, where)
     if not number.is_integer() or not 1 <= number <= 1 << 20:
         raise InputError(f"{where}: {key}: need a whole number from 1 to {1 << 20}, got {number:g}")
@@ -53,11 +42,7 @@ def json_count(fields: Mapping[str, Any], key: str, where: str) -> int:
 
 
 def json_list(fields: Mapping[str, Any], key: str, where: str) -> list[Any]:
-    """A list of an object.
-
-    Raises:
-        InputError: there is none.
-    """
+    """A list of an object."""
     value = _value(fields, key, where)
     if not isinstance(value, list):
         raise InputError(f"{where}: {key}: need a list, got {_kind(value)}")
@@ -75,9 +60,6 @@ def json_numbers(
         count: of numbers.
         where: the file, for messages.
         finite: whether NaN and infinite numbers, which some programs write for an unknown pose, are refused.
-
-    Raises:
-        InputError: there is none, or it is another list.
     """
     return number_list(_value(fields, key, where), count, f"{where}: {key}", finite=finite)
 
@@ -96,9 +78,6 @@ class Fields:
     Args:
         content: as `json` gives it.
         where: what messages call it.
-
-    Raises:
-        InputError: it is no object.
     """
 
     def __init__(self, content: Any, where: str) -> None:
@@ -118,22 +97,14 @@ class Fields:
         return json_count(self._content, key, self.where)
 
     def flag(self, key: str, default: bool) -> bool:
-        """True or false; `default` where there is no such key.
-
-        Raises:
-            InputError: it is something else.
-        """
+        """True or false; `default` where there is no such key."""
         value = self._content.get(key, default)
         if not isinstance(value, bool):
             raise InputError(f"{self.where}: {key}: need true or false, got {_kind(value)}")
         return value
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A text; `default` where there is no such key, if one is given.
-
-        Raises:
-            InputError: there is none, or it is something else.
-        """
+        """A text; `default` where there is no such key, if one is given."""
         value = default if default is not None and key not in self else _value(self._content, key, self.where)
         if not isinstance(value, str):
             raise InputError(f"{self.where}: {key}: need a text, got {_kind(value)}")
@@ -144,22 +115,14 @@ class Fields:
         return json_numbers(self._content, key, count, self.where, finite=finite)
 
     def rows(self, key: str, width: int) -> Float[np.ndarray, "h width"]:
-        """Lists of so many numbers each, NaN where one is not finite.
-
-        Raises:
-            InputError: there are none, or they are something else.
-        """
+        """Lists of so many numbers each, NaN where one is not finite."""
         lists = json_list(self._content, key, self.where)
         what = f"{self.where}: {key}"
         read = [number_list(row, width, f"{what}[{place}]", finite=False) for place, row in enumerate(lists)]
         return np.array(read).reshape(-1, width)
 
     def objects(self, key: str) -> "list[Fields]":
-        """A list of objects.
-
-        Raises:
-            InputError: there is none.
-        """
+        """A list of objects."""
         entries = json_list(self._content, key, self.where)
         return [Fields(entry, f"{self.where}: {key}[{place}]") for place, entry in enumerate(entries)]
 

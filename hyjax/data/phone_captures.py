@@ -44,11 +44,7 @@ def pose_from_quaternion(
 def lens_of(
     shape: tuple[int, int], focal_and_centre: Sequence[float], where: str, *, shift: float = 0.0
 ) -> Intrinsics:
-    """Intrinsics of pictures of (height, width) from fx, fy, cx, cy; `shift` is added to cx and cy.
-
-    Raises:
-        InputError: they belong to no picture of this size.
-    """
+    """Intrinsics of pictures of (height, width) from fx, fy, cx, cy; `shift` is added to cx and cy."""
     fx, fy, cx, cy = (float(value) for value in focal_and_centre)
     height, width = shape
     try:
@@ -100,11 +96,7 @@ def whole_file(tree: FileTree, name: str, what: str, faults: Tally) -> str | Non
 
 
 def shape_of_pictures(tree: FileTree, names: Sequence[str]) -> tuple[int, int]:
-    """(height, width) of a capture's pictures, by the header of the first.
-
-    Raises:
-        InputError: there is no picture, or its header cannot be read.
-    """
+    """(height, width) of a capture's pictures, by the header of the first."""
     if not names:
         raise InputError(f"{tree.path}: has no pictures that can be read")
     return tree_shape(tree, names[0])
@@ -124,9 +116,6 @@ def usable_shots(reads: Iterable[Callable[[], Shot | None]], faults: Tally) -> l
     Args:
         reads: each reads one frame; None for one that has been counted already.
         faults: of the capture.
-
-    Raises:
-        InputError: not one can be used; the first one's.
     """
     shots: list[Shot] = []
     first: InputError | None = None

@@ -50,9 +50,6 @@ def open_polycam(tree: FileTree) -> Recording:
     """Open raw data. Cameras are read and checked now, pictures and depth when asked for.
 
     Keyframes that the app has not corrected are left out of a scan that it has.
-
-    Raises:
-        InputError: no keyframe has a picture and a pose, or no camera's file has what is needed.
     """
     faults, remarks = Tally(), Tally()
     corrected = bool(tree.below(CORRECTED, ".json") and tree.below("keyframes/corrected_images"))

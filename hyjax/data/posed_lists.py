@@ -11,21 +11,13 @@ from hyjax.util.errors import InputError
 
 
 def table_rows(tree: FileTree, name: str) -> list[list[str]]:
-    """The rows of a text file, each its words; commas and tabs part words too, `#` begins a comment.
-
-    Raises:
-        InputError: it cannot be read.
-    """
+    """The rows of a text file, each its words; commas and tabs part words too, `#` begins a comment."""
     lines = (line.partition("#")[0].replace(",", " ") for line in tree.text(name).splitlines())
     return [words for words in map(str.split, lines) if words]
 
 
 def floats(words: list[str], where: str, row: int) -> list[float]:
-    """Numbers of a row, NaN and infinite ones too; those that no capture has are infinite.
-
-    Raises:
-        InputError: a word is none.
-    """
+    """Numbers of a row, NaN and infinite ones too; those that no capture has are infinite."""
     try:
         numbers = [float(word) for word in words]
     except ValueError:

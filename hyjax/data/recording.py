@@ -73,9 +73,6 @@ class Recording(Capture):
         remarks: what is worth telling, a line each.
         turn: whether pictures are turned upright by quarter turns, all by the same.
         metric, depth_in_units: see `Capture`.
-
-    Raises:
-        InputError: no shot has a picture, two have one name, or a pose is none.
     """
 
     def __init__(
@@ -123,11 +120,7 @@ class Recording(Capture):
         return len(self._pictures)
 
     def __getitem__(self, index: int) -> Frame:
-        """The frame at a position; IndexError beyond the end ends a `for` loop.
-
-        Raises:
-            InputError: a file is damaged or of another size than its intrinsics.
-        """
+        """The frame at a position; IndexError beyond the end ends a `for` loop."""
         shot = self._pictures[index]
         assert shot.picture is not None
         image = shot.picture()
@@ -217,11 +210,7 @@ to_opengl = from_opengl
 
 
 def mean_up(poses: Sequence[Float[np.ndarray, "4 4"]], where: Path | str) -> Float[np.ndarray, "3"]:
-    """Unit mean of the cameras' up directions.
-
-    Raises:
-        InputError: they cancel out.
-    """
+    """Unit mean of the cameras' up directions."""
     up = -np.mean([pose[:3, 1] for pose in poses], axis=0)
     length = float(np.linalg.norm(up))
     if not length > 0.1:

@@ -57,11 +57,7 @@ def is_redwood(tree: FileTree) -> bool:
 
 
 def open_redwood(tree: FileTree) -> Recording:
-    """Open a scene in the layout of Redwood or Open3D.
-
-    Raises:
-        InputError: poses or intrinsics cannot be read, or no picture has a pose.
-    """
+    """Open a scene in the layout of Redwood or Open3D."""
     log, folder = _log_name(tree), _folder(tree)
     assert log is not None and folder is not None
     faults: Reasons = []

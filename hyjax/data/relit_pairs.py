@@ -88,9 +88,6 @@ def open_relit_pairs(folder: Path, width: int = WIDTH) -> list[RelitPair]:
     Args:
         folder: of the scenes, or a scene's own.
         width: see `WIDTH`.
-
-    Raises:
-        InputError: no such folder, no pair in it, or a file that cannot be used.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
@@ -167,11 +164,7 @@ def _picture(file: Path, camera: Camera, factor: int) -> Frame:
 
 
 def _rig(file: Path) -> _Rig:
-    """Cameras of a `calib.txt`.
-
-    Raises:
-        InputError: it cannot be read, or a value is missing.
-    """
+    """Cameras of a `calib.txt`."""
     text = read_bytes(file, most=LARGEST_CALIBRATION).decode("utf-8", errors="replace")
     values = {name: value.strip() for name, value in re.findall(r"^\s*(\w+)\s*=(.*)$", text, re.MULTILINE)}
 

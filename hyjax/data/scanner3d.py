@@ -50,9 +50,6 @@ def open_scanner3d(tree: FileTree) -> Recording:
     """Open a raw export. Poses are read and checked now, pictures and depth when asked for.
 
     Moments without a picture give their depth to fusion alone.
-
-    Raises:
-        InputError: no moment has a picture and a pose, or no JSON file has what is needed.
     """
     faults, remarks = Tally(), Tally()
     moments = {match[1]: name for name in tree.below("") if (match := MOMENT.fullmatch(name))}

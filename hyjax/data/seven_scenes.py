@@ -80,11 +80,7 @@ class SevenScenes(Capture):
         return len(self._numbers)
 
     def __getitem__(self, index: int) -> Frame:
-        """Frame at a position in number order (not its number). IndexError beyond the end ends a `for` loop.
-
-        Raises:
-            InputError: a picture is damaged or of another size than the intrinsics.
-        """
+        """Frame at a position in number order (not its number). IndexError beyond the end ends a `for` loop."""
         number, pose = self._numbers[index], self._poses[index]
         image = tree_colour(self._tree, self._colours[number])
         depth = self._depth(index, image.shape[:2]) if self._has_depth else None

@@ -31,9 +31,6 @@ class Trajectory:
         times: seconds, ascending.
         poses: camera-to-world, metres.
         where: what to call it in messages.
-
-    Raises:
-        InputError: fewer than two poses, or times that do not ascend.
     """
 
     def __init__(
@@ -64,11 +61,7 @@ class Trajectory:
         return right > 0 and bool(self.times[right] - self.times[right - 1] <= LARGEST_GAP)
 
     def pose_at(self, time: float) -> Float[np.ndarray, "4 4"]:
-        """The camera-to-world pose at `time`, never extrapolated.
-
-        Raises:
-            InputError: the time is not covered.
-        """
+        """The camera-to-world pose at `time`, never extrapolated."""
         if not self.covers(time):
             raise InputError(
                 f"{self._where}: no pose at {time:.3f} s; poses run from {self.times[0]:.3f} to "

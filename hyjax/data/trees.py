@@ -20,9 +20,6 @@ def open_tree(path: Path) -> FileTree:
         >>> _ = (folder / "note.txt").write_text("two\\n")
         >>> open_tree(folder).text("note.txt")
         'two\\n'
-
-    Raises:
-        InputError: there is nothing at this path, or an archive that is damaged or not safe to open.
     """
     path = Path(path)
     try:

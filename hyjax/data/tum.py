@@ -57,11 +57,7 @@ def is_tum(tree: FileTree) -> bool:
 
 
 def open_tum(tree: FileTree) -> Recording:
-    """Open a sequence in TUM's layout.
-
-    Raises:
-        InputError: a list cannot be read, or no picture has a pose.
-    """
+    """Open a sequence in TUM's layout."""
     faults: Reasons = []
     remarks: list[str] = []
     trajectory = _trajectory(tree, faults)

@@ -35,9 +35,6 @@ class VideoFrames:
     Args:
         tree: of the file; from an archive it is copied to a temporary file, which lives as long as this object.
         name: of the file in it.
-
-    Raises:
-        InputError: `av` is not installed, or the file holds no video that can be read.
     """
 
     def __init__(self, tree: FileTree, name: str) -> None:
@@ -66,11 +63,7 @@ class VideoFrames:
         return len(self._times)
 
     def read(self, index: int) -> Float[np.ndarray, "h w 3"]:
-        """The picture at a position, display-encoded in [0, 1].
-
-        Raises:
-            InputError: it cannot be decoded.
-        """
+        """The picture at a position, display-encoded in [0, 1]."""
         if not 0 <= index < len(self):
             raise InputError(f"{self._where}: has {len(self)} pictures, none at position {index}")
         with self._lock:
@@ -128,11 +121,7 @@ def _colours(frame: "av.VideoFrame") -> UInt8[np.ndarray, "h w 3"]:
 
 @contextlib.contextmanager
 def new_video(path: Path) -> Iterator[Any]:
-    """PyAV's container of a new MP4 file. Python writes the file, as FFmpeg may not tell of a full disk.
-
-    Raises:
-        InputError: `av` is not installed.
-    """
+    """PyAV's container of a new MP4 file. Python writes the file, as FFmpeg may not tell of a full disk."""
     av = import_av(f"writing {path.name}")
     with path.open("wb") as file, av.open(file, "w", format="mp4") as container:
         yield container
@@ -143,9 +132,6 @@ def import_av(what: str) -> Any:
 
     Args:
         what: needs it, for the message.
-
-    Raises:
-        InputError: it is not installed.
     """
     return optional_module("av", "captures", what)
 

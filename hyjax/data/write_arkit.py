@@ -36,9 +36,6 @@ def write_arkit(capture: Capture, out: Path, progress: bool = True) -> int:
 
     Returns:
         The number of frames, without those that are damaged.
-
-    Raises:
-        InputError: `out` is in use or cannot be written, or no frame can be read.
     """
     turn = turned_up(capture.up, Z_UP)
     poses: list[tuple[str, Float[np.ndarray, "4 4"]]] = []

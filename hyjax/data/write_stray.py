@@ -41,9 +41,6 @@ def write_stray(capture: Capture, out: Path, progress: bool = True) -> int:
 
     Returns:
         The number of frames, without those that are damaged.
-
-    Raises:
-        InputError: `out` is in use, `av` is not installed, pictures differ in size, or no frame can be read.
     """
     av = import_av("writing rgb.mp4")
     turn = turned_up(capture.up, Y_UP)

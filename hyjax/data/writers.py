@@ -42,9 +42,6 @@ def write_7scenes(capture: Capture, out: Path, progress: bool = True) -> int:
 
     Returns:
         The number of frames, without those that are damaged.
-
-    Raises:
-        InputError: `out` is in use or cannot be written, or no frame can be read.
     """
     lens: Intrinsics | None = None
     without: list[str] = []
@@ -84,9 +81,6 @@ def write_nerfstudio(capture: Capture, out: Path, progress: bool = True) -> int:
 
     Returns:
         The number of frames, without those that are damaged.
-
-    Raises:
-        InputError: `out` is in use or cannot be written, or no frame can be read.
     """
     entries = []
     with new_folder(out) as folder:
@@ -122,11 +116,7 @@ def write_nerfstudio(capture: Capture, out: Path, progress: bool = True) -> int:
 
 
 def each_frame(capture: Capture, progress: bool) -> Iterator[tuple[int, Frame]]:
-    """The frames of a capture, counted from 0, and a bar on stderr. Damaged ones are left out with a line.
-
-    Raises:
-        InputError: a frame is damaged and the capture is strict, or all are.
-    """
+    """The frames of a capture, counted from 0, and a bar on stderr. Damaged ones are left out with a line."""
     number = 0
     for index in tqdm(range(len(capture)), "writing", unit="frame", leave=False, disable=not progress):
         try:

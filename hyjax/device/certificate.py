@@ -14,14 +14,7 @@ VALID_DAYS = 30
 
 
 def tls_context(host: str) -> ssl.SSLContext:
-    """TLS context of a server with a new self-signed certificate for an address.
-
-    Args:
-        host: address or name that browsers open.
-
-    Raises:
-        InputError: the package cryptography is missing.
-    """
+    """TLS context of a server with a new self-signed certificate for an address."""
     optional_module("cryptography", "device", "https")
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
@@ -61,11 +54,7 @@ def tls_context(host: str) -> ssl.SSLContext:
 
 
 def qr_code(address: str) -> str:
-    """QR code of an address for the terminal.
-
-    Raises:
-        InputError: the package segno is missing.
-    """
+    """QR code of an address for the terminal."""
     segno = optional_module("segno", "device", "qr code")
     text = io.StringIO()
     segno.make(address, error="l", micro=False).terminal(out=text, compact=True, border=2)

@@ -65,9 +65,6 @@ def light_records(
         slack: of shadow maps, see `hyjax.light.shadow_map.ShadowMap`.
         resolutions: texels a side of a map with one view, and of each of several.
         uniform: whether ambient light is kept; bounces stand in its place.
-
-    Raises:
-        InputError: too many lights, or one of a kind that the shaders do not have.
     """
     if len(lights) > MOST_LIGHTS:
         raise InputError(f"webgpu: {len(lights)} lights; the shaders take at most {MOST_LIGHTS}")

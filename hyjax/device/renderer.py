@@ -205,11 +205,7 @@ def frame_record(
 
 
 def emitter_vectors(emitters: Emitters) -> Float[np.ndarray, "n 4"]:
-    """Vectors of panes and lamps for `wgsl/composite.wgsl`.
-
-    Raises:
-        InputError: there are too many.
-    """
+    """Vectors of panes and lamps for `wgsl/composite.wgsl`."""
     panes, lamps = np.asarray(emitters.panes), np.asarray(emitters.lamps)
     if len(panes) + len(lamps) > MOST_EMITTERS:
         raise InputError(f"webgpu: {len(panes) + len(lamps)} windows and lamps; at most {MOST_EMITTERS}")

@@ -35,11 +35,7 @@ class ServeSettings(Settings):
 
 
 def open_folder(settings: ServeSettings) -> "Server":
-    """Open a server of a folder.
-
-    Raises:
-        InputError: no such folder, none with a page, or it cannot be listened at the address.
-    """
+    """Open a server of a folder."""
     from hyjax.device.server import FolderSite, Server
 
     folder = settings.folder

@@ -91,9 +91,6 @@ class Server:
         port: to listen at; 0 for any free one.
         secret: whether addresses contain a random token, where other machines can reach the server.
         page: first page.
-
-    Raises:
-        InputError: it cannot be listened there, or a package is missing.
     """
 
     def __init__(

@@ -17,11 +17,7 @@ FAR_DEPTH = {"depth_clear_value": 0.0}
 
 
 def open_device(precision: str = "f32") -> Any:
-    """Open a wgpu device of the best adapter.
-
-    Raises:
-        InputError: the package wgpu or a driver is missing, or half precision where requested.
-    """
+    """Open a wgpu device of the best adapter."""
     os.environ.setdefault("WGPU_FORCE_OFFSCREEN", "1")
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # else drivers complain on stderr
     wgpu = optional_module("wgpu", "device", "webgpu")

@@ -27,9 +27,6 @@ def export_bench(settings: ExportSettings) -> Path:
 
     Args:
         settings: of which the size, the number of lights and the guide's channels count.
-
-    Raises:
-        InputError: settings that cannot be used, or the folder cannot be written.
     """
     settings.check()
     scene = Scene.open(settings.scene, progress=not settings.quiet)
@@ -46,11 +43,7 @@ def export_bench(settings: ExportSettings) -> Path:
 
 
 def write_bench(folder: Path, workload: DeviceWorkload, *, quiet: bool = True) -> Path:
-    """Write the page for a workload; the folder.
-
-    Raises:
-        InputError: it cannot be written.
-    """
+    """Write the page for a workload; the folder."""
     make_writable(folder)
     schedules = calibration_schedules(workload)
     request = latency_request(workload, schedules)

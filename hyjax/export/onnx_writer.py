@@ -46,11 +46,7 @@ REDUCTIONS = {"reduce_sum": "ReduceSum", "reduce_max": "ReduceMax", "reduce_min"
 
 
 def write_onnx(graph: Graph) -> bytes:
-    """The graph as a serialised ONNX model.
-
-    Raises:
-        InputError: it contains an operation that has no translation here.
-    """
+    """The graph as a serialised ONNX model."""
     closed = jax.make_jaxpr(graph.flat)(*graph.specs)
     writer = Writer()
     inner = writer.function(closed, [port.name for port in graph.inputs])

@@ -83,11 +83,7 @@ def pack_scene(arrays: SceneArrays) -> PackedArrays:
 
 
 def describe_scene(scene: Scene, setup: LightSetup, arrays: SceneArrays) -> dict[str, Any]:
-    """What the scripts need to know of a scene to light it: the mirror of `hyjax.device.renderer`.
-
-    Raises:
-        InputError: a kind of light without a shader, or too many lights, windows or lamps.
-    """
+    """What the scripts need to know of a scene to light it: the mirror of `hyjax.device.renderer`."""
     light_records(setup.lights, scene.occluders.mesh)
     emitters, photo = scene.photo_light.emitters(setup), scene.photo_light
     panes: Any = []

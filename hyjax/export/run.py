@@ -46,11 +46,7 @@ def export_file(settings: ExportSettings) -> Path:
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder, each whole; those in a folder of their own appear together with it.
-
-    Raises:
-        InputError: they cannot be written.
-    """
+    """Write files into a folder, each whole; those in a folder of their own appear together with it."""
     for top in dict.fromkeys(name.partition("/")[0] for name in files):
         inside = {name: content for name, content in files.items() if name.partition("/")[0] == top}
         if top in inside:

@@ -53,9 +53,6 @@ def export_web(settings: Any) -> dict[str, Any]:
 
     Returns:
         See `write_page`.
-
-    Raises:
-        InputError: anything that it refuses.
     """
     check_page_folder(settings.out)
     if settings.guide not in (None, "rgb"):

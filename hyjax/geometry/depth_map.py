@@ -46,11 +46,7 @@ PosedDepth = DepthFrame | DepthReading | tuple[Float[np.ndarray, "h w"], Camera]
 
 
 def posed_depths(frames: Iterable[PosedDepth]) -> Iterator[DepthReading]:
-    """Depth maps of frames, one at a time.
-
-    Raises:
-        InputError: a frame without depth, or depth of another size than its camera.
-    """
+    """Depth maps of frames, one at a time."""
     for number, frame in enumerate(frames):
         if isinstance(frame, tuple):
             reading = DepthReading(*frame)

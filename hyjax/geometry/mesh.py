@@ -75,11 +75,7 @@ def submesh(mesh: trimesh.Trimesh, chosen: Bool[np.ndarray, "m"]) -> trimesh.Tri
 
 
 def save_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
-    """Write a mesh with its vertex normals as binary PLY or GLB (float32), by a temporary name and a rename.
-
-    Raises:
-        InputError: unknown extension or a place that cannot be written to.
-    """
+    """Write a mesh with its vertex normals as binary PLY or GLB (float32), by a temporary name and a rename."""
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in WRITABLE:

@@ -81,9 +81,6 @@ def thinned(points: Float[np.ndarray, "n 3"], voxel: float) -> Float[np.ndarray,
     Args:
         points: finite, metres.
         voxel: edge of a cell, metres.
-
-    Raises:
-        InputError: an unusable voxel, or a point a million cells or more from the origin.
     """
     if not (voxel > 0 and np.isfinite(voxel)):
         raise InputError(f"voxel: must be > 0 metres, got {voxel:g}")

@@ -73,9 +73,6 @@ class Rasterizer:
     Args:
         vertices: world metres; copied, like the triangles.
         triangles: numbers of vertices.
-
-    Raises:
-        InputError: a triangle names a vertex that there is not.
     """
 
     def __init__(self, vertices: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "m 3"]) -> None:

@@ -116,9 +116,6 @@ def simulate_scan(
         config: the scanner.
         seed: of all its errors.
         progress: show a bar on stderr.
-
-    Raises:
-        InputError: no frames, frames without depth, nothing left to fuse.
     """
     config = config or ScanConfig()
     views = simulate_sensors(frames, config, seed)
@@ -129,11 +126,7 @@ def simulate_scan(
 def simulate_sensors(
     frames: PosedDepths, config: ScanConfig, seed: int
 ) -> Iterator[tuple[Float[np.ndarray, "h w"], Camera]]:
-    """The depth maps that `simulate_scan` makes its mesh of.
-
-    Raises:
-        InputError: no frames.
-    """
+    """The depth maps that `simulate_scan` makes its mesh of."""
     if len(frames) == 0:
         raise InputError("scan: no frames given; need at least one with depth")
     chosen = np.unique(np.linspace(0, len(frames) - 1, config.frames).round().astype(int))

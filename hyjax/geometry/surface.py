@@ -35,9 +35,6 @@ def extract_surface(
 
     Returns:
         Mesh without degenerate triangles, wound so that its normals point into free space.
-
-    Raises:
-        InputError: no surface, or a box around it too large for memory.
     """
     solid = ((distance < 0) & observed).any(axis=1)
     if not solid.any():
@@ -87,9 +84,6 @@ def zero_crossing(
     Args:
         volume: positive in free space.
         mask: which voxels were observed; a cell counts if all its eight corners were.
-
-    Raises:
-        InputError: nothing crosses zero.
     """
     near_zero = np.abs(volume) < OFF_ZERO
     volume[near_zero] = np.where(volume[near_zero] < 0, -OFF_ZERO, OFF_ZERO)

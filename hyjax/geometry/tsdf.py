@@ -150,11 +150,7 @@ class Volume:
     def of_arrays(
         cls, voxel: float, truncation: float, keys: np.ndarray, sums: np.ndarray, weights: np.ndarray
     ) -> "Volume":
-        """A volume as it was.
-
-        Raises:
-            InputError: the arrays are none of a volume's.
-        """
+        """A volume as it was."""
         kinds = keys.dtype == np.int64 and sums.dtype == weights.dtype == np.float32
         if not kinds or keys.ndim != 1 or not sums.shape == weights.shape == (len(keys), BLOCK**3):
             raise InputError("these arrays are none of a volume's")

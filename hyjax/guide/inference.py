@@ -75,9 +75,6 @@ class Guide:
 
         Args:
             display: display-encoded, in [0, 1], of any size; one of bytes is divided by 255.
-
-        Raises:
-            InputError: not an H×W×3 picture in floating point.
         """
         return _features(self._graph, self._state, display)
 
@@ -112,9 +109,6 @@ def load_guide(path: str | os.PathLike[str], name: str | None = None) -> Guide:
     Args:
         path: see `hyjax.guide.weights.load_network`.
         name: its name in tables; by default the file's name.
-
-    Raises:
-        InputError: the file cannot be read or is of another network, or its κ or norm make no sense.
     """
     network, metadata = load_network(path)
     kappa = kappa_of(metadata, path)

@@ -80,9 +80,6 @@ class LiveScene:
         shadow_scale: see `SHADOW_SCALE`.
         most_blocks: see `LiveVolume`.
         workers: threads that integrate; as many as processors if None.
-
-    Raises:
-        InputError: unusable parameters.
     """
 
     def __init__(
@@ -164,11 +161,7 @@ class LiveScene:
 
     @property
     def mesh(self) -> trimesh.Trimesh:
-        """Surface as a mesh.
-
-        Raises:
-            InputError: there is none yet.
-        """
+        """Surface as a mesh."""
         return self._now().caster.mesh
 
     # ---- pictures are relit ----
@@ -185,11 +178,7 @@ class LiveScene:
 
     @property
     def caster(self) -> RayCaster:
-        """The surface.
-
-        Raises:
-            InputError: there is none yet.
-        """
+        """The surface."""
         return self._now().caster
 
     def frame(self, index: int | Frame) -> Frame:
@@ -207,22 +196,14 @@ class LiveScene:
         return self.caster.gbuffer_by_rays(camera) if rays else self.caster.gbuffer(camera)
 
     def view(self, frame: Frame) -> View:
-        """View of any frame, on the surface as it is now.
-
-        Raises:
-            InputError: there is none yet.
-        """
+        """View of any frame, on the surface as it is now."""
         fitted = self.frame(frame)
         return view_of(fitted, self.gbuffer(fitted.camera))
 
     def lights(
         self, lights: LightSetup | Sequence[Light] | str | Path, *, at_photo_sources: bool = False
     ) -> LightSetup:
-        """Light set-up; its name or file would need the whole room.
-
-        Raises:
-            InputError: it is a name or file.
-        """
+        """Light set-up; its name or file would need the whole room."""
         if isinstance(lights, str | Path):
             raise InputError(f"live: {lights}: set-ups are placed in a finished scan; give the lights themselves")
         return LightSetup.of(lights)
@@ -241,9 +222,6 @@ class LiveScene:
             lights: a set-up, or lights.
             occluders: the surface throws them, whatever is asked.
             scale, most_views: see `cast_shadow_maps`; the scale is relative to the scene's own.
-
-        Raises:
-            InputError: there is no surface yet.
         """
         surface, scale = self._now(), scale * self._scale
         return tuple(
@@ -254,11 +232,7 @@ class LiveScene:
     def surface_light(
         self, lights: LightSetup | Sequence[Light], *, shadows: bool = True, occluders: Occluders = "completed"
     ) -> SurfaceLight:
-        """Not known of a surface that changes.
-
-        Raises:
-            InputError: always.
-        """
+        """Not known of a surface that changes."""
         raise InputError("live: the photo's light is not known while the surface changes")
 
     def _now(self) -> LiveSurface:
@@ -302,9 +276,6 @@ def relight_live(
             says which of its choices are not followed.
         scene: that the frames join; a new one if None.
         rate: renewals of the surface for each second of frames.
-
-    Raises:
-        InputError: lights or configuration cannot be used.
     """
     scene = LiveScene() if scene is None else scene
     chosen = Configuration.of(configuration)

@@ -41,9 +41,6 @@ def live_frames(source: str, *, stop_after: float | None = None) -> Iterator[Fra
     Args:
         source: one of these.
         stop_after: end when a folder has not grown for so many seconds; None to look for ever.
-
-    Raises:
-        InputError: there is no such folder, or no phone.
     """
     if source == "-":
         return read_live_frames(sys.stdin.buffer)
@@ -55,11 +52,7 @@ def live_frames(source: str, *, stop_after: float | None = None) -> Iterator[Fra
 
 
 def known_up(source: str) -> Float[np.ndarray, "3"] | None:
-    """Unit vector against gravity that a source knows: a phone's y, a folder's file; None if it knows none.
-
-    Raises:
-        InputError: the folder's `gravity-direction.txt` cannot be used.
-    """
+    """Unit vector against gravity that a source knows: a phone's y, a folder's file; None if it knows none."""
     if source == "record3d":
         return Y_UP
     file = Path(source) / "gravity-direction.txt"
@@ -138,9 +131,6 @@ def record3d_frames(device: int = 0) -> Iterator[Frame]:
 
     Args:
         device: number of the phone, if several are connected.
-
-    Raises:
-        InputError: the package `record3d` is missing, no phone is connected, or it sends nothing.
     """
     try:
         from record3d import Record3DStream

@@ -50,9 +50,6 @@ class LiveVolume(Volume):
         truncation: half width of the band around the surface in metres; 4 voxels unless given.
         most_blocks: beyond so many the blocks that were seen longest ago are dropped.
         tolerance: see `TOLERANCE`.
-
-    Raises:
-        InputError: unusable parameters.
     """
 
     def __init__(

@@ -39,9 +39,6 @@ class CapturePairs:
         indices: of the frames to take; a surface is made of these alone.
         depth: where it is from, see this module.
         progress: show a bar on stderr while fusing.
-
-    Raises:
-        InputError: the capture has no depth, or it is not registered to the pictures.
     """
 
     unit: Unit = "metres"
@@ -74,11 +71,7 @@ class CapturePairs:
         return len(self._frames)
 
     def __getitem__(self, index: int) -> DepthPair:
-        """Pair at a position among the chosen frames.
-
-        Raises:
-            InputError: a file is damaged, or a frame has no depth at all.
-        """
+        """Pair at a position among the chosen frames."""
         frame = self._frames[index]
         where = f"{self.name} {frame.name}"
         if self._caster is None:

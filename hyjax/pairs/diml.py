@@ -45,11 +45,7 @@ LAYOUTS = (
 
 
 def open_diml(path: Path) -> FilePairs:
-    """Open all scenes in a folder and below.
-
-    Raises:
-        InputError: no such folder, no scene in it, or a file without its partner.
-    """
+    """Open all scenes in a folder and below."""
     files: dict[str, Files] = {}
     for parent in folders(path):
         for layout in LAYOUTS:

@@ -44,11 +44,7 @@ class FilePairs:
         return len(self._names)
 
     def __getitem__(self, index: int) -> DepthPair:
-        """Pair at a position.
-
-        Raises:
-            InputError: a file is damaged, sizes differ, or there is no depth at all.
-        """
+        """Pair at a position."""
         name = self._names[index]
         color, *rest = self._files[name]
         depth, valid = self._read(tuple(rest))
@@ -56,11 +52,7 @@ class FilePairs:
 
 
 def named(folder: Path, ending: str = "", suffixes: tuple[str, ...] = PICTURES) -> dict[str, Path]:
-    """Files of a folder whose stem ends in `ending`, by the rest of the stem; dangling links do not count.
-
-    Raises:
-        InputError: two files of the same name.
-    """
+    """Files of a folder whose stem ends in `ending`, by the rest of the stem; dangling links do not count."""
     found: dict[str, Path] = {}
     for file in sorted(folder.iterdir()):
         if file.suffix.lower() in suffixes and file.stem.endswith(ending) and file.is_file():
@@ -72,11 +64,7 @@ def named(folder: Path, ending: str = "", suffixes: tuple[str, ...] = PICTURES) 
 
 
 def matched(*kinds: dict[str, Path]) -> dict[str, Files]:
-    """Match files of the same name: the first kind are pictures, the others belong to them.
-
-    Raises:
-        InputError: one lacks its partner; the first such one is named.
-    """
+    """Match files of the same name: the first kind are pictures, the others belong to them."""
     names = sorted({name for kind in kinds for name in kind}, key=natural)
     for name in names:
         here = [kind[name] for kind in kinds if name in kind]
@@ -91,11 +79,7 @@ def matched(*kinds: dict[str, Path]) -> dict[str, Files]:
 
 
 def folders(path: Path) -> list[Path]:
-    """List a folder and all folders in it, at any depth, in order.
-
-    Raises:
-        InputError: no such folder.
-    """
+    """List a folder and all folders in it, at any depth, in order."""
     if not path.is_dir():
         raise InputError(f"{path}: no such folder; give a folder of pictures with depth")
     return sorted(Path(folder) for folder, _, _ in os.walk(path, followlinks=True))

@@ -22,9 +22,6 @@ def open_folder(path: Path, steps: str = "millimetres") -> FilePairs:
     Args:
         path: the folder.
         steps: unit of the stored depth, a key of `STEPS`.
-
-    Raises:
-        InputError: no such folder, no pairs in it, a picture without depth or the reverse, or an unknown unit.
     """
     if steps not in STEPS:
         hint = did_you_mean(steps, STEPS)

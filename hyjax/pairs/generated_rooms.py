@@ -59,9 +59,6 @@ class GeneratedRooms:
             views: pictures of each room.
             cached: keep finished rooms on disk, all views of a room at a time, for later epochs.
             cache_dir: where; None for `hyjax.util.cache.cache_folder()`.
-
-        Raises:
-            InputError: a number out of range.
         """
         if seed < 0 or views < 1 or not 32 <= size <= 4096:
             raise InputError(

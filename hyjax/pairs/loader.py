@@ -55,9 +55,6 @@ class PairLoader:
         shard: (index, count) of this host: it gets every count-th batch.
         augment: whether crops are rescaled, mirrored and recoloured, or only cut out.
         threads: that make batches ahead of time; 0 makes them on demand.
-
-    Raises:
-        InputError: a number out of range.
     """
 
     def __init__(
@@ -104,11 +101,7 @@ class PairLoader:
         return {"stream": self._stream, "position": self._batches.get_state()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from a position.
-
-        Raises:
-            InputError: it is of another stream.
-        """
+        """Continue from a position."""
         if state.get("stream") != self._stream:
             raise InputError("pairs: cannot resume, the sources or the settings of their crops have changed")
         self._batches.set_state(state["position"])

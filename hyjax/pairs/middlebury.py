@@ -36,11 +36,7 @@ LARGEST_OFFSET = 1e6
 
 
 def open_middlebury(path: Path) -> FilePairs:
-    """Open all scenes in a folder and below, every view with a disparity.
-
-    Raises:
-        InputError: no such folder, no scene in it, or a file without its partner.
-    """
+    """Open all scenes in a folder and below, every view with a disparity."""
     scenes = folders(path)
     files = matched(named(path, "_rgb"), named(path, "_disparity"))
     for scene in scenes:

@@ -35,11 +35,7 @@ MOST_CHUNK_BYTES = 1 << 28
 
 
 class NyuPairs:
-    """Pairs (`DepthPairs`) of a labelled file.
-
-    Raises:
-        InputError: h5py is not installed, or the file is no labelled one.
-    """
+    """Pairs (`DepthPairs`) of a labelled file."""
 
     unit: Unit = "metres"
 
@@ -69,11 +65,7 @@ class NyuPairs:
         return self._count
 
     def __getitem__(self, index: int) -> DepthPair:
-        """Pair at a position.
-
-        Raises:
-            InputError: the file is damaged, or there is no depth at all.
-        """
+        """Pair at a position."""
         index = range(self._count)[index]
         with self._opened(f"damaged at picture {index}") as file:
             image, depth, raw = (np.asarray(file[name][index]).T for name in ARRAYS)

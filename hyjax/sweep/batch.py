@@ -59,11 +59,7 @@ class Outcome:
 
 
 def name_of(function: Function) -> str:
-    """Name `module:name` of a module's function, also where the module runs as `__main__`.
-
-    Raises:
-        InputError: it cannot be imported by a worker.
-    """
+    """Name `module:name` of a module's function, also where the module runs as `__main__`."""
     module = function.__module__
     if module == "__main__":
         spec = getattr(sys.modules[module], "__spec__", None)
@@ -98,11 +94,7 @@ def run_batch(batch: TaskBatch) -> Outcome:
 
 
 def _do(task: Task, function: str, writer: RowWriter, outcome: Outcome) -> None:
-    """Compute a task and write its row; an error of this task alone goes into the outcome.
-
-    Raises:
-        InputError: the row cannot be written.
-    """
+    """Compute a task and write its row; an error of this task alone goes into the outcome."""
     call = _function(function)
     start = time.perf_counter()
     try:

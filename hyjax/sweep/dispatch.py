@@ -70,11 +70,7 @@ class Dispatch:
         return size
 
     def finished(self, batch: TaskBatch, outcome: Outcome) -> Iterator[Row]:
-        """Rows of a batch that has come back.
-
-        Raises:
-            InputError: rows cannot be written any more.
-        """
+        """Rows of a batch that has come back."""
         if outcome.computed:
             mean = outcome.seconds / outcome.computed
             # The first of a scene compiles: what takes less time is believed at once.

@@ -20,21 +20,13 @@ class Pool(Protocol):
     """Pool of workers for batches."""
 
     def places(self, timing: bool) -> int:
-        """Number of batches to have under way at a time.
-
-        Raises:
-            InputError: there is no worker for them.
-        """
+        """Number of batches to have under way at a time."""
 
     def submit(self, batch: TaskBatch, timing: bool) -> None:
         """Submit a batch."""
 
     def collect(self) -> list[tuple[TaskBatch, Outcome | None]]:
-        """Batches ended since the last call, at least one; without outcome where the worker died.
-
-        Raises:
-            InputError: there are no workers any more.
-        """
+        """Batches ended since the last call, at least one; without outcome where the worker died."""
 
     def close(self) -> None:
         """End the workers."""

@@ -68,11 +68,7 @@ class RowStore:
         return sorted(self.folder.glob("rows-*.jsonl"))
 
     def refresh(self) -> "RowStore":
-        """Read rows appended since the last call, and return the store.
-
-        Raises:
-            InputError: a file cannot be read.
-        """
+        """Read rows appended since the last call, and return the store."""
         for path in self.files():
             start = self._ends.get(path, 0)
             try:
@@ -136,11 +132,7 @@ class RowStore:
         return len(self._repeated)
 
     def take_over(self, driver: str, tell: Callable[[str], None]) -> None:
-        """Make `driver` the only one whose batches may write, and wait for batches of others.
-
-        Raises:
-            InputError: another's is still at work after a minute.
-        """
+        """Make `driver` the only one whose batches may write, and wait for batches of others."""
         write_text(self.folder / DRIVER_FILE, driver)
         end, announced = time.monotonic() + TAKE_OVER_SECONDS, False
         for path in self.files() if fcntl else ():
@@ -167,14 +159,7 @@ def _row(file: BinaryIO, place: _Place) -> Row:
 
 
 class RowWriter:
-    """Writer of a new file of rows, of this process alone.
-
-    Args:
-        folder: for it.
-
-    Raises:
-        InputError: it cannot be made.
-    """
+    """Writer of a new file of rows, of this process alone."""
 
     def __init__(self, folder: Path) -> None:
         number, name = 0, f"rows-{socket.gethostname()}-{os.getpid()}"
@@ -203,11 +188,7 @@ class RowWriter:
                     fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def add(self, row: Row) -> None:
-        """Append a row atomically.
-
-        Raises:
-            InputError: it cannot be written, as on a full disk.
-        """
+        """Append a row atomically."""
         line = (json.dumps(_finite(row)) + "\n").encode()
         try:
             append(self._file, line)

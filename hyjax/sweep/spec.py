@@ -143,11 +143,7 @@ def _scene(scene: str, folder: Path) -> str:
 
 
 def frames_of(spec: Spec, scene: str) -> list[int]:
-    """Frames of a scene, by position.
-
-    Raises:
-        InputError: the capture cannot be opened, or has no such frame.
-    """
+    """Frames of a scene, by position."""
     if scene.startswith(ROOM):
         count = ROOM_PHOTOS
     else:
@@ -162,11 +158,7 @@ def frames_of(spec: Spec, scene: str) -> list[int]:
 
 
 def configurations_of(spec: Spec) -> dict[str, dict[str, Any]]:
-    """Configurations by name, in JSON's types.
-
-    Raises:
-        InputError: no such name, or a file that cannot be read.
-    """
+    """Configurations by name, in JSON's types."""
     if isinstance(spec.configurations, Draws):
         draws = spec.configurations
         drawn = random_configurations(draws.count, draws.seed)

@@ -32,9 +32,6 @@ class Arriving:
         source: see `live_frames`, or the frames themselves.
         size: (height, width) that is worked at; None as they come, but no wider than `widest`.
         widest: pixels.
-
-    Raises:
-        InputError: there is no such source.
     """
 
     def __init__(
@@ -50,11 +47,7 @@ class Arriving:
         self._follower = Follower(scene, frames, self._arrived, drop=source in ("-", "record3d")).start()
 
     def first_renderer(self, guide: FrameGuide, folder: Path) -> LiveRenderer:
-        """Renderer of the first frames, once they have a surface.
-
-        Raises:
-            InputError: the frames end before there is any.
-        """
+        """Renderer of the first frames, once they have a surface."""
         begun = None
         while True:
             done = self._follower.wait(0.02)

@@ -16,22 +16,14 @@ def clamp_number(value: Any, low: float, high: float) -> float:
 
 
 def checked_flag(value: Any) -> bool:
-    """True or False; anything else is refused, for text such as "no" would count as true.
-
-    Raises:
-        InputError: it is neither.
-    """
+    """True or False; anything else is refused, for text such as "no" would count as true."""
     if not isinstance(value, bool):
         raise InputError(f"must be true or false, got {shown(value)}")
     return value
 
 
 def check_rays(origin: Any, directions: Any) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "*n 3"]]:
-    """Start of rays, and their directions as unit vectors.
-
-    Raises:
-        InputError: they are not finite numbers, or a direction is zero.
-    """
+    """Start of rays, and their directions as unit vectors."""
     try:
         start, rays = np.asarray(origin, float), np.asarray(directions, float)
     except (TypeError, ValueError):

@@ -33,13 +33,7 @@ DAY_LENGTH = len("2026-06-21")
 
 
 class Controls:
-    """Shared control panel.
-
-    Args:
-        session: the plan that it changes.
-        gui: of the server.
-        viewers: by the number of their browser.
-    """
+    """Shared control panel."""
 
     def __init__(self, session: Session, gui: viser.GuiApi, viewers: Mapping[int, Viewer]) -> None:
         self.session, self._gui, self._viewers = session, gui, viewers

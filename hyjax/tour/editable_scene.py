@@ -169,11 +169,7 @@ class EditableScene:
         return bool(back.sum() > 0.5 * np.isfinite(distances).sum())
 
     def piece_mesh(self, piece: Piece) -> trimesh.Trimesh | None:
-        """The surface of a piece where it was scanned; None if there is nothing at its seed but the room itself.
-
-        Raises:
-            InputError: its file cannot be read.
-        """
+        """The surface of a piece where it was scanned; None if there is nothing at its seed but the room itself."""
         if piece.file:
             return self._parts(("file", piece.file), lambda: self._load_upload(piece.file))
         faces = self._faces(piece)

@@ -51,9 +51,6 @@ class Tour:
         schedules: to choose from, by name; the first is the default.
         out: folder that exports and the plan are written to, and nothing else is.
         host, port: where to listen.
-
-    Raises:
-        InputError: the port is in use, the folder cannot be written, or a plan in it cannot be used.
     """
 
     def __init__(

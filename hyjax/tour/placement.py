@@ -77,9 +77,6 @@ def draw_window(
         corners: rays through its corners, in any order.
         points, normals: the surface in the rectangle; may be none.
         up: against gravity, world axes.
-
-    Raises:
-        InputError: there is no wall, it is viewed from the side, or the window is too small.
     """
     walls = [place_window(point, normal, up) for point, normal in zip(points, normals, strict=True)]
     if not walls:

@@ -130,11 +130,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     existing: dict[Annotated[str, msgspec.Meta(max_length=80, pattern=SOURCE_NAME)], Factor] = {}
 
     def check(self) -> "TourPlan":
-        """Return self if it is valid.
-
-        Raises:
-            InputError: a value of the wrong type, not finite or out of range, or too many of anything.
-        """
+        """Return self if it is valid."""
         _converted(msgspec.to_builtins(self, enc_hook=_plain))._check_geometry()
         return self
 
@@ -161,11 +157,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return any(lamp.kind == "candle" and lamp.on for lamp in self.lamps)
 
     def date(self) -> datetime.date:
-        """`day` as a date.
-
-        Raises:
-            InputError: it is none.
-        """
+        """`day` as a date."""
         try:
             day = datetime.date.fromisoformat(self.day)
         except ValueError:

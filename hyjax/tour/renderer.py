@@ -72,9 +72,6 @@ class Renderer:
         keep_photo_light: whether to leave the light that the frames were taken under in the pictures, and bounces
             out.
         configuration: sampling, shadow pass and light of the pictures.
-
-    Raises:
-        InputError: the file that names the photo's sources cannot be used.
     """
 
     live = False

@@ -65,9 +65,6 @@ class RoomLight:
         photo: estimated now, if it was not before.
         layers: keeps the shadow maps and bounces of each light.
         configuration: its choices of the light on the surface are followed.
-
-    Raises:
-        InputError: the file that names the photo's sources cannot be used.
     """
 
     def __init__(

@@ -22,11 +22,7 @@ UNREADABLE = (msgspec.MsgspecError, KeyError, TypeError, ValueError, AttributeEr
 
 
 def open_server(host: str, port: int) -> viser.ViserServer:
-    """A server that neither draws on the terminal, nor opens a tunnel, nor talks to pages of other sites.
-
-    Raises:
-        InputError: the port cannot be listened at.
-    """
+    """A server that neither draws on the terminal, nor opens a tunnel, nor talks to pages of other sites."""
     check_port(host, port)
     with contextlib.redirect_stdout(io.StringIO()):  # viser draws a box
         server = viser.ViserServer(host, port, label="hyjax room tour", verbose=False)

@@ -40,9 +40,6 @@ class Session:
         schedules: to choose from, by name; the first is the default.
         out: folder that exports and the plan are written to, and nothing else is.
         queue: renders what the viewers request.
-
-    Raises:
-        InputError: the folder cannot be written, or a plan in it cannot be used.
     """
 
     def __init__(

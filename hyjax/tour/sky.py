@@ -72,9 +72,6 @@ def sky_at(day: datetime.date, hour: float, latitude: float, weather: Weather) -
         hour: local mean solar time in [0, 24].
         latitude: degrees, north positive.
         weather: one of `Weather`.
-
-    Raises:
-        InputError: an hour, latitude or weather out of range, or the extra `tour` is missing.
     """
     if weather not in get_args(Weather):
         raise InputError(f"weather: {weather!r} is unknown; use one of {', '.join(get_args(Weather))}")

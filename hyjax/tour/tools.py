@@ -20,11 +20,7 @@ UPLOADS = (".ply", ".obj", ".glb")
 
 
 def use_tool(session: Session, tool: str, origin: Any, direction: Any) -> None:
-    """Use a tool where a ray meets the scene: `window`, `furniture`, or a kind of lamp.
-
-    Raises:
-        InputError: the ray meets nothing, or what it meets cannot be used.
-    """
+    """Use a tool where a ray meets the scene: `window`, `furniture`, or a kind of lamp."""
     start, ray = check_rays(origin, direction)
     scene = session.renderer.scene
     hit = scene.pick(session.plan, start, ray)
@@ -39,11 +35,7 @@ def use_tool(session: Session, tool: str, origin: Any, direction: Any) -> None:
 
 
 def add_drawn_window(session: Session, origin: Any, rays: Float[np.ndarray, "n n 3"]) -> None:
-    """Add a window that was drawn: rays through a rectangle, row by row.
-
-    Raises:
-        InputError: see `draw_window`.
-    """
+    """Add a window that was drawn: rays through a rectangle, row by row."""
     start, rays = check_rays(origin, rays)
     renderer = session.renderer
     points, normals = renderer.scene.visible_surface(session.plan, start, rays.reshape(-1, 3))
@@ -52,11 +44,7 @@ def add_drawn_window(session: Session, origin: Any, rays: Float[np.ndarray, "n n
 
 
 def add_mesh(session: Session, frame: int, name: str, content: bytes) -> None:
-    """Put a mesh file into the room, on the floor in front of a frame's camera.
-
-    Raises:
-        InputError: the file is of another format, too large, damaged, or not in metres.
-    """
+    """Put a mesh file into the room, on the floor in front of a frame's camera."""
     suffix = Path(name).suffix.lower()
     if suffix not in UPLOADS:
         raise InputError(f"{Path(name).name}: give a mesh as {', '.join(UPLOADS)}, in metres")

@@ -55,11 +55,7 @@ class Checkpoints:
             raise InputError(f"{self.folder}: cannot write a checkpoint ({error.strerror or error})") from None
 
     def restore(self, like: TrainState) -> tuple[TrainState, Any]:
-        """Read the newest checkpoint, for a state of the same shapes as `like`.
-
-        Raises:
-            InputError: it cannot be read.
-        """
+        """Read the newest checkpoint, for a state of the same shapes as `like`."""
         abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
         items = ocp.args.Composite(state=ocp.args.StandardRestore(abstract), position=ocp.args.JsonRestore())
         latest = self.latest()

@@ -22,9 +22,6 @@ class TrainingLog:
         folder: of the run.
         settings: written to `settings.json` by `open`.
         resume: whether to go on with the run that is there.
-
-    Raises:
-        InputError: the folder holds a run and `resume` is not set, or one with other settings.
     """
 
     def __init__(self, folder: Path, settings: TrainSettings, resume: bool) -> None:

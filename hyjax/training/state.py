@@ -69,9 +69,6 @@ class Updater:
     Args:
         settings: see there.
         started: whether a state will be restored, so that there is no need of weights to start from.
-
-    Raises:
-        InputError: the batch cannot be divided among the devices, or there are no weights to start from.
     """
 
     def __init__(self, settings: TrainSettings, started: bool = False) -> None:

@@ -32,15 +32,7 @@ HEADINGS = ("frame", "source", "under the frame", "under the guide", "truth", "c
 
 
 class Validation:
-    """Validation on the same crops, lamps and tints every time.
-
-    Args:
-        updater: with the network and settings.
-        sources: of the crops.
-
-    Raises:
-        InputError: a source has no usable crop.
-    """
+    """Validation on the same crops, lamps and tints every time."""
 
     def __init__(self, updater: Updater, sources: Sequence[DepthPairs]) -> None:
         self.updater, self.settings = updater, updater.settings

@@ -51,11 +51,7 @@ class Workbench:
         return self._names[index]
 
     def case(self, index: int) -> Case | None:
-        """Frame `index` as a case; None if no ray meets the rough mesh or none meets the accurate one.
-
-        Raises:
-            InputError: the frame cannot be read.
-        """
+        """Frame `index` as a case; None if no ray meets the rough mesh or none meets the accurate one."""
         frame = self.scene.frame(index)
         self._names[index] = frame.name
         view = view_of(frame, self.scene.gbuffer(frame.camera))
@@ -127,9 +123,6 @@ def open_scenes(
 
     Returns:
         The second is None where the target is the converged diffusion on the rough surface.
-
-    Raises:
-        InputError: any of these cannot be used.
     """
     if capture is None:
         capture = settings.open_capture(progress=progress)

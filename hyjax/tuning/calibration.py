@@ -131,11 +131,7 @@ def time_calls(
     most_seconds: float | None = MOST_SECONDS,
     progress: bool = False,
 ) -> dict[str, Milliseconds]:
-    """Time calls in turns, by name, see `measure_each`.
-
-    Raises:
-        InputError: no repeats.
-    """
+    """Time calls in turns, by name, see `measure_each`."""
     check_repeats(repeats)
     summary = latency.measure_each(calls, repeats, most_seconds=most_seconds, progress=progress)
     return {name: Milliseconds(entry["median_ms"], entry["p95_ms"]) for name, entry in summary.items()}
@@ -151,9 +147,6 @@ def calibrate(
         factors: factors, coarse to fine.
         repeats: times each schedule runs, fewer if that would take more than half a minute.
         progress: show bars on stderr.
-
-    Raises:
-        InputError: no repeats.
     """
     steps = calibration_steps(factors)
     calls = compile_all([schedule_of(factors, row) for row in steps], arguments, progress=progress)

@@ -81,9 +81,6 @@ class CascadeStage(Stage):
         frames: indices to tune on.
         holdout: indices that are only reported on.
         latency: of another device, in the place of this machine's.
-
-    Raises:
-        InputError: no frame sees the mesh, or times that cannot be used.
     """
 
     name: BudgetStage = "cascade"

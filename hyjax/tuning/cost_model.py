@@ -42,21 +42,13 @@ class CostModel:
     finest: tuple[Time, ...]
 
     def __call__(self, steps: Sequence[int | float]) -> float:
-        """Milliseconds for a schedule with these steps over the factors; a level with 0 steps is left out.
-
-        Raises:
-            InputError: not one entry for each factor, a negative one, or none above 0.
-        """
+        """Milliseconds for a schedule with these steps over the factors; a level with 0 steps is left out."""
         row = row_of(checked_steps(steps, len(self.level)))
         return float(row @ np.concatenate([[self.fixed], self.level, self.step, self.finest]))
 
 
 def checked_steps(steps: Sequence[int | float], count: int) -> Sequence[int | float]:
-    """The steps, if they are those of a schedule over `count` factors.
-
-    Raises:
-        InputError: not one entry for each factor, a negative one, or none above 0.
-    """
+    """The steps, if they are those of a schedule over `count` factors."""
     if len(steps) != count:
         raise InputError(f"steps: need one number for each of {count} levels, got {len(steps)}")
     for value in steps:

@@ -28,11 +28,7 @@ DEFAULT_SCHEDULE = "hyjax"
 
 
 def latency_table(latency: DeviceLatency) -> LatencyTable:
-    """Latency table of a device: the cost model fitted to its times.
-
-    Raises:
-        InputError: schedules are missing from which the cost of a level follows.
-    """
+    """Latency table of a device: the cost model fitted to its times."""
     workload = latency.workload.plain()
     factors = factors_for(workload.height, workload.width)
     steps: list[tuple[int, ...]] = []
@@ -94,9 +90,6 @@ class DeviceEstimator(ScheduleClock):
         origin: where `latency` is from, for messages.
         connected: the device itself; without it times are predicted.
         whole_frame: whether the other stages of a frame count.
-
-    Raises:
-        InputError: another workload than the scene's, or schedules or stages are missing.
     """
 
     def __init__(
@@ -185,11 +178,7 @@ class FileTimes:
         return read_latency(self.path).fingerprint
 
     def __call__(self, case: Case) -> DeviceEstimator:
-        """Estimator for frames like this one.
-
-        Raises:
-            InputError: as `read_latency` and `DeviceEstimator`.
-        """
+        """Estimator for frames like this one."""
         workload = DeviceWorkload.of(workload_of(case))
         return DeviceEstimator(read_latency(self.path), workload, str(self.path), whole_frame=self.whole_frame)
 
@@ -211,11 +200,7 @@ class ConnectedTimes:
     fingerprint: str = "measured by the run"
 
     def __call__(self, case: Case) -> DeviceEstimator:
-        """Estimator for frames like this one.
-
-        Raises:
-            InputError: as `DeviceEstimator`, or the file cannot be used, or is of another device.
-        """
+        """Estimator for frames like this one."""
         workload = DeviceWorkload.of(workload_of(case))
         if self.kept is not None and self.resume and self.kept.exists():
             latency, origin = read_latency(self.kept), str(self.kept)

@@ -78,11 +78,7 @@ class _Job:
 
 
 class Measuring:
-    """The site. The first device that says hello is the one that is measured.
-
-    Args:
-        say: takes lines for the terminal.
-    """
+    """The site. The first device that says hello is the one that is measured."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self.say = lambda line: say("".join(c if c.isprintable() else "?" for c in line))
@@ -207,9 +203,6 @@ class ConnectedDevice:
         host: address to listen at, see `Server`.
         port: likewise.
         say: takes lines for the terminal.
-
-    Raises:
-        InputError: as `Server`.
     """
 
     def __init__(self, host: str, port: int, say: Callable[[str], None]) -> None:

@@ -178,9 +178,6 @@ def tune_guide_and_schedule(
         seed: of the order of frames.
         report: called with each iteration and its loss.
         expired: asked before each iteration whether to stop.
-
-    Raises:
-        InputError: no frame sees the mesh.
     """
     cases, _ = bench.cases(frames, "tuning", progress=False)
     trunks = [guide.trunk(to_display(case.frame)) for case in cases]
@@ -216,11 +213,7 @@ def tune_and_save(
     *,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """`tune_guide_and_schedule` for a tuning run: writes `guide.safetensors` and `joint.json`, returns the record.
-
-    Raises:
-        InputError: see `check_joint`; or a file cannot be written.
-    """
+    """`tune_guide_and_schedule` for a tuning run: writes `guide.safetensors` and `joint.json`, returns the record."""
     with tqdm(total=ITERATIONS, desc="guide and schedule", disable=not monitor.progress) as bar:
 
         def report(_: int, loss: float) -> None:

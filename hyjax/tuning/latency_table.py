@@ -68,19 +68,11 @@ class LatencyTable:
     timed: dict[str, Milliseconds] = dataclasses.field(default_factory=dict)
 
     def predict(self, steps: Sequence[int | float]) -> Milliseconds:
-        """What a schedule with these steps over the factors costs; a level with 0 steps is left out.
-
-        Raises:
-            InputError: as `CostModel` does.
-        """
+        """What a schedule with these steps over the factors costs; a level with 0 steps is left out."""
         return Milliseconds(self.median(steps), self.p95(steps))
 
     def steps_of(self, schedule: Schedule) -> tuple[int, ...]:
-        """A schedule's steps over the factors; levels without steps vanish.
-
-        Raises:
-            InputError: a level with steps that the table does not have.
-        """
+        """A schedule's steps over the factors; levels without steps vanish."""
         counts = {level.factor: level.steps for level in schedule.levels if level.steps}
         for factor in counts.keys() - set(self.factors):
             raise InputError(
@@ -145,9 +137,6 @@ def new_table(
         factors: factors, coarse to fine; those too coarse for the shapes are dropped.
         repeats: times each schedule runs, fewer if that would take more than half a minute.
         progress: show bars on stderr.
-
-    Raises:
-        InputError: factors that no schedule can have, or no repeats.
     """
     factors = factors_for(workload.height, workload.width, factors)
     found = calibration.calibrate(workload.arguments(), factors, repeats=repeats, progress=progress)
@@ -185,9 +174,6 @@ def time_schedules(
         repeats: times each schedule runs, fewer (at least ten) if that would take more than a minute.
         again: also time those that the table remembers.
         progress: show bars on stderr.
-
-    Raises:
-        InputError: a schedule that cannot be run, arguments that are not the workload's shapes, or no repeats.
     """
     keys = [schedule_key(schedule.check()) for schedule in schedules]
     wanted = {key: schedule for key, schedule in zip(keys, schedules) if again or key not in table.timed}
@@ -254,9 +240,6 @@ def load_table(
 
     Returns:
         The table, and in a few words where it is from.
-
-    Raises:
-        InputError: factors that no schedule can have.
     """
     factors = factors_for(workload.height, workload.width, factors)
     reason = "asked for"

@@ -23,9 +23,6 @@ def write_folder(folder: Path, texts: Mapping[str, str], stale: str) -> None:
         folder: made if it is not there.
         texts: by name.
         stale: pattern of the names that are removed where they are not among the texts.
-
-    Raises:
-        InputError: a file cannot be written.
     """
     make_writable(folder)
     for path in folder.glob(stale):

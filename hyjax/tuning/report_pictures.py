@@ -35,11 +35,7 @@ class Example:
 
 
 def data_uris(examples: Sequence[Example], most_bytes: int = MOST_BYTES) -> list[dict[str, str]]:
-    """Every picture as a `data:` address, by example and heading: as PNG if they fit, else as JPEG.
-
-    Raises:
-        InputError: more pictures than fit at any size.
-    """
+    """Every picture as a `data:` address, by example and heading: as PNG if they fit, else as JPEG."""
     for kind, width in ENCODINGS:
         total, found = 0, []
         for example in examples:

@@ -14,11 +14,7 @@ LEAST_MS, MOST_MS = 1e-6, 1e7
 
 
 def parse_budgets(fps: Sequence[float], budget_ms: Sequence[float]) -> list[Budget]:
-    """Budgets from frame rates and milliseconds, without repetitions.
-
-    Raises:
-        InputError: none, or one that is not finite and > 0.
-    """
+    """Budgets from frame rates and milliseconds, without repetitions."""
     budgets = {}
     for values, unit in ((fps, "fps"), (budget_ms, "ms")):
         for value in values:
@@ -40,9 +36,6 @@ def split_frames(count: int, frames: str | None, holdout: str | None) -> tuple[l
         count: frames in the capture.
         frames: as for `select_frames`; by default a few, spread over what is not held out.
         holdout: likewise; by default a few of the last quarter, or none if the capture is a single frame.
-
-    Raises:
-        InputError: not of this form, past the end, or nothing left to tune on.
     """
     last = range(count - max(1, count // 4), count)
     if holdout is not None:

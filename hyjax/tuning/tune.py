@@ -121,11 +121,7 @@ def _say(line: str) -> None:
 
 
 def write_request(settings: TuneSettings, path: Path) -> "LatencyRequest":
-    """Write which schedules another engine is to time, for frames of these settings.
-
-    Raises:
-        InputError: the settings cannot be used, no frame sees the mesh, or the file cannot be written.
-    """
+    """Write which schedules another engine is to time, for frames of these settings."""
     from hyjax.tuning.device_latency import DeviceWorkload
     from hyjax.tuning.device_request import calibration_schedules, latency_request, request_text
 

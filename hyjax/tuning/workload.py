@@ -36,9 +36,6 @@ class Workload:
         lights: channels of the filter.
         guide_channels: features of the guide.
         dtype: of filter and guide.
-
-    Raises:
-        InputError: a size below 1, an unknown dtype, or float64 while JAX runs without it.
     """
 
     height: int
@@ -67,11 +64,7 @@ class Workload:
         return jnp.asarray(y, self.dtype), jnp.asarray(confidence), jnp.asarray(guide, self.dtype)
 
     def on_device(self, arguments: Arguments) -> Arguments:
-        """Filter, confidence and guide on the default device.
-
-        Raises:
-            InputError: not of these shapes.
-        """
+        """Filter, confidence and guide on the default device."""
         size = self.height, self.width
         shapes = (*size, self.lights), (*size, 1), (*size, self.guide_channels)
         for name, array, shape in zip(("filter", "confidence", "guide"), arguments, shapes, strict=True):
@@ -86,11 +79,7 @@ class Workload:
 
 
 def factors_for(height: int, width: int, factors: Sequence[int] = FACTORS) -> tuple[int, ...]:
-    """Those of the factors that are not too coarse for a picture of this size.
-
-    Raises:
-        InputError: factors do not fall, are no multiples of each other, or are all too coarse.
-    """
+    """Those of the factors that are not too coarse for a picture of this size."""
     check_factors(factors)
     fitting = tuple(f for f in factors if f == 1 or min(level_shape((height, width), f)) >= FEWEST_CELLS)
     if not fitting:
@@ -99,11 +88,7 @@ def factors_for(height: int, width: int, factors: Sequence[int] = FACTORS) -> tu
 
 
 def check_factors(factors: Sequence[int]) -> None:
-    """Raise `InputError` unless a schedule can have these factors.
-
-    Raises:
-        InputError: none, one that is no whole number >= 1 or no multiple of the next.
-    """
+    """Raise `InputError` unless a schedule can have these factors."""
     whole = all(isinstance(f, int) and not isinstance(f, bool) and f >= 1 for f in factors)
     if not factors or not whole or any(c <= f or c % f for c, f in itertools.pairwise(factors)):
         raise InputError(f"factors: they must fall, each a multiple of the next, got {tuple(factors)}")

@@ -75,9 +75,6 @@ class Kind:
             name: of the argument.
             value: that was given.
             seen: arguments before it, to which it is added.
-
-        Raises:
-            InputError: it is of another kind.
         """
         if self.anything:
             return value

@@ -30,9 +30,6 @@ def claimed(folder: Path | None) -> Iterator[None]:
 
     None is no folder. The system keeps the claim with the open folder, so nothing is written. File systems without
     locks, and Windows, grant it always.
-
-    Raises:
-        InputError: another process has claimed it, or it cannot be opened.
     """
     if fcntl is None or folder is None:
         yield

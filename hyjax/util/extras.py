@@ -15,9 +15,6 @@ def optional_module(module: str, extra: str, where: str, *, besides: str = "") -
         where: who needs it, for the message.
         besides: a command that is needed after that of the extra.
 
-    Raises:
-        InputError: it is not installed.
-
     Example:
         >>> optional_module("no_such_package", "tour", "tour")
         Traceback (most recent call last):

@@ -33,11 +33,7 @@ _TEMPORARY = re.compile(r"\.(?P<name>.+)\.hyjax-[0-9a-f]{12}(?P<kind>\.part|\.ol
 
 @contextlib.contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """A temporary name beside `path` to write to: renamed to it if the block ends well.
-
-    Raises:
-        InputError: the file cannot be written, or nothing was. What was there before stays.
-    """
+    """A temporary name beside `path` to write to: renamed to it if the block ends well."""
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{_mark()}{PART}{path.suffix}")
     with contextlib.ExitStack() as held:
@@ -64,9 +60,6 @@ def new_folder(out: Path, *, replace: bool = False) -> Iterator[Path]:
     Args:
         out: the folder.
         replace: whether one that is there is replaced.
-
-    Raises:
-        InputError: `out` is there and neither to be replaced nor an empty folder, or cannot be written.
     """
     out = Path(out)
     if not replace and out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -196,11 +189,7 @@ def _names_to_disk(folder: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file if it is there.
-
-    Raises:
-        InputError: something is there that cannot be removed.
-    """
+    """Remove a file if it is there."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
@@ -214,11 +203,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def append_line(path: Path, text: str) -> None:
-    """Append a line to a file that is there: whole, or not at all.
-
-    Raises:
-        InputError: it cannot be written, as on a full disk.
-    """
+    """Append a line to a file that is there: whole, or not at all."""
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_APPEND)
         try:

@@ -43,11 +43,7 @@ def read_image(path: Path, where: str | None = None) -> Float[np.ndarray, "h w c
 
 
 def read_labels(path: Path, where: str | None = None) -> UInt8[np.ndarray, "h w"]:
-    """Read an 8-bit picture whose values are numbers, such as confidences of depth: its first channel as stored.
-
-    Raises:
-        InputError: the file is missing, truncated or not an 8-bit picture.
-    """
+    """Read an 8-bit picture whose values are numbers, such as confidences of depth: its first channel as stored."""
     return _read(path, where, only="uint8")[..., 0]
 
 
@@ -55,9 +51,6 @@ def picture_shape(path: Path, where: str | None = None) -> tuple[int, int]:
     """(height, width) of a picture; its pixels are not decoded.
 
     A PNG and a JPEG are gone through to their end all the same: damaged ones are refused.
-
-    Raises:
-        InputError: the file is missing, not a picture, or too large a one.
     """
     with _opened(Path(path), where or str(path)) as source:
         return source.spec().height, source.spec().width
@@ -70,9 +63,6 @@ def read_depth(path: Path, unit: float = 0.001, where: str | None = None) -> Flo
         path: a one-channel 16-bit picture.
         unit: metres per stored step.
         where: what messages call it, if not by its path.
-
-    Raises:
-        InputError: the file is missing, truncated or not a one-channel 16-bit picture.
     """
     raw = _read(path, where, only="uint16")
     if raw.shape[2] != 1:

@@ -13,11 +13,7 @@ PFM_HEADER = re.compile(rb"Pf\s+(\d{1,9})\s+(\d{1,9})\s+(-?[\d.eE+-]+)\s")
 
 
 def read_pfm(path: Path) -> Float[np.ndarray, "h w"]:
-    """Read a one-channel portable float map, unscaled: the scale in its header is not meant to be applied here.
-
-    Raises:
-        InputError: the file is missing, truncated or no such map.
-    """
+    """Read a one-channel portable float map, unscaled: the scale in its header is not meant to be applied here."""
     content = read_bytes(path)
     header = PFM_HEADER.match(content)
     if header is None:

@@ -45,12 +45,7 @@ class Declared(NamedTuple):
 
 
 def check_picture(path: Path, where: str) -> None:
-    """Raise `InputError` unless a file begins as a picture does, and decoders of PNG and JPEG can be let at it.
-
-    Args:
-        path: of the file.
-        where: what messages call it.
-    """
+    """Raise `InputError` unless a file begins as a picture does, and decoders of PNG and JPEG can be let at it."""
     with open_regular(path, where) as file:
         size = os.fstat(file.fileno()).st_size
         if size > LARGEST_FILE:

@@ -42,9 +42,6 @@ def open_regular(path: Path, where: str | None = None) -> BinaryIO:
     Args:
         path: of the file; links are followed.
         where: what messages call it, if not by its path.
-
-    Raises:
-        InputError: there is none, it cannot be read, or it is no regular file.
     """
     where = where or str(path)
     try:
@@ -105,11 +102,7 @@ def exists(path: Path) -> bool:
 
 
 def read_bytes(path: Path, where: str | None = None, most: int = LARGEST_TEXT) -> bytes:
-    """Content of a file.
-
-    Raises:
-        InputError: see `open_regular`; or it has more than `most` bytes.
-    """
+    """Content of a file."""
     where = where or str(path)
     with open_regular(path, where) as file:
         size = os.fstat(file.fileno()).st_size
@@ -124,20 +117,12 @@ def check_most(size: int, most: int, where: str) -> None:
 
 
 def read_text(path: Path, where: str | None = None, most: int = LARGEST_TEXT) -> str:
-    """A text file (UTF-8, with or without a byte order mark).
-
-    Raises:
-        InputError: see `read_bytes`; or it is not UTF-8.
-    """
+    """A text file (UTF-8, with or without a byte order mark)."""
     return as_text(read_bytes(path, where, most), where or str(path))
 
 
 def as_text(content: bytes, where: str) -> str:
-    """Bytes of UTF-8 as a text.
-
-    Raises:
-        InputError: they are none.
-    """
+    """Bytes of UTF-8 as a text."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -293,9 +278,6 @@ def _depth(value: Any) -> int:
 
 def finite(value: Any, where: str, *, least: float = -math.inf, most: float = math.inf) -> float:
     """A number of a file as a float.
-
-    Raises:
-        InputError: no number (a truth value or a text is none), not finite, or outside of `least` to `most`.
 
     Example:
         >>> finite(50, "lens.json, fx", least=1e-3)

@@ -27,11 +27,7 @@ class RunLog:
         self.path, self.lines, self._written = path, list(lines), False
 
     def add(self, line: Line) -> None:
-        """Append a line.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
+        """Append a line."""
         self.lines.append(line)
         if self.path is None:
             return
@@ -54,9 +50,6 @@ def read_lines(path: Path, is_line: Callable[[Line], object], what: str) -> list
         path: the file.
         is_line: whether an object is a line of such a file.
         what: name of such a line, for the message.
-
-    Raises:
-        InputError: the file cannot be read, or a line before the last is broken.
     """
     texts = read_bytes(path).splitlines()
     lines: list[Line] = []

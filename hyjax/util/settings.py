@@ -10,11 +10,7 @@ from hyjax.util.errors import InputError, did_you_mean
 
 
 class Settings:
-    """Base of settings dataclasses. Text is taken for a path and a list for a tuple where one is meant.
-
-    Raises:
-        InputError: a field of another type than it is annotated with.
-    """
+    """Base of settings dataclasses. Text is taken for a path and a list for a tuple where one is meant."""
 
     def __post_init__(self) -> None:
         for name, hint in typing.get_type_hints(type(self)).items():

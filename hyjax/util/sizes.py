@@ -7,11 +7,7 @@ LARGEST = 16384
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:
-    """(height, width) from 512 (square) or 640x480 (width x height); None stays None.
-
-    Raises:
-        InputError: not of this form, or a side outside 8 to 16384.
-    """
+    """(height, width) from 512 (square) or 640x480 (width x height); None stays None."""
     if text is None:
         return None
     fields = str(text).lower().split("x")

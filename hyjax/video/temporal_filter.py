@@ -152,9 +152,6 @@ def steady(
 
     Returns:
         Points that the last frame did not see as they were given; all of them if it saw hardly any.
-
-    Raises:
-        InputError: the memory has another number of channels.
     """
     kept, count = memory.channels.shape[-1], channels.shape[-1]
     if kept != count:

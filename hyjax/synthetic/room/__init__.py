@@ -56,11 +56,7 @@ def make_room(seed: int = 0) -> Room:
 
 
 def camera_path(room: Room, n_frames: int = 24, width: int = 640, height: int = 480) -> list[Camera]:
-    """Cameras along a hand-held way round `room`, evenly spaced, 62 degrees wide.
-
-    Raises:
-        InputError: no frame, or fewer than 16×16 pixels.
-    """
+    """Cameras along a hand-held way round `room`, evenly spaced, 62 degrees wide."""
     del room  # Furniture stands in the same places for every seed.
     return path.camera_path(n_frames, width, height)
 
@@ -79,9 +75,6 @@ def render_room(
     Returns:
         For each camera the display-encoded (sRGB) picture in 8-bit steps, float32 in [0, 1], and the exact depth in
         metres along the camera's axis, 0 outside the window.
-
-    Raises:
-        InputError: `quality` is not in [0.1, 2].
     """
     if not 0.1 <= quality <= 2:
         raise InputError(f"room: quality is {quality}, must lie in [0.1, 2]")

@@ -35,9 +35,6 @@ def lit_room(name: str, quality: float = 1.0) -> TruthRoom:
     Args:
         name: of the room; BY is `day`, `lamps` or `both`.
         quality: of light and textures; 1 for pictures to look at.
-
-    Raises:
-        InputError: no such name, or a quality outside [0.1, 2].
     """
     if not 0.1 <= quality <= 2:
         raise InputError(f"room: quality is {quality}, must lie in [0.1, 2]")

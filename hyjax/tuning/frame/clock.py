@@ -51,10 +51,6 @@ class FrameClock:
 
     G-buffer, light, guide, both cascades, composite and bytes count; reading, and what there is once a scene, does
     not.
-
-    Args:
-        scene: whose frames they are.
-        lights: the set-up.
     """
 
     def __init__(self, scene: TuningScene, lights: str) -> None:

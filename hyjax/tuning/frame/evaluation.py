@@ -32,12 +32,7 @@ class Scorer(Protocol):
 
 
 class Judge:
-    """Scores of configurations on cases.
-
-    Args:
-        scenes: that cases are of.
-        loss: what is scored.
-    """
+    """Scores of configurations on cases."""
 
     def __init__(self, scenes: Sequence[TuningScene], loss: PictureLoss) -> None:
         self.scenes, self.loss = scenes, loss
@@ -69,9 +64,6 @@ def evaluate(payload: Mapping[str, Any]) -> Scores:
     Args:
         payload: `scene`, `size` and `seed` (see `open_tuning_scene`), `lights`, `configuration` (as JSON's types),
             `frames`.
-
-    Raises:
-        InputError: any of these cannot be used.
     """
     scene, configuration = _opened(payload)
     cases = [(0, payload["lights"], int(index)) for index in payload["frames"]]
@@ -79,11 +71,7 @@ def evaluate(payload: Mapping[str, Any]) -> Scores:
 
 
 def time_frames(payload: Mapping[str, Any]) -> Scores:
-    """Milliseconds of a whole frame, as a task of plain data: the same payload as of `evaluate`.
-
-    Raises:
-        InputError: any of it cannot be used.
-    """
+    """Milliseconds of a whole frame, as a task of plain data: the same payload as of `evaluate`."""
     scene, configuration = _opened(payload)
     (time,) = FrameClock(scene, payload["lights"]).times([configuration], TIMED_FRAMES, most_seconds=30)
     return {"median_ms": time.median, "p95_ms": time.p95, "default_ms": time.default}

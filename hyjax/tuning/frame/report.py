@@ -50,13 +50,6 @@ def write_results(out: Path, tuned: Tuned) -> None:
     `configuration.json` is for the first budget; with several there is `configuration-60fps.json` and so on as
     well. `front` has a configuration for each point of the front, `pareto.csv` a row for each candidate and trial.
     Of the diffusion alone they are schedules: `schedule.json`.
-
-    Args:
-        out: a folder that is there.
-        tuned: what was found.
-
-    Raises:
-        InputError: a file cannot be written.
     """
     write_configurations(out, tuned)
     write_front(out / "front", tuned)
@@ -85,9 +78,6 @@ def write_configurations(out: Path, tuned: Tuned) -> list[Path]:
 
     Returns:
         The files, that for the first budget first.
-
-    Raises:
-        InputError: a file cannot be written.
     """
     stage, stem = tuned.stage, STEMS[tuned.stage]
     texts = {best_file(stage): text_of(tuned.configuration, stage)}
@@ -101,11 +91,7 @@ def write_configurations(out: Path, tuned: Tuned) -> list[Path]:
 
 
 def write_front(folder: Path, tuned: Tuned) -> None:
-    """Write the configurations of the front, by name, into a folder of their own; what was beaten since goes.
-
-    Raises:
-        InputError: a file cannot be written.
-    """
+    """Write the configurations of the front, by name, into a folder of their own; what was beaten since goes."""
     texts: dict[str, str] = {}
     for candidate in tuned.front:
         name = _free(file_stem(candidate.name, STEMS[tuned.stage]), texts)
@@ -125,9 +111,6 @@ def write_pareto_csv(path: Path, tuned: Tuned) -> None:
 
     Columns are `CSV_COLUMNS` and `score_columns`. Losses of candidates are on all tuning frames, those of trials on
     the first `cases`.
-
-    Raises:
-        InputError: the file cannot be written.
     """
     buffer = io.StringIO()
     table = csv.DictWriter(buffer, [*CSV_COLUMNS, *score_columns()], restval="", lineterminator="\n")

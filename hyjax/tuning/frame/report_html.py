@@ -54,9 +54,6 @@ def page(tuned: Tuned, examples: Sequence[Example]) -> str:
     Args:
         tuned: what was found.
         examples: pictures to look at; may be empty.
-
-    Raises:
-        InputError: there are more examples than fit.
     """
     here = Path(__file__).parent
     environment = templates(here, here.parent)

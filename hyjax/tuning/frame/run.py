@@ -44,9 +44,6 @@ def tune_frame(settings: TuneSettings, *, capture: Capture | None = None) -> Tun
     Args:
         settings: what to tune for and on.
         capture: frames that were opened before, in the place of those that the settings name.
-
-    Raises:
-        InputError: any of these cannot be used, or a budget is out of reach on this device.
     """
     if not settings.tunes_frame:
         raise InputError(
@@ -60,11 +57,7 @@ def tune_frame(settings: TuneSettings, *, capture: Capture | None = None) -> Tun
 
 @contextlib.contextmanager
 def opened(settings: TuneSettings) -> Iterator[RunMonitor]:
-    """The clock of a run whose folder is this process's alone.
-
-    Raises:
-        InputError: the folder cannot be used, or the device no longer works.
-    """
+    """The clock of a run whose folder is this process's alone."""
     monitor, out = RunMonitor(settings.time_limit, not settings.quiet), settings.out
     if out is not None:
         check_installed()

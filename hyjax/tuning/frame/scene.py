@@ -106,9 +106,6 @@ def open_room(name: str, size: str | None = None, seed: int = 0) -> TuningScene:
         name: see `check_room`.
         size: width x height of its pictures.
         seed: of its simulated scan.
-
-    Raises:
-        InputError: there is no such room, or the size is out of range.
     """
     height, width = parse_size(size or ROOM_SIZE) or (0, 0)
     capture = load_truth_room(check_room(name), ROOM_PHOTOS, width, height)
@@ -116,11 +113,7 @@ def open_room(name: str, size: str | None = None, seed: int = 0) -> TuningScene:
 
 
 def open_tuning_scene(source: str, size: str | None = None, seed: int = 0) -> TuningScene:
-    """Scene by name: `room:NAME`, the folder of a capture, or `built-in`.
-
-    Raises:
-        InputError: it cannot be used.
-    """
+    """Scene by name: `room:NAME`, the folder of a capture, or `built-in`."""
     if source.startswith(ROOM):
         return open_room(source.removeprefix(ROOM), size, seed)
     capture = None if source == "built-in" else Path(source)

@@ -314,9 +314,6 @@ def levels_of(text: str) -> Levels:
 
     >>> levels_of("16:3 8:4"), levels_of("none")
     (((16, 3), (8, 4)), ((4, 0),))
-
-    Raises:
-        InputError: it is none.
     """
     if text == NO_STEPS:
         return BARE

@@ -68,11 +68,7 @@ class Stage(abc.ABC):
 
     @abc.abstractmethod
     def base_time(self, study: Study, budgets: Sequence[Budget]) -> FrameTime:
-        """Time of the base.
-
-        Raises:
-            InputError: a budget is out of reach.
-        """
+        """Time of the base."""
 
     @abc.abstractmethod
     def limit(self, budget: Budget, base: FrameTime) -> float:
@@ -122,12 +118,7 @@ class Stage(abc.ABC):
 
 
 class FrameStage(Stage):
-    """The whole frame on this machine.
-
-    Args:
-        bench: scenes and cases.
-        settings: of the run.
-    """
+    """The whole frame on this machine."""
 
     name: BudgetStage = "frame"
     predicts, relaxes, turn = False, 1, GRADIENT_TURN

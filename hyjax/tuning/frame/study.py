@@ -142,11 +142,7 @@ class Study:
         return self._results[name]
 
     def add(self, space: Space, trial: Trial) -> None:
-        """Add a judged trial.
-
-        Raises:
-            InputError: the journal cannot be written.
-        """
+        """Add a judged trial."""
         if self._study is None:
             return
         import optuna
@@ -187,9 +183,6 @@ def kept_trials(path: Path, name: str = "frame") -> list[Trial]:
     Args:
         path: `study.log`.
         name: of the space that was searched.
-
-    Raises:
-        InputError: Optuna is not installed, or the file is no journal with trials of this name.
     """
     check_installed()
     import optuna
