@@ -69,7 +69,7 @@ Command = (
 
 
 def parse() -> Command:
-    """The command line. Exits with status 2 if it is none."""
+    """Settings of the command line. Exits with status 2 on a usage error."""
     # The defaults of `train`, and what its help says they are.
     recipe = paper_settings() if "--paper" in sys.argv else TrainSettings()
     commands = (

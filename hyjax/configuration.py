@@ -32,14 +32,14 @@ _log = logging.getLogger(__name__)
 SUFFIX = ".json"
 DEFAULT = "default"
 CUSTOM = "custom"
-"""Name of a configuration that has none of its own."""
+"""Name of an unnamed configuration."""
 FOLDER = Path(__file__).with_name("configurations")
 PRESETS = ("quality", "balanced", "fast")
 """Configurations that come with hyjax, chosen by `hyjax tune` over rooms of known truth."""
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a configuration was measured, and what it took.
+    """Measured times of a configuration, with device and size.
 
     Attributes:
         device: processor or graphics processor.
@@ -160,7 +160,7 @@ class Configuration:
         return getattr(getattr(self, choice.part) if choice.part else self, choice.key)
 
     def values(self) -> dict[str, Any]:
-        """Values of all choices that mean something beside each other, in the order of the table."""
+        """Values of all active choices, in the order of the table."""
         found = {name: self.value(name) for name in CHOICES}
         return {name: value for name, value in found.items() if CHOICES[name].active(found)}
 
@@ -259,7 +259,7 @@ class Configuration:
 
     @classmethod
     def from_json(cls, text: str | bytes) -> "Configuration":
-        """Read what `to_json` wrote.
+        """Configuration of the text that `to_json` writes.
 
         >>> Configuration.from_json('{"format": 1}')
         Traceback (most recent call last):

@@ -1,4 +1,4 @@
-"""`hyjax info`: what a capture holds; or versions, devices and optional parts."""
+"""`hyjax info`: contents of a capture; or versions, devices and optional parts."""
 
 import dataclasses
 import logging

@@ -1,4 +1,4 @@
-"""Choice: what one row of the table says."""
+"""Row of the table of choices."""
 
 import dataclasses
 from collections.abc import Callable, Mapping

@@ -11,7 +11,7 @@ from hyjax.util.errors import InputError
 from hyjax.util.reading import read_bytes
 
 SPLITS = ("raw_train_val_splits.csv", "metadata.csv")
-"""Tables of video and visit: the repository's, and the one that the downloader leaves beside the scans."""
+"""Tables of video and visit: the repository's, and the downloader's in the scans' folder."""
 LASER = "laser_scanner_point_clouds"
 
 

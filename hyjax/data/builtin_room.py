@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hyjax.geometry.scan import RenderedDepths, ScanConfig
 
 VERSION = 6
-"""Of what `hyjax.synthetic.room` makes. Add one whenever its geometry or its pictures change."""
+"""Version of the room of `hyjax.synthetic.room`. Add one whenever its geometry or its pictures change."""
 FRAME_RATE = 2.0
 """Pictures a second: the walk takes twelve seconds."""
 

@@ -68,7 +68,7 @@ class Frame:
 
 
 class Capture(abc.ABC):
-    """A sequence of frames of one place, with what else is known of the place.
+    """Sequence of frames of one place, with its mesh, lamps and gravity as far as they are known.
 
     Frames are read when asked for, so that long captures fit in memory. A format sets `name` and `up` and has
     `fingerprint`, `__len__` and `__getitem__`; the rest has defaults.
@@ -256,7 +256,7 @@ class DerivedCapture(Capture):
 
 
 class ChosenFrames(Capture):
-    """Some frames of a capture as a capture of their own: what is made from it depends on no other frame."""
+    """Selected frames of a capture, as a capture of their own that depends on no other frame."""
 
     def __init__(self, capture: Capture, indices: Sequence[int]) -> None:
         self.name, self.up, self.sensor = capture.name, capture.up, capture.sensor

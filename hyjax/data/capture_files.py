@@ -124,7 +124,7 @@ def short_names(files: Sequence[str]) -> list[str]:
 
 
 class Tally:
-    """Things that were noticed in a capture, counted by what they are.
+    """Counts of a capture's faults and remarks, by kind.
 
     Example:
         >>> tally = Tally()
@@ -184,7 +184,7 @@ class TimedFiles:
 
 
 def timed_files(folder: Path, suffix: str) -> TimedFiles:
-    """The files of a folder that are named as `47333462_6845.210.png`: video (or nothing), time in seconds, suffix."""
+    """Files of a folder named as `47333462_6845.210.png`: video (or nothing), time in seconds, suffix."""
     found: dict[float, Path] = {}
     for entry in sorted(folder.glob(f"*{suffix}")):
         if match := TIMED.fullmatch(entry.name.removesuffix(suffix)):

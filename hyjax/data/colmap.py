@@ -60,7 +60,7 @@ LENSES: dict[str, tuple[str, str]] = {
 
 
 def is_colmap(tree: FileTree) -> bool:
-    """Whether there is a model; not beside a `transforms.json`, which nerfstudio has made from it."""
+    """Whether there is a model and no `transforms.json`, which nerfstudio would have made from it."""
     return "transforms.json" not in tree and _model(tree) is not None
 
 
@@ -168,7 +168,7 @@ def _pictures(tree: FileTree, top: str) -> dict[str, str]:
 
 
 def _pose(image: Any) -> Float[np.ndarray, "4 4"] | None:
-    """Camera-to-world; None if it is none."""
+    """Camera-to-world pose; None if it is not a rigid motion."""
     to_camera = np.eye(4)
     to_camera[:3] = image.cam_from_world().matrix()
     exact = rigid(to_camera)
@@ -225,7 +225,7 @@ def _read_depth(tree: FileTree, name: str) -> DepthAndConfidence:
 
 
 def _scale(model: Any, chosen: dict[str, Any], shots: list[Shot]) -> tuple[float | None, str]:
-    """Metres in a unit of the model, by a sensor's depth at its sparse points; and the line that tells it."""
+    """Metres in a unit of the model, by a sensor's depth at its sparse points, and a remark that says so."""
     ratios: list[Float[np.ndarray, n]] = []
     for shot, image in spread([pair for pair in zip(shots, chosen.values()) if pair[0].depth], MOST_MEASURED):
         seen = [p.point3D_id for p in image.points2D if p.has_point3D() and model.exists_point3D(p.point3D_id)]

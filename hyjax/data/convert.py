@@ -89,7 +89,7 @@ def convert(settings: ConvertSettings) -> int:
 
 
 def relight_command(settings: ConvertSettings) -> str:
-    """The command that relights what was written: from its depth, or else with the device's mesh."""
+    """Command that relights the written capture: from its depth, or else with the device's mesh."""
     words = ["hyjax", "relight", "--capture", str(settings.out)]
     has_depth = (settings.out / "depth").is_dir() or any(settings.out.glob("*.depth.png"))
     if not has_depth and (settings.out / "mesh.ply").is_file():

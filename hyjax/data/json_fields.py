@@ -1,4 +1,4 @@
-"""Typed fields of JSON files: each is what the reader needs, or one line names the file and the key."""
+"""Typed fields of JSON files; an error names the file and the key."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -77,7 +77,7 @@ FORMS: dict[str, tuple[Any, str]] = {
     "list": (list, "a list of lights"),
     "any": (Any, "anything"),
 }
-"""Type that a value of each form has, and what an error says of it."""
+"""Type of the values of each form, and its description in errors."""
 
 
 def is_light_file(text: str) -> bool:
@@ -132,7 +132,7 @@ def write_lights(path: Path, setup: LightSetup) -> None:
 
 
 def _existing(where: str, content: Any) -> dict[str, tuple[float, float, float]]:
-    """What is left of each source of the photo."""
+    """Remaining share of each source of the photo."""
     if content is None:
         return {}
     if not isinstance(content, dict):
@@ -214,7 +214,7 @@ def _type(key: FileKey) -> Any:
 
 
 def _explain(where: str, value: Any, key: FileKey) -> str:
-    """One line on what is wrong with a key's value."""
+    """Description of the fault in a key's value."""
     if isinstance(key.form, tuple):
         try:
             _checked(f"{where}: {key.name}", value, key.form)

@@ -1,4 +1,4 @@
-"""What readers of phone captures share: depth with confidence, poses from quaternions, counts of what is wrong."""
+"""Depth with confidence, poses from quaternions and counts of faults, shared by readers of phone captures."""
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
@@ -17,12 +17,12 @@ ARKIT_LEVELS = (0, 1, 2)
 FARTHEST = 1e5
 """Metres from the world's origin beyond which a camera's position is taken for garbage."""
 PIXEL_CENTRE = 0.5
-"""What our principal point has more than ARKit's, whose pixel centres are at whole numbers: ARKit's own projection
+"""Offset of our principal point from ARKit's, whose pixel centres are at whole numbers: ARKit's own projection
 matrices, which 3D Scanner App keeps beside the intrinsics, agree with these to 0.001 pixels if it is added."""
 
 
 def usable_pose(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
-    """The rigid motion nearest to a pose; None if it is none, or leads out of any building."""
+    """Rigid motion nearest to a pose; None if the pose is invalid or leads out of any building."""
     result = rigid(pose)
     return None if result is None or np.abs(result[:3, 3]).max() > FARTHEST else result
 
@@ -81,7 +81,7 @@ def lidar_depth(
 def confidence_from_levels(
     found: np.ndarray, levels: tuple[int, int, int] = ARKIT_LEVELS
 ) -> Float[np.ndarray, "h w"]:
-    """Confidence in [0, 1] from a device's low, medium and high; what is beyond high is high."""
+    """Confidence in [0, 1] from a device's low, medium and high; greater levels count as high."""
     return np.interp(found, levels, (0.0, 0.5, 1.0)).astype(np.float32)
 
 

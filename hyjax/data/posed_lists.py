@@ -28,7 +28,7 @@ def floats(words: list[str], where: str, row: int) -> list[float]:
 def pose_of(
     position: Float[np.ndarray, "3"], quaternion: Float[np.ndarray, "4"]
 ) -> Float[np.ndarray, "4 4"] | None:
-    """The rigid motion of a place and a quaternion qx qy qz qw; None if it is none (NaN, infinite, not unit)."""
+    """Rigid motion of a position and a quaternion qx qy qz qw; None if invalid (NaN, infinite, not unit)."""
     length = float(np.linalg.norm(quaternion))
     if not np.all(np.isfinite(position)) or not abs(length - 1.0) < 0.01:
         return None

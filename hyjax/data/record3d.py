@@ -48,11 +48,11 @@ from hyjax.util.images import read_image
 PICTURE = re.compile(r"(?:rgb|rgbd)/(\d{1,9})\.jpe?g")
 DEPTH = re.compile(r"(?:depth/(\d{1,9})\.exr|rgbd/(\d{1,9})\.depth)")
 FRAMES_PER_SECOND = 30.0
-"""Where the file does not tell."""
+"""Default frame rate, for files without one."""
 MOST_READINGS = 1 << 22
 """Of a depth map; the largest that the app writes has 640×480."""
 SLACK = 4096
-"""Bytes by which what cannot be compressed may grow."""
+"""Bytes by which incompressible data may grow."""
 Metadata = Mapping[str, Any]
 
 
@@ -122,7 +122,7 @@ Pose = Float[np.ndarray, "4 4"]
 def _read_poses(
     metadata: Metadata, where: str, remarks: Tally
 ) -> tuple[list[Pose | None], Float[np.ndarray, "3"] | None]:
-    """Camera-to-world poses (None where one is none) in ARKit's axes, and up; None if gravity is not told."""
+    """Camera-to-world poses (None where invalid) in ARKit's axes, and up; None if gravity is unknown."""
     rows = json_list(metadata, "poses", where)
     numbers = [number_list(row, 7, f"{where}: poses[{place}]", finite=False) for place, row in enumerate(rows)]
     poses = [pose_from_quaternion(row[:4], row[4:]) for row in numbers]
@@ -141,7 +141,7 @@ def _read_poses(
 
 
 def _read_times(metadata: Metadata, where: str) -> tuple[list[float], float]:
-    """Seconds of the frames, as far as they are told, and pictures a second for the others."""
+    """Times of the frames in seconds where known, and the frame rate for the others."""
     rate = json_number(metadata, "fps", where, default=FRAMES_PER_SECOND)
     if not 0.01 <= rate <= 1e4:
         raise InputError(f"{where}: fps: need pictures a second, got {rate:g}")
@@ -195,7 +195,7 @@ def _read_depth(tree: FileTree, name: str, metadata: Metadata, where: str, lens:
 
 
 def _positive(metres: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Depth with 0 for what is no reading: NaN, infinite, negative."""
+    """Depth with 0 in place of invalid readings: NaN, infinite, negative."""
     return np.where(np.isfinite(metres) & (metres > 0), metres, 0.0).astype(np.float32)
 
 

@@ -32,7 +32,7 @@ DepthAndConfidence = tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"] | 
 
 @dataclasses.dataclass(frozen=True)
 class Shot:
-    """What a recording has of one moment.
+    """Sample of a recording: picture, depth and camera of one moment.
 
     Attributes:
         name: short and unique within the recording.
@@ -219,7 +219,7 @@ def mean_up(poses: Sequence[Float[np.ndarray, "4 4"]], where: Path | str) -> Flo
 
 
 def rigid(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
-    """The rigid motion nearest to a pose that was rounded; None if it is none (NaN, infinite, mirrored, scaled)."""
+    """Rigid motion nearest to a rounded pose; None if it is invalid (NaN, infinite, mirrored, scaled)."""
     pose = np.asarray(pose, np.float64)
     if pose.shape != (4, 4) or not np.abs(pose).max() <= FARTHEST:
         return None

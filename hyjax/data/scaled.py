@@ -61,5 +61,5 @@ class ScaledCapture(DerivedCapture):
 
 
 def _scaled_anchor(anchor: Mapping[str, Any], scale: float) -> dict[str, Any]:
-    """A place for a light; what it has are lengths and points, and one direction."""
+    """Anchor of a light with its lengths and points scaled; its direction stays."""
     return {key: value if key == "normal" else np.multiply(value, scale).tolist() for key, value in anchor.items()}

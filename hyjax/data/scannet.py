@@ -50,7 +50,7 @@ Matrix = Float[np.ndarray, "4 4"]
 
 @dataclasses.dataclass(frozen=True)
 class _Header:
-    """What a file says of all its frames; extrinsics are camera-to-rig."""
+    """Header of a file, valid for all frames; extrinsics are camera-to-rig."""
 
     colour: Intrinsics
     depth: Intrinsics

@@ -21,7 +21,7 @@ LARGEST_GAP = 0.5
 """Seconds between two poses beyond which nothing is known of the way from one to the other."""
 
 LARGEST_TURN = 1000.0
-"""Radians; a rotation vector that is longer is none."""
+"""Longest valid rotation vector, radians."""
 
 
 class Trajectory:

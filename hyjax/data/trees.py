@@ -1,4 +1,4 @@
-"""File trees of what a path names: a folder, an archive, or a single file."""
+"""File tree of a path: of a folder, an archive, or a single file."""
 
 import contextlib
 import itertools

@@ -22,7 +22,7 @@ Picture = Float[np.ndarray, "h w 3"]
 
 
 class TruthCapture(RoomCapture):
-    """Photos of a room under its own light, and what else is true of it.
+    """Photos of a room under its own light, with its true geometry and light.
 
     Args:
         name: of the room, see `hyjax.synthetic.truth.lit_room`.
@@ -65,7 +65,7 @@ class TruthCapture(RoomCapture):
         return self.room.bake(setup.lights, self._folder)
 
     def truth(self, setup: LightSetup, frames: Sequence[int], light: TruthLight | None = None) -> list[Picture]:
-        """What the camera would see under a set-up, for some of the frames.
+        """True pictures under a set-up, of some of the frames.
 
         Exposed so that light of the set-up's `reference_lux` stands for the photos' mean light: see `TruthRoom`.
         `light` is taken in the place of the set-up's own.

@@ -156,7 +156,7 @@ def _trajectory(tree: FileTree, faults: Reasons) -> Trajectory:
 
 
 def _sequence(tree: FileTree) -> str | None:
-    """Which of TUM's cameras the folder's name tells."""
+    """TUM's camera, by the folder's name."""
     match = re.search(r"freiburg[123]|(?<![a-z0-9])fr[123](?![0-9])", tree.path.resolve().name.lower())
     return None if match is None else f"freiburg{match[0][-1]}"
 

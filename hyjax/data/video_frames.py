@@ -114,14 +114,14 @@ def _index(av: Any, path: Path) -> tuple[list[int], list[int]]:
 
 
 def _colours(frame: "av.VideoFrame") -> UInt8[np.ndarray, "h w 3"]:
-    """8-bit RGB. A video that does not tell its colour matrix is taken for Rec. 709's, as phones record."""
+    """8-bit RGB. A video without a colour matrix is taken for Rec. 709, as phones record."""
     matrix = REC_709 if frame.colorspace == UNTOLD else None
     return frame.reformat(format="rgb24", src_colorspace=matrix).to_ndarray()
 
 
 @contextlib.contextmanager
 def new_video(path: Path) -> Iterator[Any]:
-    """PyAV's container of a new MP4 file. Python writes the file, as FFmpeg may not tell of a full disk."""
+    """PyAV's container of a new MP4 file. Python writes the file, as FFmpeg may not report a full disk."""
     av = import_av(f"writing {path.name}")
     with path.open("wb") as file, av.open(file, "w", format="mp4") as container:
         yield container

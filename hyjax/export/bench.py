@@ -1,4 +1,4 @@
-"""Export of a page that times schedules on whatever device opens it: static files, for any HTTPS host."""
+"""Export of a page that times schedules on the device that opens it: static files, for any HTTPS host."""
 
 import json
 import sys
@@ -17,11 +17,11 @@ from hyjax.util.files import make_writable, write_text
 PAGE = ("measure.html", "measure.js", "timing.js", "engine.js")
 FOLDER = "bench"
 PROBE = 64
-"""Pixels a side of a picture that tells a guide's channels."""
+"""Side in pixels of the picture by which a guide's channels are counted."""
 
 
 def export_bench(settings: ExportSettings) -> Path:
-    """Write the page, what it times, and the same as a request for other engines; the folder of them.
+    """Write the page, its schedules, and the same as a request for other engines; the folder of them.
 
     The page times the presets, or all that `hyjax tune --latency` wants to know, and saves latency.json.
 

@@ -1,4 +1,4 @@
-"""Scene of an exported page: its arrays in one packed file, and what its scripts read beside them."""
+"""Scene of an exported page: its arrays in one packed file, and its description for the scripts."""
 
 import dataclasses
 import gzip
@@ -83,7 +83,7 @@ def pack_scene(arrays: SceneArrays) -> PackedArrays:
 
 
 def describe_scene(scene: Scene, setup: LightSetup, arrays: SceneArrays) -> dict[str, Any]:
-    """What the scripts need to know of a scene to light it: the mirror of `hyjax.device.renderer`."""
+    """Description of a scene for the scripts that light it: the mirror of `hyjax.device.renderer`."""
     light_records(setup.lights, scene.occluders.mesh)
     emitters, photo = scene.photo_light.emitters(setup), scene.photo_light
     panes: Any = []

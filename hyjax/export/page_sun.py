@@ -9,7 +9,7 @@ from hyjax.export.page_scene import setup_content
 from hyjax.scene.scene import Scene
 
 BEARING = 240.0
-"""Degrees from north of what the first window looks at: an afternoon sun comes in."""
+"""Bearing of the first window, degrees from north: an afternoon sun comes in."""
 STEP = 0.5
 """Hours."""
 _log = logging.getLogger(__name__)

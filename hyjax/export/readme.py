@@ -1,4 +1,4 @@
-"""README beside an exported file: inputs, parity, versions, and an example of a call."""
+"""README of an exported file: inputs, parity, versions, and an example of a call."""
 
 import platform
 from pathlib import Path

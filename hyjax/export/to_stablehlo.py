@@ -1,4 +1,4 @@
-"""Target StableHLO: what `jax.export` serialises, for CPUs, GPUs and TPUs; checked by calling it again."""
+"""Target StableHLO, serialised by `jax.export`, for CPUs, GPUs and TPUs; checked by calling it again."""
 
 import jax
 import numpy as np

@@ -33,9 +33,9 @@ from hyjax.util.reading import read_json
 PAGE_FORMAT = 1
 """Version of page.json. Add one whenever older scripts could not read it."""
 RESOLUTIONS = 512, 256
-"""Texels a side of shadow maps with one view, and of each of several: half of what `relight` takes."""
+"""Texels a side of shadow maps with one view, and of each of several: half of those of `relight`."""
 RAYS = 128
-"""Rays of each point of the light transport, half of what `relight` takes."""
+"""Rays of each point of the light transport, half of those of `relight`."""
 QUALITY = 95
 FRAMES = 24
 """Of a page whose frames are not named, at most."""
@@ -220,7 +220,7 @@ def _display_shader(size: tuple[int, int], precision: Precision) -> str:
 
 
 def _write_sheet(relighter: Relighter, frames: Sequence[int], folder: Path) -> None:
-    """Write what a browser shows that cannot run the page."""
+    """Write the pictures for browsers that cannot run the page."""
     rows = []
     shown = [column for column, heading in enumerate(HEADINGS) if heading in ("frame", "visibility", "relit")]
     for index in spread(list(frames), SHEET_ROWS):

@@ -1,4 +1,4 @@
-"""Coverage: how much of what depth maps measured a mesh has, and how near it lies to the readings."""
+"""Coverage of depth maps by a mesh: share of their readings that it has, and its distance to them."""
 
 import dataclasses
 from collections.abc import Iterable

@@ -66,7 +66,7 @@ def posed_depths(frames: Iterable[PosedDepth]) -> Iterator[DepthReading]:
 
 
 def clean_depth(depth: Float[np.ndarray, "h w"], camera: Camera, max_depth: float) -> Float[np.ndarray, "h w"]:
-    """Depth with 0 for everything that is not one surface's reading: invalid, out of range, or beside a jump."""
+    """Depth with 0 for readings of no single surface: invalid, out of range, or next to a jump."""
     usable = np.isfinite(depth) & (depth > NEAR) & (depth < max_depth)
     depth = np.where(usable, depth, 0.0).astype(np.float32)
     from scipy import ndimage  # SciPy is slow to load
@@ -99,7 +99,7 @@ def confirmed(frame: DepthFrame, position: Float[np.ndarray, "h w 3"], *, unread
 
 
 def view_cosine(depth: Float[np.ndarray, "h w"], camera: Camera, reach: int = 2) -> Float[np.ndarray, "h w"]:
-    """Cosine between the surface's normal and the ray, from differences `reach` pixels apart; 1 beside holes.
+    """Cosine between the surface's normal and the ray, from differences `reach` pixels apart; 1 next to holes.
 
     With slopes z_u, z_v a surface z(u, v) has the normal (-fx z_u, -fy z_v, z + (u-cx) z_u + (v-cy) z_v), whose
     product with the pixel's ray is z.

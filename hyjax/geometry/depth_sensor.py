@@ -1,4 +1,4 @@
-"""Depth sensors: what their readings can be trusted for."""
+"""Depth sensors: range and reliability of their readings."""
 
 import dataclasses
 

@@ -35,7 +35,7 @@ NO_FACES = np.empty((0, 0), np.int32)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RasterView:
-    """What is drawn: rays through pixel centres, from one point or parallel.
+    """View to draw: rays through pixel centres, from one point or parallel.
 
     Attributes:
         axes: rows are the axes of the view in world coordinates, of any length.
@@ -205,7 +205,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def _aligned(shape: tuple[int, ...], kind: Any) -> np.ndarray:
-    """An array that JAX takes over as it is, with memory of its own: whoever keeps it keeps nothing else."""
+    """Array that JAX takes over without a copy, with memory of its own."""
     size = int(np.prod(shape)) * np.dtype(kind).itemsize
     memory = np.empty(size + ALIGNMENT, np.uint8)
     start = -memory.ctypes.data % ALIGNMENT

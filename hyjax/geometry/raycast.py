@@ -1,4 +1,4 @@
-"""Meshes asked for what rays meet, by Embree, and for what cameras see, by the rasteriser. On the host."""
+"""Ray casting on meshes by Embree, and G-buffers by the rasteriser, both on the host."""
 
 import dataclasses
 import functools
@@ -47,7 +47,7 @@ class Hits:
 
 
 class RayCaster:
-    """A mesh to be asked, from any thread, what rays meet and what cameras see.
+    """Caster of rays at a mesh and maker of its G-buffers, from any thread.
 
     Single rays go to Embree, whose tree is built when the first one comes. Embree's robust mode is on: its edge
     tests are watertight, so that rays through a shared edge of two triangles never slip between them. Embree

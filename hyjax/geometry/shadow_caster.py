@@ -25,7 +25,7 @@ VIEW_RESOLUTION = 512  # of each view, where there are several
 LARGEST_SCALE = 16.0
 """Of the resolution: maps of a gigabyte."""
 VERSION = 1
-"""Of what is drawn. Add one whenever it comes out differently."""
+"""Version of the drawn maps. Add one whenever they come out differently."""
 MOST_BYTES = 400_000_000
 """Of shadow maps that are kept in a folder: some twenty soft lights."""
 
@@ -154,7 +154,7 @@ class MapLayout:
         return self.views.count
 
     def rays(self, view: int) -> TexelRays:
-        """Rays of a view through all texels, gutter included, row by row: the reference for what `cast` draws."""
+        """Rays of a view through all texels, gutter included, row by row: the reference for `cast`."""
         local_starts, local = _texel_rays(self.size, self.projection)
         if isinstance(self.views, RadialViews):
             # Maps of rays that start in one point each. The rows of `axes` are orthogonal: its inverse is its

@@ -23,7 +23,7 @@ def surface(
     hit: np.ndarray,
     barycentric: np.ndarray,
 ) -> None:
-    """What the nearest triangles are like at the pixels of some rows, in a view of one piece whose rays spread out.
+    """Attributes of the nearest triangles at the pixels of some rows, in a perspective view of one piece.
 
     Args:
         vertices, triangles, points: see `hyjax.geometry.raster_kernels.draw`.

@@ -22,7 +22,7 @@ OFFSET = 0.01
 CELLS = 4
 """Patches along each side of a wall of the box."""
 MARGIN = 0.02
-"""Metres of the box beyond what was scanned."""
+"""Margin of the box around the scan, metres."""
 CHUNK = 1 << 18
 
 

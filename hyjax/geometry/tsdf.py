@@ -116,7 +116,7 @@ def save_volume(checkpoint: Path, volume: "Volume", count: int) -> None:
 
 
 def load_volume(checkpoint: Path | None, voxel: float, truncation: float) -> "tuple[Volume, int]":
-    """A volume that was kept, and how many frames are in it; an empty one where there is none to be used."""
+    """Kept volume and the number of its frames; an empty one where none can be used."""
     if checkpoint is not None and checkpoint.is_file():
         try:
             with checkpoint.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
@@ -173,7 +173,7 @@ class Volume:
         pool: ThreadPoolExecutor,
         confidence: Float[np.ndarray, "h w"] | None = None,
     ) -> None:
-        """Add one depth map's votes. Readings without any confidence are none."""
+        """Add one depth map's votes. Readings of zero confidence do not vote."""
         if confidence is not None:
             depth = np.where(confidence > 0, depth, np.float32(0.0))
         depth = clean_depth(depth, camera, max_depth)

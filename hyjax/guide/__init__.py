@@ -29,7 +29,7 @@ MODULE_NAMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Load the names above, and flax with them, on first use; `hyjax.guide.choose` needs none of it."""
+    """Load the names above, and flax with them, on first use; `hyjax.guide.choose` needs no flax."""
     for module, names in MODULE_NAMES.items():
         if name in names:
             return getattr(importlib.import_module(f"hyjax.guide.{module}"), name)

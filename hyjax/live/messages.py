@@ -27,7 +27,7 @@ from hyjax.util.reading import parse_json
 KIND = "hyjax-live-1"
 LONGEST_LINE = 16_384
 LARGEST_PART = 1 << 26
-"""Bytes; a line that tells of more is taken for a damaged one."""
+"""Largest part of a message, bytes; a header with more is taken for a damaged one."""
 LARGEST_SIDE = 8192
 QUALITY = 90
 _log = logging.getLogger(__name__)
@@ -82,7 +82,7 @@ def read_live_frames(stream: BinaryIO) -> Iterator[Frame]:
 
 
 def _header(line: bytes) -> dict[str, Any] | None:
-    """A message's first line; None if it is none. A damaged part before it may end in its line."""
+    """Header of a message; None if the line is not one. A damaged part before it may end in its line."""
     start = line.find(b'{"kind": "' + KIND.encode())
     try:
         header = parse_json(line[start:], "live") if start >= 0 else None

@@ -49,7 +49,7 @@ VOXEL = 0.04
 MAX_DEPTH = 5.0
 """Metres beyond which readings are left out."""
 DEPTH_WIDTH = 320
-"""Columns of a depth map that are used, about: with voxels of 4 cm more of them tell nothing more."""
+"""Columns of a depth map that are used, about: with voxels of 4 cm more of them add nothing."""
 RATE = 5.0
 """Renewals of the mesh for each second of frames."""
 MOST_REGIONS = 16

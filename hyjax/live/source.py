@@ -29,7 +29,7 @@ POLL = 0.1
 MOST_NEW = 10
 """Frames that are taken from one look; of more, so many are taken that are spread over them."""
 MOST_AT_START = 150
-"""The same for what lies there at the start."""
+"""The same for frames that are there at the start."""
 RECORD3D_WAIT = 10.0
 """Seconds without a frame from a phone after which it is taken to have gone."""
 _log = logging.getLogger(__name__)

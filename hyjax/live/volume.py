@@ -34,13 +34,13 @@ TOLERANCE = 0.03
 UNSEEN = 2.0
 """In place of a distance, where too little has been seen."""
 MOST_BLOCKS = 60_000
-"""Of 8³ voxels: 360 MB. With voxels of 4 cm that is what a flat of some 200 m² takes."""
+"""Most blocks, of 8³ voxels each: 360 MB, enough for a flat of some 200 m² with voxels of 4 cm."""
 LEFT = 0.9
 """Share of `MOST_BLOCKS` that is left when those seen longest ago are dropped."""
 
 
 class LiveVolume(Volume):
-    """Signed distance in sparse blocks of voxels, with what has changed in it.
+    """Signed distance in sparse blocks of voxels, with the list of changed blocks.
 
     Attributes:
         frames: depth maps that were integrated.
@@ -117,7 +117,7 @@ class LiveVolume(Volume):
         return voxel_coordinates(self._keys), self._meshed[self._slots]
 
     def _update(self, coordinates: Any, slots: Int[np.ndarray, "n"], *rest: Any) -> None:
-        """The votes of one depth map join what is there; `Volume` counts them, with nothing there before."""
+        """Add the votes of one depth map to those before, as `Volume` counts them."""
         sums, weights = self._sums[slots], self._weights[slots]
         self._sums[slots] = self._weights[slots] = 0.0
         super()._update(coordinates, slots, *rest)

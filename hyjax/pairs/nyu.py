@@ -29,9 +29,9 @@ from hyjax.util.reading import check_regular
 ARRAYS = {"images": 4, "depths": 3, "rawDepths": 3}
 """Numbers of axes of the arrays, by name."""
 MOST_PIXELS = 1 << 22
-"""Of a picture; the published ones have 640 x 480. HDF5 declares what it does not hold."""
+"""Most pixels of a picture; the published ones have 640 x 480. HDF5 may declare data that it lacks."""
 MOST_CHUNK_BYTES = 1 << 28
-"""Of what is unpacked at once."""
+"""Largest chunk that is unpacked at once, bytes."""
 
 
 class NyuPairs:

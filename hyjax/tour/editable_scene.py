@@ -108,7 +108,7 @@ class EditableScene:
         return SceneParts(tuple(parts), tuple(keys), tuple(pieces))
 
     def _thrower(self, name: Hashable, caster: RayCaster) -> RayCaster | None:
-        """What throws the shadows of a part."""
+        """Caster of a part's shadows."""
         if self._slack is None or caster is self.caster:
             return self._occluders
         return self._closed(name, caster)
@@ -128,7 +128,7 @@ class EditableScene:
         return whole
 
     def pick(self, plan: TourPlan, origin: ArrayLike, direction: ArrayLike) -> SurfaceHit | None:
-        """The first surface on a ray, or beside one that goes through a hole of the scan; None if there is none."""
+        """First surface on a ray, or next to a ray through a hole of the scan; None if there is none."""
         origin, ray = np.asarray(origin, float), unit(direction)
         across = unit(perpendicular(ray))
         for tangent in BESIDE:

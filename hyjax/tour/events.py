@@ -1,4 +1,4 @@
-"""Handlers of what browsers do with controls and gizmos that all viewers share."""
+"""Handlers of browsers' events on controls and gizmos that all viewers share."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -50,11 +50,11 @@ class FreeView:
         return self._plan is plan and self._frame == frame
 
     def outdate(self) -> None:
-        """The surface has changed: what was drawn is out of date."""
+        """Mark the drawn surface as out of date."""
         self._plan = None
 
     def show(self, visible: bool) -> None:
-        """Show or hide what has been drawn."""
+        """Show or hide the drawn surface."""
         for node in list(self._nodes):
             node.visible = visible
 

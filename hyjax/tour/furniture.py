@@ -21,11 +21,11 @@ from hyjax.light.gbuffer import GBuffer
 from hyjax.tour.placement import compass
 
 SHELL = 0.07
-"""Metres: what is nearer to floor, ceiling or outer wall belongs to it; up to twice that, as planes are binned."""
+"""Thickness in metres of floor, ceiling and outer walls; up to twice that, as planes are binned."""
 BEYOND = 0.05
 """Share of a room's surface that may lie outside of a wall, a floor or a ceiling, as scans are no better."""
 LARGEST = 2.5
-"""Metres: what hangs together over more than this is no piece of furniture; it is cut to a box around the point."""
+"""Largest piece of furniture, metres; larger connected parts are cut to a box around the point."""
 BOX = 0.7
 """Metres from the point to the sides of that box."""
 
@@ -119,7 +119,7 @@ class Part:
         return self if self.coarse is None else dataclasses.replace(self, occluders=self.coarse)
 
     def distances(self, view: RasterView) -> Float[np.ndarray, "h w"]:
-        """`RayCaster.distances` of what throws this part's shadows."""
+        """`RayCaster.distances` of the caster of this part's shadows."""
         return (self.occluders or self.caster).distances(view.of_moved(self.pose) if self.moved else view)
 
     def gbuffer(self, camera: Camera) -> GBuffer:

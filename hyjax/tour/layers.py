@@ -83,7 +83,7 @@ class LayerCache:
         quality: Quality,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> Layer:
-        """Illuminance of a light of strength 1, and what shadows leave of it.
+        """Illuminance of a light of strength 1, and its visibility.
 
         Args:
             light: of any strength and colour.

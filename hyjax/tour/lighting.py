@@ -1,4 +1,4 @@
-"""Lights that a plan makes: sky and sun through its windows, its lamps, and what the room throws back."""
+"""Lights of a plan: sky and sun through its windows, its lamps, and bounces of the room."""
 
 import functools
 import math

@@ -128,7 +128,7 @@ class Tour:
         return tour
 
     def warm_up(self) -> None:
-        """Compile what the first viewers may ask for, while the queue is empty."""
+        """Compile the first viewers' likely requests, while the queue is empty."""
         viewpoint = Viewpoint(0, "relit", next(iter(self.session.schedules.values())))
         self.queue.add_job(self.session.renderer.warm_up(self.session.plan, viewpoint))
 

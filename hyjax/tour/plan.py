@@ -25,7 +25,7 @@ LampKind = Literal["bulb", "spot", "candle", "strip"]
 Metres = Annotated[float, msgspec.Meta(gt=-1e4, lt=1e4)]
 Point = tuple[Metres, Metres, Metres]
 MOST_LEFT = 1.5
-"""Of a source of the photo, relative to what it was."""
+"""Largest factor of a source of the photo."""
 Factor = Annotated[float, msgspec.Meta(ge=0, le=MOST_LEFT)]
 FILE_NAME = r"^(?!\.{1,2}$)[^/\\\x00-\x1f\x7f]*\Z"
 """A name in a folder: no path, no control characters, not the folder itself or its parent."""
@@ -135,7 +135,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self
 
     def _check_geometry(self) -> None:
-        """Raise `InputError` for what the types cannot say: dates, directions, poses."""
+        """Raise `InputError` for invalid dates, directions and poses, which types cannot express."""
         self.date()
         axes = {f"windows[{number}].normal": window.normal for number, window in enumerate(self.windows)}
         axes |= {f"lamps[{number}].direction": lamp.direction for number, lamp in enumerate(self.lamps)}
@@ -176,7 +176,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @classmethod
     def from_json(cls, text: str) -> "TourPlan":
-        """Read what `to_json` wrote.
+        """Plan of the text that `to_json` writes.
 
         Raises:
             InputError: not JSON, an unknown key, or anything `check` refuses.
@@ -198,7 +198,7 @@ def _converted(content: Any) -> TourPlan:
 
 
 def _explain(error: str, content: Any) -> str:
-    """One line on what msgspec refuses: where it is, what is there, and what would be right."""
+    """Description of an error of msgspec: place, value, and the rule."""
     message, _, path = error.replace(" - at `key` in `$", " - at `$").partition(" - at `$")
     kind: type[msgspec.Struct] = TourPlan
     value, where = content, ""
@@ -217,7 +217,7 @@ def _explain(error: str, content: Any) -> str:
 
 
 def _rule(kind: type[msgspec.Struct], name: str, value: Any) -> str:
-    """What a field's value must be, and what it is."""
+    """Rule of a field's value, and the value."""
     (field,) = (f for f in inspect.type_info(kind).fields if f.name == name)  # type: ignore[attr-defined]
     form = field.type
     if isinstance(form, inspect.VarTupleType) and name in LISTS and isinstance(value, list | tuple):
@@ -246,5 +246,5 @@ def _is_rigid(pose: tuple[float, ...]) -> bool:
 
 
 def _plain(value: Any) -> Any:
-    """A NumPy number as Python's; what is no number stays as its text, which no field takes."""
+    """NumPy number as Python's; other objects as their text, which no field takes."""
     return value.item() if isinstance(value, np.generic) else repr(value)

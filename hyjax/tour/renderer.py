@@ -98,7 +98,7 @@ class Renderer:
         )
 
     def first_plan(self) -> TourPlan:
-        """A sunny afternoon, with the capture's own windows or one beside what the cameras look at."""
+        """Plan of a sunny afternoon, with the capture's own windows or one near the cameras' view."""
         windows = tuple(
             Window(as_point(a["center"]), as_point(a["normal"]), float(a["width"]), float(a["height"]))
             for name, a in sorted(self.capture.anchors.items())
@@ -198,7 +198,7 @@ class Renderer:
         return RenderedFrame(picture, photo, linear, frame, times, any(coarse))
 
     def warm_up(self, plan: TourPlan, viewpoint: Viewpoint) -> Generator[None]:
-        """Compile what viewers are likely to ask for, a little each step: lamps, the moon, the mesh."""
+        """Compile viewers' likely requests, a little each step: lamps, the moon, the mesh."""
         origin = self.camera(viewpoint.frame).origin
         lamps = tuple(place_lamp(kind, origin, self.up) for kind in get_args(LampKind))
         changes: list[dict[str, Any]] = [{"lamps": (lamp,)} for lamp in lamps]
@@ -245,7 +245,7 @@ class Renderer:
         return DeviceFrame(to_linear(display), display, self.guide.features(display))
 
     def _photographed(self, viewpoint: Viewpoint, frame: Frame, pixels: DeviceFrame) -> PhotographedFrame:
-        """What a frame was lit by, whatever the plan has moved since."""
+        """Light of a frame when it was photographed, before the plan moved anything."""
         index, sampling = viewpoint.frame, self._sampling(viewpoint)
 
         def make() -> PhotographedFrame:

@@ -1,4 +1,4 @@
-"""Light in a room beside what comes straight from new lights: bounces, and what is left of the photo's own light.
+"""Indirect light in a room: bounces, and the rest of the photo's own light.
 
 Bounces are linear in each light: those of a white light of strength 1 are kept, and scaled and added live.
 """
@@ -164,7 +164,7 @@ class RoomLight:
         return jax.block_until_ready(PhotographedFrame(photo_light, hit.astype(jnp.float32), sources, sampling))
 
     def _points_of(self, parts: SceneParts, quality: Quality) -> Callable[[], PhotoLight]:
-        """Maker of the transport with its points where the furniture is now; what they see stays as scanned."""
+        """Maker of the transport with its points where the furniture is now; their surroundings stay as scanned."""
 
         def make() -> PhotoLight:
             light = self._light if quality == "fine" else self._draft
@@ -175,7 +175,7 @@ class RoomLight:
 
 
 def bounced_at_vertices(light: SurfaceLight, parts: SceneParts) -> Float[Array, "v 3"]:
-    """Bounces at the vertices of the parts, one after the other; the mean on what was brought in."""
+    """Bounces at the vertices of the parts, one after the other; the mean on uploaded pieces."""
     bounced, each = np.asarray(light.bounced), []
     for part in parts.parts:
         numbers = part.scanned_vertices
@@ -196,7 +196,7 @@ def add_room_light(
     frame: Float[Array, "h w 3"],
     samples: GBuffer,
 ) -> Shaded:
-    """Shaded surface with bounces, with the light that its frame was taken under, and with what shines by itself.
+    """Shaded surface with bounces, with the photo's own light, and with emitters.
 
     Args:
         shaded: direct light.

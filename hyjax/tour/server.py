@@ -18,7 +18,7 @@ from hyjax.util.errors import InputError
 from hyjax.util.hosts import LOCAL
 
 UNREADABLE = (msgspec.MsgspecError, KeyError, TypeError, ValueError, AttributeError, AssertionError)
-"""What viser raises over a message that is none of its own."""
+"""Errors that viser raises over foreign messages."""
 
 
 def open_server(host: str, port: int) -> viser.ViserServer:
@@ -72,7 +72,7 @@ def check_port(host: str, port: int) -> None:
 
 
 def _shorten(record: logging.LogRecord) -> bool:
-    """One line for what no page sends; all other errors keep their traceback."""
+    """Filter that shortens errors of foreign messages to one line; others keep their traceback."""
     error = record.exc_info[1] if record.exc_info else None
     if error is None:
         return True

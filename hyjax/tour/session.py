@@ -84,7 +84,7 @@ class Session:
                 self.change(redraw=redraw, **{kind: tuple(things)})
 
     def keep_source(self, name: str, factor: float) -> None:
-        """Change what is left of one of the photo's own sources."""
+        """Change the factors of one of the photo's own sources."""
         with self.lock:
             kept = {**self.plan.existing, name: factor}
             self.change(existing={source: share for source, share in kept.items() if share > 0})
@@ -153,7 +153,7 @@ class Session:
             raise InputError(f"{file}: {error}; remove it to begin anew, or choose another --out") from None
 
     def _known_sources(self, plan: TourPlan, file: Path) -> TourPlan:
-        """The plan without sources that these photos do not have, which viewers are told."""
+        """Plan without sources that these photos do not have; viewers get a notice."""
         light = self.renderer.room_light
         if light is None or (unknown := light.unknown(plan.existing)) is None:
             return plan

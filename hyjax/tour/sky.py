@@ -22,7 +22,7 @@ SOLAR_LUX = 127_500.0
 """Of the sun outside the atmosphere, at its mean distance."""
 FULL_MOON_LUX = 0.32
 LOWEST_MOON = 15.0
-"""Degrees: at full moon the moon is never lower, whatever the hour."""
+"""Lowest full moon at any hour, degrees."""
 NIGHT_SKY_LUX = 0.002
 
 # A clear sky on level ground while the sun is below the horizon: degrees, lux (Seidelmann, *Explanatory Supplement

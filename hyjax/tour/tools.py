@@ -63,12 +63,12 @@ def add_mesh(session: Session, frame: int, name: str, content: bytes) -> None:
 
 
 def too_large(name: str, size: int) -> InputError:
-    """What to say of a file of so many bytes, too many or none."""
+    """Error of a file that is empty or too large."""
     return InputError(f"{Path(name).name}: {size} bytes; give a mesh of at most {MOST_UPLOADED >> 20} MiB")
 
 
 def too_many(name: str) -> InputError:
-    """What to say of a file that comes while others are still on their way."""
+    """Error of a file that arrives while others are still on their way."""
     return InputError(f"{Path(name).name}: too many files at once; bring it when the others have arrived")
 
 

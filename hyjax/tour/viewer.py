@@ -286,7 +286,7 @@ class Viewer:
             self.client.scene.on_rect_select()(self._rectangle_drawn)
 
     def click(self, tool: str, origin: Any, direction: Any) -> None:
-        """Use a tool where a ray meets the scene; what goes wrong becomes a notice."""
+        """Use a tool where a ray meets the scene; errors become notices."""
         with self.show_errors():
             use_tool(self.session, tool, origin, direction)
 

@@ -60,7 +60,7 @@ def swap(steps: Steps, level: int, count: int) -> Steps:
 
 
 def fill(steps: Steps, cost: CostModel, budget: float, order: Sequence[int]) -> Steps:
-    """Spend what is left of the budget: more steps for the levels that have some, in this order."""
+    """Spend the rest of the budget: more steps for the levels that have some, in this order."""
     for level in order:
         while steps[level] and fits(more := swap(steps, level, steps[level] + 1), cost, budget):
             steps = more

@@ -35,7 +35,7 @@ FEW_STEPS = 2
 
 @dataclasses.dataclass(frozen=True)
 class Calibration:
-    """What `calibrate` found out; the attributes are described where they are kept, in `LatencyTable`."""
+    """Result of `calibrate`; `LatencyTable` describes the attributes."""
 
     median: CostModel
     p95: CostModel

@@ -46,7 +46,7 @@ from hyjax.util.environment import environment
 from hyjax.util.errors import InputError
 
 BASELINES = ("hyjax", "paper-50", "paper-80", "naive-50", "naive-1000")
-"""Presets that the tuned schedules are told beside, the default first."""
+"""Presets to compare the tuned schedules with, the default first."""
 FIRST = 6
 """Cases of the first batch."""
 RELAXED, TURN = 5, 4

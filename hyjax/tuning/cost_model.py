@@ -60,7 +60,7 @@ def checked_steps(steps: Sequence[int | float], count: int) -> Sequence[int | fl
 
 
 def row_of(steps: Sequence[int | float]) -> Float[np.ndarray, "k"]:
-    """What the coefficients (fixed, levels, steps, finest) are multiplied with."""
+    """Regressors of the coefficients (fixed, levels, steps, finest)."""
     counts = np.asarray(steps, float)
     present = counts > 0
     finest = np.zeros(len(counts))

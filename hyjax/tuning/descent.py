@@ -34,7 +34,7 @@ from hyjax.tuning.relaxation import (
 
 @dataclasses.dataclass(frozen=True)
 class Objective:
-    """Mean loss over the tuning frames; what every search method here and in the experiments minimises."""
+    """Mean loss over the tuning frames, the objective of every search method."""
 
     prepared: Sequence[Prepared]
     factors: tuple[int, ...]

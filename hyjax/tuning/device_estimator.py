@@ -135,7 +135,7 @@ class DeviceEstimator(ScheduleClock):
     def measure(
         self, schedules: Sequence[Schedule], *, again: bool = False, progress: bool = True
     ) -> list[Milliseconds]:
-        """By the device where it is connected, in turns with the preset `hyjax`; else as the file tells."""
+        """Times by the connected device, in turns with the preset `hyjax`; else those of the file."""
         wanted = [s for s in each_once(schedules) if again or not self.is_timed(s)]
         if self.connected is not None and wanted:
             usual = Schedule.preset(DEFAULT_SCHEDULE)
@@ -156,13 +156,13 @@ class DeviceEstimator(ScheduleClock):
 
 
 def _shapes(workload: DeviceWorkload) -> tuple[int, int, int, int]:
-    """What decides the time: channels are stored by fours."""
+    """Shapes that decide the time: channels are stored by fours."""
     return workload.height, workload.width, -(-workload.lights // 4), -(-workload.features // 4)
 
 
 @dataclasses.dataclass(frozen=True)
 class FileTimes:
-    """What makes the estimator of a run from a latency file.
+    """Factory of a run's estimator from a latency file.
 
     Attributes:
         path: of the file.
@@ -185,7 +185,7 @@ class FileTimes:
 
 @dataclasses.dataclass(frozen=True)
 class ConnectedTimes:
-    """What makes the estimator of a run from a device whose page is open.
+    """Factory of a run's estimator from a device whose page is open.
 
     Attributes:
         device: the device.

@@ -45,7 +45,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Device(Record, frozen=True):
-    """What was measured.
+    """Measured device.
 
     Attributes:
         name: what people call it.
@@ -96,7 +96,7 @@ class DeviceWorkload(Record, frozen=True, omit_defaults=False):
 
 
 class Form(Record, frozen=True):
-    """What decides a schedule's time: steps by factor, and its form. The default is the form that is searched.
+    """Steps by factor and form of a schedule, which decide its time. The default is the form that is searched.
 
     Attributes:
         steps: by downsampling factor.
@@ -151,7 +151,7 @@ class Form(Record, frozen=True):
 
 
 class Timed(Form, frozen=True):
-    """A schedule with its times: either all samples, one a round, or what is left of them.
+    """Schedule with its times: either all samples, one a round, or their statistics.
 
     Attributes:
         milliseconds: samples in the order of the rounds.
@@ -194,7 +194,7 @@ class Stage(Record, frozen=True):
 
 
 class WarmUp(Record, frozen=True):
-    """What ran before the first round, and was thrown away."""
+    """Warm-up runs before the first round, which do not count."""
 
     seconds: Instant
     runs: Count

@@ -57,7 +57,7 @@ class Round(Record, frozen=True):
 
 
 class Trouble(Record, frozen=True):
-    """What went wrong on the device, in a line."""
+    """Error on the device, in one line."""
 
     error: Annotated[str, msgspec.Meta(max_length=1000)]
 
@@ -211,7 +211,7 @@ class ConnectedDevice:
         say(self.server.invitation())
 
     def identity(self) -> Device:
-        """What it says that it is; waits for it."""
+        """Identity that the device reports; waits for it."""
         return self.site.wait_for_device()
 
     def latency(self, request: LatencyRequest, schedules: Sequence[Schedule]) -> DeviceLatency:

@@ -14,7 +14,7 @@ from hyjax.tuning.device_latency import FORMAT, DeviceWorkload, Form, Instant, R
 from hyjax.tuning.workload import factors_for
 
 PRESET_NAMES = ("hyjax", "paper-50", "paper-80", "naive-50")
-"""Presets that a request asks for where their levels are among the factors: what a report compares with."""
+"""Presets in a request whose levels are among the factors, to compare with in reports."""
 ROUNDS = 30
 WARM_UP_SECONDS = 3.0
 SAMPLE_MS = 10.0
@@ -32,7 +32,7 @@ class Asked(Form, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class LatencyRequest(Record, frozen=True):
-    """What is to be timed, and how.
+    """Request for times: schedules and the conditions of the timing.
 
     Attributes:
         format: as of the latency file.
@@ -68,7 +68,7 @@ def has_levels(schedule: Schedule, factors: Sequence[int]) -> bool:
 
 
 def each_once(schedules: Iterable[Schedule]) -> list[Schedule]:
-    """Those that differ in what decides their time."""
+    """Schedules that differ in their time's key, each once."""
     return list({Form.of(schedule).key: schedule for schedule in schedules}.values())
 
 

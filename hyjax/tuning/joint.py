@@ -46,7 +46,7 @@ Kernel = Float[Array, "k k t f"]
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Joint:
-    """What is tuned.
+    """Tuned parameters: the schedule and the guide's last layer.
 
     Attributes:
         point: whole steps, which stay, with κ, λ and α.
@@ -165,7 +165,7 @@ def tune_guide_and_schedule(
     report: Callable[[int, float], None] = lambda iteration, loss: None,
     expired: Callable[[], bool] = lambda: False,
 ) -> JointlyTuned:
-    """`tune_jointly` on frames of a capture, with what it brings on other frames.
+    """`tune_jointly` on frames of a capture, with its effect on other frames.
 
     Args:
         bench: the capture, whose guide is `guide`.
@@ -213,7 +213,7 @@ def tune_and_save(
     *,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """`tune_guide_and_schedule` for a tuning run: writes `guide.safetensors` and `joint.json`, returns the record."""
+    """`tune_guide_and_schedule` of a run: writes `guide.safetensors` and `joint.json`, returns the record."""
     with tqdm(total=ITERATIONS, desc="guide and schedule", disable=not monitor.progress) as bar:
 
         def report(_: int, loss: float) -> None:

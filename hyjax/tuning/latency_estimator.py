@@ -55,7 +55,7 @@ class ScheduleClock(abc.ABC):
 
     @abc.abstractmethod
     def parts(self) -> dict[str, float]:
-        """Milliseconds (95th percentile) of what no schedule can change, dearest first."""
+        """Milliseconds (95th percentile) of the stages that no schedule changes, dearest first."""
 
     def is_timed(self, schedule: Schedule) -> bool:
         """Whether what `measure` says of a schedule is timed; predicted if not."""

@@ -36,7 +36,7 @@ PROBE_TOLERANCE = 1.3
 
 @dataclasses.dataclass
 class LatencyTable:
-    """What is known about one workload on one device. All times are milliseconds.
+    """Latencies of one workload on one device, in milliseconds.
 
     Attributes:
         workload: the shapes.
@@ -68,7 +68,7 @@ class LatencyTable:
     timed: dict[str, Milliseconds] = dataclasses.field(default_factory=dict)
 
     def predict(self, steps: Sequence[int | float]) -> Milliseconds:
-        """What a schedule with these steps over the factors costs; a level with 0 steps is left out."""
+        """Predicted time of a schedule with these steps over the factors; a level with 0 steps is left out."""
         return Milliseconds(self.median(steps), self.p95(steps))
 
     def steps_of(self, schedule: Schedule) -> tuple[int, ...]:
@@ -82,7 +82,7 @@ class LatencyTable:
         return tuple(counts.get(factor, 0) for factor in self.factors)
 
     def key(self) -> dict[str, Any]:
-        """What must agree for the table to be used again, as JSON's types."""
+        """Conditions that must agree for the table to be used again, as JSON's types."""
         return _key(self.workload, self.factors, self.device, self.versions)
 
     def __post_init__(self) -> None:
@@ -101,7 +101,7 @@ class LatencyTable:
 
     @classmethod
     def from_json(cls, text: str) -> "LatencyTable":
-        """Read what `to_json` wrote.
+        """Table of the text that `to_json` writes.
 
         Raises:
             InputError: not JSON, of another format version, or something missing or not what it should be.
@@ -254,7 +254,7 @@ def load_table(
 
 
 def _from_cache(workload: Workload, factors: tuple[int, ...]) -> LatencyTable | str:
-    """The stored table, or why there is none to use."""
+    """Stored table, or the reason why it cannot be used."""
     key = _key(workload, factors, *_device_and_versions())
     path = _path(key)
     if not path.exists():

@@ -22,7 +22,7 @@ class RunMonitor:
         self.best, self.bar = math.inf, tqdm(disable=True)
 
     def begin(self) -> None:
-        """Count the time from now: what is opened and calibrated before a search is none of it."""
+        """Count the time from now: opening and calibration before a search do not count."""
         self.clock = Stopwatch()
 
     def expired(self) -> bool:

@@ -1,4 +1,4 @@
-"""A cascade with real-valued step counts, in which levels may vanish: what the search takes gradients of.
+"""Relaxed cascade with real-valued step counts, in which levels may vanish, for gradients of the search.
 
 What is searched has the form of our presets: conductances and interpolation from guides at the levels' resolution,
 and a data term.
@@ -163,7 +163,7 @@ def prepare_channels(
     sampling: int = 1,
     *picture: Array,
 ) -> Prepared:
-    """What no candidate changes, of channels at one pixel in each block of `sampling` by `sampling`.
+    """Parts of a case that no candidate changes, of channels at one pixel in each `sampling` x `sampling` block.
 
     Args:
         channels: to refine.
@@ -213,7 +213,7 @@ def _arriving(
     kappa: Float[Array, "l"],
     factors: tuple[int, ...],
 ) -> Float[Array, "ch cw c"]:
-    """What the level after these starts from, or the full picture; sources of no weight cost nothing."""
+    """Start of the level after these, or the full picture; sources of no weight cost nothing."""
     level = len(states)
     factor = (*factors, 1)[level]
     entry, guide, free = prepared.entries[level], prepared.guides[level], jnp.ones(())
@@ -268,7 +268,7 @@ def relaxed_filter(prepared: Prepared, point: RelaxedSchedule, factors: tuple[in
 
 
 def relaxed_loss(point: RelaxedSchedule, prepared: Prepared, factors: tuple[int, ...]) -> Float[Array, ""]:
-    """What the search minimises, on one frame."""
+    """Objective of the search on one frame."""
     _, frame, target, valid = prepared.picture
     return display_loss(display_unclipped(relaxed_filter(prepared, point, factors), frame), target, valid)
 

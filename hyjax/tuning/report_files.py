@@ -1,4 +1,4 @@
-"""Files of a tuning report whose names come from labels, in a folder of their own or beside others."""
+"""Files of a tuning report with names made from labels."""
 
 import re
 from collections.abc import Mapping

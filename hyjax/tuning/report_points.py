@@ -79,7 +79,7 @@ def mark(axes: Axes, point: Point) -> None:
 
 
 def name_points(axes: Axes, points: list[Point], budgets: list[float]) -> None:
-    """Write names beside their markers, where there is least in the way. The figure must have been laid out."""
+    """Write names next to their markers, where they overlap least. The figure must have been laid out."""
     inside = axes.get_window_extent()
     scale = axes.get_figure().dpi / 72  # type: ignore[union-attr]
 

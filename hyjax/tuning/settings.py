@@ -23,7 +23,7 @@ MOST_TRIALS = 100_000
 ROOM_PHOTOS = 12
 """Of a room of known truth."""
 CONVERGED = "converged"
-"""The target where there is no better mesh: what the paper's cascade approximates."""
+"""Target where there is no better mesh: the converged diffusion that the paper's cascade approximates."""
 
 
 @dataclasses.dataclass(frozen=True)

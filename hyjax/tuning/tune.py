@@ -96,7 +96,7 @@ def tune_schedule(
 
 @contextlib.contextmanager
 def _latency_source(settings: TuneSettings) -> Iterator[LatencySource | None]:
-    """What tells times of the device to tune for; None for this machine."""
+    """Source of the times of the device to tune for; None for this machine."""
     other = settings.target_device
     if other.latency is None and not other.device:
         yield None

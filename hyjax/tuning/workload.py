@@ -95,7 +95,7 @@ def check_factors(factors: Sequence[int]) -> None:
 
 
 def schedule_key(schedule: Schedule) -> str:
-    """What decides a schedule's time: `16:5 8:10`, factor and steps, with what is not the paper's."""
+    """Key of a schedule's time: `16:5 8:10`, factor and steps, and deviations from the paper's form."""
     text = " ".join(f"{level.factor}:{level.steps}" for level in schedule.levels)
     if schedule.pooling != "edges":
         text += f" pooling={schedule.pooling}"

@@ -1,4 +1,4 @@
-"""Kinds of arguments: what values an annotation takes, and what others clearly stand for."""
+"""Kinds of arguments: values that an annotation takes, and conversions of others."""
 
 import collections.abc
 import dataclasses
@@ -44,7 +44,7 @@ _checked: weakref.WeakValueDictionary[int, Any] = weakref.WeakValueDictionary()
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """What values an annotation takes.
+    """Values that an annotation takes.
 
     Attributes:
         wanted: what would be right, for messages.
@@ -69,7 +69,7 @@ class Kind:
     anything: bool = False
 
     def __call__(self, name: str, value: Any, seen: "Seen") -> Any:
-        """The value to pass on: as it is, or what it clearly stands for.
+        """Value to pass on: as it is, or converted.
 
         Args:
             name: of the argument.
@@ -122,7 +122,7 @@ class Kind:
         return bool(self.arrays) and all(each.array_type is np.ndarray for each in self.arrays)
 
     def _readings(self, value: Any) -> Iterator[Any]:
-        """What a value may stand for, the likeliest first."""
+        """Possible conversions of a value, the likeliest first."""
         if isinstance(value, np.generic):
             yield value.item()
         if isinstance(value, str) and Path in self.classes:

@@ -17,7 +17,7 @@ T = TypeVar("T")
 Arrays = Mapping[str, np.ndarray]
 _log = logging.getLogger(__name__)
 _refused: set[Path] = set()
-"""Folders that could not be written; each is told once."""
+"""Folders that could not be written, reported once each."""
 
 
 def cache_folder() -> Path:
@@ -58,7 +58,7 @@ def cached_arrays(
 
 
 def tell_unkept(folder: Path, error: Exception) -> None:
-    """Warn, once for a folder and those in it, that what can be computed again cannot be kept there."""
+    """Warn, once for a folder and those in it, that computed data cannot be kept there."""
     if not any(folder == told or told in folder.parents or folder in told.parents for told in _refused):
         _refused.add(folder)
         reason = getattr(error if isinstance(error, OSError) else error.__context__, "strerror", None) or error

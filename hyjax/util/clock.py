@@ -38,7 +38,7 @@ class StageClock:
 
     @contextlib.contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        """Time a block. What runs asynchronously must be waited for inside it."""
+        """Time a block. Asynchronous work must be waited for inside it."""
         start = time.perf_counter()
         yield
         self.seconds.setdefault(stage, []).append(time.perf_counter() - start)

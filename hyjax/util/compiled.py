@@ -12,7 +12,7 @@ from hyjax.util.cache import cache_folder
 numba: Any = typed_numba  # whose types do not know its settings
 _log = logging.getLogger(__name__)
 _told: set[Path] = set()
-"""Folders that could not be used; each is told once."""
+"""Folders that could not be used, reported once each."""
 
 
 def compiled(*signature: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

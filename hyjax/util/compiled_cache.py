@@ -22,7 +22,7 @@ _log = logging.getLogger(__name__)
 
 
 def keep_compiled() -> None:
-    """From now on keep what XLA compiles in the cache folder; one that cannot be written costs time only."""
+    """Keep XLA's compiled programs in the cache folder from now on; one that cannot be written costs time only."""
     folder = cache_folder() / "compiled"
     try:
         make_writable(folder)

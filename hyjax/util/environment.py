@@ -47,7 +47,7 @@ def environment() -> dict[str, Any]:
 
 
 def peak_memory_mib() -> float:
-    """Largest resident set of this process so far, in MiB; NaN where the system does not tell."""
+    """Largest resident set of this process so far, in MiB; NaN where unknown."""
     try:
         import resource
     except ImportError:  # Windows

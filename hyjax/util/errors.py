@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 LONGEST = 600
-"""Characters of a message; what is beyond is left out of its middle."""
+"""Longest message, characters; longer ones lose their middle."""
 
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxlist, _short.maxtuple, _short.maxstring, _short.maxother = 3, 8, 8, 80, 80
@@ -31,7 +31,7 @@ class InputError(ValueError):
 
 
 def one_line(text: str, most: int = LONGEST) -> str:
-    """A text as one line that a terminal can show: what is not printable escaped, its middle left out if long."""
+    """Text as one line for a terminal: unprintable characters escaped, its middle left out if long."""
     if len(text) > 4 * most:  # what is escaped would be cut anyway
         text = text[: 2 * most] + text[-2 * most :]
     if not text.isprintable():

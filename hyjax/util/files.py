@@ -112,7 +112,7 @@ def remove_stale(folder: Path) -> None:
 
 
 MOST_TRIES = 100
-"""Number of tries, 10 ms apart, to lock what was just made."""
+"""Number of tries, 10 ms apart, to lock a new file."""
 
 
 def _make_locked(held: contextlib.ExitStack, path: Path, make: Callable[[], None]) -> None:
@@ -141,7 +141,7 @@ def _lock(held: contextlib.ExitStack, path: Path) -> bool | None:
 
 
 def _clear(old: Path, out: Path) -> None:
-    """Remove what was replaced, or put it back where nothing came in its place."""
+    """Remove a replaced folder, or put it back where nothing came in its place."""
     with contextlib.suppress(OSError):
         if old.exists() and not out.exists():
             old.rename(out)
@@ -162,7 +162,7 @@ def _raise_for(error: Exception, path: Path, temporary: Path) -> NoReturn:
 
 
 def _is_other(named: Path, path: Path, temporary: Path) -> bool:
-    """Whether an error names a file that is not the written one, in it, beside it for its library, or around it."""
+    """Whether an error names a file unrelated to the written one."""
     named, path, temporary = named.absolute(), path.absolute(), temporary.absolute()
     own = str(named).startswith(str(temporary)) or named.is_relative_to(path) or path.is_relative_to(named)
     return not own
@@ -215,7 +215,7 @@ def append_line(path: Path, text: str) -> None:
 
 
 def append(descriptor: int, content: bytes) -> None:
-    """Append to an open file of this process alone; what could only be written in part is taken back.
+    """Append to an open file of this process alone; a partial write is taken back.
 
     Raises:
         OSError: it cannot be written.

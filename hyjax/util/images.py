@@ -73,7 +73,7 @@ def read_depth(path: Path, unit: float = 0.001, where: str | None = None) -> Flo
 
 @contextlib.contextmanager
 def _opened(path: Path, where: str) -> Iterator[Any]:
-    """OpenImageIO's reader of a picture; what it raises in the block is an `InputError`."""
+    """OpenImageIO's reader of a picture; its errors in the block become `InputError`."""
     import OpenImageIO as oiio
 
     check_picture(path, where)
@@ -120,7 +120,7 @@ def write_png(path: Path, display: Float[np.ndarray, "h w"] | Float[np.ndarray, 
 
 
 def write_depth(path: Path, depth: Float[np.ndarray, "h w"], unit: float = 0.001) -> None:
-    """Write a depth map in metres as a 16-bit PNG; what has no reading, or does not fit, is 0.
+    """Write a depth map in metres as a 16-bit PNG; missing readings and those out of range are 0.
 
     Args:
         path: of the file.
@@ -168,7 +168,7 @@ def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str 
 
 
 def _has_its_end(path: Path) -> bool:
-    """Whether a file has its last bytes: OpenImageIO does not tell if the disk was full when it closed it."""
+    """Whether a file is complete: OpenImageIO does not report a disk that was full on closing."""
     import OpenImageIO as oiio
 
     if path.suffix.lower() == ".png":
@@ -185,7 +185,7 @@ def _has_its_end(path: Path) -> bool:
 
 
 def _error(where: Any) -> str:
-    """What OpenImageIO, or a file of it, complains of; it may quote a damaged file's bytes."""
+    """Error message of OpenImageIO or of its file; it may quote a damaged file's bytes."""
     try:
         return str(where.geterror())
     except UnicodeDecodeError:

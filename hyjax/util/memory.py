@@ -31,7 +31,7 @@ def keep_freed_memory() -> bool:
 
 
 def release_freed_memory() -> None:
-    """Give back what is free just now, after something large that does not come with every frame.
+    """Return freed memory to the system, after a large step that does not come with every frame.
 
     What is kept breaks into pieces too small for the next large one: without this, each large file that a tour
     refused left it 500 MB larger. It does nothing without glibc.

@@ -148,7 +148,7 @@ def _jpeg(file: BinaryIO, size: int) -> Declared | None:
 
 
 MARKER = re.compile(rb"\xff[^\0\xd0-\xd7\xff]")
-"""A JPEG's marker that is none of a restart; between two of them are the bytes of a scan."""
+"""JPEG marker other than a restart's; between two of them are the bytes of a scan."""
 END = b"\xff\xd9"
 FRAME_HEADERS = tuple(kind for kind in range(0xC0, 0xD0) if kind not in (0xC4, 0xC8, 0xCC))
 """JPEG's markers of headers with the size."""

@@ -32,7 +32,7 @@ from hyjax.util.files import atomic_write, remove_stale
 P = ParamSpec("P")
 T = TypeVar("T", covariant=True)
 SOURCES = ("core", "light", "util", "pipeline.py")
-"""What a kept program may be made of: the pure layers."""
+"""Sources of kept programs: the pure layers."""
 MOST_BYTES = 300_000_000
 """Of kept programs, some four million a size of picture; those that were used longest ago go first."""
 LEAST_SECONDS = "jax_persistent_cache_min_compile_time_secs"
@@ -134,7 +134,7 @@ def run_kept(function: Callable[..., Any], *arrays: Any, **static: Any) -> Any:
 
 
 def _compile_anew(function: Callable[..., Any], name: str, args: Any, kwargs: Any) -> jax.stages.Compiled:
-    """Compile past JAX's own cache: what XLA has read for a CPU it cannot write again."""
+    """Compile past JAX's own cache: XLA cannot write a CPU program again that it has read."""
 
     def unknown(*args: Any, **kwargs: Any) -> Any:
         return function(*args, **kwargs)
@@ -179,7 +179,7 @@ def _is_known(node: type) -> bool:
 
 
 def _tell_of_others(folder: Path, name: str, here: str) -> None:
-    """One line, once, where a function has programs of elsewhere in the folder and none of here."""
+    """Report once that the folder has a function's programs of another machine only."""
     global _told
     kept = [file.name for file in folder.glob(f"{glob.escape(name)}-*.program")]
     if not _told and kept and not any(each.startswith(f"{here}-") for each in kept):
@@ -189,7 +189,7 @@ def _tell_of_others(folder: Path, name: str, here: str) -> None:
 
 @functools.cache
 def _surroundings() -> str:
-    """Key of all that a compiled program depends on beside its function and its arguments."""
+    """Key of the environment that a compiled program depends on."""
     package, sources = Path(__file__).parents[1], hashlib.sha256()
     for place in SOURCES:
         for file in sorted((package / place).rglob("*.py")) or [package / place]:

@@ -31,7 +31,7 @@ MOST_MARKS = 1 << 22
 MOST_DIGITS = 20
 """Of a whole number; it must have at most 64 bits too, with a sign or without."""
 HALF_LETTER = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
-"""What a JSON text with such a letter contains; pairs of them too, which are fine."""
+"""Escape of a lone surrogate in JSON; valid pairs contain it too."""
 MOST_NODES = 100_000
 """Values of a YAML file, each alias counted with all that it stands for."""
 
@@ -89,7 +89,7 @@ def _kernel_devices() -> set[int]:
 
 
 def check_regular(path: Path, where: str | None = None) -> None:
-    """Raise `InputError` for what libraries cannot read at once: no regular file, or one that may not be read."""
+    """Raise `InputError` unless a path is a regular, readable file."""
     open_regular(path, where).close()
 
 

@@ -38,7 +38,7 @@ def _check_numbers(name: str, value: Any, hint: Any) -> None:
 
 
 def _kinds(hint: Any) -> set[Any]:
-    """A type, and what it is a union of."""
+    """A type, and the members of a union."""
     return {hint, *typing.get_args(hint)} if typing.get_origin(hint) in (None, types.UnionType) else {hint}
 
 

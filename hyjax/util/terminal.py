@@ -1,4 +1,4 @@
-"""What commands print on stderr: a line each, without the libraries' own."""
+"""Messages of commands on stderr: one line each, without the libraries' own."""
 
 import errno
 import logging
@@ -43,7 +43,7 @@ def end_output(error: OSError) -> int:
 
 
 def quiet_libraries() -> None:
-    """Log as `hyjax: message`, a line each, and leave out what libraries say about numbers and themselves."""
+    """Log as `hyjax: message`, one line each, without libraries' own warnings."""
     handler = logging.StreamHandler()
     handler.setFormatter(OneLine("hyjax: %(message)s"))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])

@@ -12,7 +12,7 @@ Run = Callable[..., Any]
 
 
 def concrete(value: ArrayLike | Sequence[float]) -> np.ndarray | None:
-    """The numbers in `value`, or None while jax is tracing and there are none yet."""
+    """Concrete numbers of `value`; None while jax is tracing."""
     return None if isinstance(value, jax.core.Tracer) else np.asarray(value)
 
 

@@ -17,7 +17,7 @@ from hyjax.util.errors import InputError
 
 @dataclasses.dataclass(frozen=True)
 class FrameBench:
-    """What is tuned on.
+    """Scenes, cases and loss of a tuning run.
 
     Attributes:
         scenes: of the cases and the held-out cases.

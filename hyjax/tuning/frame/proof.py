@@ -19,7 +19,7 @@ ROUNDS = 100
 MOST_SECONDS = 20.0
 """Of timing, for each configuration."""
 LEAST = 1e-9
-"""Loss that is told from none."""
+"""Smallest loss that is told from zero."""
 
 
 def prove(configurations: Sequence[Configuration], stage: "Stage", *, progress: bool) -> list[Candidate]:
@@ -66,7 +66,7 @@ def best_within(budget: Budget, candidates: Sequence[Candidate]) -> Candidate:
 
 
 def effects(trials: Sequence[Trial]) -> list[Effect]:
-    """What each choice that was tried by itself costs and brings."""
+    """Effect on loss and time of each choice that was tried by itself."""
     starts = [t for t in trials if t.phase in ("default", "ranges")] or list(trials[:1])
     screened = [t for t in trials if t.phase == "screening"]
 

@@ -1,4 +1,4 @@
-"""Replay of a kept study: what a search on another machine or on other scenes found, timed and judged anew."""
+"""Replay of a kept study: the front of a search on another machine or other scenes, timed and judged anew."""
 
 from collections.abc import Sequence
 from pathlib import Path

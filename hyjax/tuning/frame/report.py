@@ -26,7 +26,7 @@ from hyjax.util.files import atomic_write, write_text
 __all__ = ["CSV_COLUMNS", "summary", "write_results"]
 
 STEMS: dict[BudgetStage, str] = {"frame": "configuration", "cascade": "schedule"}
-"""Names of the files with what was found: a whole configuration, or the schedule of the diffusion alone."""
+"""Names of the result's files: of a whole configuration, or of the schedule of the diffusion alone."""
 CSV_COLUMNS = (
     *("name", "kind", "best_for", "front", "choices", "cases", "relative_loss", "relative_time"),
     *("median_ms", "p95_ms", "default_ms"),
@@ -91,7 +91,7 @@ def write_configurations(out: Path, tuned: Tuned) -> list[Path]:
 
 
 def write_front(folder: Path, tuned: Tuned) -> None:
-    """Write the configurations of the front, by name, into a folder of their own; what was beaten since goes."""
+    """Write the configurations of the front, by name, into a folder of their own; beaten ones are removed."""
     texts: dict[str, str] = {}
     for candidate in tuned.front:
         name = _free(file_stem(candidate.name, STEMS[tuned.stage]), texts)
@@ -100,14 +100,14 @@ def write_front(folder: Path, tuned: Tuned) -> None:
 
 
 def _free(stem: str, taken: dict[str, str]) -> str:
-    """Name of a file that is not taken, on systems that do not tell cases apart either."""
+    """Name of a file that is free, on case-insensitive systems too."""
     lower = {name.lower() for name in taken}
     names = (f"{stem}{end}.json" for end in ("", *(f"-{n}" for n in range(2, len(taken) + 3))))
     return next(name for name in names if name.lower() not in lower)
 
 
 def write_pareto_csv(path: Path, tuned: Tuned) -> None:
-    """Write a row for each candidate, then one for each trial; what is not known is empty.
+    """Write a row for each candidate, then one for each trial; unknown values are empty.
 
     Columns are `CSV_COLUMNS` and `score_columns`. Losses of candidates are on all tuning frames, those of trials on
     the first `cases`.

@@ -1,4 +1,4 @@
-"""Page of a tuning run: what the template `frame.html.jinja` shows."""
+"""Page of a tuning run, from the template `frame.html.jinja`."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Plots of a tuning run: the front of time against loss, and what each choice costs and brings."""
+"""Plots of a tuning run: the front of time against loss, and the effect of each choice."""
 
 from collections.abc import Callable
 
@@ -106,7 +106,7 @@ def _points(tuned: Tuned, scores: Callable[[Candidate], dict[str, float] | None]
 
 
 def draw_effects(effects: list[Effect]) -> Figure:
-    """What each choice changes by itself: time across, loss upward, in per cent. Down and left is better.
+    """Effects of single choices: time across, loss upward, in per cent. Down and left is better.
 
     Names are written beside those that change most.
     """

@@ -39,7 +39,7 @@ def _kind(tuned: Tuned, candidate: Candidate) -> str:
 
 
 def same(a: Candidate, b: Candidate) -> bool:
-    """Whether two are one measured configuration, under whatever names."""
+    """Whether two candidates are one measured configuration, by any name."""
     return a is b or a.tuning is b.tuning  # the best is timed once more
 
 
@@ -93,7 +93,7 @@ def configuration_text(configuration: Configuration) -> str:
 
 
 def described(configuration: Configuration) -> dict[str, str]:
-    """Choices of a configuration in words; those that mean nothing beside the others are left out."""
+    """Active choices of a configuration in words."""
     return {
         CHOICES[name].label or name: _levels(value) if isinstance(value, tuple) else value_text(value)
         for name, value in configuration.values().items()
@@ -101,13 +101,13 @@ def described(configuration: Configuration) -> dict[str, str]:
 
 
 def _levels(values: Iterable[Any]) -> str:
-    """A number for each level, or one if they are alike; a dash for what a level does not have."""
+    """A number for each level, or one if they are alike; a dash for levels without one."""
     told = ["-" if value is None else f"{value:.4g}" for value in values]
     return " ".join(told[:1] if len(set(told)) == 1 else told)
 
 
 def summary(tuned: Tuned) -> list[str]:
-    """Sentences that say what came out: one for each budget, what was missed, and how well times were predicted."""
+    """Sentences of the result: one for each budget, missed budgets, and the error of predicted times."""
     sentences = []
     for budget, best in zip(tuned.budgets, tuned.best, strict=True):
         sentences.append(sentence(tuned, budget, best))
@@ -150,7 +150,7 @@ def jointly(tuned: Tuned) -> list[str]:
 
 
 def sentence(tuned: Tuned, budget: Budget, best: Candidate) -> str:
-    """What fits a budget, how long it takes, and what it is worth against the default."""
+    """Sentence of a budget: its configuration, its time, and its loss against the default's."""
     base = default_of(tuned)
     time = f"median {milliseconds(best.time.median)} ms, p95 {milliseconds(best.time.p95)} ms"
     if best.time.predicted:
@@ -183,7 +183,7 @@ def change_text(ratio: float) -> str:
 
 
 def missed(budget: Budget, best: Candidate) -> list[str]:
-    """What is to be said if even the fastest took longer than a budget."""
+    """Sentence of a budget that even the fastest configuration missed."""
     if best.time.p95 <= budget.milliseconds:
         return []
     return [

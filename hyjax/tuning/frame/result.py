@@ -14,7 +14,7 @@ from hyjax.tuning.settings import BudgetStage
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
-    """A configuration with what is known of it.
+    """Configuration with its scores and times.
 
     Attributes:
         configuration: named after where it comes from.
@@ -50,7 +50,7 @@ class Candidate:
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
-    """What one choice costs and brings, by itself.
+    """Effect on loss and time of one choice by itself.
 
     Attributes:
         parameter: its name.

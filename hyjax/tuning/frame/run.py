@@ -174,7 +174,7 @@ class Run:
         return search(state, evaluator, limits, report=report, expired=self.monitor.expired)
 
     def _keep(self, state: State, limit: float) -> None:
-        """Write the best so far, so that whoever stops the run has it."""
+        """Write the best so far, for runs that are stopped."""
         best, out = state.best(limit), self.settings.out
         if best is not None and out is not None and best.choices != self._kept:
             self._kept = best.choices

@@ -1,4 +1,4 @@
-"""Scenes with known pictures: what a configuration is judged by."""
+"""Scenes with known pictures, by which configurations are judged."""
 
 import dataclasses
 import functools
@@ -75,11 +75,11 @@ class TuningScene:
         return self._target(lights, index)
 
     def relighter(self, lights: str, configuration: Configuration) -> Relighter:
-        """What relights the frames as a configuration says, to be timed."""
+        """Relighter of the frames under a configuration, to be timed."""
         return Relighter(self.scene, self.setup(lights), configuration)
 
     def judged(self, configuration: Configuration) -> Configuration:
-        """The configuration as its pictures are compared: without what this scene's targets do not tell."""
+        """Configuration as its pictures are compared: without choices that this scene's targets cannot judge."""
         return configuration if self.has_truth else with_photo_light(configuration)
 
     def _make_target(self, lights: str, index: int) -> Target:

@@ -107,7 +107,7 @@ def init(
 
 
 def update(state: State, trial: Trial) -> State:
-    """State with a judged trial; one of known choices takes the place of what was known of them."""
+    """State with a judged trial, in place of an earlier one of the same choices."""
     key = key_of(trial.choices)
     known = state.trials.get(key)
     if known is not None:
@@ -123,7 +123,7 @@ def close(state: State) -> State:
 
 
 def propose(state: State, budgets: Sequence[float]) -> Proposed | None:
-    """What to judge next for budgets of time, relative to the default's; None where the search is at its end.
+    """Next trial for budgets of time, relative to the default's; None where the search is at its end.
 
     Args:
         state: so far.
@@ -195,7 +195,7 @@ def within(state: State, budget: float) -> list[Trial]:
 
 
 def _start(state: State) -> Trial:
-    """The better of the default and of what its numbers became."""
+    """Better one of the default and the default with refined numbers."""
     known = [t for t in state.trials.values() if t.phase in ("default", "ranges")]
     return min(known, key=lambda t: t.loss)
 
@@ -280,7 +280,7 @@ def _times(state: State, time: Surrogate, pool: Sequence[Choices]) -> Float[np.n
 
 
 def _pool(state: State, loss: Surrogate, time: Surrogate, budget: float) -> list[Choices]:
-    """Combinations of the best trials, changed and crossed, and of what promises most by itself."""
+    """Combinations of the best trials, mutated and crossed, and of the most promising single choices."""
     space, rng = state.space, _rng(state)
     tried = sorted(state.trials.values(), key=lambda t: t.loss + 10.0 * ((t.time or 1.0) > budget))[:8]
     climbed = _climbed(state, tried[0].choices, loss, time, budget)

@@ -171,7 +171,7 @@ class Space:
         return found or BARE
 
     def complete(self, choices: Mapping[str, Any]) -> Choices:
-        """Choices with defaults for what is not said, and without what means nothing beside the others.
+        """Choices completed by defaults, without inactive ones.
 
         Cascades may be given as text, such as `cascade="16:3 8:4"`. Of samplings that the cascades do not allow,
         the largest that they do.
@@ -227,7 +227,7 @@ class Space:
         return self.complete({parameter.name: parameter.draw(rng) for parameter in self.parameters})
 
     def changes(self, choices: Choices) -> list[Choices]:
-        """Choices that differ in one discrete parameter, and in what it does not allow."""
+        """Choices that differ in one discrete parameter, and in those that it makes inactive."""
         found: list[Choices] = []
         for parameter in self.parameters:
             if parameter.continuous or parameter.name not in choices:
@@ -254,7 +254,7 @@ class Space:
         return self.complete(changed)
 
     def choices_of(self, configuration: Configuration) -> Choices:
-        """Choices of a configuration; the default's where it has what the space does not."""
+        """Choices of a configuration; the default's for values outside the space."""
         found: Choices = {}
         for name, value in self._expanded(_known(configuration.values(), self)).items():
             parameter = self.named.get(name)
@@ -331,7 +331,7 @@ def _allowed(sampling: int, cascade: str, shadow_pass: str, data_term: bool) -> 
 
 
 def structure(choices: Mapping[str, Any], space: Space) -> str:
-    """Key of what decides on the time: choices without the numbers of ranges."""
+    """Key of the choices that decide the time: all but the numbers of ranges."""
     return repr([(p.name, choices[p.name]) for p in space.parameters if not p.continuous and p.name in choices])
 
 

@@ -80,7 +80,7 @@ class Stage(abc.ABC):
 
     @abc.abstractmethod
     def references(self) -> list[Configuration]:
-        """Configurations beside which the tuned ones are told, the base first."""
+        """Configurations to compare the tuned ones with, the base first."""
 
     @abc.abstractmethod
     def evaluator(self, space: Space, study: Study, expired: Callable[[], bool]) -> Evaluator:
@@ -244,7 +244,7 @@ def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, cl
 
 
 def examples(bench: FrameBench, front: Sequence[Candidate]) -> list[tuple[str, dict[str, Any]]]:
-    """Pictures of some cases, held out where there are any, at three points of the front beside the target.
+    """Pictures of some cases, held out where there are any, at three points of the front, and the target.
 
     Returns:
         (name of the case, pictures by heading).

@@ -32,14 +32,14 @@ NAME = "study.log"
 UNUSABLE = 1e9
 """Stands for a loss that is not a number."""
 VERSION = 3
-"""Of what is kept. Add one whenever it means something else."""
+"""Version of the journal. Add one whenever its contents mean something else."""
 KEPT = ("choices", "phase", "losses", "time", "cases", "improve", "source", "predicted")
 """Of a trial; its budget is known while it is proposed alone."""
 
 
 @contextlib.contextmanager
 def _quietly() -> Iterator[None]:
-    """Without the warnings that Optuna gives of a damaged journal, beside our one line."""
+    """Suppress Optuna's own warnings about a damaged journal."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
@@ -168,7 +168,7 @@ def _unwritable(error: OSError) -> InputError:
 
 
 def _cut_to_lines(path: Path) -> None:
-    """Take away a last line that a crash has cut off: what is appended would become part of it."""
+    """Remove a last line that a crash has cut off: appended lines would become part of it."""
     check_regular(path)
     with path.open("rb+") as file:
         content = file.read()
@@ -178,7 +178,7 @@ def _cut_to_lines(path: Path) -> None:
 
 @_quietly()
 def kept_trials(path: Path, name: str = "frame") -> list[Trial]:
-    """Trials of a journal, of whatever machine and settings they are: to look at.
+    """Trials of a journal of any machine and settings, to be read only.
 
     Args:
         path: `study.log`.
