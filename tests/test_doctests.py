@@ -76,7 +76,8 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder that holds the reader's scan."""
     folder = tmp_path_factory.mktemp("reader")
     room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
-    (folder / "my_scan").symlink_to(export_arkit_scan(folder, room, room.reference()))
+    mesh = hyjax.Scene.open(hyjax.SceneSettings(), capture=room).mesh
+    (folder / "my_scan").symlink_to(export_arkit_scan(folder, room, mesh))
     return folder
 
 

@@ -182,7 +182,7 @@ def test_a_relit_frame_hardly_changes() -> None:
     from hyjax.data.builtin_room import load_room
 
     room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
-    scene = hyjax.Scene(room, room.reference())
+    scene = hyjax.Scene.open(hyjax.SceneSettings(), capture=room)
     view, schedule = scene.view(0), Schedule.preset("hyjax")
     pictures = []
     for sampling in (1, 2):

@@ -191,7 +191,12 @@ def test_a_relit_capture_looks_the_same(tmp_path: Path) -> None:
     pictures = {}
     for renderer in ("shadow_map", "blender"):
         settings = RelightSettings(
-            frames="15", lights="two-colors", renderer=renderer, out=tmp_path / renderer, quiet=True
+            frames="15",
+            lights="two-colors",
+            renderer=renderer,
+            keep_photo_light=True,
+            out=tmp_path / renderer,
+            quiet=True,
         )
         run = relight_capture(settings, scene=scene, schedule=Schedule.uniform([(2, 2)]))
         assert run["renderer"] == renderer

@@ -28,7 +28,8 @@ OWN = {
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
-    return export_arkit_scan(tmp_path_factory.mktemp("scan"), room, room.reference())
+    mesh = hyjax.Scene.open(hyjax.SceneSettings(), capture=room).mesh
+    return export_arkit_scan(tmp_path_factory.mktemp("scan"), room, mesh)
 
 
 @pytest.mark.slow
