@@ -15,6 +15,7 @@ import math
 import os
 import pickle
 import platform
+import re
 import secrets
 import threading
 from collections.abc import Callable, Iterator
@@ -35,6 +36,8 @@ SOURCES = ("core", "light", "util", "pipeline.py")
 """Sources of kept programs: the pure layers."""
 MOST_BYTES = 300_000_000
 """Of kept programs, some four million a size of picture; those that were used longest ago go first."""
+OPTION = re.compile("XLA_|JAX_(?!.*_CACHE_)")
+"""Pattern of variables that may change a program; those of JAX's own cache change none."""
 LEAST_SECONDS = "jax_persistent_cache_min_compile_time_secs"
 _log = logging.getLogger(__name__)
 _folder: Path | None = None
@@ -197,7 +200,7 @@ def _surroundings() -> str:
     device, cpuinfo = jax.devices()[0], Path("/proc/cpuinfo")
     lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
     features = sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
-    options = sorted(f"{k}={v}" for k, v in os.environ.items() if k.startswith(("XLA_", "JAX_")))
+    options = sorted(f"{k}={v}" for k, v in os.environ.items() if OPTION.match(k))
     options += [str(getattr(jax.config, name)) for name in ("jax_enable_x64", "jax_default_matmul_precision")]
     machine = platform.machine(), device.platform, device.device_kind, device.client.platform_version, *features
     versions = sources.hexdigest(), jax.__version__, jax.lib.__version__, str(os.cpu_count())

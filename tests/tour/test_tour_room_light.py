@@ -16,7 +16,9 @@ from box_room import TOP, BoxCapture, box_room, moved
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import UP
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.geometry.raycast import RayCaster
 from hyjax.light.photo_light import on_pixels
+from hyjax.photo_light.estimate import Estimate, read_estimate
 from hyjax.scene.scene import Scene
 from hyjax.tour import layers as layers_module
 from hyjax.tour.furniture import merge_gbuffers
@@ -29,6 +31,7 @@ from hyjax.tour.renderer import Renderer
 from hyjax.tour.room_light import bounced_at_vertices
 from hyjax.tour.session import Session
 from hyjax.tour.viewpoint import Viewpoint
+from hyjax.util.cache import Arrays
 from hyjax.util.errors import InputError
 
 VIEW = Viewpoint(0, "relit", Schedule.preset("hyjax"))
@@ -39,7 +42,14 @@ CUBE = Piece(tuple(TOP.tolist()))
 
 @pytest.fixture(scope="module")
 def renderer() -> Renderer:
-    return Renderer(Scene(BoxCapture(), box_room()))
+    """Of a room whose photo light is believed, though its pictures are noise: else nothing bounces."""
+
+    def believed(caster: RayCaster, arrays: Arrays) -> Estimate:
+        return read_estimate(caster, {**arrays, "exponent": np.array(1.0)})
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hyjax.scene.photo_light.read_estimate", believed)
+        return Renderer(Scene(BoxCapture(), box_room()))
 
 
 def test_faces_of_parts_count_the_scans_triangles(renderer: Renderer) -> None:
@@ -150,11 +160,12 @@ def test_unknown_sources_are_refused_with_a_hint(renderer: Renderer) -> None:
     assert "did you mean 'ceiling'" in (light.unknown({"celing": 1.0}) or "")
 
 
-def test_sources_of_another_room_are_left_out_with_one_notice(renderer: Renderer, tmp_path: Path) -> None:
+def test_sources_of_another_room_are_left_out_with_one_notice(tmp_path: Path) -> None:
     (tmp_path / "tour.json").write_text(
         replace(NIGHT, existing={"celing": 0.5, "walls": 0.3, "attic": 1.0}).to_json()
     )
-    session = Session(renderer, {"hyjax": VIEW.schedule}, tmp_path, RenderQueue(lambda *_: False))
+    unbelieved = Renderer(Scene(BoxCapture(), box_room()))
+    session = Session(unbelieved, {"hyjax": VIEW.schedule}, tmp_path, RenderQueue(lambda *_: False))
     assert session.plan.existing == {"walls": 0.3}
     (notice,) = [text for title, text in session.notices if "another room" in title]
     assert "'celing' (did you mean 'ceiling'?), 'attic'" in notice
