@@ -13,7 +13,6 @@ from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
 
 TIMESTAMP_FEATURE = "timestamp-query"
-FAR_DEPTH = {"depth_clear_value": 0.0}
 
 
 def open_device(precision: str = "f32") -> Any:

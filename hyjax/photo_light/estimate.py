@@ -141,7 +141,7 @@ def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
     illuminance, shares, mean, albedo = (jax.device_put(arrays[name]) for name in parts)
     names = tuple(str(name) for name in arrays["names"])
     flatness = tuple(float(x) for x in arrays["flatness"])
-    filled_share = FILLED_SHARE if exponent else 1.0
+    filled_share = max(FILLED_SHARE, _unscanned_share(transport)) if exponent else 1.0
     light = PhotoLight(illuminance, shares, mean, albedo, transport, filled_share)
     return Estimate(light, names, exponent, float(arrays["hue_exponent"]), flatness)
 
@@ -225,6 +225,13 @@ def _albedo(
     # What was not scanned is often the ceiling and white walls: half way between them and what was.
     unscanned = np.sqrt(mean * WHITE_WALL)
     return np.concatenate([albedo, np.broadcast_to(unscanned, (len(light) - count, 3))]), unscanned
+
+
+def _unscanned_share(transport: Transport) -> float:
+    """Share of the scan's rays that end outside it, where nothing is known of new light; in whole hundredths."""
+    openings = len(transport.faces) + len(transport.position) - transport.vertices
+    hits = np.asarray(transport.hits)[:, : transport.vertices]
+    return round(float(((hits >= len(transport.faces)) & (hits < openings)).mean()), 2)
 
 
 def _transport(caster: RayCaster, hits: np.ndarray, position: np.ndarray, normal: np.ndarray) -> Transport:

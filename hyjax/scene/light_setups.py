@@ -4,6 +4,7 @@ A capture that knows its windows and lamps (the built-in room) gets them lit. An
 walk, whose places `hyjax.scene.light_places` finds by ray casting.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -41,6 +42,8 @@ EXPOSURES = {
     "night-moon": Exposure(0.1, 0.035, 0.6),
 }
 """Exposures of the named set-ups, but for those of the paper."""
+PAPER_LUX, PAPER_SHARE = 300.0, 0.25
+"""Reference illuminance of the paper's set-ups, in lux, and the least brightness that the median picture keeps."""
 DARK_SETUPS = ("night-moon",)
 """Set-ups that are meant to be dark."""
 
@@ -75,15 +78,16 @@ def night_moon(anchors: LightAnchors) -> LightSetup:
 
 
 def center_point(anchors: LightAnchors) -> LightSetup:
-    """First benchmark of the paper: one bright point in the middle of the room."""
-    return LightSetup((PointLight(np.mean(anchors.points, axis=0), 9000.0, np.ones(3)),), 300.0)
+    """First benchmark of the paper: one bright point in the middle of the room, or of every stop of a walk."""
+    places = [np.mean(anchors.points, axis=0)] if len(anchors.stops) == 1 else [s.lamp for s in anchors.stops]
+    return LightSetup(tuple(PointLight(place, 9000.0, np.ones(3)) for place in places), PAPER_LUX)
 
 
 def two_colors(anchors: LightAnchors) -> LightSetup:
-    """Second benchmark of the paper: two dim points of different colours."""
-    colors = np.array([[1.0, 0.45, 0.2], [0.2, 0.5, 1.0]])
-    points = [PointLight(point, 2500.0, color) for point, color in zip(anchors.points, colors, strict=True)]
-    return LightSetup(tuple(points), 300.0)
+    """Second benchmark of the paper: two dim points of different colours, which take turns along a walk."""
+    colors = itertools.cycle(np.array([[1.0, 0.45, 0.2], [0.2, 0.5, 1.0]]))
+    places = anchors.points if len(anchors.stops) == 1 else [stop.lamp for stop in anchors.stops]
+    return LightSetup(tuple(PointLight(p, 2500.0, color) for p, color in zip(places, colors)), PAPER_LUX)
 
 
 SETUPS: dict[str, Callable[[LightAnchors], LightSetup]] = {
@@ -116,6 +120,9 @@ def named_setup(name: str, anchors: LightAnchors) -> LightSetup:
     lux = anchors.seen.lux(setup.lights)
     if name in EXPOSURES:
         setup = exposed(setup, lux, anchors.seen, EXPOSURES[name])
+    else:
+        median = float(np.median(anchors.seen.of_cameras(lux.sum(axis=1))))
+        setup = LightSetup(setup.lights, float(np.clip(median / PAPER_SHARE, 1.0, PAPER_LUX)))
     warn_of_missing(setup, lux, name)
     # Converted by NumPy: every conversion of JAX's is a program of its own.
     lights = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), setup.lights))

@@ -20,7 +20,6 @@ from hyjax.util.reading import parse_json
 MOST_WINDOWS, MOST_LAMPS, MOST_PIECES = 8, 16, 8
 YEARS = 1900, 2100
 
-IDENTITY = tuple(np.eye(4).reshape(-1).tolist())
 LampKind = Literal["bulb", "spot", "candle", "strip"]
 Metres = Annotated[float, msgspec.Meta(gt=-1e4, lt=1e4)]
 Point = tuple[Metres, Metres, Metres]

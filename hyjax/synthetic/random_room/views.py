@@ -79,8 +79,3 @@ def _score(camera: Camera, caster: RayCaster) -> float:
     grid = np.where(hits.hit, hits.distance, 0).reshape(PROBE_RAYS, PROBE_RAYS)
     jumps = (np.abs(np.diff(np.log(np.maximum(grid, 1e-3)), axis=1)) > 0.12).mean()
     return float(jumps - 0.02)
-
-
-def camera_normals(camera: Camera, normals: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """World directions in the camera's axes."""
-    return normals @ camera.pose[:3, :3]
