@@ -43,7 +43,7 @@ EXPOSURES = {
 }
 """Exposures of the named set-ups, but for those of the paper."""
 PAPER_LUX, PAPER_SHARE = 300.0, 0.25
-"""Reference illuminance of the paper's set-ups, in lux, and the least brightness that the median picture keeps."""
+"""Reference illuminance of the paper's set-ups, in lux; share that the median picture of a walk keeps."""
 DARK_SETUPS = ("night-moon",)
 """Set-ups that are meant to be dark."""
 
@@ -120,7 +120,7 @@ def named_setup(name: str, anchors: LightAnchors) -> LightSetup:
     lux = anchors.seen.lux(setup.lights)
     if name in EXPOSURES:
         setup = exposed(setup, lux, anchors.seen, EXPOSURES[name])
-    else:
+    elif len(anchors.stops) > 1:
         median = float(np.median(anchors.seen.of_cameras(lux.sum(axis=1))))
         setup = LightSetup(setup.lights, float(np.clip(median / PAPER_SHARE, 1.0, PAPER_LUX)))
     warn_of_missing(setup, lux, name)

@@ -1,7 +1,6 @@
 """Hand-held camera poses in random rooms."""
 
 import numpy as np
-from jaxtyping import Float
 
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
