@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from hyjax.light.color import blackbody
 from hyjax.light.kinds import AmbientLight, DirectionalLight, PointLight, RectLight
@@ -43,7 +44,9 @@ EXPOSURES = {
 }
 """Exposures of the named set-ups, but for those of the paper."""
 PAPER_LUX, PAPER_SHARE = 300.0, 0.25
-"""Reference illuminance of the paper's set-ups, in lux; share that the median picture of a walk keeps."""
+"""Reference illuminance of the paper's set-ups, in lux; share that a dark walk's median picture is given."""
+LEAST_PAPER_SHARE, MOST_DARK = 0.02, 0.25
+"""Share of the reference below which a picture is dark, and the most pictures that may be."""
 DARK_SETUPS = ("night-moon",)
 """Set-ups that are meant to be dark."""
 
@@ -78,16 +81,13 @@ def night_moon(anchors: LightAnchors) -> LightSetup:
 
 
 def center_point(anchors: LightAnchors) -> LightSetup:
-    """First benchmark of the paper: one bright point in the middle of the room, or of every stop of a walk."""
-    places = [np.mean(anchors.points, axis=0)] if len(anchors.stops) == 1 else [s.lamp for s in anchors.stops]
-    return LightSetup(tuple(PointLight(place, 9000.0, np.ones(3)) for place in places), PAPER_LUX)
+    """First benchmark of the paper: one bright point in the middle of the room."""
+    return _paper_setup(anchors, [np.mean(anchors.points, axis=0)], 9000.0, np.ones((1, 3)))
 
 
 def two_colors(anchors: LightAnchors) -> LightSetup:
-    """Second benchmark of the paper: two dim points of different colours, which take turns along a walk."""
-    colors = itertools.cycle(np.array([[1.0, 0.45, 0.2], [0.2, 0.5, 1.0]]))
-    places = anchors.points if len(anchors.stops) == 1 else [stop.lamp for stop in anchors.stops]
-    return LightSetup(tuple(PointLight(p, 2500.0, color) for p, color in zip(places, colors)), PAPER_LUX)
+    """Second benchmark of the paper: two dim points of different colours."""
+    return _paper_setup(anchors, anchors.points, 2500.0, np.array([[1.0, 0.45, 0.2], [0.2, 0.5, 1.0]]))
 
 
 SETUPS: dict[str, Callable[[LightAnchors], LightSetup]] = {
@@ -120,13 +120,26 @@ def named_setup(name: str, anchors: LightAnchors) -> LightSetup:
     lux = anchors.seen.lux(setup.lights)
     if name in EXPOSURES:
         setup = exposed(setup, lux, anchors.seen, EXPOSURES[name])
-    elif len(anchors.stops) > 1:
-        median = float(np.median(anchors.seen.of_cameras(lux.sum(axis=1))))
-        setup = LightSetup(setup.lights, float(np.clip(median / PAPER_SHARE, 1.0, PAPER_LUX)))
     warn_of_missing(setup, lux, name)
     # Converted by NumPy: every conversion of JAX's is a program of its own.
     lights = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), setup.lights))
     return LightSetup(lights, setup.reference_lux)
+
+
+def _paper_setup(
+    anchors: LightAnchors, places: list[Vector], lumens: float, colors: Float[np.ndarray, "c 3"]
+) -> LightSetup:
+    """Points of a benchmark of the paper; one at every stop of a walk that they leave dark, colours in turns."""
+
+    def lit(places: list[Vector]) -> tuple[LightSetup, Float[np.ndarray, "p"]]:
+        points = tuple(PointLight(place, lumens, color) for place, color in zip(places, itertools.cycle(colors)))
+        return LightSetup(points, PAPER_LUX), anchors.seen.of_cameras(anchors.seen.lux(points).sum(axis=1))
+
+    setup, lux = lit(places)
+    if (lux < LEAST_PAPER_SHARE * PAPER_LUX).mean() <= MOST_DARK:
+        return setup
+    setup, lux = lit([stop.lamp for stop in anchors.stops])
+    return LightSetup(setup.lights, float(np.clip(np.median(lux) / PAPER_SHARE, 1.0, PAPER_LUX)))
 
 
 def _sky(anchors: LightAnchors, exitance: float, color: Any) -> list[RectLight]:
