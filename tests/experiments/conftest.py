@@ -8,6 +8,8 @@ from reference.arkit_export import export_arkit_scan
 from safetensors.numpy import save_file
 
 from hyjax.data.builtin_room import RoomCapture, load_room
+from hyjax.scene.scene import Scene
+from hyjax.scene.settings import SceneSettings
 
 ALEXNET = ((11, 3, 64), (5, 64, 192), (3, 192, 384), (3, 384, 256), (3, 256, 256))
 
@@ -20,8 +22,9 @@ def room() -> RoomCapture:
 
 @pytest.fixture(scope="session")
 def scan(room: RoomCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The room in ARKitScenes' layout with its true mesh."""
-    return export_arkit_scan(tmp_path_factory.mktemp("arkit"), room, room.reference())
+    """The room in ARKitScenes' layout, with a mesh as a phone scans it."""
+    mesh = Scene.open(SceneSettings(), capture=room).mesh
+    return export_arkit_scan(tmp_path_factory.mktemp("arkit"), room, mesh)
 
 
 @pytest.fixture(scope="session")

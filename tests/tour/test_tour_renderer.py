@@ -248,7 +248,7 @@ def room() -> RoomCapture:
 
 
 def test_the_first_plan_has_the_rooms_windows(room: RoomCapture) -> None:
-    renderer = Renderer(Scene(room, room.reference()))
+    renderer = Renderer(Scene(room, room.reference()), keep_photo_light=True)
     plan = renderer.first_plan()
     assert len(plan.windows) == sum(name.startswith("window") for name in room.anchors)
     assert plan.sky().direct > 1000
