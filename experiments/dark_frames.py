@@ -23,7 +23,7 @@ from experiments.records import Row, of_kind
 from hyjax.data.frames import spread
 from hyjax.light.color import to_display
 from hyjax.metrics.dark_share import DarkShare, dark_share
-from hyjax.scene.light_setups import DARK_SETUPS, EXPOSURES, check_setup_name
+from hyjax.scene.light_setups import DARK_SETUPS, SETUPS, check_setup_name
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
@@ -41,7 +41,7 @@ class Config(RunConfig):
         DATA / name for name in ("scanner3d_board", "scanner3d_corridor", "scanner3d_chair", "kitchen")
     )
     """Captures beside the built-in room."""
-    setups: tuple[str, ...] = tuple(name for name in EXPOSURES if name not in DARK_SETUPS)
+    setups: tuple[str, ...] = tuple(name for name in SETUPS if name not in DARK_SETUPS)
     """Named light set-ups."""
     frames: int = 4
     """Pictures of each capture, spread over it."""
