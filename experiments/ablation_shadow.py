@@ -50,7 +50,7 @@ LIGHTS = "two-colors"
 STEPS = (0, 1, 2, 4, 8, 16, 32, 64, 128)
 SURFACES = ("rough", "accurate")
 SIZES = {1: "full", 2: "half"}
-"""By factor."""
+"""Sizes by factor."""
 EDGE = 8 / 512  # of the picture's height
 FARTHEST = 32  # pixels
 DIM = 0.05  # of the reference illuminance: less light than this shows no shadow

@@ -55,9 +55,9 @@ PAPER = "paper's method"
 PAPER_KAPPAS = (0.02, 0.05, 0.1, 0.2, 0.4)
 BASELINES = ("bare mesh", "mean colour", PAPER)
 TUNING_SEED = 0
-"""Of the room and scan that κ is chosen on; the built-in room that is reported on has another."""
+"""Seed of the room and scan that κ is chosen on; the built-in room that is reported on has another."""
 STEPS_MORE = (1 / 3, 1, 3, 10)
-"""How many times their own steps the schedules of the second part take."""
+"""Multiples of their own steps that the schedules of the second part take."""
 SHEET = ("frame", "bare mesh", PAPER, "holes unknown", "hyjax", "accurate surface")
 
 

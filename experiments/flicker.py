@@ -46,7 +46,7 @@ KEPT = (0.5, 0.8, 0.9)
 """Shares of the last frame; the package's own is among them."""
 BARE, ACCURATE = "bare mesh", "accurate surface"
 GAIN = 8.0
-"""Of the pictures of differences."""
+"""Gain of the pictures of differences."""
 SHEET_ROWS = 4
 
 

@@ -44,7 +44,7 @@ from hyjax.util.files import write_text
 
 UNLIMITED_MS = 1e4
 MOST_TIME, MOST_LOSS = 1.5, 0.05
-"""Of a preset: time over the default's, and share of loss beyond the default's."""
+"""Bounds of a preset: time over the default's, and share of loss beyond the default's."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -30,9 +30,9 @@ from hyjax.util.files import atomic_write
 
 FIGURES = ROOT / "experiments" / "figures"
 QUALITY = 88
-"""Of JPEG."""
+"""Quality of JPEG."""
 SHEET_WIDTH = 320
-"""Of a picture on a contact sheet."""
+"""Width of a picture on a contact sheet."""
 Pixels = np.ndarray[Any, np.dtype[np.uint8]]
 
 

@@ -37,7 +37,7 @@ LIGHTS = "two-colors"
 KAPPAS = (0.0001, 0.0003, 0.0006, 0.00125, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 NONE, SURFACE = "none", "the surface"
 NORMALS = 0.1
-"""Of the surface's features, beside the logarithm of depth: a right angle counts as 14 % of depth."""
+"""Weight of normals beside the logarithm of depth in the features: a right angle counts as 14 % of depth."""
 NOWHERE = 10.0
 """Metres, in place of the depth where the accurate surface has a hole."""
 

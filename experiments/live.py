@@ -44,7 +44,7 @@ from hyjax.util.errors import InputError
 FPS = 30
 SIZES = ((256, 192), (640, 480))
 CHAIR = (1.87, 2.30)
-"""Where the chair stands that is taken away, on the floor."""
+"""Place on the floor of the chair that is taken away."""
 MOST_OF_A_CHAIR = 2500
 """Triangles of one of its parts; the room's shell has more."""
 LAMP = PointLight(np.array([1.3, 3.1, 2.0], np.float32), np.float32(800.0), blackbody(3000.0))

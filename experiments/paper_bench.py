@@ -46,13 +46,13 @@ GROUPS = ("display values", "light")
 METHODS: dict[Mode, str] = {"paper": "paper's method", "linear": "ours"}
 """Mode of the pipeline → how its filter is called."""
 OWN_GROUP: dict[Mode, str] = dict(zip(METHODS, GROUPS))
-"""What each mode multiplies its filter with when it is used as it is meant."""
+"""Group of pictures that each mode multiplies its filter with when it is used as it is meant."""
 KAPPA: dict[Mode, float | None] = {"paper": PAPER_KAPPA, "linear": None}
 """Best for the RGB guide on tuning frames; None: what the schedule brings."""
 PointPlace = Literal["room", "view"]
 """Place of the first benchmark's lamp: the middle of the room, as in the paper, or near what is looked at."""
 ANY = Schedule.uniform([(16, 1)])
-"""For the accurate surface, of which only the raw filter is looked at."""
+"""Schedule for the accurate surface, of which only the raw filter is looked at."""
 SHEET = ("frame", "bare mesh", "paper's method", "ours", "accurate surface", "relied on")
 
 

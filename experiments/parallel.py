@@ -16,7 +16,7 @@ from hyjax.sweep.task import Task
 from hyjax.util.errors import InputError
 
 FOLDER = "tasks"
-"""In a run's folder: what the workers have done so far."""
+"""Folder in that of a run: rows of the workers so far."""
 
 
 class Sink(Protocol):

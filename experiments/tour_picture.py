@@ -15,7 +15,7 @@ PIXELS = "640x480"
 WAIT = 120_000.0  # milliseconds
 AFTERNOON, EVENING = "16", "21.4"
 TABLE = 0.5, 0.81
-"""Where the bulb goes, in shares of the scene."""
+"""Place of the bulb, in shares of the scene."""
 GAP = 8
 
 

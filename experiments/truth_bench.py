@@ -24,7 +24,7 @@ DARKEST = 1e-3
 """Share of the mean light that no place is darker than in the truth that is divided by."""
 
 SHADOW_RAYS = 8
-"""To each light from each pixel."""
+"""Rays to each light from each pixel."""
 
 
 class TruthBench:

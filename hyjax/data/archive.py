@@ -22,7 +22,7 @@ from hyjax.util.reading import check_most, check_regular, open_regular
 ARCHIVES = (".zip", ".r3d")
 MOST_FILES = 1_000_000
 LARGEST_RATIO = 200
-"""Of unpacked to packed size of files of more than `HARMLESS` bytes; depth maps of a bare wall reach 50."""
+"""Largest ratio of unpacked to packed size above `HARMLESS` bytes; depth maps of a bare wall reach 50."""
 HARMLESS = 1 << 24
 LARGEST_FILE = 1 << 32
 

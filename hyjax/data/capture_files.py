@@ -19,7 +19,7 @@ from hyjax.util.reading import parse_json, read_text
 LARGEST_OF_NUMBERS = 1 << 16
 """Bytes of a text file that holds one matrix."""
 LARGEST_NUMBER = 1e19
-"""Of any in a capture's file; nanoseconds since 1970 are the largest that any program writes."""
+"""Largest number in a capture's file; nanoseconds since 1970 are the largest that any program writes."""
 TIMED = re.compile(r"(?:\d+_)?(\d+\.\d+)")
 
 

@@ -18,7 +18,7 @@ from hyjax.geometry.depth_sensor import KINECT as KINECT_SENSOR
 from hyjax.util.files import digest
 
 KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
-"""Of the depth camera, as the page of 7-Scenes gives them."""
+"""Intrinsics of the depth camera, as the page of 7-Scenes gives them."""
 COLOUR = Intrinsics(640, 480, 526.2, 526.2, 320.2, 237.5)
 BASELINE = 0.0256  # metres from the depth camera to the colour camera, along +x
 ROLL = 0.0094  # radians about the axis, of points on their way from the depth camera's axes to the colour camera's

@@ -42,7 +42,7 @@ from hyjax.geometry.camera import Intrinsics
 from hyjax.util.errors import InputError
 
 NAMES = ("transforms.json", "transforms_train.json")
-"""Where the frames are listed: the second is Blender's, of the part to train on."""
+"""Names of files that list the frames: the second is Blender's, of the part to train on."""
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 PERSPECTIVE = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "POLYCAM", "PERSPECTIVE")
 FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")

@@ -50,7 +50,7 @@ DEPTH = re.compile(r"(?:depth/(\d{1,9})\.exr|rgbd/(\d{1,9})\.depth)")
 FRAMES_PER_SECOND = 30.0
 """Default frame rate, for files without one."""
 MOST_READINGS = 1 << 22
-"""Of a depth map; the largest that the app writes has 640×480."""
+"""Most readings of a depth map; the largest that the app writes has 640×480."""
 SLACK = 4096
 """Bytes by which incompressible data may grow."""
 Metadata = Mapping[str, Any]

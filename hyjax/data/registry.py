@@ -47,7 +47,7 @@ DEEPEST = 16
 LOOKED_INTO = 100
 """Folders that are looked into to say which one is a capture."""
 PHONE_SHAPE = [192, 256]
-"""Of a phone's depth maps, by which they are known in layouts that name no sensor."""
+"""Shape of a phone's depth maps, by which they are known in layouts that name no sensor."""
 _log = logging.getLogger(__name__)
 
 

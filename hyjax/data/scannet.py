@@ -42,7 +42,7 @@ DEPTH = {0: "raw", 1: "zlib", 2: "occi"}
 LARGEST_SIDE = 16384
 LONGEST_NAME = 4096
 MOST_STEPS = 1e9
-"""Of depth in a metre; a thousand in real files."""
+"""Most steps of depth in a metre; a thousand in real files."""
 MESHES = ("_vh_clean.ply", "_vh_clean_2.ply")
 
 Matrix = Float[np.ndarray, "4 4"]

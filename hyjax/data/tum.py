@@ -40,7 +40,7 @@ TOLERANCE = 0.02
 DEPTH_UNIT = 1 / 5000
 CAMERAS = ("camera.txt", "calibration.txt")
 DEFAULT = (525.0, 525.0, 319.5, 239.5)
-"""Of the Kinect's driver, for 640×480."""
+"""Intrinsics of the Kinect's driver, for 640×480."""
 PUBLISHED = {
     "freiburg1": (517.3, 516.5, 318.6, 255.3, 0.2624, -0.9531, -0.0054, 0.0026, 1.1633),
     "freiburg2": (520.9, 521.0, 325.1, 249.7, 0.2312, -0.7849, -0.0033, -0.0001, 0.9172),

@@ -22,7 +22,7 @@ CASCADE_TOLERANCE = 1e-4
 NETWORK_TOLERANCE = 1e-3
 SEED = 0
 BRIGHTEST = 2.3
-"""Of the example filter."""
+"""Largest value of the example filter."""
 
 Named = dict[str, Float[np.ndarray, "..."]]
 Run = Callable[[Named], Float[np.ndarray, "..."]]

@@ -20,7 +20,7 @@ EXAMPLES = {
     "litert": (("Python", "python", "litert.py.jinja"),),
     "coreml": (("Swift", "swift", "coreml.swift.jinja"),),
 }
-"""Of each target: heading, language and template of its examples."""
+"""Examples of each target: heading, language and template of its examples."""
 
 
 def write_readme(

@@ -38,7 +38,7 @@ RAYS = 128
 """Rays of each point of the light transport, half of those of `relight`."""
 QUALITY = 95
 FRAMES = 24
-"""Of a page whose frames are not named, at most."""
+"""Most frames of a page that names none."""
 SHEET_ROWS = 3
 _PAGE_FILE, _SCENE_FILE = "page.json", "scene.bin"
 _OF_TIMING = "measure.html", "measure.js", "timing.js"

@@ -25,7 +25,7 @@ AROUND = 4  # neighbours that a point is compared with
 ISOLATED = 3.0  # times as far from its neighbours as they are from theirs: not of the surface
 PIECE = 1 << 18  # points that are worked on at once
 CORNERS = np.sqrt(np.pi) / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
-"""Of a square as large as the unit disc, which takes two triangles."""
+"""Corners of a square as large as the unit disc, which takes two triangles."""
 
 
 @checked_arguments

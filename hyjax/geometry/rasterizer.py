@@ -27,7 +27,7 @@ ALIGNMENT = 64
 MOST_BUFFERS = 8
 """Threads that draw one picture: each has a picture of its own, and all are merged."""
 MOST_PIXELS = 1 << 24
-"""Of all these pictures together: 128 MiB. A picture larger than that is drawn by one thread."""
+"""Most pixels of all these pictures together: 128 MiB. A picture larger than that is drawn by one thread."""
 BANDS = 2
 """Bands of rows for each thread, whose surface points are made: rows are not equally full."""
 NO_FACES = np.empty((0, 0), np.int32)

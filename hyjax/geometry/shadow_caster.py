@@ -23,11 +23,11 @@ from hyjax.util.vectors import orthonormal_frame
 RESOLUTION = 1024  # texels a side of a map with one view
 VIEW_RESOLUTION = 512  # of each view, where there are several
 LARGEST_SCALE = 16.0
-"""Of the resolution: maps of a gigabyte."""
+"""Largest factor of the resolution: maps of a gigabyte."""
 VERSION = 1
 """Version of the drawn maps. Add one whenever they come out differently."""
 MOST_BYTES = 400_000_000
-"""Of shadow maps that are kept in a folder: some twenty soft lights."""
+"""Most bytes of shadow maps in a folder: some twenty soft lights."""
 
 
 def cast_shadow_maps(

@@ -26,7 +26,7 @@ SPECK = 64.0
 """Square voxels: connected surface of less that ends within its region is dropped, as in `extract_surface`."""
 Region = tuple[int, int, int]
 PATIENCE = 0.2
-"""How much more urgent a region becomes each time that others are meshed before it."""
+"""Growth of a region's urgency each time that others are meshed before it."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

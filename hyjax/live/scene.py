@@ -53,7 +53,7 @@ DEPTH_WIDTH = 320
 RATE = 5.0
 """Renewals of the mesh for each second of frames."""
 MOST_REGIONS = 16
-"""Of the mesh, that are made anew at once, those that have changed most; 1.3 m each way with voxels of 4 cm."""
+"""Most regions that are meshed anew at once, the most changed first; 1.3 m each way with voxels of 4 cm."""
 SHADOW_SCALE = 0.5
 """Resolution of shadow maps, relative to that of `hyjax relight`."""
 BOUNDS = 1.0

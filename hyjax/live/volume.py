@@ -22,7 +22,7 @@ from hyjax.geometry.voxels import voxel_coordinates, voxel_keys
 from hyjax.util.errors import InputError
 
 MOST_WEIGHT = 3.0
-"""Of a voxel: three views head-on from one metre, or some thirty from three."""
+"""Largest weight of a voxel: three views head-on from one metre, or some thirty from three."""
 MEMORY = 8.0
 """Votes that old evidence counts for, at most, against one that contradicts it."""
 CONTRADICTION = 0.5
@@ -32,7 +32,7 @@ MIN_WEIGHT = 0.1
 TOLERANCE = 0.03
 """Share of the truncation that a distance may move before its block is meshed anew: 5 mm with voxels of 4 cm."""
 UNSEEN = 2.0
-"""In place of a distance, where too little has been seen."""
+"""Value in place of a distance, where too little has been seen."""
 MOST_BLOCKS = 60_000
 """Most blocks, of 8³ voxels each: 360 MB, enough for a flat of some 200 m² with voxels of 4 cm."""
 LEFT = 0.9

@@ -20,7 +20,7 @@ from hyjax.util.reading import check_regular
 
 VARIABLE = "HYJAX_LPIPS"
 FILE = "lpips_{}.safetensors"
-"""In the cache folder, by network."""
+"""Name of a file in the cache folder, by network."""
 CONVERT = "; in a clone, python -m experiments.convert_weights makes safetensors of other files"
 
 

@@ -42,7 +42,7 @@ class Belief:
 
 
 NO_BELIEF = Belief(0.0, 0.0, (1.0,) * len(EXPONENTS))
-"""Where scan and frames tell too little."""
+"""Belief where scan and frames tell too little."""
 
 
 def folds(position: Float[np.ndarray, "n 3"], seed: int = 0) -> Int[np.ndarray, "n"]:

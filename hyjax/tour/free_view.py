@@ -18,7 +18,7 @@ from hyjax.tour.renderer import Renderer
 from hyjax.tour.screen import quaternion
 
 CAMERAS = 24
-"""At most so many are drawn."""
+"""Most cameras that are drawn."""
 FRAME_COLOR, CAMERA_COLOR, SOURCE_COLOR = (255, 140, 0), (70, 70, 70), (255, 220, 120)
 
 

@@ -29,10 +29,10 @@ GROUND = 0.2
 WALLS = 0.5
 """Share of the light that a room's surfaces throw back, on average."""
 BALANCE = 0.43
-"""How far a camera's white balance makes up for coloured light, from nothing to all, in reciprocal kelvin."""
+"""Share of coloured light that a camera's white balance makes up for, from nothing to all, in reciprocal kelvin."""
 NEUTRAL_KELVIN = 6500.0
 ADAPTATION = 0.8
-"""How far a camera makes up for the dark: 1 shows night as bright as day, 0 leaves it black."""
+"""Exponent by which a camera makes up for the dark: 1 shows night as bright as day, 0 leaves it black."""
 STRIP = (1.0, 0.03)  # metres
 SPOT_DEGREES = 20.0, 40.0
 """Half angles of a spot's cone: fully lit inside the first, dark outside the second."""

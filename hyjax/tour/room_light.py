@@ -31,9 +31,9 @@ from hyjax.util.lru_cache import LruCache
 from hyjax.util.programs import run_kept
 
 ARRANGEMENTS = 4
-"""Of furniture, whose points are kept."""
+"""Arrangements of furniture whose points are kept."""
 DRAFT_RAYS = 64
-"""Of each point, while something is being dragged."""
+"""Rays of each point, while something is being dragged."""
 
 
 @jax.tree_util.register_dataclass

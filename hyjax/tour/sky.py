@@ -19,7 +19,7 @@ from hyjax.util.extras import optional_module
 Weather = Literal["clear", "cloudy", "full moon"]
 
 SOLAR_LUX = 127_500.0
-"""Of the sun outside the atmosphere, at its mean distance."""
+"""Illuminance of the sun outside the atmosphere, at its mean distance."""
 FULL_MOON_LUX = 0.32
 LOWEST_MOON = 15.0
 """Lowest full moon at any hour, degrees."""

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from hyjax.tuning.cost_model import CostModel
 
 MOST_STEPS = 64
-"""Of one level. Twice as far is reached at a quarter of the cost one level coarser."""
+"""Most steps of one level. Twice as far is reached at a quarter of the cost one level coarser."""
 
 Steps = tuple[int, ...]
 

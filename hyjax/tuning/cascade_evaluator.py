@@ -14,13 +14,13 @@ from hyjax.tuning.latency_estimator import ScheduleClock
 from hyjax.tuning.relaxation import RelaxedSchedule, evaluate, relaxed_of
 
 ITERATIONS = 30
-"""Of a relaxed descent, one frame each."""
+"""Iterations of a relaxed descent, one frame each."""
 LOOKED_AT = 16
 """Whole steps around the start, and around the end of the descent, of which the loss is computed."""
 POLISHING = 8
 """Iterations of the quasi-Newton steps on the numbers of a schedule."""
 POLISHED = 1
-"""Of these, the best so many get better numbers before one is chosen."""
+"""Best schedules among these whose numbers are refined before one is chosen."""
 NEVER = 1e6
 """Time over the default's of no steps at all, which no budget allows."""
 

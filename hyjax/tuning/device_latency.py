@@ -19,7 +19,7 @@ from hyjax.util.reading import parse_json, read_bytes
 FORMAT: Literal[1] = 1
 """Version of the file and of the request for it. Counted up when an older reader would misunderstand one."""
 FEWEST_SAMPLES = 10
-"""Of each schedule: fewer say nothing of a 95th percentile."""
+"""Fewest samples of each schedule: fewer say nothing of a 95th percentile."""
 MOST_BYTES = 16 << 20
 SHORTEST, LONGEST = 1e-3, 1e6
 """Milliseconds; a time below a microsecond is in another unit."""

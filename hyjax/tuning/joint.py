@@ -38,7 +38,7 @@ from hyjax.util.files import write_text
 ITERATIONS = 300
 RATE = 0.003
 HOLD = 1e-3
-"""Of the kernel's relative distance from where it started, squared: a few frames cannot be trusted with more."""
+"""Weight of the kernel's relative squared distance from its start: a few frames cannot be trusted with more."""
 
 Kernel = Float[Array, "k k t f"]
 

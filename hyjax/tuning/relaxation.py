@@ -41,7 +41,7 @@ from hyjax.util.geometry import TINY
 
 BLOCK = 8
 KAPPA_RANGE = (1e-3, 1.0)
-"""For guides in [0, 1], of which an edge of full contrast differs by √3."""
+"""Range of κ for guides in [0, 1], of which an edge of full contrast differs by √3."""
 LAM_RANGE = (0.01, 0.2499)
 FIDELITY_RANGE = (1e-4, 10.0)
 RANGES = {"kappa": KAPPA_RANGE, "lam": LAM_RANGE, "fidelity": FIDELITY_RANGE}

@@ -10,7 +10,7 @@ from hyjax.util.errors import InputError
 TUNING_FRAMES = 4
 HELD_OUT_FRAMES = 4
 LEAST_MS, MOST_MS = 1e-6, 1e7
-"""Of a budget."""
+"""Bounds of a budget, in milliseconds."""
 
 
 def parse_budgets(fps: Sequence[float], budget_ms: Sequence[float]) -> list[Budget]:

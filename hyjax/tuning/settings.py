@@ -21,7 +21,7 @@ DIFFUSION_LIGHTS = "two-colors"
 """The set-up that the diffusion alone is tuned under by default."""
 MOST_TRIALS = 100_000
 ROOM_PHOTOS = 12
-"""Of a room of known truth."""
+"""Number of photos of a room of known truth."""
 CONVERGED = "converged"
 """Target where there is no better mesh: the converged diffusion that the paper's cascade approximates."""
 

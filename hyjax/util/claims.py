@@ -20,7 +20,7 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 _held: dict[tuple[int, int], list[int]] = {}
-"""Of folders that this process has claimed: descriptor, and how often."""
+"""Folders that this process has claimed: descriptor, and number of claims."""
 _changes = threading.Lock()
 
 

@@ -19,7 +19,7 @@ from hyjax.util.files import atomic_write
 from hyjax.util.picture_header import check_packing, check_picture, check_size
 
 NO_DATE = "1970:01:01 00:00:00"
-"""In an EXR, which otherwise has the time of writing: equal pictures are equal files."""
+"""Date in an EXR, which otherwise has the time of writing: equal pictures are equal files."""
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 PNG_LEVEL = 4
 """Compression of PNG: a third of the time of the usual 6, for files 5 % larger."""

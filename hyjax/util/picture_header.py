@@ -20,7 +20,7 @@ VARIABLE = "HYJAX_MOST_MEGAPIXELS"
 """Environment variable with the largest picture that is read, in millions of pixels."""
 MOST_MEGAPIXELS = 64.0
 MOST_CHANNELS = 4
-"""In the mean: a picture of the most pixels may have four channels, a smaller one more."""
+"""Most channels in the mean: a picture of the most pixels may have four channels, a smaller one more."""
 PACKED_FREELY = 16e6
 """Pixels up to which a picture may be packed as tightly as its format can."""
 MOST_PER_BYTE = 500
@@ -30,9 +30,9 @@ MOST_PASSES = 1 << 30
 HEAD = 1 << 16
 """Bytes of an EXR within which its data window is looked for; OpenImageIO finds one that a large preview hides."""
 MOST_CHUNKS = 1 << 18
-"""Of a PNG: libraries write eight kilobytes or more in each."""
+"""Most chunks of a PNG: libraries write eight kilobytes or more in each."""
 MOST_MARKERS = 1 << 16
-"""Of a JPEG, without those of restarts: a large colour profile takes some hundred."""
+"""Most markers of a JPEG, without those of restarts: a large colour profile takes some hundred."""
 LARGEST_FILE = 1 << 30
 
 
@@ -175,7 +175,7 @@ LOOKED_INTO: dict[bytes, Callable[[BinaryIO, int], Declared | None]] = {
     b"\xff\xd8\xff": _jpeg,
     EXR: _exr,
 }
-"""How files begin whose headers are looked at here."""
+"""First bytes of files whose headers are looked at here."""
 KNOWN = re.compile(rb"\x89PNG\r\n\x1a\n|\xff\xd8\xff|v/1\x01|P[1-6]|II[*+]\0|MM\0[*+]|RIFF.{4}WEBP|BM", re.DOTALL)
-"""How files of all formats that are read begin."""
+"""First bytes of files of all formats that are read."""
 READ = "PNG, JPEG, OpenEXR, PNM, TIFF, WebP and BMP"

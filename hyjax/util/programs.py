@@ -35,7 +35,7 @@ T = TypeVar("T", covariant=True)
 SOURCES = ("core", "light", "util", "pipeline.py")
 """Sources of kept programs: the pure layers."""
 MOST_BYTES = 300_000_000
-"""Of kept programs, some four million a size of picture; those that were used longest ago go first."""
+"""Most bytes of kept programs, some four million a size of picture; those that were used longest ago go first."""
 OPTION = re.compile("XLA_|JAX_(?!.*_CACHE_)")
 """Pattern of variables that may change a program; those of JAX's own cache change none."""
 LEAST_SECONDS = "jax_persistent_cache_min_compile_time_secs"

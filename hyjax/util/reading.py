@@ -29,7 +29,7 @@ DEEPEST = 64
 MOST_MARKS = 1 << 22
 """Commas, colons and opening brackets of a JSON text: mappings in mappings take three seconds and 0.4 GiB."""
 MOST_DIGITS = 20
-"""Of a whole number; it must have at most 64 bits too, with a sign or without."""
+"""Most digits of a whole number; it must have at most 64 bits too, with a sign or without."""
 HALF_LETTER = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
 """Escape of a lone surrogate in JSON; valid pairs contain it too."""
 MOST_NODES = 100_000

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 ROUNDS = 100
 MOST_SECONDS = 20.0
-"""Of timing, for each configuration."""
+"""Most seconds of timing, for each configuration."""
 LEAST = 1e-9
 """Smallest loss that is told from zero."""
 

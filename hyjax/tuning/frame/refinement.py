@@ -24,7 +24,7 @@ from hyjax.tuning.frame.scene import Target
 
 ITERATIONS = 12
 RATE = 0.3
-"""Of Adam, in units of a number's logarithm."""
+"""Rate of Adam, in units of a number's logarithm."""
 Numbers = dict[str, Float[Array, "*l"]]
 """Each number, or one for each level."""
 

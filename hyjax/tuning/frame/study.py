@@ -34,7 +34,7 @@ UNUSABLE = 1e9
 VERSION = 3
 """Version of the journal. Add one whenever its contents mean something else."""
 KEPT = ("choices", "phase", "losses", "time", "cases", "improve", "source", "predicted")
-"""Of a trial; its budget is known while it is proposed alone."""
+"""Fields that are kept of a trial; its budget is known while it is proposed alone."""
 
 
 @contextlib.contextmanager

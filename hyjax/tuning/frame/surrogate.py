@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 from hyjax.tuning.frame.space import Space
 
 LENGTH = 0.4
-"""Of the Gaussians, in the range of a parameter."""
+"""Length scale of the Gaussians, in the range of a parameter."""
 TOGETHER = 0.3
 """r over s."""
 SPREADS = (0.01, 0.03, 0.1, 0.3, 1.0)
