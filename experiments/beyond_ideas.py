@@ -93,7 +93,7 @@ def perfect(view: View) -> Float[Array, "h w 1"]:
 
 
 def attached(schedule: Schedule) -> Schedule:
-    """With a data term."""
+    """Schedule with a data term."""
     levels = tuple(dataclasses.replace(level, fidelity=np.float32(FIDELITY)) for level in schedule.levels)
     return dataclasses.replace(schedule, levels=levels)
 
@@ -179,7 +179,7 @@ def _harmonic_cascade(y: Array, guide: Array, kappa: Array) -> Array:
 
 
 def harmonic_pool(edges: Edges, factor: int) -> Edges:
-    """For sizes that the factor divides."""
+    """Harmonic means, for sizes that the factor divides."""
     vertical, horizontal = edges
     return _harmonic(vertical, factor), _harmonic(horizontal.T, factor).T
 

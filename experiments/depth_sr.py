@@ -186,7 +186,7 @@ def tasks(tiles: Sequence[Tile], guides: Sequence[FrameGuide], config: Config) -
 def choose(
     results: Results, tuning: Sequence[tuple[Task, Tile]], factors: Sequence[int], compared: Sequence[Method]
 ) -> dict[tuple[int, str], Options]:
-    """For each factor and method the candidate with the least RMSE, with a row for every candidate.
+    """Candidate with the least RMSE for each factor and method, with a row for every candidate.
 
     Without tuning pairs it is the first. The mean over tiles is the geometric one, so that no single tile decides.
     """

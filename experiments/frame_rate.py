@@ -157,7 +157,7 @@ class WholeFrames:
 
 
 def memory_mib() -> float:
-    """Of this process, now."""
+    """Memory of this process now."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * resource.getpagesize() / 2**20
 

@@ -118,7 +118,7 @@ def onnx_call(guide: Guide, picture: np.ndarray) -> dict[str, Callable[[], Any]]
 
 
 def last_bias(network: GuideNetwork) -> Float[Array, "f"]:
-    """What the network's features have on top of a guide's."""
+    """Bias of the last layer, which the network's features have on top of a guide's."""
     return network.segmentation_head[0].bias[...]
 
 

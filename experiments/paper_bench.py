@@ -289,7 +289,7 @@ class BenchConfig(RunConfig):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class KappaConfig(BenchConfig):
-    """With a κ for each mode."""
+    """Settings with a κ for each mode."""
 
     kappa: float | None = None
     """κ of our mode, for this guide (`guide_worth` finds it). Default: the schedule's own."""

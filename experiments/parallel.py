@@ -20,7 +20,7 @@ FOLDER = "tasks"
 
 
 class Sink(Protocol):
-    """What takes the rows of a part: the run's results, or those collected by a worker.
+    """Taker of the rows of a part: the run's results, or those collected by a worker.
 
     Attributes:
         out: the run's folder, for pictures.
@@ -49,7 +49,7 @@ class Collected:
         return values
 
     def result(self) -> dict[str, Any]:
-        """What a worker hands back."""
+        """Rows that a worker hands back."""
         return {"rows": json.loads(json.dumps(self.rows, default=lambda value: value.tolist()))}
 
 

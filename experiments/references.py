@@ -61,7 +61,7 @@ class Reference:
     unread: bool = True
 
     def reliable(self, frame: Frame, camera: Camera, seen: GBuffer) -> Bool[np.ndarray, "h w"]:
-        """Where the reference may judge.
+        """Pixels where the reference may judge.
 
         Args:
             frame: as captured, with its depth.

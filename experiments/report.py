@@ -97,7 +97,7 @@ def marked(text: str) -> Markup:
 
 
 def origin(rows: list[Row]) -> str:
-    """Where the rows come from."""
+    """Origin of the rows."""
     count = len(rows) - is_finished(rows)
     commits = ", ".join(dict.fromkeys(row["commit"][:12] + row["commit"][40:] for row in rows))
     machines = "; ".join(dict.fromkeys(machine(row) for row in rows))

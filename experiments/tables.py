@@ -207,7 +207,7 @@ def default_of(field: "dataclasses.Field[Any]") -> Any:
 
 
 def quoted(text: str) -> str:
-    """As a shell wants it, variables left alone."""
+    """Text as a shell wants it, variables left alone."""
     return f'"{text}"' if shlex.quote(text.replace("$", "")) != text.replace("$", "") else text
 
 

@@ -52,7 +52,7 @@ def at_hour(page: Any, hour: str) -> None:
 
 
 def screenshot(page: Any) -> UInt8[np.ndarray, "h w 3"]:
-    """What the page shows."""
+    """Picture that the page shows."""
     page.get_by_text("View", exact=True).first.scroll_into_view_if_needed()
     page.wait_for_timeout(2000)
     return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))

@@ -110,7 +110,7 @@ class TruthBench:
         return self.capture.room.photograph(self.capture.photo_light(), camera, noise, self.capture.exposure)[0]
 
     def row(self) -> dict[str, Any]:
-        """What the estimates say, and how far they are off.
+        """Row of the estimates, and of their errors.
 
         Returns:
             Of the scene's: exponent, flatness, origin and names of the sources; and median and 90 % quantile of

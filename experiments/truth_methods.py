@@ -62,7 +62,7 @@ class LitBench:
         self.true_bounces = (np.pi * bench.at_vertices(self.setup)[1]).astype(np.float32)
 
     def truth(self, index: int) -> Float[np.ndarray, "h w 3"]:
-        """What the camera would see, display values."""
+        """Picture that the camera would see, display values."""
         return self.bench.capture.truth(self.setup, [index])[0]
 
     def bounce_ratio(self) -> float:
@@ -130,7 +130,7 @@ class LitBench:
         return light
 
     def _true(self, view: View, index: int) -> "TrueView":
-        """What the true mesh shows in a frame, and the true light on it, pixel by pixel."""
+        """G-buffer of the true mesh in a frame, and the true light on it, pixel by pixel."""
         seen = self.bench.capture.room.caster.gbuffer(self.scene.frame(index).camera)
         own, hit = View.of(view.display, seen), np.asarray(seen.hit)
         points, normals = (np.asarray(x, np.float64)[hit] for x in (seen.position, seen.normal))

@@ -138,7 +138,7 @@ def by_setup(pictures: Sequence[Row], split: str) -> Table:
 
 
 def rooms_table(rows: Sequence[Row]) -> Table:
-    """Of each room: the estimate of its light, bounces, and the gain of the new default."""
+    """Table of each room: the estimate of its light, bounces, and the gain of the new default."""
     pictures, lines = of_kind(rows, "picture"), []
     setups = of_kind(rows, "setup")
     for row in of_kind(rows, "room"):

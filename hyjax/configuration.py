@@ -59,7 +59,7 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclasses.dataclass(frozen=True)
 class Configuration:
-    """How a frame is relit: the default as it is made.
+    """Choices by which a frame is relit: the default as it is made.
 
     Attributes:
         name: what tables call it.

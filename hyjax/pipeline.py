@@ -179,7 +179,7 @@ def relight_stages(
 
 
 def _factor(full: tuple[int, ...], size: tuple[int, ...]) -> int:
-    """How many times smaller the view is than the frame."""
+    """Size of the frame over that of the view."""
     factor = max(1, -(-full[0] // size[0]))
     if level_shape((full[0], full[1]), factor) != size:
         raise InputError(f"relight: the view, {size}, must be the frame, {full[:2]}, at a whole part of its size")

@@ -57,19 +57,19 @@ class Options:
 
 
 class LightOptions(Options):
-    """How light on the surface is computed: `sampling`, `photo_light`, `bounces` and others."""
+    """Options of the light on the surface: `sampling`, `photo_light`, `bounces` and others."""
 
     PART = "light"
 
 
 class ShadowOptions(Options):
-    """How shadows are computed: `map_scale` and others; their cascade is `Configuration.shadow_schedule`."""
+    """Options of shadows: `map_scale` and others; their cascade is `Configuration.shadow_schedule`."""
 
     PART = "shadows"
 
 
 class GuideOptions(Options):
-    """What guides the diffusion: `name`, `size`, `every`."""
+    """Options of the guide of the diffusion: `name`, `size`, `every`."""
 
     PART = "guide"
 

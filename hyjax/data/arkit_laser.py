@@ -1,4 +1,4 @@
-"""Where the laser scans of an ARKitScenes scan's venue are; `experiments.laser_scans` reads them.
+"""Addresses of the laser scans of an ARKitScenes scan's venue; `experiments.laser_scans` reads them.
 
 Source: the data pages of ARKitScenes' repository.
 """

@@ -200,7 +200,7 @@ class ArkitScenes(Capture):
 
 
 def _is_scan(path: Path) -> bool:
-    """By names alone."""
+    """Whether names alone make it a scan."""
     layouts = (TRAJECTORY, OLDER.trajectory, "vga_wide", "lowres_wide", PUBLISHED.depth, OLDER.depth)
     signs = (*layouts, "[0-9]*_frames", "[0-9]*_3dod_mesh.ply")
     return any(any(path.glob(sign)) for sign in signs)

@@ -132,7 +132,7 @@ class Capture(abc.ABC):
         return 0
 
     def depth_position(self, index: int) -> float:
-        """Where among the depth maps a frame was taken, in time: between two of them it is a fraction."""
+        """Position of a frame's time among the depth maps: between two of them it is a fraction."""
         return float(index)
 
     def depth_reading(self, index: int) -> DepthReading:

@@ -196,7 +196,7 @@ def timed_files(folder: Path, suffix: str) -> TimedFiles:
 
 
 def fingerprint(root: Path, folders: Iterable[Path]) -> str:
-    """For `Capture.fingerprint`: from names, sizes and times of all files in `folders`, which costs no reading."""
+    """Fingerprint of a capture: from names, sizes and times of all files in `folders`, which costs no reading."""
     files = []
     for entry in (entry for folder in folders for entry in os.scandir(folder)):
         with contextlib.suppress(OSError):  # a link that leads nowhere

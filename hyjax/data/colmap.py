@@ -131,7 +131,7 @@ def _model(tree: FileTree) -> tuple[str, str] | None:
 
 
 def _workspace(tree: FileTree, model: str) -> str:
-    """Where `images/` of a model is: in the workspace that the model is of, else at the top."""
+    """Folder of a model's `images/`: in the workspace that the model is of, else at the top."""
     return next((w for w in WORKSPACES if model.startswith(w)), "")
 
 

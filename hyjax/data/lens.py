@@ -43,7 +43,7 @@ class Distortion:
     def distort(
         self, x: Float[np.ndarray, "*s"], y: Float[np.ndarray, "*s"]
     ) -> tuple[Float[np.ndarray, "*s"], Float[np.ndarray, "*s"]]:
-        """Where a point at (x, y) on the plane of unit depth is seen, on that plane."""
+        """Place on the plane of unit depth where a point at (x, y) of it is seen."""
         k = (*self.radial, *(0.0,) * (6 - len(self.radial)))
         r2 = x * x + y * y
         if self.model == "fisheye":

@@ -153,7 +153,7 @@ def _shot(
 
 
 def _depth_unit(top: Fields) -> float:
-    """Of the poses' units a step of a depth map: nerfstudio's key, or instant-ngp's."""
+    """Step of a depth map in the poses' units: nerfstudio's key, or instant-ngp's."""
     key = "integer_depth_scale" if "integer_depth_scale" in top else "depth_unit_scale_factor"
     unit = top.number(key, 0.001)
     if not 0 < unit < 1e3:

@@ -64,7 +64,7 @@ class _Header:
 
 @dataclasses.dataclass(frozen=True)
 class _Entry:
-    """Where a frame's pictures lie in the file."""
+    """Places of a frame's pictures in the file."""
 
     number: int
     pose: Matrix
@@ -171,7 +171,7 @@ def _extrinsics(matrix: Matrix, where: str) -> Matrix:
 
 
 def _index(file: BinaryIO, header: _Header, where: str, size: int) -> tuple[list[_Entry], list[str]]:
-    """Where each frame lies, and a line if the file ends before the last."""
+    """Place of each frame, and a line if the file ends before the last."""
     entries: list[_Entry] = []
     at = file.tell()
     for number in range(header.count):

@@ -15,7 +15,7 @@ ROWS = 60
 
 @dataclasses.dataclass(frozen=True)
 class Coverage:
-    """How a mesh and depth maps agree.
+    """Agreement of a mesh and depth maps.
 
     Attributes:
         measured: share of the pixels that have a reading.

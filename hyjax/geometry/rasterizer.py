@@ -63,7 +63,7 @@ class RasterView:
 
     @property
     def arguments(self) -> tuple[Any, ...]:
-        """As kernels take them."""
+        """Arguments as kernels take them."""
         return np.ascontiguousarray(np.vstack([self.axes, self.origin]), np.float64), self.pieces, self.parallel
 
 

@@ -85,7 +85,7 @@ class RayCaster:
 
     @functools.cached_property
     def normals(self) -> Float[np.ndarray, "n 3"]:
-        """Of the vertices."""
+        """Normals of the vertices."""
         return np.ascontiguousarray(self.arrays.vertex_normals, np.float32)
 
     def _float32(

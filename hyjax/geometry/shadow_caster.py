@@ -105,7 +105,7 @@ class TexelRays:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MapLayout:
-    """Where a light's shadow map has its texels, before anything is cast.
+    """Layout of a light's texels in its shadow map, before anything is cast.
 
     Attributes:
         views: as the light declares them.

@@ -1,4 +1,4 @@
-"""From a sparse signed distance to a clean mesh: marching cubes, small pieces removed, smooth normals."""
+"""Clean mesh of a sparse signed distance: marching cubes, small pieces removed, smooth normals."""
 
 import numpy as np
 import trimesh

@@ -55,7 +55,7 @@ class Box:
     def exits(
         self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Where rays from inside leave: distance, and the patch there."""
+        """Exits of rays from inside: distance, and the patch there."""
         o, d = origins @ self.axes.T, directions @ self.axes.T
         with np.errstate(divide="ignore", invalid="ignore"):
             far = np.where(d > 0, (self.high - o) / d, np.where(d < 0, (self.low - o) / d, np.inf))

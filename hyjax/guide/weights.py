@@ -232,7 +232,7 @@ def from_torch_layout(array: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, ".
 
 
 def torch_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Of an array of ours, in torch's layout."""
+    """Shape of an array of ours in torch's layout."""
     return (shape[3], shape[2], shape[0], shape[1]) if len(shape) == 4 else tuple(shape)
 
 

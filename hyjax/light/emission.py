@@ -280,7 +280,7 @@ def open_shares(
 
 
 def _lit(means: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    """How far panes of such means are bright ones."""
+    """Degree to which panes of such means are bright ones."""
     return _ramp(jnp.min(means, axis=-1), PANE_UNLIT, PANE_LIT)
 
 

@@ -87,13 +87,13 @@ class RelightSettings(Settings):
 
     @property
     def renderers(self) -> "list[ChoiceRenderer]":
-        """Of the run, those that do not follow all choices of a configuration."""
+        """Renderers of the run that do not follow all choices of a configuration."""
         found: list[ChoiceRenderer] = ["video" if self.video else "frames"]
         return found + ([] if self.renderer == "shadow_map" else [self.renderer])
 
     @property
     def shadow_occluders(self) -> Occluders:
-        """What throws shadows; the paper's mode knows the bare surface alone."""
+        """Surface that throws shadows; the paper's mode knows the bare surface alone."""
         return "surface" if self.mode == "paper" else self.occluders
 
     @property

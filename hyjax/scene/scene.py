@@ -233,7 +233,7 @@ class Scene:
 
     @property
     def slack(self) -> float | None:
-        """Of shadow maps of `occluders`, see `ShadowMap`."""
+        """Slack of shadow maps of `occluders`, see `ShadowMap`."""
         return None if self.exact else SLACK
 
     @checked_arguments

@@ -170,7 +170,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return sky_at(self.date(), self.hour, self.latitude, self.weather)
 
     def to_json(self) -> str:
-        """As JSON text, which `from_json` takes back."""
+        """JSON text, which `from_json` takes back."""
         return msgspec.json.format(msgspec.json.encode(self, enc_hook=_plain), indent=2).decode()
 
     @classmethod

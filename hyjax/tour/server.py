@@ -89,4 +89,4 @@ def _shorten(record: logging.LogRecord) -> bool:
 
 
 def _no_tunnel(verbose: bool = True) -> None:
-    """In the place of viser's tunnel through a public server: a tour stays on its own machine."""
+    """Refusal in the place of viser's tunnel through a public server: a tour stays on its own machine."""

@@ -64,7 +64,7 @@ class TourSettings(Settings):
 
     @property
     def renderer(self) -> "Renderer":
-        """Of the tour, as the table of choices calls it."""
+        """Name of the tour's renderer in the table of choices."""
         return "tour" if self.live is None else "live tour"
 
     def open_configuration(self) -> "Configuration":

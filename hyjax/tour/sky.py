@@ -115,7 +115,7 @@ def _sunlight(height: float) -> float:
 
 
 def _moonlight(height: float, lit: float) -> float:
-    """By the lit share of its disc, roughly: towards full the moon brightens faster than that share grows."""
+    """Moonlight by the lit share of its disc, roughly: near full the moon brightens faster than that share."""
     return FULL_MOON_LUX * lit**2.5 * math.exp(-0.21 / max(math.sin(math.radians(height)), 0.05))
 
 

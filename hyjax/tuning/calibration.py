@@ -166,7 +166,7 @@ def calibrate(
 
 
 def time_probe(probe: Callable[[], Any], repeats: int = PROBE_REPEATS) -> Milliseconds:
-    """How long the probe, compiled, takes on its own."""
+    """Time that the compiled probe takes on its own."""
     return time_calls({"probe": probe}, repeats, most_seconds=None)["probe"]
 
 

@@ -146,7 +146,7 @@ class DeviceEstimator(ScheduleClock):
         return [self.table.timed[schedule_key(s)] if self.is_timed(s) else self.predict(s) for s in schedules]
 
     def parts(self) -> dict[str, float]:
-        """As every estimator."""
+        """Times of the parts, as of every estimator."""
         own = self.table.p95
         cheapest = min(level + finest for level, finest in zip(own.level, own.finest))
         parts = {"reading, weighting and upsampling the filter": own.fixed, "one level": cheapest}
@@ -174,7 +174,7 @@ class FileTimes:
 
     @property
     def fingerprint(self) -> str:
-        """Of the times."""
+        """Fingerprint of the times."""
         return read_latency(self.path).fingerprint
 
     def __call__(self, case: Case) -> DeviceEstimator:

@@ -88,7 +88,7 @@ class DeviceWorkload(Record, frozen=True, omit_defaults=False):
         )
 
     def plain(self) -> Workload:
-        """As latency tables have it."""
+        """Form that latency tables have."""
         return Workload(self.height, self.width, self.lights, self.features, DTYPES[self.precision])
 
     def __str__(self) -> str:
@@ -146,7 +146,7 @@ class Form(Record, frozen=True):
 
     @property
     def key(self) -> str:
-        """As `schedule_key`."""
+        """Key by `schedule_key`."""
         return schedule_key(self.schedule())
 
 
@@ -244,7 +244,7 @@ class DeviceLatency(Record, frozen=True):
                 raise InputError(f"stages.{name}: p95 {stage.p95:g} is below the median {stage.median:g}")
 
     def drift(self) -> float | None:
-        """How much longer the last third of the rounds took than the first, 0.1 for 10 %; None if unknown."""
+        """Slowdown of the last third of the rounds over the first, 0.1 for 10 %; None if unknown."""
         return drift([timed.milliseconds for timed in self.measured if len(timed.milliseconds) >= 6])
 
     @property
@@ -273,7 +273,7 @@ def _check_rising(measured: Sequence[Timed]) -> None:
 
 
 def drift(samples: Sequence[Sequence[float]]) -> float | None:
-    """How much longer the last third of the rounds took than the first, over several schedules' samples."""
+    """Slowdown of the last third of the rounds over the first, over several schedules' samples."""
     ratios = []
     for values in samples:
         third = max(1, len(values) // 3)

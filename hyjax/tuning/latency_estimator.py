@@ -42,13 +42,13 @@ class ScheduleClock(abc.ABC):
 
     @abc.abstractmethod
     def predict(self, schedule: Schedule) -> Milliseconds:
-        """By the latency table."""
+        """Prediction by the latency table."""
 
     @abc.abstractmethod
     def measure(
         self, schedules: Sequence[Schedule], *, again: bool = False, progress: bool = True
     ) -> list[Milliseconds]:
-        """On the clock, in turns, where the device is within reach, else as `predict`.
+        """Measurement on the clock, in turns, where the device is within reach, else as `predict`.
 
         What was timed on this table before is timed again only if asked for.
         """
@@ -93,7 +93,7 @@ class LatencySource(Protocol):
 
     @property
     def fingerprint(self) -> str:
-        """Of the times."""
+        """Fingerprint of the times."""
         ...
 
     def __call__(self, case: Case) -> ScheduleClock:

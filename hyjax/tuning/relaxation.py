@@ -130,7 +130,7 @@ def relaxed_of(schedule: Schedule, factors: Sequence[int]) -> RelaxedSchedule:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Prepared:
-    """Of a case, all that no candidate changes: cell means of (w y, w) and of the guide, the target.
+    """Parts of a case that no candidate changes: cell means of (w y, w) and of the guide, the target.
 
     Attributes:
         entries: for each factor, and last for the full picture.

@@ -1,4 +1,4 @@
-"""How every plot of a report looks, and how it gets into a page."""
+"""Look of every plot of a report, and its way into a page."""
 
 import io
 import math

@@ -194,7 +194,7 @@ class TuneSettings(Settings):
 
     @property
     def tuned_stage(self) -> BudgetStage:
-        """What the budget is for."""
+        """Stage that the budget is for."""
         other = self.target_device
         elsewhere = other.device or other.latency is not None or other.request is not None
         return self.stage or ("cascade" if elsewhere else "frame")

@@ -43,7 +43,7 @@ def contact_sheet(
 def write_contact_sheet(
     path: Path, rows: Sequence[tuple[str, Sequence[Float[np.ndarray, "h w 3"]]]], headings: Sequence[str]
 ) -> None:
-    """As `contact_sheet`, into a PNG."""
+    """Write a `contact_sheet` into a PNG."""
     write_png(path, contact_sheet(rows, headings))
 
 

@@ -48,7 +48,7 @@ _functions: dict[Callable[..., Any], Any] = {}
 
 
 def keep_programs(folder: Path | None) -> None:
-    """From now on keep programs in a folder; None for none."""
+    """Keep programs in a folder from now on; None for none."""
     global _folder
     _folder = folder
 
@@ -88,7 +88,7 @@ class KeptFunction(Generic[P, T]):
         return self._ready[key](*args, **arrays)
 
     def lower(self, *args: P.args, **kwargs: P.kwargs) -> jax.stages.Lowered:
-        """As of what `jax.jit` returns."""
+        """Lowering as of what `jax.jit` returns."""
         return self._jitted.lower(*args, **kwargs)
 
     def _program(self, key: tuple[Any, ...], args: Any, kwargs: Any) -> Callable[..., T]:

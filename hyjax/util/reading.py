@@ -262,7 +262,7 @@ def _check_letters(text: str, where: str) -> None:
 
 
 def _depth(value: Any) -> int:
-    """How many lists and mappings are within each other; stops where they are too many."""
+    """Depth of lists and mappings within each other; stops where they are too many."""
     depth, layer = 0, [value]
     while layer and depth <= DEEPEST:
         layer = [

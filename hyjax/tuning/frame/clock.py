@@ -19,7 +19,7 @@ FEWEST_ROUNDS = 10
 
 @dataclasses.dataclass(frozen=True)
 class FrameTime:
-    """How long a whole frame takes.
+    """Time of a whole frame.
 
     Attributes:
         median, p95: milliseconds.

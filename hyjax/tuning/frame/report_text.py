@@ -193,7 +193,7 @@ def missed(budget: Budget, best: Candidate) -> list[str]:
 
 
 def prediction(tuned: Tuned) -> list[str]:
-    """How far times were from those that the surrogate had predicted; nothing if there are none."""
+    """Distance of times from those that the surrogate had predicted; nothing if there are none."""
     errors = tuned.record.get("prediction errors") or []
     if not errors:
         return []

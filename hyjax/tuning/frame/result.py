@@ -32,7 +32,7 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Of the configuration."""
+        """Name of the configuration."""
         return self.configuration.name
 
     def row(self) -> dict[str, Any]:

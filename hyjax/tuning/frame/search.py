@@ -250,7 +250,7 @@ def _screened(state: State) -> Choices | None:
 
 
 def surrogates(state: State) -> tuple[Surrogate, Surrogate]:
-    """Of the logarithms of loss and time."""
+    """Surrogates of the logarithms of loss and time."""
     trials = [t for t in state.trials.values() if t.losses]
     choices, losses = [t.choices for t in trials], np.log([max(t.loss, 1e-9) for t in trials])
     noise = np.array([CASE_NOISE / math.sqrt(len(t.losses)) for t in trials])
