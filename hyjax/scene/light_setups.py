@@ -133,13 +133,13 @@ def _paper_setup(
 
     def lit(places: list[Vector]) -> tuple[LightSetup, Float[np.ndarray, "p"]]:
         points = tuple(PointLight(place, lumens, color) for place, color in zip(places, itertools.cycle(colors)))
-        return LightSetup(points, PAPER_LUX), anchors.seen.of_cameras(anchors.seen.lux(points).sum(axis=1))
+        return LightSetup(points, PAPER_LUX), anchors.seen.lux(points).sum(axis=1)
 
     setup, lux = lit(places)
-    if (lux < LEAST_PAPER_SHARE * PAPER_LUX).mean() <= MOST_DARK:
+    if (anchors.seen.of_cameras(lux) < LEAST_PAPER_SHARE * PAPER_LUX).mean() <= MOST_DARK:
         return setup
     setup, lux = lit([stop.lamp for stop in anchors.stops])
-    return LightSetup(setup.lights, float(np.clip(np.median(lux) / PAPER_SHARE, 1.0, PAPER_LUX)))
+    return LightSetup(setup.lights, max(float(np.median(anchors.seen.of_cameras(lux))) / PAPER_SHARE, 1.0))
 
 
 def _sky(anchors: LightAnchors, exitance: float, color: Any) -> list[RectLight]:

@@ -236,7 +236,8 @@ def test_a_corridor_has_lights_all_along_and_no_black_pictures(corridor: RoomCap
         assert abs(abs(window.center[0]) - 1.0) < 0.05 or abs(window.center[1] - 12.0) == pytest.approx(
             12, abs=0.05
         )
-    relighter = Relighter(scene, named_setup("evening-lamps", stage), "fast")
-    for index in (0, 3, 6):
-        share = dark_share(scene.frame(index).image, np.asarray(to_display(relighter.picture(index))))
-        assert share.black_before == 0 and share.black < 0.3, f"frame {index}: {share}"
+    for name in ("evening-lamps", "two-colors"):
+        relighter = Relighter(scene, named_setup(name, stage), "fast")
+        for index in (0, 3, 6):
+            share = dark_share(scene.frame(index).image, np.asarray(to_display(relighter.picture(index))))
+            assert share.black_before == 0 and share.black < 0.3, f"{name}, frame {index}: {share}"
