@@ -238,7 +238,7 @@ class RealPlace:
     @functools.cached_property
     def glow(self) -> Float[np.ndarray, "h w g"]:
         """Light of unit patches of the box, four on each wall, that rays from the surface end on."""
-        transport = self.scene.photo_light.estimate.light.transport
+        transport = self.scene.photo_light.estimate.transport
         first, vertices = len(self.mesh.faces), transport.vertices
         patch = np.asarray(transport.hits)[:, :vertices].astype(np.int64) - first
         row, column = (patch // CELLS) % CELLS, patch % CELLS

@@ -52,6 +52,7 @@ class Estimate:
         hue_exponent: of the hue of E_old, which is harder to separate from that of the surfaces.
         flatness: mean difference of log brightness on planes after the division over that before it, on pairs that
             were held out, for each of `EXPONENTS`.
+        transport: by the scan's rays, also where nothing is believed and no light is to bounce.
     """
 
     light: PhotoLight
@@ -59,6 +60,7 @@ class Estimate:
     exponent: float
     hue_exponent: float
     flatness: tuple[float, ...]
+    transport: Transport
 
     @property
     def reason(self) -> str:
@@ -132,18 +134,18 @@ def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
 
     Where nothing is believed no light bounces and all ambient light is left, as where the photo's light is kept.
     """
-    exponent, hits, position = float(arrays["exponent"]), arrays["hits"], arrays["position"]
+    exponent, count = float(arrays["exponent"]), len(arrays["position"])
+    transport = used = _transport(caster, arrays["hits"], arrays["position"], arrays["normal"])
     if exponent == 0:  # every ray ends in an opening
-        openings = len(caster.arrays.faces) + len(position) - len(caster.arrays.vertices)
-        hits = np.full((1, len(position)), openings, np.int32)
-    transport = _transport(caster, hits, position, arrays["normal"])
+        openings = len(caster.arrays.faces) + count - len(caster.arrays.vertices)
+        used = dataclasses.replace(transport, hits=jax.device_put(np.full((1, count), openings, np.int32)))
     parts = ("illuminance", "sources", "mean", "albedo")
     illuminance, shares, mean, albedo = (jax.device_put(arrays[name]) for name in parts)
     names = tuple(str(name) for name in arrays["names"])
     flatness = tuple(float(x) for x in arrays["flatness"])
     filled_share = max(FILLED_SHARE, _unscanned_share(transport)) if exponent else 1.0
-    light = PhotoLight(illuminance, shares, mean, albedo, transport, filled_share)
-    return Estimate(light, names, exponent, float(arrays["hue_exponent"]), flatness)
+    light = PhotoLight(illuminance, shares, mean, albedo, used, filled_share)
+    return Estimate(light, names, exponent, float(arrays["hue_exponent"]), flatness, transport)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ from hyjax.light.kinds import AmbientLight, DirectionalLight, PointLight, RectLi
 from hyjax.light.kinds.directional import SUN_DEGREES
 from hyjax.light.kinds.file_keys import direction
 from hyjax.light.setup import LightSetup
-from hyjax.scene.exposure import Exposure, exposed, warn_of_missing
+from hyjax.scene.exposure import LARGEST_FILTER, Exposure, exposed, warn_of_missing
 from hyjax.scene.light_places import LightAnchors, Vector, WindowPlace
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.vectors import unit
@@ -81,12 +81,12 @@ def night_moon(anchors: LightAnchors) -> LightSetup:
 
 
 def center_point(anchors: LightAnchors) -> LightSetup:
-    """First benchmark of the paper: one bright point in the middle of the room."""
+    """First benchmark of the paper: one bright point in the middle of the room; on a dark walk one a stop."""
     return _paper_setup(anchors, [np.mean(anchors.points, axis=0)], 9000.0, np.ones((1, 3)))
 
 
 def two_colors(anchors: LightAnchors) -> LightSetup:
-    """Second benchmark of the paper: two dim points of different colours."""
+    """Second benchmark of the paper: two dim points of different colours; on a dark walk one a stop."""
     return _paper_setup(anchors, anchors.points, 2500.0, np.array([[1.0, 0.45, 0.2], [0.2, 0.5, 1.0]]))
 
 
@@ -129,7 +129,7 @@ def named_setup(name: str, anchors: LightAnchors) -> LightSetup:
 def _paper_setup(
     anchors: LightAnchors, places: list[Vector], lumens: float, colors: Float[np.ndarray, "c 3"]
 ) -> LightSetup:
-    """Points of a benchmark of the paper; one at every stop of a walk that they leave dark, colours in turns."""
+    """Points of a benchmark of the paper; one at each stop of a walk that they leave dark, colours in turns."""
 
     def lit(places: list[Vector]) -> tuple[LightSetup, Float[np.ndarray, "p"]]:
         points = tuple(PointLight(place, lumens, color) for place, color in zip(places, itertools.cycle(colors)))
@@ -138,8 +138,11 @@ def _paper_setup(
     setup, lux = lit(places)
     if (anchors.seen.of_cameras(lux) < LEAST_PAPER_SHARE * PAPER_LUX).mean() <= MOST_DARK:
         return setup
-    setup, lux = lit([stop.lamp for stop in anchors.stops])
-    return LightSetup(setup.lights, max(float(np.median(anchors.seen.of_cameras(lux))) / PAPER_SHARE, 1.0))
+    if len(anchors.stops) > 1:
+        setup, lux = lit([stop.lamp for stop in anchors.stops])
+    median, bright = np.median(anchors.seen.of_cameras(lux)), np.quantile(lux, 0.95)
+    least = max(float(bright) / LARGEST_FILTER, LEAST_PAPER_SHARE * PAPER_LUX)
+    return LightSetup(setup.lights, max(float(median) / PAPER_SHARE, least))
 
 
 def _sky(anchors: LightAnchors, exitance: float, color: Any) -> list[RectLight]:

@@ -21,7 +21,7 @@ from hyjax.light.gbuffer import GBuffer
 from hyjax.tour.placement import compass
 
 SHELL = 0.07
-"""Thickness in metres of floor, ceiling and outer walls; up to twice that, as planes are binned."""
+"""Largest distance, in metres, of floor, ceiling and outer walls from their planes; up to twice that by binning."""
 BEYOND = 0.05
 """Share of a room's surface that may lie outside of a wall, a floor or a ceiling, as scans are no better."""
 LARGEST = 2.5

@@ -32,7 +32,7 @@ from hyjax.util.programs import run_kept
 DRAFT = 0.5
 """Resolution of shadow maps while something is being dragged, relative to that of `hyjax relight`."""
 DRAFT_VIEWS = 4
-"""Shadow maps of a draft of a light without a radius, such as a window."""
+"""Most views in a draft's shadow map of a light without a radius, such as a window."""
 MAPS_MIB, LAYERS_MIB, BOUNCES_MIB = 512, 192, 96
 Quality = Literal["draft", "fine"]
 

@@ -29,7 +29,7 @@ GROUND = 0.2
 WALLS = 0.5
 """Share of the light that a room's surfaces throw back, on average."""
 BALANCE = 0.43
-"""Share of coloured light that a camera's white balance makes up for, from nothing to all, in reciprocal kelvin."""
+"""Share of a light's distance from neutral, in reciprocal kelvin, that a camera's white balance makes up for."""
 NEUTRAL_KELVIN = 6500.0
 ADAPTATION = 0.8
 """Exponent by which a camera makes up for the dark: 1 shows night as bright as day, 0 leaves it black."""

@@ -36,7 +36,7 @@ SOURCES = ("core", "light", "util", "pipeline.py")
 """Sources of kept programs: the pure layers."""
 MOST_BYTES = 300_000_000
 """Most bytes of kept programs, some four million a size of picture; those that were used longest ago go first."""
-OPTION = re.compile("XLA_|JAX_(?!.*_CACHE_)")
+OPTION = re.compile("XLA_|JAX_(?!.*_CACHE(?:_|$))")
 """Pattern of variables that may change a program; those of JAX's own cache change none."""
 LEAST_SECONDS = "jax_persistent_cache_min_compile_time_secs"
 _log = logging.getLogger(__name__)

@@ -190,6 +190,17 @@ def test_the_papers_set_ups_keep_their_exposure(box: RayCaster) -> None:
     assert all(named_setup(name, stage).reference_lux == 300.0 for name in ("center-point", "two-colors"))
 
 
+def test_a_hall_that_they_leave_dark_keeps_both_colours_and_is_exposed_longer() -> None:
+    hall = trimesh.creation.box(bounds=[[0, 0, 0], [30, 30, 10]]).subdivide_to_size(2.0)
+    hall.invert()
+    stage = survey(RayCaster(hall), [box_camera((15.0, 1.0, 1.5), (15.0, 20.0, 3.0))], UP)
+    setup = named_setup("two-colors", stage)
+    assert len(setup.lights) == 2 and not np.allclose(setup.lights[0].color, setup.lights[1].color)
+    assert 5.0 < setup.reference_lux < 100.0
+    lux = stage.seen.lux(setup.lights).sum(axis=1)
+    assert np.quantile(lux, 0.95) < 2.0 * setup.reference_lux, "and not burnt out"
+
+
 def test_a_light_that_misses_the_view_is_told(box: RayCaster, caplog: pytest.LogCaptureFixture) -> None:
     stage = survey(box, BOX_CAMERAS, UP)
     behind = PointLight(np.array([0.0, 30.0, 1.0]), 900.0, np.ones(3))
