@@ -46,7 +46,7 @@ GROUPS = ("display values", "light")
 METHODS: dict[Mode, str] = {"paper": "paper's method", "linear": "ours"}
 """Mode of the pipeline → how its filter is called."""
 OWN_GROUP: dict[Mode, str] = dict(zip(METHODS, GROUPS))
-"""Group of pictures that each mode multiplies its filter with when it is used as it is meant."""
+"""Quantity that each mode is meant to multiply its filter with."""
 KAPPA: dict[Mode, float | None] = {"paper": PAPER_KAPPA, "linear": None}
 """Best for the RGB guide on tuning frames; None: what the schedule brings."""
 PointPlace = Literal["room", "view"]

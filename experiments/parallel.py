@@ -16,11 +16,11 @@ from hyjax.sweep.task import Task
 from hyjax.util.errors import InputError
 
 FOLDER = "tasks"
-"""Folder in that of a run: rows of the workers so far."""
+"""Folder of the workers' rows, in that of the run."""
 
 
 class Sink(Protocol):
-    """Taker of the rows of a part: the run's results, or those collected by a worker.
+    """Receiver of the rows of a part: the run's results, or those collected by a worker.
 
     Attributes:
         out: the run's folder, for pictures.

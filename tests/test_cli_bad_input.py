@@ -16,8 +16,6 @@ from reference.seven_scenes_export import export_seven_scenes
 
 from hyjax.cli import main
 from hyjax.data.builtin_room import RoomCapture, load_room
-from hyjax.scene.scene import Scene
-from hyjax.scene.settings import SceneSettings
 
 HYJAX = str(Path(sys.executable).with_name("hyjax"))
 POINT = {"kind": "point", "position": [2.2, 2.6, 1.5], "luminous_flux": 2000}
@@ -46,9 +44,9 @@ def room() -> RoomCapture:
 
 
 @pytest.fixture(scope="session")
-def scanned_mesh(room: RoomCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("mesh") / "scan.ply"
-    Scene.open(SceneSettings(), capture=room).mesh.export(path)
+def true_mesh(room: RoomCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mesh") / "true.ply"
+    room.reference().export(path)
     return path
 
 
@@ -194,10 +192,10 @@ def relight_here(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
 
 @pytest.mark.parametrize("name", SPOILT)
 def test_bad_input_is_one_line(
-    name: str, capture: Path, scanned_mesh: Path, tmp_path: Path, relight_here: Callable[..., Done]
+    name: str, capture: Path, true_mesh: Path, tmp_path: Path, relight_here: Callable[..., Done]
 ) -> None:
     apply, parts = SPOILT[name]
-    options = apply(capture) + (["--mesh", scanned_mesh] if name in NEEDS_MESH else [])
+    options = apply(capture) + (["--mesh", true_mesh] if name in NEEDS_MESH else [])
     run = relight if name in IN_A_PROCESS else relight_here
     refuses(tmp_path / "out", run("--out", tmp_path / "out", *options), *parts)
 
@@ -211,34 +209,25 @@ def test_an_output_folder_that_cannot_be_made(out: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_damaged_frame_amid_a_run_is_left_out(capture: Path, scanned_mesh: Path, tmp_path: Path) -> None:
+def test_a_damaged_frame_amid_a_run_is_left_out(capture: Path, true_mesh: Path, tmp_path: Path) -> None:
     options = lights()(capture)  # a file: nothing has to be looked at in order to place them
     content = (capture / COLOR).read_bytes()
     # Its end is there, so that it is found out only when it is read.
     (capture / COLOR).write_bytes(content[: len(content) // 2] + content[-20:])
     out = tmp_path / "out"
-    done = relight(*options, "--mesh", scanned_mesh, "--no-shadows", "--out", out)
+    done = relight(*options, "--mesh", true_mesh, "--no-shadows", "--out", out)
     assert done.returncode == 0 and COLOR in done.stderr and "left out" in done.stderr
-    assert "light of the photos: no window and no lamp was found; " in done.stderr
+    assert "light of the photos: no window and no lamp was found; it stays in the pictures: " in done.stderr
     names = {entry.name for entry in out.iterdir()}
     assert {"frame-000000.relit.png", "contact_sheet.png", "run.json"} <= names and len(names) == 5
-    done = relight(*options, "--mesh", scanned_mesh, "--no-shadows", "--strict", "--out", out)
+    done = relight(*options, "--mesh", true_mesh, "--no-shadows", "--strict", "--out", out)
     assert done.returncode == 2 and COLOR in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.slow
-def test_a_cache_that_cannot_be_written_is_no_obstacle(capture: Path, scanned_mesh: Path, tmp_path: Path) -> None:
+def test_a_cache_that_cannot_be_written_is_no_obstacle(capture: Path, true_mesh: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    options = (
-        "--mesh",
-        scanned_mesh,
-        "--lights",
-        "center-point",
-        "--no-shadows",
-        "--keep-photo-light",
-        "--frames",
-        0,
-    )
+    options = ("--mesh", true_mesh, "--lights", "center-point", "--no-shadows", "--keep-photo-light", "--frames", 0)
     done = relight(
         "--capture", capture, *options, "--out", tmp_path / "out", HYJAX_CACHE=str(tmp_path / "file" / "cache")
     )

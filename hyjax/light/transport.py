@@ -39,6 +39,11 @@ class Transport:
     normal: Float[Array, "p 3"]
     vertices: int = dataclasses.field(metadata={"static": True})
 
+    @property
+    def opening(self) -> int:
+        """Radiator that stands for all openings."""
+        return len(self.faces) + len(self.position) - self.vertices
+
 
 def send(transport: Transport, sent: Float[Array, "p c"]) -> Float[Array, "q c"]:
     """Radiosity of each radiator from that of the points: the mean of a triangle's corners, patches, and 0."""

@@ -52,7 +52,7 @@ class Estimate:
         hue_exponent: of the hue of E_old, which is harder to separate from that of the surfaces.
         flatness: mean difference of log brightness on planes after the division over that before it, on pairs that
             were held out, for each of `EXPONENTS`.
-        transport: by the scan's rays, also where nothing is believed and no light is to bounce.
+        transport: of the scan, also where nothing is believed and `light` has no bounces.
     """
 
     light: PhotoLight
@@ -134,11 +134,11 @@ def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
 
     Where nothing is believed no light bounces and all ambient light is left, as where the photo's light is kept.
     """
-    exponent, count = float(arrays["exponent"]), len(arrays["position"])
-    transport = used = _transport(caster, arrays["hits"], arrays["position"], arrays["normal"])
+    exponent, position = float(arrays["exponent"]), arrays["position"]
+    transport = used = _transport(caster, arrays["hits"], position, arrays["normal"])
     if exponent == 0:  # every ray ends in an opening
-        openings = len(caster.arrays.faces) + count - len(caster.arrays.vertices)
-        used = dataclasses.replace(transport, hits=jax.device_put(np.full((1, count), openings, np.int32)))
+        hits = np.full((1, len(position)), transport.opening, np.int32)
+        used = dataclasses.replace(transport, hits=jax.device_put(hits))
     parts = ("illuminance", "sources", "mean", "albedo")
     illuminance, shares, mean, albedo = (jax.device_put(arrays[name]) for name in parts)
     names = tuple(str(name) for name in arrays["names"])
@@ -230,10 +230,9 @@ def _albedo(
 
 
 def _unscanned_share(transport: Transport) -> float:
-    """Share of the scan's rays that end outside it, where nothing is known of new light; in whole hundredths."""
-    openings = len(transport.faces) + len(transport.position) - transport.vertices
+    """Share of the scan's rays that end on the box round it, whose new light is unknown; in whole hundredths."""
     hits = np.asarray(transport.hits)[:, : transport.vertices]
-    return round(float(((hits >= len(transport.faces)) & (hits < openings)).mean()), 2)
+    return round(float(((hits >= len(transport.faces)) & (hits < transport.opening)).mean()), 2)
 
 
 def _transport(caster: RayCaster, hits: np.ndarray, position: np.ndarray, normal: np.ndarray) -> Transport:

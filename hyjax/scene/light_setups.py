@@ -4,6 +4,7 @@ A capture that knows its windows and lamps (the built-in room) gets them lit. An
 walk, whose places `hyjax.scene.light_places` finds by ray casting.
 """
 
+import dataclasses
 import itertools
 from collections.abc import Callable
 from typing import Any
@@ -44,7 +45,7 @@ EXPOSURES = {
 }
 """Exposures of the named set-ups, but for those of the paper."""
 PAPER_LUX, PAPER_SHARE = 300.0, 0.25
-"""Reference illuminance of the paper's set-ups, in lux; share that a dark walk's median picture is given."""
+"""Reference of the paper's set-ups, in lux; share of a reference that the median picture gets in its place."""
 LEAST_PAPER_SHARE, MOST_DARK = 0.02, 0.25
 """Share of the reference below which a picture is dark, and the most pictures that may be."""
 DARK_SETUPS = ("night-moon",)
@@ -81,13 +82,15 @@ def night_moon(anchors: LightAnchors) -> LightSetup:
 
 
 def center_point(anchors: LightAnchors) -> LightSetup:
-    """First benchmark of the paper: one bright point in the middle of the room; on a dark walk one a stop."""
-    return _paper_setup(anchors, [np.mean(anchors.points, axis=0)], 9000.0, np.ones((1, 3)))
+    """First benchmark of the paper: one bright point in the middle of the room."""
+    return LightSetup((PointLight(np.mean(anchors.points, axis=0), 9000.0, np.ones(3)),), PAPER_LUX)
 
 
 def two_colors(anchors: LightAnchors) -> LightSetup:
-    """Second benchmark of the paper: two dim points of different colours; on a dark walk one a stop."""
-    return _paper_setup(anchors, anchors.points, 2500.0, np.array([[1.0, 0.45, 0.2], [0.2, 0.5, 1.0]]))
+    """Second benchmark of the paper: two dim points of different colours."""
+    colors = np.array([[1.0, 0.45, 0.2], [0.2, 0.5, 1.0]])
+    points = [PointLight(point, 2500.0, color) for point, color in zip(anchors.points, colors, strict=True)]
+    return LightSetup(tuple(points), PAPER_LUX)
 
 
 SETUPS: dict[str, Callable[[LightAnchors], LightSetup]] = {
@@ -120,29 +123,30 @@ def named_setup(name: str, anchors: LightAnchors) -> LightSetup:
     lux = anchors.seen.lux(setup.lights)
     if name in EXPOSURES:
         setup = exposed(setup, lux, anchors.seen, EXPOSURES[name])
+    else:
+        setup, lux = _not_dark(setup, lux, anchors)
     warn_of_missing(setup, lux, name)
     # Converted by NumPy: every conversion of JAX's is a program of its own.
     lights = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), setup.lights))
     return LightSetup(lights, setup.reference_lux)
 
 
-def _paper_setup(
-    anchors: LightAnchors, places: list[Vector], lumens: float, colors: Float[np.ndarray, "c 3"]
-) -> LightSetup:
-    """Points of a benchmark of the paper; one at each stop of a walk that they leave dark, colours in turns."""
-
-    def lit(places: list[Vector]) -> tuple[LightSetup, Float[np.ndarray, "p"]]:
-        points = tuple(PointLight(place, lumens, color) for place, color in zip(places, itertools.cycle(colors)))
-        return LightSetup(points, PAPER_LUX), anchors.seen.lux(points).sum(axis=1)
-
-    setup, lux = lit(places)
-    if (anchors.seen.of_cameras(lux) < LEAST_PAPER_SHARE * PAPER_LUX).mean() <= MOST_DARK:
-        return setup
+def _not_dark(
+    setup: LightSetup, lux: Float[np.ndarray, "n l"], anchors: LightAnchors
+) -> tuple[LightSetup, Float[np.ndarray, "n l"]]:
+    """Set-up of the paper and its `lux`: one light a stop, exposed for them, where it leaves many pictures dark."""
+    seen = anchors.seen
+    lights: tuple[Any, ...] = tuple(setup.lights)
+    if (seen.of_cameras(lux.sum(axis=1)) < LEAST_PAPER_SHARE * PAPER_LUX).mean() <= MOST_DARK:
+        return setup, lux
     if len(anchors.stops) > 1:
-        setup, lux = lit([stop.lamp for stop in anchors.stops])
-    median, bright = np.median(anchors.seen.of_cameras(lux)), np.quantile(lux, 0.95)
+        pairs = zip(anchors.stops, itertools.cycle(lights))
+        lights = tuple(dataclasses.replace(light, position=stop.lamp) for stop, light in pairs)
+        lux = seen.lux(lights)
+    every = lux.sum(axis=1)
+    median, bright = np.median(seen.of_cameras(every)), np.quantile(every, 0.95)
     least = max(float(bright) / LARGEST_FILTER, LEAST_PAPER_SHARE * PAPER_LUX)
-    return LightSetup(setup.lights, max(float(median) / PAPER_SHARE, least))
+    return LightSetup(lights, max(float(median) / PAPER_SHARE, least)), lux
 
 
 def _sky(anchors: LightAnchors, exitance: float, color: Any) -> list[RectLight]:

@@ -50,7 +50,7 @@ from hyjax.util.programs import run_kept
 FRAMES_MIB = 128
 ALBEDO = 0.6  # of the mesh in the free view, whose true colours are unknown
 VERTICES = 1 << 14
-"""Unit to a multiple of which a live mesh's vertices are padded."""
+"""Number that the vertices of a live mesh are padded to a multiple of."""
 AFTERNOON, BEARING = 16.0, 240.0
 
 

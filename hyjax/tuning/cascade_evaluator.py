@@ -20,7 +20,7 @@ LOOKED_AT = 16
 POLISHING = 8
 """Iterations of the quasi-Newton steps on the numbers of a schedule."""
 POLISHED = 1
-"""Best schedules among these whose numbers are refined before one is chosen."""
+"""Number of these, the best, whose numbers are refined before one is chosen."""
 NEVER = 1e6
 """Time over the default's of no steps at all, which no budget allows."""
 

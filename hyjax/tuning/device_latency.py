@@ -88,7 +88,7 @@ class DeviceWorkload(Record, frozen=True, omit_defaults=False):
         )
 
     def plain(self) -> Workload:
-        """Form that latency tables have."""
+        """Workload, as latency tables have it."""
         return Workload(self.height, self.width, self.lights, self.features, DTYPES[self.precision])
 
     def __str__(self) -> str:
@@ -146,7 +146,7 @@ class Form(Record, frozen=True):
 
     @property
     def key(self) -> str:
-        """Key by `schedule_key`."""
+        """Key of the schedule."""
         return schedule_key(self.schedule())
 
 

@@ -1,4 +1,4 @@
-"""Look of every plot of a report, and its way into a page."""
+"""Style of a report's plots, and their embedding into a page."""
 
 import io
 import math

@@ -11,7 +11,7 @@ Time = Annotated[float, msgspec.Meta(ge=0)]
 
 @dataclasses.dataclass(frozen=True)
 class Milliseconds:
-    """Times of single calls: the median and the 95th percentile of single calls."""
+    """Median and 95th percentile of the times of single calls."""
 
     median: Time
     p95: Time

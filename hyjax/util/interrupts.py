@@ -16,7 +16,7 @@ DELAY = 0.05
 
 
 def defer_interrupts() -> None:
-    """Raise a `KeyboardInterrupt` again, from now on, that fell into a callback of a library.
+    """Raise again, from now on, a `KeyboardInterrupt` that fell into a callback of a library.
 
     Python drops whatever is raised in a callback that C calls, such as JAX's after each garbage collection, and the
     program would go on as if nothing had been pressed."""

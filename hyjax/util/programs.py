@@ -88,7 +88,7 @@ class KeptFunction(Generic[P, T]):
         return self._ready[key](*args, **arrays)
 
     def lower(self, *args: P.args, **kwargs: P.kwargs) -> jax.stages.Lowered:
-        """Lowering as of what `jax.jit` returns."""
+        """Lowered function, as of `jax.jit`."""
         return self._jitted.lower(*args, **kwargs)
 
     def _program(self, key: tuple[Any, ...], args: Any, kwargs: Any) -> Callable[..., T]:

@@ -12,6 +12,7 @@ import math
 import os
 import re
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
@@ -180,7 +181,8 @@ def parse_json(text: str | bytes, where: str, *, only_finite: bool = False) -> A
     if _depth(value) > DEEPEST:
         raise InputError(f"{where}: lists and mappings more than {DEEPEST} deep")
     if HALF_LETTER.search(text):
-        _check_letters(json.dumps(value, ensure_ascii=False), where)
+        for each in _texts(value):
+            _check_letters(each, where)
     return value
 
 
@@ -259,6 +261,19 @@ def _check_letters(text: str, where: str) -> None:
         text.encode()
     except UnicodeEncodeError:
         raise InputError(f"{where}: a text with half a letter (a lone surrogate)") from None
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Texts within lists and mappings, keys among them."""
+    left = [value]
+    while left:
+        part = left.pop()
+        if isinstance(part, str):
+            yield part
+        elif isinstance(part, list):
+            left += part
+        elif isinstance(part, dict):
+            left += [*part, *part.values()]
 
 
 def _depth(value: Any) -> int:

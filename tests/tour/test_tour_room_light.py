@@ -42,7 +42,7 @@ CUBE = Piece(tuple(TOP.tolist()))
 
 @pytest.fixture(scope="module")
 def renderer() -> Renderer:
-    """Of a room whose photo light is believed, though its pictures are noise: else nothing bounces."""
+    """Renderer of a room whose photo light is believed, though its pictures are noise: else nothing bounces."""
 
     def believed(caster: RayCaster, arrays: Arrays) -> Estimate:
         return read_estimate(caster, {**arrays, "exponent": np.array(1.0)})
