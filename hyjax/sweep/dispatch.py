@@ -35,6 +35,7 @@ class Dispatch:
         self._tasks = (task for task in tasks if self._is_new(task))
         self._back: deque[Task] = deque()
         self._suspects: deque[Task] = deque()
+        self._is_suspect = False  # whether the batch under way is one of them
         self._tries: Counter[str] = Counter()
         self._seconds: float | None = None
         self._writer: RowWriter | None = None
@@ -47,13 +48,17 @@ class Dispatch:
         self._seen.add(task.key)
         return True
 
-    def next_batch(self, places: int) -> TaskBatch | None:
+    def next_batch(self, places: int, under_way: int) -> TaskBatch | None:
         """Next batch, None if there is none to give out now.
 
         Args:
             places: number of batches under way at a time.
+            under_way: number of batches under way.
         """
-        if self._suspects:  # each alone, so that it takes no other along
+        if (self._suspects or self._is_suspect) and under_way:
+            return None  # a worker that dies takes along all batches that it was given
+        self._is_suspect = bool(self._suspects)
+        if self._suspects:
             tasks = [self._suspects.popleft()]
         else:
             size = self._size(places)

@@ -122,7 +122,7 @@ class Engine:
         under_way = 0
         while True:
             places = self._pool.places(timing)
-            while under_way < places and (batch := work.next_batch(places)):
+            while under_way < places and (batch := work.next_batch(places, under_way)):
                 self._pool.submit(batch, timing)
                 under_way += 1
             if not under_way:
