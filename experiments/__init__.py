@@ -2,8 +2,6 @@
 
 EXPERIMENTS = (
     "paper_table",
-    "paper_difference",
-    "beyond",
     "truth",
     "real",
     "dark_frames",
@@ -14,20 +12,13 @@ EXPERIMENTS = (
     "structure",
     "conductances",
     "depth_sr",
-    "reference_quality",
-    "kappa_sweep",
     "guide_worth",
     "frame_tuning",
     "stage_times",
     "frame_rate",
     "first_picture",
-    "guide_speed",
-    "export_formats",
     "fusion_borders",
     "bench_peers",
-    "tour_latency",
-    "tour_load",
     "live",
-    "sweep_scale",
 )
 """Modules of experiments, in the report's order."""

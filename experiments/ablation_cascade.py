@@ -33,7 +33,7 @@ from experiments.judging import summarise
 from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, reported
 from experiments.paper_view import View
 from experiments.plotting import new_figure
-from experiments.records import Row
+from experiments.records import Row, of_kind
 from hyjax import metrics
 from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
@@ -56,7 +56,7 @@ class Config(KappaConfig):
     """Rounds of the timing."""
 
 
-@experiment("Ablation: the cascade")
+@experiment("Ablation: the cascade", "distance")
 def main(config: Config, start: Start) -> None:
     check_repeats(config.repeats)
     capture, results = config.start(start)
@@ -135,9 +135,7 @@ def time_schedules(bench: Bench, view: View, repeats: int) -> dict[Mode, dict[st
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Table, figure and picture from the rows."""
-    distances = [row for row in rows if row.get("kind") == "distance"]
-    if not distances:
-        return ["No frame has been diffused yet."]
+    distances = of_kind(rows, "distance")
     times = {(row["mode"], row["schedule"]): row for row in rows if row.get("kind") == "time"}
     lines = []
     for mode in METHODS:

@@ -38,7 +38,7 @@ from experiments.judging import summarise
 from experiments.paper_bench import METHODS, Bench, KappaConfig, reported
 from experiments.paper_view import View
 from experiments.plotting import new_figure
-from experiments.records import Row
+from experiments.records import Row, of_kind
 from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
 from hyjax.geometry.raycast import RayCaster
@@ -73,7 +73,7 @@ class Config(KappaConfig):
     """How many, spread over those that `paper_table` reports on."""
 
 
-@experiment("Ablation: the shadow pass")
+@experiment("Ablation: the shadow pass", "score")
 def main(config: Config, start: Start) -> None:
     capture, results = config.start(start)
     chosen = spread(reported(capture), config.frames)  # before the first slow step
@@ -201,9 +201,7 @@ def together(view: View, bench: Bench, mode: Mode, maps: Any, accurate: bool) ->
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Tables, figure and picture from the rows."""
-    scores = [row for row in rows if row.get("kind") == "score"]
-    if not scores:
-        return ["No shadow has been judged yet."]
+    scores = of_kind(rows, "score")
     paper, ours = (hyjax.Schedule.preset(name).levels[0] for name in ("shadow", "hyjax-shadow"))
     kinds = {
         "raw": ("raw", 1, 0),

@@ -17,9 +17,7 @@ the same is measured first, and part of the guard.
   distance to that of the accurate surface, on frames held out. Each filters (w y, w) as ours does; its strength and
   reach are chosen by PSNR on tuning frames of the same capture, or of another one (`--choose-on`). Ours are
   presets, of which nothing is chosen here.
-- *Guide*: the small network, ours, in torch and in ONNX Runtime.
-- *Frame*: the G-buffer of a mesh of 200 000 triangles and more; a frame from its G-buffer, and whole, to the bytes
-  of its picture.
+- *Guide*: the small network, ours, in torch and in ONNX Runtime. Whole frames: `frame_rate`.
 
 `--cores 1` binds everything to one core. `--guard` makes the process fail where a ratio within the run is beyond
 its limit, or could not be measured; the limits are those for `--cores 1`. Takes some minutes on two cores, which
@@ -45,21 +43,17 @@ import numpy as np
 import hyjax
 from experiments import peers
 from experiments.command import RunConfig, Start, bind_to_cores, experiment, run
-from experiments.guide_speed import last_bias, same_networks, torch_calls
+from experiments.guide_peers import last_bias, same_networks, torch_calls
 from experiments.peers_report import COMPILED, COPY, FLOOR, OURS, PLAIN, TORCH, guard
 from experiments.peers_report import blocks as blocks
 from experiments.records import Results
-from hyjax.core.cascade import largest_sampling
 from hyjax.core.diffusion import _steps
 from hyjax.core.refine import HOLE_FLOOR
 from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
-from hyjax.geometry.raycast import RayCaster
 from hyjax.guide import Guide, normalise
-from hyjax.light.color import to_display_bytes
 from hyjax.light.shading import mix_channels
-from hyjax.pipeline import default_shadow_schedule, refine_illuminance, relight_stages
-from hyjax.scene.place import view_of
+from hyjax.pipeline import refine_illuminance
 from hyjax.tuning.bench import Workbench, open_bench
 from hyjax.tuning.calibration import check_repeats
 from hyjax.tuning.cases import Case, filter_colors, raw_filter, refined_filter, scores
@@ -72,7 +66,7 @@ CASCADES = ("paper-50", "paper-80", "naive-1000", "hyjax")
 OPERATIONS = 13  # of a step, a pixel and channel: four differences, four products, four sums, one by λ
 MOST_VALUES = 2**24
 LAM = 0.2
-Part = Literal["steps", "cascades", "quality", "guide", "frames"]
+Part = Literal["steps", "cascades", "quality", "guide"]
 MOST_SECONDS = 30.0
 
 
@@ -91,7 +85,6 @@ class Config(RunConfig):
     frames: int = 4
     """How many to choose strengths on, and how many to report on."""
     repeats: int = 20
-    triangles: int = 200_000
     cores: int | None = None
     """How many cores to run on; by default all that this process may use."""
     guard: bool = False
@@ -99,7 +92,7 @@ class Config(RunConfig):
     seed: int = 0
 
 
-@experiment("Beside others, in one run")
+@experiment("Beside others, in one run", "conditions")
 def main(config: Config, start: Start) -> str | None:
     check_repeats(config.repeats)
     if bad := [size for size in config.sizes if size < 64]:
@@ -119,7 +112,6 @@ def main(config: Config, start: Start) -> str | None:
         "cascades": lambda: time_cascades(config, results, torch),
         "quality": lambda: judge_filters(config, results, bench),
         "guide": lambda: time_guides(config, results),
-        "frames": lambda: time_frames(config, results, bench),
     }
     for part in config.parts:
         parts[part]()
@@ -305,36 +297,6 @@ def time_guides(config: Config, results: Results) -> None:
             results.add(kind="agreement", what=f"guide at {size}²", difference=difference)
         for who, time in measured(calls, config).items():
             results.add(kind="guide", size=size, who=who, **time)
-
-
-def time_frames(config: Config, results: Results, bench: Workbench) -> None:
-    frame = bench.scene.frame(0)
-    scene = bench.scene
-    mesh = scene.mesh
-    while len(mesh.faces) < config.triangles:
-        mesh = mesh.subdivide()
-    casters = {len(scene.mesh.faces): scene.caster, len(mesh.faces): RayCaster(mesh)}
-    calls: dict[str, Callable[[], Any]] = {
-        f"G-buffer of {faces} triangles": functools.partial(caster.gbuffer, frame.camera)
-        for faces, caster in casters.items()
-    }
-    maps = scene.shadow_maps(bench.lights, occluders="surface")
-    schedule = Schedule.preset("hyjax")
-    sampling = largest_sampling([schedule, default_shadow_schedule("linear")], 2)
-
-    def relit(caster: RayCaster | None, shadow_maps: Any) -> Any:
-        view = given if caster is None else view_of(frame, caster.gbuffer(frame.camera))
-        shaded = view.shade(bench.lights, shadow_maps=shadow_maps, sampling=sampling)
-        stages = dict(itertools.islice(relight_stages(view, shaded, view.display, schedule), 3))
-        return to_display_bytes(stages["composite"])
-
-    given = scene.view(0)
-    calls["frame with shadows, from its G-buffer"] = functools.partial(relit, None, maps)
-    calls["frame without shadows, from its G-buffer"] = functools.partial(relit, None, None)
-    for faces, caster in casters.items():
-        calls[f"whole frame with shadows, {faces} triangles"] = functools.partial(relit, caster, maps)
-    for what, time in measured(calls, config).items():
-        results.add(kind="frame", what=what, **time)
 
 
 if __name__ == "__main__":

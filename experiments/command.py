@@ -25,7 +25,7 @@ from typing import Any
 import tyro
 
 from experiments.blocks import Block, write_blocks
-from experiments.records import Results, Row
+from experiments.records import Results, Row, of_kind
 from hyjax.util.errors import InputError
 from hyjax.util.interrupts import defer_interrupts, exit_now
 
@@ -61,11 +61,12 @@ class Experiment:
     Attributes:
         name: of its module.
         title: in the report.
+        needs: kind of the rows without which there is nothing to show; empty for none.
     """
 
-    def __init__(self, main: Callable[[Any, Start], str | None], title: str) -> None:
+    def __init__(self, main: Callable[[Any, Start], str | None], title: str, needs: str) -> None:
         functools.update_wrapper(self, main)
-        self.name, self.title, self._main = name_of(main), title, main
+        self.name, self.title, self.needs, self._main = name_of(main), title, needs, main
 
     def __call__(self, config: Any) -> list[Row]:
         """Run it and write rows, `NAME.md` and figures; the rows.
@@ -92,12 +93,14 @@ class Experiment:
 
     def blocks(self, rows: Sequence[Row], folder: Path) -> list[Block]:
         """Tables and figures from the rows, by the module's own `blocks`."""
+        if self.needs and not of_kind(rows, self.needs):
+            return [f"There is no {self.needs} yet."]
         return list(self._main.__globals__["blocks"](rows, folder))
 
 
-def experiment(title: str) -> Callable[[Callable[[Any, Start], str | None]], Experiment]:
-    """Decorator of an experiment's `main(config, start)`."""
-    return functools.partial(Experiment, title=title)
+def experiment(title: str, needs: str = "") -> Callable[[Callable[[Any, Start], str | None]], Experiment]:
+    """Decorator of an experiment's `main(config, start)`; see `Experiment` for its arguments."""
+    return functools.partial(Experiment, title=title, needs=needs)
 
 
 def run(main: Callable[[Any], Any]) -> None:

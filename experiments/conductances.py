@@ -63,7 +63,7 @@ class Config(RunConfig):
     """Which pair becomes a picture."""
 
 
-@experiment("Conductances of an RGB guide and of a learned one")
+@experiment("Conductances of an RGB guide and of a learned one", "pair")
 def main(config: Config, start: Start) -> None:
     guides = [RGB, *([] if config.guide == RGB.name else [open_guide(config.guide)])]
     pairs = open_pairs(config.pairs)
@@ -161,8 +161,6 @@ def levels(distance: Edges, kappa: float, factor: int, shape: tuple[int, int]) -
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Table and picture from the rows."""
     guides, scores = of_kind(rows, "guide"), of_kind(rows, "pair")
-    if not scores:
-        return ["No pair has been compared yet."]
     lines = []
     for guide in guides:
         own = [row for row in scores if row["guide"] == guide["guide"]]

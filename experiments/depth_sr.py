@@ -100,7 +100,7 @@ class Tile(NamedTuple):
     valid: Bool[np.ndarray, "s s"]
 
 
-@experiment("Guided depth super-resolution")
+@experiment("Guided depth super-resolution", "score")
 def main(config: Config, start: Start) -> None:
     check(config)
     published = config.protocol == "dada"
@@ -231,8 +231,6 @@ def per_pair(rows: Sequence[Row], measure: str) -> dict[str, float]:
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """A table for each source of pairs, a figure, and the errors as pictures."""
     scores = of_kind(rows, "score")
-    if not scores:
-        return ["No pair has been scored yet."]
     options = {(row["factor"], row["method"]): row["options"] for row in of_kind(rows, "chosen")}
     tables = [table(text, own, options) for text, own in by_source(scores).items()]
     return [

@@ -44,7 +44,7 @@ class Config(RunConfig):
     """Capture to relight. Default: the built-in room, which a cold start also renders."""
 
 
-@experiment("How long the first picture takes")
+@experiment("How long the first picture takes", "start")
 def main(config: Config, start: Start) -> None:
     if config.repeats < 1 or config.cold < 1:
         raise InputError("repeats, cold: must be at least 1")
@@ -86,8 +86,6 @@ def stages(name: str, out: Path) -> Row:
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Table of the starts with their figure, and table of the stages."""
     starts = of_kind(rows, "start")
-    if not starts:
-        return ["Nothing has been started yet."]
     names = list(dict.fromkeys(row["start"] for row in starts))
     found: list[Block] = []
     lines = []

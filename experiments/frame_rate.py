@@ -162,7 +162,7 @@ def memory_mib() -> float:
     return pages * resource.getpagesize() / 2**20
 
 
-@experiment("Whole frames a second")
+@experiment("Whole frames a second", "rate")
 def main(config: Config, start: Start) -> str | None:
     check(config)
     keep_freed_memory()
@@ -263,8 +263,6 @@ def differences(quality: Sequence[Row]) -> dict[tuple[int, str], float]:
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Tables and figure from the rows."""
     conditions, rates = of_kind(rows, "conditions"), of_kind(rows, "rate")
-    if not conditions or not rates:
-        return ["Nothing has been timed yet."]
     where = f"{machine(conditions[0])}, {conditions[0]['cores']} used"
     header = ["triangles", "sampling", "frames/s", "CPU ms a frame", "frame ms", "p95"]
     names = list(rates[0]["stages"])

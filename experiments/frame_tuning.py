@@ -66,7 +66,7 @@ class Config(RunConfig):
     resume: bool = False
 
 
-@experiment("Configurations of the whole frame")
+@experiment("Configurations of the whole frame", "candidate")
 def main(config: Config, start: Start) -> None:
     parse_size(config.size)
     if set(config.rooms) & set(config.report):
@@ -154,8 +154,6 @@ def add_presets(results: Results, config: Config) -> None:
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Tables and figure from the rows."""
     candidates = of_kind(rows, "candidate")
-    if not candidates:
-        return ["Nothing has been tuned yet."]
     settings = candidates[0]["settings"]
     caption = (
         f"Whole frames of {settings['size']}, one at a time, median and p95 in turns with the default; tuned on "

@@ -74,47 +74,27 @@ def main(config: Config, start: Start) -> None:
     plan = plan_fusion(capture, FusionSettings(voxel=config.voxel, fuse_frames=0))
     results = start()
     made: dict[str, trimesh.Trimesh] = {}
+
+    def add(name: str, mesh: trimesh.Trimesh, against: Sequence[DepthReading] = judges, **values: float) -> None:
+        made[name], shared = mesh, {"capture": capture.name, "faces": len(mesh.faces)}
+        results.add(kind="fusion", name=name, **shared, **values, **judged(mesh, against))
+
     makers = _makers(plan.voxel, plan.truncation, plan.far, plan.min_weight)
     for name, make in makers.items():
         seconds = []
         for _ in range(config.rounds):
             watch = Stopwatch()
-            made[name] = make(fused)
+            mesh = make(fused)
             seconds.append(watch.seconds)
-        results.add(
-            kind="fusion",
-            capture=capture.name,
-            name=name,
-            seconds=float(np.median(seconds)),
-            frames=len(fused),
-            faces=len(made[name].faces),
-            **judged(made[name], judges),
-        )
+        add(name, mesh, seconds=float(np.median(seconds)), frames=len(fused))
     if capture.sensor == PHONE_LIDAR:
         watch = Stopwatch()
-        moved = register(fused, makers["hyjax"], plan.far, progress=False)
-        mesh = made["hyjax, poses aligned"] = makers["hyjax"](moved)
-        seconds, caster = [watch.seconds], RayCaster(mesh)
+        mesh = makers["hyjax"](register(fused, makers["hyjax"], plan.far, progress=False))
+        taken, caster = watch.seconds, RayCaster(mesh)
         others = [registered(reading, caster, plan.far) for reading in judges]
-        results.add(
-            kind="fusion",
-            capture=capture.name,
-            name="hyjax, poses aligned",
-            seconds=seconds[0],
-            frames=len(fused),
-            faces=len(mesh.faces),
-            **judged(mesh, others),
-        )
-    own = capture.mesh()
-    if own is not None:
-        made["the device's mesh"] = own
-        results.add(
-            kind="fusion",
-            capture=capture.name,
-            name="the device's mesh",
-            faces=len(own.faces),
-            **judged(own, judges),
-        )
+        add("hyjax, poses aligned", mesh, others, seconds=taken, frames=len(fused))
+    if (own := capture.mesh()) is not None:
+        add("the device's mesh", own)
     write_png(results.out / "borders.png", _picture(made, judges))
 
 

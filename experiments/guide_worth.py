@@ -1,17 +1,19 @@
-"""Worth of a guide in relit frames, between none at all and one that knows every border.
+"""κ of each guide, and what a guide is worth in relit frames: between none and one that knows every border.
 
     python -m experiments.guide_worth [--capture PATH] [--guide small] [--out results/guide_worth/room]
 
 It is the third benchmark of `paper_table`, relighting fidelity, with κ chosen for each guide and mode on tuning
-frames, as in `kappa_sweep`; the last quarter of the capture is held out. *None* lets light flow everywhere; *the
-surface* has the normals and the logarithm of the depth of the accurate surface for features, so its borders are
-those of what the relit frame is judged by: a network can hardly be expected to do better. What lies between the two
-is what guides are about.
+frames; the last quarter of the capture is held out. The RGB guide is also tried with conductances of the pooled
+guide, as the paper's equation has them and not its text, and with the norm of Metzger et al.'s code. *None* lets
+light flow everywhere; *the surface* has the normals and the logarithm of the depth of the accurate surface for
+features, so its borders are those of what the relit frame is judged by: a network can hardly be expected to do
+better. What lies between the two is what guides are about.
 
 Takes two minutes on two cores, once the capture's surfaces are made.
 
 Expect: no guide worth more than the surface, and the distance from the RGB guide to it smaller than that from none
-to the RGB guide: what is left is lost by the rough surface and by the cascade, not for want of borders."""
+to the RGB guide: what is left is lost by the rough surface and by the cascade, not for want of borders. Curves are
+flat around their tops, and poolings and norms lie close together."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -36,6 +38,7 @@ from hyjax.metrics import psnr
 LIGHTS = "two-colors"
 KAPPAS = (0.0001, 0.0003, 0.0006, 0.00125, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 NONE, SURFACE = "none", "the surface"
+POOLED, MEAN_ABS = "rgb, pooled guide", "rgb, mean of |Δ|"
 NORMALS = 0.1
 """Weight of normals beside the logarithm of depth in the features: a right angle counts as 14 % of depth."""
 NOWHERE = 10.0
@@ -53,7 +56,7 @@ class Config(BenchConfig):
     """Of the built-in room and of the simulated scan."""
 
 
-@experiment("What a guide is worth")
+@experiment("What a guide is worth", "score")
 def main(config: Config, start: Start) -> None:
     schedule, learned = Schedule.preset(config.schedule), open_guide(config.guide)
     reduced = ReducedGuide(learned)
@@ -64,11 +67,16 @@ def main(config: Config, start: Start) -> None:
         "held-out": spread(range(first_held, len(capture)), config.frames),
     }
 
+    schedules = {
+        POOLED: dataclasses.replace(schedule, pooling="guide"),
+        MEAN_ABS: dataclasses.replace(schedule, norm="mean_abs"),
+    }
+
     def score(bench: Bench, split: str, view: View, guide: str, kappas: dict[str, Sequence[float]]) -> None:
         target = bench.relight(view, LIGHTS, "linear", ANY, accurate=True).shading
         for mode, group in OWN_GROUP.items():
             for kappa in kappas[mode]:
-                relit = bench.relight(view, LIGHTS, mode, schedule, kappa=kappa)
+                relit = bench.relight(view, LIGHTS, mode, schedules.get(guide, schedule), kappa=kappa)
                 found = multiplied(view, linear_filter(relit, mode), group)
                 decibels = float(psnr(found, multiplied(view, target, group), valid=view.valid))
                 row = {"capture": capture.name, "split": split, "frame": view.frame.name, "method": METHODS[mode]}
@@ -80,6 +88,8 @@ def main(config: Config, start: Start) -> None:
                 guides = {
                     NONE: jnp.zeros((*view.display.shape[:2], 1)),
                     RGB.name: view.display,
+                    POOLED: view.display,
+                    MEAN_ABS: view.display,
                     learned.name: learned.features(view.display),
                     reduced.name: reduced.features(view.display),
                     SURFACE: surface_features(view),
@@ -114,8 +124,6 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Table and figure from the rows."""
     scores = of_kind(rows, "score")
     held = [row for row in scores if row["split"] == "held-out"]
-    if not held:
-        return ["No held-out frame has been judged yet."]
     lines = []
     for method in METHODS.values():
         rgb = {row["frame"]: row["psnr"] for row in _of(held, method, RGB.name)}

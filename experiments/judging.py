@@ -3,7 +3,9 @@
 import dataclasses
 import functools
 import math
+import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -13,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 from scipy import ndimage, stats
 
 from hyjax.light.gbuffer import GBuffer
-from hyjax.metrics import METRICS, LpipsWeights, Metric
+from hyjax.metrics import METRICS, LpipsWeights, Metric, load_lpips
 from hyjax.util.errors import InputError
 
 REGIONS = ("all", "holes", "silhouettes", "elsewhere")
@@ -30,6 +32,17 @@ def check_size(size: int) -> None:
     """Raise `InputError` for pictures too small for the coarsest level and for LPIPS."""
     if size < SMALLEST_SIZE:
         raise InputError(f"size: must be at least {SMALLEST_SIZE} pixels a side, got {size}")
+
+
+def weights_or_none(path: Path | None) -> LpipsWeights | None:
+    """Weights of LPIPS; without any it is left out, unless a file was asked for."""
+    try:
+        return load_lpips(path)
+    except InputError as error:
+        if path is not None:
+            raise
+        print(f"LPIPS is left out ({error})", file=sys.stderr)
+        return None
 
 
 def regions(rough: GBuffer, accurate: GBuffer) -> Regions:

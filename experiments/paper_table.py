@@ -12,7 +12,7 @@ The schedule is `paper-80`; nothing casts shadows (they have an ablation of thei
 Methods come in two groups, since a filter is multiplied with display values in the paper and with light in hyjax:
 every filter both ways, and the accurate one of the third benchmark as its group does. A filter of one mean colour
 is among them: it has no edges to get wrong and may well win the first two benchmarks, so that these alone say
-nothing. κ defaults to what tuning frames say for the RGB guide (`kappa_sweep`); with another `--guide` give its
+nothing. κ defaults to what tuning frames say for the RGB guide (`guide_worth`); with another `--guide` give its
 own by `--kappa` and `--paper-kappa`.
 
 The paper's own figures stand beside for the direction of its comparison only: 1.8 dB, as it has in the second

@@ -12,6 +12,7 @@ from experiments.plotting import new_figure
 from experiments.records import Row, machine, of_kind
 
 OURS, PLAIN, TORCH, COMPILED, FLOOR = "hyjax", "hyjax, plain form", "torch", "torch, compiled", "C loop"
+CHANNELS_LAST = "torch, channels last"
 COPY = "copy in C"
 SMOOTHER = "OpenCV fastGlobalSmootherFilter"
 
@@ -43,8 +44,6 @@ def guard(rows: Sequence[Row]) -> list[tuple[str, float, float, bool]]:
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Tables and figures from the rows."""
     conditions = of_kind(rows, "conditions")
-    if not conditions:
-        return ["Nothing has been timed yet."]
     where = f"{machine(conditions[0])}, {conditions[0]['cores']} used"
     shown: list[Block] = [step_table(of_kind(rows, "step"), where)] if of_kind(rows, "step") else []
     cascades = [
@@ -86,11 +85,6 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         for row in of_kind(rows, "guide")
     ]
     shown.append(Table("The small guide network, 64 features.", ["picture", "by", "ms", "p95"], guides, names=2))
-    frames = [
-        [row["what"], f"{row['first_ms']:.0f}", f"{row['median_ms']:.1f}", f"{row['p95_ms']:.1f}"]
-        for row in of_kind(rows, "frame")
-    ]
-    shown.append(Table("512 x 512, two lights.", ["", "first call ms", "ms", "p95"], frames))
     ratios = [
         [what, f"{ratio:.2f}", f"{limit:g}", "yes" if holds else "NO"] for what, ratio, limit, holds in guard(rows)
     ]

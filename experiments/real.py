@@ -10,7 +10,7 @@ headset's.
 *glow* adds 24 patches of the box round the scan to the family: 39 unknowns in the place of 15; beside it stands the
 polynomial of order 7, with 36. Piano was chosen on, the others are reported on.
 
-PSNR, SSIM, LPIPS where its weights are there, SIE and LFE (`experiments.real_scores`). `--rooms` adds generated
+PSNR, SSIM, LPIPS where its weights are there, SIE and LFE (`experiments.real_methods`). `--rooms` adds generated
 rooms whose pictures went through a camera with an S-curve; with `--pairs` of nothing no folder is needed.
 
 Takes about a minute for each direction and geometry on two cores.
@@ -27,13 +27,11 @@ from tqdm import tqdm
 
 from experiments.blocks import Block, Picture, Table
 from experiments.command import RunConfig, Start, experiment, run
-from experiments.real_bench import Geometry, RealPlace
-from experiments.real_methods import KEPT, METHODS, NEW, PHOTO, SMOOTH, pictures
-from experiments.real_room import room_pair
-from experiments.real_scores import scores
+from experiments.judging import weights_or_none
+from experiments.real_bench import Geometry, RealPlace, room_pair
+from experiments.real_methods import KEPT, METHODS, NEW, PHOTO, SMOOTH, pictures, scores
 from experiments.records import Row, of_kind
 from hyjax.data.relit_pairs import RelitPair, open_relit_pairs
-from hyjax.metrics import load_lpips
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
 
@@ -63,21 +61,14 @@ class Config(RunConfig):
     """Go on with the interrupted run in the out folder."""
 
 
-@experiment("Real places under two lights")
+@experiment("Real places under two lights", "picture")
 def main(config: Config, start: Start) -> None:
     if unknown := [name for name in config.geometries if name not in get_args(Geometry)]:
         raise InputError(f"geometries: {unknown[0]!r} is neither true nor rough")
     chosen = [*_pairs(config), *(room_pair(name, config.room_size, config.quality) for name in config.rooms)]
     if not chosen or not config.geometries:
         raise InputError("real: give at least one pair or room, and a geometry")
-    try:
-        weights = load_lpips(config.weights)
-    except InputError as error:
-        if config.weights is not None:
-            raise
-        weights = None
-        print(f"real: LPIPS is left out ({error})")
-    results = start()
+    weights, results = weights_or_none(config.weights), start()
     done = {(row["pair"], row["direction"], row["geometry"]) for row in of_kind(results.rows, "picture")}
     places = list(itertools.product(chosen, config.geometries, (False, True)))
     for pair, geometry, flipped in tqdm(places, unit="picture"):
@@ -114,8 +105,6 @@ def _pairs(config: Config) -> list[RelitPair]:
 def blocks(rows: list[Row], folder: Path) -> list[Block]:
     """Tables and sheets from the rows."""
     found = of_kind(rows, "picture")
-    if not found:
-        return ["No picture has been judged yet."]
     made: list[Block] = []
     for metrics in (("psnr",), ("ssim", "lpips", "sie", "lfe")):
         for geometry in dict.fromkeys(row["geometry"] for row in found):

@@ -23,7 +23,7 @@ from hyjax.util.run_log import RunLog, check_same_settings, read_lines
 
 FILE = "rows.jsonl"
 ROOT = Path(__file__).parents[1]
-UNSETTLED = ("out", "resume", "workers")
+UNSETTLED = ("out", "resume")
 """Options that decide nothing about the results."""
 Row = dict[str, Any]
 
@@ -43,7 +43,7 @@ class Results:
     Args:
         out: the run's folder.
         experiment: name of the module.
-        config: the run's options, a dataclass; `out`, `resume` and `workers` in it are not compared.
+        config: the run's options, a dataclass; `out` and `resume` in it are not compared.
         resume: go on with the rows that are there.
 
     Raises:

@@ -2,7 +2,7 @@
 
 A raw fusion at 2 cm is full of bumps and crevices of its own, which a perceptual metric takes for structure: it
 would prefer a bumpy filter to a right one. So a fused reference has its normals
-smoothed a little (`reference_quality` measures how much is good), and pixels do not count where
+smoothed a little (docs/results/paper.md has how much is good), and pixels do not count where
 
 - it has no surface,
 - its depth is off from the frame's own depth reading by more than `hyjax.geometry.depth_map.SLACK`,
@@ -34,7 +34,7 @@ from hyjax.util.errors import InputError, did_you_mean
 WORDS = ("true", "laser", "fused")
 VOXEL = 0.02  # metres, of a fusion
 LASER_VOXEL = 0.005  # metres: laser points are thinned to one in each such cube
-RELAXING, SMOOTHING = 0, 4  # passes over the vertices and over the normals, see `reference_quality`
+RELAXING, SMOOTHING = 0, 4  # passes over the vertices and over the normals, see docs/results/paper.md
 BUMP_PASSES = 20
 BUMP = np.deg2rad(20.0)
 GRAZING = 0.15

@@ -50,7 +50,7 @@ class Config(RunConfig):
     repeats: int = 30
 
 
-@experiment("What each stage of a frame costs")
+@experiment("What each stage of a frame costs", "stage")
 def main(config: Config, start: Start) -> None:
     results = start()
     scene = Scene.open(SceneSettings(config.capture, size="512"), progress=True)
@@ -128,8 +128,6 @@ def alone(y: Any, guide: Any, schedule: hyjax.Schedule, repeats: int) -> dict[st
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Table and figure from the rows; the cascade's parts summed up in one line."""
     stages = of_kind(rows, "stage")
-    if not stages:
-        return ["No stage has been timed yet."]
     lines = [
         [row["stage"], f"{row['first_ms']:.0f}", f"{row['median_ms']:.2f}", f"{row['p95_ms']:.2f}"]
         for row in stages

@@ -10,7 +10,7 @@ has what all its rows share (experiment, settings, commit, date, device, version
 besides. Numbers are rounded to five digits. With `--keep` a finished run's rows are put there.
 
 A file whose first line says `"source": "transcribed"` holds the cells of a table that was in an earlier README and
-whose rows were not kept; its text says so.
+whose rows were not kept; `"removed"`, those of a table whose experiment has been removed. Its text says so.
 
 Takes seconds.
 """
@@ -125,8 +125,8 @@ def kept_run(name: str) -> tuple[list[Row], list[Table]]:
 
 
 def tables_of(rows: Sequence[Row]) -> list[Table]:
-    """All tables that the rows' experiment makes of them, or the one that was transcribed."""
-    if rows[0].get("source") == "transcribed":
+    """All tables that the rows' experiment makes of them, or the one that is kept as it was."""
+    if "source" in rows[0]:
         first = rows[0]
         return [Table(first["caption"], first["header"], [row["cells"] for row in rows], first["names"])]
     return [block for block in experiment_of(rows).blocks(rows, KEPT) if isinstance(block, Table)]
@@ -161,6 +161,8 @@ def selected(tables: Sequence[Table], published: Published) -> Table:
 def provenance(rows: Sequence[Row]) -> str:
     """Command, date, commit, device and load of rows, in a sentence."""
     first = rows[0]
+    if first.get("source") == "removed":
+        return f"{first['origin']} That commit has the experiment, which was removed since."
     if first.get("source") == "transcribed":
         return (
             f"Transcribed from the README of commit {short(first['commit'])} ({first['date']}); its rows were not "

@@ -1,6 +1,15 @@
 """Screenshots of the room tour for the documentation: an afternoon, and the evening with a bulb on the table."""
 
+import contextlib
 import io
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,7 +17,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from experiments.browser import browser
-from experiments.tour_latency import served, wait_until_still
+from hyjax.util.errors import InputError
 
 SIZE = {"width": 1200, "height": 673}
 PIXELS = "640x480"
@@ -17,6 +26,8 @@ AFTERNOON, EVENING = "16", "21.4"
 TABLE = 0.5, 0.81
 """Place of the bulb, in shares of the scene."""
 GAP = 8
+STILL_CORES = 0.05
+"""Share of a core below which the tour has compiled all that it compiles ahead."""
 
 
 def tour_picture() -> UInt8[np.ndarray, "h w 3"]:
@@ -56,3 +67,40 @@ def screenshot(page: Any) -> UInt8[np.ndarray, "h w 3"]:
     page.get_by_text("View", exact=True).first.scroll_into_view_if_needed()
     page.wait_for_timeout(2000)
     return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
+
+
+@contextlib.contextmanager
+def served(size: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """A tour of the built-in room in a process of its own: its address and the process."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "hyjax.cli", "tour", "--quiet"]
+        options = ["--size", size, "--port", str(port), "--out", folder]
+        process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            if "http" not in line:
+                raise InputError("tour: it did not start; see above")
+            yield line.split()[5], process
+        finally:
+            process.terminate()
+            process.wait()
+            if process.stdout is not None:
+                process.stdout.close()
+
+
+def wait_until_still(pid: int) -> None:
+    """Wait until a process does nothing for a second."""
+    before = -np.inf
+    while (now := processor_seconds(pid)) - before > STILL_CORES:
+        before = now
+        time.sleep(1.0)
+
+
+def processor_seconds(pid: int) -> float:
+    """Time that a process has had of the processor."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

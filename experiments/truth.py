@@ -1,6 +1,6 @@
 """Relit frames against what the camera would see: rooms of known truth under new lights.
 
-    python -m experiments.truth [--rooms NAME ...] [--frames 6] [--out results/truth] [--resume] [--workers 2]
+    python -m experiments.truth [--rooms NAME ...] [--frames 6] [--out results/truth] [--resume]
 
 The other experiments compare with the same multiplication by an accurate filter. Here every relit frame is compared
 with the true picture of a generated room under the new lights (`hyjax.synthetic.truth`): same lens, same camera
@@ -17,7 +17,6 @@ Expect: the default gains some 5 dB fitted and 8 dB raw on hyjax 0.1, a little m
 True light on a true mesh comes to some 34 dB, less raw: the rest is the camera, mirror images and what shines.
 """
 
-import contextlib
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,17 +26,16 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from experiments.blocks import Block
 from experiments.command import RunConfig, Start, experiment, run
-from experiments.judging import judge
-from experiments.parallel import Collected, Sink, rows_of_parts
-from experiments.records import Results, Row, of_kind
+from experiments.judging import judge, weights_or_none
+from experiments.records import Results, of_kind
 from experiments.truth_bench import TruthBench
 from experiments.truth_camera import Exposed, fit_gains
 from experiments.truth_methods import NEW, TODAY, TRUE_BOTH, LitBench
-from experiments.truth_table import FITS, blocks_of
+from experiments.truth_table import FITS
+from experiments.truth_table import blocks as blocks
 from hyjax.data.frames import spread
-from hyjax.metrics import LpipsWeights, load_lpips, psnr
+from hyjax.metrics import LpipsWeights, psnr
 from hyjax.scene.light_setups import check_setup_name
 from hyjax.scene.settings import parse_size
 from hyjax.synthetic.truth import DEVELOPMENT_ROOMS, TEST_ROOMS
@@ -46,7 +44,6 @@ from hyjax.util.errors import InputError
 
 SETUPS = ("evening-lamps", "two-colors", "golden-hour", "night-moon")
 SHEET = ("photo", TODAY, NEW, TRUE_BOTH, "truth")
-Key = tuple[str, str, int]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -67,55 +64,22 @@ class Config(RunConfig):
     """LPIPS weights. Default: those converted of the extra `lpips`; without them there is no LPIPS."""
     resume: bool = False
     """Go on with the interrupted run in the out folder."""
-    workers: int = 0
-    """Processes that judge a room each; 0 for this one alone."""
 
 
-@experiment("Against the true picture")
+@experiment("Against the true picture", "picture")
 def main(config: Config, start: Start) -> None:
     size = _checked(config)
-    weights, results = _weights(config.weights), start()
+    weights, results = weights_or_none(config.weights), start()
     finished = {row["room"] for row in of_kind(results.rows, "room")}
     rooms = [name for name in config.rooms if name not in finished]
-    if config.workers:
-        _judge_apart(config, rooms, results)
-        return
     with tqdm(total=len(rooms) * len(config.setups) * config.frames, unit="picture") as bar:
         for name in rooms:
             _judge_room(results, config, TruthBench(name, config.photos, size, config.quality), weights, bar)
 
 
-def _judge_apart(config: Config, rooms: list[str], results: Results) -> None:
-    """Add the rows of rooms that are judged by other processes."""
-    options = dataclasses.asdict(config)
-    options["weights"] = None if config.weights is None else str(config.weights.resolve())
-    for name in ("rooms", "resume", "workers"):
-        options.pop(name)
-    payloads = [options | {"room": name, "out": str(results.out.resolve())} for name in rooms]
-    known = {_place(row) for row in results.rows}
-    for rows in rows_of_parts(room_rows, payloads, config.workers, results.out, resume=config.resume):
-        for row in rows:
-            if _place(row) not in known:
-                results.add(**row)
-
-
-def room_rows(payload: dict[str, Any]) -> dict[str, Any]:
-    """Rows of one room, in a process of its own."""
-    options = {name: value for name, value in payload.items() if name not in ("room", "out")}
-    config = Config(**options, rooms=(payload["room"],), out=Path(payload["out"]))
-    collected, weights = Collected(Path(payload["out"])), None
-    with contextlib.suppress(InputError):  # told already
-        weights = load_lpips(config.weights)
-    bench = TruthBench(payload["room"], config.photos, _checked(config), config.quality)
-    _judge_room(collected, config, bench, weights, tqdm(disable=True))
-    return collected.result()
-
-
-def _place(row: Row) -> tuple[Any, ...]:
-    return tuple(row.get(name) for name in ("kind", "room", "setup", "index"))
-
-
-def _judge_room(results: Sink, config: Config, bench: TruthBench, weights: LpipsWeights | None, bar: tqdm) -> None:
+def _judge_room(
+    results: Results, config: Config, bench: TruthBench, weights: LpipsWeights | None, bar: tqdm
+) -> None:
     """Add the rows of one room that are not there yet, and write its sheet."""
     name, sheet = bench.capture.name, []
     frames = spread(range(config.photos), config.frames)
@@ -142,28 +106,19 @@ def _checked(config: Config) -> tuple[int, int]:
     return size[1], size[0]
 
 
-def _weights(path: Path | None) -> LpipsWeights | None:
-    """Weights of LPIPS; without any it is left out, unless a file was asked for."""
-    try:
-        return load_lpips(path)
-    except InputError as error:
-        if path is not None:
-            raise
-        print(f"truth: LPIPS is left out ({error})")
-        return None
-
-
 def _judge_setup(
-    results: Sink, bench: TruthBench, setup: str, frames: list[int], weights: LpipsWeights | None, bar: tqdm
+    results: Results, bench: TruthBench, setup: str, frames: list[int], weights: LpipsWeights | None, bar: tqdm
 ) -> tuple[str, list[np.ndarray]]:
     """Add the rows of one set-up that are not there yet; a row of the sheet."""
     room, middle = bench.capture.name, frames[len(frames) // 2]
-    done = {key_of(row) for row in of_kind(results.rows, "picture")}
+    done = {
+        row["index"] for row in of_kind(results.rows, "picture") if (row["room"], row["setup"]) == (room, setup)
+    }
     lit, shown = LitBench(bench, setup), []
     if (room, setup) not in {(row["room"], row["setup"]) for row in of_kind(results.rows, "setup")}:
         results.add(kind="setup", room=room, setup=setup, bounces=lit.bounce_ratio())
     for index in frames:
-        new = (room, setup, index) not in done
+        new = index not in done
         if new or index == middle:
             truth, pictures = lit.truth(index), lit.pictures(index)
             if new:
@@ -188,16 +143,6 @@ def _scores(
     return {
         name: {fit: found[f"{name}|{fit}"]["all"] for fit in FITS} | {"gains": gains[name]} for name in pictures
     }
-
-
-def key_of(row: Row) -> Key:
-    """Room, set-up and frame of a picture."""
-    return row["room"], row["setup"], row["index"]
-
-
-def blocks(rows: list[Row], folder: Path) -> list[Block]:
-    """Tables, figure and pictures from the rows."""
-    return blocks_of(rows, folder)
 
 
 if __name__ == "__main__":

@@ -23,11 +23,9 @@ OTHERS = "other rooms"
 RESAMPLES = 2000
 
 
-def blocks_of(rows: Sequence[Row], folder: Path) -> list[Block]:
+def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Tables, figure and pictures from the rows."""
     pictures = of_kind(rows, "picture")
-    if not pictures:
-        return ["No picture has been judged yet."]
     made: list[Block] = []
     groups = by_split(pictures)
     for split, own in groups.items():

@@ -4,9 +4,9 @@ import dataclasses
 from typing import Any
 
 # The paper names no κ; these are for display-encoded RGB guides in [0, 1] and
-# norm l2: with pooled edges by experiments/kappa_sweep.py (best for our mode 0.005 to 0.02, the paper's 0.05 to
+# norm l2: with pooled edges by experiments/guide_worth.py (best for our mode 0.005 to 0.02, the paper's 0.05 to
 # 0.2). κ, α and steps of our presets were chosen together, by hand, on tuning frames of 7-Scenes' kitchen (five of
-# its first three quarters) and of the built-in room (seed 0): a flat optimum; experiments/beyond.py looks along κ.
+# its first three quarters) and of the built-in room (seed 0): a flat optimum.
 DEFAULT_KAPPA = 0.02
 PAPER_KAPPA = 0.05
 GUIDED_KAPPA = 0.05

@@ -1,7 +1,6 @@
 """Every experiment that no other file runs, from its options to rows, tables and figures, as small as it goes."""
 
 import dataclasses
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +11,14 @@ from test_depth_sr import write_pairs
 
 from experiments import (
     bench_peers,
-    beyond,
     conductances,
-    export_formats,
     first_picture,
     flicker,
     guide_worth,
-    kappa_sweep,
     live,
     readme_picture,
-    reference_quality,
     same_pictures,
     stage_times,
-    sweep_scale,
-    tour_latency,
     truth,
 )
 from experiments.command import Experiment
@@ -50,46 +43,6 @@ def rows_of(experiment: Experiment, config: Any, *files: str) -> list[Row]:
 
 
 @pytest.mark.slow
-def test_beyond(scan: Path, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(beyond, "KAPPAS", (0.02,))
-    monkeypatch.setattr(beyond, "PAPER_KAPPAS", (0.1,))
-    monkeypatch.setattr(beyond, "STEPS_MORE", (1,))
-    names = ("holes unknown", "hyjax")
-    monkeypatch.setattr(beyond, "IDEAS", {name: beyond.IDEAS[name] for name in names})
-    config = beyond.Config(capture=scan, size=SIZE, tuning=1, frames=1, repeats=1, weights=weights, out=tmp_path)
-    rows = rows_of(beyond.main, config, "best_and_worst.png", "front.png")
-    (frame,) = of_kind(rows, "frame")
-    for scores in frame["scores"].values():
-        assert set(names) < set(scores) and all(5 < scores[name]["all"]["psnr"] < 80 for name in names)
-    assert {row["method"] for row in of_kind(rows, "time")} >= {beyond.PAPER, *names}
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # the runtimes' own
-def test_export_formats(tmp_path: Path) -> None:
-    need("export-onnx")
-    config = export_formats.Config(
-        targets=("stablehlo", "onnx"), functions=("cascade, hyjax",), size="32x24", repeats=2, out=tmp_path
-    )
-    found = of_kind(rows_of(export_formats.main, config), "export")
-    assert [row["target"] for row in found] == [export_formats.JAX, *config.targets]
-    assert all(0 < row["median_ms"] <= row["p95_ms"] for row in found)
-    assert all(row["parity"] < 1e-5 and row["bytes"] > 1000 for row in found[1:])
-
-
-@pytest.mark.slow
-def test_export_formats_without_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A target that cannot be made has a row that says why."""
-    monkeypatch.setitem(sys.modules, "iree.compiler", None)
-    config = export_formats.Config(
-        targets=("iree",), functions=("cascade, hyjax",), size="16", repeats=2, out=tmp_path
-    )
-    jax_row, missing = of_kind(rows_of(export_formats.main, config), "export")
-    assert jax_row["median_ms"] > 0 and "median_ms" not in missing
-    assert "pip install '.[export-iree]'" in missing["failed"]
-
-
-@pytest.mark.slow
 def test_flicker(scan: Path, tmp_path: Path) -> None:
     config = flicker.Config(capture=scan, frames="0,1", size=SIZE, out=tmp_path)
     scores = of_kind(rows_of(flicker.main, config, "differences.png", "flicker.png"), "score")
@@ -101,24 +54,20 @@ def test_flicker(scan: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_kappa_sweep(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kappa_sweep, "KAPPAS", (0.01, 0.1))
-    config = kappa_sweep.Config(capture=scan, frames=1, size=SIZE, out=tmp_path)
-    rows = rows_of(kappa_sweep.main, config, "kappa_sweep.png")
-    for name in kappa_sweep.VARIANTS:
-        own = [row for row in of_kind(rows, "score") if row["method"] == name]
-        tuning = {row["kappa"]: row["psnr"] for row in own if row["split"] == "tuning"}
-        assert set(tuning) == {0.01, 0.1}
-        assert [row["kappa"] for row in own if row["split"] == "held-out"] == [max(tuning, key=tuning.__getitem__)]
-
-
-@pytest.mark.slow
 def test_guide_worth(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(guide_worth, "KAPPAS", (0.01, 0.1))
     config = guide_worth.Config(capture=scan, frames=1, size=SIZE, out=tmp_path)
     scores = of_kind(rows_of(guide_worth.main, config, "guide_worth.png"), "score")
     held = [row for row in scores if row["split"] == "held-out"]
-    guides = {guide_worth.NONE, "rgb", "small", "small-half", guide_worth.SURFACE}
+    guides = {
+        guide_worth.NONE,
+        "rgb",
+        guide_worth.POOLED,
+        guide_worth.MEAN_ABS,
+        "small",
+        "small-half",
+        guide_worth.SURFACE,
+    }
     assert len(held) == len(guides) * len(METHODS) and {row["guide"] for row in held} == guides
     assert len({row["psnr"] for row in held if row["method"] == METHODS["linear"]}) == len(guides)
 
@@ -133,17 +82,6 @@ def test_conductances(tmp_path: Path) -> None:
     medians = [row["jump"] for row in found]
     assert len(found) == 2 and min(medians) - 1e-6 <= conductances.AT_JUMPS <= max(medians) + 1e-6
     assert all(row["plain"] > 0.9 and row["area"] > 0.9 for row in found)  # planes of one colour
-
-
-@pytest.mark.slow
-def test_reference_quality(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reference_quality, "PASSES", ((0, 0), (0, 2)))
-    monkeypatch.setattr(reference_quality, "VOXEL", 0.05)
-    config = reference_quality.Config(frames=1, views=16, size=SIZE, weights=weights, out=tmp_path)
-    scores = of_kind(rows_of(reference_quality.main, config), "score")
-    assert [(row["relaxing"], row["smoothing"]) for row in scores] == [(0, 0), (0, 2)]
-    assert all(0 < row["share"] < 1 and row["scores"]["relied on"]["psnr"] > 5 for row in scores)
-    assert scores[0]["scores"] != scores[1]["scores"]
 
 
 @pytest.mark.slow
@@ -176,7 +114,6 @@ def test_bench_peers(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         batches=(1,),
         frames=1,
         repeats=1,
-        triangles=200,
         guard=True,
         out=tmp_path,
     )
@@ -185,24 +122,9 @@ def test_bench_peers(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     rows = read_rows(tmp_path / FILE)
     assert (tmp_path / "roofline.png").is_file()
     kinds = {row["kind"] for row in rows}
-    assert {"conditions", "step", "cascade", "batch", "size", "quality", "quality time", "guide", "frame"} <= kinds
+    assert {"conditions", "step", "cascade", "batch", "size", "quality", "quality time", "guide"} <= kinds
     differences = [row["difference"] for row in of_kind(rows, "agreement")]
     assert differences and max(differences) < 1e-3
-
-
-@pytest.mark.slow
-def test_sweep_scale(tmp_path: Path) -> None:
-    need("tune")
-    config = sweep_scale.Config(tasks=40, task_ms=5.0, workers=2, kill_tasks=200, out=tmp_path)
-    rows = rows_of(sweep_scale.main, config)
-    (scale,) = of_kind(rows, "scale")
-    assert scale["task_seconds"] > 0.19 and set(scale["memory_mib"]) == {"0.1", "0.5", "1"}
-    kills = of_kind(rows, "kills")
-    assert [(row["rows"], row["twice"], row["lost"], row["starts"]) for row in kills] == [
-        (200, 0, 0, 1),
-        (200, 0, 0, 1),
-        (200, 0, 0, 3),
-    ]
 
 
 @pytest.mark.slow
@@ -252,19 +174,6 @@ def test_live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert walk["updates"] > 0 and walk["pictures"] > 0 and walk["faces"] > 1000
     assert walk["taken"] + walk["dropped"] == live.FPS
     assert {row["since"] < 0 for row in of_kind(rows, "removal")} == {True, False}
-
-
-@pytest.mark.slow
-def test_tour_latency(tmp_path: Path) -> None:
-    try:
-        rows = tour_latency.main(tour_latency.Config(changes=2, warm_up=1, size=256, out=tmp_path))
-    except InputError as error:
-        if "needs" in str(error):
-            pytest.skip(str(error))
-        raise
-    (waits,) = of_kind(rows, "waits")
-    assert len(waits["milliseconds"]) == 2 and min(waits["milliseconds"]) > 0
-    assert (tmp_path / "page.png").stat().st_size > 1000 and (tmp_path / "waits.png").is_file()
 
 
 def test_same_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,7 +19,7 @@ from hyjax.util.contact_sheet import contact_sheet
 from hyjax.util.errors import InputError
 
 TRANSCRIBED = {
-    "experiment": "beyond",
+    "experiment": "earlier",
     "source": "transcribed",
     "commit": "0123456789" * 4,
     "date": "2026-01-02",
@@ -54,6 +54,14 @@ def test_a_table_is_written_between_its_marks_with_where_it_comes_from(page: Pat
     assert text.startswith("Before.\n\n<!-- table: scores -->\n") and text.endswith("<!-- end -->\n\nAfter.\n")
     tables.main(tables.Config())
     assert page.read_text() == text
+
+
+def test_a_table_of_a_removed_experiment_says_where_it_is(page: Path) -> None:
+    rows = (page.parent / "evidence" / "scores.jsonl").read_text().replace("transcribed", "removed")
+    (page.parent / "evidence" / "scores.jsonl").write_text(rows)
+    tables.main(tables.Config())
+    text = page.read_text()
+    assert "| ours | 30.1 | 3 |" in text and "Made on a Tuesday. That commit has the experiment, which was" in text
 
 
 def test_a_table_that_was_edited_by_hand_is_named(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
