@@ -12,7 +12,7 @@ the same is measured first, and part of the guard.
   `anisotropicDiffusion` (8 bits, no guide but itself) is timed beside them. Above
   `hyjax.core.backends.MOST_VALUES` ours is the plain form: what they differ by is the noise.
 - *Cascade*: whole schedules at 512 x 512, ours and torch's, with conductances by pooled guides in both. torch's is
-  compiled a step at a time. Also frames in batches, and how time grows with pixels.
+  compiled a step at a time.
 - *Quality*: OpenCV's edge-aware filters do another thing, so they are compared by what comes out: the relit frame's
   distance to that of the accurate surface, on frames held out. Each filters (w y, w) as ours does; its strength and
   reach are chosen by PSNR on tuning frames of the same capture, or of another one (`--choose-on`). Ours are
@@ -29,7 +29,6 @@ time.
 """
 
 import dataclasses
-import functools
 import itertools
 import typing
 from collections.abc import Callable
@@ -66,6 +65,9 @@ CASCADES = ("paper-50", "paper-80", "naive-1000", "hyjax")
 OPERATIONS = 13  # of a step, a pixel and channel: four differences, four products, four sums, one by λ
 MOST_VALUES = 2**24
 LAM = 0.2
+CASCADE_SIZE = 512
+GUIDE_SIZES = (256, 512)
+"""Pixels a side."""
 Part = Literal["steps", "cascades", "quality", "guide"]
 MOST_SECONDS = 30.0
 
@@ -77,7 +79,6 @@ class Config(RunConfig):
     sizes: tuple[int, ...] = (128, 256, 512, 1024, 2048)
     """Side lengths of square pictures."""
     channels: tuple[int, ...] = (1, 3, 16)
-    batches: tuple[int, ...] = (1, 4, 16)
     parts: tuple[Part, ...] = typing.get_args(Part)
     """What is measured."""
     choose_on: Path | None = None
@@ -184,7 +185,7 @@ def torch_step_calls(
 
 
 def time_cascades(config: Config, results: Results, torch: Any) -> None:
-    y, guide = picture(config.seed, 512, 512, 3), picture(config.seed + 1, 512, 512, 3)
+    y, guide = (picture(config.seed + k, CASCADE_SIZE, CASCADE_SIZE, 3) for k in range(2))
     y_jax, guide_jax = jnp.asarray(y), jnp.asarray(guide)
     for name in CASCADES:
         schedule = Schedule.preset(name)
@@ -205,20 +206,6 @@ def time_cascades(config: Config, results: Results, torch: Any) -> None:
             results.add(kind="agreement", what=name, difference=difference)
         for who, time in measured(calls, config).items():
             results.add(kind="cascade", schedule=name, who=who, **time)
-    ours = Schedule.preset("hyjax")
-    batched = jax.jit(jax.vmap(lambda y, guide: hyjax.cascade(y, guide, ours)))
-    calls = {}
-    for count in config.batches:
-        inputs = [jnp.asarray(picture(k, count, 256, 256, 3)) for k in range(2)]
-        calls[str(count)] = functools.partial(batched, *inputs)
-    for count, time in measured(calls, config).items():
-        results.add(kind="batch", frames=int(count), **time)
-    calls = {}
-    for size in config.sizes:
-        inputs = [jnp.asarray(picture(k, size, size, 3)) for k in range(2)]
-        calls[str(size)] = functools.partial(hyjax.cascade, *inputs, ours)
-    for size, time in measured(calls, config).items():
-        results.add(kind="size", size=int(size), **time)
 
 
 def judge_filters(config: Config, results: Results, bench: Workbench) -> None:
@@ -284,7 +271,7 @@ def repair(case: Case, who: str, option: tuple[float, float] | None) -> Callable
 def time_guides(config: Config, results: Results) -> None:
     network, theirs = same_networks("mobilenetv4_conv_small", config.seed)
     guide = Guide(network)
-    for size in (256, 512):
+    for size in GUIDE_SIZES:
         display = jnp.asarray(picture(config.seed, size, size, 3))
         calls: dict[str, Callable[[], Any]] = {OURS: lambda x=display: guide.features(x)}
         if theirs is not None:

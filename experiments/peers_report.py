@@ -24,7 +24,6 @@ def guard(rows: Sequence[Row]) -> list[tuple[str, float, float, bool]]:
     cascades = {(r["schedule"], r["who"]): r["median_ms"] for r in of_kind(rows, "cascade")}
     quality = {r["who"]: r["median_ms"] for r in of_kind(rows, "quality time")}
     guides = {(r["size"], r["who"]): r["median_ms"] for r in of_kind(rows, "guide")}
-    sizes = {r["size"]: r["median_ms"] for r in of_kind(rows, "size")}
     ratios = [
         ("step at 256², 3 channels: hyjax / C loop", steps, (256, 3, OURS), (256, 3, FLOOR), 1.5),
         ("step at 256², 3 channels: hyjax / plain form", steps, (256, 3, OURS), (256, 3, PLAIN), 1.1),
@@ -34,8 +33,6 @@ def guard(rows: Sequence[Row]) -> list[tuple[str, float, float, bool]]:
         ("guide at 512²: hyjax / torch", guides, (512, OURS), (512, TORCH), 1.0),
     ]
     found = [(what, times.get(a, nan) / times.get(b, nan), limit) for what, times, a, b, limit in ratios]
-    a_pixel = sizes.get(2048, nan) / sizes.get(256, nan) / 64
-    found.append(("cascade: time a pixel at 2048² / at 256²", a_pixel, 3.0))
     differences = [row["difference"] for row in of_kind(rows, "agreement")]
     found.append(("largest difference of what is compared", max(differences, default=nan), 1e-3))
     return [(what, ratio, limit, ratio <= limit) for what, ratio, limit in found]
@@ -51,18 +48,6 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         for row in of_kind(rows, "cascade")
     ]
     shown.append(Table("Cascades at 512 x 512, 3 channels.", ["schedule", "by", "ms", "p95"], cascades, names=2))
-    shown.append(
-        Table(
-            "`hyjax` at 256 x 256 in batches, and by size.",
-            ["frames or size", "ms", "p95"],
-            [
-                [name, f"{row['median_ms']:.2f}", f"{row['p95_ms']:.2f}"]
-                for kind, text, key in (("batch", "{} frames", "frames"), ("size", "{0}²", "size"))
-                for row in of_kind(rows, kind)
-                for name in [text.format(row[key])]
-            ],
-        )
-    )
     times = {row["who"]: row for row in of_kind(rows, "quality time")}
     quality = [
         [row["who"], " / ".join(f"{x:g}" for x in row["chosen"] or ()) + "*" * row["at_end"]]

@@ -10,7 +10,7 @@ headset's.
 *glow* adds 24 patches of the box round the scan to the family: 39 unknowns in the place of 15; beside it stands the
 polynomial of order 7, with 36. Piano was chosen on, the others are reported on.
 
-PSNR, SSIM, LPIPS where its weights are there, SIE and LFE (`experiments.real_methods`). `--rooms` adds generated
+PSNR, SSIM, LPIPS where its weights are there, SIE and LFE (`experiments.real_scores`). `--rooms` adds generated
 rooms whose pictures went through a camera with an S-curve; with `--pairs` of nothing no folder is needed.
 
 Takes about a minute for each direction and geometry on two cores.
@@ -28,8 +28,10 @@ from tqdm import tqdm
 from experiments.blocks import Block, Picture, Table
 from experiments.command import RunConfig, Start, experiment, run
 from experiments.judging import weights_or_none
-from experiments.real_bench import Geometry, RealPlace, room_pair
-from experiments.real_methods import KEPT, METHODS, NEW, PHOTO, SMOOTH, pictures, scores
+from experiments.real_bench import Geometry, RealPlace
+from experiments.real_methods import KEPT, METHODS, NEW, PHOTO, SMOOTH, pictures
+from experiments.real_room import room_pair
+from experiments.real_scores import scores
 from experiments.records import Row, of_kind
 from hyjax.data.relit_pairs import RelitPair, open_relit_pairs
 from hyjax.util.contact_sheet import write_contact_sheet

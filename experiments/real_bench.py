@@ -16,8 +16,6 @@ from hyjax.core.refine import cascade_known, shadow_pass
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.relit_pairs import RelitPair
-from hyjax.data.truth_room import load_truth_room
-from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import CELLS
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import AmbientLight, DirectionalLight, Light, PointLight
@@ -28,7 +26,6 @@ from hyjax.light.shadow_map import visibilities
 from hyjax.light.transport import bounce
 from hyjax.pipeline import refine_illuminance, refine_visibility
 from hyjax.scene.scene import Scene
-from hyjax.scene.settings import SceneSettings, parse_size
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 
@@ -44,9 +41,6 @@ BURNT = 0.97
 DIRECTIONS, LAMP_GRID = 12, (4, 3, 3)
 UP = np.array([0.0, -1.0, 0.0])
 BOUNCE_CHANNELS = 48
-ROOM_SETUP = "evening-lamps"
-CURVE = 0.6
-"""Strength of the S-curve: 0 leaves display values as they are, 1 is a smoothstep."""
 
 
 class OnePhoto(Capture):
@@ -146,38 +140,6 @@ def family(mesh: trimesh.Trimesh) -> tuple[tuple[Light, ...], list[int]]:
     lamps = [PointLight(jnp.asarray(p, jnp.float32), jnp.float32(4 * np.pi), white) for p in places]
     lights = (AmbientLight(jnp.float32(1.0), white), *distant, *lamps)
     return lights, list(range(1 + DIRECTIONS, len(lights)))
-
-
-def s_curve(display: Float[np.ndarray, "h w 3"], strength: float = CURVE) -> Float[np.ndarray, "h w 3"]:
-    """Display values through a camera that darkens shadows and lifts lights."""
-    x = np.clip(display, 0.0, 1.0)
-    return (1 - strength) * x + strength * x * x * (3 - 2 * x)
-
-
-def room_pair(name: str, size: str, quality: float = 1.0) -> RelitPair:
-    """Pair of a room's first photo and what the camera would see under other lights.
-
-    Args:
-        name: of the room, see `hyjax.synthetic.truth.lit_room`.
-        size: width x height.
-        quality: of the room's light and textures.
-
-    Raises:
-        InputError: no such room, or no size.
-    """
-    shape = parse_size(size)
-    if shape is None:
-        raise InputError("room-size: give width x height")
-    capture = load_truth_room(name, 2, shape[1], shape[0], quality=quality)
-    frame = capture[0]
-    setup = Scene.open(SceneSettings(), capture=capture).lights(ROOM_SETUP)
-    truth = capture.truth(setup, [0])[0]
-    reference = capture.reference()
-    assert reference is not None
-    seen = RayCaster(reference).gbuffer_by_rays(frame.camera)
-    depth = np.where(np.asarray(seen.hit), np.asarray(seen.depth), 0.0).astype(np.float32)
-    pictures = s_curve(np.asarray(frame.image)), s_curve(np.asarray(truth))
-    return RelitPair(capture.name, pictures, frame.camera, depth, frame.camera)
 
 
 class RealPlace:

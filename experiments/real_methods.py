@@ -1,19 +1,10 @@
-"""Methods that `experiments.real` compares: each one's picture of a place under another light, and its scores.
-
-SIE is the root mean square difference of standardised log ratios; LFE the mean length of the difference between the
-gradients of log ratios that were blurred by 3 px. Both follow 3DLP (arXiv 2606.26738) as we read it: they
-look at the change of the light alone, so the texture of the photo does not flatter a picture.
-"""
+"""Methods that `experiments.real` compares: each one's picture of a place under another light, by fitted lights."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy import ndimage
 
-from experiments.judging import judge
 from experiments.real_bench import DIRECTIONS, RealPlace
 from experiments.real_fit import (
     Columns,
@@ -26,7 +17,6 @@ from experiments.real_fit import (
     fit_strengths,
     smooth_picture,
 )
-from hyjax.metrics import LpipsWeights
 from hyjax.photo_light.radiance import linear
 from hyjax.synthetic.tone_curve import encode
 
@@ -37,10 +27,6 @@ ORACLE, BLUR_8, BLUR_4 = "oracle: both lights fitted", "true ratio, blurred 8 px
 METHODS = (PHOTO, GAINS, SMOOTH, SMOOTHER, PAPER, KEPT, NEW, KEPT_GLOW, GLOW, ORACLE, BLUR_8, BLUR_4)
 LAMPS = 2
 """Lamps of the grid that a method may choose."""
-FLOOR = 2e-3
-"""Linear value below which ratios are not told from noise."""
-BLUR = 3.0
-"""Standard deviation of the blur of LFE, in pixels."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,37 +90,3 @@ def _encoded(columns: Columns, place: RealPlace, target: Target) -> tuple[Pictur
     chosen = _chosen(columns, place, target)
     strengths = fit_strengths(columns[:, :, chosen], target, encoded=True)
     return np.clip(np.einsum("hwkc,kc->hwc", columns[:, :, chosen], strengths), 0, 1), len(chosen)
-
-
-def scores(place: RealPlace, made: Mapping[str, Made], weights: LpipsWeights | None) -> dict[str, dict[str, float]]:
-    """Scores of each method on the blocks that nothing was fitted on, burnt pixels left out."""
-    held = place.valid & ~checkerboard(place.valid.shape)
-    target = jnp.asarray(place.target, jnp.float32)
-    shown = {name: jnp.asarray(one.display, jnp.float32) for name, one in made.items()}
-    found = judge(shown, target, {"held": held}, weights, place.valid)
-    true = log_ratio(place.target, place.photo)
-    return {
-        name: found[name]["held"] | ratio_scores(log_ratio(one.display, place.photo), true, held)
-        for name, one in made.items()
-    }
-
-
-def log_ratio(picture: Float[np.ndarray, "h w 3"], photo: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
-    """Logarithm of a picture's light over the photo's."""
-    return np.log(np.maximum(linear(picture), FLOOR)) - np.log(np.maximum(linear(photo), FLOOR))
-
-
-def ratio_scores(
-    ratio: Float[np.ndarray, "h w 3"], true: Float[np.ndarray, "h w 3"], held: Bool[np.ndarray, "h w"]
-) -> dict[str, float]:
-    """SIE and LFE of a log ratio."""
-    own, other = (_standardised(values[held]) for values in (ratio, true))
-    difference = ndimage.gaussian_filter(ratio - true, (BLUR, BLUR, 0))
-    slopes = np.gradient(difference, axis=(0, 1))
-    length = np.sqrt(sum(slope**2 for slope in slopes))
-    return {"sie": float(np.sqrt(((own - other) ** 2).mean())), "lfe": float(length[held].mean())}
-
-
-def _standardised(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    spread = values.std(axis=0)
-    return (values - values.mean(axis=0)) / np.where(spread > 1e-9, spread, 1.0)

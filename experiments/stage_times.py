@@ -36,6 +36,8 @@ from hyjax.tuning.calibration import check_repeats
 from hyjax.util.clock import measure
 
 CONDUCTANCES = "conductances, 4 levels"
+SIZE = 512
+"""Pixels a side."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +55,7 @@ class Config(RunConfig):
 @experiment("What each stage of a frame costs", "stage")
 def main(config: Config, start: Start) -> None:
     results = start()
-    scene = Scene.open(SceneSettings(config.capture, size="512"), progress=True)
+    scene = Scene.open(SceneSettings(config.capture, size=str(SIZE)), progress=True)
     (index,) = select_frames(str(config.frame), len(scene))
     check_repeats(config.repeats)
     caster, frame, setup = scene.caster, scene.frame(index), scene.lights(config.lights)

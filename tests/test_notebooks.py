@@ -28,10 +28,28 @@ METADATA = {
     "language_info": {"name": "python"},
 }
 SECONDS_A_CELL = 600
+SMALL_ROOM = "160x120"  # everywhere the same, as in the examples: the photo's light is estimated once
 SMALLER = {
     "01_equations.ipynb": {"(512, 512": "(256, 256", "(10, 100, 1000)": "(10, 30, 100)"},
-    "05_design_light_by_gradients.ipynb": {"256x192": "128x96", "150": "30"},
-    "07_your_own_capture.ipynb": {"320x240": "160x120"},
+    "02_relight_a_room.ipynb": {"SceneSettings()": f'SceneSettings(size="{SMALL_ROOM}")'},
+    "03_tune_a_frame_rate.ipynb": {
+        'size="192"': f'size="{SMALL_ROOM}"',
+        'frames="0,12", holdout="19,22"': 'frames="0", holdout="19"',
+    },
+    "04_ablations.ipynb": {
+        "import TuneSettings": "import TuneScene, TuneSettings",
+        "TuneSettings(quiet": f'TuneSettings(TuneScene(size="{SMALL_ROOM}"), quiet',
+        "TuneSettings(lights": f'TuneSettings(TuneScene(size="{SMALL_ROOM}"), lights',
+        "picture[288:]": "picture[72:]",
+        "repeats=20": "repeats=2",
+    },
+    "05_design_light_by_gradients.ipynb": {"256x192": SMALL_ROOM, "150": "30"},
+    "06_the_learned_guide.ipynb": {"320x240": SMALL_ROOM},
+    "07_your_own_capture.ipynb": {
+        'size="320x240"': f'size="{SMALL_ROOM}", frames="0:24:3"',
+        "(0, 8, 16)": "(0, 2, 5)",
+    },
+    "08_against_the_truth.ipynb": {"8, 192, 144": "4, 96, 72", "(0, 5)": "(0, 3)"},
 }
 """Settings that stand in a notebook and those that are executed for them, where its outputs are not kept."""
 WRITE = bool(os.environ.get("HYJAX_WRITE_NOTEBOOKS"))

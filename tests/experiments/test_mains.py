@@ -93,7 +93,8 @@ def test_first_picture(scan: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_stage_times(scan: Path, tmp_path: Path) -> None:
+def test_stage_times(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stage_times, "SIZE", 2 * SIZE)
     rows = rows_of(stage_times.main, stage_times.Config(capture=scan, repeats=1, out=tmp_path), "stage_times.png")
     stages = {row["stage"]: row["median_ms"] for row in of_kind(rows, "stage")}
     assert {"shading", "cascade paper-80", "shadow pass", "composite"} < set(stages)
@@ -106,12 +107,13 @@ def test_bench_peers(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     found = bench_peers.peers.optional
     # torch takes minutes to compile, and is compared with in tests of its own.
     monkeypatch.setattr(bench_peers.peers, "optional", lambda name: None if name == "torch" else found(name))
+    monkeypatch.setattr(bench_peers, "CASCADE_SIZE", SIZE)
+    monkeypatch.setattr(bench_peers, "GUIDE_SIZES", (SIZE,))
     monkeypatch.setattr(bench_peers.peers, "STRENGTHS", bench_peers.peers.STRENGTHS[:1])
     config = bench_peers.Config(
         capture=scan,
         sizes=(64,),
         channels=(1,),
-        batches=(1,),
         frames=1,
         repeats=1,
         guard=True,
@@ -122,7 +124,7 @@ def test_bench_peers(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     rows = read_rows(tmp_path / FILE)
     assert (tmp_path / "roofline.png").is_file()
     kinds = {row["kind"] for row in rows}
-    assert {"conditions", "step", "cascade", "batch", "size", "quality", "quality time", "guide"} <= kinds
+    assert {"conditions", "step", "cascade", "quality", "quality time", "guide"} <= kinds
     differences = [row["difference"] for row in of_kind(rows, "agreement")]
     assert differences and max(differences) < 1e-3
 
@@ -130,7 +132,7 @@ def test_bench_peers(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 @pytest.mark.slow
 def test_truth(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = truth.Config(
-        rooms=("builtin-0",), setups=("evening-lamps",), frames=1, photos=3, size="96x72", quality=0.25,
+        rooms=("builtin-0",), setups=("evening-lamps",), frames=1, photos=2, size="96x72", quality=0.25,
         weights=weights, out=tmp_path,
     )  # fmt: skip
     rows = rows_of(truth.main, config, "builtin-0.png", "gains.png")
@@ -150,14 +152,14 @@ def test_truth(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         "builtin-0"
     ]
     with pytest.raises(InputError, match="frames: must be between 1 and photos"):
-        truth.main(dataclasses.replace(config, frames=4))
+        truth.main(dataclasses.replace(config, frames=3))
 
 
 @pytest.mark.slow
 def test_readme_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(readme_picture, "KEPT", tmp_path / "readme.jpg")
     config = readme_picture.Config(
-        room="builtin-0", shown=("evening-lamps:1",), photos=3, size=(96, 72), quality=0.25, keep=True, out=tmp_path
+        room="builtin-0", shown=("evening-lamps:1",), photos=2, size=(96, 72), quality=0.25, keep=True, out=tmp_path
     )
     (picture,) = of_kind(rows_of(readme_picture.main, config, "readme.png", "readme.jpg"), "picture")
     assert 10 < picture["psnr_db"] < 40

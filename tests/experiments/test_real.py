@@ -8,7 +8,8 @@ import pytest
 
 from experiments import dark_frames, real, real_bench
 from experiments.real_fit import Target, checkerboard, fit_strengths, smooth_picture
-from experiments.real_methods import BLUR_4, GAINS, METHODS, NEW, PHOTO, SMOOTH, ratio_scores
+from experiments.real_methods import BLUR_4, GAINS, METHODS, NEW, PHOTO, SMOOTH
+from experiments.real_scores import ratio_scores
 from experiments.records import of_kind
 from hyjax.data import builtin_room
 from hyjax.data.builtin_room import load_room
