@@ -7,6 +7,7 @@ import pytest
 from reference.arkit_export import export_arkit_scan
 from safetensors.numpy import save_file
 
+from experiments import references
 from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
@@ -25,6 +26,12 @@ def scan(room: RoomCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The room in ARKitScenes' layout, with a mesh as a phone scans it."""
     mesh = Scene.open(SceneSettings(), capture=room).mesh
     return export_arkit_scan(tmp_path_factory.mktemp("arkit"), room, mesh)
+
+
+@pytest.fixture
+def coarse_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fused reference of large voxels, which takes a tenth of the time."""
+    monkeypatch.setattr(references, "VOXEL", 0.06)
 
 
 @pytest.fixture(scope="session")

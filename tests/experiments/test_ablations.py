@@ -60,6 +60,7 @@ def test_no_shadow_is_not_judged_and_what_does_not_count_is_not_either() -> None
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coarse_reference")
 def test_ablation_of_the_cascade(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ablation_cascade, "SWEEP", (50, 1000, ablation_cascade.CONVERGED))
     config = ablation_cascade.Config(

@@ -43,6 +43,7 @@ def rows_of(experiment: Experiment, config: Any, *files: str) -> list[Row]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coarse_reference")
 def test_flicker(scan: Path, tmp_path: Path) -> None:
     config = flicker.Config(capture=scan, frames="0,1", size=SIZE, out=tmp_path)
     scores = of_kind(rows_of(flicker.main, config, "differences.png", "flicker.png"), "score")
@@ -54,6 +55,7 @@ def test_flicker(scan: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coarse_reference")
 def test_guide_worth(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(guide_worth, "KAPPAS", (0.01, 0.1))
     config = guide_worth.Config(capture=scan, frames=1, size=SIZE, out=tmp_path)
