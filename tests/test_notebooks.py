@@ -49,7 +49,6 @@ SMALLER = {
         'size="320x240"': f'size="{SMALL_ROOM}", frames="0:24:3"',
         "(0, 8, 16)": "(0, 2, 5)",
     },
-    "08_against_the_truth.ipynb": {"8, 192, 144": "4, 96, 72", "(0, 5)": "(0, 3)"},
 }
 """Settings that stand in a notebook and those that are executed for them, where its outputs are not kept."""
 WRITE = bool(os.environ.get("HYJAX_WRITE_NOTEBOOKS"))
