@@ -29,6 +29,7 @@ METADATA = {
 }
 SECONDS_A_CELL = 600
 SMALL_ROOM = "160x120"  # everywhere the same, as in the examples: the photo's light is estimated once
+LIGHT_KEPT = 'hyjax.Configuration().with_choices({"photo_light": "kept"})'
 SMALLER = {
     "01_equations.ipynb": {"(512, 512": "(256, 256", "(10, 100, 1000)": "(10, 30, 100)"},
     "02_relight_a_room.ipynb": {"SceneSettings()": f'SceneSettings(size="{SMALL_ROOM}")'},
@@ -48,6 +49,7 @@ SMALLER = {
     "07_your_own_capture.ipynb": {
         'size="320x240"': f'size="{SMALL_ROOM}", frames="0:24:3"',
         "(0, 8, 16)": "(0, 2, 5)",
+        "scene.relit(0, lights)": f"scene.relit(0, lights, {LIGHT_KEPT})",  # its estimate is in other notebooks
     },
 }
 """Settings that stand in a notebook and those that are executed for them, where its outputs are not kept."""
