@@ -9,7 +9,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import nnx
 from jaxtyping import Array, Float
 
@@ -17,7 +16,7 @@ from hyjax.core.finite import finite_or_zero
 from hyjax.core.schedule import DEFAULT_KAPPA
 from hyjax.guide.layers import ConvNorm
 from hyjax.guide.network import GuideNetwork, normalise
-from hyjax.guide.weights import kappa_of, load_network, save_guide
+from hyjax.guide.weights import kappa_of, load_network
 from hyjax.util.arguments import checked_arguments
 
 
@@ -66,7 +65,6 @@ class Guide:
         self.fingerprint = fingerprint
         self.metadata = dict(metadata or {})
         self.network = fold(network, kappa=kappa)
-        self._unfolded, self._kappa = network, kappa
         self._graph, self._state = nnx.split(self.network)
 
     @checked_arguments(display=["display"])
@@ -77,30 +75,6 @@ class Guide:
             display: display-encoded, in [0, 1], of any size; one of bytes is divided by 255.
         """
         return _features(self._graph, self._state, display)
-
-    @checked_arguments(display=["display"])
-    def trunk(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w t"]:
-        """Input of the network's last layer; see `features`."""
-        return _trunk(self._graph, self._state, display)
-
-    @property
-    def kernel(self) -> Float[Array, "k k t f"]:
-        """Kernel of the last layer: `features` are `trunk` convolved with it."""
-        return self.network.segmentation_head[0].kernel[...]
-
-    def with_kernel(self, kernel: Float[Array, "k k t f"]) -> "Guide":
-        """Guide with another kernel of the last layer; see `kernel`."""
-        network = nnx.clone(self._unfolded)
-        scaled = (kernel * (self._kappa / DEFAULT_KAPPA)).astype(jnp.float16)  # as a file will hold it
-        network.segmentation_head[0].kernel.set_value(scaled.astype(jnp.float32))
-        digest = hashlib.sha256(self.fingerprint.encode() + np.asarray(kernel).tobytes()).hexdigest()[:16]
-        name = f"{self.name}, tuned"
-        metadata = self.metadata | {"last layer": "tuned by hyjax tune --joint"}
-        return Guide(network, kappa=self._kappa, name=name, fingerprint=digest, metadata=metadata)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the weights to a file that `load_guide` opens; see `save_guide`."""
-        save_guide(path, self._unfolded, kappa=self._kappa, metadata=self.metadata)
 
 
 def load_guide(path: str | os.PathLike[str], name: str | None = None) -> Guide:
@@ -128,8 +102,3 @@ def load_guide(path: str | os.PathLike[str], name: str | None = None) -> Guide:
 @functools.partial(jax.jit, static_argnums=0)
 def _features(graph: Any, state: Any, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
     return nnx.merge(graph, state)(normalise(finite_or_zero(display))[None])[0]
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _trunk(graph: Any, state: Any, display: Float[Array, "h w 3"]) -> Float[Array, "h w t"]:
-    return nnx.merge(graph, state).trunk(normalise(finite_or_zero(display))[None])[0]

@@ -22,7 +22,6 @@ from hyjax.tuning.cases import Case, raw_filter, refined_filter, scores
 from hyjax.tuning.descent import Objective, polish, starts
 from hyjax.tuning.frame.clock import FrameTime
 from hyjax.tuning.frame.evaluation import Scores
-from hyjax.tuning.frame.proof import best_within
 from hyjax.tuning.frame.relaxed import with_point
 from hyjax.tuning.frame.result import Candidate, Tuned
 from hyjax.tuning.frame.run import Run
@@ -35,7 +34,6 @@ from hyjax.tuning.latency_estimator import (
     LatencySource,
     ScheduleClock,
     check_reachable,
-    has_searched_form,
 )
 from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.relaxation import RANGES, RelaxedSchedule, prepare, relaxed_of
@@ -210,30 +208,6 @@ class CascadeStage(Stage):
         if self.own_clock.device:
             told |= {"device": self.own_clock.device, "searched on": self._environment["device"]}
         return told
-
-    def after(self, tuned: Tuned, monitor: RunMonitor) -> dict[str, Any]:
-        """The guide's last layer tuned with the best schedule of the searched form, if that is asked for."""
-        if not self.settings.joint or self.settings.out is None:
-            return {}
-        from hyjax.tuning.joint import tune_and_save  # with flax, which only learned guides need
-
-        own = [
-            c for c in (*tuned.best, *tuned.front, *tuned.references) if has_searched_form(c.configuration.schedule)
-        ]
-        best = best_within(tuned.budgets[0], own).configuration.schedule
-        seed = self.settings.scene.seed
-        return {
-            "joint": tune_and_save(
-                self.bench,
-                best,
-                self.own_clock,
-                self.frames,
-                self.holdout,
-                self.settings.out,
-                monitor,
-                seed=seed,
-            )
-        }
 
 
 def tune_bench(

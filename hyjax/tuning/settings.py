@@ -139,9 +139,6 @@ class TuneSettings(Settings):
     """Which frames are only reported on. Default: four of the last quarter."""
     guide: str = "rgb"
     """Where the diffusion alone is tuned, what guides it: rgb, small or a safetensors file; see relight."""
-    joint: bool = False
-    """Of the diffusion: also tune a learned guide's last layer, together with the best schedule's kappa, lambda
-    and fidelity."""
     time_limit: float | None = None
     """Seconds after which the search only finishes what it has."""
     extra: bool = True
@@ -185,7 +182,7 @@ class TuneSettings(Settings):
     def _check_frame_alone(self) -> None:
         """Raise `InputError` for options of the diffusion alone, or of a capture where rooms are tuned on."""
         usual = TuneSettings()
-        for name in ("joint", "guide", "recalibrate"):
+        for name in ("guide", "recalibrate"):
             if getattr(self, name) != getattr(usual, name):
                 raise InputError(f"{name}: goes with --stage cascade; of a frame all guides are searched")
         for name in ("target", "frames", "holdout") if self.frame.rooms else ():

@@ -85,10 +85,6 @@ def tune_schedule(
         raise InputError("stage: a frame on this machine is tuned by `hyjax.tune`; give stage='cascade'")
     settings.check()
     guide = open_guide(settings.guide)
-    if settings.joint:
-        from hyjax.tuning.joint import check_joint  # with flax, which only learned guides need
-
-        check_joint(guide, settings.out)
     with opened(settings) as monitor, _latency_source(settings) as latency:
         bench = open_bench(settings, capture=capture, guide=guide)
         return tune_bench(bench, settings, latency=latency, monitor=monitor)

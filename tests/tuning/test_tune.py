@@ -16,14 +16,12 @@ import pytest
 from extras import need
 from reference.seven_scenes_export import export_seven_scenes
 
-import hyjax
 from hyjax import InputError, Schedule
 from hyjax import tune_schedule as tune
 from hyjax.cli import main
 from hyjax.core.schedule import GUIDED_FIDELITY
 from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.data.capture import Capture
-from hyjax.guide import load_guide
 from hyjax.tuning import calibration
 from hyjax.tuning.cascade import CascadeStage
 from hyjax.tuning.cascade_evaluator import CascadeEvaluator
@@ -59,7 +57,6 @@ def run_tune(*, capture: Capture, budget_ms: Any, **options: Any) -> Tuned:
     return tune(settings=TuneSettings(scene, **options), budget_ms=budget_ms, capture=capture)
 
 
-SMALL = Path(hyjax.__file__).parent / "guide" / "trained" / "small.safetensors"
 ENVIRONMENT = dict(os.environ)
 """With the user's cache folder, where the room is."""
 
@@ -304,24 +301,6 @@ def test_a_clock_that_says_more_than_the_table(surroundings: dict[str, Any], tmp
 
 
 # ---- what is asked for ----
-
-
-@pytest.mark.slow
-def test_a_learned_guide_tuned_together(surroundings: dict[str, Any], tmp_path: Path) -> None:
-    result = run_tune(**surroundings | {"guide": "small", "joint": True, "out": tmp_path / "out"})
-    told = result.record["joint"]
-    for frames in ("tuning", "held out"):
-        before, after = told[frames]
-        assert np.isfinite([*before.values(), *after.values()]).all()
-    before, after = told["tuning"]
-    assert after["loss"] < before["loss"]
-    schedule = Schedule.from_json((tmp_path / "out" / "joint.json").read_text())
-    assert [level.factor for level in schedule.levels] == [level.factor for level in result.schedule.levels]
-    shipped, own = load_guide(SMALL), load_guide(tmp_path / "out" / "guide.safetensors")
-    assert own.fingerprint != shipped.fingerprint
-    picture = np.random.default_rng(0).random((*SIZE, 3), np.float32)
-    np.testing.assert_allclose(own.trunk(picture), shipped.trunk(picture), atol=1e-5)
-    assert any("guide.safetensors" in line for line in summary(result))
 
 
 def test_budgets() -> None:

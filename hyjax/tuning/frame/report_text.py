@@ -112,7 +112,7 @@ def summary(tuned: Tuned) -> list[str]:
     for budget, best in zip(tuned.budgets, tuned.best, strict=True):
         sentences.append(sentence(tuned, budget, best))
         sentences += missed(budget, best)
-    return sentences + bargain(tuned) + jointly(tuned) + prediction(tuned) + cut_short(tuned)
+    return sentences + bargain(tuned) + prediction(tuned) + cut_short(tuned)
 
 
 def cut_short(tuned: Tuned) -> list[str]:
@@ -134,19 +134,6 @@ def bargain(tuned: Tuned) -> list[str]:
                 f"{max(more, 0.0):.1f} % more loss (tuning frames)."
             ]
     return []
-
-
-def jointly(tuned: Tuned) -> list[str]:
-    """Gain of tuning the guide's last layer with the schedule, if it was asked for."""
-    record = tuned.record.get("joint")
-    if record is None:
-        return []
-    before, after = record.get("held out", record["tuning"])
-    frames = "held-out" if "held out" in record else "tuning"
-    return [
-        f"With the guide's last layer tuned too (guide.safetensors and joint.json): loss {before['loss']:.4g} "
-        f"before, {after['loss']:.4g} after ({frames} frames), {milliseconds(record['measured']['median'])} ms."
-    ]
 
 
 def sentence(tuned: Tuned, budget: Budget, best: Candidate) -> str:

@@ -120,7 +120,6 @@ class Run:
                 references.append(self._polished(paper.configuration(best.choices, "paper-tuned")))
         told = prove([*candidates, *references], self.stage, progress=not self.settings.quiet)
         result = self._result(state, told[: len(candidates)], told[len(candidates) :], base)
-        result.record.update(self.stage.after(result, self.monitor))
         if self.settings.out is not None:
             write_results(self.settings.out, result)
         return result

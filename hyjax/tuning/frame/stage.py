@@ -18,11 +18,10 @@ from hyjax.tuning.frame.evaluation import Judge, Scorer
 from hyjax.tuning.frame.evaluator import Evaluator, StudyEvaluator
 from hyjax.tuning.frame.loss import PictureLoss
 from hyjax.tuning.frame.refinement import refine_numbers
-from hyjax.tuning.frame.result import Candidate, Tuned
+from hyjax.tuning.frame.result import Candidate
 from hyjax.tuning.frame.search import GRADIENT_TURN, State
 from hyjax.tuning.frame.space import Choices, Space
 from hyjax.tuning.frame.study import Study
-from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.result import Budget
 from hyjax.tuning.settings import BudgetStage, TuneSettings
 from hyjax.util.environment import cores, environment
@@ -111,10 +110,6 @@ class Stage(abc.ABC):
     @abc.abstractmethod
     def prediction_errors(self, state: State, tuned: Sequence[Candidate]) -> list[float]:
         """Relative errors of predicted times."""
-
-    def after(self, tuned: Tuned, monitor: RunMonitor) -> dict[str, Any]:
-        """Parts of the record of work that is left when all is proved."""
-        return {}
 
 
 class FrameStage(Stage):
