@@ -10,8 +10,7 @@ from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from hyjax.tuning.frame.report_html import templates
-from hyjax.tuning.report_pictures import data_uri
+from hyjax.tuning.report_page import data_uri, templates
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write, write_text
 from hyjax.util.images import read_image

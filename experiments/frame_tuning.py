@@ -33,12 +33,12 @@ from experiments.records import Results, Row, machine, of_kind
 from hyjax.configuration import FOLDER, PRESETS, Configuration
 from hyjax.scene.settings import parse_size
 from hyjax.synthetic.truth import DEVELOPMENT_ROOMS, TEST_ROOMS
-from hyjax.tuning.frame.bench import open_frame_bench
-from hyjax.tuning.frame.proof import prove
-from hyjax.tuning.frame.result import Candidate
-from hyjax.tuning.frame.run import tune_frame
-from hyjax.tuning.frame.stage import FrameStage
+from hyjax.tuning.bench import open_frame_bench
+from hyjax.tuning.proof import prove
+from hyjax.tuning.result import Candidate
+from hyjax.tuning.run import tune_frame
 from hyjax.tuning.settings import SETUPS, FrameOptions, TuneScene, TuneSettings
+from hyjax.tuning.stage import FrameStage
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
 

@@ -25,7 +25,7 @@ from experiments import EXPERIMENTS
 from experiments.blocks import html
 from experiments.command import run
 from experiments.records import FILE, Row, is_finished, machine, read_rows
-from hyjax.tuning.frame.report_html import templates
+from hyjax.tuning.report_page import templates
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, write_text
 

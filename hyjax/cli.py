@@ -183,7 +183,7 @@ def run_tune(settings: TuneSettings) -> None:
     from hyjax.tuning.tune import tune, tune_schedule, write_request
 
     _keep_for_later()
-    from hyjax.tuning.frame.report import STEMS, best_file, summary
+    from hyjax.tuning.report import STEMS, best_file, summary
 
     if (path := settings.target_device.request) is not None:
         request = write_request(settings, path)

@@ -17,8 +17,8 @@ from hyjax.data.builtin_room import load_room
 from hyjax.info import print_choices
 from hyjax.light.photo_light import SurfaceLight
 from hyjax.relighting.settings import RelightSettings
-from hyjax.tuning.frame.report_text import configuration_text
-from hyjax.tuning.frame.space import Space, random_configurations
+from hyjax.tuning.report_text import configuration_text
+from hyjax.tuning.space import Space, random_configurations
 from hyjax.util.errors import InputError
 
 

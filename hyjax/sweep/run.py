@@ -55,7 +55,7 @@ def run_sweep(
 
     Args:
         settings: of the sweep.
-        evaluate, time_frames: functions of the tasks, see `hyjax.tuning.frame.evaluation`.
+        evaluate, time_frames: functions of the tasks, see `hyjax.tuning.evaluation`.
 
     Raises:
         InputError: a spec or settings that cannot be used, a folder with rows where `resume` is not set, no

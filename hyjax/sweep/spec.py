@@ -23,9 +23,9 @@ from hyjax.data.frames import spread
 from hyjax.data.hand_written import check_keys
 from hyjax.data.light_file import is_light_file
 from hyjax.scene.settings import check_lights_name
-from hyjax.tuning.frame.rooms import ROOM, check_room
-from hyjax.tuning.frame.space import random_configurations
+from hyjax.tuning.rooms import ROOM, check_room
 from hyjax.tuning.settings import ROOM_PHOTOS
+from hyjax.tuning.space import random_configurations
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.reading import exists, read_yaml
 from hyjax.util.sizes import parse_size

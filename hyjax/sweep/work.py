@@ -8,7 +8,7 @@ from typing import Any
 def evaluate(payload: dict[str, Any]) -> dict[str, Any]:
     """Loss and metrics of a configuration on the frames of a scene under a light set-up."""
     _start()
-    from hyjax.tuning.frame import evaluation
+    from hyjax.tuning import evaluation
 
     return evaluation.evaluate(payload)
 
@@ -16,7 +16,7 @@ def evaluate(payload: dict[str, Any]) -> dict[str, Any]:
 def time_frames(payload: dict[str, Any]) -> dict[str, Any]:
     """Times of a configuration's frames in milliseconds."""
     _start()
-    from hyjax.tuning.frame import evaluation
+    from hyjax.tuning import evaluation
 
     return evaluation.time_frames(payload)
 

@@ -1,27 +1,27 @@
-"""Workbench: a scene under lights with its accurate surface, where tuning cases come from."""
+"""Benches: the scenes, frames and targets that a run tunes on, of whole frames or of the diffusion alone."""
 
 import dataclasses
 from collections.abc import Sequence
 
 import jax.numpy as jnp
-import numpy as np
 from tqdm import tqdm
 
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture
+from hyjax.data.frames import spread
 from hyjax.guide.choose import RGB, FrameGuide
 from hyjax.light.setup import LightSetup
-from hyjax.scene.alignment import aligned
 from hyjax.scene.place import view_of
 from hyjax.scene.scene import Scene
-from hyjax.scene.settings import SceneSettings
-from hyjax.scene.surfaces import rough_mesh
 from hyjax.tuning.cases import Case, raw_filter, refined_filter
-from hyjax.tuning.settings import CONVERGED, DIFFUSION_LIGHTS, TuneSettings
+from hyjax.tuning.clock import slowest_setup
+from hyjax.tuning.evaluation import FrameCase
+from hyjax.tuning.request import split_frames
+from hyjax.tuning.scene import TuningScene, open_room, open_scenes, spread_cases
+from hyjax.tuning.settings import DIFFUSION_LIGHTS, TuneSettings
 from hyjax.util.errors import InputError
 
 CONVERGED_SCHEDULE = "naive-1000"
-TARGET_VOXEL = 0.02
 
 
 class Workbench:
@@ -110,39 +110,50 @@ def open_bench(
     return Workbench(scene, accurate, (accurate or scene).lights(settings.lights or DIFFUSION_LIGHTS), guide)
 
 
-def open_scenes(
-    settings: SceneSettings, target: str | None = None, *, capture: Capture | None = None, progress: bool = False
-) -> tuple[Scene, Scene | None]:
-    """A capture on its rough surface, and on an accurate one.
-
-    Args:
-        settings: capture, mesh and size.
-        target: the accurate surface, see `TuneSettings`.
-        capture: frames that were opened before.
-        progress: show bars on stderr.
-
-    Returns:
-        The second is None where the target is the converged diffusion on the rough surface.
-    """
-    if capture is None:
-        capture = settings.open_capture(progress=progress)
-    if target is None:
-        with_depth = "fused" if capture.reference() is None else "true"
-        target = CONVERGED if not capture.depth_count else with_depth
-    if target == "fused":  # whose poses both scenes must have
-        capture = aligned(capture, settings.fusion, progress)
-    rough = dataclasses.replace(settings, mesh=settings.mesh or rough_mesh(capture))
-    scene, accurate = Scene.open(rough, capture=capture, progress=progress), None
-    if target != CONVERGED:
-        fusion = dataclasses.replace(settings.fusion, voxel=TARGET_VOXEL)
-        better = dataclasses.replace(settings, mesh=target, fusion=fusion)
-        accurate = Scene.open(better, capture=capture, progress=progress)
-        if np.array_equal(scene.mesh.vertices, accurate.mesh.vertices):
-            raise InputError(
-                f"target: {accurate.source} is the rough mesh itself, which needs no repair; choose another"
-            )
-    return scene, accurate
-
-
 def _source(accurate: Scene | None) -> str:
     return "1000 steps on the same mesh" if accurate is None else accurate.source
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameBench:
+    """Scenes, cases and loss of a tuning run.
+
+    Attributes:
+        scenes: of the cases and the held-out cases.
+        cases: in the order of batches.
+        held_out: on which nothing is chosen.
+        lights: the set-up that is timed.
+    """
+
+    scenes: list[TuningScene]
+    cases: list[FrameCase]
+    held_out: list[FrameCase]
+    lights: str
+
+
+def open_frame_bench(settings: TuneSettings, capture: Capture | None = None) -> FrameBench:
+    """Scenes and cases of the settings."""
+    options, lights = settings.frame, settings.set_ups()
+    if options.rooms:
+        names = (*options.rooms, *options.holdout_rooms)
+        bar = tqdm(names, "rooms", unit="room", disable=settings.quiet)
+        scenes = [open_room(name, options.room_size) for name in bar]
+        frames = [spread(range(len(scene)), options.room_frames) for scene in scenes]
+        count = len(options.rooms)
+        cases = spread_cases(frames[:count], lights, settings.scene.seed)
+        held = spread_cases(frames[count:], lights, settings.scene.seed) if options.holdout_rooms else []
+        shifted = [(place + count, name, index) for place, name, index in held]
+        return FrameBench(scenes, cases, shifted, slowest_setup(scenes[0], lights))
+    capture = capture or settings.scene.open_capture(progress=not settings.quiet)
+    chosen, holdout = split_frames(len(capture), settings.frames, settings.holdout)
+    rough, accurate = open_scenes(settings.scene, settings.target, capture=capture, progress=not settings.quiet)
+    if accurate is None:
+        raise InputError(
+            f"{rough.capture.name}: has no accurate surface to judge frames by; tune with --rooms, or with "
+            "--stage cascade"
+        )
+    scene = TuningScene(rough.capture.name, rough, accurate)
+    cases, held_out = (
+        spread_cases([indices], lights, settings.scene.seed) if indices else [] for indices in (chosen, holdout)
+    )
+    return FrameBench([scene], cases, held_out, slowest_setup(scene, lights))

@@ -15,8 +15,7 @@ from hyjax.core.pyramid import downsample
 from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import PRESETS, Schedule, guided_schedule
 from hyjax.core.upsampling import guided_upsample
-from hyjax.tuning.cost_model import CostModel, fit, leave_one_out
-from hyjax.tuning.result import CalibrationTime, Milliseconds
+from hyjax.tuning.cost_model import CalibrationTime, CostModel, Milliseconds, fit, leave_one_out
 from hyjax.tuning.workload import Arguments
 from hyjax.util import clock as latency
 from hyjax.util.environment import cores

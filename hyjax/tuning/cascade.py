@@ -17,29 +17,27 @@ from hyjax.light.color import to_display
 from hyjax.scene.scene import Scene
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.budget import MOST_STEPS
-from hyjax.tuning.cascade_evaluator import POLISHING, CascadeEvaluator
 from hyjax.tuning.cases import Case, raw_filter, refined_filter, scores
+from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.descent import Objective, polish, starts
-from hyjax.tuning.frame.clock import FrameTime
-from hyjax.tuning.frame.evaluation import Scores
-from hyjax.tuning.frame.relaxed import with_point
-from hyjax.tuning.frame.result import Candidate, Tuned
-from hyjax.tuning.frame.run import Run
-from hyjax.tuning.frame.search import State
-from hyjax.tuning.frame.space import Choices, Space
-from hyjax.tuning.frame.stage import Stage
-from hyjax.tuning.frame.study import Study
+from hyjax.tuning.evaluation import Scores
+from hyjax.tuning.evaluator import POLISHING, CascadeEvaluator
 from hyjax.tuning.latency_estimator import (
     CascadeEstimator,
     LatencySource,
     ScheduleClock,
     check_reachable,
 )
-from hyjax.tuning.monitor import RunMonitor
+from hyjax.tuning.proposal import with_point
 from hyjax.tuning.relaxation import RANGES, RelaxedSchedule, prepare, relaxed_of
 from hyjax.tuning.request import split_frames
-from hyjax.tuning.result import Budget
+from hyjax.tuning.result import Budget, Candidate, Tuned
+from hyjax.tuning.run import Run, RunMonitor
+from hyjax.tuning.search import State
 from hyjax.tuning.settings import BudgetStage, TuneSettings
+from hyjax.tuning.space import Choices, Space
+from hyjax.tuning.stage import Stage
+from hyjax.tuning.study import Study
 from hyjax.util.environment import environment
 from hyjax.util.errors import InputError
 

@@ -13,13 +13,34 @@ Symbols of this file: *steps* are n_l at each of the factors, coarse to fine, 0 
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import Annotated, TypedDict
 
+import msgspec
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from hyjax.tuning.result import Time
 from hyjax.util.errors import InputError
+
+Time = Annotated[float, msgspec.Meta(ge=0)]
+"""Milliseconds, or a relative error: finite and not negative where it is read from a file."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Milliseconds:
+    """Median and 95th percentile of the times of single calls."""
+
+    median: Time
+    p95: Time
+
+
+class CalibrationTime(TypedDict):
+    """Steps of a schedule over the factors, with its measured times."""
+
+    steps: list[int]
+    median_ms: Time
+    p95_ms: Time
+
 
 # No measured time is taken to be shorter, in milliseconds: what the clock's record is rounded to.
 SHORTEST = 1e-3

@@ -10,13 +10,12 @@ import numpy as np
 from hyjax.core.schedule import Schedule
 from hyjax.tuning.calibration import probe_steps
 from hyjax.tuning.cases import Case
-from hyjax.tuning.cost_model import fit, leave_one_out
+from hyjax.tuning.cost_model import CalibrationTime, Milliseconds, fit, leave_one_out
 from hyjax.tuning.device_latency import DeviceLatency, DeviceWorkload, read_latency, write_latency
 from hyjax.tuning.device_measuring import ConnectedDevice
 from hyjax.tuning.device_request import calibration_schedules, each_once, has_levels, latency_request
 from hyjax.tuning.latency_estimator import ScheduleClock, has_searched_form, workload_of
 from hyjax.tuning.latency_table import LatencyTable
-from hyjax.tuning.result import CalibrationTime, Milliseconds
 from hyjax.tuning.workload import factors_for, schedule_key
 from hyjax.util.errors import InputError
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hyjax.core.diffusion import Norm
 from hyjax.core.schedule import Pooling, Schedule, Upsampling, guided_schedule
-from hyjax.tuning.result import Milliseconds
+from hyjax.tuning.cost_model import Milliseconds
 from hyjax.tuning.workload import Workload, schedule_key
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text

@@ -11,6 +11,7 @@ import msgspec
 
 from hyjax.core.schedule import Schedule
 from hyjax.device.server import JSON, Answer, FolderSite, Server
+from hyjax.tuning.cost_model import Milliseconds
 from hyjax.tuning.device_latency import (
     FEWEST_SAMPLES,
     FORMAT,
@@ -23,7 +24,6 @@ from hyjax.tuning.device_latency import (
     drift,
 )
 from hyjax.tuning.device_request import LatencyRequest, job
-from hyjax.tuning.result import Milliseconds
 from hyjax.util.clock import timestamp
 from hyjax.util.errors import InputError
 

@@ -7,7 +7,8 @@ from typing import Protocol
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule, guided_schedule
 from hyjax.tuning.cases import Case
-from hyjax.tuning.frame.clock import FrameTime
+from hyjax.tuning.clock import FrameTime
+from hyjax.tuning.cost_model import Milliseconds
 from hyjax.tuning.latency_table import (
     CostModel,
     LatencyTable,
@@ -17,7 +18,6 @@ from hyjax.tuning.latency_table import (
     schedule_key,
     time_schedules,
 )
-from hyjax.tuning.result import Milliseconds
 from hyjax.util.errors import InputError
 
 REPEATS = 100

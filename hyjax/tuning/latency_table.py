@@ -16,8 +16,7 @@ import msgspec
 
 from hyjax.core.schedule import Schedule
 from hyjax.tuning import calibration
-from hyjax.tuning.cost_model import CostModel, checked_steps
-from hyjax.tuning.result import CalibrationTime, Milliseconds, Time
+from hyjax.tuning.cost_model import CalibrationTime, CostModel, Milliseconds, Time, checked_steps
 from hyjax.tuning.workload import FACTORS, Arguments, Workload, check_factors, factors_for, schedule_key
 from hyjax.util import clock as latency
 from hyjax.util.cache import cache_folder

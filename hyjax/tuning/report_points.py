@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 
-from hyjax.tuning.report_axes import COLORS, FONT, GROUND, QUIET, style_legend
+from hyjax.tuning.report_plots import COLORS, FONT, GROUND, QUIET, style_legend
 from hyjax.tuning.result import Budget
 
 MARKERS = {"tuned": "o", "preset": "^", "paper": "s", "naive": "D"}

@@ -94,7 +94,7 @@ class FrameOptions(Settings):
 
     def check(self) -> None:
         """Raise `InputError` for a value out of range, or a room that does not exist."""
-        from hyjax.tuning.frame.rooms import check_room
+        from hyjax.tuning.rooms import check_room
 
         for room in (*self.rooms, *self.holdout_rooms):
             check_room(room)

@@ -14,10 +14,10 @@ from hyjax.data.capture import Capture
 from hyjax.guide.choose import open_guide
 from hyjax.tuning.bench import open_bench
 from hyjax.tuning.cascade import tune_bench
-from hyjax.tuning.frame.result import Tuned
-from hyjax.tuning.frame.run import opened, tune_frame
 from hyjax.tuning.latency_estimator import LatencySource, workload_of
 from hyjax.tuning.request import split_frames
+from hyjax.tuning.result import Tuned
+from hyjax.tuning.run import opened, tune_frame
 from hyjax.tuning.settings import TuneSettings
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError

@@ -31,7 +31,7 @@ from hyjax.tuning.device_latency import (
     write_latency,
 )
 from hyjax.tuning.device_request import calibration_schedules, latency_request, measure_program, request_text
-from hyjax.tuning.frame.report_text import summary
+from hyjax.tuning.report_text import summary
 from hyjax.tuning.settings import FrameOptions, OtherDevice, TuneScene, TuneSettings
 from hyjax.tuning.tune import write_request
 from hyjax.tuning.workload import factors_for, schedule_key

@@ -11,7 +11,7 @@ from hyjax.configuration import Configuration
 from hyjax.data.builtin_room import load_room
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
-from hyjax.tuning.frame.scene import TuningScene
+from hyjax.tuning.scene import TuningScene
 
 need("tune")
 
@@ -27,12 +27,12 @@ def room() -> TuningScene:
 def small(room: TuningScene, monkeypatch: pytest.MonkeyPatch) -> None:
     """One small room in the place of all, two set-ups."""
     monkeypatch.setattr(frame_tuning, "SETUPS", ("two-colors", "golden-hour"))
-    monkeypatch.setattr("hyjax.tuning.frame.bench.open_room", lambda *_: room)
+    monkeypatch.setattr("hyjax.tuning.bench.open_room", lambda *_: room)
     monkeypatch.setattr("hyjax.tuning.settings.SETUPS", ("two-colors",))
-    monkeypatch.setattr("hyjax.tuning.frame.proof.ROUNDS", 3)
+    monkeypatch.setattr("hyjax.tuning.proof.ROUNDS", 3)
     # Gradients are compiled for most of a minute, and tests of their own look at them.
     for module_name in ("evaluator", "stage"):
-        monkeypatch.setattr(f"hyjax.tuning.frame.{module_name}.refine_numbers", lambda own, *_, **__: own)
+        monkeypatch.setattr(f"hyjax.tuning.{module_name}.refine_numbers", lambda own, *_, **__: own)
 
 
 @pytest.mark.slow

@@ -92,9 +92,8 @@ def configurations(folder: Path) -> None:
 
 
 def latency_tables(folder: Path) -> None:
-    from hyjax.tuning.cost_model import CostModel
+    from hyjax.tuning.cost_model import CostModel, Milliseconds
     from hyjax.tuning.latency_table import LatencyTable
-    from hyjax.tuning.result import Milliseconds
     from hyjax.tuning.workload import Workload
 
     cost = CostModel(0.4, (0.1, 0.2), (0.01, 0.3), (0.5, 0.0))
@@ -203,9 +202,9 @@ def training_run(folder: Path) -> None:
 
 
 def study(folder: Path) -> None:
-    from hyjax.tuning.frame.space import Space
-    from hyjax.tuning.frame.study import Study
-    from hyjax.tuning.frame.trial import Trial
+    from hyjax.tuning.space import Space
+    from hyjax.tuning.study import Study
+    from hyjax.tuning.trial import Trial
 
     kept, space = Study(folder, "frame", {"seed": 0}), Space.of(truth=True)
     kept.add(space, Trial({space.parameters[0].name: space.parameters[0].values[0]}, "default", (0.1,), 0.5))

@@ -166,14 +166,14 @@ def _training_run(path: Path) -> object:
 
 
 def _study(path: Path) -> object:
-    from hyjax.tuning.frame.study import Study
+    from hyjax.tuning.study import Study
 
     kept = Study(path, "frame", {"seed": 0}, resume=True)
     return kept.trials, kept.remember("refined", lambda: 1)
 
 
 def _kept_trials(path: Path) -> object:
-    from hyjax.tuning.frame.study import kept_trials
+    from hyjax.tuning.study import kept_trials
 
     return kept_trials(path)
 

@@ -16,15 +16,14 @@ from hyjax.configuration import Configuration
 from hyjax.light.color import to_linear
 from hyjax.light.shaded import Shaded
 from hyjax.metrics import METRICS, LpipsWeights, Metric, plain_metrics, register_metric
+from hyjax.tuning import report as frame_report
 from hyjax.tuning.cases import Case, scores
-from hyjax.tuning.frame import report as frame_report
-from hyjax.tuning.frame.clock import FrameTime
-from hyjax.tuning.frame.evaluation import mean_scores
-from hyjax.tuning.frame.loss import PictureLoss
-from hyjax.tuning.frame.report_html import page as frame_page
-from hyjax.tuning.frame.result import Candidate, Tuned
-from hyjax.tuning.frame.scene import Target
-from hyjax.tuning.result import Budget
+from hyjax.tuning.clock import FrameTime
+from hyjax.tuning.evaluation import mean_scores
+from hyjax.tuning.loss import PictureLoss
+from hyjax.tuning.report_page import page as frame_page
+from hyjax.tuning.result import Budget, Candidate, Tuned
+from hyjax.tuning.scene import Target
 
 SIZE = 32
 EVERYWHERE = np.ones((SIZE, SIZE), bool)

@@ -119,7 +119,7 @@ def test_bad_specs(values: dict[str, Any], message: str, tmp_path: Path) -> None
 
 
 def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("hyjax.tuning.frame.evaluation.evaluate", standins.loss)
+    monkeypatch.setattr("hyjax.tuning.evaluation.evaluate", standins.loss)
     monkeypatch.setattr(run.work, "_start", lambda: None)
     path, out = write(tmp_path), tmp_path / "out"
     monkeypatch.setattr("sys.argv", ["hyjax", "sweep", str(path), "--workers", "0", "--out", str(out), "--quiet"])

@@ -12,14 +12,13 @@ from page_checks import RUDE, parse
 
 from hyjax.configuration import Configuration, GuideOptions, LightOptions
 from hyjax.core.schedule import Schedule
-from hyjax.tuning.frame import report
-from hyjax.tuning.frame.clock import FrameTime
-from hyjax.tuning.frame.report_plots import draw_effects, draw_front_plot, trial_dots
-from hyjax.tuning.frame.report_text import candidates, configuration_text, described
-from hyjax.tuning.frame.result import Candidate, Effect, Tuned
-from hyjax.tuning.frame.space import Space
-from hyjax.tuning.frame.trial import Trial
-from hyjax.tuning.result import Budget
+from hyjax.tuning import report
+from hyjax.tuning.clock import FrameTime
+from hyjax.tuning.report_plots import draw_effects, draw_front_plot, trial_dots
+from hyjax.tuning.report_text import candidates, configuration_text, described
+from hyjax.tuning.result import Budget, Candidate, Effect, Tuned
+from hyjax.tuning.space import Space
+from hyjax.tuning.trial import Trial
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyjax.tuning.frame.search import State, init, propose, search, update, within
-from hyjax.tuning.frame.space import Choices, Parameter, Space, key_of
-from hyjax.tuning.frame.surrogate import Surrogate
-from hyjax.tuning.frame.trial import Trial, front_of_trials
+from hyjax.tuning.search import State, init, propose, search, update, within
+from hyjax.tuning.space import Choices, Parameter, Space, key_of
+from hyjax.tuning.surrogate import Surrogate
+from hyjax.tuning.trial import Trial, front_of_trials
 
 SPACE = Space(
     (

@@ -10,7 +10,7 @@ from hypothesis import given
 
 from hyjax.configuration import PRESETS, Configuration
 from hyjax.tuning.budget import MOST_STEPS
-from hyjax.tuning.frame.space import Parameter, Space, key_of, random_configurations, structure
+from hyjax.tuning.space import Parameter, Space, key_of, random_configurations, structure
 from hyjax.util.errors import InputError
 
 SPACES = [Space.of(truth=True), Space.of(truth=False), Space.of(truth=True, paper=True)]

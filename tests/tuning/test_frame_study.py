@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from extras import need
 
-from hyjax.tuning.frame import study as study_module
-from hyjax.tuning.frame.evaluator import StudyEvaluator
-from hyjax.tuning.frame.replay import front_configurations
-from hyjax.tuning.frame.search import State, init, search, update
-from hyjax.tuning.frame.space import Choices, Space, key_of, structure
-from hyjax.tuning.frame.study import NAME, Study, kept_trials
-from hyjax.tuning.frame.trial import Trial, front_of_trials
+from hyjax.tuning import study as study_module
+from hyjax.tuning.evaluator import StudyEvaluator
+from hyjax.tuning.replay import front_configurations
+from hyjax.tuning.search import State, init, search, update
+from hyjax.tuning.space import Choices, Space, key_of, structure
+from hyjax.tuning.study import NAME, Study, kept_trials
+from hyjax.tuning.trial import Trial, front_of_trials
 from hyjax.util.errors import InputError
 
 need("tune")

@@ -18,15 +18,14 @@ from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.scene.relighter import refined_picture
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
-from hyjax.tuning.frame.clock import FrameClock, slowest_setup
-from hyjax.tuning.frame.evaluation import Judge
-from hyjax.tuning.frame.loss import PictureLoss
-from hyjax.tuning.frame.padding import padded
-from hyjax.tuning.frame.refinement import numbers_of, refine_numbers, settled, with_numbers
-from hyjax.tuning.frame.relaxed import frame_objective, relaxed_choices, relaxed_of
-from hyjax.tuning.frame.scene import Target, TuningScene, open_tuning_scene, spread_cases
-from hyjax.tuning.frame.space import Space
+from hyjax.tuning.clock import FrameClock, slowest_setup
+from hyjax.tuning.evaluation import Judge, padded
+from hyjax.tuning.loss import PictureLoss
+from hyjax.tuning.proposal import frame_objective, relaxed_choices, relaxed_of
+from hyjax.tuning.refinement import numbers_of, refine_numbers, settled, with_numbers
+from hyjax.tuning.scene import Target, TuningScene, open_tuning_scene, spread_cases
 from hyjax.tuning.settings import FrameOptions, OtherDevice, TuneScene, TuneSettings
+from hyjax.tuning.space import Space
 
 need("tune")
 
@@ -192,7 +191,7 @@ def options(tmp_path_factory: pytest.TempPathFactory) -> TuneSettings:
 @pytest.fixture(scope="module")
 def finished(options: TuneSettings, room: RoomCapture) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:  # a test of its own looks at it
-        patch.setattr("hyjax.tuning.frame.evaluator.relaxed_choices", lambda choices, *_, **__: choices)
+        patch.setattr("hyjax.tuning.evaluator.relaxed_choices", lambda choices, *_, **__: choices)
         tuned = tune(settings=options, capture=room)
     assert tuned.best[0].tuning["relative"] <= 1.0 and tuned.best[0].held_out is not None
     assert tuned.record["kept"] == ["10000 ms"] and tuned.configuration.measured is not None
@@ -228,7 +227,7 @@ def test_a_finished_run_is_not_overwritten_and_goes_on(
         tune(settings=dataclasses.replace(options, resume=True, frames="1"), capture=room)
     asked: list[object] = []
     for name in ("refine_numbers", "relaxed_choices"):
-        monkeypatch.setattr(f"hyjax.tuning.frame.evaluator.{name}", lambda *a, **k: asked.append(a))
+        monkeypatch.setattr(f"hyjax.tuning.evaluator.{name}", lambda *a, **k: asked.append(a))
     again = tune(settings=dataclasses.replace(options, resume=True), capture=room)
     assert not asked and len(again.trials) >= 3
 

@@ -18,6 +18,7 @@ from reference.costs import TRUTH, random_steps
 from hyjax.core.schedule import Schedule, guided_schedule
 from hyjax.tuning import calibration, latency_table
 from hyjax.tuning.calibration import calibration_steps, probe_steps
+from hyjax.tuning.cost_model import Milliseconds
 from hyjax.tuning.latency_table import (
     FACTORS,
     LatencyTable,
@@ -28,7 +29,6 @@ from hyjax.tuning.latency_table import (
     schedule_key,
     time_schedules,
 )
-from hyjax.tuning.result import Milliseconds
 from hyjax.util import clock as latency
 from hyjax.util.errors import InputError
 

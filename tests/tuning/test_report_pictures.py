@@ -9,8 +9,7 @@ import pytest
 from markupsafe import Markup
 from page_checks import RUDE
 
-from hyjax.tuning.frame.report_html import templates
-from hyjax.tuning.report_pictures import Example, contact_sheet_rows, data_uris, pair_to_compare
+from hyjax.tuning.report_page import Example, contact_sheet_rows, data_uris, pair_to_compare, templates
 from hyjax.util.contact_sheet import contact_sheet, write_contact_sheet
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image

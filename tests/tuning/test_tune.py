@@ -24,14 +24,14 @@ from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.data.capture import Capture
 from hyjax.tuning import calibration
 from hyjax.tuning.cascade import CascadeStage
-from hyjax.tuning.cascade_evaluator import CascadeEvaluator
-from hyjax.tuning.frame.report_text import summary
-from hyjax.tuning.frame.result import Tuned
-from hyjax.tuning.frame.study import NAME, kept_trials
-from hyjax.tuning.frame.trial import Trial
+from hyjax.tuning.evaluator import CascadeEvaluator
 from hyjax.tuning.relaxation import FIDELITY_RANGE
+from hyjax.tuning.report_text import summary
 from hyjax.tuning.request import parse_budgets, split_frames
+from hyjax.tuning.result import Tuned
 from hyjax.tuning.settings import FrameOptions, TuneScene, TuneSettings
+from hyjax.tuning.study import NAME, kept_trials
+from hyjax.tuning.trial import Trial
 from hyjax.tuning.workload import schedule_key
 from hyjax.util import clock as latency
 from hyjax.util.images import read_image

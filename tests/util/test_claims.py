@@ -13,8 +13,8 @@ from extras import need
 from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.settings import SceneSettings
-from hyjax.tuning.frame.study import NAME
 from hyjax.tuning.settings import TuneSettings
+from hyjax.tuning.study import NAME
 from hyjax.tuning.tune import tune_schedule
 from hyjax.util.claims import claimed
 from hyjax.util.errors import InputError

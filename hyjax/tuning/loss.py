@@ -13,7 +13,7 @@ from hyjax.metrics import LpipsWeights, Metric, load_lpips, lpips, plain_metrics
 from hyjax.metrics.exposure import fit_gains
 from hyjax.metrics.losses import LossWeights, display_loss
 from hyjax.synthetic.tone_curve import encode
-from hyjax.tuning.frame.scene import Target
+from hyjax.tuning.scene import Target
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hyjax.configuration import Configuration
 from hyjax.light.color import to_display_bytes
-from hyjax.tuning.frame.scene import TuningScene
+from hyjax.tuning.scene import TuningScene
 from hyjax.util.clock import Stopwatch
 
 FRAMES = 6

@@ -8,8 +8,7 @@ import numpy as np
 
 from hyjax.choices.table import CHOICES
 from hyjax.configuration import DEFAULT, Configuration
-from hyjax.tuning.frame.result import Candidate, Tuned
-from hyjax.tuning.result import Budget
+from hyjax.tuning.result import Budget, Candidate, Tuned
 
 MISSING = "–"
 

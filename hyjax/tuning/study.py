@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from hyjax.tuning.budget import MOST_STEPS
-from hyjax.tuning.frame.space import Choices, Parameter, Space, key_of
-from hyjax.tuning.frame.trial import Trial
+from hyjax.tuning.space import Choices, Parameter, Space, key_of
+from hyjax.tuning.trial import Trial
 from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
 from hyjax.util.reading import check_regular

@@ -1,20 +1,22 @@
 """Quality of configurations on frames with known pictures, and as tasks of plain data."""
 
+import dataclasses
 import functools
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
+import jax.numpy as jnp
 import numpy as np
 
 from hyjax.configuration import Configuration
-from hyjax.scene.relighter import refined_picture
-from hyjax.tuning.frame.clock import FrameClock
-from hyjax.tuning.frame.loss import PictureLoss
-from hyjax.tuning.frame.padding import padded
-from hyjax.tuning.frame.scene import TuningScene, open_tuning_scene
+from hyjax.light.emission import Emission
+from hyjax.scene.relighter import LitFrame, refined_picture
+from hyjax.tuning.clock import FrameClock
+from hyjax.tuning.loss import PictureLoss
+from hyjax.tuning.scene import TuningScene, open_tuning_scene
 
-Case = tuple[int, str, int]
+FrameCase = tuple[int, str, int]
 """Scene by position, light set-up, frame."""
 Scores = dict[str, float]
 TIMED_FRAMES = 60
@@ -37,9 +39,9 @@ class Judge:
     def __init__(self, scenes: Sequence[TuningScene], loss: PictureLoss) -> None:
         self.scenes, self.loss = scenes, loss
 
-    def scores(self, configuration: Configuration, cases: Sequence[Case]) -> list[Scores]:
+    def scores(self, configuration: Configuration, cases: Sequence[FrameCase]) -> list[Scores]:
         """Scores of each case, in their order."""
-        found: dict[Case, Scores] = {}
+        found: dict[FrameCase, Scores] = {}
         most = max(len(self.scenes[place].setup(lights).lights) for place, lights, _ in cases)
         most = -(-most // LIGHTS) * LIGHTS
         for place, lights in dict.fromkeys((case[0], case[1]) for case in cases):
@@ -83,3 +85,27 @@ def _opened(payload: Mapping[str, Any]) -> tuple[TuningScene, Configuration]:
 
 
 _scene = functools.lru_cache(maxsize=KEPT_SCENES)(open_tuning_scene)
+
+
+def padded(lit: LitFrame, most: int) -> LitFrame:
+    """A frame with lights that give nothing, up to so many, and with pixels that may shine.
+
+    Its picture is the same. Compiling a cascade for each number of lights would take longer than running it.
+
+    Args:
+        lit: any.
+        most: lights, at least as many as it has.
+    """
+    shaded, view = lit.shaded, lit.view.frame
+    more, emission = most - shaded.illuminance.shape[-1], shaded.emission
+    beside = ((0, 0), (0, 0), (0, more))
+    if emission is None and shaded.photo_light is not None:
+        emission = Emission(jnp.zeros((*view.shape[:2], 1)), jnp.zeros_like(view), jnp.zeros_like(view))
+    shaded = dataclasses.replace(
+        shaded,
+        illuminance=jnp.pad(shaded.illuminance, beside),
+        visibility=jnp.pad(shaded.visibility, beside, constant_values=1.0),
+        colors=jnp.pad(shaded.colors, ((0, more), (0, 0))),
+        emission=emission,
+    )
+    return dataclasses.replace(lit, shaded=shaded)

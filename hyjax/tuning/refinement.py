@@ -17,10 +17,9 @@ from hyjax.choices.table import choice_named
 from hyjax.configuration import Configuration
 from hyjax.core.step_size import DEFAULT_LAM
 from hyjax.scene.relighter import LitFrame, refined_picture
-from hyjax.tuning.frame.cascade_numbers import with_numbers as with_cascade_numbers
-from hyjax.tuning.frame.evaluation import Case, Judge
-from hyjax.tuning.frame.padding import padded
-from hyjax.tuning.frame.scene import Target
+from hyjax.tuning.cascade_numbers import with_numbers as with_cascade_numbers
+from hyjax.tuning.evaluation import FrameCase, Judge, padded
+from hyjax.tuning.scene import Target
 
 ITERATIONS = 12
 RATE = 0.3
@@ -81,7 +80,7 @@ def settled(configuration: Configuration, numbers: Mapping[str, Array]) -> Confi
 def refine_numbers(
     configuration: Configuration,
     judge: Judge,
-    cases: Sequence[Case],
+    cases: Sequence[FrameCase],
     *,
     levels: bool = False,
     iterations: int = ITERATIONS,
@@ -147,7 +146,7 @@ def _bounded(name: str, log: Array) -> Array:
     return jnp.clip(log, np.log(low), np.log(high))
 
 
-def lit_case(configuration: Configuration, judge: Judge, case: Case) -> tuple[LitFrame, Target, Configuration]:
+def lit_case(configuration: Configuration, judge: Judge, case: FrameCase) -> tuple[LitFrame, Target, Configuration]:
     scene = judge.scenes[case[0]]
     own = scene.judged(configuration)
     return scene.relighter(case[1], own).lit(case[2]), scene.target(case[1], case[2]), own

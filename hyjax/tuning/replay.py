@@ -5,14 +5,14 @@ from pathlib import Path
 
 from hyjax.configuration import Configuration
 from hyjax.data.frames import spread
-from hyjax.tuning.frame.bench import open_frame_bench
-from hyjax.tuning.frame.proof import best_within, effects, front_of, prove
-from hyjax.tuning.frame.result import Tuned
-from hyjax.tuning.frame.space import Space
-from hyjax.tuning.frame.stage import FrameStage, examples
-from hyjax.tuning.frame.study import kept_trials
-from hyjax.tuning.frame.trial import Trial, front_of_trials
+from hyjax.tuning.bench import open_frame_bench
+from hyjax.tuning.proof import best_within, effects, front_of, prove
+from hyjax.tuning.result import Tuned
 from hyjax.tuning.settings import TuneSettings
+from hyjax.tuning.space import Space
+from hyjax.tuning.stage import FrameStage, examples
+from hyjax.tuning.study import kept_trials
+from hyjax.tuning.trial import Trial, front_of_trials
 
 POINTS = 3
 

@@ -20,10 +20,8 @@ from hyjax.scene.relighter import LitFrame, refine
 from hyjax.tuning.budget import fits, moves, neighbours, project
 from hyjax.tuning.cost_model import CostModel
 from hyjax.tuning.descent import Found, Objective, promising, relax, whole, with_steps
-from hyjax.tuning.frame.evaluation import Case, Judge
-from hyjax.tuning.frame.padding import padded
-from hyjax.tuning.frame.refinement import lit_case
-from hyjax.tuning.frame.space import Choices, Space
+from hyjax.tuning.evaluation import FrameCase, Judge, padded
+from hyjax.tuning.refinement import lit_case
 from hyjax.tuning.relaxation import (
     Prepared,
     RelaxedSchedule,
@@ -31,6 +29,7 @@ from hyjax.tuning.relaxation import (
     relaxed_channels,
     relaxed_of,
 )
+from hyjax.tuning.space import Choices, Space
 
 ITERATIONS = 16
 LEVEL_STEPS = 3.0
@@ -90,7 +89,7 @@ def relaxed_choices(
     choices: Choices,
     space: Space,
     judge: Judge,
-    cases: Sequence[Case],
+    cases: Sequence[FrameCase],
     *,
     price: Price,
     room: float,
@@ -182,7 +181,7 @@ def with_point(choices: Choices, space: Space, point: RelaxedSchedule, factors: 
 
 
 def frame_objective(
-    configuration: Configuration, judge: Judge, cases: Sequence[Case], factors: tuple[int, ...]
+    configuration: Configuration, judge: Judge, cases: Sequence[FrameCase], factors: tuple[int, ...]
 ) -> FrameObjective:
     """Objective on cases."""
     lit = [lit_case(configuration, judge, case) for case in cases]

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hyjax.tuning.frame.space import Choices
+from hyjax.tuning.space import Choices
 
 Improvement = Literal["", "numbers", "relaxed"]
 

@@ -17,7 +17,7 @@ machine are taken for good choices. A kept search goes on by updating an initial
 5. *Halving*: the best of each budget on more frames, then on all.
 
 Sources: Jamieson and Talwalkar, *Non-stochastic best arm identification and hyperparameter optimization*, AISTATS
-2016 (successive halving); `hyjax.tuning.frame.surrogate`.
+2016 (successive halving); `hyjax.tuning.surrogate`.
 """
 
 import dataclasses
@@ -28,9 +28,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.tuning.frame.space import Choices, Space, key_of
-from hyjax.tuning.frame.surrogate import Surrogate
-from hyjax.tuning.frame.trial import Improvement, Trial
+from hyjax.tuning.space import Choices, Space, key_of
+from hyjax.tuning.surrogate import Surrogate
+from hyjax.tuning.trial import Improvement, Trial
 
 POOL = 1500
 """Combinations that the surrogate is asked for at a time."""

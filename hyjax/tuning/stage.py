@@ -12,18 +12,17 @@ import numpy as np
 from hyjax.configuration import PRESETS, Configuration, Measured
 from hyjax.data.frames import spread
 from hyjax.light.color import to_display
-from hyjax.tuning.frame.bench import FrameBench
-from hyjax.tuning.frame.clock import Clock, FrameClock, FrameTime
-from hyjax.tuning.frame.evaluation import Judge, Scorer
-from hyjax.tuning.frame.evaluator import Evaluator, StudyEvaluator
-from hyjax.tuning.frame.loss import PictureLoss
-from hyjax.tuning.frame.refinement import refine_numbers
-from hyjax.tuning.frame.result import Candidate
-from hyjax.tuning.frame.search import GRADIENT_TURN, State
-from hyjax.tuning.frame.space import Choices, Space
-from hyjax.tuning.frame.study import Study
-from hyjax.tuning.result import Budget
+from hyjax.tuning.bench import FrameBench
+from hyjax.tuning.clock import Clock, FrameClock, FrameTime
+from hyjax.tuning.evaluation import Judge, Scorer
+from hyjax.tuning.evaluator import Evaluator, StudyEvaluator
+from hyjax.tuning.loss import PictureLoss
+from hyjax.tuning.refinement import refine_numbers
+from hyjax.tuning.result import Budget, Candidate
+from hyjax.tuning.search import GRADIENT_TURN, State
 from hyjax.tuning.settings import BudgetStage, TuneSettings
+from hyjax.tuning.space import Choices, Space
+from hyjax.tuning.study import Study
 from hyjax.util.environment import cores, environment
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest

@@ -13,23 +13,56 @@ from tqdm import tqdm
 
 from hyjax.configuration import Configuration
 from hyjax.data.capture import Capture
-from hyjax.tuning.frame.bench import open_frame_bench
-from hyjax.tuning.frame.clock import FrameTime
-from hyjax.tuning.frame.proof import MOST_SECONDS, ROUNDS, best_within, effects, front_of, prove
-from hyjax.tuning.frame.report import best_file, text_of, write_results
-from hyjax.tuning.frame.result import Candidate, Tuned
-from hyjax.tuning.frame.search import State, init, search, update
-from hyjax.tuning.frame.space import Choices, Space
-from hyjax.tuning.frame.stage import FrameStage, Stage
-from hyjax.tuning.frame.study import Study, check_free, check_installed
-from hyjax.tuning.frame.trial import Trial
-from hyjax.tuning.monitor import RunMonitor
-from hyjax.tuning.result import Budget
+from hyjax.tuning.bench import open_frame_bench
+from hyjax.tuning.clock import FrameTime
+from hyjax.tuning.proof import MOST_SECONDS, ROUNDS, best_within, effects, front_of, prove
+from hyjax.tuning.report import best_file, text_of, write_results
+from hyjax.tuning.result import Budget, Candidate, Tuned
+from hyjax.tuning.search import State, init, search, update
 from hyjax.tuning.settings import TuneSettings
+from hyjax.tuning.space import Choices, Space
+from hyjax.tuning.stage import FrameStage, Stage
+from hyjax.tuning.study import Study, check_free, check_installed
+from hyjax.tuning.trial import Trial
 from hyjax.util.claims import claimed
+from hyjax.util.clock import Stopwatch
 from hyjax.util.environment import cores, environment, peak_memory_mib
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, write_text
+
+
+class RunMonitor:
+    """Time limit and progress bar of a run.
+
+    Args:
+        limit: seconds that it may take; None for no limit.
+        progress: show a bar on stderr.
+    """
+
+    def __init__(self, limit: float | None, progress: bool) -> None:
+        self.clock, self.limit, self.progress = Stopwatch(), limit, progress
+        self.best, self.bar = math.inf, tqdm(disable=True)
+
+    def begin(self) -> None:
+        """Count the time from now: opening and calibration before a search do not count."""
+        self.clock = Stopwatch()
+
+    def expired(self) -> bool:
+        return self.limit is not None and self.clock.seconds > self.limit
+
+    @contextlib.contextmanager
+    def watching(self, label: str, trials: int) -> Iterator[None]:
+        """A bar of so many trials."""
+        self.best = math.inf
+        with tqdm(desc=label, total=trials, unit="trial", disable=not self.progress) as self.bar:
+            yield
+
+    def note(self, phase: str, loss: float) -> None:
+        """Called after each trial with its loss over the default's."""
+        self.bar.update()
+        self.best = min(self.best, loss)
+        self.bar.set_postfix_str(f"{phase}, best loss {self.best:.4f} of the default's", refresh=False)
+
 
 EXTRA = (0.35, 0.5, 0.7, 1.0, 1.5)
 """Further points of the front, in times of the default."""

@@ -19,7 +19,7 @@ from hyjax.core.cascade import largest_sampling
 from hyjax.core.schedule import Schedule
 from hyjax.guide.choose import NO_GUIDE
 from hyjax.tuning.budget import MOST_STEPS
-from hyjax.tuning.frame.cascade_numbers import with_numbers
+from hyjax.tuning.cascade_numbers import with_numbers
 from hyjax.util.errors import InputError
 
 Choices = dict[str, Any]

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 
-from hyjax.tuning.frame.space import Space
+from hyjax.tuning.space import Space
 
 LENGTH = 0.4
 """Length scale of the Gaussians, in the range of a parameter."""

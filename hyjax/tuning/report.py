@@ -1,14 +1,16 @@
-"""The files that a tuning run leaves: configurations or schedules, a table, a plot, a contact sheet and a page."""
+"""Files that a tuning run leaves: configurations or schedules, a table, a plot, a contact sheet and a page."""
 
 import csv
 import io
+import re
+from collections.abc import Mapping
 from pathlib import Path
 
 from hyjax.configuration import Configuration
 from hyjax.metrics import plain_metrics
-from hyjax.tuning.frame.report_html import page
-from hyjax.tuning.frame.report_plots import draw_front_plot
-from hyjax.tuning.frame.report_text import (
+from hyjax.tuning.report_page import Example, contact_sheet_rows, page
+from hyjax.tuning.report_plots import draw_front_plot
+from hyjax.tuning.report_text import (
     best_for,
     candidates,
     choices_text,
@@ -16,12 +18,36 @@ from hyjax.tuning.frame.report_text import (
     on_front,
     summary,
 )
-from hyjax.tuning.frame.result import Candidate, Tuned
-from hyjax.tuning.report_files import file_stem, write_folder
-from hyjax.tuning.report_pictures import Example, contact_sheet_rows
+from hyjax.tuning.result import Candidate, Tuned
 from hyjax.tuning.settings import BudgetStage
 from hyjax.util.contact_sheet import write_contact_sheet
-from hyjax.util.files import atomic_write, write_text
+from hyjax.util.files import atomic_write, make_writable, remove, write_text
+
+
+def file_stem(text: str, otherwise: str) -> str:
+    """Text as the stem of a file's name; `otherwise` if nothing of it is left.
+
+    >>> file_stem("tuned 3.4 ms", "schedule"), file_stem("/", "schedule")
+    ('tuned-3.4-ms', 'schedule')
+    """
+    return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.") or otherwise
+
+
+def write_folder(folder: Path, texts: Mapping[str, str], stale: str) -> None:
+    """Write files into a folder, and remove those of an earlier time.
+
+    Args:
+        folder: made if it is not there.
+        texts: by name.
+        stale: pattern of the names that are removed where they are not among the texts.
+    """
+    make_writable(folder)
+    for path in folder.glob(stale):
+        if path.name not in texts:
+            remove(path)
+    for name, text in texts.items():
+        write_text(folder / name, text)
+
 
 __all__ = ["CSV_COLUMNS", "summary", "write_results"]
 

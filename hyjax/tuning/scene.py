@@ -9,15 +9,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from hyjax.configuration import Configuration
+from hyjax.data.capture import Capture
 from hyjax.data.truth_room import TruthCapture, load_truth_room
 from hyjax.light.color import to_display
 from hyjax.light.setup import LightSetup
+from hyjax.scene.alignment import aligned
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
-from hyjax.tuning.bench import open_scenes
-from hyjax.tuning.frame.rooms import ROOM, check_room
-from hyjax.tuning.settings import ROOM_PHOTOS
+from hyjax.scene.surfaces import rough_mesh
+from hyjax.tuning.rooms import ROOM, check_room
+from hyjax.tuning.settings import CONVERGED, ROOM_PHOTOS
 from hyjax.util.errors import InputError
 from hyjax.util.sizes import parse_size
 
@@ -144,3 +146,40 @@ def spread_cases(frames: Sequence[Sequence[int]], lights: Sequence[str], seed: i
                     cases.append((place, light, own[(number + turn) % len(own)]))
     rounds = [cases[k : k + len(frames)] for k in range(0, len(cases), len(frames))]
     return [case for k in rng.permutation(len(rounds)) for case in rounds[k]]
+
+
+TARGET_VOXEL = 0.02
+
+
+def open_scenes(
+    settings: SceneSettings, target: str | None = None, *, capture: Capture | None = None, progress: bool = False
+) -> tuple[Scene, Scene | None]:
+    """A capture on its rough surface, and on an accurate one.
+
+    Args:
+        settings: capture, mesh and size.
+        target: the accurate surface, see `TuneSettings`.
+        capture: frames that were opened before.
+        progress: show bars on stderr.
+
+    Returns:
+        The second is None where the target is the converged diffusion on the rough surface.
+    """
+    if capture is None:
+        capture = settings.open_capture(progress=progress)
+    if target is None:
+        with_depth = "fused" if capture.reference() is None else "true"
+        target = CONVERGED if not capture.depth_count else with_depth
+    if target == "fused":  # whose poses both scenes must have
+        capture = aligned(capture, settings.fusion, progress)
+    rough = dataclasses.replace(settings, mesh=settings.mesh or rough_mesh(capture))
+    scene, accurate = Scene.open(rough, capture=capture, progress=progress), None
+    if target != CONVERGED:
+        fusion = dataclasses.replace(settings.fusion, voxel=TARGET_VOXEL)
+        better = dataclasses.replace(settings, mesh=target, fusion=fusion)
+        accurate = Scene.open(better, capture=capture, progress=progress)
+        if np.array_equal(scene.mesh.vertices, accurate.mesh.vertices):
+            raise InputError(
+                f"target: {accurate.source} is the rough mesh itself, which needs no repair; choose another"
+            )
+    return scene, accurate

@@ -7,13 +7,12 @@ import numpy as np
 from tqdm import tqdm
 
 from hyjax.configuration import Configuration
-from hyjax.tuning.frame.evaluation import mean_scores
-from hyjax.tuning.frame.result import Candidate, Effect
-from hyjax.tuning.frame.trial import Trial
-from hyjax.tuning.result import Budget
+from hyjax.tuning.evaluation import mean_scores
+from hyjax.tuning.result import Budget, Candidate, Effect
+from hyjax.tuning.trial import Trial
 
 if TYPE_CHECKING:
-    from hyjax.tuning.frame.stage import Stage
+    from hyjax.tuning.stage import Stage
 
 ROUNDS = 100
 MOST_SECONDS = 20.0
