@@ -17,7 +17,8 @@ from jaxtyping import Float
 from hyjax.configuration import Configuration
 from hyjax.metrics import plain_metrics
 from hyjax.tuning import report_text as text
-from hyjax.tuning.report_plots import draw_effects, draw_front_plot, svg
+from hyjax.tuning.report_plots import draw_effects, draw_front_plot
+from hyjax.tuning.report_points import svg
 from hyjax.tuning.result import Tuned
 from hyjax.util.errors import InputError
 from hyjax.util.images import resize, write_png
