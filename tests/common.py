@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+import pytest
+
 # Most of what tests compile runs once: optimising it takes longer than it saves, and so do fusion emitters.
 UNOPTIMISED = (
     "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
@@ -13,3 +15,13 @@ UNOPTIMISED = (
 def data_folder() -> Path:
     """$HYJAX_DATA, or shared/data beside the checkout."""
     return Path(os.environ.get("HYJAX_DATA") or Path(__file__).parents[2] / "shared" / "data")
+
+
+def without_gradients(patch: pytest.MonkeyPatch) -> None:
+    """Have a tuning run of the diffusion propose nothing by gradients, which are compiled for most of a minute."""
+    from hyjax.tuning.cascade import CascadeStage
+    from hyjax.tuning.evaluator import CascadeEvaluator
+
+    patch.setattr(CascadeEvaluator, "refined", lambda _, choices, batch: choices)
+    patch.setattr(CascadeEvaluator, "relaxed", lambda _, choices, trial: choices)
+    patch.setattr(CascadeStage, "polished", lambda _, configuration, expired: configuration)

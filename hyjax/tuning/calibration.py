@@ -1,22 +1,18 @@
 """Calibration: some thirty schedules, timed in turns, from which the costs of all others follow."""
 
 import concurrent.futures
-import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from hyjax.core.cascade import level_edges
-from hyjax.core.pyramid import downsample
 from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import PRESETS, Schedule, guided_schedule
-from hyjax.core.upsampling import guided_upsample
-from hyjax.tuning.cost_model import CalibrationTime, CostModel, Milliseconds, fit, leave_one_out
-from hyjax.tuning.workload import Arguments
+from hyjax.tuning.cost_model import Milliseconds
 from hyjax.util import clock as latency
 from hyjax.util.environment import cores
 from hyjax.util.errors import InputError
@@ -24,24 +20,14 @@ from hyjax.util.errors import InputError
 REPEATS = 60
 # Large pictures get fewer rounds instead of minutes.
 MOST_SECONDS = 30.0
-PROBE_REPEATS = 40
+
+Arguments = tuple[Float[Array, "h w lights"], Float[Array, "h w 1"], Float[Array, "h w f"]]
+"""Filter, confidence and guide that a cascade is timed on."""
 
 # Steps by factor that make a level's steps cost about as much as the rest of a single-level schedule.
 MANY_STEPS = {1: 10, 2: 24, 4: 40, 8: 80}
 MANY_COARSE_STEPS = 240
 FEW_STEPS = 2
-
-
-@dataclasses.dataclass(frozen=True)
-class Calibration:
-    """Result of `calibrate`; `LatencyTable` describes the attributes."""
-
-    median: CostModel
-    p95: CostModel
-    error: dict[str, float]
-    probe: Milliseconds
-    schedules: list[CalibrationTime]
-    stages: dict[str, Milliseconds]
 
 
 # ---- the choice ----
@@ -60,7 +46,7 @@ def probe_steps(factors: Sequence[int]) -> tuple[int, ...]:
 
 
 def calibration_steps(factors: Sequence[int]) -> list[tuple[int, ...]]:
-    """The schedules that `calibrate` times, as steps over the factors.
+    """Schedules from whose times the costs of all others follow, as steps over the factors.
 
     Each level alone with few and with many steps, every entry and every finest level of longer long, two
     schedules of the paper, every other level, and some mixtures, so that all coefficients can be told apart and an
@@ -134,49 +120,3 @@ def time_calls(
     check_repeats(repeats)
     summary = latency.measure_each(calls, repeats, most_seconds=most_seconds, progress=progress)
     return {name: Milliseconds(entry["median_ms"], entry["p95_ms"]) for name, entry in summary.items()}
-
-
-def calibrate(
-    arguments: Arguments, factors: Sequence[int], *, repeats: int = REPEATS, progress: bool = True
-) -> Calibration:
-    """Time some thirty schedules and fit the model to them.
-
-    Args:
-        arguments: filter, confidence and guide to time on.
-        factors: factors, coarse to fine.
-        repeats: times each schedule runs, fewer if that would take more than half a minute.
-        progress: show bars on stderr.
-    """
-    steps = calibration_steps(factors)
-    calls = compile_all([schedule_of(factors, row) for row in steps], arguments, progress=progress)
-    named = {str(index): call for index, call in enumerate(calls)}
-    times = list(time_calls(named, repeats, progress=progress).values())
-    medians, p95s = [t.median for t in times], [t.p95 for t in times]
-    median = fit(steps, medians)
-    errors = leave_one_out(steps, medians)
-    return Calibration(
-        median=median,
-        p95=fit(steps, p95s, above=median),
-        error={"median_relative": float(np.median(errors)), "worst_relative": float(errors.max())},
-        probe=time_probe(calls[steps.index(probe_steps(factors))]),
-        schedules=[{"steps": list(row), "median_ms": t.median, "p95_ms": t.p95} for row, t in zip(steps, times)],
-        stages=time_calls(own_stages(factors, arguments), repeats),
-    )
-
-
-def time_probe(probe: Callable[[], Any], repeats: int = PROBE_REPEATS) -> Milliseconds:
-    """Time that the compiled probe takes on its own."""
-    return time_calls({"probe": probe}, repeats, most_seconds=None)["probe"]
-
-
-def own_stages(factors: Sequence[int], arguments: Arguments) -> dict[str, Callable[[], Any]]:
-    """Parts of the probe's cascade alone: the conductances of its levels; down to its entry level and up again."""
-    y, _, guide = arguments
-    schedule = jax.device_put(schedule_of(factors, probe_steps(factors)))
-    entry, kappa = schedule.levels[0].factor, schedule.levels[0].kappa
-    edges = jax.jit(level_edges)
-    resample = jax.jit(lambda y, guide, kappa: guided_upsample(downsample(y, entry), entry, guide, kappa))
-    return {
-        "conductance": functools.partial(edges, guide, schedule),
-        "resampling": functools.partial(resample, y, guide, kappa),
-    }

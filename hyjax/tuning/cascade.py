@@ -22,17 +22,12 @@ from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.descent import Objective, polish, starts
 from hyjax.tuning.evaluation import Scores
 from hyjax.tuning.evaluator import POLISHING, CascadeEvaluator
-from hyjax.tuning.latency_estimator import (
-    CascadeEstimator,
-    LatencySource,
-    ScheduleClock,
-    check_reachable,
-)
 from hyjax.tuning.proposal import with_point
 from hyjax.tuning.relaxation import RANGES, RelaxedSchedule, prepare, relaxed_of
 from hyjax.tuning.request import split_frames
 from hyjax.tuning.result import Budget, Candidate, Tuned
 from hyjax.tuning.run import Run, RunMonitor
+from hyjax.tuning.schedule_clock import LatencySource, OwnTimes, ScheduleClock
 from hyjax.tuning.search import State
 from hyjax.tuning.settings import BudgetStage, TuneSettings
 from hyjax.tuning.space import Choices, Space
@@ -90,7 +85,7 @@ class CascadeStage(Stage):
         holdout: Sequence[int],
         latency: LatencySource | None = None,
     ) -> None:
-        self.bench, self.settings, self.latency = bench, settings, latency
+        self.bench, self.settings = bench, settings
         self.frames, self._environment, progress = list(frames), environment(), not settings.quiet
         tuning, blind = bench.cases(frames, "tuning", progress)
         held_out, more = bench.cases(list(holdout), "held-out", progress)
@@ -98,11 +93,8 @@ class CascadeStage(Stage):
         self._asked = list(holdout)
         self.judge = CascadeJudge([*tuning, *held_out])
         self.cases, self.held_out = range(len(tuning)), range(len(tuning), len(tuning) + len(held_out))
-        self.own_clock: ScheduleClock = (
-            latency(tuning[0])
-            if latency
-            else CascadeEstimator(tuning[0], recalibrate=settings.recalibrate, progress=progress)
-        )
+        self.latency = latency or OwnTimes(settings.recalibrate, progress)
+        self.own_clock: ScheduleClock = self.latency(tuning[0])
         self.clock, self.factors = self.own_clock, self.own_clock.table.factors
         self.space = Space.of_cascade(self.factors, RANGES)
         usual = self.space.configuration(self.space.default, "hyjax").schedule
@@ -185,7 +177,7 @@ class CascadeStage(Stage):
             "device": self._environment["device"],
             "versions": {name: self._environment["versions"][name] for name in ("hyjax", "jax", "jaxlib")},
         }
-        return told if self.latency is None else told | {"latency": self.latency.fingerprint}
+        return told | ({"latency": self.latency.fingerprint} if self.latency.fingerprint else {})
 
     def record(self) -> dict[str, Any]:
         name, table = self.bench.name, self.own_clock.table
@@ -241,7 +233,7 @@ def tune_bench(
     monitor = monitor or RunMonitor(settings.time_limit, not settings.quiet)
     budgets = budgets or settings.budgets()
     for budget in budgets:  # before the folder holds a run
-        check_reachable(stage.own_clock, budget.milliseconds)
+        stage.own_clock.check_reachable(budget.milliseconds)
     return Run(stage, settings, budgets, monitor).run()
 
 

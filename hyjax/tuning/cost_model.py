@@ -13,7 +13,7 @@ Symbols of this file: *steps* are n_l at each of the factors, coarse to fine, 0 
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Annotated, TypedDict
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -32,14 +32,6 @@ class Milliseconds:
 
     median: Time
     p95: Time
-
-
-class CalibrationTime(TypedDict):
-    """Steps of a schedule over the factors, with its measured times."""
-
-    steps: list[int]
-    median_ms: Time
-    p95_ms: Time
 
 
 # No measured time is taken to be shorter, in milliseconds: what the clock's record is rounded to.

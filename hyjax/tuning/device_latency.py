@@ -11,7 +11,7 @@ import numpy as np
 from hyjax.core.diffusion import Norm
 from hyjax.core.schedule import Pooling, Schedule, Upsampling, guided_schedule
 from hyjax.tuning.cost_model import Milliseconds
-from hyjax.tuning.workload import Workload, schedule_key
+from hyjax.tuning.factors import schedule_key
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
 from hyjax.util.reading import parse_json, read_bytes
@@ -36,8 +36,6 @@ Factor = Annotated[int, msgspec.Meta(ge=1, le=4096)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=100_000)]
 Text = Annotated[str, msgspec.Meta(max_length=300)]
 Precision = Literal["f32", "f16"]
-
-DTYPES: dict[Precision, str] = {"f32": "float32", "f16": "float16"}
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -75,21 +73,6 @@ class DeviceWorkload(Record, frozen=True, omit_defaults=False):
     lights: Channels
     features: Channels = 3
     precision: Precision = "f32"
-
-    @classmethod
-    def of(cls, workload: Workload, precision: Precision = "f32") -> "DeviceWorkload":
-        """Those of a scene's frames."""
-        return cls(
-            height=workload.height,
-            width=workload.width,
-            lights=workload.lights,
-            features=workload.guide_channels,
-            precision=precision,
-        )
-
-    def plain(self) -> Workload:
-        """Workload, as latency tables have it."""
-        return Workload(self.height, self.width, self.lights, self.features, DTYPES[self.precision])
 
     def __str__(self) -> str:
         return f"{self.width}x{self.height}, lights {self.lights}, guide channels {self.features}, {self.precision}"

@@ -11,7 +11,7 @@ from hyjax.device.frame_program import LIGHT_GROUPS
 from hyjax.device.program import Groups, Program
 from hyjax.tuning.calibration import calibration_steps, schedule_of
 from hyjax.tuning.device_latency import FORMAT, DeviceWorkload, Form, Instant, Record
-from hyjax.tuning.workload import factors_for
+from hyjax.tuning.factors import factors_for
 
 PRESET_NAMES = ("hyjax", "paper-50", "paper-80", "naive-50")
 """Presets in a request whose levels are among the factors, to compare with in reports."""
@@ -74,10 +74,6 @@ def each_once(schedules: Iterable[Schedule]) -> list[Schedule]:
 
 def latency_request(workload: DeviceWorkload, schedules: Sequence[Schedule]) -> LatencyRequest:
     """Request to time schedules.
-
-    Args:
-        workload: the shapes.
-        schedules: each once.
 
     Raises:
         InputError: a schedule of which some levels have a fidelity and others none.

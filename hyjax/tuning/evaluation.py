@@ -91,10 +91,6 @@ def padded(lit: LitFrame, most: int) -> LitFrame:
     """A frame with lights that give nothing, up to so many, and with pixels that may shine.
 
     Its picture is the same. Compiling a cascade for each number of lights would take longer than running it.
-
-    Args:
-        lit: any.
-        most: lights, at least as many as it has.
     """
     shaded, view = lit.shaded, lit.view.frame
     more, emission = most - shaded.illuminance.shape[-1], shaded.emission

@@ -12,10 +12,10 @@ from hyjax.configuration import Configuration
 from hyjax.tuning.clock import Clock
 from hyjax.tuning.descent import Objective, polish
 from hyjax.tuning.evaluation import FrameCase, Judge
-from hyjax.tuning.latency_estimator import ScheduleClock
 from hyjax.tuning.proposal import UNLIMITED_STEPS, Price, relaxed_choices, relaxed_points, with_point
 from hyjax.tuning.refinement import numbers_of, refine_numbers
 from hyjax.tuning.relaxation import RelaxedSchedule, evaluate, relaxed_of
+from hyjax.tuning.schedule_clock import ScheduleClock
 from hyjax.tuning.space import Choices, Space, key_of, structure
 from hyjax.tuning.study import Study
 from hyjax.tuning.trial import Trial
@@ -29,14 +29,7 @@ PRICED_STEPS = 24
 
 
 class Evaluator(abc.ABC):
-    """Judge of trials: losses relative to the default's on cases, and times.
-
-    Args:
-        space: of the choices.
-        cases: in the order of batches.
-        seed: of relaxations.
-        expired: whether the time is up.
-    """
+    """Judge of trials: losses relative to the default's on cases, and times."""
 
     cost: Callable[[Choices], float] | None = None
     """Time of choices over the default's, where it is known without measuring."""
@@ -87,17 +80,7 @@ class Evaluator(abc.ABC):
 
 
 class StudyEvaluator(Evaluator):
-    """Judge of trials on whole frames.
-
-    Args:
-        space: of the choices.
-        judge: of the cases.
-        cases: in the order of batches.
-        clock: of whole frames.
-        study: keeps the price of a step.
-        seed: of the relaxation.
-        expired: whether the time is up.
-    """
+    """Judge of trials on whole frames."""
 
     def __init__(
         self,
@@ -199,13 +182,6 @@ class CascadeEvaluator(Evaluator):
     """Judge of trials of the diffusion alone.
 
     One compiled program has the losses of all trials, since their steps are its arguments.
-
-    Args:
-        space: of the choices.
-        objective: of the frames.
-        clock: of schedules, whose model predicts times.
-        seed: of the relaxation.
-        expired: whether the time is up.
     """
 
     def __init__(

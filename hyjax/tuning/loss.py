@@ -48,12 +48,7 @@ class PictureLoss:
         return fit_gains(image, target.picture, encode, valid=target.valid).astype(np.float32)
 
     def scores(self, image: Float[np.ndarray, "h w 3"], target: Target) -> dict[str, float]:
-        """Loss and all metrics of the registry by name; `psnr_raw` is that of the picture as it is.
-
-        Args:
-            image: relit picture, linear.
-            target: see there.
-        """
+        """Loss and all metrics of the registry by name; `psnr_raw` is that of the picture as it is."""
         gains = self.gains(image, target)
         own = self._scores(image * gains, target.picture, target.valid)
         raw = _psnr(*map(jnp.asarray, (image, target.picture, target.valid)))

@@ -140,12 +140,7 @@ def score_forms() -> dict[str, tuple[str, str]]:
 
 
 def page(tuned: Tuned, examples: Sequence[Example]) -> str:
-    """The whole page as one HTML text, which needs nothing else.
-
-    Args:
-        tuned: what was found.
-        examples: pictures to look at; may be empty.
-    """
+    """The whole page as one HTML text, which needs nothing else."""
     here = Path(__file__).parent
     environment = templates(here)
     environment.globals |= {function.__name__: function for function in FUNCTIONS}

@@ -126,10 +126,10 @@ def bargain(tuned: Tuned) -> list[str]:
     best = tuned.best[0]
     for cheap in tuned.front:
         more = 100.0 * (cheap.tuning["relative"] / best.tuning["relative"] - 1.0)
-        if more <= 1.0 and 1.5 * cheap.time.median < best.time.median:
+        if more <= 1.0 and 1.5 * cheap.time.ratio < best.time.ratio and not same(cheap, best):
             return [
                 f"A bargain: {cheap.name} ({configuration_text(cheap.configuration)}) takes "
-                f"{milliseconds(cheap.time.median)} ms, {best.time.median / cheap.time.median:.1f} times less, for "
+                f"{milliseconds(cheap.time.median)} ms, {best.time.ratio / cheap.time.ratio:.1f} times less, for "
                 f"{max(more, 0.0):.1f} % more loss (tuning frames)."
             ]
     return []
@@ -141,8 +141,7 @@ def sentence(tuned: Tuned, budget: Budget, best: Candidate) -> str:
     time = f"median {milliseconds(best.time.median)} ms, p95 {milliseconds(best.time.p95)} ms"
     if best.time.predicted:
         time = f"for {tuned.record.get('device', 'the device')} predicted, not timed: {time}"
-    beside = "beside" if best.time.predicted else "in turns with"
-    against = f"{beside} the default's median {milliseconds(best.time.default)} ms"
+    against = f"{best.time.ratio:.2f} of the default's time" + ("" if best.time.predicted else ", in turns with it")
     text = (
         f"{budget_text(budget)}: {best.name} ({configuration_text(best.configuration)}); {time}, {against}; loss "
         f"{change_text(best.tuning['relative'])} on tuning frames"

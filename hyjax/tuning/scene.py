@@ -102,13 +102,7 @@ def with_photo_light(configuration: Configuration) -> Configuration:
 
 
 def open_room(name: str, size: str | None = None, seed: int = 0) -> TuningScene:
-    """Room of known truth; photographed on first use, which takes a minute, and kept in the cache folder.
-
-    Args:
-        name: see `check_room`.
-        size: width x height of its pictures.
-        seed: of its simulated scan.
-    """
+    """Room of known truth; photographed on first use, which takes a minute, and kept in the cache folder."""
     height, width = parse_size(size or ROOM_SIZE) or (0, 0)
     capture = load_truth_room(check_room(name), ROOM_PHOTOS, width, height)
     return TuningScene(name, Scene.open(SceneSettings(seed=seed), capture=capture))
@@ -130,11 +124,6 @@ def spread_cases(frames: Sequence[Sequence[int]], lights: Sequence[str], seed: i
 
     >>> spread_cases([[0, 5], [3]], ["noon-window"], 0)
     [(0, 'noon-window', 0), (1, 'noon-window', 3), (0, 'noon-window', 5)]
-
-    Args:
-        frames: of each scene, under each set-up.
-        lights: set-ups.
-        seed: of the order.
     """
     rng = np.random.default_rng(seed)
     cases: list[tuple[int, str, int]] = []
@@ -155,12 +144,6 @@ def open_scenes(
     settings: SceneSettings, target: str | None = None, *, capture: Capture | None = None, progress: bool = False
 ) -> tuple[Scene, Scene | None]:
     """A capture on its rough surface, and on an accurate one.
-
-    Args:
-        settings: capture, mesh and size.
-        target: the accurate surface, see `TuneSettings`.
-        capture: frames that were opened before.
-        progress: show bars on stderr.
 
     Returns:
         The second is None where the target is the converged diffusion on the rough surface.

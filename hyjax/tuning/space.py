@@ -132,12 +132,7 @@ class Space:
 
     @classmethod
     def of(cls, *, truth: bool, paper: bool = False) -> "Space":
-        """Space of linear light, or of the paper's form.
-
-        Args:
-            truth: whether true pictures judge it.
-            paper: the paper's form.
-        """
+        """Space of linear light, or of the paper's form."""
         if paper:
             own = [p for c in CHOICES.values() if c.paper for p in Parameter.of(c, c.paper, paper=True)]
             return cls(tuple(own), True)

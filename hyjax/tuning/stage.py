@@ -208,14 +208,7 @@ def _mean_log(rows: Sequence[Mapping[str, float]]) -> float:
 
 
 def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, clock: Clock) -> None:
-    """Raise `InputError` if even the cheapest configurations, on the clock, take longer than a budget.
-
-    Args:
-        budgets: each.
-        base: time of the default.
-        space: of the choices.
-        clock: times them.
-    """
+    """Raise `InputError` if even the cheapest configurations, on the clock, take longer than a budget."""
     least = min(budgets, key=lambda budget: budget.milliseconds)
     if least.milliseconds >= base.p95:
         return

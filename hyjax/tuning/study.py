@@ -178,12 +178,7 @@ def _cut_to_lines(path: Path) -> None:
 
 @_quietly()
 def kept_trials(path: Path, name: str = "frame") -> list[Trial]:
-    """Trials of a journal of any machine and settings, to be read only.
-
-    Args:
-        path: `study.log`.
-        name: of the space that was searched.
-    """
+    """Trials of a journal of any machine and settings, to be read only."""
     check_installed()
     import optuna
     from optuna.storages import JournalStorage

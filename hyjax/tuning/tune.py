@@ -14,10 +14,10 @@ from hyjax.data.capture import Capture
 from hyjax.guide.choose import open_guide
 from hyjax.tuning.bench import open_bench
 from hyjax.tuning.cascade import tune_bench
-from hyjax.tuning.latency_estimator import LatencySource, workload_of
 from hyjax.tuning.request import split_frames
 from hyjax.tuning.result import Tuned
 from hyjax.tuning.run import opened, tune_frame
+from hyjax.tuning.schedule_clock import ConnectedTimes, FileTimes, LatencySource, OwnTimes, workload_of
 from hyjax.tuning.settings import TuneSettings
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
@@ -91,14 +91,12 @@ def tune_schedule(
 
 
 @contextlib.contextmanager
-def _latency_source(settings: TuneSettings) -> Iterator[LatencySource | None]:
-    """Source of the times of the device to tune for; None for this machine."""
+def _latency_source(settings: TuneSettings) -> Iterator[LatencySource]:
+    """Source of the times of the device to tune for."""
     other = settings.target_device
     if other.latency is None and not other.device:
-        yield None
+        yield OwnTimes(settings.recalibrate, not settings.quiet)
         return
-    from hyjax.tuning.device_estimator import ConnectedTimes, FileTimes
-
     if other.latency is not None:
         yield FileTimes(other.latency, settings.tuned_stage == "frame")
         return
@@ -118,14 +116,13 @@ def _say(line: str) -> None:
 
 def write_request(settings: TuneSettings, path: Path) -> "LatencyRequest":
     """Write which schedules another engine is to time, for frames of these settings."""
-    from hyjax.tuning.device_latency import DeviceWorkload
     from hyjax.tuning.device_request import calibration_schedules, latency_request, request_text
 
     settings.check()
     bench = open_bench(settings, guide=open_guide(settings.guide))
     frames, _ = split_frames(len(bench.scene), settings.frames, settings.holdout)
     (case, *_), _ = bench.cases(frames[:1], "tuning", not settings.quiet)
-    workload = DeviceWorkload.of(workload_of(case))
+    workload = workload_of(case)
     request = latency_request(workload, calibration_schedules(workload))
     write_text(path, request_text(request))
     return request

@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from common import without_gradients
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,7 +18,6 @@ from hyjax import tune_schedule as tune
 from hyjax.core.schedule import guided_schedule
 from hyjax.data.builtin_room import load_room
 from hyjax.tuning.cost_model import CostModel
-from hyjax.tuning.device_estimator import FRAME_STAGES, DeviceEstimator, latency_table
 from hyjax.tuning.device_latency import (
     FEWEST_SAMPLES,
     Device,
@@ -31,10 +31,12 @@ from hyjax.tuning.device_latency import (
     write_latency,
 )
 from hyjax.tuning.device_request import calibration_schedules, latency_request, measure_program, request_text
+from hyjax.tuning.factors import factors_for, schedule_key
+from hyjax.tuning.latency_table import LatencyTable
 from hyjax.tuning.report_text import summary
+from hyjax.tuning.schedule_clock import FRAME_STAGES, ScheduleClock
 from hyjax.tuning.settings import FrameOptions, OtherDevice, TuneScene, TuneSettings
 from hyjax.tuning.tune import write_request
-from hyjax.tuning.workload import factors_for, schedule_key
 
 WORKLOAD = DeviceWorkload(height=256, width=320, lights=2)
 FACTORS = factors_for(256, 320)
@@ -160,7 +162,7 @@ def test_what_is_no_file_is_refused(content: bytes, tmp_path: Path) -> None:
 
 
 def test_costs_are_recovered() -> None:
-    estimator = DeviceEstimator(latency(), WORKLOAD)
+    estimator = ScheduleClock(latency(), WORKLOAD)
     for steps in ([(16, 3), (4, 6)], [(8, 4), (2, 9), (1, 2)], [(2, 1)], [(1, 20)]):
         schedule = guided_schedule([(factor, count) for factor, count in steps if factor in FACTORS])
         expected = milliseconds(schedule)
@@ -182,26 +184,26 @@ def test_summaries_do_for_samples() -> None:
         if timed.pooling == timed.upsampling == "guide"
     )
     steps = (1, 2, 3, 4)
-    expected = latency_table(whole).predict(steps)
-    assert latency_table(latency(measured=brief, rounds=())).predict(steps).p95 == pytest.approx(expected.p95)
+    expected = LatencyTable.of(whole).predict(steps)
+    assert LatencyTable.of(latency(measured=brief, rounds=())).predict(steps).p95 == pytest.approx(expected.p95)
 
 
 def test_what_a_search_needs_must_be_there() -> None:
     without = tuple(t for t in latency().measured if not t.steps.get(2))
     with pytest.raises(InputError, match="factor 2 is missing"):
-        DeviceEstimator(latency(measured=without), WORKLOAD, "phone.json")
+        ScheduleClock(latency(measured=without), WORKLOAD, "phone.json")
     other = DeviceWorkload(height=240, width=320, lights=2)
     with pytest.raises(InputError, match=r"phone\.json: workload 320x256.*the scene's is 320x240"):
-        DeviceEstimator(latency(), other, "phone.json")
-    DeviceEstimator(latency(), DeviceWorkload(height=256, width=320, lights=4))  # as many groups of four
+        ScheduleClock(latency(), other, "phone.json")
+    ScheduleClock(latency(), DeviceWorkload(height=256, width=320, lights=4))  # as many groups of four
     with pytest.raises(InputError, match=r"stages: .*shadow pass.* missing"):
-        DeviceEstimator(latency(), WORKLOAD, whole_frame=True)
+        ScheduleClock(latency(), WORKLOAD, whole_frame=True)
 
 
 def test_a_whole_frame_counts_all_stages() -> None:
     stages = {name: Stage(median=1.0, p95=2.0) for name in (*FRAME_STAGES, "guide")}
-    frame = DeviceEstimator(latency(stages=stages), WORKLOAD, whole_frame=True)
-    own = DeviceEstimator(latency(), WORKLOAD)
+    frame = ScheduleClock(latency(stages=stages), WORKLOAD, whole_frame=True)
+    own = ScheduleClock(latency(), WORKLOAD)
     schedule = SCHEDULES[0]
     assert frame.predict(schedule).median == pytest.approx(own.predict(schedule).median + 6.0)
     assert frame.cost((1, 1, 1, 1)) == pytest.approx(own.cost((1, 1, 1, 1)) + 12.0)
@@ -213,7 +215,7 @@ def test_heat_shows() -> None:
         Timed.of(s, milliseconds=tuple((milliseconds(s) * np.linspace(1.0, 1.6, 20)).tolist())) for s in SCHEDULES
     )
     assert latency(measured=slower).drift() == pytest.approx(0.4, abs=0.1)
-    assert "%" in DeviceEstimator(latency(measured=slower), WORKLOAD).source
+    assert "%" in ScheduleClock(latency(measured=slower), WORKLOAD).source
 
 
 def test_a_request_says_all_that_is_to_be_timed() -> None:
@@ -245,7 +247,8 @@ def test_options_that_exclude_each_other(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_schedule_for_a_device_that_is_not_here(tmp_path: Path) -> None:
+def test_a_schedule_for_a_device_that_is_not_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    without_gradients(monkeypatch)
     room = load_room(n_frames=6, width=160, height=120, quality=0.25, progress=False)
     scene = TuneScene(size="64x48")
     asked = tmp_path / "request.json"
@@ -260,7 +263,7 @@ def test_a_schedule_for_a_device_that_is_not_here(tmp_path: Path) -> None:
     value = latency(workload=request.workload, measured=tuple(measured), rounds=())
     path = tmp_path / "phone.json"
     write_latency(path, value)
-    options: dict[str, Any] = {"frames": "0:2", "holdout": "3", "extra": False, "quiet": True}
+    options: dict[str, Any] = {"frames": "0", "holdout": "3", "extra": False, "quiet": True}
     options |= {"frame": FrameOptions(trials=4), "out": tmp_path / "out"}
     settings = TuneSettings(scene, OtherDevice(latency=path), budget_ms=(3.0,), **options)
     tuned = tune(settings=settings, capture=room)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from common import without_gradients
 
 from experiments.browser import browser
 from hyjax import Schedule
@@ -17,9 +18,9 @@ from hyjax.export.bench import write_bench
 from hyjax.tuning import device_request
 from hyjax.tuning.bench import open_bench
 from hyjax.tuning.cascade import tune_bench
-from hyjax.tuning.device_estimator import ConnectedTimes
 from hyjax.tuning.device_latency import DeviceWorkload, parse_latency, read_latency
 from hyjax.tuning.device_measuring import ConnectedDevice
+from hyjax.tuning.schedule_clock import ConnectedTimes
 from hyjax.tuning.settings import FrameOptions, OtherDevice, TuneScene, TuneSettings
 
 WEBGPU = (
@@ -33,6 +34,7 @@ AMPLE = 2000.0
 @pytest.fixture
 def page(browser_wanted: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """An empty page of a browser with WebGPU, and jobs that take seconds."""
+    without_gradients(monkeypatch)
     monkeypatch.setattr(device_request, "ROUNDS", 10)
     monkeypatch.setattr(device_request, "WARM_UP_SECONDS", 0.0)
     monkeypatch.setattr(device_request, "SAMPLE_MS", 1.0)
@@ -57,7 +59,7 @@ def watch(page: Any, thread: threading.Thread, seconds: float = 600.0) -> list[s
 def test_a_schedule_for_the_browser_keeps_its_budget(page: Any, tmp_path: Path) -> None:
     room = load_room(n_frames=6, width=160, height=120, quality=0.25, progress=False)
     scene = TuneScene(size="64x48")
-    options: dict[str, Any] = {"frames": "0:2", "holdout": "3", "extra": False, "quiet": True}
+    options: dict[str, Any] = {"frames": "0", "holdout": "3", "extra": False, "quiet": True}
     options["frame"] = FrameOptions(trials=4)
     settings = TuneSettings(scene, OtherDevice(device=True), budget_ms=(AMPLE,), **options, out=tmp_path / "ample")
     lines: list[str] = []

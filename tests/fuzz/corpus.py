@@ -91,21 +91,6 @@ def configurations(folder: Path) -> None:
         (folder / f"{name}.json").write_text(Configuration.preset(name).to_json())
 
 
-def latency_tables(folder: Path) -> None:
-    from hyjax.tuning.cost_model import CostModel, Milliseconds
-    from hyjax.tuning.latency_table import LatencyTable
-    from hyjax.tuning.workload import Workload
-
-    cost = CostModel(0.4, (0.1, 0.2), (0.01, 0.3), (0.5, 0.0))
-    time = Milliseconds(1.0, 2.0)
-    timed = [{"steps": [3, 1], "median_ms": 1.0, "p95_ms": 2.0}]
-    table = LatencyTable(
-        Workload(64, 64, 1), (2, 1), {"platform": "cpu", "cores": 2}, {"jax": "0"}, "2026-01-01", cost, cost,
-        {"median_relative": 0.1, "worst_relative": 0.2}, time, timed, {"conductance": time}, {"a": time},
-    )  # fmt: skip
-    (folder / "a.json").write_text(table.to_json())
-
-
 def device_latencies(folder: Path) -> None:
     from hyjax.core.schedule import guided_schedule
     from hyjax.tuning.device_latency import (

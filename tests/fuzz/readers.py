@@ -91,14 +91,6 @@ def _configuration(path: Path) -> object:
     return Configuration.open(str(path))
 
 
-def _latency_table(path: Path) -> object:
-    from hyjax.tuning.latency_table import LatencyTable
-    from hyjax.util.reading import read_text
-
-    table = LatencyTable.from_json(read_text(path))
-    return table.key(), table.to_json()
-
-
 def _device_latency(path: Path) -> object:
     from hyjax.tuning.device_latency import read_latency
 
@@ -277,7 +269,6 @@ READERS: dict[str, Reader] = {
     "picture size": Reader(corpus.pictures, _shape),
     "schedule": Reader(corpus.schedules, _schedule),
     "configuration": Reader(corpus.configurations, _configuration),
-    "latency table": Reader(corpus.latency_tables, _latency_table),
     "device latency": Reader(corpus.device_latencies, _device_latency),
     "device message": Reader(_messages_of_devices, _measuring, stream=True),
     "tour plan": Reader(corpus.tour_plans, _tour_plan, extra="tour"),

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hyjax.tuning.cost_model import CostModel
-from hyjax.tuning.workload import FACTORS
+from hyjax.tuning.factors import FACTORS
 
 # Roughly what 512x512 with two lights costs on two cores.
 TRUTH = CostModel(

@@ -8,7 +8,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from hyjax.tuning.budget import MOST_STEPS, Steps, fill, fits, moves, neighbours, project, single_steps
-from hyjax.tuning.latency_table import CostModel
+from hyjax.tuning.cost_model import CostModel
 
 SIZE = 3
 BUDGET = 10.0

@@ -1,17 +1,25 @@
 """The choice of calibration schedules, and what is compiled to be timed."""
 
+import dataclasses
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hyjax.core.cascade import cascade
 from hyjax.core.refine import cascade_known
-from hyjax.core.schedule import GUIDED_FIDELITY, Schedule, guided_schedule
-from hyjax.tuning.calibration import calibration_steps, compile_all, own_stages, probe_steps, schedule_of
+from hyjax.core.schedule import Schedule, guided_schedule
+from hyjax.tuning.calibration import Arguments, calibration_steps, compile_all, probe_steps, schedule_of
 from hyjax.tuning.cost_model import row_of
-from hyjax.tuning.latency_estimator import has_searched_form
+from hyjax.tuning.factors import FACTORS, check_factors, factors_for, schedule_key
+from hyjax.tuning.latency_table import has_searched_form
 from hyjax.tuning.relaxation import RelaxedSchedule
-from hyjax.tuning.workload import FACTORS, Workload, schedule_key
 from hyjax.util.errors import InputError
+
+
+def arguments_of(height: int, width: int, lights: int) -> Arguments:
+    rng = np.random.default_rng(0)
+    y, guide = (rng.random((height, width, count), np.float32) for count in (lights, 3))
+    return jnp.asarray(y), jnp.asarray(rng.random((height, width, 1)) > 0.1, jnp.float32), jnp.asarray(guide)
 
 
 @pytest.mark.parametrize("factors", [FACTORS, (16, 8, 4, 2), (4, 2, 1), (2, 1), (8,)])
@@ -37,16 +45,8 @@ def test_what_is_timed_takes_the_time_of_what_is_searched() -> None:
         assert not has_searched_form(guided_schedule([(4, 2)], **changes))
 
 
-def test_parts_of_the_cascade_are_the_probes() -> None:
-    factors, (y, known, guide) = (4, 2), Workload(16, 12, 1).arguments()
-    stages = own_stages(factors, (y, known, guide))
-    assert {edge.shape for edges in stages["conductance"]() for edge in edges} == {(3, 3), (4, 2), (7, 6), (8, 5)}
-    without = guided_schedule([(4, 0)], fidelity=GUIDED_FIDELITY)
-    np.testing.assert_allclose(stages["resampling"](), cascade(y, guide, without), rtol=1e-6)
-
-
 def test_what_is_timed_is_the_pipelines_cascade() -> None:
-    arguments = Workload(16, 12, 1).arguments()
+    arguments = arguments_of(16, 12, 1)
     schedules = [schedule_of((4, 2), (2, 3)), Schedule.uniform([(4, 2), (2, 3)]), Schedule.uniform([(2, 1)])]
     calls = compile_all(schedules, arguments, progress=False)
     for call, schedule in zip(calls, schedules):
@@ -54,7 +54,36 @@ def test_what_is_timed_is_the_pipelines_cascade() -> None:
 
 
 def test_an_error_while_compiling_comes_out() -> None:
-    arguments = Workload(16, 12, 1).arguments()
+    arguments = arguments_of(16, 12, 1)
     broken = Schedule((Schedule.uniform([(4, 2)]).levels[0],) * 2)  # the same level twice
     with pytest.raises(InputError, match="coarse to fine"):
         compile_all([broken, Schedule.uniform([(2, 1)])], arguments, progress=False)
+
+
+def test_ladders_keep_what_fits_the_size() -> None:
+    assert factors_for(1080, 1920) == FACTORS
+    assert factors_for(512, 512) == (16, 8, 4, 2, 1)
+    assert factors_for(64, 64) == (2, 1)
+    assert factors_for(200, 100, (8, 4)) == (4,)
+    assert factors_for(1, 1) == (1,)
+    with pytest.raises(InputError, match="too coarse for 8x8"):
+        factors_for(8, 8, factors=(16, 8))
+
+
+@pytest.mark.parametrize("factors", [(), (2, 4), (4, 4), (6, 4), (4, 0), (4.0, 2.0), (2, True)])
+def test_bad_ladders_are_refused(factors: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="factors: "):
+        check_factors(factors)
+
+
+def test_schedule_key_has_what_decides_the_time() -> None:
+    schedule = Schedule.uniform([(16, 5), (8, 10)])
+    assert schedule_key(schedule) == "16:5 8:10"
+    assert schedule_key(Schedule.uniform([(16, 5), (8, 10)], kappa=0.3, lam=0.1, name="x")) == "16:5 8:10"
+    other = dataclasses.replace(schedule, pooling="guide", norm="mean_abs")
+    assert schedule_key(other) == "16:5 8:10 pooling=guide norm=mean_abs"
+    guided = guided_schedule([(16, 5), (8, 10)])
+    assert schedule_key(guided) == "16:5 8:10 pooling=guide upsampling=guide attached"
+    assert schedule_key(guided_schedule([(16, 5), (8, 10)], fidelity=3.0, kappa=0.3)) == schedule_key(guided)
+    free = guided_schedule([(16, 5), (8, 10)], fidelity=None)
+    assert schedule_key(free) == "16:5 8:10 pooling=guide upsampling=guide"

@@ -6,7 +6,7 @@ from reference.costs import TRUTH, random_steps
 
 from hyjax.tuning.calibration import calibration_steps
 from hyjax.tuning.cost_model import fit, leave_one_out
-from hyjax.tuning.workload import FACTORS
+from hyjax.tuning.factors import FACTORS
 from hyjax.util.errors import InputError
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import jax
@@ -18,7 +18,7 @@ from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.scene.relighter import refined_picture
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
-from hyjax.tuning.clock import FrameClock, slowest_setup
+from hyjax.tuning.clock import FrameClock, FrameTime, slowest_setup
 from hyjax.tuning.evaluation import Judge, padded
 from hyjax.tuning.loss import PictureLoss
 from hyjax.tuning.proposal import frame_objective, relaxed_choices, relaxed_of
@@ -188,10 +188,26 @@ def options(tmp_path_factory: pytest.TempPathFactory) -> TuneSettings:
     )
 
 
+def moved_numbers(configuration: Configuration, *_: object, levels: bool, **__: object) -> Configuration:
+    numbers = numbers_of(configuration, levels=levels)
+    return settled(configuration, numbers | {"kappa": 0.9 * numbers["kappa"]})
+
+
+def steady_times(
+    _: FrameClock, configurations: Sequence[Configuration], repeats: int, *, most_seconds: float | None = None
+) -> list[FrameTime]:
+    """A clock on which only the size counts."""
+    return [FrameTime(9.0 / c.scale, 10.0 / c.scale, 9.0, 1.0 / c.scale) for c in configurations]
+
+
 @pytest.fixture(scope="module")
 def finished(options: TuneSettings, room: RoomCapture) -> Iterator[Path]:
-    with pytest.MonkeyPatch.context() as patch:  # a test of its own looks at it
+    with pytest.MonkeyPatch.context() as patch:  # tests of their own look at gradients and clock
         patch.setattr("hyjax.tuning.evaluator.relaxed_choices", lambda choices, *_, **__: choices)
+        for module in ("evaluator", "stage"):
+            patch.setattr(f"hyjax.tuning.{module}.refine_numbers", moved_numbers)
+        patch.setattr("hyjax.tuning.stage.PRESETS", ("fast",))
+        patch.setattr(FrameClock, "times", steady_times)
         tuned = tune(settings=options, capture=room)
     assert tuned.best[0].tuning["relative"] <= 1.0 and tuned.best[0].held_out is not None
     assert tuned.record["kept"] == ["10000 ms"] and tuned.configuration.measured is not None
@@ -228,12 +244,17 @@ def test_a_finished_run_is_not_overwritten_and_goes_on(
     asked: list[object] = []
     for name in ("refine_numbers", "relaxed_choices"):
         monkeypatch.setattr(f"hyjax.tuning.evaluator.{name}", lambda *a, **k: asked.append(a))
+    monkeypatch.setattr("hyjax.tuning.stage.PRESETS", ("fast",))
+    monkeypatch.setattr(FrameClock, "times", steady_times)
     again = tune(settings=dataclasses.replace(options, resume=True), capture=room)
     assert not asked and len(again.trials) >= 3
 
 
 @pytest.mark.slow
-def test_a_budget_out_of_reach_names_the_fastest(options: TuneSettings, room: RoomCapture) -> None:
+def test_a_budget_out_of_reach_names_the_fastest(
+    options: TuneSettings, room: RoomCapture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FrameClock, "times", steady_times)
     settings = dataclasses.replace(options, budget_ms=(0.01,), out=None)
     with pytest.raises(InputError, match=r"^budget 0\.01 ms: out of reach .* the fastest that was found takes"):
         tune(settings=settings, capture=room)

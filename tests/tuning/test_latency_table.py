@@ -1,6 +1,5 @@
-"""The latency table: its calibration on a fake machine, the file, the cache; one small calibration for real."""
+"""The clock of schedules on this machine: its calibration on a fake one, the kept file; once for real."""
 
-import copy
 import dataclasses
 import functools
 import json
@@ -16,23 +15,20 @@ import pytest
 from reference.costs import TRUTH, random_steps
 
 from hyjax.core.schedule import Schedule, guided_schedule
-from hyjax.tuning import calibration, latency_table
-from hyjax.tuning.calibration import calibration_steps, probe_steps
+from hyjax.tuning import calibration, this_machine
+from hyjax.tuning.calibration import probe_steps
 from hyjax.tuning.cost_model import Milliseconds
-from hyjax.tuning.latency_table import (
-    FACTORS,
-    LatencyTable,
-    Workload,
-    load_table,
-    new_table,
-    save_table,
-    schedule_key,
-    time_schedules,
-)
-from hyjax.util import clock as latency
+from hyjax.tuning.device_latency import DeviceWorkload
+from hyjax.tuning.device_request import calibration_schedules
+from hyjax.tuning.factors import FACTORS, schedule_key
+from hyjax.tuning.latency_table import LatencyTable
+from hyjax.tuning.schedule_clock import ScheduleClock
+from hyjax.tuning.this_machine import PROBE, ThisMachine, kept_latency
+from hyjax.util import clock
 from hyjax.util.errors import InputError
 
-WORKLOAD = Workload(1024, 1024, 2)
+WORKLOAD = DeviceWorkload(height=1024, width=1024, lights=2)
+HERE = ThisMachine((jnp.zeros(1),) * 3, progress=False)
 
 
 def truth(schedule: Schedule) -> float:
@@ -42,7 +38,7 @@ def truth(schedule: Schedule) -> float:
 
 @dataclasses.dataclass
 class FakeMachine:
-    """Stands in for compiler and clock: schedules take what TRUTH says times `slowness`, other calls 1 ms."""
+    """Stands in for compiler and clock: schedules take what TRUTH says times `slowness`."""
 
     slowness: float = 1.0
     compiled: list[Schedule] = dataclasses.field(default_factory=list)
@@ -56,42 +52,40 @@ class FakeMachine:
     def measure(self, calls: Mapping[str, Callable[[], Any]], repeats: int, **_: object) -> dict[str, dict]:
         self.rounds.append(list(calls))
         slowness = self.spells.pop(0) if self.spells else self.slowness
-        result = {}
-        for name, call in calls.items():
-            thing = call()
-            time = truth(thing) * slowness if isinstance(thing, Schedule) else 1.0
-            result[name] = {"first_ms": 9.0, "count": repeats, "median_ms": time, "p95_ms": 1.5 * time}
-        return result
+        times = {name: truth(call()) * slowness for name, call in calls.items()}
+        return {name: {"count": repeats, "median_ms": t, "p95_ms": 1.5 * t} for name, t in times.items()}
 
 
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakeMachine:
     fake = FakeMachine()
     monkeypatch.setattr(calibration, "compile_all", fake.compile)
-    monkeypatch.setattr(latency, "measure_each", fake.measure)
-    monkeypatch.setattr(calibration, "own_stages", lambda factors, arguments: {"conductance": int})
-    monkeypatch.setattr(Workload, "arguments", lambda self: ())
+    monkeypatch.setattr(clock, "measure_each", fake.measure)
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
     return fake
 
 
 @pytest.fixture
-def table(machine: FakeMachine) -> LatencyTable:
-    return new_table(WORKLOAD, progress=False)
+def own(machine: FakeMachine) -> ScheduleClock:
+    return ScheduleClock(*clock_of(), engine=HERE)
+
+
+def clock_of() -> tuple[Any, DeviceWorkload, str]:
+    latency, origin = kept_latency(HERE, WORKLOAD)
+    return latency, WORKLOAD, origin
 
 
 # ---- calibration on the fake machine ----
 
 
-def test_calibrate_fits_both_quantiles(table: LatencyTable) -> None:
+def test_both_quantiles_are_fitted(own: ScheduleClock) -> None:
     for row in random_steps():
-        predicted = table.predict(row)
+        predicted = own.table.predict(row)
         assert predicted.median == pytest.approx(TRUTH(row), rel=1e-3)
         assert predicted.p95 == pytest.approx(1.5 * TRUTH(row), rel=1e-3)
-    assert table.stages == {"conductance": Milliseconds(1.0, 1.5)}
-    assert table.probe.median == pytest.approx(TRUTH(probe_steps(FACTORS)))
-    assert 0 <= table.error["median_relative"] <= table.error["worst_relative"] < 0.3
-    assert table.timed == {}
+    assert own.latency.stages[PROBE].median == pytest.approx(TRUTH(probe_steps(FACTORS)))
+    assert 0 <= own.table.error["median_relative"] <= own.table.error["worst_relative"] < 0.3
+    assert own.device == "" and own.source.startswith("calibrated anew")
 
 
 def test_the_tables_error_is_that_of_its_predictions(machine: FakeMachine, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,7 +97,7 @@ def test_the_tables_error_is_that_of_its_predictions(machine: FakeMachine, monke
         return additive(schedule) * (1.0 + 0.06 * np.sin(7.0 * total + 3.0 * len(schedule.levels)))
 
     monkeypatch.setattr(sys.modules[__name__], "truth", rough)
-    table = new_table(WORKLOAD, progress=False)
+    table = LatencyTable.of(clock_of()[0])
     rows = random_steps()
     times = [rough(calibration.schedule_of(table.factors, row)) for row in rows]
     errors = [abs(table.predict(row).median / time - 1.0) for row, time in zip(rows, times)]
@@ -111,201 +105,130 @@ def test_the_tables_error_is_that_of_its_predictions(machine: FakeMachine, monke
     assert np.median(errors) < table.error["median_relative"] < 3.0 * np.median(errors), "not flattered"
 
 
-def test_all_calibration_schedules_are_timed_in_the_same_rounds(machine: FakeMachine, table: LatencyTable) -> None:
-    assert len(machine.rounds[0]) == len(calibration_steps(FACTORS)) == len(table.calibration)
+def test_all_calibration_schedules_are_timed_in_the_same_rounds(machine: FakeMachine, own: ScheduleClock) -> None:
+    assert len(machine.rounds[0]) == len(calibration_schedules(WORKLOAD)) == len(own.latency.measured)
 
 
-@pytest.mark.parametrize("factors", [(), (2, 4), (4, 4), (6, 4), (4, 0), (4.0, 2.0), (2, True)])
-def test_bad_ladders_are_refused(factors: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="factors: "):
-        new_table(WORKLOAD, factors=factors, progress=False)
+# ---- schedules timed for real ----
 
 
-# ---- schedules and stages timed for real ----
-
-
-def test_steps_of_a_schedule(table: LatencyTable) -> None:
-    assert table.steps_of(Schedule.preset("paper-50")) == (0, 5, 10, 15, 20, 0)
-    assert table.steps_of(Schedule.uniform([(8, 3), (2, 0)])) == (0, 0, 3, 0, 0, 0)
+def test_steps_of_a_schedule(own: ScheduleClock) -> None:
+    assert own.table.steps_of(Schedule.preset("paper-50")) == (0, 5, 10, 15, 20, 0)
+    assert own.table.steps_of(Schedule.uniform([(8, 3), (2, 0)])) == (0, 0, 3, 0, 0, 0)
     with pytest.raises(InputError, match=r"custom: factor 6 .* 32, 16"):
-        table.steps_of(Schedule.uniform([(6, 3), (2, 1)]))
+        own.table.steps_of(Schedule.uniform([(6, 3), (2, 1)]))
 
 
-def test_timed_schedules_are_remembered(machine: FakeMachine, table: LatencyTable) -> None:
-    first, second = Schedule.preset("paper-50"), Schedule.preset("paper-80")
+def test_timed_schedules_are_remembered(machine: FakeMachine, own: ScheduleClock) -> None:
+    first, second = (Schedule.uniform(steps) for steps in ([(8, 3)], [(16, 5), (8, 10)]))
     before = len(machine.compiled)
-    times = time_schedules(table, [first, second, Schedule.preset("paper-50", kappa=0.5)], progress=False)
+    times = own.measure([first, second, Schedule.uniform([(8, 3)], kappa=0.5)])
     assert len(machine.compiled) == before + 2  # κ does not matter
     assert times[0] == times[2] == Milliseconds(truth(first), 1.5 * truth(first))
-    assert machine.rounds[-1] == list(table.timed) == ["16:5 8:10 4:15 2:20", "16:10 8:15 4:25 2:30"]
+    assert machine.rounds[-1] == ["8:3", "16:5 8:10"]
 
     machine.slowness = 3.0
     third = Schedule.uniform([(2, 4)])
-    again = time_schedules(table, [third, first], progress=False)
+    again = own.measure([third, first])
     assert again[1] == times[0] and again[0].median == pytest.approx(3 * truth(third))
     assert machine.rounds[-1] == ["2:4"]
-    assert time_schedules(table, [first], again=True, progress=False)[0].median == pytest.approx(3 * truth(first))
-    assert table.timed[schedule_key(first)].median == pytest.approx(3 * truth(first))
-    assert time_schedules(table, [], progress=False) == []
+    assert own.measure([first], again=True)[0].median == pytest.approx(3 * truth(first))
+    assert own.table.timed[schedule_key(first)].median == pytest.approx(3 * truth(first))
+    assert own.measure([]) == []
 
 
-def test_schedules_of_other_forms_are_timed_apart(machine: FakeMachine, table: LatencyTable) -> None:
+def test_schedules_of_other_forms_are_timed_apart(machine: FakeMachine, own: ScheduleClock) -> None:
     before, steps = len(machine.compiled), [(16, 5), (8, 10)]
     paper, guided, free = Schedule.uniform(steps), guided_schedule(steps), guided_schedule(steps, fidelity=None)
-    held_more = guided_schedule(steps, fidelity=2.0)
-    time_schedules(table, [paper, guided, free, held_more], progress=False)
+    own.measure([paper, guided, free, guided_schedule(steps, fidelity=2.0)])
     assert len(machine.compiled) == before + 3  # α does not matter, as long as there is one
-    assert {schedule_key(paper), schedule_key(guided), schedule_key(free)} == set(table.timed)
+    assert {schedule_key(paper), schedule_key(guided), schedule_key(free)} <= set(own.table.timed)
 
 
-def test_arguments_of_other_shapes_are_refused(table: LatencyTable) -> None:
-    wrong = jnp.zeros((1024, 1024, 2)), jnp.zeros((1024, 1024, 1), bool), jnp.zeros((1024, 1000, 3))
-    with pytest.raises(InputError, match="guide: shape"):
-        time_schedules(table, [Schedule.preset("shadow")], arguments=wrong, progress=False)
+def test_a_budget_below_the_smallest_schedule_is_refused(own: ScheduleClock) -> None:
+    own.check_reachable(1e3)
+    with pytest.raises(InputError, match=r"budget 0\.001 ms: out of reach .* give at least --budget-ms"):
+        own.check_reachable(1e-3)
 
 
-def test_no_repeats_is_refused(table: LatencyTable) -> None:
-    with pytest.raises(InputError, match="repeats"):
-        time_schedules(table, [Schedule.preset("shadow")], repeats=0, progress=False)
+# ---- the kept file ----
 
 
-# ---- the file and the cache ----
-
-
-def test_json_gives_the_same_table_back(table: LatencyTable) -> None:
-    time_schedules(table, [Schedule.preset("paper-50")], progress=False)
-    again = LatencyTable.from_json(table.to_json())
-    assert again == table
-    assert again.predict([1, 2, 3, 4, 5, 6]) == table.predict([1, 2, 3, 4, 5, 6])
-
-
-BREAKERS: dict[str, Callable[[dict[str, Any]], object]] = {
-    "other format": lambda c: c.update(format=99),
-    "of the paper's form": lambda c: c.update(format=3),
-    "no format": lambda c: c.pop("format"),
-    "missing part": lambda c: c.pop("median"),
-    "missing cost": lambda c: c["median"].pop("step"),
-    "too few costs": lambda c: c["p95"]["step"].pop(),
-    "negative cost": lambda c: c["p95"].update(fixed=-1.0),
-    "not a number": lambda c: c["median"].update(fixed="1.0"),
-    "nan": lambda c: c["probe"].update(median=float("nan")),
-    "huge": lambda c: c["probe"].update(median=10**400),
-    "bad factors": lambda c: c.update(ladder=[1, 2]),
-    "no factors": lambda c: c.update(ladder=3),
-    "bad workload": lambda c: c["workload"].update(height=-1),
-    "unknown workload": lambda c: c["workload"].update(depth=1),
-    "bad stage": lambda c: c.update(stages={"a": 3.0}),
-    "bad timed": lambda c: c.update(timed=[1]),
-    "bad calibration": lambda c: c["calibration"][0].update(steps=[0, 0]),
-    "bad versions": lambda c: c.update(versions="1.0"),
-}
-
-
-@pytest.mark.parametrize("what", BREAKERS)
-def test_a_broken_table_is_one_line(what: str, table: LatencyTable) -> None:
-    content = copy.deepcopy(json.loads(table.to_json()))
-    BREAKERS[what](content)
-    with pytest.raises(InputError, match="latency table: ") as caught:
-        LatencyTable.from_json(json.dumps(content))
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", "3", "\x00"])
-def test_a_file_that_is_no_table_is_one_line(text: str) -> None:
-    with pytest.raises(InputError, match="latency table: ") as caught:
-        LatencyTable.from_json(text)
-    assert "\n" not in str(caught.value)
-
-
-def test_load_calibrates_once_and_keeps_what_is_saved(machine: FakeMachine) -> None:
-    table, why = load_table(WORKLOAD, progress=False)
+def test_times_are_taken_once_and_kept(machine: FakeMachine) -> None:
+    latency, _, why = clock_of()
     assert why.startswith("calibrated anew: none in the cache")
-    time_schedules(table, [Schedule.preset("paper-50")], progress=False)
-    save_table(table)
     measured = len(machine.rounds)
-    again, why = load_table(WORKLOAD, progress=False)
-    assert why == f"from the cache (calibrated {table.created})"
-    assert again == table and again.timed
-    assert machine.rounds[measured:] == [["probe"]]
+    again, _, why = clock_of()
+    assert why == f"from the cache (calibrated {latency.created})"
+    assert again == latency
+    (probe,) = machine.rounds[measured:]
+    assert len(probe) == 1, "the probe alone"
 
 
-def test_load_calibrates_when_asked_and_forgets_what_was_timed(machine: FakeMachine) -> None:
-    table, _ = load_table(WORKLOAD, progress=False)
-    time_schedules(table, [Schedule.preset("paper-50")], progress=False)
-    save_table(table)
-    again, why = load_table(WORKLOAD, recalibrate=True, progress=False)
-    assert why == "calibrated anew: asked for" and not again.timed
-    assert not load_table(WORKLOAD, progress=False)[0].timed
+def test_times_are_taken_anew_when_asked(machine: FakeMachine) -> None:
+    clock_of()
+    _, why = kept_latency(HERE, WORKLOAD, recalibrate=True)
+    assert why == "calibrated anew: asked for"
 
 
 @pytest.mark.parametrize("slowness", [0.7, 1.4])
-def test_load_calibrates_when_the_machine_has_changed(machine: FakeMachine, slowness: float) -> None:
-    table, _ = load_table(WORKLOAD, progress=False)
-    time_schedules(table, [Schedule.preset("paper-50")], progress=False)
-    save_table(table)
-    machine.slowness = slowness
-    again, why = load_table(WORKLOAD, progress=False)
-    assert why.startswith(f"calibrated anew: a schedule that took {table.probe.median:.2f} ms then takes ")
-    assert again.probe.median == pytest.approx(slowness * table.probe.median) and not again.timed
+def test_times_are_taken_anew_when_the_machine_has_changed(machine: FakeMachine, slowness: float) -> None:
+    latency = clock_of()[0]
+    machine.slowness, before = slowness, latency.stages[PROBE].median
+    again, _, why = clock_of()
+    assert why.startswith(f"calibrated anew: a schedule that took {before:.2f} ms then takes ")
+    assert again.stages[PROBE].median == pytest.approx(slowness * before)
 
 
 def test_one_slow_spell_is_not_believed(machine: FakeMachine) -> None:
-    load_table(WORKLOAD, progress=False)
+    clock_of()
     machine.spells = [5.0, 1.2]
-    _, why = load_table(WORKLOAD, progress=False)
-    assert why.startswith("from the cache") and not machine.spells
-
-
-CHANGES: dict[str, Callable[[pytest.MonkeyPatch], tuple[Workload, tuple[int, ...]]]] = {
-    "lights": lambda patch: (dataclasses.replace(WORKLOAD, lights=3), FACTORS),
-    "guide": lambda patch: (dataclasses.replace(WORKLOAD, guide_channels=64), FACTORS),
-    "dtype": lambda patch: (dataclasses.replace(WORKLOAD, dtype="bfloat16"), FACTORS),
-    "factors": lambda patch: (WORKLOAD, FACTORS[1:]),
-    "cores": lambda patch: (patch.setattr(latency_table, "cores", lambda: 99), (WORKLOAD, FACTORS))[1],
-    "flags": lambda patch: (patch.setenv("XLA_FLAGS", "--x"), (WORKLOAD, FACTORS))[1],
-    "version": lambda patch: (
-        patch.setattr(latency_table, "environment", other_version),
-        (WORKLOAD, FACTORS),
-    )[1],
-    "file format": lambda patch: (patch.setattr(latency_table, "FORMAT", 99), (WORKLOAD, FACTORS))[1],
-}
+    assert clock_of()[2].startswith("from the cache") and not machine.spells
 
 
 def other_version() -> dict[str, Any]:
     return {"versions": {"hyjax": "9", "jax": "9", "jaxlib": "9"}, "device": "cpu: cpu"}
 
 
+CHANGES: dict[str, Callable[[pytest.MonkeyPatch], Any]] = {
+    "lights": lambda patch: (HERE, DeviceWorkload(height=1024, width=1024, lights=3)),
+    "guide": lambda patch: (HERE, DeviceWorkload(height=1024, width=1024, lights=2, features=64)),
+    "dtype": lambda patch: (ThisMachine((jnp.zeros(1, "bfloat16"),) * 3, progress=False), WORKLOAD),
+    "cores": lambda patch: patch.setattr(this_machine, "cores", lambda: 99),
+    "flags": lambda patch: patch.setenv("XLA_FLAGS", "--x"),
+    "version": lambda patch: patch.setattr(this_machine, "environment", other_version),
+}
+
+
 @pytest.mark.parametrize("what", CHANGES)
-def test_a_table_of_something_else_is_not_used(
+def test_times_of_something_else_are_not_used(
     what: str, machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    load_table(WORKLOAD, progress=False)
-    workload, factors = CHANGES[what](monkeypatch)
-    _, why = load_table(workload, factors=factors, progress=False)
+    clock_of()
+    _, why = kept_latency(*(CHANGES[what](monkeypatch) or (HERE, WORKLOAD)))
     assert why.startswith("calibrated anew: none in the cache")
 
 
 def stored() -> Path:
-    (path,) = latency_table.cache_folder().glob("latency-*.json")
+    (path,) = this_machine.cache_folder().glob("latency-*.json")
     return path
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe", b'{"format": 1}', b"[" * 100_000, b"9" * 5000])
 def test_a_broken_file_is_calibrated_over(content: bytes, machine: FakeMachine) -> None:
-    load_table(WORKLOAD, progress=False)
+    clock_of()
     stored().write_bytes(content)
-    _, why = load_table(WORKLOAD, progress=False)
+    why = clock_of()[2]
     assert why.startswith("calibrated anew: latency-") and "\n" not in why
-    assert load_table(WORKLOAD, progress=False)[1].startswith("from the cache")
+    assert clock_of()[2].startswith("from the cache")
 
 
 def test_a_file_under_a_wrong_name_is_not_believed(machine: FakeMachine) -> None:
-    load_table(WORKLOAD, progress=False)
+    clock_of()
     content = json.loads(stored().read_text())
-    content["device"]["cores"] = 1000
+    content["device"]["adapter"] = "1000 cores"
     stored().write_text(json.dumps(content))
-    _, why = load_table(WORKLOAD, progress=False)
-    assert why.endswith("is of another device")
+    assert clock_of()[2].endswith("is of another device or size")
 
 
 def test_an_unwritable_cache_is_a_warning(
@@ -314,8 +237,8 @@ def test_an_unwritable_cache_is_a_warning(
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "file" / "cache"))
     with caplog.at_level(logging.WARNING):
-        table, why = load_table(WORKLOAD, progress=False)
-    assert why.startswith("calibrated anew") and table.calibration
+        latency, _, why = clock_of()
+    assert why.startswith("calibrated anew") and latency.measured
     assert "latency table is not kept" in caplog.text
 
 
@@ -325,17 +248,19 @@ def test_an_unwritable_cache_is_a_warning(
 @pytest.mark.slow
 def test_a_small_calibration_for_real(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path))
-    table = new_table(Workload(120, 100, 2), (8, 4, 2), repeats=3, progress=False)
-    assert table.factors == (4, 2)
-    assert len(table.calibration) == len(calibration_steps((4, 2)))
-    assert set(table.stages) == {"conductance", "resampling"}
-    assert all(np.isfinite(value) for value in table.error.values())
-    predicted = table.predict([5, 5])
+    for name in ("REPEATS", "CALIBRATION_REPEATS", "PROBE_REPEATS"):
+        monkeypatch.setattr(this_machine, name, 10)
+    rng = np.random.default_rng(0)
+    y, guide = (jnp.asarray(rng.random((50, 60, count), np.float32)) for count in (2, 3))
+    here, workload = (
+        ThisMachine((y, jnp.ones((50, 60, 1)), guide), False),
+        DeviceWorkload(height=50, width=60, lights=2),
+    )
+    latency, _ = kept_latency(here, workload)
+    own = ScheduleClock(latency, workload, engine=here)
+    assert own.table.factors == (2, 1)
+    assert all(np.isfinite(value) for value in own.table.error.values())
+    predicted = own.table.predict([5, 5])
     assert 0 < predicted.median <= predicted.p95 < float("inf")
-    assert LatencyTable.from_json(table.to_json()) == table
-    schedules = [Schedule.uniform([(4, 3), (2, 3)]), guided_schedule([(1, 2)])]
-    for time in time_schedules(table, schedules, repeats=2, progress=False):
+    for time in own.measure([Schedule.uniform([(2, 3)]), guided_schedule([(1, 2)])], again=True):
         assert 0 < time.median <= time.p95
-    y, known, guide = table.workload.arguments()
-    host = np.asarray(y), np.asarray(known), np.asarray(guide)
-    time_schedules(table, schedules[:1], arguments=host, again=True, repeats=1, progress=False)

@@ -25,6 +25,7 @@ from hyjax.data.capture import Capture
 from hyjax.tuning import calibration
 from hyjax.tuning.cascade import CascadeStage
 from hyjax.tuning.evaluator import CascadeEvaluator
+from hyjax.tuning.factors import schedule_key
 from hyjax.tuning.relaxation import FIDELITY_RANGE
 from hyjax.tuning.report_text import summary
 from hyjax.tuning.request import parse_budgets, split_frames
@@ -32,7 +33,6 @@ from hyjax.tuning.result import Tuned
 from hyjax.tuning.settings import FrameOptions, TuneScene, TuneSettings
 from hyjax.tuning.study import NAME, kept_trials
 from hyjax.tuning.trial import Trial
-from hyjax.tuning.workload import schedule_key
 from hyjax.util import clock as latency
 from hyjax.util.images import read_image
 
