@@ -34,11 +34,11 @@ from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, reported
 from experiments.paper_view import View
 from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
+from experiments.timing import check_repeats, time_calls
 from hyjax import metrics
 from hyjax.core.schedule import Schedule
 from hyjax.data.frames import spread
 from hyjax.pipeline import Mode
-from hyjax.tuning.calibration import check_repeats, time_calls
 from hyjax.util.contact_sheet import write_contact_sheet
 
 LIGHTS = "two-colors"

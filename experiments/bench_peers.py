@@ -46,6 +46,7 @@ from experiments.guide_peers import last_bias, same_networks, torch_calls
 from experiments.peers_report import COMPILED, COPY, FLOOR, OURS, PLAIN, TORCH, guard
 from experiments.peers_report import blocks as blocks
 from experiments.records import Results
+from experiments.timing import check_repeats
 from hyjax.core.diffusion import _steps
 from hyjax.core.refine import HOLE_FLOOR
 from hyjax.core.schedule import Schedule
@@ -54,7 +55,6 @@ from hyjax.guide import Guide, normalise
 from hyjax.light.shading import mix_channels
 from hyjax.pipeline import refine_illuminance
 from hyjax.tuning.bench import Workbench, open_bench
-from hyjax.tuning.calibration import check_repeats
 from hyjax.tuning.cases import Case, filter_colors, raw_filter, refined_filter, scores
 from hyjax.tuning.settings import TuneScene, TuneSettings
 from hyjax.util.clock import measure_each

@@ -36,9 +36,9 @@ from hyjax.synthetic.truth import DEVELOPMENT_ROOMS, TEST_ROOMS
 from hyjax.tuning.bench import open_frame_bench
 from hyjax.tuning.proof import prove
 from hyjax.tuning.result import Candidate
-from hyjax.tuning.run import tune_frame
 from hyjax.tuning.settings import SETUPS, FrameOptions, TuneScene, TuneSettings
 from hyjax.tuning.stage import FrameStage
+from hyjax.tuning.tune import tune
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
 
@@ -74,7 +74,9 @@ def main(config: Config, start: Start) -> None:
     results = start()
     done = of_kind(results.rows, "candidate")
     if not done:
-        tuned = tune_frame(settings_of(config, config.rooms, config.report, config.trials, results.out / "search"))
+        tuned = tune(
+            settings=settings_of(config, config.rooms, config.report, config.trials, results.out / "search")
+        )
         for candidate in tuned.candidates:
             results.add(kind="candidate", front=candidate in tuned.front, **described(candidate))
         for effect in tuned.effects:

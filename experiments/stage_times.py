@@ -25,6 +25,7 @@ from experiments.blocks import Block, Plot, Table
 from experiments.command import RunConfig, Start, experiment, run
 from experiments.plotting import bars
 from experiments.records import Row, machine, of_kind
+from experiments.timing import check_repeats
 from hyjax.core.cascade import largest_sampling
 from hyjax.data.frames import select_frames
 from hyjax.geometry.shadow_caster import cast_shadow_maps
@@ -32,7 +33,6 @@ from hyjax.light.gbuffer import sample_pixels
 from hyjax.scene.place import view_of
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
-from hyjax.tuning.calibration import check_repeats
 from hyjax.util.clock import measure
 
 CONDUCTANCES = "conductances, 4 levels"

@@ -67,26 +67,14 @@ def fill(steps: Steps, cost: CostModel, budget: float, order: Sequence[int]) -> 
     return steps
 
 
-def neighbours(
-    real: Float[np.ndarray, "l"], cost: CostModel, budget: float, *, maximal: bool = True
-) -> list[Steps]:
-    """All whole step counts around these real ones that fit, each level at up to two below and above.
-
-    The table makes this a small knapsack, so it is listed completely. With `maximal`, only those are kept that
-    leave no room for one more step within reach: where the budget binds, the others have no reason to be better.
-    """
+def neighbours(real: Float[np.ndarray, "l"], cost: CostModel, budget: float) -> list[Steps]:
+    """All whole step counts around these real ones that fit, each level at up to two below and above."""
     choices = []
     for n in real:
         low, high = int(np.floor(n)), int(np.ceil(n))
         around = {low - 1, low, high, high + 1} if n > 0 else {0}
         choices.append(sorted({int(np.clip(k, 0, MOST_STEPS)) for k in around}))
-    listed = [steps for steps in itertools.product(*choices) if fits(steps, cost, budget)]
-    there = set(listed)
-
-    def can_grow(steps: Steps) -> bool:
-        return any(n and swap(steps, level, n + 1) in there for level, n in enumerate(steps))
-
-    return [steps for steps in listed if not (maximal and can_grow(steps))]
+    return [steps for steps in itertools.product(*choices) if fits(steps, cost, budget)]
 
 
 def moves(steps: Steps, cost: CostModel, budget: float) -> list[Steps]:

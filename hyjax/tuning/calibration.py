@@ -2,7 +2,7 @@
 
 import concurrent.futures
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -12,10 +12,7 @@ from tqdm import tqdm
 
 from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import PRESETS, Schedule, guided_schedule
-from hyjax.tuning.cost_model import Milliseconds
-from hyjax.util import clock as latency
 from hyjax.util.environment import cores
-from hyjax.util.errors import InputError
 
 REPEATS = 60
 # Large pictures get fewer rounds instead of minutes.
@@ -101,22 +98,3 @@ def compile_all(schedules: Sequence[Schedule], arguments: Arguments, *, progress
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return [job.result() for job in jobs]
-
-
-def check_repeats(repeats: int) -> None:
-    """Raise `InputError` unless something is to be timed at least once."""
-    if repeats < 1:
-        raise InputError(f"repeats: must be at least 1, got {repeats}")
-
-
-def time_calls(
-    calls: Mapping[str, Callable[[], Any]],
-    repeats: int,
-    *,
-    most_seconds: float | None = MOST_SECONDS,
-    progress: bool = False,
-) -> dict[str, Milliseconds]:
-    """Time calls in turns, by name, see `measure_each`."""
-    check_repeats(repeats)
-    summary = latency.measure_each(calls, repeats, most_seconds=most_seconds, progress=progress)
-    return {name: Milliseconds(entry["median_ms"], entry["p95_ms"]) for name, entry in summary.items()}

@@ -161,7 +161,7 @@ def relaxed_points(
     end = relax(objective, start, cost, budget, iterations, seed, expired)
     real = np.asarray(end.steps)
     if np.any(real > 0):
-        near = neighbours(real, cost, budget, maximal=False)
+        near = neighbours(real, cost, budget)
         found += [with_steps(end, n) for n in promising(near, end, objective.gradient(end)[1], looked_at)]
     return sorted(
         [Found(start, float(before)), *(Found(p, objective(p)) for p in found)], key=lambda each: each.loss

@@ -3,7 +3,6 @@
 import csv
 import io
 import re
-from collections.abc import Mapping
 from pathlib import Path
 
 from hyjax.configuration import Configuration
@@ -23,32 +22,6 @@ from hyjax.tuning.settings import BudgetStage
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.files import atomic_write, make_writable, remove, write_text
 
-
-def file_stem(text: str, otherwise: str) -> str:
-    """Text as the stem of a file's name; `otherwise` if nothing of it is left.
-
-    >>> file_stem("tuned 3.4 ms", "schedule"), file_stem("/", "schedule")
-    ('tuned-3.4-ms', 'schedule')
-    """
-    return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.") or otherwise
-
-
-def write_folder(folder: Path, texts: Mapping[str, str], stale: str) -> None:
-    """Write files into a folder, and remove those of an earlier time.
-
-    Args:
-        folder: made if it is not there.
-        texts: by name.
-        stale: pattern of the names that are removed where they are not among the texts.
-    """
-    make_writable(folder)
-    for path in folder.glob(stale):
-        if path.name not in texts:
-            remove(path)
-    for name, text in texts.items():
-        write_text(folder / name, text)
-
-
 __all__ = ["CSV_COLUMNS", "summary", "write_results"]
 
 STEMS: dict[BudgetStage, str] = {"frame": "configuration", "cascade": "schedule"}
@@ -58,6 +31,15 @@ CSV_COLUMNS = (
     *("median_ms", "p95_ms", "default_ms"),
 )
 """Columns of the CSV file; after them `score_columns`."""
+
+
+def file_stem(text: str, otherwise: str) -> str:
+    """Text as the stem of a file's name; `otherwise` if nothing of it is left.
+
+    >>> file_stem("tuned 3.4 ms", "schedule"), file_stem("/", "schedule")
+    ('tuned-3.4-ms', 'schedule')
+    """
+    return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.") or otherwise
 
 
 def score_names() -> list[str]:
@@ -122,7 +104,12 @@ def write_front(folder: Path, tuned: Tuned) -> None:
     for candidate in tuned.front:
         name = _free(file_stem(candidate.name, STEMS[tuned.stage]), texts)
         texts[name] = text_of(candidate.configuration, tuned.stage)
-    write_folder(folder, texts, "*.json")
+    make_writable(folder)
+    for path in folder.glob("*.json"):
+        if path.name not in texts:
+            remove(path)
+    for name, text in texts.items():
+        write_text(folder / name, text)
 
 
 def _free(stem: str, taken: dict[str, str]) -> str:

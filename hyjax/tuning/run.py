@@ -12,8 +12,6 @@ import jax
 from tqdm import tqdm
 
 from hyjax.configuration import Configuration
-from hyjax.data.capture import Capture
-from hyjax.tuning.bench import open_frame_bench
 from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.proof import MOST_SECONDS, ROUNDS, best_within, effects, front_of, prove
 from hyjax.tuning.report import best_file, text_of, write_results
@@ -21,7 +19,7 @@ from hyjax.tuning.result import Budget, Candidate, Tuned
 from hyjax.tuning.search import State, init, search, update
 from hyjax.tuning.settings import TuneSettings
 from hyjax.tuning.space import Choices, Space
-from hyjax.tuning.stage import FrameStage, Stage
+from hyjax.tuning.stage import Stage
 from hyjax.tuning.study import Study, check_free, check_installed
 from hyjax.tuning.trial import Trial
 from hyjax.util.claims import claimed
@@ -69,23 +67,6 @@ EXTRA = (0.35, 0.5, 0.7, 1.0, 1.5)
 ATTEMPTS = 3
 MORE_TRIALS = 8
 """Trials for a budget that the clock, unlike the prediction, finds exceeded."""
-
-
-def tune_frame(settings: TuneSettings, *, capture: Capture | None = None) -> Tuned:
-    """The configuration with the best pictures within each time budget.
-
-    Args:
-        settings: what to tune for and on.
-        capture: frames that were opened before, in the place of those that the settings name.
-    """
-    if not settings.tunes_frame:
-        raise InputError(
-            "stage: `tune` is for the whole frame on this machine; for the rest there is `tune_schedule`"
-        )
-    settings.check()
-    with opened(settings) as monitor:
-        stage = FrameStage(open_frame_bench(settings, capture), settings)
-        return Run(stage, settings, settings.budgets(), monitor).run()
 
 
 @contextlib.contextmanager

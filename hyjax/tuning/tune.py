@@ -12,13 +12,14 @@ from tqdm import tqdm
 
 from hyjax.data.capture import Capture
 from hyjax.guide.choose import open_guide
-from hyjax.tuning.bench import open_bench
+from hyjax.tuning.bench import open_bench, open_frame_bench
 from hyjax.tuning.cascade import tune_bench
 from hyjax.tuning.request import split_frames
 from hyjax.tuning.result import Tuned
-from hyjax.tuning.run import opened, tune_frame
+from hyjax.tuning.run import Run, opened
 from hyjax.tuning.schedule_clock import ConnectedTimes, FileTimes, LatencySource, OwnTimes, workload_of
 from hyjax.tuning.settings import TuneSettings
+from hyjax.tuning.stage import FrameStage
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
@@ -50,7 +51,15 @@ def tune(
     Raises:
         InputError: any of these cannot be used, or a budget is out of reach on this device.
     """
-    return tune_frame(_settings(settings, fps, budget_ms), capture=capture)
+    settings = _settings(settings, fps, budget_ms)
+    if not settings.tunes_frame:
+        raise InputError(
+            "stage: `tune` is for the whole frame on this machine; for the rest there is `tune_schedule`"
+        )
+    settings.check()
+    with opened(settings) as monitor:
+        stage = FrameStage(open_frame_bench(settings, capture), settings)
+        return Run(stage, settings, settings.budgets(), monitor).run()
 
 
 @checked_arguments
