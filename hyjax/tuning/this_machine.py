@@ -45,7 +45,7 @@ class ThisMachine:
 
     Args:
         arguments: filter, confidence and guide to time on.
-        progress: show bars on stderr.
+        progress: show bars of the calibration on stderr.
     """
 
     def __init__(self, arguments: Arguments, progress: bool = True) -> None:
@@ -61,7 +61,7 @@ class ThisMachine:
 
     def latency(self, request: LatencyRequest, schedules: Sequence[Schedule]) -> DeviceLatency:
         """Times of schedules as a latency file has them, with the probe's."""
-        measured = self._timed(schedules, CALIBRATION_REPEATS, MOST_SECONDS)
+        measured = self._timed(schedules, CALIBRATION_REPEATS, MOST_SECONDS, self.progress)
         probe = self.probe(request.workload)
         return DeviceLatency(
             format=FORMAT,
@@ -83,10 +83,12 @@ class ThisMachine:
         (timed,) = self._timed([schedule_of(factors, probe_steps(factors))], repeats, None)
         return timed.time
 
-    def _timed(self, schedules: Sequence[Schedule], repeats: int, most_seconds: float | None) -> list[Timed]:
-        calls = calibration.compile_all(schedules, self.arguments, progress=self.progress)
+    def _timed(
+        self, schedules: Sequence[Schedule], repeats: int, most_seconds: float | None, progress: bool = False
+    ) -> list[Timed]:
+        calls = calibration.compile_all(schedules, self.arguments, progress=progress)
         named = dict(zip(map(schedule_key, schedules), calls, strict=True))
-        found = clock.measure_each(named, repeats, most_seconds=most_seconds, progress=self.progress)
+        found = clock.measure_each(named, repeats, most_seconds=most_seconds, progress=progress)
         return [
             Timed.of(
                 schedule,
