@@ -52,7 +52,7 @@ class FakeMachine:
     def measure(self, calls: Mapping[str, Callable[[], Any]], repeats: int, **_: object) -> dict[str, dict]:
         self.rounds.append(list(calls))
         slowness = self.spells.pop(0) if self.spells else self.slowness
-        times = {name: truth(call()) * slowness for name, call in calls.items()}
+        times = {name: float(truth(call()) * slowness) for name, call in calls.items()}
         return {name: {"count": repeats, "median_ms": t, "p95_ms": 1.5 * t} for name, t in times.items()}
 
 
