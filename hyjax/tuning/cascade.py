@@ -24,8 +24,8 @@ from hyjax.tuning.evaluation import Scores
 from hyjax.tuning.evaluator import POLISHING, CascadeEvaluator
 from hyjax.tuning.proposal import with_point
 from hyjax.tuning.relaxation import RANGES, RelaxedSchedule, prepare, relaxed_of
-from hyjax.tuning.request import split_frames
-from hyjax.tuning.result import Budget, Candidate, Tuned
+from hyjax.tuning.request import Budget, split_frames
+from hyjax.tuning.result import Candidate, Tuned
 from hyjax.tuning.run import Run, RunMonitor
 from hyjax.tuning.schedule_clock import LatencySource, OwnTimes, ScheduleClock
 from hyjax.tuning.search import State

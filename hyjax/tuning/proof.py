@@ -8,7 +8,8 @@ from tqdm import tqdm
 
 from hyjax.configuration import Configuration
 from hyjax.tuning.evaluation import mean_scores
-from hyjax.tuning.result import Budget, Candidate, Effect
+from hyjax.tuning.request import Budget
+from hyjax.tuning.result import Candidate, Effect
 from hyjax.tuning.trial import Trial
 
 if TYPE_CHECKING:

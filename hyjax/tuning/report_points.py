@@ -18,7 +18,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
-from hyjax.tuning.result import Budget
+from hyjax.tuning.request import Budget
 
 # Okabe and Ito's palette, apart for the colour-blind; shapes tell the kinds apart too.
 COLORS = {"tuned": "#0072b2", "paper": "#d55e00", "naive": "#009e73", "preset": "#cc79a7"}

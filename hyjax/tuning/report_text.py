@@ -8,7 +8,8 @@ import numpy as np
 
 from hyjax.choices.table import CHOICES
 from hyjax.configuration import DEFAULT, Configuration
-from hyjax.tuning.result import Budget, Candidate, Tuned
+from hyjax.tuning.request import Budget
+from hyjax.tuning.result import Candidate, Tuned
 
 MISSING = "–"
 

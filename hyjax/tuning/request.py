@@ -1,16 +1,34 @@
 """Budgets of a tuning run, its frames to tune on and to hold out."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
 from hyjax.data.frames import select_frames, spread
-from hyjax.tuning.result import Budget
 from hyjax.util.errors import InputError
 
 TUNING_FRAMES = 4
 HELD_OUT_FRAMES = 4
 LEAST_MS, MOST_MS = 1e-6, 1e7
 """Bounds of a budget, in milliseconds."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Budget:
+    """A time that something has to fit in.
+
+    Attributes:
+        label: what the user called it, such as "60 fps" or "8 ms".
+        milliseconds: the time.
+    """
+
+    label: str
+    milliseconds: float
+
+    @property
+    def slug(self) -> str:
+        """The label as part of a file's name: `60fps`, `8ms`."""
+        return self.label.replace(" ", "")
 
 
 def parse_budgets(fps: Sequence[float], budget_ms: Sequence[float]) -> list[Budget]:

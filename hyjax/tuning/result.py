@@ -1,4 +1,4 @@
-"""Results of a tuning run: budgets, and configurations with their times and scores."""
+"""Results of a tuning run: configurations with their times and scores."""
 
 import dataclasses
 from typing import Any
@@ -7,26 +7,9 @@ from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.evaluation import Scores
+from hyjax.tuning.request import Budget
 from hyjax.tuning.settings import BudgetStage
 from hyjax.tuning.trial import Trial
-
-
-@dataclasses.dataclass(frozen=True)
-class Budget:
-    """A time that something has to fit in.
-
-    Attributes:
-        label: what the user called it, such as "60 fps" or "8 ms".
-        milliseconds: the time.
-    """
-
-    label: str
-    milliseconds: float
-
-    @property
-    def slug(self) -> str:
-        """The label as part of a file's name: `60fps`, `8ms`."""
-        return self.label.replace(" ", "")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,7 +15,8 @@ from hyjax.configuration import Configuration
 from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.proof import MOST_SECONDS, ROUNDS, best_within, effects, front_of, prove
 from hyjax.tuning.report import best_file, text_of, write_results
-from hyjax.tuning.result import Budget, Candidate, Tuned
+from hyjax.tuning.request import Budget
+from hyjax.tuning.result import Candidate, Tuned
 from hyjax.tuning.search import State, init, search, update
 from hyjax.tuning.settings import TuneSettings
 from hyjax.tuning.space import Choices, Space

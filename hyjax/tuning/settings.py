@@ -12,7 +12,7 @@ from hyjax.util.settings import Settings
 from hyjax.util.sizes import parse_size
 
 if TYPE_CHECKING:
-    from hyjax.tuning.result import Budget
+    from hyjax.tuning.request import Budget
 
 BudgetStage = Literal["cascade", "frame"]
 SETUPS = ("evening-lamps", "two-colors", "golden-hour", "night-moon")

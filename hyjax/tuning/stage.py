@@ -18,7 +18,8 @@ from hyjax.tuning.evaluation import Judge, Scorer
 from hyjax.tuning.evaluator import Evaluator, StudyEvaluator
 from hyjax.tuning.loss import PictureLoss
 from hyjax.tuning.refinement import refine_numbers
-from hyjax.tuning.result import Budget, Candidate
+from hyjax.tuning.request import Budget
+from hyjax.tuning.result import Candidate
 from hyjax.tuning.search import GRADIENT_TURN, State
 from hyjax.tuning.settings import BudgetStage, TuneSettings
 from hyjax.tuning.space import Choices, Space

@@ -22,7 +22,8 @@ from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.evaluation import mean_scores
 from hyjax.tuning.loss import PictureLoss
 from hyjax.tuning.report_page import page as frame_page
-from hyjax.tuning.result import Budget, Candidate, Tuned
+from hyjax.tuning.request import Budget
+from hyjax.tuning.result import Candidate, Tuned
 from hyjax.tuning.scene import Target
 
 SIZE = 32

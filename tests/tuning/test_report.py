@@ -16,7 +16,8 @@ from hyjax.tuning import report
 from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.report_plots import draw_effects, draw_front_plot, trial_dots
 from hyjax.tuning.report_text import candidates, configuration_text, described
-from hyjax.tuning.result import Budget, Candidate, Effect, Tuned
+from hyjax.tuning.request import Budget
+from hyjax.tuning.result import Candidate, Effect, Tuned
 from hyjax.tuning.space import Space
 from hyjax.tuning.trial import Trial
 from hyjax.util.errors import InputError
