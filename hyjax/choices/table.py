@@ -32,7 +32,7 @@ def _divided(values: Values) -> bool:
 
 
 def _raised(light: "SurfaceLight", exponent: float) -> "SurfaceLight":
-    return light if exponent == 1.0 else dataclasses.replace(light, photo_light=light.photo_light**exponent)
+    return light if exponent == 1.0 else light.raised(exponent)
 
 
 def _bounced(light: "SurfaceLight", bounces: bool) -> "SurfaceLight":

@@ -7,7 +7,7 @@ import trimesh
 from jaxtyping import Float, Int
 
 from hyjax.device.frame_program import LEAF_TRIANGLES, SceneCounts
-from hyjax.light.photo_light import PhotoLight
+from hyjax.light.photo_light import PhotoLight, SurfaceLight
 from hyjax.scene.scene import Scene
 
 
@@ -67,7 +67,10 @@ def scene_arrays(
     mesh = scene.mesh
     photo = None if keep_photo_light else scene.photo_light.estimate.light
     if photo is not None and photo_exponent != 1.0:
-        photo = dataclasses.replace(photo, illuminance=photo.illuminance**photo_exponent)
+        raised = SurfaceLight(photo.illuminance, None, photo.transport.faces, None, photo.sources).raised(
+            photo_exponent
+        )
+        photo = dataclasses.replace(photo, illuminance=raised.photo_light, sources=raised.kept)
     fields, hits, sources, mean = _even(mesh) if photo is None else _photo(mesh, photo, rays)
     thrower = mesh if surface_occluders else scene.occluders.mesh
     occluders = tree_order(np.asarray(thrower.vertices, np.float32), np.asarray(thrower.faces))

@@ -134,16 +134,25 @@ def configured_guide(options: GuideOptions) -> FrameGuide:
     Raises:
         InputError: there is no such guide, or its file cannot be used.
     """
-    guide = _opened(options.name)
+    guide = _opened(options.name, _version(options.name))
     if options.size is None or options.name in (RGB.name, NO_GUIDE):
         return guide
     return SizedGuide(guide, options.size)
 
 
 @functools.lru_cache(maxsize=4)
-def _opened(name: str) -> FrameGuide:
-    """Open guide, with its weights read once."""
+def _opened(name: str, version: tuple[int, ...]) -> FrameGuide:
+    """Open guide, with the weights of a version of its file read once."""
     return open_guide(name)
+
+
+def _version(name: str) -> tuple[int, ...]:
+    """Version of a guide's file, which training may write again; empty for one without a file."""
+    try:
+        state = Path(name).stat()
+    except OSError:
+        return ()
+    return state.st_mtime_ns, state.st_size, state.st_ino
 
 
 @checked_arguments

@@ -131,16 +131,24 @@ class SurfaceLight:
 
     Attributes:
         photo_light: E_old / K, that the frames were taken under.
-        bounced: lux of new lights by way of other surfaces, and the kept part of the photo's own; None to leave
-            it out.
+        bounced: lux of new lights by way of other surfaces; None to leave it out.
         faces: of the scan.
         emitters: panes and lamps that shine by themselves.
+        kept: lux of the photo's own sources that stay on; None where all are off.
     """
 
     photo_light: Float[Array, "v 3"]
     bounced: Float[Array, "v 3"] | None
     faces: Int[Array, "f 3"]
     emitters: Emitters | None = None
+    kept: Float[Array, "v 3"] | None = None
+
+    def raised(self, exponent: float) -> "SurfaceLight":
+        """Light with the photo's own to a power, and the kept part in proportion: all of it is still the photo."""
+        kept = self.kept
+        if kept is not None:
+            kept = kept * jnp.maximum(self.photo_light, LEAST_PHOTO_LIGHT) ** (exponent - 1.0)
+        return dataclasses.replace(self, photo_light=self.photo_light**exponent, kept=kept)
 
 
 def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lights: Sequence[Light]) -> Shaded:
@@ -162,7 +170,8 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
 @jax.jit
 def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, left_out: Bool[Array, "l"]) -> Shaded:
     illuminance = jnp.where(left_out, 0.0, shaded.illuminance)
-    bounced = None if light.bounced is None else on_pixels(light.bounced, light.faces, gbuffer)
+    indirect = [field for field in (light.bounced, light.kept) if field is not None]
+    bounced = on_pixels(sum(indirect[1:], indirect[0]), light.faces, gbuffer) if indirect else None
     photo_light = on_pixels(light.photo_light, light.faces, gbuffer)
     return dataclasses.replace(shaded, illuminance=illuminance, bounced=bounced, photo_light=photo_light)
 

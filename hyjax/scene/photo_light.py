@@ -108,11 +108,11 @@ class ScenePhotoLight:
             return last[2]
         photo, kept = self.estimate.light, self.kept(setup.existing)
         bounced = run_kept(bounced_light, photo, setup.lights, shadow_maps)
+        left = None
         if kept.any():
-            left = setup.reference_lux * kept
-            bounced += jnp.einsum("sc,svc->vc", jnp.asarray(left, jnp.float32), photo.sources)
-        emitters = self.emitters(setup)
-        light = SurfaceLight(photo.illuminance, bounced, photo.transport.faces, emitters)
+            shares = jnp.asarray(setup.reference_lux * kept, jnp.float32)
+            left = jnp.einsum("sc,svc->vc", shares, photo.sources)
+        light = SurfaceLight(photo.illuminance, bounced, photo.transport.faces, self.emitters(setup), left)
         self._last = setup, shadow_maps, light
         return light
 

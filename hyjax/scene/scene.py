@@ -119,6 +119,7 @@ class Scene:
             with clock("capture"):
                 capture = settings.open_capture(progress=progress)
         with clock("mesh"):
+            tracked = capture
             if fuses := will_fuse(capture, settings.mesh, settings.fusion):
                 from hyjax.scene.alignment import AlignedCapture, aligned  # slow to load
 
@@ -130,7 +131,10 @@ class Scene:
                 seed=settings.seed,
                 repair=settings.repair_mesh,
                 progress=progress,
+                tracked=tracked,
             )
+            if fuses and not source.startswith("fused"):
+                capture = tracked
             if fuses and isinstance(capture, AlignedCapture):
                 source += f", poses aligned ({1000 * float(np.median(capture.moved)):.0f} mm, median)"
 

@@ -72,13 +72,17 @@ def surface_arrays(
     seed: int = 0,
     repair: bool = False,
     progress: bool = True,
+    tracked: Capture | None = None,
 ) -> tuple[str, MeshArrays]:
-    """Surface as arrays, so that one from the cache is there at once."""
+    """Surface as arrays, so that one from the cache is there at once.
+
+    Args: see `surface_of`; `tracked` is the capture with the device's own poses, with which its mesh was made.
+    """
     check_surface(fusion, seed)
     if mesh is None and capture.has_reference:
         mesh = "scan"
     if mesh is None and capture.has_mesh:
-        return _captured_or_fused(capture, fusion, progress)
+        return _captured_or_fused(capture, tracked or capture, fusion, progress)
     if mesh == "captured":
         if not capture.has_mesh:
             raise InputError(
@@ -147,7 +151,9 @@ def _fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[st
     return str(plan), kept(repr(plan), capture, make)
 
 
-def _captured_or_fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[str, MeshArrays]:
+def _captured_or_fused(
+    capture: Capture, tracked: Capture, fusion: FusionSettings, progress: bool
+) -> tuple[str, MeshArrays]:
     """Mesh of the device, or the fusion of its depth where that has clearly more of the measured depth."""
     from hyjax.scene.fusion import tell_coverage
 
@@ -160,7 +166,7 @@ def _captured_or_fused(capture: Capture, fusion: FusionSettings, progress: bool)
             raise InputError(f"{error} (--strict)") from None
         _log.warning("%s; its depth maps are fused instead", error)
         return _judged(capture, *_fused(capture, fusion, progress))
-    coverage = _coverage(capture, chosen[1], fusion)
+    coverage = _coverage(tracked, chosen[1], fusion)
     if coverage.measured and coverage.covered < ENOUGH_COVERAGE:
         try:
             fused = _fused(capture, fusion, progress)

@@ -10,11 +10,12 @@ import safetensors.numpy
 from flax import nnx
 from test_guide_weights import Toy
 
+from hyjax.configuration import GuideOptions
 from hyjax.core.diffusion import conductance
 from hyjax.core.pyramid import downsample
 from hyjax.core.schedule import DEFAULT_KAPPA
 from hyjax.guide import ENCODERS, Guide, GuideNetwork, load_guide, normalise, save_guide
-from hyjax.guide.choose import ReducedGuide, open_guide
+from hyjax.guide.choose import ReducedGuide, configured_guide, open_guide
 from hyjax.guide.convolution import convolve
 from hyjax.guide.inference import fold
 from hyjax.guide.layers import ConvNorm
@@ -105,6 +106,15 @@ def test_shipped_guides_by_name() -> None:
     assert half.fingerprint == f"{small.fingerprint}-half"
     with pytest.raises(InputError, match="one of rgb, none, small, small-half"):
         open_guide("small-hal")
+
+
+def test_a_file_that_is_written_again_is_read_again(network: GuideNetwork, tmp_path: Path) -> None:
+    options, path = GuideOptions(name=str(tmp_path / "x.safetensors")), tmp_path / "x.safetensors"
+    save_guide(path, network)
+    first = configured_guide(options)
+    assert configured_guide(options) is first
+    save_guide(path, network, kappa=2 * DEFAULT_KAPPA)
+    assert configured_guide(options).fingerprint != first.fingerprint
 
 
 def test_it_is_a_pure_function(network: GuideNetwork) -> None:

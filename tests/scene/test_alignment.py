@@ -11,10 +11,12 @@ from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.depth_sensor import KINECT, PHONE_LIDAR
 from hyjax.geometry.raycast import RayCaster
-from hyjax.scene import alignment
+from hyjax.scene import alignment, surfaces
 from hyjax.scene.alignment import AlignedCapture, aligned
 from hyjax.scene.fusion import coverage_of, fuse_capture, plan_fusion
 from hyjax.scene.fusion_settings import FusionSettings
+from hyjax.scene.scene import Scene
+from hyjax.scene.settings import SceneSettings
 
 LENS = Intrinsics(96, 72, 80.0, 80.0, 48.0, 36.0)
 UP = np.array([0.0, 0.0, 1.0])
@@ -116,3 +118,30 @@ def test_a_real_scan_is_fused_better(scanner3d_chair: Path) -> None:
     assert isinstance(found, AlignedCapture) and len(found) == 24 and found.depth_count == 70
     assert covered(found) > covered(capture) + 0.02
     assert 0.01 < np.median(found.moved) < 0.1
+
+
+class WithMesh(Drifting):
+    """A walk with the device's mesh of a part of the room, where the told poses put it."""
+
+    has_mesh = True
+
+    def mesh(self) -> trimesh.Trimesh:
+        floor = trimesh.creation.box((4, 4, 0.1))
+        floor.apply_translation([0.0, 0.0, -1.55])
+        return floor
+
+
+@pytest.mark.parametrize("gain", [0.03, 2.0])
+def test_a_devices_mesh_keeps_the_devices_poses(gain: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was made with them: only a fusion goes with aligned ones."""
+    monkeypatch.setattr(surfaces, "LEAST_GAIN", gain)
+    shift = np.eye(4)
+    shift[0, 3] = 0.05
+    monkeypatch.setattr(alignment, "_align", lambda *_: {"corrections": np.tile(shift, (8, 1, 1))})
+    capture = WithMesh(0.0, count=8)
+    scene = Scene.open(SceneSettings(fusion=FusionSettings(voxel=0.1)), capture=capture)
+    fused = scene.source.startswith("fused")
+    assert fused == (gain < 1)
+    moved = np.linalg.norm(scene.frame(0).camera.origin - capture.camera(0).origin)
+    assert moved == pytest.approx(0.05 if fused else 0.0)
+    assert fused or scene.source == "captured mesh"

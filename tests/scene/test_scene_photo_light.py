@@ -12,6 +12,7 @@ from hyjax import AmbientLight, LightSetup, PointLight, Scene
 from hyjax.configuration import Configuration, LightOptions
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.light.photo_light import SurfaceLight
 from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
 from hyjax.photo_light.sources import PhotoLamp, PhotoSources, PhotoWindow
 from hyjax.scene.relighter import Relighter
@@ -113,6 +114,22 @@ def test_where_nothing_is_believed_the_picture_is_that_of_the_kept_light() -> No
             for photo_light in ("divided", "kept")
         )
         np.testing.assert_allclose(divided.image, kept.image, atol=1e-5)
+
+
+@pytest.mark.parametrize("choices", [{}, {"bounces": False}, {"bounce_gain": 0.7}, {"photo_exponent": 1.3}])
+def test_with_all_sources_kept_and_no_other_light_there_is_the_photo(choices: dict[str, Any], named: Path) -> None:
+    scene = Scene(Room(), walls(), photo_sources=named)
+    kept = dict.fromkeys(scene.photo_light.estimate.names, (1.0, 1.0, 1.0))
+    setup = LightSetup((PointLight(jnp.zeros(3), jnp.asarray(1e-6), jnp.ones(3)),), existing=kept)
+    relit = Relighter(scene, setup, Configuration().with_choices(choices)).relit(0)
+    np.testing.assert_allclose(relit.image, scene.view(0).frame, atol=1e-5)
+
+
+def test_what_is_kept_of_uneven_light_follows_its_exponent() -> None:
+    even, uneven = jnp.full((3, 3), 300.0), jnp.array([[0.5] * 3, [1.0] * 3, [2.0] * 3])
+    light = SurfaceLight(uneven, None, jnp.zeros((1, 3), jnp.int32), kept=300.0 * uneven).raised(1.4)
+    assert light.kept is not None
+    np.testing.assert_allclose(light.kept / light.photo_light, even, rtol=1e-5)
 
 
 def test_sources_come_back_from_their_arrays() -> None:
