@@ -326,7 +326,7 @@ def run_convert(settings: ConvertSettings) -> None:
 
 
 def _keep_for_later() -> None:
-    """Keep memory for the next frame, and what XLA compiles for the next start."""
+    """Keep memory for the next frame, and compiled programs for the next start."""
     from hyjax.util.memory import keep_freed_memory
 
     keep_freed_memory()  # before the first thread

@@ -37,7 +37,7 @@ class MeshArrays:
 
     @classmethod
     def of(cls, mesh: "trimesh.Trimesh | MeshArrays") -> "MeshArrays":
-        """Arrays of a mesh, which stays what `mesh` is; arrays as they are.
+        """Arrays of a mesh, kept as its `mesh`; arrays as they are.
 
         Raises:
             InputError: it is no mesh.

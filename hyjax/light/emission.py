@@ -229,9 +229,10 @@ def source_pixels(
         if k < len(emitters.panes):
             mean = emitters.pane_means[k]
             shown = 1.0 + _lit(mean) * (frame / jnp.maximum(mean, 1e-3) - 1.0)  # of a dark pane, an even sky
+        largest = (share > 0) & (share >= weight)  # of equals the later one: lamps stand before panes
         weight = jnp.maximum(weight, share)
-        source = jnp.where(share > 0, k, source)
-        pattern = jnp.where(share[..., None] > 0, shown, pattern)
+        source = jnp.where(largest, k, source)
+        pattern = jnp.where(largest[..., None], shown, pattern)
     return SourcePixels(weight[..., None], source, pattern)
 
 

@@ -30,7 +30,7 @@ LEAST_PHOTO_LIGHT = 0.05
 """Least share of the photo's mean light; below it noise would be amplified more than twentyfold."""
 
 FILLED_SHARE = 0.25
-"""Share of ambient light, about the mean of what a room throws back, that is left where bounces give less."""
+"""Share of ambient light that is left where bounces give less: about the mean reflectance of a room."""
 
 
 @jax.tree_util.register_dataclass

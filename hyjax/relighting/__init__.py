@@ -1,1 +1,1 @@
-"""Relighting of a capture from end to end: what `hyjax relight` does."""
+"""Relighting of a capture from end to end, the work of `hyjax relight`."""

@@ -28,8 +28,8 @@ from hyjax.util.cores import cores
 from hyjax.util.errors import InputError
 from hyjax.util.prefetch import prefetch
 
-FEW = 3
-"""Frames that take less time by rays than the rasteriser takes to load."""
+MOST_RAY_CAST = 3
+"""Most frames whose G-buffers are cast by rays: fewer take less time than the rasteriser takes to load."""
 MOST_AT_ONCE = 4
 """Frames that one processor relights at a time: each takes memory."""
 _log = logging.getLogger(__name__)
@@ -82,7 +82,7 @@ def relit_frames(
         if frame is None:
             return None
         with clock("g-buffer"):
-            return frame, jax.block_until_ready(relighter.gbuffer(frame.camera, rays=len(chosen) <= FEW))
+            return frame, jax.block_until_ready(relighter.gbuffer(frame.camera, rays=len(chosen) <= MOST_RAY_CAST))
 
     def relight_frame(numbered: tuple[int, tuple[Frame, GBuffer]]) -> tuple[Frame, Relit | None]:
         number, (frame, gbuffer) = numbered

@@ -42,8 +42,9 @@ from hyjax.util.prefetch import DEPTH, background_writer
 
 _log = logging.getLogger(__name__)
 SHEET_ROWS = 12
-ANOTHERS = ("seed", "repair_mesh", "size", "scale", "strict", *(f.name for f in dataclasses.fields(FusionSettings)))
-"""Settings of a scene that was opened before."""
+FUSION_OPTIONS = tuple(field.name for field in dataclasses.fields(FusionSettings))
+SURFACE_OPTIONS = ("seed", "repair_mesh", "size", "scale", "strict", *FUSION_OPTIONS)
+"""Options of the opening of a scene, unknown of one that was opened before."""
 WARM_UP = DEPTH + 2
 """Frames that do not count for frames per second: the first compiles, and others are read meanwhile."""
 
@@ -121,7 +122,7 @@ def relight_capture(
             scene = Scene.open(settings.scene, capture=capture, clock=clock, progress=progress)
         else:
             chosen = select_frames(settings.frames, len(scene))
-            record |= dict.fromkeys(ANOTHERS)  # another scene's
+            record |= dict.fromkeys(SURFACE_OPTIONS)
             record["capture"] = scene.capture.name
         divides = settings.divides_photo_light
         setup = scene.lights(settings.lights if lights is None else lights, at_photo_sources=divides)
@@ -198,7 +199,7 @@ def relight_capture(
 
 
 def tell_of_another_device(configuration: Configuration) -> None:
-    """A line in the log where a configuration was measured on another device."""
+    """Log that a configuration was measured on another device."""
     measured = configuration.measured
     here = environment()["device"]
     if measured is not None and configuration.name not in PRESETS and measured.device != here:
@@ -211,7 +212,7 @@ def tell_of_another_device(configuration: Configuration) -> None:
 
 
 def tell_of_darkness(summary: "_Summary", setup: LightSetup) -> None:
-    """A line in the log on frames that ended nearly black, with what would help."""
+    """Log frames that ended nearly black, and a remedy."""
     if not summary.dark:
         return
     names = ", ".join(summary.dark[:3]) + (", …" if len(summary.dark) > 3 else "")

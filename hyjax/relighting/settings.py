@@ -36,7 +36,7 @@ class RelightSettings(Settings):
     kappa: float | None = None
     """Edge sensitivity of a named schedule. Default: 0.05 for hyjax and in paper mode, 0.02 for the others."""
     guide: str | None = None
-    """What guides the diffusion: rgb (the default) is the frame itself, small the network that comes with hyjax,
+    """Guide of the diffusion: rgb (the default) is the frame itself, small the network that comes with hyjax,
     small-half that network at half the frame's size; or a safetensors file that train or tune wrote."""
     choices: tuple[str, ...] = ()
     """Choices in the place of the configuration's, such as photo_exponent=1.2 bounces=false."""
@@ -49,10 +49,10 @@ class RelightSettings(Settings):
     shadows: bool = True
     """Whether lights cast shadows."""
     occluders: Occluders = "completed"
-    """What throws shadows: completed is the mesh with small holes closed and, if there are depth maps, a finer
-    fusion of them; surface is the bare mesh, as always in paper mode."""
+    """Mesh that casts shadows: completed is the lit one with small holes closed and, if there are depth maps, a
+    finer fusion of them; surface is the bare mesh, as always in paper mode."""
     renderer: Renderer = "shadow_map"
-    """What shades the mesh: shadow_map; blender: Cycles, which traces every shadow and takes its time; or webgpu:
+    """Renderer of the light: shadow_map; blender: Cycles, which traces every shadow and takes its time; or webgpu:
     whole frames on a graphics processor, by the shaders of an exported page."""
     sampling: int | None = None
     """Shade one pixel in each block of so many by so many, where the schedule averages over blocks anyway: 2 (the
@@ -107,7 +107,7 @@ class RelightSettings(Settings):
         return self.open_configuration().mode
 
     def open_configuration(self) -> "Configuration":
-        """Configuration by name or from a file, with what is given beside it.
+        """Configuration by name or from a file, with the other options' changes.
 
         Raises:
             InputError: no such configuration or schedule, or choices that exclude each other.

@@ -22,7 +22,7 @@ from hyjax.util.programs import run_kept
 LARGEST_FILTER, LARGEST_FILTER_IN_SUN = 1.6, 3.5
 """Largest filter on all but a twentieth of the surface, without the sun and with it."""
 REFLECTED_SHARE = 0.3
-"""Light by way of other surfaces, over the mean of what comes straight."""
+"""Ratio of bounced light to the mean direct light."""
 DIMMINGS = 4
 """Number of times that sun and exposure are brought in line with each other."""
 POINTS_AT_ONCE = 2048

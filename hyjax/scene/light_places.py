@@ -28,7 +28,7 @@ MOST_STOPS, MOST_WINDOWS = 8, 4
 LAMP_REACH = 3.0
 """Largest distance, in metres, of a known lamp from where a stop would have its own."""
 SHADE_RADIUS = 0.35
-"""Distance from a known lamp, in metres, where what is in the way is its own shade."""
+"""Radius around a known lamp, in metres, within which a surface is its own shade."""
 LEAST_REACHED = 0.15
 """Least share of a stop's points that a known window must reach for the stop to need no other."""
 WINDOW_WIDTH, WINDOW_HEIGHT = 1.6, 1.2
@@ -193,7 +193,7 @@ def _known_window(place: Mapping[str, Any]) -> WindowPlace:
 
 
 def _has_window(seen: SeenSurface, stop: Stop, windows: Sequence[WindowPlace], up: Vector) -> bool:
-    """Whether known windows reach a good part of what is seen at a stop."""
+    """Whether known windows light a good part of the surface seen at a stop."""
     lights = [RectLight.filling(window.opening(up), 1000.0, np.ones(3)) for window in windows]
     if not lights:
         return False

@@ -26,7 +26,7 @@ from hyjax.util.vectors import unit
 SUN_TANGENTS = (0.35, -0.35, 0.0, 0.7, -0.7, 1.2, -1.2)
 """Tangents of candidate angles between the sun's direction and the first window's normal, the default first."""
 LEAST_SUNLIT = 0.02
-"""Least sunlit share of what a camera sees for the sun to count as in its picture."""
+"""Least sunlit share of the surface in a picture for the sun to count as shown."""
 ENOUGH_SUNLIT = 0.6
 """Number of pictures with sun, over that of the best sun, from which the more usual sun is kept."""
 MOST_SUNS = 3
@@ -36,7 +36,7 @@ LAMP_LUMENS = 900.0
 NOON_SKY, EVENING_SKY, DUSK_SKY, NIGHT_SKY = 950.0, 300.0, 36.0, 2.1
 """Lumens of a square metre of window by noon, by a low sun, at dusk and at night."""
 LOW_SUN, SUNSET_SKY = 3000.0, 4500.0
-"""Colour temperatures of a low sun, and of what windows towards it show: the sky and ground around it."""
+"""Colour temperatures of a low sun, and of the sky and ground around it in a window."""
 EXPOSURES = {
     "noon-window": Exposure(0.6, 0.3, 2.5),
     "golden-hour": Exposure(0.4, 0.16, 2.0),

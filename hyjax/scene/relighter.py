@@ -167,7 +167,7 @@ class Relighter:
 
     @checked_arguments
     def shade(self, view: View, *, sampling: int | None = None) -> Shaded:
-        """Light on what a view sees.
+        """Light on the surface in a view.
 
         Args:
             view: of the place.

@@ -47,7 +47,7 @@ MOST_MAPS = 2
 
 
 class Scene:
-    """A capture with its surface: frames, what their cameras see, and the light on it.
+    """A capture with its surface: frames, their views, and the light in them.
 
     Example:
         scene = Scene.open(SceneSettings(capture=Path("my_scan"), size="640x480"))
@@ -278,7 +278,7 @@ class Scene:
         occluders: Occluders = "completed",
         sampling: int = 1,
     ) -> Shaded:
-        """Light on what a view sees.
+        """Light on the surface in a view.
 
         Args:
             view: of this scene.

@@ -152,6 +152,15 @@ def surface_light(photo: float, bounced: float, source: Emitters | None = None) 
     return SurfaceLight(jnp.full((3, 3), photo), jnp.full((3, 3), bounced), faces, source)
 
 
+@pytest.mark.parametrize(("bright", "is_lamp"), [(0.77, False), (1.0, True)])
+def test_before_a_pane_a_lamp_has_the_pixels_that_are_more_its_own(bright: float, is_lamp: bool) -> None:
+    frame, sent = jnp.full((*LENS.shape, 3), bright), np.array([[2.0] * 3, [0.0] * 3])
+    both = found(emitters(sent, lamps=np.array([[1.0, 0.0, 0.0, 0.3]])), frame, wall(hit=False))
+    pane = found(emitters(sent[:1]), frame, wall(hit=False))
+    assert float(both.weight[12, 16, 0]) == 1.0
+    np.testing.assert_allclose(both.sent[12, 16], 0.0 if is_lamp else pane.sent[12, 16])
+
+
 def test_a_frame_is_divided_by_its_own_light_and_gets_bounces() -> None:
     lamp = PointLight(jnp.zeros(3), jnp.float32(0.0), jnp.ones(3))
     seen = view()

@@ -75,8 +75,8 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, surface: f32, shining: vec3<f
         var cover = clamp(inside / (width * max(distance, 1e-3)) + 0.5, 0.0, 1.0)
             * select(mix(dark, smoothstep(0.1, 0.3, darkest), lit), 1.0, hole);
         if (distance <= 0.0 || slope >= 0.0 || depth <= distance - SLACK) { cover = 0.0; }
-        weight = max(weight, cover);
-        if (cover > 0.0) {
+        if (cover > 0.0 && cover >= weight) {
+            weight = cover;
             let kept = emitters[6u * k + 4u].xyz;
             let pane = select(photo, mean, hole);
             let pattern = mix(vec3<f32>(1.0), pane / max(mean, vec3<f32>(1e-3)), lit);
@@ -92,8 +92,8 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, surface: f32, shining: vec3<f
         let away = sqrt(max(dot(toward, toward) - along * along * dot(ray, ray), 1e-12));
         var cover = clamp((1.5 * radius - away) / (width * max(along, 1e-3)) + 0.5, 0.0, 1.0) * smoothstep(0.75, 0.95, darkest);
         if (along <= 0.0 || depth <= along - 2.0 * radius - SLACK) { cover = 0.0; }
-        weight = max(weight, cover);
-        if (cover > 0.0) {
+        if (cover > 0.0 && cover >= weight) {
+            weight = cover;
             let kept = emitters[first + 2u].xyz;
             sent = emitters[first + 1u].xyz * frame.mean.xyz + kept * photo
                 + LAMP_REFLECTANCE * frame.mean.xyz * max(1.0 - kept, vec3<f32>(0.0)) * shining;
