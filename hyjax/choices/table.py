@@ -75,11 +75,7 @@ def _add(choice: Choice) -> None:
 
 
 def choice_named(name: str) -> Choice:
-    """Choice of a name.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Choice of a name."""
     if name not in CHOICES:
         raise InputError(
             f"choices: no choice {name!r}{did_you_mean(name, CHOICES)}; there are {', '.join(sorted(CHOICES))}"

@@ -100,11 +100,7 @@ class Graph:
 
 @checked_arguments
 def build_graph(settings: ExportSettings) -> Graph:
-    """The function that the settings ask for.
-
-    Raises:
-        InputError: settings that cannot be used.
-    """
+    """The function that the settings ask for."""
     guide = open_guide(settings.guide)
     if settings.what == "guide":
         return guide_graph(guide, settings.shape)
@@ -204,11 +200,7 @@ def measure_parity(graph: Graph, run: Run) -> float:
 
 
 def check_parity(graph: Graph, run: Run, target: str) -> float:
-    """`measure_parity`, if it is small enough.
-
-    Raises:
-        InputError: it is not.
-    """
+    """`measure_parity`, if it is small enough."""
     parity = measure_parity(graph, run)
     if not parity <= graph.tolerance:
         raise InputError(

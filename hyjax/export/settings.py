@@ -98,11 +98,7 @@ class ExportSettings(Settings):
         return open_schedule(self.schedule or "hyjax", self.kappa)
 
     def open_configuration(self) -> "Configuration":
-        """Configuration by name or from a file.
-
-        Raises:
-            InputError: no such configuration, or one that is not exported.
-        """
+        """Configuration by name or from a file."""
         from hyjax.configuration import DEFAULT, Configuration
 
         chosen = Configuration.open(self.configuration or DEFAULT)

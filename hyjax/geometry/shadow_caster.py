@@ -48,9 +48,6 @@ def cast_shadow_maps(
         slack: see `ShadowMap`.
         most_views: of each light, at most; None for all that it has.
         folder: to keep maps in, under mesh and light, and to find them in again; None to draw them anew.
-
-    Raises:
-        InputError: no scale above 0 and up to 16.
     """
     if not 0 < scale <= LARGEST_SCALE:
         raise InputError(f"scale: must be > 0 and at most {LARGEST_SCALE:g}, got {scale:g}")

@@ -129,11 +129,7 @@ def _reduced(guide: FrameGuide, display: Float[Array, "h w 3"], factor: int) -> 
 
 @checked_arguments
 def configured_guide(options: GuideOptions) -> FrameGuide:
-    """Guide of a configuration.
-
-    Raises:
-        InputError: there is no such guide, or its file cannot be used.
-    """
+    """Guide of a configuration."""
     guide = _opened(options.name, _version(options.name))
     if options.size is None or options.name in (RGB.name, NO_GUIDE):
         return guide

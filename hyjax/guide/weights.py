@@ -110,11 +110,7 @@ def load_network(
 
 @checked_arguments
 def kappa_of(metadata: Mapping[str, str], path: str | os.PathLike[str]) -> float:
-    """The κ that goes with the features of a file's network.
-
-    Raises:
-        InputError: it makes no sense, or is for another norm than l2.
-    """
+    """The κ that goes with the features of a file's network."""
     if (norm := metadata.get("norm", "l2")) != "l2":
         raise InputError(f"{path}: trained for the norm {norm!r}; guides are read with 'l2'")
     try:
@@ -183,11 +179,7 @@ def assign(
 
 
 def read_weights(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, str]]:
-    """(arrays by name, metadata) of a safetensors file, without torch's counters.
-
-    Raises:
-        InputError: no such file, or it is damaged.
-    """
+    """(arrays by name, metadata) of a safetensors file, without torch's counters."""
     file = _downloaded(os.fspath(path)) if os.fspath(path).startswith(HUB) else Path(path)
     check_regular(file, os.fspath(path))
     try:

@@ -40,9 +40,6 @@ def sample_pixels(gbuffer: GBuffer, *, sampling: int) -> GBuffer:
     Which one changes from block to block, so that `sampling`² blocks have samples in all rows and in all columns:
     their mean is that of an evenly spread pattern, about the blocks' common centre.
 
-    Raises:
-        InputError: `sampling` is less than 1.
-
     Source: Keller and Heidrich, *Interleaved sampling*, 2001.
     """
     if sampling < 1:

@@ -159,9 +159,6 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
         light: on the vertices.
         gbuffer: of the view, with triangles; see `on_pixels` for surfaces outside the scan.
         lights: of the shading; ambient ones are in the bounces, see `bounced_light`.
-
-    Raises:
-        InputError: the G-buffer has no triangles.
     """
     uniform = np.array([kind.UNIFORM and light.bounced is not None for kind in lights])
     return _add(shaded, light, on_triangles(gbuffer), jax.device_put(uniform & (not uniform.all())))
@@ -192,11 +189,7 @@ def on_pixels(values: Float[Array, "v 3"], faces: Int[Array, "f 3"], gbuffer: GB
 
 
 def on_triangles(gbuffer: GBuffer) -> GBuffer:
-    """Return the G-buffer if it has triangles.
-
-    Raises:
-        InputError: it does not.
-    """
+    """Return the G-buffer if it has triangles."""
     if gbuffer.face is None or gbuffer.barycentric is None:
         raise InputError("surface light: the G-buffer must have the triangle of each pixel, as a mesh's does")
     return gbuffer

@@ -31,11 +31,7 @@ def written_pictures(relit: Relit, settings: RelightSettings) -> dict[str, Float
 def write_frame(
     clock: StageClock, out: Path, name: str, pictures: dict[str, Float[Array, "h w 3"]], mode: Mode
 ) -> None:
-    """A PNG to look at and an EXR with linear values of each picture.
-
-    Raises:
-        InputError: a file cannot be written.
-    """
+    """A PNG to look at and an EXR with linear values of each picture."""
     with clock("write"):
         for kind, picture in pictures.items():
             shown = _shown(picture, encoded=kind == "visibility" or (mode == "paper" and kind != "relit"))

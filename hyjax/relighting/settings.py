@@ -107,11 +107,7 @@ class RelightSettings(Settings):
         return self.open_configuration().mode
 
     def open_configuration(self) -> "Configuration":
-        """Configuration by name or from a file, with the other options' changes.
-
-        Raises:
-            InputError: no such configuration or schedule, or choices that exclude each other.
-        """
+        """Configuration by name or from a file, with the other options' changes."""
         return self._configuration
 
     @functools.cached_property
@@ -190,11 +186,7 @@ def open_schedule(text: str, kappa: float | None = None) -> "Schedule":
 
 
 def read_schedule(path: Path) -> "Schedule":
-    """Schedule from a JSON file, such as `hyjax tune` writes.
-
-    Raises:
-        InputError: it cannot be read, or holds no schedule.
-    """
+    """Schedule from a JSON file, such as `hyjax tune` writes."""
     from hyjax.core.schedule import Schedule
 
     text = read_text(path)

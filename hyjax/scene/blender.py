@@ -220,11 +220,7 @@ class BlenderRenderer:
 
 
 def blender_python() -> str:
-    """Path of the Python that runs Blender: `$HYJAX_BLENDER` if set, else this one if it has bpy.
-
-    Raises:
-        InputError: neither.
-    """
+    """Path of the Python that runs Blender: `$HYJAX_BLENDER` if set, else this one if it has bpy."""
     named = os.environ.get("HYJAX_BLENDER")
     if named:
         if not os.access(named, os.X_OK) or Path(named).is_dir():

@@ -99,11 +99,7 @@ class Readings:
 
 
 def plan_fusion(capture: Capture, settings: FusionSettings) -> FusionPlan:
-    """Choose range, voxel and weights for a capture from a few of its depth maps.
-
-    Raises:
-        InputError: the settings cannot be used, or the capture has no depth at all.
-    """
+    """Choose range, voxel and weights for a capture from a few of its depth maps."""
     settings.check()
     count = capture.depth_count
     if not count:
@@ -141,9 +137,6 @@ def fuse_capture(
         plan: see `plan_fusion`.
         checkpoint: file of a long fusion's state, from which a later call continues.
         progress: show a bar on stderr.
-
-    Raises:
-        InputError: see `hyjax.geometry.tsdf.fuse`.
     """
     frames = Readings(capture, plan.indices, plan.confidence)
     return fuse(

@@ -105,9 +105,6 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
     Args:
         capture: any.
         progress: show a bar on stderr.
-
-    Raises:
-        InputError: nothing of it can be read.
     """
     doubts = list(capture.faults)
     sizes, exposures, times = [], [], []

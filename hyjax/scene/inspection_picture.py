@@ -14,11 +14,7 @@ SHOWN_FRAMES = 4
 
 
 def write_inspection(path: Path, inspection: Inspection) -> None:
-    """Write the picture of an inspection as a PNG.
-
-    Raises:
-        InputError: it cannot be written.
-    """
+    """Write the picture of an inspection as a PNG."""
     from matplotlib.figure import Figure
 
     capture = inspection.capture

@@ -113,9 +113,6 @@ def survey(
         up: unit vector against gravity.
         anchors: places the capture knows: `window_0`, `window_1`, … with center, normal, width, height, and
             `lamp_0`, `lamp_1`, … with position. What is missing is made up.
-
-    Raises:
-        InputError: no camera sees any surface.
     """
     seen, eyes = SeenSurface.of(caster, cameras, SURVEY_CAMERAS)
     known = anchors or {}

@@ -113,11 +113,7 @@ def check_setup_name(name: str) -> None:
 
 
 def named_setup(name: str, anchors: LightAnchors) -> LightSetup:
-    """Place one of `SETUPS` in a room and expose it; a light that reaches no visible surface is logged.
-
-    Raises:
-        InputError: unknown name.
-    """
+    """Place one of `SETUPS` in a room and expose it; a light that reaches no visible surface is logged."""
     check_setup_name(name)
     setup = SETUPS[name](anchors)
     lux = anchors.seen.lux(setup.lights)
