@@ -67,10 +67,10 @@ def scene_arrays(
     mesh = scene.mesh
     photo = None if keep_photo_light else scene.photo_light.estimate.light
     if photo is not None and photo_exponent != 1.0:
-        raised = SurfaceLight(photo.illuminance, None, photo.transport.faces, None, photo.sources).raised(
-            photo_exponent
-        )
-        photo = dataclasses.replace(photo, illuminance=raised.photo_light, sources=raised.kept)
+        light = SurfaceLight(photo.illuminance, None, photo.transport.faces, kept=photo.sources)
+        light = light.raised(photo_exponent)
+        assert light.kept is not None
+        photo = dataclasses.replace(photo, illuminance=light.photo_light, sources=light.kept)
     fields, hits, sources, mean = _even(mesh) if photo is None else _photo(mesh, photo, rays)
     thrower = mesh if surface_occluders else scene.occluders.mesh
     occluders = tree_order(np.asarray(thrower.vertices, np.float32), np.asarray(thrower.faces))
