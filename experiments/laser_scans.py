@@ -16,7 +16,8 @@ import trimesh
 from jaxtyping import Float
 from tqdm import tqdm
 
-from hyjax.data.capture_files import read_numbers
+from hyjax.data.capture_files import tree_numbers
+from hyjax.data.trees import open_tree
 from hyjax.geometry.camera import check_pose
 from hyjax.geometry.point_cloud import disc_mesh, thinned
 from hyjax.util.errors import InputError
@@ -60,7 +61,9 @@ def load_points(path: Path) -> Float[np.ndarray, "n 3"]:
 def _read_pose(path: Path) -> Float[np.ndarray, "4 4"]:
     if not path.is_file():
         raise InputError(f"{path}: missing; each laser scan needs its pose")
-    numbers = read_numbers(path, (4, 3), "three lines of a rotation, then a line of the translation")
+    numbers = tree_numbers(
+        open_tree(path), path.name, (4, 3), "three lines of a rotation, then a line of the translation"
+    )
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = numbers[:3], numbers[3]
     check_pose(pose, where=str(path))

@@ -1,7 +1,5 @@
 """Helpers of the readers of captures: numbers in text, pictures, files named by time, fingerprints."""
 
-import contextlib
-import os
 import re
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from hyjax.data.file_tree import FileTree, digest_of
+from hyjax.data.file_tree import FileTree
 from hyjax.util.errors import InputError
 from hyjax.util.images import picture_shape, read_depth, read_image, read_labels
 from hyjax.util.reading import parse_json, read_text
@@ -159,7 +157,7 @@ class TimedFile(NamedTuple):
     """A file and the seconds in its name."""
 
     time: float
-    path: Path
+    name: str
 
 
 class TimedFiles:
@@ -183,23 +181,13 @@ class TimedFiles:
         return best if best is not None and abs(best.time - time) <= tolerance else None
 
 
-def timed_files(folder: Path, suffix: str) -> TimedFiles:
+def timed_files(tree: FileTree, folder: str, suffix: str) -> TimedFiles:
     """Files of a folder named as `47333462_6845.210.png`: video (or nothing), time in seconds, suffix."""
-    found: dict[float, Path] = {}
-    for entry in sorted(folder.glob(f"*{suffix}")):
-        if match := TIMED.fullmatch(entry.name.removesuffix(suffix)):
+    found: dict[float, str] = {}
+    for name in tree.below(folder, suffix):
+        if match := TIMED.fullmatch(name.rpartition("/")[2].removesuffix(suffix)):
             time = float(match[1])
             if time in found:
-                raise InputError(f"{entry}: time {time:.3f} is also {found[time].name}; keep one of the two")
-            found[time] = entry
-    return TimedFiles(TimedFile(time, path) for time, path in found.items())
-
-
-def fingerprint(root: Path, folders: Iterable[Path]) -> str:
-    """Fingerprint of a capture: from names, sizes and times of all files in `folders`, which costs no reading."""
-    files = []
-    for entry in (entry for folder in folders for entry in os.scandir(folder)):
-        with contextlib.suppress(OSError):  # a link that leads nowhere
-            stat = entry.stat()
-            files.append(f"{Path(entry.path).relative_to(root)} {stat.st_size} {stat.st_mtime_ns}")
-    return digest_of(str(root), sorted(files))
+                raise InputError(f"{tree.where(name)}: time {time:.3f} is also {found[time]}; keep one of the two")
+            found[time] = name
+    return TimedFiles(TimedFile(time, name) for time, name in found.items())

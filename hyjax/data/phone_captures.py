@@ -1,4 +1,4 @@
-"""Depth with confidence, poses from quaternions and counts of faults, shared by readers of phone captures."""
+"""Scans of phones: what their readers share, from depth with confidence to the counts of faults."""
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from hyjax.data.capture_files import Tally, looks_whole, tree_depth, tree_labels, tree_shape
 from hyjax.data.file_tree import FileTree
-from hyjax.data.recording import DepthAndConfidence, Shot, rigid
+from hyjax.data.recording import Y_UP, DepthAndConfidence, Recording, Shot, from_opengl, rigid
 from hyjax.geometry.camera import Intrinsics
+from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.errors import InputError
 
 ARKIT_LEVELS = (0, 1, 2)
@@ -25,6 +26,12 @@ def usable_pose(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | No
     """Rigid motion nearest to a pose; None if the pose is invalid or leads out of any building."""
     result = rigid(pose)
     return None if result is None or np.abs(result[:3, 3]).max() > FARTHEST else result
+
+
+def arkit_pose(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
+    """`usable_pose` of a camera in ARKit's axes, in ours."""
+    result = usable_pose(pose)
+    return None if result is None else from_opengl(result)
 
 
 def pose_from_quaternion(
@@ -85,16 +92,6 @@ def confidence_from_levels(
     return np.interp(found, levels, (0.0, 0.5, 1.0)).astype(np.float32)
 
 
-def whole_file(tree: FileTree, name: str, what: str, faults: Tally) -> str | None:
-    """The name of a file if it is there and whole; a damaged one is counted in `faults` as `what`."""
-    if name not in tree:
-        return None
-    if looks_whole(tree, name):
-        return name
-    faults.add(f"{what} are damaged and left out", name)
-    return None
-
-
 def shape_of_pictures(tree: FileTree, names: Sequence[str]) -> tuple[int, int]:
     """(height, width) of a capture's pictures, by the header of the first."""
     if not names:
@@ -102,32 +99,110 @@ def shape_of_pictures(tree: FileTree, names: Sequence[str]) -> tuple[int, int]:
     return tree_shape(tree, names[0])
 
 
-def in_order_of_time(shots: Sequence[Shot], remarks: Tally) -> list[Shot]:
-    """Shots sorted by time; those whose clock went back are counted in `remarks`."""
-    for before, after in itertools.pairwise(shots):
-        if after.time < before.time:
-            remarks.add("times go back, frames are taken in order of time", after.name)
-    return sorted(shots, key=lambda shot: shot.time)
+class PhoneScan:
+    """Shots of a phone's scan on their way to a recording, and what is to be told of them.
 
-
-def usable_shots(reads: Iterable[Callable[[], Shot | None]], faults: Tally) -> list[Shot]:
-    """Shots of the frames that can be used; the others are counted in `faults`.
-
-    Args:
-        reads: each reads one frame; None for one that has been counted already.
-        faults: of the capture.
+    Attributes:
+        tree: its files.
+        faults, remarks: see `Capture`.
     """
-    shots: list[Shot] = []
-    first: InputError | None = None
-    for read in reads:
-        try:
-            shot = read()
-        except InputError as error:
-            first = first or error
-            faults.add("frames cannot be used and are left out", str(error))
-            continue
-        if shot is not None:
-            shots.append(shot)
-    if first is not None and not shots:
-        raise first
-    return shots
+
+    def __init__(self, tree: FileTree) -> None:
+        self.tree, self.faults, self.remarks = tree, Tally(), Tally()
+
+    def whole(self, name: str, what: str) -> str | None:
+        """The name of a file if it is there and whole; a damaged one is counted in `faults` as `what`."""
+        if name not in self.tree:
+            return None
+        if looks_whole(self.tree, name):
+            return name
+        self.faults.add(f"{what} are damaged and left out", name)
+        return None
+
+    def depth(
+        self, depth: str, confidence: str | None, *, levels: tuple[int, int, int] = ARKIT_LEVELS
+    ) -> Callable[[], DepthAndConfidence] | None:
+        """Reads a depth map and its confidence; None if the map is not there, or damaged. See `lidar_depth`."""
+        maps = self.whole(depth, "depth maps")
+        confidences = confidence and self.whole(confidence, "confidence maps")
+        return None if maps is None else lidar_depth(self.tree, maps, confidences, levels=levels)
+
+    def usable(self, reads: Iterable[Callable[[], Shot | None]]) -> list[Shot]:
+        """Shots of the frames that can be used; the others are counted in `faults`.
+
+        Args:
+            reads: each reads one frame; None for one that has been counted already.
+        """
+        shots: list[Shot] = []
+        first: InputError | None = None
+        for read in reads:
+            try:
+                shot = read()
+            except InputError as error:
+                first = first or error
+                self.faults.add("frames cannot be used and are left out", str(error))
+                continue
+            if shot is not None:
+                shots.append(shot)
+        if first is not None and not shots:
+            raise first
+        return shots
+
+    def shot(
+        self,
+        source: str,
+        name: str,
+        time: float,
+        pose: Float[np.ndarray, "4 4"] | None,
+        intrinsics: Intrinsics,
+        picture: Callable[[], Float[np.ndarray, "h w 3"]] | None,
+        depth: Callable[[], DepthAndConfidence] | None,
+        *,
+        depth_intrinsics: Intrinsics | None = None,
+        exposure: float | None = None,
+    ) -> Shot | None:
+        """A shot, with a remark on what it lacks; None, counted in `faults`, without a valid pose.
+
+        Args:
+            source: file that tells it, for messages.
+            name, time, pose, intrinsics, picture, depth, depth_intrinsics, exposure: see `Shot`.
+        """
+        if pose is None:
+            self.faults.add("poses are none (not finite, or no rotation) and left out", source)
+            return None
+        if picture is None:
+            self.remarks.add(
+                "poses have no picture" + ("; their depth is used" if depth else " and no depth"), source
+            )
+        elif depth is None:
+            self.remarks.add("pictures have no depth", source)
+        return Shot(name, time, pose, intrinsics, picture, depth, depth_intrinsics, exposure=exposure)
+
+    def recording(
+        self,
+        shots: Sequence[Shot],
+        *,
+        up: Float[np.ndarray, "3"] | None = Y_UP,
+        mesh: str | None = None,
+        name: str | None = None,
+    ) -> Recording:
+        """The recording of some shots, in order of time; a clock that goes back is told.
+
+        Args:
+            shots: in the order in which the files have them.
+            up, name: see `Recording`.
+            mesh: name of the device's mesh, where there is one.
+        """
+        for before, after in itertools.pairwise(shots):
+            if after.time < before.time:
+                self.remarks.add("times go back, frames are taken in order of time", after.name)
+        return Recording(
+            self.tree,
+            sorted(shots, key=lambda shot: shot.time),
+            name=name,
+            up=up,
+            mesh=mesh if mesh is not None and mesh in self.tree else None,
+            sensor=PHONE_LIDAR,
+            faults=self.faults.lines(),
+            remarks=self.remarks.lines(),
+        )

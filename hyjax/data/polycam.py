@@ -22,20 +22,16 @@ import functools
 import numpy as np
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import Tally, tree_colour
+from hyjax.data.capture_files import tree_colour
 from hyjax.data.file_tree import FileTree
 from hyjax.data.json_fields import json_count, json_number, json_object
 from hyjax.data.phone_captures import (
     PIXEL_CENTRE,
-    in_order_of_time,
+    PhoneScan,
+    arkit_pose,
     lens_of,
-    lidar_depth,
-    usable_pose,
-    usable_shots,
-    whole_file,
 )
-from hyjax.data.recording import Y_UP, Recording, Shot, from_opengl
-from hyjax.geometry.depth_sensor import PHONE_LIDAR
+from hyjax.data.recording import Recording, Shot
 
 RAW, CORRECTED = "keyframes/cameras", "keyframes/corrected_cameras"
 CONFIDENCE_LEVELS = (0, 54, 255)
@@ -51,7 +47,7 @@ def open_polycam(tree: FileTree) -> Recording:
 
     Keyframes that the app has not corrected are left out of a scan that it has.
     """
-    faults, remarks = Tally(), Tally()
+    scan = PhoneScan(tree)
     corrected = bool(tree.below(CORRECTED, ".json") and tree.below("keyframes/corrected_images"))
     cameras = tree.below(CORRECTED if corrected else RAW, ".json")
     names = [camera.rpartition("/")[2].removesuffix(".json") for camera in cameras]
@@ -59,54 +55,37 @@ def open_polycam(tree: FileTree) -> Recording:
         known = set(names)
         for camera in tree.below(RAW, ".json"):
             if camera.rpartition("/")[2].removesuffix(".json") not in known:
-                remarks.add("keyframes were not corrected by the app and are left out", camera)
+                scan.remarks.add("keyframes were not corrected by the app and are left out", camera)
     images = "keyframes/corrected_images" if corrected else "keyframes/images"
     has_corrected_depth = corrected and bool(tree.below("keyframes/corrected_depth", ".png"))
     depths = "keyframes/corrected_depth" if has_corrected_depth else "keyframes/depth"
     reads = (
-        functools.partial(_read_keyframe, tree, camera, name, index, images, depths, faults, remarks)
+        functools.partial(_read_keyframe, scan, camera, name, index, images, depths)
         for index, (camera, name) in enumerate(zip(cameras, names))
     )
-    shots = usable_shots(reads, faults)
-    return Recording(
-        tree,
-        in_order_of_time(shots, remarks),
-        up=Y_UP,
-        sensor=PHONE_LIDAR,
-        faults=faults.lines(),
-        remarks=remarks.lines(),
-    )
+    return scan.recording(scan.usable(reads))
 
 
-def _read_keyframe(
-    tree: FileTree, camera: str, name: str, index: int, images: str, depths: str, faults: Tally, remarks: Tally
-) -> Shot | None:
+def _read_keyframe(scan: PhoneScan, camera: str, name: str, index: int, images: str, depths: str) -> Shot | None:
+    tree = scan.tree
     fields, where = json_object(tree, camera), tree.where(camera)
     rows = [[_entry(fields, f"t_{row}{column}", where) for column in range(4)] for row in range(3)]
-    pose = usable_pose(np.array([*rows, [0.0, 0.0, 0.0, 1.0]]))
+    pose = arkit_pose(np.array([*rows, [0.0, 0.0, 0.0, 1.0]]))
     size = json_count(fields, "height", where), json_count(fields, "width", where)
     values = [json_number(fields, key, where) for key in ("fx", "fy", "cx", "cy")]
     lens = lens_of(size, values, where, shift=PIXEL_CENTRE)
     microseconds = float(name) if name.isascii() and name.isdigit() and len(name) <= 16 else float(index)
     time = json_number(fields, "timestamp", where, default=microseconds) / 1e6
     found = [file for suffix in ("jpg", "jpeg", "png") if (file := f"{images}/{name}.{suffix}") in tree]
-    picture = whole_file(tree, found[0], "pictures", faults) if found else None
-    depth = whole_file(tree, f"{depths}/{name}.png", "depth maps", faults)
-    confidence = whole_file(tree, f"keyframes/confidence/{name}.png", "confidence maps", faults)
-    if pose is None:
-        faults.add("poses are none (not finite, or no rotation) and left out", camera)
-        return None
-    if picture is None:
-        remarks.add("cameras have no picture" + ("; their depth is used" if depth else " and no depth"), camera)
-    elif depth is None:
-        remarks.add("pictures have no depth", picture)
-    return Shot(
+    picture = scan.whole(found[0], "pictures") if found else None
+    return scan.shot(
+        camera,
         name,
         time,
-        from_opengl(pose),
+        pose,
         lens,
         None if picture is None else functools.partial(tree_colour, tree, picture),
-        None if depth is None else lidar_depth(tree, depth, confidence, levels=CONFIDENCE_LEVELS),
+        scan.depth(f"{depths}/{name}.png", f"keyframes/confidence/{name}.png", levels=CONFIDENCE_LEVELS),
     )
 
 

@@ -32,16 +32,14 @@ from hyjax.data.file_tree import FileTree
 from hyjax.data.json_fields import json_count, json_list, json_number, json_numbers, json_object, number_list
 from hyjax.data.lzfse_blocks import unpacked_size
 from hyjax.data.phone_captures import (
+    PhoneScan,
     confidence_from_levels,
-    in_order_of_time,
     lens_of,
     pose_from_quaternion,
     shape_of_pictures,
-    whole_file,
 )
-from hyjax.data.recording import Y_UP, DepthAndConfidence, Recording, Shot, from_opengl
+from hyjax.data.recording import Y_UP, DepthAndConfidence, Recording, from_opengl
 from hyjax.geometry.camera import Intrinsics
-from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
 
@@ -70,50 +68,37 @@ def open_record3d(tree: FileTree) -> Recording:
     """
     name = "metadata.json" if "metadata.json" in tree else "metadata"
     metadata, where = json_object(tree, name), tree.where(name)
-    faults, remarks = Tally(), Tally()
+    scan = PhoneScan(tree)
     files = {int(match[1]): file for file in tree.names if (match := PICTURE.fullmatch(file))}
-    pictures = {number: file for number, file in files.items() if whole_file(tree, file, "pictures", faults)}
+    pictures = {number: file for number, file in files.items() if scan.whole(file, "pictures")}
     depths = {int(match[1] or match[2]): file for file in tree.names if (match := DEPTH.fullmatch(file))}
     if any(file.endswith(".depth") for file in depths.values()):
         _lzfse()
-    poses, up = _read_poses(metadata, where, remarks)
+    poses, up = _read_poses(metadata, where, scan.remarks)
     lenses = _Lenses(metadata, where, shape_of_pictures(tree, list(pictures.values())))
     times, rate = _read_times(metadata, where)
-    shots: list[Shot] = []
+    shots = []
     for number in sorted({*pictures, *depths}):
         picture, depth = pictures.get(number), depths.get(number)
-        pose = poses[number] if number < len(poses) else None
-        if pose is None:
-            why = "poses are none (not finite, or no rotation)" if number < len(poses) else "frames have no pose"
-            faults.add(f"{why} and are left out", str(picture or depth))
+        if number >= len(poses):
+            scan.faults.add("frames have no pose and are left out", str(picture or depth))
             continue
-        if picture is None:
-            remarks.add("depth maps have no picture; fusion uses them", str(depth))
-        elif depth is None and depths:
-            remarks.add("pictures have no depth", picture)
-        lens = lenses.of(number)
-        time = times[number] if number < len(times) else number / rate
-        shots.append(
-            Shot(
-                f"frame_{number:06d}",
-                time,
-                from_opengl(pose),
-                lens,
-                None if picture is None else functools.partial(tree_colour, tree, picture),
-                None if depth is None else functools.partial(_read_depth, tree, depth, metadata, where, lens),
-            )
+        pose, lens = poses[number], lenses.of(number)
+        shot = scan.shot(
+            str(picture or depth),
+            f"frame_{number:06d}",
+            times[number] if number < len(times) else number / rate,
+            None if pose is None else from_opengl(pose),
+            lens,
+            None if picture is None else functools.partial(tree_colour, tree, picture),
+            None if depth is None else functools.partial(_read_depth, tree, depth, metadata, where, lens),
         )
+        if shot is not None:
+            shots.append(shot)
     unused = [number for number in range(len(poses)) if number not in files]
     for number in unused:
-        remarks.add("poses have no picture", f"number {number}")
-    return Recording(
-        tree,
-        in_order_of_time(shots, remarks),
-        up=up,
-        sensor=PHONE_LIDAR,
-        faults=faults.lines(),
-        remarks=remarks.lines(),
-    )
+        scan.remarks.add("poses have no picture", f"number {number}")
+    return scan.recording(shots, up=up)
 
 
 Pose = Float[np.ndarray, "4 4"]

@@ -132,9 +132,11 @@ class Recording(Capture):
             )
         if shot.distortion is not None:
             image = undistorted(image, intrinsics, shot.distortion)
-        depth = confidence = lens = None
+        depth = confidence = None
+        lens: Intrinsics | None = None
         if shot.depth is not None:
             depth, confidence, lens = _read_depth(shot)
+            lens = None if lens == intrinsics else lens
         time = shot.time - self._pictures[0].time
         frame = Frame(shot.name, image, Camera(intrinsics, shot.pose), time, depth, lens, confidence, shot.exposure)
         return turn_frame(frame, self.quarter_turns)

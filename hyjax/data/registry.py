@@ -5,7 +5,7 @@ a call of `register_format`.
 """
 
 import logging
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from hyjax.data import (
     arkit_scenes,
@@ -45,7 +45,7 @@ CAPTURE_FORMATS = [
 DEEPEST = 16
 """Folders in folders that a capture may lie in."""
 LOOKED_INTO = 100
-"""Folders that are looked into to say which one is a capture."""
+"""Folders, at any depth, that are looked into to say which one is a capture."""
 PHONE_SHAPE = [192, 256]
 """Shape of a phone's depth maps, by which they are known in layouts that name no sensor."""
 _log = logging.getLogger(__name__)
@@ -136,7 +136,8 @@ def detect_format(tree: FileTree) -> tuple[FileTree, CaptureFormat]:
     if fitting:
         names = " and ".join(f"{entry.name} ({entry.signs})" for entry in fitting)
         raise InputError(f"{tree.path}: looks like {names}; move the files of one of them elsewhere")
-    for folder in tree.folders()[:LOOKED_INTO]:
+    above = {parent.as_posix() for name in tree.names for parent in PurePosixPath(name).parents}
+    for folder in sorted(above - {"."}, key=lambda folder: (folder.count("/"), folder))[:LOOKED_INTO]:
         if inner := _fitting(tree.subtree(folder)):
             raise InputError(f"{tree.path}: not a capture, but {folder}/ in it is ({inner[0].name}); give that")
     raise InputError(f"{tree.path}: not a known capture layout; known are: {known_formats()}")

@@ -19,21 +19,17 @@ import re
 import numpy as np
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import Tally, tree_colour
+from hyjax.data.capture_files import tree_colour
 from hyjax.data.file_tree import FileTree
 from hyjax.data.json_fields import json_number, json_numbers, json_object
 from hyjax.data.phone_captures import (
     PIXEL_CENTRE,
-    in_order_of_time,
+    PhoneScan,
+    arkit_pose,
     lens_of,
-    lidar_depth,
     shape_of_pictures,
-    usable_pose,
-    usable_shots,
-    whole_file,
 )
-from hyjax.data.recording import Y_UP, Recording, Shot, from_opengl
-from hyjax.geometry.depth_sensor import PHONE_LIDAR
+from hyjax.data.recording import Recording, Shot
 
 MOMENT = re.compile(r"frame_(\d+)\.json")
 MESH = "export.obj"
@@ -51,64 +47,42 @@ def open_scanner3d(tree: FileTree) -> Recording:
 
     Moments without a picture give their depth to fusion alone.
     """
-    faults, remarks = Tally(), Tally()
+    scan = PhoneScan(tree)
     moments = {match[1]: name for name in tree.below("") if (match := MOMENT.fullmatch(name))}
     pictures = {
         number: picture
         for number in moments
-        if (picture := whole_file(tree, f"frame_{number}.jpg", "pictures", faults)) is not None
+        if (picture := scan.whole(f"frame_{number}.jpg", "pictures")) is not None
     }
     shape = shape_of_pictures(tree, list(pictures.values()))
     reads = (
-        functools.partial(_read_moment, tree, name, number, pictures.get(number), shape, faults, remarks)
+        functools.partial(_read_moment, scan, name, number, pictures.get(number), shape)
         for number, name in moments.items()
     )
-    shots = usable_shots(reads, faults)
-    return Recording(
-        tree,
-        in_order_of_time(shots, remarks),
-        up=Y_UP,
-        mesh=MESH if MESH in tree else None,
-        sensor=PHONE_LIDAR,
-        faults=faults.lines(),
-        remarks=remarks.lines(),
-    )
+    return scan.recording(scan.usable(reads), mesh=MESH)
 
 
 def _read_moment(
-    tree: FileTree,
-    name: str,
-    number: str,
-    picture: str | None,
-    shape: tuple[int, int],
-    faults: Tally,
-    remarks: Tally,
+    scan: PhoneScan, name: str, number: str, picture: str | None, shape: tuple[int, int]
 ) -> Shot | None:
+    tree = scan.tree
     fields, where = json_object(tree, name), tree.where(name)
-    pose = usable_pose(json_numbers(fields, "cameraPoseARFrame", 16, where, finite=False).reshape(4, 4))
+    pose = arkit_pose(json_numbers(fields, "cameraPoseARFrame", 16, where, finite=False).reshape(4, 4))
     k = json_numbers(fields, "intrinsics", 9, where)
     lens = lens_of(shape, k[[0, 4, 2, 5]].tolist(), f"{where}: intrinsics", shift=PIXEL_CENTRE)
     time = json_number(fields, "time", where)
     exposure = json_number(fields, "exposureDuration", where, default=np.inf)
     quality = json_number(fields, "motionQuality", where, default=1.0)
-    depth = whole_file(tree, f"depth_{number}.png", "depth maps", faults)
-    confidence = whole_file(tree, f"conf_{number}.png", "confidence maps", faults)
-    if pose is None:
-        faults.add("poses are none (not finite, or no rotation) and left out", name)
-        return None
-    if quality < POOR_MOTION:
-        remarks.add(f"frames were taken in fast motion (motionQuality below {POOR_MOTION:g})", name)
-    if picture is None:
-        remarks.add("poses have no picture" + ("; their depth is used" if depth else " and no depth"), name)
-    elif depth is None:
-        remarks.add("pictures have no depth", picture)
-    return Shot(
+    if pose is not None and quality < POOR_MOTION:
+        scan.remarks.add(f"frames were taken in fast motion (motionQuality below {POOR_MOTION:g})", name)
+    return scan.shot(
+        name,
         name.removesuffix(".json"),
         time,
-        from_opengl(pose),
+        pose,
         lens,
         None if picture is None else functools.partial(tree_colour, tree, picture),
-        None if depth is None else lidar_depth(tree, depth, confidence),
+        scan.depth(f"depth_{number}.png", f"conf_{number}.png"),
         exposure=exposure if 0 < exposure < np.inf else None,
     )
 

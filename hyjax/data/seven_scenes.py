@@ -10,26 +10,22 @@ Source: Shotton et al., "Scene coordinate regression forests for camera relocali
 CVPR 2013.
 """
 
-import logging
+import functools
 import re
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.data.capture import Capture, CaptureFormat, Frame
-from hyjax.data.capture_files import looks_whole, tree_colour, tree_depth, tree_numbers
+from hyjax.data.capture import CaptureFormat
+from hyjax.data.capture_files import counted, looks_whole, tree_colour, tree_depth, tree_numbers, tree_shape
 from hyjax.data.file_tree import FileTree
 from hyjax.data.kinect import KINECT, registered
-from hyjax.data.trees import open_tree
-from hyjax.geometry.camera import Camera, Intrinsics, check_pose
-from hyjax.geometry.depth_map import DepthReading
+from hyjax.data.recording import DepthAndConfidence, Recording, Shot
+from hyjax.geometry.camera import Intrinsics, check_pose
 from hyjax.util.errors import InputError
-from hyjax.util.images import picture_shape
 
 FRAME = re.compile(r"frame-(\d{1,15})\.color\.(?:jpe?g|png)")
 FRAMES_PER_SECOND = 30.0
-_log = logging.getLogger(__name__)
 
 
 def is_seven_scenes(tree: FileTree) -> bool:
@@ -37,80 +33,44 @@ def is_seven_scenes(tree: FileTree) -> bool:
     return any(FRAME.fullmatch(name) for name in tree.names)
 
 
-def open_seven_scenes(tree: FileTree | Path) -> "SevenScenes":
+def open_seven_scenes(tree: FileTree) -> Recording:
     """Open files in the 7-Scenes layout. Poses are read and checked now, pictures when asked for.
 
-    Frames whose picture is damaged are left out.
+    Frames come in order of number. Gaps in the numbering are fine. Frames whose picture is damaged are left out.
 
     Raises:
-        InputError: no such folder, no frames in it, a frame without its pose or depth file, a malformed pose,
-            intrinsics that do not belong to the pictures.
+        InputError: a frame without its pose or depth file, a malformed pose, intrinsics that do not belong to the
+            pictures.
     """
-    return SevenScenes(open_tree(tree) if isinstance(tree, Path) else tree)
-
-
-class SevenScenes(Capture):
-    """Frames in number order; gaps in the numbering are fine."""
-
-    def __init__(self, tree: FileTree) -> None:
-        self.name = tree.path.resolve().stem if tree.path.is_file() else tree.path.resolve().name
-        self._tree = tree
-        colours = _numbered_colours(tree)
-        self._has_depth = _check_companions(tree, colours)
-        broken = {number: name for number, name in colours.items() if not looks_whole(tree, name)}
-        first = next(iter(broken.values()), "")
-        if broken:
-            self.faults = (f"{len(broken)} of {len(colours)} pictures are damaged and left out (first: {first})",)
-        self._colours = {number: name for number, name in colours.items() if number not in broken}
-        if not self._colours:
-            raise InputError(f"{tree.path}: none of {len(colours)} pictures can be read (first: {first})")
-        self._poses = [_read_pose(tree, _companion(name, "pose.txt")) for name in self._colours.values()]
-        self._numbers = list(self._colours)
-        with tree.local(next(iter(self._colours.values()))) as file:
-            height, width = picture_shape(file, tree.where(next(iter(self._colours.values()))))
-        self._intrinsics = _read_intrinsics(tree, height, width)
-        self.up = _read_up(tree, self._poses)
-
-    @property
-    def fingerprint(self) -> str:
-        """See `Capture`."""
-        return self._tree.fingerprint()
-
-    def __len__(self) -> int:
-        return len(self._numbers)
-
-    def __getitem__(self, index: int) -> Frame:
-        """Frame at a position in number order (not its number). IndexError beyond the end ends a `for` loop."""
-        number, pose = self._numbers[index], self._poses[index]
-        image = tree_colour(self._tree, self._colours[number])
-        depth = self._depth(index, image.shape[:2]) if self._has_depth else None
-        camera = Camera(self._intrinsics, pose)
-        return Frame(f"frame-{number:06d}", image, camera, number / FRAMES_PER_SECOND, depth)
-
-    def camera(self, index: int) -> Camera:
-        """See `Capture`."""
-        return Camera(self._intrinsics, self._poses[index])
-
-    @property
-    def depth_count(self) -> int:
-        """See `Capture`."""
-        return len(self) if self._has_depth else 0
-
-    def depth_reading(self, index: int) -> DepthReading:
-        """See `Capture`."""
-        return DepthReading(
-            self._depth(index, self._intrinsics.shape), Camera(self._intrinsics, self._poses[index])
+    colours = _numbered_colours(tree)
+    has_depth = _check_companions(tree, colours)
+    whole = {number: name for number, name in colours.items() if looks_whole(tree, name)}
+    faults = counted(
+        (f"of {len(colours)} pictures are damaged and left out", name)
+        for number, name in colours.items()
+        if number not in whole
+    )
+    if not whole:
+        raise InputError(f"{tree.path}: none of {len(colours)} pictures can be read; {faults[0]}")
+    remarks: list[str] = []
+    intrinsics = _read_intrinsics(tree, next(iter(whole.values())), remarks)
+    shots = [
+        Shot(
+            f"frame-{number:06d}",
+            number / FRAMES_PER_SECOND,
+            _read_pose(tree, _companion(name, "pose.txt")),
+            intrinsics,
+            functools.partial(tree_colour, tree, name),
+            functools.partial(_read_depth, tree, _companion(name, "depth.png")) if has_depth else None,
+            depth_intrinsics=intrinsics,
         )
+        for number, name in whole.items()
+    ]
+    return Recording(tree, shots, up=_read_up(tree), faults=faults, remarks=remarks, turn=False)
 
-    def _depth(self, index: int, shape: tuple[int, ...]) -> Float[np.ndarray, "h w"]:
-        name = _companion(self._colours[self._numbers[index]], "depth.png")
-        depth = tree_depth(self._tree, name)
-        if depth.shape != shape:
-            raise InputError(
-                f"{self._tree.where(name)}: {depth.shape[1]}x{depth.shape[0]} but the picture is "
-                f"{shape[1]}x{shape[0]}; this layout has depth registered to the picture"
-            )
-        return depth
+
+def _read_depth(tree: FileTree, name: str) -> DepthAndConfidence:
+    return tree_depth(tree, name), None
 
 
 def _numbered_colours(tree: FileTree) -> dict[int, str]:
@@ -148,7 +108,8 @@ def _read_pose(tree: FileTree, name: str) -> Float[np.ndarray, "4 4"]:
     return pose
 
 
-def _read_intrinsics(tree: FileTree, height: int, width: int) -> Intrinsics:
+def _read_intrinsics(tree: FileTree, picture: str, remarks: list[str]) -> Intrinsics:
+    height, width = tree_shape(tree, picture)
     name = "camera-intrinsics.txt"
     path = tree.where(name)
     if name not in tree:
@@ -156,7 +117,7 @@ def _read_intrinsics(tree: FileTree, height: int, width: int) -> Intrinsics:
             raise InputError(
                 f"{path}: missing; the 7-Scenes default is for 640x480 pictures, these are {width}x{height}"
             )
-        _log.warning("%s: missing; taking those of the 7-Scenes Kinect, 585 585 320 240", path)
+        remarks.append(f"there is no {name}; taking those of the 7-Scenes Kinect, 585 585 320 240")
         return KINECT
     k = tree_numbers(tree, name, (3, 3))
     if not np.allclose(k[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], (0, 0, 0, 0, 1)):
@@ -174,18 +135,14 @@ def _read_intrinsics(tree: FileTree, height: int, width: int) -> Intrinsics:
     return intrinsics
 
 
-def _read_up(tree: FileTree, poses: list[Float[np.ndarray, "4 4"]]) -> Float[np.ndarray, "3"]:
-    """Unit vector against gravity: from the file, or the mean of the cameras' -y axes where there is none."""
+def _read_up(tree: FileTree) -> Float[np.ndarray, "3"] | None:
+    """Unit vector against gravity, where there is a file that tells it."""
     name = "gravity-direction.txt"
-    path = tree.where(name)
-    if name in tree:
-        up = -tree_numbers(tree, name, (3,))
-        if not abs(np.linalg.norm(up) - 1.0) < 0.01:
-            raise InputError(f"{path}: need a unit vector, this one is {np.linalg.norm(up):.3g} long")
-    else:
-        up = -np.mean([pose[:3, 1] for pose in poses], axis=0)
-        if not np.linalg.norm(up) > 0.1:
-            raise InputError(f"{path}: missing, and the cameras' up directions cancel out; write the file")
+    if name not in tree:
+        return None
+    up = -tree_numbers(tree, name, (3,))
+    if not abs(np.linalg.norm(up) - 1.0) < 0.01:
+        raise InputError(f"{tree.where(name)}: need a unit vector, this one is {np.linalg.norm(up):.3g} long")
     return up / np.linalg.norm(up)
 
 

@@ -24,20 +24,17 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import Tally, parse_numbers
+from hyjax.data.capture_files import parse_numbers
 from hyjax.data.file_tree import FileTree
 from hyjax.data.phone_captures import (
     PIXEL_CENTRE,
-    in_order_of_time,
+    PhoneScan,
     lens_of,
-    lidar_depth,
     pose_from_quaternion,
-    whole_file,
 )
-from hyjax.data.recording import Y_UP, Recording, Shot
+from hyjax.data.recording import Recording, Shot
 from hyjax.data.video_frames import VideoFrames
 from hyjax.geometry.camera import Intrinsics
-from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.errors import InputError
 
 VIDEO, ODOMETRY, MATRIX = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
@@ -58,36 +55,29 @@ def open_stray(tree: FileTree) -> Recording:
         InputError: `av` is not installed, the video cannot be read, a row of `odometry.csv` is malformed, or no row
             has a picture and a pose.
     """
-    faults, remarks = Tally(), Tally()
-    rows = _read_odometry(tree, faults)
+    scan = PhoneScan(tree)
+    rows = _read_odometry(scan)
     video = VideoFrames(tree, VIDEO)
     numbers = [int(row["frame"]) for row in rows]
     # The video has a picture a row. Where rows were taken out of the table, their numbers still tell which.
     by_number = len(numbers) < len(video) and max(numbers) < len(video)
     shared = _read_matrix(tree, video.shape) if not all(_has_lens(row) for row in rows) else None
-    shots: list[Shot] = []
-    for place, (row, number) in enumerate(zip(rows, numbers)):
-        shot = _read_row(tree, row, number, number if by_number else place, video, shared, faults, remarks)
-        if shot is not None:
-            shots.append(shot)
+    shots = [
+        _read_row(scan, row, number, number if by_number else place, video, shared)
+        for place, (row, number) in enumerate(zip(rows, numbers))
+    ]
     extra = len(video) - len(rows)
     if extra > 0:
-        remarks.add(f"video has {extra} more pictures than {ODOMETRY} has rows; they are not used", VIDEO)
-    return Recording(
-        tree,
-        in_order_of_time(shots, remarks),
-        up=Y_UP,
-        sensor=PHONE_LIDAR,
-        faults=faults.lines(),
-        remarks=remarks.lines(),
-    )
+        scan.remarks.add(f"video has {extra} more pictures than {ODOMETRY} has rows; they are not used", VIDEO)
+    return scan.recording([shot for shot in shots if shot is not None])
 
 
 Row = dict[str, float]
 
 
-def _read_odometry(tree: FileTree, faults: Tally) -> list[Row]:
+def _read_odometry(scan: PhoneScan) -> list[Row]:
     """Rows by column, without blank columns; all that is needed is there, and numbers."""
+    tree = scan.tree
     where = tree.where(ODOMETRY)
     try:
         lines = list(csv.reader(io.StringIO(tree.text(ODOMETRY)), skipinitialspace=True))
@@ -102,7 +92,7 @@ def _read_odometry(tree: FileTree, faults: Tally) -> list[Row]:
         if not any(cells.values()):
             continue
         if number == len(lines) and any(not cells.get(name) for name in NEEDED):
-            faults.add("row was cut off at the end of the file and left out", f"{ODOMETRY} line {number}")
+            scan.faults.add("row was cut off at the end of the file and left out", f"{ODOMETRY} line {number}")
             continue
         names = [name for name in (*NEEDED, *LENS) if name in NEEDED or cells.get(name)]
         rows.append({name: _cell(cells.get(name, ""), name, f"{where}: line {number}") for name in names})
@@ -137,38 +127,22 @@ def _read_matrix(tree: FileTree, shape: tuple[int, int]) -> Intrinsics:
 
 
 def _read_row(
-    tree: FileTree,
-    row: Row,
-    number: int,
-    place: int,
-    video: VideoFrames,
-    shared: Intrinsics | None,
-    faults: Tally,
-    remarks: Tally,
+    scan: PhoneScan, row: Row, number: int, place: int, video: VideoFrames, shared: Intrinsics | None
 ) -> Shot | None:
     lens = shared
     if _has_lens(row):
         values = [row[name] for name in LENS]
-        lens = lens_of(video.shape, values, f"{tree.where(ODOMETRY)}: frame {number}", shift=PIXEL_CENTRE)
+        lens = lens_of(video.shape, values, f"{scan.tree.where(ODOMETRY)}: frame {number}", shift=PIXEL_CENTRE)
     assert lens is not None
     pose = pose_from_quaternion(_numbers(row, "qx", "qy", "qz", "qw"), _numbers(row, "x", "y", "z"))
-    name = f"{number:06d}"
-    if pose is None:
-        faults.add("poses are none (not finite, or no rotation) and left out", f"frame {name}")
-        return None
-    depth = whole_file(tree, f"depth/{name}.png", "depth maps", faults)
-    confidence = whole_file(tree, f"confidence/{name}.png", "confidence maps", faults)
-    if place >= len(video):
-        remarks.add("poses have no picture: the video is shorter", f"frame {name}")
-    elif depth is None:
-        remarks.add("pictures have no depth", f"frame {name}")
-    return Shot(
-        f"frame_{name}",
+    return scan.shot(
+        f"frame {number:06d}",
+        f"frame_{number:06d}",
         row["timestamp"],
         pose,
         lens,
         functools.partial(video.read, place) if place < len(video) else None,
-        None if depth is None else lidar_depth(tree, depth, confidence),
+        scan.depth(f"depth/{number:06d}.png", f"confidence/{number:06d}.png"),
     )
 
 

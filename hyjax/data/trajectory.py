@@ -7,14 +7,12 @@ Source: Baruch et al., "ARKitScenes: a diverse real-world dataset for 3D indoor 
 RGB-D data", NeurIPS Datasets and Benchmarks 2021, and the data page of its repository.
 """
 
-from pathlib import Path
-
 import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture_files import LARGEST_NUMBER
+from hyjax.data.file_tree import FileTree
 from hyjax.util.errors import InputError
-from hyjax.util.reading import read_text
 
 COLUMNS = "timestamp rx ry rz tx ty tz"
 LARGEST_GAP = 0.5
@@ -73,14 +71,14 @@ class Trajectory:
         return pose
 
 
-def read_trajectory(path: Path) -> Trajectory:
+def read_trajectory(tree: FileTree, name: str) -> Trajectory:
     """Read a `.traj` file; its world-to-camera motions are inverted.
 
     Raises:
         InputError: the file cannot be read, a row is not seven finite numbers, times do not ascend, or there are
             fewer than two poses.
     """
-    lines = read_text(path).splitlines()
+    path, lines = tree.where(name), tree.text(name).splitlines()
     while lines and not lines[-1].strip():
         lines.pop()
     if not lines:
@@ -94,10 +92,10 @@ def read_trajectory(path: Path) -> Trajectory:
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, :3] = to_world.as_matrix()
     poses[:, :3, 3] = -to_world.apply(rows[:, 4:7])
-    return Trajectory(rows[:, 0], poses, str(path))
+    return Trajectory(rows[:, 0], poses, path)
 
 
-def _row(path: Path, number: int, line: str) -> list[float]:
+def _row(path: str, number: int, line: str) -> list[float]:
     try:
         values = [float(word) for word in line.split()]
     except ValueError:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from hyjax.data.capture import Frame
-from hyjax.data.capture_files import looks_whole, read_numbers, tree_colour, tree_depth, tree_numbers
+from hyjax.data.capture_files import looks_whole, tree_colour, tree_depth, tree_numbers
 from hyjax.data.file_tree import FileTree
 from hyjax.data.frames import spread
 from hyjax.data.kinect import KINECT
@@ -58,7 +58,7 @@ def known_up(source: str) -> Float[np.ndarray, "3"] | None:
     file = Path(source) / "gravity-direction.txt"
     if source == "-" or not file.is_file():
         return None
-    return unit(-read_numbers(file, (3,)))
+    return unit(-tree_numbers(open_tree(file), file.name, (3,)))
 
 
 def folder_frames(folder: Path, *, stop_after: float | None = None) -> Iterator[Frame]:

@@ -1,7 +1,6 @@
 """The ARKitScenes reader, on the built-in room exported as a raw scan and on small scans with one thing wrong."""
 
 import json
-import logging
 import shutil
 import subprocess
 import sys
@@ -11,11 +10,10 @@ import numpy as np
 import pytest
 import trimesh
 from reference.arkit_export import export_arkit_scan, write_depth
+from reference.phone_layouts import zipped
 from scipy.spatial.transform import Rotation
 
-from hyjax.data.arkit_scenes import ArkitScenes, is_arkit_scenes, open_arkit_scenes
 from hyjax.data.builtin_room import RoomCapture, load_room
-from hyjax.data.capture import Capture
 from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.mesh import save_mesh
@@ -50,7 +48,7 @@ def scan(room: RoomCapture, tmp_path: Path) -> Path:
 def refuses(folder: Path, *parts: str) -> None:
     """Opening, or reading all frames, fails with one line that holds all `parts`."""
     with pytest.raises(InputError) as caught:
-        list(open_arkit_scenes(folder))
+        list(open_capture(folder, strict=True))
     message = str(caught.value)
     assert "\n" not in message
     for part in parts:
@@ -64,7 +62,7 @@ def test_the_exported_room_is_the_room(
     """However the device was held: upright, the same pictures, depth and G-buffer."""
     folder = export_arkit_scan(tmp_path, room, BOX, quarter_turns=quarter_turns)
     capture = open_capture(folder)
-    assert isinstance(capture, ArkitScenes) and isinstance(capture, Capture)
+    assert capture.format == "ARKitScenes"
     assert capture.quarter_turns == quarter_turns and capture.name == VIDEO and len(capture) == len(room)
     np.testing.assert_array_equal(capture.up, room.up)
     for frame, original in zip(capture, room):
@@ -88,7 +86,7 @@ def test_any_capture_can_be_exported(room: RoomCapture, caster: RayCaster, tmp_p
     images, depths = (np.stack(arrays) for arrays in zip(*((frame.image, frame.depth) for frame in room)))
     tilted = RoomCapture(np.uint8(np.round(images * 255)), depths, cameras, room.reference(), {})
     tilted.up = tilt[:3, :3] @ room.up
-    capture = open_arkit_scenes(export_arkit_scan(tmp_path, tilted, room.reference().copy().apply_transform(tilt)))
+    capture = open_capture(export_arkit_scan(tmp_path, tilted, room.reference().copy().apply_transform(tilt)))
     mine = RayCaster(surface_of(capture, progress=False)[1])
     for frame, original in zip(capture, room):
         seen, truth = mine.gbuffer(frame.camera), caster.gbuffer(original.camera)
@@ -121,24 +119,24 @@ def test_depth_is_the_nearest_in_time(scan: Path) -> None:
     """Sixty maps a second beside thirty pictures: off by up to a sixtieth, each with its own intrinsics."""
     for folder, suffix in (("lowres_depth", "png"), ("lowres_wide_intrinsics", "pincam"), ("confidence", "png")):
         (scan / folder / f"{FIRST}.{suffix}").rename(scan / folder / f"{VIDEO}_6845.202.{suffix}")
-    whole = open_arkit_scenes(scan)[0].depth
+    whole = open_capture(scan)[0].depth
     assert whole is not None and whole.any()
     write_depth(scan / "lowres_depth" / f"{VIDEO}_6845.213.png", np.full((60, 80), 1234))
-    np.testing.assert_array_equal(open_arkit_scenes(scan)[0].depth, whole)  # the nearer one has no intrinsics
+    np.testing.assert_array_equal(open_capture(scan)[0].depth, whole)  # the nearer one has no intrinsics
     pincams = scan / "lowres_wide_intrinsics"
     shutil.copy(pincams / f"{SECOND}.pincam", pincams / f"{VIDEO}_6845.214.pincam")
-    np.testing.assert_allclose(open_arkit_scenes(scan)[0].depth, 1.234)
+    np.testing.assert_allclose(open_capture(scan)[0].depth, 1.234)
 
 
 def test_confidence_of_depth_is_kept(scan: Path) -> None:
     levels = np.full((60, 80), 2)
     levels[:, :30], levels[:, 30:50] = 0, 1
     write_png(scan / "confidence" / f"{FIRST}.png", levels / 255)
-    capture = open_arkit_scenes(scan)
+    capture = open_capture(scan)
     np.testing.assert_array_equal(capture[0].confidence, levels / 2)
     assert capture.sensor.name == "phone LiDAR" and capture.depth_reading(0).confidence is not None
     shutil.rmtree(scan / "confidence")
-    assert open_arkit_scenes(scan)[0].confidence is None
+    assert open_capture(scan)[0].confidence is None
 
 
 def as_older_sample(scan: Path) -> Path:
@@ -161,10 +159,9 @@ def as_older_sample(scan: Path) -> Path:
 
 def test_the_older_samples_layout(scan: Path) -> None:
     older = as_older_sample(scan)
-    assert is_arkit_scenes(older)
     capture = open_capture(older)
-    assert isinstance(capture, ArkitScenes) and capture.name == "41999999" and capture.mesh_file is not None
-    for frame, original in zip(capture, open_arkit_scenes(scan)):
+    assert capture.format == "ARKitScenes" and capture.name == "41999999" and capture.mesh_file is not None
+    for frame, original in zip(capture, open_capture(scan)):
         np.testing.assert_array_equal(frame.image, original.image)
         np.testing.assert_array_equal(frame.camera.pose, original.camera.pose)
         np.testing.assert_array_equal(frame.depth, original.depth)
@@ -181,33 +178,33 @@ def test_missing_parts_of_the_older_sample_are_named(scan: Path) -> None:
 
 
 def test_readings_of_low_confidence_are_dropped(scan: Path) -> None:
-    whole = open_arkit_scenes(scan)[0].depth
+    whole = open_capture(scan)[0].depth
     confidence = np.full((60, 80), 2)
     confidence[:, :30], confidence[:, 30:50] = 0, 1
     write_png(scan / "confidence" / f"{FIRST}.png", confidence / 255)
-    depth = open_arkit_scenes(scan)[0].depth
+    depth = open_capture(scan)[0].depth
     assert not depth[:, :30].any() and whole[:, :30].any()
     np.testing.assert_array_equal(depth[:, 30:], whole[:, 30:])
     shutil.rmtree(scan / "confidence")
-    np.testing.assert_array_equal(open_arkit_scenes(scan)[0].depth, whole)
+    np.testing.assert_array_equal(open_capture(scan)[0].depth, whole)
 
 
 def test_a_scan_without_depth(scan: Path) -> None:
     shutil.rmtree(scan / "lowres_depth")
     shutil.rmtree(scan / "lowres_wide_intrinsics")
-    assert all(frame.depth is None for frame in open_arkit_scenes(scan))
+    assert all(frame.depth is None for frame in open_capture(scan))
 
 
-def test_the_best_pictures_are_taken(scan: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_best_pictures_are_taken(scan: Path) -> None:
     """vga_wide, else wide, else lowres_wide; one whose intrinsics are missing is passed over with a word."""
-    assert open_arkit_scenes(scan)[0].image.shape == (120, 160, 3)
+    assert open_capture(scan)[0].image.shape == (120, 160, 3)
     for name in ("vga_wide", "vga_wide_intrinsics"):
         (scan / name).rename(scan / name.removeprefix("vga_"))
-    assert open_arkit_scenes(scan)[0].image.shape == (120, 160, 3) and not caplog.records
+    assert open_capture(scan)[0].image.shape == (120, 160, 3) and not open_capture(scan).remarks
     shutil.rmtree(scan / "wide_intrinsics")
-    assert open_arkit_scenes(scan)[0].image.shape == (60, 80, 3)
-    (record,) = caplog.records
-    assert "wide_intrinsics" in record.message and "taking the pictures of lowres_wide" in record.message
+    capture = open_capture(scan)
+    assert capture[0].image.shape == (60, 80, 3)
+    assert "no wide_intrinsics, lowres_wide is taken" in capture.remarks[0]
 
 
 def test_the_3dod_layout(scan: Path, room: RoomCapture, caster: RayCaster) -> None:
@@ -227,33 +224,33 @@ def test_the_3dod_layout(scan: Path, room: RoomCapture, caster: RayCaster) -> No
 
 
 def test_laser_scans_of_the_venue(scan: Path, tmp_path: Path) -> None:
-    assert open_arkit_scenes(scan).laser_folder is None
+    assert open_capture(scan).laser_folder is None
     venue = tmp_path / "laser_scanner_point_clouds" / "467138"
     venue.mkdir(parents=True)
-    assert open_arkit_scenes(scan).laser_folder is None
+    assert open_capture(scan).laser_folder is None
     table = tmp_path / "raw" / "metadata.csv"  # with a gap in the column, pandas writes whole numbers as floats
     table.write_text(f"video_id,visit_id,fold\n47333462,1.0,Training\n{VIDEO},467138.0,Training\n")
-    assert open_arkit_scenes(scan).laser_folder == venue
+    assert open_capture(scan).laser_folder == venue
     table.write_text(f"video_id,visit_id,fold\n{VIDEO},,Training\n")
-    assert open_arkit_scenes(scan).laser_folder is None
+    assert open_capture(scan).laser_folder is None
     (tmp_path / "raw_train_val_splits.csv").write_text(f"video_id,visit_id,fold\n{VIDEO},467138,Training\n")
-    assert open_arkit_scenes(scan).laser_folder == venue
+    assert open_capture(scan).laser_folder == venue
     own = scan / "laser_scanner_point_clouds"
     own.mkdir()
     (own / "468000.ply").touch()
-    assert open_arkit_scenes(scan).laser_folder == own
+    assert open_capture(scan).laser_folder == own
 
 
 def test_links_that_lead_nowhere_are_passed_over(scan: Path) -> None:
     for name in ("vga_wide/41000000_1.000.png", "gone.ply", "lowres_depth/x.png"):
         (scan / name).symlink_to(scan / "nowhere")
-    capture = open_arkit_scenes(scan)
+    capture = open_capture(scan)
     assert capture.fingerprint and capture[0].image.ndim == 3
 
 
 def test_the_fingerprint_follows_the_files(scan: Path) -> None:
-    seen = [open_arkit_scenes(scan).fingerprint]
-    assert open_arkit_scenes(scan).fingerprint == seen[0]
+    seen = [open_capture(scan).fingerprint]
+    assert open_capture(scan).fingerprint == seen[0]
     pincam = scan / "vga_wide_intrinsics" / f"{FIRST}.pincam"
     for change in (
         lambda: pincam.write_text(pincam.read_text() + "\n"),
@@ -262,7 +259,7 @@ def test_the_fingerprint_follows_the_files(scan: Path) -> None:
         lambda: (scan / f"{VIDEO}_3dod_mesh.ply").unlink(),
     ):
         change()
-        seen.append(open_arkit_scenes(scan).fingerprint)
+        seen.append(open_capture(scan).fingerprint)
     assert len(set(seen)) == len(seen)
 
 
@@ -274,15 +271,15 @@ def test_a_captured_mesh_that_fits_is_the_default(
 ) -> None:
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
     own = f"captured mesh {VIDEO}_3dod_mesh.ply"
-    assert surface_of(open_arkit_scenes(scan), progress=False)[0].startswith("fused at")  # the box is another's
+    assert surface_of(open_capture(scan), progress=False)[0].startswith("fused at")  # the box is another's
     assert f"the {own} has" in caplog.text and "that is taken" in caplog.text
     save_mesh(scan / f"{VIDEO}_3dod_mesh.ply", room.reference())
-    assert surface_of(open_arkit_scenes(scan), progress=False)[0] == own
+    assert surface_of(open_capture(scan), progress=False)[0] == own
 
 
 def test_a_captured_mesh_is_repaired(scan: Path) -> None:
     """It may have a triangle without area, which a given file would be refused for."""
-    capture, file = open_arkit_scenes(scan), scan / f"{VIDEO}_3dod_mesh.ply"
+    capture, file = open_capture(scan), scan / f"{VIDEO}_3dod_mesh.ply"
     flat = trimesh.Trimesh(BOX.vertices, [*BOX.faces, [0, 0, 1]], process=False)
     file.write_bytes(trimesh.exchange.ply.export_ply(flat))
     description, mesh = surface_of(capture, "captured", progress=False)
@@ -295,7 +292,7 @@ def test_without_a_mesh_the_asset_is_named(scan: Path, tmp_path: Path, monkeypat
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(fusion, "fuse_capture", lambda *_, **__: BOX)
     (scan / f"{VIDEO}_3dod_mesh.ply").unlink()
-    capture = open_arkit_scenes(scan)
+    capture = open_capture(scan)
     assert capture.mesh_file is None
     with pytest.raises(InputError, match=rf"{VIDEO}: no mesh .* asset 'mesh'.*'fused'"):
         surface_of(capture, "captured", progress=False)
@@ -304,7 +301,7 @@ def test_without_a_mesh_the_asset_is_named(scan: Path, tmp_path: Path, monkeypat
 
 def test_depth_maps_fuse_to_the_room(room: RoomCapture, caster: RayCaster, tmp_path: Path) -> None:
     """Of a device held sideways, through the depth's own lens."""
-    capture = open_arkit_scenes(export_arkit_scan(tmp_path, room, BOX, quarter_turns=3))
+    capture = open_capture(export_arkit_scan(tmp_path, room, BOX, quarter_turns=3))
     fused = fuse(list(capture), 0.06, max_depth=8.0, min_weight=0.005, progress=False)
     truth, made = (np.asarray(c.gbuffer(room[0].camera).depth) for c in (caster, RayCaster(fused)))
     seen = made > 0
@@ -353,23 +350,20 @@ def shift(trajectory: Path, seconds: float) -> None:
     trajectory.write_text("".join(f"{float(row[0]) + seconds:.8f} {' '.join(row[1:])}\n" for row in rows))
 
 
-def test_frames_that_the_trajectory_does_not_cover(scan: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_frames_that_the_trajectory_does_not_cover(scan: Path) -> None:
     shift(scan / "lowres_wide.traj", 0.3)
-    with caplog.at_level(logging.WARNING):
-        capture = open_arkit_scenes(scan)
-    (record,) = caplog.records
-    assert "1 of 2 pictures left out: 1 at times that lowres_wide.traj does not cover" in record.message
+    capture = open_capture(scan)
+    assert "1 pictures are left out, at times that lowres_wide.traj does not cover" in capture.remarks[0]
     assert [frame.name for frame in capture] == [SECOND]
     shift(scan / "lowres_wide.traj", 1000.0)
-    refuses(scan, "none of 2 pictures", "2 at times that lowres_wide.traj does not cover")
+    refuses(scan, "none of 2 pictures", "2 pictures are left out, at times that lowres_wide.traj does not cover")
 
 
-def test_frames_without_intrinsics_or_depth(scan: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_frames_without_intrinsics_or_depth(scan: Path) -> None:
     (scan / "vga_wide_intrinsics" / f"{FIRST}.pincam").unlink()
-    assert [frame.name for frame in open_arkit_scenes(scan)] == [SECOND]
+    assert [frame.name for frame in open_capture(scan)] == [SECOND]
     (scan / "lowres_depth" / f"{SECOND}.png").rename(scan / "lowres_depth" / f"{VIDEO}_6845.730.png")
-    refuses(scan, "none of 2 pictures", "1 without .pincam, 1 without depth or its .pincam")
-    assert len(caplog.records) == 1
+    refuses(scan, "none of 2 pictures", "1 pictures are left out, without .pincam", "without depth or its .pincam")
 
 
 @pytest.mark.parametrize(
@@ -380,9 +374,7 @@ def test_frames_without_intrinsics_or_depth(scan: Path, caplog: pytest.LogCaptur
         ("lowres_wide.traj", "2 0 0 0 1 2 3\n1 0 0 0 1 2 3\n", "row 2: time 1 is before"),
         ("lowres_wide.traj", "2 0 0 0 1 2 3\n2 0 0 0 1 2 3\n", "row 2: time 2 is the same"),
         (f"vga_wide_intrinsics/{FIRST}.pincam", "160 120 131 131 80", "5 numbers"),
-        (f"vga_wide_intrinsics/{FIRST}.pincam", "80 60 65 65 40 30", "one size"),
         (f"lowres_wide_intrinsics/{FIRST}.pincam", "80 60 0 65 40 30", "focal lengths"),
-        (f"lowres_wide_intrinsics/{FIRST}.pincam", "160 120 131 131 80 60", "one size"),
     ],
 )
 def test_malformed_files_are_named(scan: Path, file: str, content: str, problem: str) -> None:
@@ -391,43 +383,35 @@ def test_malformed_files_are_named(scan: Path, file: str, content: str, problem:
 
 
 def test_damaged_and_unequal_pictures_are_named(scan: Path) -> None:
-    picture = scan / "vga_wide" / f"{SECOND}.png"
-    picture.write_bytes(picture.read_bytes()[:200])
-    assert open_arkit_scenes(scan)[0].name == FIRST
-    refuses(scan, f"vga_wide/{SECOND}.png", "truncated")
     write_png(scan / "confidence" / f"{FIRST}.png", np.ones((30, 40)))
     refuses(scan, f"confidence/{FIRST}.png", "40x30", "80x60")
+    (scan / "confidence" / f"{FIRST}.png").unlink()
+    (scan / "lowres_wide_intrinsics" / f"{FIRST}.pincam").write_text("160 120 131 131 80 60")
+    refuses(scan, f"frame {FIRST} is 80x60", "160x120")
+    (scan / "vga_wide_intrinsics" / f"{FIRST}.pincam").write_text("80 60 65 65 40 30")
+    refuses(scan, f"frame {FIRST} is 160x120", "80x60")
+    picture = scan / "vga_wide" / f"{SECOND}.png"
+    picture.write_bytes(picture.read_bytes()[:200])
+    assert len(open_capture(scan)) == 1 and open_capture(scan).depth_count == 2
+    refuses(scan, f"vga_wide/{SECOND}.png", "damaged and left out")
 
 
-def test_cameras_and_depth_are_told_without_a_picture(scan: Path) -> None:
-    whole = list(open_arkit_scenes(scan))
-    for picture in (scan / "vga_wide").iterdir():
-        picture.write_bytes(b"")
-    capture = open_arkit_scenes(scan)
-    assert capture.depth_count == 2
-    for index, frame in enumerate(whole):
-        np.testing.assert_allclose(capture.camera(index).pose, frame.camera.pose)
-        assert capture.camera(index).intrinsics == frame.camera.intrinsics and frame.depth is not None
-        reading = capture.depth_reading(index)
-        turned = np.rot90(reading.depth, -capture.quarter_turns)
-        np.testing.assert_array_equal(turned, frame.depth)
-        assert reading.camera.turned(capture.quarter_turns).intrinsics == frame.depth_camera.intrinsics
-
-
-def test_empty_folders(scan: Path) -> None:
-    for file in (scan / "vga_wide").iterdir():
-        file.unlink()
-    refuses(scan, "none of 0 pictures", "empty")
+def test_a_folder_without_pictures_is_named(scan: Path) -> None:
+    for name in ("vga_wide", "lowres_wide"):
+        for file in (scan / name).iterdir():
+            file.unlink()
+    refuses(scan, "no vga_wide")
 
 
 def test_a_folder_of_scans_is_told_to_give_one(scan: Path, tmp_path: Path) -> None:
-    (scan.parent / "notes").mkdir()
-    for folder in (tmp_path, tmp_path / "raw", tmp_path / "raw" / "Training"):
-        assert is_arkit_scenes(folder)
-        with pytest.raises(InputError, match=rf"{folder}: .*give the folder of one, such as .*{VIDEO}"):
+    (tmp_path / "raw" / "metadata.csv").touch()
+    for folder in (tmp_path / "raw", scan.parent):
+        shutil.copytree(scan, scan.parent / "42000000", dirs_exist_ok=True)
+        with pytest.raises(InputError, match=rf"{folder}: .*{VIDEO}/ in it is \(ARKitScenes\); give that"):
             open_capture(folder)
-    assert not is_arkit_scenes(tmp_path / "raw" / "Training" / "notes")
-    with pytest.raises(InputError, match="ARKitScenes"):
-        open_capture(scan.parent / "notes")
-    refuses(tmp_path / "nowhere", "no such folder")
-    refuses(scan.parent / "notes", "not an ARKitScenes scan")
+
+
+def test_an_archive_is_read_as_its_folder_is(scan: Path) -> None:
+    for frame, same in zip(open_capture(scan), open_capture(zipped(scan)), strict=True):
+        np.testing.assert_array_equal(frame.image, same.image)
+        np.testing.assert_array_equal(frame.depth, same.depth)

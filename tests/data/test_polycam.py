@@ -76,7 +76,7 @@ def test_missing_and_damaged_files(folder: Path) -> None:
     capture = open_capture(folder)
     assert len(capture) == 2 and capture.depth_count == 3 and capture[0].depth is None
     assert "1 pictures are damaged" in capture.faults[0]
-    assert "2 cameras have no picture; their depth is used" in capture.remarks[0]
+    assert "2 poses have no picture; their depth is used" in capture.remarks[0]
 
 
 def test_poses_that_are_none_are_left_out_and_counted(folder: Path) -> None:

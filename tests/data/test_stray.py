@@ -254,7 +254,7 @@ def test_a_video_shorter_than_its_table_is_told(folder: Path) -> None:
     edit_lines(folder, lambda lines: [*lines, lines[-1].replace(" 000005,", " 000006,").replace("0.5,", "0.6,", 1)])
     capture = open_capture(folder)
     assert len(capture) == 6
-    assert capture.remarks == ("1 poses have no picture: the video is shorter (first: frame 000006)",)
+    assert capture.remarks == ("1 poses have no picture and no depth (first: frame 000006)",)
 
 
 def test_a_video_longer_than_its_table_is_told(folder: Path) -> None:

@@ -10,15 +10,20 @@ from reference.arkit_export import write_trajectory
 from scipy.spatial.transform import Rotation
 
 from hyjax.data.trajectory import LARGEST_GAP, Trajectory, read_trajectory
+from hyjax.data.trees import open_tree
 from hyjax.geometry.camera import check_pose, look_at
 from hyjax.util.errors import InputError
 
 ROW = "{} 0.1 0.2 0.3 1 2 3"
 
 
+def read(path: Path) -> Trajectory:
+    return read_trajectory(open_tree(path), path.name)
+
+
 def refuses(path: Path, *parts: str) -> None:
     with pytest.raises(InputError) as caught:
-        read_trajectory(path)
+        read(path)
     assert "\n" not in str(caught.value)
     for part in (str(path), *parts):
         assert part in str(caught.value)
@@ -36,7 +41,7 @@ def test_rows_are_world_to_camera(tmp_path: Path) -> None:
     """A quarter turn about z takes x to y; the camera sits where the motion sends the origin's preimage."""
     file = tmp_path / "a.traj"
     file.write_text(f"10.0 0 0 {np.pi / 2:.12f} 1 2 3\n10.1 0 0 0 1 2 3\n")
-    trajectory = read_trajectory(file)
+    trajectory = read(file)
     turned, straight = trajectory.pose_at(10.0), trajectory.pose_at(10.1)
     np.testing.assert_allclose(straight[:3, 3], [-1, -2, -3])
     np.testing.assert_allclose(turned[:3, 3], [-2, 1, -3], atol=1e-9)
@@ -51,7 +56,7 @@ def test_the_exports_poses_come_back(tmp_path: Path) -> None:
     times = np.array([7.0, 7.2, 7.25, 8.9])
     poses = np.array([look_at(rng.normal(size=3), rng.normal(size=3), np.array([0, 0, 1.0])) for _ in times])
     write_trajectory(tmp_path / "a.traj", times, poses)
-    trajectory = read_trajectory(tmp_path / "a.traj")
+    trajectory = read(tmp_path / "a.traj")
     assert not np.isin(times, trajectory.times).any() and np.diff(trajectory.times).max() < 0.1001
     for time, pose in zip(times, poses):
         np.testing.assert_allclose(trajectory.pose_at(time), pose, atol=1e-7)
@@ -113,9 +118,8 @@ def test_bad_files_are_one_line(tmp_path: Path, content: str, problem: str) -> N
 def test_files_that_are_not_text(tmp_path: Path) -> None:
     (tmp_path / "a.traj").write_bytes(bytes(range(128, 256)))
     refuses(tmp_path / "a.traj", "not a text file")
-    refuses(tmp_path / "none.traj", "no such file")
 
 
 def test_blank_lines_at_the_end_are_no_rows(tmp_path: Path) -> None:
     (tmp_path / "a.traj").write_text("\n".join(map(ROW.format, (1.0, 1.1))) + "\n\n")
-    assert len(read_trajectory(tmp_path / "a.traj").times) == 2
+    assert len(read(tmp_path / "a.traj").times) == 2

@@ -202,12 +202,13 @@ def _messages_of_devices(folder: Path) -> None:
 
 
 def _trajectory(path: Path) -> object:
-    from hyjax.data.arkit_intrinsics import read_intrinsics
+    from hyjax.data.arkit_scenes import read_pincam
     from hyjax.data.trajectory import read_trajectory
+    from hyjax.data.trees import open_tree
 
     if path.suffix == ".pincam":
-        return read_intrinsics(path)
-    trajectory = read_trajectory(path)
+        return read_pincam(open_tree(path), path.name)
+    trajectory = read_trajectory(open_tree(path), path.name)
     return trajectory.pose_at(trajectory.times[0])
 
 

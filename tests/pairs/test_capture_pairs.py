@@ -13,6 +13,7 @@ from hyjax.data.capture import Capture, ChosenFrames, Frame
 from hyjax.data.kinect import COLOUR, KINECT, colour_pose, registered, warped
 from hyjax.data.registry import open_capture
 from hyjax.data.seven_scenes import open_seven_scenes
+from hyjax.data.trees import open_tree
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.pairs.captures import CapturePairs
@@ -209,7 +210,7 @@ def contrast_at_borders(frame: Frame, camera: Camera) -> float:
 
 def test_borders_of_the_kitchen_coincide(kitchen: Path) -> None:
     """On frames that the registration was not fitted to."""
-    frames = [open_seven_scenes(kitchen)[index] for index in (230, 250, 270, 290)]
+    frames = [open_seven_scenes(open_tree(kitchen))[index] for index in (230, 250, 270, 290)]
     before = np.mean([contrast_at_borders(frame, frame.camera) for frame in frames])
     after = [contrast_at_borders(f, Camera(COLOUR, f.camera.pose @ colour_pose())) for f in frames]
     assert np.mean(after) > 1.6 * before
