@@ -3,15 +3,17 @@
 import dataclasses
 import logging
 import shlex
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from tqdm import tqdm
 
 from hyjax.data.capture import Capture, ChosenFrames, Frame
 from hyjax.data.convert_settings import ConvertSettings, Layout
 from hyjax.geometry.camera import Camera
 from hyjax.util.errors import InputError
-from hyjax.util.files import digest
+from hyjax.util.files import digest, new_folder
 from hyjax.util.sizes import parse_size
 
 if TYPE_CHECKING:
@@ -75,7 +77,6 @@ def convert(settings: ConvertSettings) -> int:
     out = Path(settings.out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is there already and not an empty folder; choose another --out")
-    writer = _writer(settings.to)
     from hyjax.data.frames import select_frames
     from hyjax.data.registry import open_capture
 
@@ -85,7 +86,7 @@ def convert(settings: ConvertSettings) -> int:
             "%s: depth maps without a picture have no place in a %s layout; left out", capture.name, settings.to
         )
     chosen = SelectedFrames(capture, select_frames(settings.frames, len(capture)), size)
-    return writer(chosen, out, not settings.quiet)
+    return write_capture(chosen, settings.to, out, not settings.quiet)
 
 
 def relight_command(settings: ConvertSettings) -> str:
@@ -97,15 +98,54 @@ def relight_command(settings: ConvertSettings) -> str:
     return shlex.join(words)
 
 
-def _writer(layout: Layout) -> Callable[[Capture, Path, bool], int]:
-    if layout == "arkit":
-        from hyjax.data.write_arkit import write_arkit
+def write_capture(capture: Capture, layout: Layout, out: Path, progress: bool = True) -> int:
+    """Write a capture in a layout; what it keeps is said by the function that fills the folder.
 
-        return write_arkit
-    if layout == "stray":
-        from hyjax.data.write_stray import write_stray
+    Args:
+        capture: any; frames that are damaged are left out with a line, unless it is strict.
+        layout: of the result.
+        out: folder, which must not be there or be empty; it appears whole or not at all.
+        progress: show a bar on stderr.
 
-        return write_stray
-    from hyjax.data.writers import write_7scenes, write_nerfstudio
+    Returns:
+        The number of frames, without those that are damaged.
+    """
+    from hyjax.data import write_arkit, write_stray, writers
 
-    return write_7scenes if layout == "7scenes" else write_nerfstudio
+    fill, folders = {
+        "7scenes": (writers.fill_7scenes, ()),
+        "nerfstudio": (writers.fill_nerfstudio, ("images", "depth")),
+        "arkit": (write_arkit.fill_arkit, write_arkit.FOLDERS),
+        "stray": (write_stray.fill_stray, write_stray.FOLDERS),
+    }[layout]
+    frames = _WholeFrames(capture, progress)
+    with new_folder(out) as folder:
+        for name in folders:
+            (folder / name).mkdir()
+        fill(capture, iter(frames), folder)
+        for name in folders:
+            if not any((folder / name).iterdir()):
+                (folder / name).rmdir()
+    return frames.count
+
+
+class _WholeFrames:
+    """The frames of a capture that can be read, counted from 0; the others are a line each."""
+
+    def __init__(self, capture: Capture, progress: bool) -> None:
+        self._capture, self._progress, self.count = capture, progress, 0
+
+    def __iter__(self) -> Iterator[tuple[int, Frame]]:
+        capture = self._capture
+        for index in tqdm(range(len(capture)), "writing", unit="frame", leave=False, disable=not self._progress):
+            try:
+                frame = capture[index]
+            except InputError as error:
+                if capture.strict:
+                    raise
+                _log.warning("%s; this frame is left out", error)
+                continue
+            self.count += 1
+            yield self.count - 1, frame
+        if not self.count:
+            raise InputError(f"{capture.name}: none of the chosen frames can be read")

@@ -3,16 +3,14 @@
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.recording import Z_UP
-from hyjax.data.writers import each_frame, turned_up
+from hyjax.data.writers import Frames, turned_up, write_mesh
 from hyjax.geometry.camera import Intrinsics
-from hyjax.geometry.mesh import save_mesh
-from hyjax.util.files import new_folder, write_text
+from hyjax.util.files import write_text
 from hyjax.util.images import write_depth, write_labels, write_png
 
 VIDEO = "10000000"
@@ -22,51 +20,31 @@ STEP = 0.001
 """Seconds by which frames are apart at least: file names have three decimals."""
 
 
-def write_arkit(capture: Capture, out: Path, progress: bool = True) -> int:
-    """Write a capture as a raw scan of ARKitScenes, the device's mesh included.
+def fill_arkit(capture: Capture, frames: Frames, folder: Path) -> None:
+    """A raw scan of ARKitScenes, the device's mesh included.
 
     The world is turned so that up is z. Depth keeps its size and lens, confidences become low, medium and high.
     Where some frames have depth, the others get a map without readings. Times are rounded to milliseconds;
     exposures and the anchors of lights are not kept.
-
-    Args:
-        capture: any.
-        out: folder, which must not be there or be empty; it appears whole or not at all.
-        progress: show a bar on stderr.
-
-    Returns:
-        The number of frames, without those that are damaged.
     """
     turn = turned_up(capture.up, Z_UP)
     poses: list[tuple[str, Float[np.ndarray, "4 4"]]] = []
     last, has_depth = -STEP, False
-    with new_folder(out) as folder:
-        for name in FOLDERS:
-            (folder / name).mkdir()
-        count = 0
-        for number, frame in each_frame(capture, progress):
-            count = number + 1
-            last = max(round(frame.time, 3), round(last + STEP, 3))
-            time = f"{last:.3f}"
-            poses.append((time, turn @ frame.camera.pose))
-            write_png(folder / f"vga_wide/{VIDEO}_{time}.png", frame.image)
-            _write_lens(folder / f"vga_wide_intrinsics/{VIDEO}_{time}.pincam", frame.camera.intrinsics)
-            has_depth |= frame.depth is not None
-            _write_depth(folder, time, frame)
-        if not has_depth:
-            for path in (folder / "lowres_depth").iterdir():
-                path.unlink()
-        for name in FOLDERS:
-            if not any((folder / name).iterdir()):
-                (folder / name).rmdir()
-        if len(poses) == 1:  # a trajectory has two at least
-            poses.append((f"{last + 0.1:.3f}", poses[0][1]))
-        write_text(folder / "lowres_wide.traj", "".join(_row(time, pose) for time, pose in poses))
-        mesh = capture.mesh()
-        if mesh is not None:
-            turned = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).apply_transform(turn)
-            save_mesh(folder / f"{VIDEO}_3dod_mesh.ply", turned)
-    return count
+    for _, frame in frames:
+        last = max(round(frame.time, 3), round(last + STEP, 3))
+        time = f"{last:.3f}"
+        poses.append((time, turn @ frame.camera.pose))
+        write_png(folder / f"vga_wide/{VIDEO}_{time}.png", frame.image)
+        _write_lens(folder / f"vga_wide_intrinsics/{VIDEO}_{time}.pincam", frame.camera.intrinsics)
+        has_depth |= frame.depth is not None
+        _write_depth(folder, time, frame)
+    if not has_depth:
+        for path in (folder / "lowres_depth").iterdir():
+            path.unlink()
+    if len(poses) == 1:  # a trajectory has two at least
+        poses.append((f"{last + 0.1:.3f}", poses[0][1]))
+    write_text(folder / "lowres_wide.traj", "".join(_row(time, pose) for time, pose in poses))
+    write_mesh(capture, folder / f"{VIDEO}_3dod_mesh.ply", turn)
 
 
 def _row(time: str, pose: Float[np.ndarray, "4 4"]) -> str:

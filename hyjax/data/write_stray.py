@@ -15,55 +15,44 @@ from hyjax.data.phone_captures import PIXEL_CENTRE
 from hyjax.data.recording import Y_UP
 from hyjax.data.stray import LENS, MATRIX, NEEDED, ODOMETRY, VIDEO
 from hyjax.data.video_frames import REC_709, import_av, new_video
-from hyjax.data.writers import each_frame, seen_through, turned_up
+from hyjax.data.writers import Frames, seen_through, turned_up
 from hyjax.util.errors import InputError
-from hyjax.util.files import new_folder, write_text
+from hyjax.util.files import write_text
 from hyjax.util.images import write_depth, write_labels
 
 ENCODERS = ("libx264", "libx265", "hevc", "h264")
 """Video encoders, the first that FFmpeg has is taken."""
 QUALITY = {"crf": "6", "x265-params": "log-level=none"}
 """Constant rate factor: losses are below what 8 bits show on most pixels."""
+FOLDERS = ("depth", "confidence")
 KEY_EVERY = 15
 LIMITED_RANGE = 1
 
 
-def write_stray(capture: Capture, out: Path, progress: bool = True) -> int:
-    """Write a capture as a Stray Scanner recording: its frames, with depth and confidence where they have any.
+def fill_stray(capture: Capture, frames: Frames, folder: Path) -> None:
+    """A Stray Scanner recording, of frames of one size, with depth and confidence where they have any.
 
     The world is turned so that up is y. Exposures and the device's mesh are not kept, nor depth maps that no frame
     has; depth that is seen through another lens than the picture's is sampled anew, as this layout has one lens.
-
-    Args:
-        capture: frames of one size.
-        out: folder, which must not be there or be empty; it appears whole or not at all.
-        progress: show a bar on stderr.
-
-    Returns:
-        The number of frames, without those that are damaged.
     """
     av = import_av("writing rgb.mp4")
     turn = turned_up(capture.up, Y_UP)
     rows: list[list[float]] = []
-    with new_folder(out) as folder:
-        (folder / "depth").mkdir()
-        (folder / "confidence").mkdir()
 
-        def pictures() -> Iterator[Float[np.ndarray, "h w 3"]]:
-            for number, frame in each_frame(capture, progress):
-                _write_depth(folder, number, frame)
-                rows.append(_row(frame, turn))
-                yield frame.image
+    def pictures() -> Iterator[Float[np.ndarray, "h w 3"]]:
+        for number, frame in frames:
+            _write_depth(folder, number, frame)
+            rows.append(_row(frame, turn))
+            yield frame.image
 
-        _write_video(av, folder / VIDEO, pictures())
-        lines = (
-            ", ".join([repr(time), f"{number:06d}", *map(repr, numbers)])
-            for number, (time, *numbers) in enumerate(rows)
-        )
-        write_text(folder / ODOMETRY, "\n".join([", ".join((*NEEDED, *LENS)), *lines]) + "\n")
-        fx, fy, cx, cy = rows[-1][-4:]
-        write_text(folder / MATRIX, f"{fx!r}, 0.0, {cx!r}\n0.0, {fy!r}, {cy!r}\n0.0, 0.0, 1.0\n")
-    return len(rows)
+    _write_video(av, folder / VIDEO, pictures())
+    lines = (
+        ", ".join([repr(time), f"{number:06d}", *map(repr, numbers)])
+        for number, (time, *numbers) in enumerate(rows)
+    )
+    write_text(folder / ODOMETRY, "\n".join([", ".join((*NEEDED, *LENS)), *lines]) + "\n")
+    fx, fy, cx, cy = rows[-1][-4:]
+    write_text(folder / MATRIX, f"{fx!r}, 0.0, {cx!r}\n0.0, {fy!r}, {cy!r}\n0.0, 0.0, 1.0\n")
 
 
 def _row(frame: Frame, turn: Float[np.ndarray, "4 4"]) -> list[float]:

@@ -5,7 +5,6 @@ in a `Capture`, so they reach no file.
 """
 
 import json
-import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,122 +13,80 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.recording import to_opengl
 from hyjax.geometry.camera import Intrinsics
 from hyjax.geometry.mesh import save_mesh
-from hyjax.util.errors import InputError
-from hyjax.util.files import new_folder, write_text
+from hyjax.util.files import write_text
 from hyjax.util.images import write_depth, write_png
 
 MESH = "mesh.ply"
-_log = logging.getLogger(__name__)
+Frames = Iterator[tuple[int, Frame]]
+"""Frames to write, and their numbers from 0 on."""
 
 
-def write_7scenes(capture: Capture, out: Path, progress: bool = True) -> int:
-    """Write a capture in the 7-Scenes layout: pictures as PNG, depth registered to them, one lens for all.
+def fill_7scenes(capture: Capture, frames: Frames, folder: Path) -> None:
+    """7-Scenes: pictures as PNG, depth registered to them, one lens for all.
 
     Pictures of another lens than the first frame's are sampled anew; so is depth that is not registered. Where some
     frames have depth, the others get a map without readings. Depth of no confidence is left out, as this layout has
     no place for confidences. Times, exposures and the anchors of lights are not kept.
-
-    Args:
-        capture: any.
-        out: folder, which must not be there or be empty; it appears whole or not at all.
-        progress: show a bar on stderr.
-
-    Returns:
-        The number of frames, without those that are damaged.
     """
     lens: Intrinsics | None = None
     without: list[str] = []
     count = 0
-    with new_folder(out) as folder:
-        for number, frame in each_frame(capture, progress):
-            lens, count = lens or frame.camera.intrinsics, number + 1
-            name = f"frame-{number:06d}"
-            image = seen_through(frame.image, frame.camera.intrinsics, lens)
-            write_png(folder / f"{name}.color.png", image)
-            write_text(folder / f"{name}.pose.txt", rows(frame.camera.pose))
-            if frame.depth is None:
-                without.append(name)
-            else:
-                write_depth(folder / f"{name}.depth.png", registered_depth(frame, lens))
-        assert lens is not None  # of the first frame
-        if len(without) < count:
-            for name in without:
-                write_depth(folder / f"{name}.depth.png", np.zeros(lens.shape, np.float32))
-        write_text(folder / "camera-intrinsics.txt", rows(lens.matrix))
-        write_text(folder / "gravity-direction.txt", rows(-np.asarray(capture.up)[None]))
-        write_mesh(capture, folder / MESH)
-    return count
+    for number, frame in frames:
+        lens, count = lens or frame.camera.intrinsics, number + 1
+        name = f"frame-{number:06d}"
+        image = seen_through(frame.image, frame.camera.intrinsics, lens)
+        write_png(folder / f"{name}.color.png", image)
+        write_text(folder / f"{name}.pose.txt", rows(frame.camera.pose))
+        if frame.depth is None:
+            without.append(name)
+        else:
+            write_depth(folder / f"{name}.depth.png", registered_depth(frame, lens))
+    assert lens is not None  # of the first frame
+    if len(without) < count:
+        for name in without:
+            write_depth(folder / f"{name}.depth.png", np.zeros(lens.shape, np.float32))
+    write_text(folder / "camera-intrinsics.txt", rows(lens.matrix))
+    write_text(folder / "gravity-direction.txt", rows(-np.asarray(capture.up)[None]))
+    write_mesh(capture, folder / MESH)
 
 
-def write_nerfstudio(capture: Capture, out: Path, progress: bool = True) -> int:
-    """Write a capture as nerfstudio's: `transforms.json`, pictures as PNG, depth in millimetres.
+def fill_nerfstudio(capture: Capture, frames: Frames, folder: Path) -> None:
+    """nerfstudio: `transforms.json`, pictures as PNG, depth in millimetres.
 
     Every frame has its own intrinsics. Depth keeps its size, but is sampled anew where its lens is not the
     picture's; of no confidence it is left out, as this layout has no place for confidences. Times and the anchors
     of lights are not kept.
-
-    Args:
-        capture: any.
-        out: folder, which must not be there or be empty; it appears whole or not at all.
-        progress: show a bar on stderr.
-
-    Returns:
-        The number of frames, without those that are damaged.
     """
     entries = []
-    with new_folder(out) as folder:
-        for name in ("images", "depth"):
-            (folder / name).mkdir()
-        for number, frame in each_frame(capture, progress):
-            k = frame.camera.intrinsics
-            picture = f"images/frame_{number:06d}.png"
-            write_png(folder / picture, frame.image)
-            entry: dict[str, Any] = {
-                "file_path": picture,
-                "transform_matrix": to_opengl(frame.camera.pose).tolist(),
-            }
-            entry |= {"fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy, "w": k.width, "h": k.height}
-            if frame.depth is not None:
-                entry["depth_file_path"] = f"depth/frame_{number:06d}.png"
-                lens = k.resize(*frame.depth.shape)
-                write_depth(folder / entry["depth_file_path"], registered_depth(frame, lens))
-            if frame.exposure is not None:
-                entry["exposure_time"] = frame.exposure
-            entries.append(entry)
-        if not any("depth_file_path" in entry for entry in entries):
-            (folder / "depth").rmdir()
-        content = {
-            "camera_model": "OPENCV",
-            "depth_unit_scale_factor": 0.001,
-            "up": np.asarray(capture.up, np.float64).tolist(),
-            "frames": entries,
+    for number, frame in frames:
+        k = frame.camera.intrinsics
+        picture = f"images/frame_{number:06d}.png"
+        write_png(folder / picture, frame.image)
+        entry: dict[str, Any] = {
+            "file_path": picture,
+            "transform_matrix": to_opengl(frame.camera.pose).tolist(),
         }
-        write_text(folder / "transforms.json", json.dumps(content, indent=1) + "\n")
-        write_mesh(capture, folder / MESH)
-    return len(entries)
-
-
-def each_frame(capture: Capture, progress: bool) -> Iterator[tuple[int, Frame]]:
-    """The frames of a capture, counted from 0, and a bar on stderr. Damaged ones are left out with a line."""
-    number = 0
-    for index in tqdm(range(len(capture)), "writing", unit="frame", leave=False, disable=not progress):
-        try:
-            frame = capture[index]
-        except InputError as error:
-            if capture.strict:
-                raise
-            _log.warning("%s; this frame is left out", error)
-            continue
-        yield number, frame
-        number += 1
-    if not number:
-        raise InputError(f"{capture.name}: none of the chosen frames can be read")
+        entry |= {"fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy, "w": k.width, "h": k.height}
+        if frame.depth is not None:
+            entry["depth_file_path"] = f"depth/frame_{number:06d}.png"
+            lens = k.resize(*frame.depth.shape)
+            write_depth(folder / entry["depth_file_path"], registered_depth(frame, lens))
+        if frame.exposure is not None:
+            entry["exposure_time"] = frame.exposure
+        entries.append(entry)
+    content = {
+        "camera_model": "OPENCV",
+        "depth_unit_scale_factor": 0.001,
+        "up": np.asarray(capture.up, np.float64).tolist(),
+        "frames": entries,
+    }
+    write_text(folder / "transforms.json", json.dumps(content, indent=1) + "\n")
+    write_mesh(capture, folder / MESH)
 
 
 def turned_up(up: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
@@ -145,11 +102,11 @@ def rows(numbers: Float[np.ndarray, "h w"]) -> str:
     return "".join(" ".join(repr(float(number)) for number in row) + "\n" for row in numbers)
 
 
-def write_mesh(capture: Capture, path: Path) -> None:
-    """Write the mesh that the device made, if there is one."""
+def write_mesh(capture: Capture, path: Path, turn: Float[np.ndarray, "4 4"] | None = None) -> None:
+    """Write the mesh that the device made, if there is one, turned as the world is."""
     mesh = capture.mesh()
     if mesh is not None:
-        save_mesh(path, mesh)
+        save_mesh(path, mesh if turn is None else mesh.copy().apply_transform(turn))
 
 
 def registered_depth(frame: Frame, lens: Intrinsics) -> Float[np.ndarray, "h w"]:

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,26 +18,23 @@ from test_nerfstudio import write as write_source
 from hyjax.cli import main
 from hyjax.data import builtin_room
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.convert import SelectedFrames, convert
+from hyjax.data.convert import SelectedFrames, convert, write_capture
 from hyjax.data.convert_settings import ConvertSettings
 from hyjax.data.registry import open_capture
-from hyjax.data.write_arkit import write_arkit
-from hyjax.data.write_stray import write_stray
-from hyjax.data.writers import seen_through, turned_up, write_7scenes, write_nerfstudio
+from hyjax.data.writers import seen_through, turned_up
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.util.errors import InputError
 
 DEPTH_LENS = Intrinsics(32, 24, 30.0, 29.0, 15.5, 12.5)
 """Of depth that is registered to `small.LENS` but half as large."""
-WRITERS = {"7scenes": write_7scenes, "nerfstudio": write_nerfstudio, "arkit": write_arkit}
-ALL_WRITERS = WRITERS | {"stray": write_stray}
+LAYOUTS = ("7scenes", "nerfstudio", "arkit")
+ALL_LAYOUTS = (*LAYOUTS, "stray")
 
 
-def writer_of(layout: str) -> Any:
-    """Writer of a layout; skips the test where its extra is missing."""
-    if layout == "stray":
+@pytest.fixture(autouse=True)
+def stray_needs_its_extra(request: pytest.FixtureRequest) -> None:
+    if hasattr(request.node, "callspec") and request.node.callspec.params.get("layout") == "stray":
         need("captures")
-    return ALL_WRITERS[layout]
 
 
 class Source(Capture):
@@ -74,14 +70,12 @@ def through_picture(depth: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h2 w2
     return np.repeat(np.repeat(depth, 2, 0), 2, 1)
 
 
-@pytest.mark.parametrize("layout", WRITERS)
+@pytest.mark.parametrize("layout", LAYOUTS)
 def test_what_is_written_is_read_back(layout: str, tmp_path: Path) -> None:
     source, out = Source(), tmp_path / "out"
-    WRITERS[layout](source, out, False)
+    write_capture(source, layout, out, False)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     for path in (out, small.zipped(out)):
-        if layout == "arkit" and path != out:
-            continue  # ARKitScenes is read from folders alone
         capture = open_capture(path, strict=True)
         assert len(capture) == len(source) and capture.metric
         np.testing.assert_allclose(capture.up, source.up, atol=1e-9)
@@ -100,19 +94,19 @@ def test_what_is_written_is_read_back(layout: str, tmp_path: Path) -> None:
     assert capture.has_mesh == (layout == "arkit") and (out / "mesh.ply").is_file() == (layout != "arkit")
 
 
-@pytest.mark.parametrize("layout", WRITERS)
+@pytest.mark.parametrize("layout", LAYOUTS)
 def test_frames_without_depth_stay(layout: str, tmp_path: Path) -> None:
     for depths in (0, 1):
-        WRITERS[layout](Source(depths), tmp_path / f"out{depths}", False)
+        write_capture(Source(depths), layout, tmp_path / f"out{depths}", False)
         capture = open_capture(tmp_path / f"out{depths}")
         assert len(capture) == small.COUNT
         last = capture[2].depth
         assert (capture[0].depth is None) == (depths == 0) and (last is None or not last.any())
 
 
-@pytest.mark.parametrize("layout", WRITERS)
+@pytest.mark.parametrize("layout", LAYOUTS)
 def test_one_frame_is_a_capture(layout: str, tmp_path: Path) -> None:
-    WRITERS[layout](Source(count=1), tmp_path / "out", False)
+    write_capture(Source(count=1), layout, tmp_path / "out", False)
     assert len(open_capture(tmp_path / "out")) == 1
 
 
@@ -120,7 +114,7 @@ def test_depth_of_another_lens_is_seen_through_the_pictures(tmp_path: Path) -> N
     wide = Intrinsics(32, 24, 20.0, 20.0, 14.0, 13.0)
     source = Source(lens=wide)
     for layout in ("7scenes", "nerfstudio"):
-        WRITERS[layout](source, tmp_path / layout, False)
+        write_capture(source, layout, tmp_path / layout, False)
         frame, original = open_capture(tmp_path / layout)[0], source[0]
         assert frame.depth is not None and original.depth is not None
         # A reading is where its ray meets the picture.
@@ -137,7 +131,7 @@ def test_pictures_of_several_lenses_get_one_in_7scenes(tmp_path: Path) -> None:
             return dataclasses.replace(frame, camera=Camera(k, frame.camera.pose))
 
     source = Zooming()
-    write_7scenes(source, tmp_path / "out", False)
+    write_capture(source, "7scenes", tmp_path / "out", False)
     frame, original = open_capture(tmp_path / "out")[2], source[2]
     assert frame.camera.intrinsics == small.LENS
     # Red rises by 1/64 a pixel: the same direction has the same red.
@@ -158,7 +152,7 @@ def test_worlds_are_turned_for_layouts_with_z_up(tmp_path: Path) -> None:
             return dataclasses.replace(frame, camera=Camera(small.LENS, pose))
 
     source = Turned()
-    write_arkit(source, tmp_path / "out", False)
+    write_capture(source, "arkit", tmp_path / "out", False)
     capture = open_capture(tmp_path / "out")
     turn = turned_up(source.up, small.UP)
     np.testing.assert_allclose(turn[:3, :3] @ source.up, small.UP, atol=1e-9)
@@ -183,7 +177,7 @@ def test_readings_of_no_confidence_are_left_out_where_there_is_no_place_for_it(t
             assert frame.confidence is not None
             return dataclasses.replace(frame, confidence=np.where(frame.confidence < 1, 0.0, 1.0))
 
-    write_nerfstudio(Doubtful(), tmp_path / "out", False)
+    write_capture(Doubtful(), "nerfstudio", tmp_path / "out", False)
     depth = open_capture(tmp_path / "out")[0].depth
     assert depth is not None and not depth[:, :10].any() and depth[:, 10:].all()
 
@@ -205,7 +199,7 @@ def test_frames_and_size_are_chosen(tmp_path: Path) -> None:
 def test_the_builtin_room_is_converted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small_room = functools.partial(builtin_room.load_room, n_frames=2, width=160, height=120, quality=0.25)
     monkeypatch.setattr(builtin_room, "load_room", small_room)
-    for layout in WRITERS:
+    for layout in LAYOUTS:
         convert(ConvertSettings(to=layout, out=tmp_path / layout, quiet=True))
         room, capture = small_room(progress=False), open_capture(tmp_path / layout)
         for frame, original in zip(capture, room, strict=True):
@@ -214,12 +208,10 @@ def test_the_builtin_room_is_converted(tmp_path: Path, monkeypatch: pytest.Monke
             np.testing.assert_allclose(frame.image, original.image, atol=1e-6)
 
 
-@pytest.mark.parametrize("layout", ["7scenes", "nerfstudio", "arkit", "stray"])
+@pytest.mark.parametrize("layout", ALL_LAYOUTS)
 def test_the_command_says_how_to_relight(
     layout: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if layout == "stray":
-        need("captures")
     source, out = write_source(tmp_path / "office"), tmp_path / "out"
     monkeypatch.setattr(
         sys, "argv", ["hyjax", "convert", str(source), "--to", layout, "--out", str(out), "--quiet"]
@@ -248,22 +240,22 @@ class Damaged(Source):
         return super().__getitem__(index)
 
 
-@pytest.mark.parametrize("layout", ALL_WRITERS)
+@pytest.mark.parametrize("layout", ALL_LAYOUTS)
 def test_a_failure_leaves_nothing_behind(layout: str, tmp_path: Path) -> None:
-    strict, nothing, writer = Damaged(), Damaged(), writer_of(layout)
+    strict, nothing = Damaged(), Damaged()
     strict.strict, nothing.broken = True, (0, 1, 2)
     with pytest.raises(InputError, match="frame 0"):
-        writer(strict, tmp_path / layout, False)
+        write_capture(strict, layout, tmp_path / layout, False)
     with pytest.raises(InputError, match="source: none of the chosen frames can be read"):
-        writer(nothing, tmp_path / layout, False)
+        write_capture(nothing, layout, tmp_path / layout, False)
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("layout", ALL_WRITERS)
+@pytest.mark.parametrize("layout", ALL_LAYOUTS)
 def test_damaged_frames_are_left_out_with_a_line(
     layout: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    assert writer_of(layout)(Damaged(), tmp_path / "out", False) == 2
+    assert write_capture(Damaged(), layout, tmp_path / "out", False) == 2
     assert caplog.messages == ["frame 0: damaged; this frame is left out"]
     capture = open_capture(tmp_path / "out", strict=True)
     assert len(capture) == capture.depth_count == 2

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from hyjax.data.builtin_room import load_room
 from hyjax.data.capture import Capture, ChosenFrames, Frame
+from hyjax.data.convert import write_capture
 from hyjax.data.registry import open_capture
 from hyjax.data.trees import open_tree
 from hyjax.data.video_frames import VideoFrames
-from hyjax.data.write_stray import write_stray
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.errors import InputError
@@ -45,7 +45,7 @@ class Source(Capture):
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    write_stray(Source(FRAMES), tmp_path / "scan", progress=False)
+    write_capture(Source(FRAMES), "stray", tmp_path / "scan", progress=False)
     return tmp_path / "scan"
 
 
@@ -78,7 +78,7 @@ def test_what_is_written_is_read_back_from_folder_and_archive(folder: Path) -> N
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_pictures_are_turned_upright_however_the_phone_was_held(tmp_path: Path, quarters: int) -> None:
-    write_stray(Source(sideways(FRAMES, quarters)), tmp_path / "scan", progress=False)
+    write_capture(Source(sideways(FRAMES, quarters)), "stray", tmp_path / "scan", progress=False)
     capture = open_capture(tmp_path / "scan")
     assert capture.quarter_turns == quarters
     agree(capture, FRAMES)
@@ -95,7 +95,7 @@ def test_the_quaternion_is_of_a_camera_that_looks_along_z(folder: Path) -> None:
 
 def test_any_capture_can_be_written_and_its_world_becomes_y_up(tmp_path: Path) -> None:
     room = load_room(n_frames=2, width=160, height=120, quality=0.25, progress=False)
-    write_stray(room, tmp_path / "scan", progress=False)
+    write_capture(room, "stray", tmp_path / "scan", progress=False)
     capture = open_capture(tmp_path / "scan")
     turn = capture[0].camera.pose @ np.linalg.inv(room[0].camera.pose)
     np.testing.assert_allclose(turn[:3, :3] @ room.up, UP, atol=1e-6)
@@ -111,7 +111,7 @@ def test_depth_of_another_lens_is_sampled_anew(tmp_path: Path) -> None:
         Frame(f.name, f.image, f.camera, f.time, f.depth[6:30, 8:40], narrow, f.confidence[6:30, 8:40])
         for f in FRAMES
     ]
-    write_stray(Source(frames), tmp_path / "scan", progress=False)
+    write_capture(Source(frames), "stray", tmp_path / "scan", progress=False)
     capture = open_capture(tmp_path / "scan")
     for frame, original in zip(capture, FRAMES):
         points = frame.depth_camera.unproject(frame.depth)[frame.depth > 0]
@@ -123,7 +123,7 @@ def test_depth_of_another_lens_is_sampled_anew(tmp_path: Path) -> None:
 
 def test_frames_of_a_real_scan_are_written_and_read_back(scanner3d_chair: Path, tmp_path: Path) -> None:
     chosen = ChosenFrames(open_capture(scanner3d_chair), [0, 12])
-    write_stray(chosen, tmp_path / "scan", progress=False)
+    write_capture(chosen, "stray", tmp_path / "scan", progress=False)
     for frame, original in zip(open_capture(tmp_path / "scan"), chosen, strict=True):
         np.testing.assert_allclose(frame.camera.pose, original.camera.pose, atol=1e-6)
         np.testing.assert_allclose(frame.depth, original.depth, atol=5e-4)
@@ -135,13 +135,13 @@ def test_a_folder_in_use_is_refused_and_nothing_is_left_by_a_failure(tmp_path: P
     (tmp_path / "used").mkdir()
     (tmp_path / "used" / "mine.txt").write_text("mine")
     with pytest.raises(InputError, match="is there already"):
-        write_stray(Source(FRAMES), tmp_path / "used", progress=False)
+        write_capture(Source(FRAMES), "stray", tmp_path / "used", progress=False)
     small = Frame("small", FRAMES[0].image[:36, :48], Camera(LENS.crop(0, 0, 36, 48), FRAMES[0].camera.pose), 1.0)
     with pytest.raises(InputError, match="frame 1 is 48x36, the first is 96x72"):
-        write_stray(Source([FRAMES[0], small]), tmp_path / "new", progress=False)
+        write_capture(Source([FRAMES[0], small]), "stray", tmp_path / "new", progress=False)
     assert [file.name for file in tmp_path.iterdir()] == ["used"]
     (tmp_path / "empty").mkdir()
-    write_stray(Source(FRAMES[:2]), tmp_path / "empty", progress=False)
+    write_capture(Source(FRAMES[:2]), "stray", tmp_path / "empty", progress=False)
     assert len(open_capture(tmp_path / "empty")) == 2
 
 

@@ -20,7 +20,7 @@ from reference.pairs_export import (
 from reference.phone_layouts import box_room, write_polycam, write_record3d, write_scanner3d, zipped
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.write_stray import write_stray
+from hyjax.data.convert import write_capture
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.images import write_depth, write_png
@@ -98,7 +98,7 @@ def polycam(folder: Path) -> None:
 
 def stray(folder: Path) -> None:
     frames = [dataclasses.replace(frame, exposure=None) for frame in box_room(2)]
-    write_stray(Small(frames, np.array([0.0, 1.0, 0.0])), folder / "scan", progress=False)
+    write_capture(Small(frames, np.array([0.0, 1.0, 0.0])), "stray", folder / "scan", progress=False)
 
 
 def video(folder: Path) -> None:
