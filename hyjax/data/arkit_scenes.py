@@ -89,10 +89,6 @@ def open_arkit_scenes(tree: FileTree) -> Recording:
     """Open one scan. Trajectory, intrinsics and file names are read and checked now, pictures when asked for.
 
     Pictures whose time the trajectory does not cover, or that lack intrinsics or depth, are left out with a line.
-
-    Raises:
-        InputError: an asset is missing (it is named as the official downloader names it), a malformed trajectory,
-            or no picture is left.
     """
     if tree.path.is_dir() and (folder := tree.folder).name.endswith("_frames"):  # the mesh lies above
         tree = open_tree(folder.parent)

@@ -145,14 +145,6 @@ class Tally:
         return [f"{count} {what} (first: {first})" for what, (count, first) in self._found.items()]
 
 
-def counted(reasons: Iterable[tuple[str, str]]) -> list[str]:
-    """Lines of a `Tally` of (what is said after the number, which one)."""
-    tally = Tally()
-    for reason, name in reasons:
-        tally.add(reason, name)
-    return tally.lines()
-
-
 class TimedFile(NamedTuple):
     """A file and the seconds in its name."""
 

@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import Capture, CaptureFormat
-from hyjax.data.capture_files import by_number, counted, looks_whole, short_names, tree_colour, tree_depth
+from hyjax.data.capture_files import Tally, by_number, looks_whole, short_names, tree_colour, tree_depth
 from hyjax.data.colmap_files import check_binary, read_array
 from hyjax.data.file_tree import FileTree
 from hyjax.data.frames import spread
@@ -65,30 +65,25 @@ def is_colmap(tree: FileTree) -> bool:
 
 
 def open_colmap(tree: FileTree) -> Capture:
-    """Open a model with its pictures.
-
-    Raises:
-        InputError: the package `pycolmap` is missing, the model is damaged or of a camera that is not read, or no
-            picture of it is there.
-    """
+    """Open a model with its pictures."""
     found = _model(tree)
     assert found is not None
     folder, kind = found
     model = _read_model(tree, folder, kind)
     top = _workspace(tree, folder)
     pictures = _pictures(tree, top)
-    faults: list[tuple[str, str]] = []
+    faults = Tally()
     chosen: dict[str, Any] = {}
     for image in sorted(model.images.values(), key=lambda image: by_number(image.name)):
         name = pictures.get(image.name)
         if not image.has_pose:
             continue
         if name is None:
-            faults.append(("pictures of the model are missing", image.name))
+            faults.add("pictures of the model are missing", image.name)
         elif not looks_whole(tree, name):
-            faults.append(("pictures are damaged and left out", name))
+            faults.add("pictures are damaged and left out", name)
         elif _pose(image) is None:
-            faults.append(("pictures are left out, their poses are no rigid motions", name))
+            faults.add("pictures are left out, their poses are no rigid motions", name)
         else:
             chosen[name] = image
     remarks = ["up is the cameras' mean up direction; which way gravity is, is not told"]
@@ -99,7 +94,8 @@ def open_colmap(tree: FileTree) -> Capture:
         )
     maps = _depth_names(tree, top, chosen)
     broken = {depth: None for depth in maps.values() if not looks_whole(tree, depth)}
-    faults += [("depth maps are damaged and left out", depth) for depth in broken]
+    for depth in broken:
+        faults.add("depth maps are damaged and left out", depth)
     maps = {name: depth for name, depth in maps.items() if depth not in broken}
     shots = [
         _shot(tree, image, name, short, index, maps.get(name))
@@ -112,7 +108,7 @@ def open_colmap(tree: FileTree) -> Capture:
         tree,
         shots,
         mesh=mesh,
-        faults=counted(faults),
+        faults=faults.lines(),
         remarks=[*remarks, line] if line else remarks,
         metric=scale is not None,
         depth_in_units=not has_sensor,

@@ -25,18 +25,17 @@ from jaxtyping import Float
 
 from hyjax.data.capture import CaptureFormat
 from hyjax.data.capture_files import (
+    Tally,
     by_number,
-    counted,
     looks_whole,
     short_names,
     tree_colour,
-    tree_depth,
     tree_shape,
 )
 from hyjax.data.file_tree import FileTree
 from hyjax.data.json_fields import Fields, json_object
 from hyjax.data.lens import Distortion
-from hyjax.data.recording import Z_UP, DepthAndConfidence, Recording, Shot, from_opengl, mean_up, rigid
+from hyjax.data.recording import Z_UP, Recording, Shot, depth_reader, from_opengl, mean_up, rigid
 from hyjax.data.trees import open_tree
 from hyjax.geometry.camera import Intrinsics
 from hyjax.util.errors import InputError
@@ -56,30 +55,24 @@ def is_nerfstudio(tree: FileTree) -> bool:
 
 
 def open_nerfstudio(tree: FileTree) -> Recording:
-    """Open a folder or archive with a `transforms.json`, or the path of that file itself.
-
-    Raises:
-        InputError: the file cannot be read, lacks a key or has one of another type, is of a lens that is not known,
-            or no frame of it has a picture.
-    """
+    """Open a folder or archive with a `transforms.json`, or the path of that file itself."""
     listing = next(name for name in NAMES if name in tree)
     if tree.path.is_file() and tree.names == (listing,):
         tree = open_tree(tree.path.resolve().parent)
     top = Fields(json_object(tree, listing), tree.where(listing))
     found = [(entry, _find(tree, entry.text("file_path"))) for entry in top.objects("frames")]
     found.sort(key=lambda pair: by_number(pair[1] or pair[0].text("file_path")))
-    remarks: list[tuple[str, str]] = []
-    faults: list[tuple[str, str]] = []
+    remarks, faults = Tally(), Tally()
     chosen: dict[str, Fields] = {}
     for entry, name in found:
         if name is None:
-            faults.append(("frames are left out, their pictures are missing", entry.text("file_path")))
+            faults.add("frames are left out, their pictures are missing", entry.text("file_path"))
         elif name in chosen:
-            remarks.append(("frames name a picture that another one has named", name))
+            remarks.add("frames name a picture that another one has named", name)
         elif not looks_whole(tree, name):
-            faults.append(("pictures are damaged and left out", name))
+            faults.add("pictures are damaged and left out", name)
         elif rigid(_pose(entry)) is None:
-            faults.append(("frames are left out, their poses are no rigid motions", name))
+            faults.add("frames are left out, their poses are no rigid motions", name)
         else:
             chosen[name] = entry
     shots = [
@@ -94,8 +87,8 @@ def open_nerfstudio(tree: FileTree) -> Recording:
         tree,
         shots,
         up=up,
-        faults=counted(faults),
-        remarks=[*counted(remarks), *told],
+        faults=faults.lines(),
+        remarks=[*remarks.lines(), *told],
         metric=has_depth,
         depth_in_units=True,
     )
@@ -122,9 +115,7 @@ def _pose(entry: Fields) -> Float[np.ndarray, "4 4"]:
     return pose
 
 
-def _shot(
-    tree: FileTree, top: Fields, entry: Fields, name: str, short: str, index: int, faults: list[tuple[str, str]]
-) -> Shot:
+def _shot(tree: FileTree, top: Fields, entry: Fields, name: str, short: str, index: int, faults: Tally) -> Shot:
     pose = rigid(_pose(entry))
     assert pose is not None
     key = next((key for key in ("depth_file_path", "depth_path") if key in entry), None)
@@ -132,13 +123,13 @@ def _shot(
     if key is not None:
         found = _find(tree, entry.text(key))
         if found is None:
-            faults.append(("depth maps are missing", entry.text(key)))
+            faults.add("depth maps are missing", entry.text(key))
         elif not found.lower().endswith(".png"):
             raise InputError(f"{entry.where}: {key}: only 16-bit PNG is read as depth, not {found}")
         elif not looks_whole(tree, found):
-            faults.append(("depth maps are damaged and left out", found))
+            faults.add("depth maps are damaged and left out", found)
         else:
-            depth = functools.partial(_read_depth, tree, found, _depth_unit(top))
+            depth = depth_reader(tree, found, _depth_unit(top))
     exposure = entry.number("exposure_time", 0.0)
     return Shot(
         short,
@@ -159,10 +150,6 @@ def _depth_unit(top: Fields) -> float:
     if not 0 < unit < 1e3:
         raise InputError(f"{top.where}: {key}: must be > 0 and below 1000, got {unit:g}")
     return unit
-
-
-def _read_depth(tree: FileTree, name: str, unit: float) -> DepthAndConfidence:
-    return tree_depth(tree, name, unit), None
 
 
 def _either(top: Fields, entry: Fields, key: str) -> Fields:

@@ -60,12 +60,7 @@ def is_record3d(tree: FileTree) -> bool:
 
 
 def open_record3d(tree: FileTree) -> Recording:
-    """Open an export. `metadata` is read and checked now, pictures and depth when asked for.
-
-    Raises:
-        InputError: no frame has a picture and a pose, `metadata` lacks what is needed, or the package `lzfse` is
-            needed and not installed.
-    """
+    """Open an export. `metadata` is read and checked now, pictures and depth when asked for."""
     name = "metadata.json" if "metadata.json" in tree else "metadata"
     metadata, where = json_object(tree, name), tree.where(name)
     scan = PhoneScan(tree)

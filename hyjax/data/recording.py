@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import Capture, Frame
+from hyjax.data.capture_files import tree_depth
 from hyjax.data.file_tree import FileTree
 from hyjax.data.lens import Distortion, undistorted
 from hyjax.data.orientation import turn_frame, turns_upright
@@ -194,6 +195,11 @@ def _depth_lens(shot: Shot, depth: Float[np.ndarray, "h w"]) -> Intrinsics:
             f"{lens.width}x{lens.height}"
         )
     return lens
+
+
+def depth_reader(tree: FileTree, name: str, unit: float = 0.001) -> Callable[[], DepthAndConfidence]:
+    """Reads a depth map without confidence; see `tree_depth`."""
+    return lambda: (tree_depth(tree, name, unit), None)
 
 
 def from_opengl(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

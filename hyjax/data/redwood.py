@@ -25,18 +25,17 @@ from jaxtyping import Float
 
 from hyjax.data.capture import CaptureFormat
 from hyjax.data.capture_files import (
+    Tally,
     by_number,
-    counted,
     looks_whole,
     short_names,
     tree_colour,
-    tree_depth,
     tree_shape,
 )
 from hyjax.data.file_tree import FileTree
 from hyjax.data.json_fields import Fields, json_object
 from hyjax.data.posed_lists import floats, table_rows
-from hyjax.data.recording import DepthAndConfidence, Recording, Shot, rigid
+from hyjax.data.recording import Recording, Shot, depth_reader, rigid
 from hyjax.geometry.camera import Intrinsics
 from hyjax.geometry.depth_sensor import KINECT
 from hyjax.util.errors import InputError
@@ -48,8 +47,6 @@ MESHES = ("scene/integrated.ply", "integrated.ply", "mesh.ply")
 DEFAULT = Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)
 """Open3D's `PrimeSenseDefault`, counted from the corner of the first pixel."""
 
-Reasons = list[tuple[str, str]]
-
 
 def is_redwood(tree: FileTree) -> bool:
     """Whether there are `depth/`, a folder of pictures and a `.log` of poses."""
@@ -60,14 +57,14 @@ def open_redwood(tree: FileTree) -> Recording:
     """Open a scene in the layout of Redwood or Open3D."""
     log, folder = _log_name(tree), _folder(tree)
     assert log is not None and folder is not None
-    faults: Reasons = []
+    faults = Tally()
     remarks: list[str] = []
     pictures = sorted((n for e in ENDINGS for n in tree.below(folder, e)), key=by_number)
     depths = _by_picture(pictures, sorted(tree.below("depth", ".png"), key=by_number))
     poses = _read_log(tree, log, len(pictures))
     if max(poses, default=0) >= len(pictures):
         missing = [number for number in poses if number >= len(pictures)]
-        faults.append((f"poses of {log} are left out, there are {len(pictures)} pictures", f"pose {missing[0]}"))
+        faults.add(f"poses of {log} are left out, there are {len(pictures)} pictures", f"pose {missing[0]}")
     if unposed := [name for number, name in enumerate(pictures) if number not in poses]:
         remarks.append(
             f"{len(unposed)} of {len(pictures)} pictures are left out, without pose (first: {unposed[0]})"
@@ -77,21 +74,21 @@ def open_redwood(tree: FileTree) -> Recording:
     for number, (name, short) in enumerate(zip(pictures, short_names(pictures))):
         pose = rigid(poses[number]) if number in poses else None
         if number in poses and pose is None:
-            faults.append((f"poses of {log} are left out, they are no rigid motions", f"pose {number}"))
+            faults.add(f"poses of {log} are left out, they are no rigid motions", f"pose {number}")
         elif pose is not None and not looks_whole(tree, name):
-            faults.append(("pictures are damaged and left out", name))
+            faults.add("pictures are damaged and left out", name)
         elif pose is not None:
             depth = depths.get(name)
             if depth is None:
-                faults.append(("pictures have no depth map", name))
+                faults.add("pictures have no depth map", name)
             elif not looks_whole(tree, depth):
-                faults.append(("depth maps are damaged and left out", depth))
+                faults.add("depth maps are damaged and left out", depth)
                 depth = None
             colour = functools.partial(tree_colour, tree, name)
-            reader = None if depth is None else functools.partial(_read_depth, tree, depth)
+            reader = None if depth is None else depth_reader(tree, depth)
             shots.append(Shot(short, number / 30, pose, intrinsics, colour, reader))
     mesh = next((name for name in MESHES if name in tree), None)
-    return Recording(tree, shots, mesh=mesh, sensor=KINECT, faults=counted(faults), remarks=remarks)
+    return Recording(tree, shots, mesh=mesh, sensor=KINECT, faults=faults.lines(), remarks=remarks)
 
 
 def _log_name(tree: FileTree) -> str | None:
@@ -152,10 +149,6 @@ def _intrinsics(tree: FileTree, picture: str, remarks: list[str]) -> Intrinsics:
         return Intrinsics(width, height, *map(float, values))
     except InputError as error:
         raise InputError(f"{fields.where}: {error}") from None
-
-
-def _read_depth(tree: FileTree, name: str) -> DepthAndConfidence:
-    return tree_depth(tree, name), None
 
 
 FORMAT = CaptureFormat("Redwood", is_redwood, open_redwood, "color/, depth/, trajectory.log")

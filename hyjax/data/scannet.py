@@ -80,12 +80,7 @@ def is_sens(tree: FileTree) -> bool:
 
 
 def open_sens(tree: FileTree) -> Recording:
-    """Open a `.sens` file, or the folder or archive that has one. An archive's is copied to disk once.
-
-    Raises:
-        InputError: the header is damaged, of another version or packed in a way that is not read, or no frame has
-            a pose.
-    """
+    """Open a `.sens` file, or the folder or archive that has one. An archive's is copied to disk once."""
     name = tree.below("", ".sens")[0]
     where = tree.where(name)
     with tree.stream(name) as file:

@@ -17,10 +17,10 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import counted, looks_whole, tree_colour, tree_depth, tree_numbers, tree_shape
+from hyjax.data.capture_files import Tally, looks_whole, tree_colour, tree_numbers, tree_shape
 from hyjax.data.file_tree import FileTree
 from hyjax.data.kinect import KINECT, registered
-from hyjax.data.recording import DepthAndConfidence, Recording, Shot
+from hyjax.data.recording import Recording, Shot, depth_reader
 from hyjax.geometry.camera import Intrinsics, check_pose
 from hyjax.util.errors import InputError
 
@@ -37,21 +37,16 @@ def open_seven_scenes(tree: FileTree) -> Recording:
     """Open files in the 7-Scenes layout. Poses are read and checked now, pictures when asked for.
 
     Frames come in order of number. Gaps in the numbering are fine. Frames whose picture is damaged are left out.
-
-    Raises:
-        InputError: a frame without its pose or depth file, a malformed pose, intrinsics that do not belong to the
-            pictures.
     """
     colours = _numbered_colours(tree)
     has_depth = _check_companions(tree, colours)
     whole = {number: name for number, name in colours.items() if looks_whole(tree, name)}
-    faults = counted(
-        (f"of {len(colours)} pictures are damaged and left out", name)
-        for number, name in colours.items()
-        if number not in whole
-    )
+    faults = Tally()
+    for number, name in colours.items():
+        if number not in whole:
+            faults.add(f"of {len(colours)} pictures are damaged and left out", name)
     if not whole:
-        raise InputError(f"{tree.path}: none of {len(colours)} pictures can be read; {faults[0]}")
+        raise InputError(f"{tree.path}: none of {len(colours)} pictures can be read; {faults.lines()[0]}")
     remarks: list[str] = []
     intrinsics = _read_intrinsics(tree, next(iter(whole.values())), remarks)
     shots = [
@@ -61,16 +56,12 @@ def open_seven_scenes(tree: FileTree) -> Recording:
             _read_pose(tree, _companion(name, "pose.txt")),
             intrinsics,
             functools.partial(tree_colour, tree, name),
-            functools.partial(_read_depth, tree, _companion(name, "depth.png")) if has_depth else None,
+            depth_reader(tree, _companion(name, "depth.png")) if has_depth else None,
             depth_intrinsics=intrinsics,
         )
         for number, name in whole.items()
     ]
-    return Recording(tree, shots, up=_read_up(tree), faults=faults, remarks=remarks, turn=False)
-
-
-def _read_depth(tree: FileTree, name: str) -> DepthAndConfidence:
-    return tree_depth(tree, name), None
+    return Recording(tree, shots, up=_read_up(tree), faults=faults.lines(), remarks=remarks, turn=False)
 
 
 def _numbered_colours(tree: FileTree) -> dict[int, str]:

@@ -49,12 +49,7 @@ def is_stray(tree: FileTree) -> bool:
 
 
 def open_stray(tree: FileTree) -> Recording:
-    """Open a recording. Poses are read and checked now, pictures and depth when asked for.
-
-    Raises:
-        InputError: `av` is not installed, the video cannot be read, a row of `odometry.csv` is malformed, or no row
-            has a picture and a pose.
-    """
+    """Open a recording. Poses are read and checked now, pictures and depth when asked for."""
     scan = PhoneScan(tree)
     rows = _read_odometry(scan)
     video = VideoFrames(tree, VIDEO)

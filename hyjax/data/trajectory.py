@@ -72,12 +72,7 @@ class Trajectory:
 
 
 def read_trajectory(tree: FileTree, name: str) -> Trajectory:
-    """Read a `.traj` file; its world-to-camera motions are inverted.
-
-    Raises:
-        InputError: the file cannot be read, a row is not seven finite numbers, times do not ascend, or there are
-            fewer than two poses.
-    """
+    """Read a `.traj` file; its world-to-camera motions are inverted."""
     path, lines = tree.where(name), tree.text(name).splitlines()
     while lines and not lines[-1].strip():
         lines.pop()

@@ -25,11 +25,11 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import counted, looks_whole, tree_colour, tree_depth, tree_shape
+from hyjax.data.capture_files import Tally, looks_whole, tree_colour, tree_shape
 from hyjax.data.file_tree import FileTree
 from hyjax.data.lens import Distortion
 from hyjax.data.posed_lists import ascending, floats, pose_of, table_rows
-from hyjax.data.recording import Z_UP, DepthAndConfidence, Recording, Shot
+from hyjax.data.recording import Z_UP, Recording, Shot, depth_reader
 from hyjax.data.trajectory import Trajectory
 from hyjax.geometry.camera import Intrinsics
 from hyjax.geometry.depth_sensor import KINECT
@@ -48,8 +48,6 @@ PUBLISHED = {
 }
 """fx fy cx cy k1 k2 p1 p2 k3 of the colour cameras, for 640×480; the third's pictures are undistorted already."""
 
-Reasons = list[tuple[str, str]]
-
 
 def is_tum(tree: FileTree) -> bool:
     """Whether there are `rgb.txt` and `groundtruth.txt`."""
@@ -58,13 +56,13 @@ def is_tum(tree: FileTree) -> bool:
 
 def open_tum(tree: FileTree) -> Recording:
     """Open a sequence in TUM's layout."""
-    faults: Reasons = []
+    faults = Tally()
     remarks: list[str] = []
     trajectory = _trajectory(tree, faults)
     pictures = _listed(tree, "rgb.txt", faults)
     depths = _listed(tree, "depth.txt", faults) if "depth.txt" in tree else []
     if not pictures:
-        raise InputError(f"{tree.where('rgb.txt')}: none of its pictures can be read; {'; '.join(counted(faults))}")
+        raise InputError(f"{tree.where('rgb.txt')}: none of its pictures can be read; {'; '.join(faults.lines())}")
     covered = [picture for picture in pictures if trajectory.covers(picture.time)]
     if not covered:
         raise InputError(
@@ -89,7 +87,7 @@ def open_tum(tree: FileTree) -> Recording:
                 trajectory.pose_at(picture.time),
                 intrinsics,
                 functools.partial(tree_colour, tree, picture.name),
-                functools.partial(_read_depth, tree, depths[place].name) if near else None,
+                depth_reader(tree, depths[place].name, DEPTH_UNIT) if near else None,
                 distortion=distortion,
                 depth_distortion=distortion,
             )
@@ -98,7 +96,7 @@ def open_tum(tree: FileTree) -> Recording:
     if depths and lone:
         remarks.append(f"{len(lone)} of {len(shots)} pictures have no depth map within 20 ms (first: {lone[0]})")
     up = Z_UP if _sequence(tree) else None
-    return Recording(tree, shots, up=up, sensor=KINECT, faults=counted(faults), remarks=remarks)
+    return Recording(tree, shots, up=up, sensor=KINECT, faults=faults.lines(), remarks=remarks)
 
 
 class _Listed(NamedTuple):
@@ -108,7 +106,7 @@ class _Listed(NamedTuple):
     name: str
 
 
-def _listed(tree: FileTree, name: str, faults: Reasons) -> list[_Listed]:
+def _listed(tree: FileTree, name: str, faults: Tally) -> list[_Listed]:
     """The files that a list names and that are there, in order of time."""
     where, found = tree.where(name), []
     for row, words in enumerate(table_rows(tree, name), start=1):
@@ -116,22 +114,20 @@ def _listed(tree: FileTree, name: str, faults: Reasons) -> list[_Listed]:
             raise InputError(f"{where}: row {row} is not 'timestamp file': {' '.join(words)[:60]!r}")
         found.append(_Listed(floats(words[:1], where, row)[0], words[1].removeprefix("./")))
     kept = ascending(np.array([entry.time for entry in found]))
-    faults += [
-        (f"rows of {name} are left out, their time is not after the row above", f"row {row + 1}")
-        for row in sorted(set(range(len(found))) - set(kept))
-    ]
+    for row in sorted(set(range(len(found))) - set(kept)):
+        faults.add(f"rows of {name} are left out, their time is not after the row above", f"row {row + 1}")
     whole = []
     for entry in (found[row] for row in kept):
         if entry.name not in tree:
-            faults.append((f"files of {name} are missing", entry.name))
+            faults.add(f"files of {name} are missing", entry.name)
         elif not looks_whole(tree, entry.name):
-            faults.append((f"files of {name} are damaged and left out", entry.name))
+            faults.add(f"files of {name} are damaged and left out", entry.name)
         else:
             whole.append(entry)
     return whole
 
 
-def _trajectory(tree: FileTree, faults: Reasons) -> Trajectory:
+def _trajectory(tree: FileTree, faults: Tally) -> Trajectory:
     name = "groundtruth.txt"
     where = tree.where(name)
     times, poses = [], []
@@ -141,15 +137,13 @@ def _trajectory(tree: FileTree, faults: Reasons) -> Trajectory:
             raise InputError(f"{where}: row {row} has {len(numbers)} numbers, need timestamp tx ty tz qx qy qz qw")
         pose = pose_of(numbers[1:4], numbers[4:])
         if pose is None or not np.isfinite(numbers[0]):
-            faults.append((f"rows of {name} are left out, they are no poses", f"row {row}"))
+            faults.add(f"rows of {name} are left out, they are no poses", f"row {row}")
             continue
         times.append(numbers[0])
         poses.append(pose)
     kept = ascending(np.array(times))
-    faults += [
-        (f"rows of {name} are left out, their time is not after the row above", f"pose {row + 1}")
-        for row in sorted(set(range(len(times))) - set(kept))
-    ]
+    for row in sorted(set(range(len(times))) - set(kept)):
+        faults.add(f"rows of {name} are left out, their time is not after the row above", f"pose {row + 1}")
     if len(kept) < 2:
         raise InputError(f"{where}: has {len(kept)} pose(s) in order of time, need at least two")
     return Trajectory(np.array(times)[kept], np.array(poses)[kept], where)
@@ -194,10 +188,6 @@ def _written(tree: FileTree, name: str) -> Float[np.ndarray, "n"]:
     if len(values) not in (4, 8, 9):
         raise InputError(f"{where}: has {len(values)} numbers, need fx fy cx cy, then k1 k2 p1 p2 k3 if known")
     return values
-
-
-def _read_depth(tree: FileTree, name: str) -> DepthAndConfidence:
-    return tree_depth(tree, name, DEPTH_UNIT), None
 
 
 FORMAT = CaptureFormat("TUM RGB-D", is_tum, open_tum, "rgb.txt, depth.txt, groundtruth.txt")

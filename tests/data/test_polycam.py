@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reference.phone_layouts import agree, box_room, edit_json, sideways, write_polycam, zipped
+from reference.phone_layouts import agree, box_room, edit_json, write_polycam
 
 from hyjax.data.registry import open_capture
 from hyjax.util.errors import InputError
@@ -34,16 +34,6 @@ def leaves_out(folder: Path, *parts: str) -> None:
     refuses(folder, "1 frames cannot be used and are left out", *parts, strict=True)
 
 
-@pytest.mark.parametrize("quarters", [0, 1, 3])
-def test_a_scan_is_read_from_folder_and_archive_however_the_phone_was_held(tmp_path: Path, quarters: int) -> None:
-    folder = write_polycam(tmp_path / "scan", sideways(FRAMES, quarters))
-    for path in (folder, zipped(folder)):
-        capture = open_capture(path)
-        agree(capture, FRAMES)
-        assert capture.quarter_turns == quarters and not capture.faults and not capture.remarks
-        assert [frame.time for frame in capture] == pytest.approx([0.0, 0.1, 0.2, 0.3])
-
-
 def test_corrected_cameras_are_preferred_and_what_was_not_corrected_is_told(tmp_path: Path) -> None:
     moved = [box_room(5)[index + 1] for index in range(4)]
     for index, frame in enumerate(moved):
@@ -65,31 +55,6 @@ def test_corrected_cameras_without_their_pictures_are_not_used(tmp_path: Path) -
 
 def test_the_three_confidences_of_polycam(folder: Path) -> None:
     assert set(np.unique(open_capture(folder)[0].confidence)) == {0.0, 0.5, 1.0}
-
-
-def test_missing_and_damaged_files(folder: Path) -> None:
-    names = [file.stem for file in cameras(folder)]
-    images, depths = folder / "keyframes" / "images", folder / "keyframes" / "depth"
-    (images / f"{names[0]}.jpg").unlink()
-    (images / f"{names[1]}.jpg").write_bytes(b"\xff\xd8 cut off")
-    (depths / f"{names[2]}.png").unlink()
-    capture = open_capture(folder)
-    assert len(capture) == 2 and capture.depth_count == 3 and capture[0].depth is None
-    assert "1 pictures are damaged" in capture.faults[0]
-    assert "2 poses have no picture; their depth is used" in capture.remarks[0]
-
-
-def test_poses_that_are_none_are_left_out_and_counted(folder: Path) -> None:
-    edit_json(cameras(folder)[1], t_00=float("nan"))
-    edit_json(cameras(folder)[2], t_11=7.0)
-    capture = open_capture(folder)
-    assert len(capture) == 2 and "2 poses are none" in capture.faults[0]
-
-
-def test_clocks_that_go_back_are_put_in_order_and_told(folder: Path) -> None:
-    edit_json(cameras(folder)[3], timestamp=5)
-    capture = open_capture(folder)
-    assert capture[0].name == cameras(folder)[3].stem and "1 times go back" in capture.remarks[0]
 
 
 def test_without_time_stamps_the_names_tell_the_time(folder: Path) -> None:

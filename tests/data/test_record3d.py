@@ -80,14 +80,6 @@ def test_each_frame_has_its_own_intrinsics(folder: Path) -> None:
     assert [frame.camera.intrinsics.fx for frame in open_capture(folder)] == [70, 71, 72, 73]
 
 
-def test_a_depth_map_without_a_picture_serves_fusion(folder: Path) -> None:
-    (folder / "rgb" / "1.jpg").unlink()
-    (folder / "rgb" / "2.jpg").write_bytes(b"\xff\xd8 cut off")
-    capture = open_capture(folder)
-    assert len(capture) == 2 and capture.depth_count == 4
-    assert "1 pictures are damaged" in capture.faults[0]
-
-
 def test_no_reading_is_zero(unpacked: Path) -> None:
     depth = FRAMES[1].depth.copy()
     depth[0, :4] = np.nan, np.inf, -1.0, 0.0
@@ -166,20 +158,6 @@ def test_without_it_gravity_is_taken_from_how_the_camera_was_held(folder: Path) 
 def test_the_selfie_camera_has_no_poses(folder: Path) -> None:
     edit_json(folder / "metadata.json", poses=[[0, 0, 0, 1, 0, 0, 0]] * 4)
     refuses(folder, "poses are all the same")
-
-
-def test_poses_that_are_none_are_left_out_and_counted(folder: Path) -> None:
-    poses = [seven(frame.camera) for frame in FRAMES]
-    poses[1][0], poses[2] = float("nan"), [0.0] * 7
-    edit_json(folder / "metadata.json", poses=poses)
-    capture = open_capture(folder)
-    assert len(capture) == 2 and "2 poses are none" in capture.faults[0]
-
-
-def test_clocks_that_go_back_are_put_in_order_and_told(folder: Path) -> None:
-    edit_json(folder / "metadata.json", frameTimestamps=[0.2, 0.3, 0.1, 0.4])
-    capture = open_capture(folder)
-    assert capture[0].name == "frame_000002" and "1 times go back" in capture.remarks[0]
 
 
 @pytest.mark.parametrize(
