@@ -33,7 +33,7 @@ from hyjax.data.capture_files import (
     tree_shape,
 )
 from hyjax.data.file_tree import FileTree
-from hyjax.data.json_fields import Fields, json_object
+from hyjax.data.json_fields import Fields
 from hyjax.data.lens import Distortion
 from hyjax.data.recording import Z_UP, Recording, Shot, depth_reader, from_opengl, mean_up, rigid
 from hyjax.data.trees import open_tree
@@ -59,7 +59,7 @@ def open_nerfstudio(tree: FileTree) -> Recording:
     listing = next(name for name in NAMES if name in tree)
     if tree.path.is_file() and tree.names == (listing,):
         tree = open_tree(tree.path.resolve().parent)
-    top = Fields(json_object(tree, listing), tree.where(listing))
+    top = Fields.of(tree, listing)
     found = [(entry, _find(tree, entry.text("file_path"))) for entry in top.objects("frames")]
     found.sort(key=lambda pair: by_number(pair[1] or pair[0].text("file_path")))
     remarks, faults = Tally(), Tally()

@@ -8,44 +8,22 @@ from jaxtyping import Float
 
 from hyjax.data.capture_files import Tally, looks_whole, tree_depth, tree_labels, tree_shape
 from hyjax.data.file_tree import FileTree
-from hyjax.data.recording import Y_UP, DepthAndConfidence, Recording, Shot, from_opengl, rigid
+from hyjax.data.recording import Y_UP, DepthAndConfidence, Recording, Shot, from_opengl, usable_pose
 from hyjax.geometry.camera import Intrinsics
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.errors import InputError
 
 ARKIT_LEVELS = (0, 1, 2)
 """ARKit's confidence levels: low, medium, high."""
-FARTHEST = 1e5
-"""Metres from the world's origin beyond which a camera's position is taken for garbage."""
 PIXEL_CENTRE = 0.5
 """Offset of our principal point from ARKit's, whose pixel centres are at whole numbers: ARKit's own projection
 matrices, which 3D Scanner App keeps beside the intrinsics, agree with these to 0.001 pixels if it is added."""
-
-
-def usable_pose(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
-    """Rigid motion nearest to a pose; None if the pose is invalid or leads out of any building."""
-    result = rigid(pose)
-    return None if result is None or np.abs(result[:3, 3]).max() > FARTHEST else result
 
 
 def arkit_pose(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
     """`usable_pose` of a camera in ARKit's axes, in ours."""
     result = usable_pose(pose)
     return None if result is None else from_opengl(result)
-
-
-def pose_from_quaternion(
-    quaternion: Float[np.ndarray, "4"], position: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "4 4"] | None:
-    """A pose from a unit quaternion x y z w and a position; None if they are not finite or not of unit length."""
-    if not np.abs((*quaternion, *position)).max() < 1e16 or abs(np.linalg.norm(quaternion) - 1.0) > 0.01:
-        return None
-    pose = np.eye(4)
-    from scipy.spatial.transform import Rotation  # SciPy is slow to load
-
-    pose[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-    pose[:3, 3] = position
-    return usable_pose(pose)
 
 
 def lens_of(

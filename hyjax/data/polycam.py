@@ -24,7 +24,7 @@ import numpy as np
 from hyjax.data.capture import CaptureFormat
 from hyjax.data.capture_files import tree_colour
 from hyjax.data.file_tree import FileTree
-from hyjax.data.json_fields import json_count, json_number, json_object
+from hyjax.data.json_fields import Fields
 from hyjax.data.phone_captures import (
     PIXEL_CENTRE,
     PhoneScan,
@@ -68,14 +68,14 @@ def open_polycam(tree: FileTree) -> Recording:
 
 def _read_keyframe(scan: PhoneScan, camera: str, name: str, index: int, images: str, depths: str) -> Shot | None:
     tree = scan.tree
-    fields, where = json_object(tree, camera), tree.where(camera)
-    rows = [[_entry(fields, f"t_{row}{column}", where) for column in range(4)] for row in range(3)]
+    fields = Fields.of(tree, camera)
+    rows = [[fields.number(f"t_{row}{column}", finite=False) for column in range(4)] for row in range(3)]
     pose = arkit_pose(np.array([*rows, [0.0, 0.0, 0.0, 1.0]]))
-    size = json_count(fields, "height", where), json_count(fields, "width", where)
-    values = [json_number(fields, key, where) for key in ("fx", "fy", "cx", "cy")]
-    lens = lens_of(size, values, where, shift=PIXEL_CENTRE)
+    size = fields.count("height"), fields.count("width")
+    values = [fields.number(key) for key in ("fx", "fy", "cx", "cy")]
+    lens = lens_of(size, values, fields.where, shift=PIXEL_CENTRE)
     microseconds = float(name) if name.isascii() and name.isdigit() and len(name) <= 16 else float(index)
-    time = json_number(fields, "timestamp", where, default=microseconds) / 1e6
+    time = fields.number("timestamp", microseconds) / 1e6
     found = [file for suffix in ("jpg", "jpeg", "png") if (file := f"{images}/{name}.{suffix}") in tree]
     picture = scan.whole(found[0], "pictures") if found else None
     return scan.shot(
@@ -87,13 +87,6 @@ def _read_keyframe(scan: PhoneScan, camera: str, name: str, index: int, images: 
         None if picture is None else functools.partial(tree_colour, tree, picture),
         scan.depth(f"{depths}/{name}.png", f"keyframes/confidence/{name}.png", levels=CONFIDENCE_LEVELS),
     )
-
-
-def _entry(fields: dict[str, object], key: str, where: str) -> float:
-    """An entry of a pose, which may be NaN."""
-    if isinstance(value := fields.get(key), float) and not np.isfinite(value):
-        return float("nan")
-    return json_number(fields, key, where)
 
 
 FORMAT = CaptureFormat("Polycam", is_polycam, open_polycam, "keyframes/cameras/*.json")

@@ -25,21 +25,6 @@ def floats(words: list[str], where: str, row: int) -> list[float]:
     return [number if abs(number) <= LARGEST_NUMBER else number * math.inf for number in numbers]
 
 
-def pose_of(
-    position: Float[np.ndarray, "3"], quaternion: Float[np.ndarray, "4"]
-) -> Float[np.ndarray, "4 4"] | None:
-    """Rigid motion of a position and a quaternion qx qy qz qw; None if invalid (NaN, infinite, not unit)."""
-    length = float(np.linalg.norm(quaternion))
-    if not np.all(np.isfinite(position)) or not abs(length - 1.0) < 0.01:
-        return None
-    pose = np.eye(4)
-    from scipy.spatial.transform import Rotation  # SciPy is slow to load
-
-    pose[:3, :3] = Rotation.from_quat(quaternion / length).as_matrix()
-    pose[:3, 3] = position
-    return pose
-
-
 def ascending(times: Float[np.ndarray, "n"]) -> list[int]:
     """Rows in order of time whose time is later than that of all rows before them; clocks that go back are cut."""
     kept: list[int] = []

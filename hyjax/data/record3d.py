@@ -20,7 +20,6 @@ Source: the app's author in the issues of github.com/marek-simonik/record3d (27,
 
 import functools
 import re
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -29,16 +28,15 @@ from jaxtyping import Float
 from hyjax.data.capture import CaptureFormat
 from hyjax.data.capture_files import Tally, tree_colour
 from hyjax.data.file_tree import FileTree
-from hyjax.data.json_fields import json_count, json_list, json_number, json_numbers, json_object, number_list
+from hyjax.data.json_fields import Fields
 from hyjax.data.lzfse_blocks import unpacked_size
 from hyjax.data.phone_captures import (
     PhoneScan,
     confidence_from_levels,
     lens_of,
-    pose_from_quaternion,
     shape_of_pictures,
 )
-from hyjax.data.recording import Y_UP, DepthAndConfidence, Recording, from_opengl
+from hyjax.data.recording import Y_UP, DepthAndConfidence, Recording, from_opengl, pose_from_quaternion
 from hyjax.geometry.camera import Intrinsics
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
@@ -51,7 +49,6 @@ MOST_READINGS = 1 << 22
 """Most readings of a depth map; the largest that the app writes has 640×480."""
 SLACK = 4096
 """Bytes by which incompressible data may grow."""
-Metadata = Mapping[str, Any]
 
 
 def is_record3d(tree: FileTree) -> bool:
@@ -62,16 +59,16 @@ def is_record3d(tree: FileTree) -> bool:
 def open_record3d(tree: FileTree) -> Recording:
     """Open an export. `metadata` is read and checked now, pictures and depth when asked for."""
     name = "metadata.json" if "metadata.json" in tree else "metadata"
-    metadata, where = json_object(tree, name), tree.where(name)
+    metadata = Fields.of(tree, name)
     scan = PhoneScan(tree)
     files = {int(match[1]): file for file in tree.names if (match := PICTURE.fullmatch(file))}
     pictures = {number: file for number, file in files.items() if scan.whole(file, "pictures")}
     depths = {int(match[1] or match[2]): file for file in tree.names if (match := DEPTH.fullmatch(file))}
     if any(file.endswith(".depth") for file in depths.values()):
         _lzfse()
-    poses, up = _read_poses(metadata, where, scan.remarks)
-    lenses = _Lenses(metadata, where, shape_of_pictures(tree, list(pictures.values())))
-    times, rate = _read_times(metadata, where)
+    poses, up = _read_poses(metadata, scan.remarks)
+    lenses = _Lenses(metadata, shape_of_pictures(tree, list(pictures.values())))
+    times, rate = _read_times(metadata)
     shots = []
     for number in sorted({*pictures, *depths}):
         picture, depth = pictures.get(number), depths.get(number)
@@ -86,7 +83,7 @@ def open_record3d(tree: FileTree) -> Recording:
             None if pose is None else from_opengl(pose),
             lens,
             None if picture is None else functools.partial(tree_colour, tree, picture),
-            None if depth is None else functools.partial(_read_depth, tree, depth, metadata, where, lens),
+            None if depth is None else functools.partial(_read_depth, tree, depth, metadata, lens),
         )
         if shot is not None:
             shots.append(shot)
@@ -99,20 +96,18 @@ def open_record3d(tree: FileTree) -> Recording:
 Pose = Float[np.ndarray, "4 4"]
 
 
-def _read_poses(
-    metadata: Metadata, where: str, remarks: Tally
-) -> tuple[list[Pose | None], Float[np.ndarray, "3"] | None]:
+def _read_poses(metadata: Fields, remarks: Tally) -> tuple[list[Pose | None], Float[np.ndarray, "3"] | None]:
     """Camera-to-world poses (None where invalid) in ARKit's axes, and up; None if gravity is unknown."""
-    rows = json_list(metadata, "poses", where)
-    numbers = [number_list(row, 7, f"{where}: poses[{place}]", finite=False) for place, row in enumerate(rows)]
-    poses = [pose_from_quaternion(row[:4], row[4:]) for row in numbers]
+    poses = [pose_from_quaternion(row[:4], row[4:]) for row in metadata.rows("poses", 7)]
     known = [pose for pose in poses if pose is not None]
     if len(known) > 1 and all(np.allclose(pose, known[0], atol=1e-9) for pose in known):
-        raise InputError(f"{where}: poses are all the same; the selfie camera has none, and a scan needs motion")
+        raise InputError(
+            f"{metadata.where}: poses are all the same; the selfie camera has none, and a scan needs motion"
+        )
     if not poses or poses[0] is None or not np.allclose(poses[0], np.eye(4), atol=1e-4):
         return poses, Y_UP
     if "initPose" in metadata:
-        row = json_numbers(metadata, "initPose", 7, where, finite=False)
+        row = metadata.numbers("initPose", 7, finite=False)
         start = pose_from_quaternion(row[:4], row[4:])
         if start is not None and not np.allclose(start[:3, :3], np.eye(3), atol=1e-4):
             return [None if pose is None else start @ pose for pose in poses], Y_UP
@@ -120,31 +115,29 @@ def _read_poses(
     return poses, None
 
 
-def _read_times(metadata: Metadata, where: str) -> tuple[list[float], float]:
+def _read_times(metadata: Fields) -> tuple[list[float], float]:
     """Times of the frames in seconds where known, and the frame rate for the others."""
-    rate = json_number(metadata, "fps", where, default=FRAMES_PER_SECOND)
+    rate = metadata.number("fps", FRAMES_PER_SECOND)
     if not 0.01 <= rate <= 1e4:
-        raise InputError(f"{where}: fps: need pictures a second, got {rate:g}")
+        raise InputError(f"{metadata.where}: fps: need pictures a second, got {rate:g}")
     if "frameTimestamps" not in metadata:
         return [], rate
-    rows = json_list(metadata, "frameTimestamps", where)
-    return number_list(rows, len(rows), f"{where}: frameTimestamps").tolist(), rate
+    return metadata.numbers("frameTimestamps").tolist(), rate
 
 
 class _Lenses:
     """Intrinsics of the pictures, in the size in which they are stored."""
 
-    def __init__(self, metadata: Metadata, where: str, shape: tuple[int, int]) -> None:
-        self._where, self._shape = where, shape
-        self._told = json_count(metadata, "h", where), json_count(metadata, "w", where)
+    def __init__(self, metadata: Fields, shape: tuple[int, int]) -> None:
+        where = self._where = metadata.where
+        self._shape, self._told = shape, (metadata.count("h"), metadata.count("w"))
         if abs(self._told[0] * shape[1] / (self._told[1] * shape[0]) - 1.0) > 0.01:
             raise InputError(
                 f"{where}: w and h are {self._told[1]} and {self._told[0]}, but pictures are {shape[1]}x{shape[0]}"
             )
         coefficients = "perFrameIntrinsicCoeffs"
-        rows = json_list(metadata, coefficients, where) if coefficients in metadata else []
-        self._each = [number_list(row, 4, f"{where}: {coefficients}[{i}]") for i, row in enumerate(rows)]
-        self._all = self._scaled(_of_matrix(json_numbers(metadata, "K", 9, where)), "K")
+        self._each = metadata.rows(coefficients, 4, finite=True) if coefficients in metadata else np.zeros((0, 4))
+        self._all = self._scaled(_of_matrix(metadata.numbers("K", 9)), "K")
 
     def of(self, number: int) -> Intrinsics:
         if number >= len(self._each):
@@ -160,15 +153,15 @@ def _of_matrix(k: Float[np.ndarray, "9"]) -> Float[np.ndarray, "4"]:
     return k[[0, 4, 2, 5]] if not k[6:8].any() and k[[2, 5]].all() else k[[0, 4, 6, 7]]
 
 
-def _read_depth(tree: FileTree, name: str, metadata: Metadata, where: str, lens: Intrinsics) -> DepthAndConfidence:
+def _read_depth(tree: FileTree, name: str, metadata: Fields, lens: Intrinsics) -> DepthAndConfidence:
     if name.endswith(".exr"):
         with tree.local(name) as path:
             return _positive(read_image(path, tree.where(name))[..., 0]), None
-    metres = _unpacked(tree, name, np.float32, metadata, where, lens)
+    metres = _unpacked(tree, name, np.float32, metadata, lens)
     other = name.removesuffix("depth") + "conf"
     if other not in tree:
         return _positive(metres), None
-    levels = _unpacked(tree, other, np.uint8, metadata, where, lens)
+    levels = _unpacked(tree, other, np.uint8, metadata, lens)
     if levels.shape != metres.shape:
         raise InputError(f"{tree.where(other)}: not of the size of its depth map")
     return _positive(metres), confidence_from_levels(levels)
@@ -180,12 +173,12 @@ def _positive(metres: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 
 
 def _unpacked(
-    tree: FileTree, name: str, kind: type, metadata: Metadata, where: str, lens: Intrinsics
+    tree: FileTree, name: str, kind: type, metadata: Fields, lens: Intrinsics
 ) -> Float[np.ndarray, "h w"]:
     """An LZFSE-compressed array; of the pictures' proportions where `metadata` does not tell its size."""
     lzfse, shape = _lzfse(), None
     if "dw" in metadata and "dh" in metadata:
-        shape = json_count(metadata, "dh", where), json_count(metadata, "dw", where)
+        shape = metadata.count("dh"), metadata.count("dw")
     most = MOST_READINGS if shape is None else min(shape[0] * shape[1], MOST_READINGS)
     if tree.size(name) > most * np.dtype(kind).itemsize + SLACK:
         raise InputError(f"{tree.where(name)}: larger than a depth map can be that is compressed")

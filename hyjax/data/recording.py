@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     import trimesh
 
 Y_UP, Z_UP = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+MOST_METRES = 1e5
+"""Metres from the world's origin beyond which a camera's position is taken for garbage."""
 FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
 
 DepthAndConfidence = tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"] | None]
@@ -239,3 +241,23 @@ def rigid(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
     result = np.eye(4)
     result[:3, :3], result[:3, 3] = left @ right, pose[:3, 3]
     return result
+
+
+def usable_pose(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
+    """Rigid motion nearest to a pose; None if the pose is invalid or leads out of any building."""
+    result = rigid(pose)
+    return None if result is None or np.abs(result[:3, 3]).max() > MOST_METRES else result
+
+
+def pose_from_quaternion(
+    quaternion: Float[np.ndarray, "4"], position: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "4 4"] | None:
+    """A pose from a unit quaternion x y z w and a position; None if they are not finite or not of unit length."""
+    if not np.abs((*quaternion, *position)).max() < 1e16 or abs(np.linalg.norm(quaternion) - 1.0) > 0.01:
+        return None
+    pose = np.eye(4)
+    from scipy.spatial.transform import Rotation  # SciPy is slow to load
+
+    pose[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    pose[:3, 3] = position
+    return usable_pose(pose)

@@ -33,7 +33,7 @@ from hyjax.data.capture_files import (
     tree_shape,
 )
 from hyjax.data.file_tree import FileTree
-from hyjax.data.json_fields import Fields, json_object
+from hyjax.data.json_fields import Fields
 from hyjax.data.posed_lists import floats, table_rows
 from hyjax.data.recording import Recording, Shot, depth_reader, rigid
 from hyjax.geometry.camera import Intrinsics
@@ -136,7 +136,7 @@ def _intrinsics(tree: FileTree, picture: str, remarks: list[str]) -> Intrinsics:
             )
         remarks.append(f"there is no {INTRINSICS[0]}; taking the PrimeSense's default, 525 525 319.5 239.5")
         return DEFAULT
-    fields = Fields(json_object(tree, name), tree.where(name))
+    fields = Fields.of(tree, name)
     k = fields.numbers("intrinsic_matrix", 9).reshape(3, 3).T
     if not np.array_equal(k[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], (0, 0, 0, 0, 1)):
         raise InputError(

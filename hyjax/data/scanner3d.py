@@ -21,7 +21,7 @@ import numpy as np
 from hyjax.data.capture import CaptureFormat
 from hyjax.data.capture_files import tree_colour
 from hyjax.data.file_tree import FileTree
-from hyjax.data.json_fields import json_number, json_numbers, json_object
+from hyjax.data.json_fields import Fields
 from hyjax.data.phone_captures import (
     PIXEL_CENTRE,
     PhoneScan,
@@ -66,13 +66,13 @@ def _read_moment(
     scan: PhoneScan, name: str, number: str, picture: str | None, shape: tuple[int, int]
 ) -> Shot | None:
     tree = scan.tree
-    fields, where = json_object(tree, name), tree.where(name)
-    pose = arkit_pose(json_numbers(fields, "cameraPoseARFrame", 16, where, finite=False).reshape(4, 4))
-    k = json_numbers(fields, "intrinsics", 9, where)
-    lens = lens_of(shape, k[[0, 4, 2, 5]].tolist(), f"{where}: intrinsics", shift=PIXEL_CENTRE)
-    time = json_number(fields, "time", where)
-    exposure = json_number(fields, "exposureDuration", where, default=np.inf)
-    quality = json_number(fields, "motionQuality", where, default=1.0)
+    fields = Fields.of(tree, name)
+    pose = arkit_pose(fields.numbers("cameraPoseARFrame", 16, finite=False).reshape(4, 4))
+    k = fields.numbers("intrinsics", 9)
+    lens = lens_of(shape, k[[0, 4, 2, 5]].tolist(), f"{fields.where}: intrinsics", shift=PIXEL_CENTRE)
+    time = fields.number("time")
+    exposure = fields.number("exposureDuration", np.inf)
+    quality = fields.number("motionQuality", 1.0)
     if pose is not None and quality < POOR_MOTION:
         scan.remarks.add(f"frames were taken in fast motion (motionQuality below {POOR_MOTION:g})", name)
     return scan.shot(

@@ -30,9 +30,8 @@ from hyjax.data.phone_captures import (
     PIXEL_CENTRE,
     PhoneScan,
     lens_of,
-    pose_from_quaternion,
 )
-from hyjax.data.recording import Recording, Shot
+from hyjax.data.recording import Recording, Shot, pose_from_quaternion
 from hyjax.data.video_frames import VideoFrames
 from hyjax.geometry.camera import Intrinsics
 from hyjax.util.errors import InputError

@@ -28,8 +28,8 @@ from hyjax.data.capture import CaptureFormat
 from hyjax.data.capture_files import Tally, looks_whole, tree_colour, tree_shape
 from hyjax.data.file_tree import FileTree
 from hyjax.data.lens import Distortion
-from hyjax.data.posed_lists import ascending, floats, pose_of, table_rows
-from hyjax.data.recording import Z_UP, Recording, Shot, depth_reader
+from hyjax.data.posed_lists import ascending, floats, table_rows
+from hyjax.data.recording import Z_UP, Recording, Shot, depth_reader, pose_from_quaternion
 from hyjax.data.trajectory import Trajectory
 from hyjax.geometry.camera import Intrinsics
 from hyjax.geometry.depth_sensor import KINECT
@@ -135,7 +135,7 @@ def _trajectory(tree: FileTree, faults: Tally) -> Trajectory:
         numbers = np.array(floats(words, where, row))
         if len(numbers) != 8:
             raise InputError(f"{where}: row {row} has {len(numbers)} numbers, need timestamp tx ty tz qx qy qz qw")
-        pose = pose_of(numbers[1:4], numbers[4:])
+        pose = pose_from_quaternion(numbers[4:], numbers[1:4])
         if pose is None or not np.isfinite(numbers[0]):
             faults.add(f"rows of {name} are left out, they are no poses", f"row {row}")
             continue

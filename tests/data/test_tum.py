@@ -8,7 +8,7 @@ import pytest
 import small_capture as small
 from scipy.spatial.transform import Rotation
 
-from hyjax.data.json_fields import json_number
+from hyjax.data.json_fields import Fields
 from hyjax.data.posed_lists import floats
 from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Intrinsics
@@ -108,7 +108,7 @@ def test_poses_that_are_nan_are_left_out(folder: Path) -> None:
 
 def test_times_in_nanoseconds_are_numbers_of_a_capture() -> None:
     assert floats(["1700000000123456789", "1e300"], "poses.txt", 1) == [1700000000123456789.0, float("inf")]
-    assert json_number({"time": 1700000000123456789}, "time", "a.json") == 1700000000123456789.0
+    assert Fields({"time": 1700000000123456789}, "a.json").number("time") == 1700000000123456789.0
 
 
 def test_listed_files_that_are_missing_or_damaged_are_counted(folder: Path) -> None:
