@@ -48,7 +48,7 @@ def open_seven_scenes(tree: FileTree) -> Recording:
     if not whole:
         raise InputError(f"{tree.path}: none of {len(colours)} pictures can be read; {faults.lines()[0]}")
     remarks: list[str] = []
-    intrinsics = _read_intrinsics(tree, next(iter(whole.values())), remarks)
+    intrinsics = read_intrinsics(tree, tree_shape(tree, next(iter(whole.values()))), remarks)
     shots = [
         Shot(
             f"frame-{number:06d}",
@@ -61,7 +61,7 @@ def open_seven_scenes(tree: FileTree) -> Recording:
         )
         for number, name in whole.items()
     ]
-    return Recording(tree, shots, up=_read_up(tree), faults=faults.lines(), remarks=remarks, turn=False)
+    return Recording(tree, shots, up=read_up(tree), faults=faults.lines(), remarks=remarks, turn=False)
 
 
 def _numbered_colours(tree: FileTree) -> dict[int, str]:
@@ -99,8 +99,9 @@ def _read_pose(tree: FileTree, name: str) -> Float[np.ndarray, "4 4"]:
     return pose
 
 
-def _read_intrinsics(tree: FileTree, picture: str, remarks: list[str]) -> Intrinsics:
-    height, width = tree_shape(tree, picture)
+def read_intrinsics(tree: FileTree, shape: tuple[int, ...], remarks: list[str]) -> Intrinsics:
+    """The one lens of all pictures, which have this shape; a remark tells if it is the default."""
+    height, width = shape
     name = "camera-intrinsics.txt"
     path = tree.where(name)
     if name not in tree:
@@ -126,7 +127,7 @@ def _read_intrinsics(tree: FileTree, picture: str, remarks: list[str]) -> Intrin
     return intrinsics
 
 
-def _read_up(tree: FileTree) -> Float[np.ndarray, "3"] | None:
+def read_up(tree: FileTree) -> Float[np.ndarray, "3"] | None:
     """Unit vector against gravity, where there is a file that tells it."""
     name = "gravity-direction.txt"
     if name not in tree:

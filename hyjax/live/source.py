@@ -15,14 +15,12 @@ from hyjax.data.capture import Frame
 from hyjax.data.capture_files import looks_whole, tree_colour, tree_depth, tree_numbers
 from hyjax.data.file_tree import FileTree
 from hyjax.data.frames import spread
-from hyjax.data.kinect import KINECT
-from hyjax.data.recording import Y_UP, from_opengl, rigid
-from hyjax.data.seven_scenes import FRAME, FRAMES_PER_SECOND
+from hyjax.data.recording import Y_UP, from_opengl, pose_from_quaternion, rigid
+from hyjax.data.seven_scenes import FRAME, FRAMES_PER_SECOND, read_intrinsics, read_up
 from hyjax.data.trees import open_tree
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.live.messages import read_live_frames
 from hyjax.util.errors import InputError
-from hyjax.util.vectors import unit
 
 POLL = 0.1
 """Seconds between two looks at a folder."""
@@ -55,10 +53,7 @@ def known_up(source: str) -> Float[np.ndarray, "3"] | None:
     """Unit vector against gravity that a source knows: a phone's y, a folder's file; None if it knows none."""
     if source == "record3d":
         return Y_UP
-    file = Path(source) / "gravity-direction.txt"
-    if source == "-" or not file.is_file():
-        return None
-    return unit(-tree_numbers(open_tree(file), file.name, (3,)))
+    return None if source == "-" or not Path(source).is_dir() else read_up(open_tree(Path(source)))
 
 
 def folder_frames(folder: Path, *, stop_after: float | None = None) -> Iterator[Frame]:
@@ -112,13 +107,7 @@ def _folder_frame(tree: FileTree, number: int, colour: str) -> Frame:
     if pose is None:
         raise InputError(f"{where}: its pose is none (not finite, or no rigid motion)")
     image, depth = tree_colour(tree, colour), tree_depth(tree, f"{stem}.depth.png")
-    if "camera-intrinsics.txt" in tree:
-        k = tree_numbers(tree, "camera-intrinsics.txt", (3, 3))
-        lens = Intrinsics(image.shape[1], image.shape[0], *(float(k[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))))
-    elif image.shape[:2] == KINECT.shape:
-        lens = KINECT
-    else:
-        raise InputError(f"{where}: camera-intrinsics.txt is missing, and it is no 640x480 picture")
+    lens = read_intrinsics(tree, image.shape[:2], [])
     depth_lens = None if depth.shape == image.shape[:2] else lens.resize(*depth.shape)
     time_of = number / FRAMES_PER_SECOND
     return Frame(f"frame-{number:06d}", image, Camera(lens, pose), time_of, depth, depth_lens)
@@ -168,18 +157,12 @@ def _record3d_frame(stream: Any, number: int, seconds: float) -> Frame:
     depth: Float[np.ndarray, "dh dw"] = stream.get_depth_frame()
     k, p = stream.get_intrinsic_mat(), stream.get_camera_pose()
     height, width = colour.shape[:2]
-    pose = np.eye(4)
-    x, y, z, w = p.qx, p.qy, p.qz, p.qw
-    pose[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    pose[:3, 3] = p.tx, p.ty, p.tz
-    known = rigid(from_opengl(pose))
-    if known is None:
+    pose = pose_from_quaternion(np.array([p.qx, p.qy, p.qz, p.qw]), np.array([p.tx, p.ty, p.tz]))
+    if pose is None:
         raise InputError(f"record3d: frame {number}: its pose is none")
     lens = Intrinsics(width, height, float(k.fx), float(k.fy), float(k.tx), float(k.ty))
     image = colour.astype(np.float32) / 255.0
     usable = np.nan_to_num(np.asarray(depth, np.float32), nan=0.0)
-    return Frame(f"{number:06d}", image, Camera(lens, known), seconds, usable, lens.resize(*usable.shape))
+    return Frame(
+        f"{number:06d}", image, Camera(lens, from_opengl(pose)), seconds, usable, lens.resize(*usable.shape)
+    )

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from reference.phone_layouts import agree, box_room, edit_json, write_polycam
+from refusals import leaves_out_a_frame
+from refusals import refuses_capture as refuses
 
 from hyjax.data.registry import open_capture
-from hyjax.util.errors import InputError
 
 FRAMES = box_room(4)
 
@@ -19,19 +20,6 @@ def folder(tmp_path: Path) -> Path:
 
 def cameras(folder: Path) -> list[Path]:
     return sorted((folder / "keyframes" / "cameras").glob("*.json"))
-
-
-def refuses(folder: Path, *parts: str, strict: bool = False) -> None:
-    with pytest.raises(InputError) as caught:
-        list(open_capture(folder, strict=strict))
-    message = str(caught.value)
-    assert "\n" not in message and all(part in message for part in parts), message
-
-
-def leaves_out(folder: Path, *parts: str) -> None:
-    """One frame is left out, with a line that holds all `parts`; `--strict` refuses it."""
-    assert len(open_capture(folder)) == len(FRAMES) - 1
-    refuses(folder, "1 frames cannot be used and are left out", *parts, strict=True)
 
 
 def test_corrected_cameras_are_preferred_and_what_was_not_corrected_is_told(tmp_path: Path) -> None:
@@ -69,7 +57,7 @@ def test_without_time_stamps_the_names_tell_the_time(folder: Path) -> None:
 )
 def test_bad_content_names_file_and_key(folder: Path, key: str, value: object) -> None:
     edit_json(cameras(folder)[2], **{key: value})
-    leaves_out(folder, cameras(folder)[2].name, key)
+    leaves_out_a_frame(folder, 3, cameras(folder)[2].name, key)
 
 
 def test_pictures_of_another_size_are_refused(folder: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from extras import need
 from reference.phone_layouts import UP, agree, arkit_pose, box_room, edit_json, seven, write_record3d, zipped
+from refusals import refuses_capture as refuses
 from scipy.spatial.transform import Rotation
 
 from hyjax.data.capture import Capture
@@ -31,13 +32,6 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def unpacked(tmp_path: Path) -> Path:
     return write_record3d(tmp_path / "walk", FRAMES, r3d=True)
-
-
-def refuses(folder: Path, *parts: str) -> None:
-    with pytest.raises(InputError) as caught:
-        list(open_capture(folder))
-    message = str(caught.value)
-    assert "\n" not in message and all(part in message for part in parts), message
 
 
 def test_exr_and_rgb_are_read_from_folder_and_archive(folder: Path) -> None:

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from reference.phone_layouts import box_room, edit_json, write_scanner3d
+from refusals import leaves_out_a_frame
+from refusals import refuses_capture as refuses
 
 from hyjax.data.registry import open_capture
 from hyjax.data.scanner3d import open_scanner3d
 from hyjax.data.trees import open_tree
 from hyjax.geometry.raycast import RayCaster
-from hyjax.util.errors import InputError
 
 FRAMES = box_room(4)
 
@@ -19,19 +20,6 @@ FRAMES = box_room(4)
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return write_scanner3d(tmp_path / "scan", FRAMES)
-
-
-def refuses(folder: Path, *parts: str, strict: bool = False) -> None:
-    with pytest.raises(InputError) as caught:
-        list(open_capture(folder, strict=strict))
-    message = str(caught.value)
-    assert "\n" not in message and all(part in message for part in parts), message
-
-
-def leaves_out(folder: Path, *parts: str) -> None:
-    """One frame is left out, with a line that holds all `parts`; `--strict` refuses it."""
-    assert len(open_capture(folder)) == len(FRAMES) - 1
-    refuses(folder, "1 frames cannot be used and are left out", *parts, strict=True)
 
 
 def test_moments_without_a_picture_give_their_depth_to_fusion_only(tmp_path: Path) -> None:
@@ -96,18 +84,18 @@ def test_place_and_date_reach_nothing(folder: Path) -> None:
 )
 def test_bad_content_names_file_and_key(folder: Path, key: str, value: object) -> None:
     edit_json(folder / "frame_00002.json", **{key: value})
-    leaves_out(folder, "frame_00002.json", key)
+    leaves_out_a_frame(folder, 3, "frame_00002.json", key)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", "[" * 5000, '{"time": ' + "9" * 5000 + "}", "\0"])
 def test_what_is_no_json_is_named(folder: Path, text: str) -> None:
     (folder / "frame_00002.json").write_text(text)
-    leaves_out(folder, "frame_00002.json")
+    leaves_out_a_frame(folder, 3, "frame_00002.json")
 
 
 def test_intrinsics_of_another_picture_size_are_refused(folder: Path) -> None:
     edit_json(folder / "frame_00002.json", intrinsics=[1447, 0, 966, 0, 1447, 691, 0, 0, 1])
-    leaves_out(folder, "frame_00002.json", "do not belong to 96x72 pictures")
+    leaves_out_a_frame(folder, 3, "frame_00002.json", "do not belong to 96x72 pictures")
 
 
 def test_without_any_picture(folder: Path) -> None:

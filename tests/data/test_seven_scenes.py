@@ -6,6 +6,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 from reference.arkit_export import write_depth
+from refusals import refuses_capture as refuses
 
 from hyjax.data.capture import Capture
 from hyjax.data.kinect import RegisteredKinect
@@ -35,16 +36,6 @@ def folder(tmp_path: Path) -> Path:
     np.savetxt(tmp_path / "camera-intrinsics.txt", [[15, 0, 8], [0, 15, 6], [0, 0, 1]])
     np.savetxt(tmp_path / "gravity-direction.txt", [0.0, 0.0, -1.0])
     return tmp_path
-
-
-def refuses(folder: Path, *parts: str) -> None:
-    """Opening, or reading all frames, fails with one line that holds all `parts`."""
-    with pytest.raises(InputError) as caught:
-        list(open_capture(folder))
-    message = str(caught.value)
-    assert "\n" not in message
-    for part in parts:
-        assert part in message
 
 
 def test_frames_come_in_number_order_with_gaps(folder: Path) -> None:

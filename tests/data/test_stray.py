@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from extras import need
 from reference.phone_layouts import DEPTH_SHAPE, LENS, UP, agree, box_room, sideways, zipped
+from refusals import refuses_capture as refuses
 from scipy.spatial.transform import Rotation
 
 from hyjax.data.builtin_room import load_room
@@ -53,13 +54,6 @@ def edit_lines(folder: Path, edit: object) -> None:
     """Change the lines of odometry.csv by a function of them."""
     file = folder / "odometry.csv"
     file.write_text("\n".join(edit(file.read_text().splitlines())) + "\n")
-
-
-def refuses(folder: Path, *parts: str) -> None:
-    with pytest.raises(InputError) as caught:
-        list(open_capture(folder))
-    message = str(caught.value)
-    assert "\n" not in message and all(part in message for part in parts), message
 
 
 def psnr(image: np.ndarray, other: np.ndarray) -> float:

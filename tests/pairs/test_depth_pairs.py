@@ -1,7 +1,6 @@
 """Pairs of pictures and depth: masks, selection, specs, and every published layout on files as it has them."""
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from reference import pairs_export as export
+from refusals import refuses
 
 from hyjax.pairs import registry
 from hyjax.pairs.depth_pairs import ChosenPairs, DepthPair, DepthPairs, PairsKind, masked_pair, natural
 from hyjax.pairs.folder import open_folder
 from hyjax.pairs.registry import open_pairs, register_pairs
-from hyjax.util.errors import InputError
 from hyjax.util.images import write_png
 
 HEIGHT, WIDTH = 12, 16
@@ -48,16 +47,6 @@ def same(pair: DepthPair, image: np.ndarray, depth: np.ndarray, valid: np.ndarra
     np.testing.assert_allclose(pair.image, image, atol=1e-6)
     np.testing.assert_array_equal(pair.valid, expected)
     np.testing.assert_allclose(pair.depth, np.where(expected, depth, 0), rtol=1e-6)
-
-
-def refuses(call: Callable[[], object], *parts: str) -> None:
-    """The call fails with one line that holds all `parts`."""
-    with pytest.raises(InputError) as caught:
-        call()
-    message = str(caught.value)
-    assert "\n" not in message
-    for part in parts:
-        assert part in message
 
 
 def refuses_pairs(text: str, *parts: str) -> None:
