@@ -129,9 +129,10 @@ MAY_MAKE_SENSE = {"number", "nan", "empty", "no_channels", "many_axes", "other_s
 def more_calls(folder: Path) -> dict[str, Call]:
     """Of what reads, writes and holds a scene; those of `CALLS` are arrays in and out."""
     import trimesh
+    from reference.listed_frames import ListedFrames
 
     from hyjax.configuration import Configuration
-    from hyjax.data.capture import Capture, Frame
+    from hyjax.data.capture import Frame
     from hyjax.data.light_file import parse_lights, read_lights, write_lights
     from hyjax.data.registry import open_capture
     from hyjax.export.graph import cascade_graph, example_inputs, guide_graph
@@ -156,20 +157,8 @@ def more_calls(folder: Path) -> dict[str, Call]:
     camera = Camera(lens, look_at(np.array([0.1, 0.0, 0.0]), np.array([2.0, 0.1, 0.0]), up))
     frame = Frame("0", np.asarray(PICTURE), camera, 0.0, np.ones((H, W), np.float32))
 
-    class Small(Capture):
-        name, fingerprint, sensor = "small", "small", PHONE_LIDAR
-
-        def __init__(self) -> None:
-            self.up = up
-
-        def __len__(self) -> int:
-            return 1
-
-        def __getitem__(self, index: int) -> Frame:
-            return frame
-
     weights = Path(hyjax.__file__).parent / "guide/trained/small.safetensors"
-    capture, (network, _) = Small(), load_network(weights)
+    capture, (network, _) = ListedFrames([frame], up, PHONE_LIDAR), load_network(weights)
     scene = Scene(capture, box, exact=True)
     kept = Configuration.preset("fast").with_choices({"photo_light": "kept"})
     relighter = Relighter(scene, [LIGHT], kept)

@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from extras import need
+from reference.listed_frames import ListedFrames
 from reference.phone_layouts import DEPTH_SHAPE, LENS, UP, agree, box_room, sideways, zipped
 from refusals import refuses_capture as refuses
 from scipy.spatial.transform import Rotation
 
 from hyjax.data.builtin_room import load_room
-from hyjax.data.capture import Capture, ChosenFrames, Frame
+from hyjax.data.capture import ChosenFrames, Frame
 from hyjax.data.convert import write_capture
 from hyjax.data.registry import open_capture
 from hyjax.data.trees import open_tree
 from hyjax.data.video_frames import VideoFrames
 from hyjax.geometry.camera import Camera
-from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.errors import InputError
 
 need("captures")
@@ -29,24 +29,9 @@ import av
 FRAMES = box_room(6)
 
 
-class Source(Capture):
-    """Frames as a capture."""
-
-    name, fingerprint, sensor = "source", "source", PHONE_LIDAR
-
-    def __init__(self, frames: list[Frame], up: np.ndarray = UP) -> None:
-        self.frames, self.up = frames, up
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __getitem__(self, index: int) -> Frame:
-        return self.frames[index]
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    write_capture(Source(FRAMES), "stray", tmp_path / "scan", progress=False)
+    write_capture(ListedFrames(FRAMES, UP), "stray", tmp_path / "scan", progress=False)
     return tmp_path / "scan"
 
 
@@ -72,7 +57,7 @@ def test_what_is_written_is_read_back_from_folder_and_archive(folder: Path) -> N
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_pictures_are_turned_upright_however_the_phone_was_held(tmp_path: Path, quarters: int) -> None:
-    write_capture(Source(sideways(FRAMES, quarters)), "stray", tmp_path / "scan", progress=False)
+    write_capture(ListedFrames(sideways(FRAMES, quarters), UP), "stray", tmp_path / "scan", progress=False)
     capture = open_capture(tmp_path / "scan")
     assert capture.quarter_turns == quarters
     agree(capture, FRAMES)
@@ -105,7 +90,7 @@ def test_depth_of_another_lens_is_sampled_anew(tmp_path: Path) -> None:
         Frame(f.name, f.image, f.camera, f.time, f.depth[6:30, 8:40], narrow, f.confidence[6:30, 8:40])
         for f in FRAMES
     ]
-    write_capture(Source(frames), "stray", tmp_path / "scan", progress=False)
+    write_capture(ListedFrames(frames, UP), "stray", tmp_path / "scan", progress=False)
     capture = open_capture(tmp_path / "scan")
     for frame, original in zip(capture, FRAMES):
         points = frame.depth_camera.unproject(frame.depth)[frame.depth > 0]
@@ -129,13 +114,13 @@ def test_a_folder_in_use_is_refused_and_nothing_is_left_by_a_failure(tmp_path: P
     (tmp_path / "used").mkdir()
     (tmp_path / "used" / "mine.txt").write_text("mine")
     with pytest.raises(InputError, match="is there already"):
-        write_capture(Source(FRAMES), "stray", tmp_path / "used", progress=False)
+        write_capture(ListedFrames(FRAMES, UP), "stray", tmp_path / "used", progress=False)
     small = Frame("small", FRAMES[0].image[:36, :48], Camera(LENS.crop(0, 0, 36, 48), FRAMES[0].camera.pose), 1.0)
     with pytest.raises(InputError, match="frame 1 is 48x36, the first is 96x72"):
-        write_capture(Source([FRAMES[0], small]), "stray", tmp_path / "new", progress=False)
+        write_capture(ListedFrames([FRAMES[0], small], UP), "stray", tmp_path / "new", progress=False)
     assert [file.name for file in tmp_path.iterdir()] == ["used"]
     (tmp_path / "empty").mkdir()
-    write_capture(Source(FRAMES[:2]), "stray", tmp_path / "empty", progress=False)
+    write_capture(ListedFrames(FRAMES[:2], UP), "stray", tmp_path / "empty", progress=False)
     assert len(open_capture(tmp_path / "empty")) == 2
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import small_capture as small
 import trimesh
 from reference.arkit_export import export_arkit_scan
+from reference.listed_frames import ListedFrames
 from reference.pairs_export import (
     export_diml_outdoor,
     export_folder,
@@ -19,26 +20,11 @@ from reference.pairs_export import (
 )
 from reference.phone_layouts import box_room, write_polycam, write_record3d, write_scanner3d, zipped
 
-from hyjax.data.capture import Capture, Frame
+from hyjax.data.capture import Frame
 from hyjax.data.convert import write_capture
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
 from hyjax.util.images import write_depth, write_png
-
-
-class Small(Capture):
-    """Two frames in memory."""
-
-    name, fingerprint, sensor = "small", "small", PHONE_LIDAR
-
-    def __init__(self, frames: list[Frame], up: np.ndarray) -> None:
-        self.frames, self.up = frames, up
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __getitem__(self, index: int) -> Frame:
-        return self.frames[index]
 
 
 def small_frames() -> list[Frame]:
@@ -64,7 +50,7 @@ def seven_scenes(folder: Path) -> None:
 
 
 def arkit(folder: Path) -> None:
-    export_arkit_scan(folder, Small(small_frames(), small.UP), trimesh.creation.box())
+    export_arkit_scan(folder, ListedFrames(small_frames(), small.UP, PHONE_LIDAR), trimesh.creation.box())
 
 
 def scanner3d(folder: Path) -> None:
@@ -98,7 +84,9 @@ def polycam(folder: Path) -> None:
 
 def stray(folder: Path) -> None:
     frames = [dataclasses.replace(frame, exposure=None) for frame in box_room(2)]
-    write_capture(Small(frames, np.array([0.0, 1.0, 0.0])), "stray", folder / "scan", progress=False)
+    write_capture(
+        ListedFrames(frames, np.array([0.0, 1.0, 0.0]), PHONE_LIDAR), "stray", folder / "scan", progress=False
+    )
 
 
 def video(folder: Path) -> None:

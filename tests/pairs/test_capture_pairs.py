@@ -1,12 +1,12 @@
 """Pairs from captures: measured depth, a fused surface, both; and the Kinect's depth registered to its pictures."""
 
 import dataclasses
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from reference.listed_frames import ListedFrames
 from scipy import ndimage
 
 from hyjax.data.capture import Capture, ChosenFrames, Frame
@@ -31,29 +31,21 @@ def world() -> trimesh.Trimesh:
     return trimesh.util.concatenate([wall, box])
 
 
-class Views(Capture):
+class Views(ListedFrames):
     """A capture of the world above from a little walk, with true depth and a hole in each depth map."""
 
-    name, up, fingerprint = "views", UP, "a"
+    name, fingerprint = "views", "a"
 
     def __init__(self, count: int = 12) -> None:
         caster = RayCaster(world())
-        self.frames = []
+        frames = []
         for index, y in enumerate(np.linspace(-0.4, 0.4, count)):
             camera = Camera(LENS, look_at(np.array([0.0, y, 0.3 * np.sin(9 * y)]), np.array([2.0, 0, 0]), UP))
             depth = np.array(caster.gbuffer(camera).depth)
             depth[:10, :10] = 0
             image = np.full((LENS.height, LENS.width, 3), index / count, np.float32)
-            self.frames.append(Frame(f"{index}", image, camera, float(index), depth))
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __getitem__(self, index: int) -> Frame:
-        return self.frames[index]
-
-    def __iter__(self) -> Iterator[Frame]:
-        return iter(self.frames)
+            frames.append(Frame(f"{index}", image, camera, float(index), depth))
+        super().__init__(frames, UP)
 
 
 @pytest.fixture(autouse=True)
@@ -155,17 +147,16 @@ def test_captures_that_cannot_be_used(views: Views) -> None:
 # ---- the Kinect's two cameras ----
 
 
-class Kinect(Views):
+class Kinect(ListedFrames):
     """The world above as a Kinect has it: the depth camera's depth, pose and intrinsics; the box is white."""
 
     def __init__(self) -> None:
-        self.frames = []
         caster = RayCaster(world())
         camera = Camera(KINECT, look_at(np.array([0.0, 0.1, 0.2]), np.array([2.0, 0, 0]), UP))
         colour = Camera(COLOUR, camera.pose @ colour_pose())
         box = np.asarray(caster.gbuffer(colour).position)[..., 0] < 1.8
         image = np.where(box[..., None], np.float32(1), np.zeros(3, np.float32))
-        self.frames.append(Frame("0", image, camera, 0.0, np.asarray(caster.gbuffer(camera).depth)))
+        super().__init__([Frame("0", image, camera, 0.0, np.asarray(caster.gbuffer(camera).depth))], UP)
 
 
 def test_registered_depth_is_what_the_colour_camera_sees() -> None:

@@ -1,15 +1,15 @@
 """Meshes that the package makes itself: kept, keyed by what they are made of, made again when damaged."""
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from reference.listed_frames import ListedFrames
 
 from hyjax.data.builtin_room import RoomCapture, load_room
-from hyjax.data.capture import Capture, Frame
+from hyjax.data.capture import Frame
 from hyjax.data.registry import open_capture
 from hyjax.geometry import scan
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
@@ -25,27 +25,19 @@ UP = np.array([0.0, 0.0, 1.0])
 Made = list[str]
 
 
-class Wall(Capture):
+class Wall(ListedFrames):
     """A capture of a flat wall at 2 m, with or without depth."""
 
-    name, up, fingerprint = "wall", UP, ""
+    name = "wall"
 
     def __init__(self, count: int = 3, depth: bool = True, fingerprint: str = "a") -> None:
         pose = look_at(np.zeros(3), np.array([2.0, 0, 0]), UP)
         intrinsics = Intrinsics(40, 30, 40.0, 40.0, 20.0, 15.0)
         image = np.full((30, 40, 3), 0.5, np.float32)
         plane = np.full((30, 40), 2.0, np.float32) if depth else None
-        self.frames = [Frame(f"{i}", image, Camera(intrinsics, pose), float(i), plane) for i in range(count)]
+        frames = [Frame(f"{i}", image, Camera(intrinsics, pose), float(i), plane) for i in range(count)]
+        super().__init__(frames, UP)
         self.fingerprint = fingerprint
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __getitem__(self, index: int) -> Frame:
-        return self.frames[index]
-
-    def __iter__(self) -> Iterator[Frame]:
-        return iter(self.frames)
 
 
 @pytest.fixture
