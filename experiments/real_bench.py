@@ -40,6 +40,8 @@ BURNT = 0.97
 """Display value from which a pixel of either picture is burnt, and left out."""
 DIRECTIONS, LAMP_GRID = 12, (4, 3, 3)
 UP = np.array([0.0, -1.0, 0.0])
+INNER_COSINE = 0.5
+"""Cosine with the vertical from which all of a lamp's light leaves its shade; half of it at half of that."""
 BOUNCE_CHANNELS = 48
 
 
@@ -215,9 +217,46 @@ class RealPlace:
         field = np.asarray(self.scene.photo_light.estimate.light.illuminance)
         return np.maximum(self.on_pixels(field), LEAST_PHOTO_LIGHT)
 
+    def _through_shades(self, position: np.ndarray) -> Float[np.ndarray, "*s l"]:
+        """Share of each lamp's light that leaves a shade open above, and the same below: spots of 60 to 90 degrees.
+
+        Columns are all lamps with light upwards, then all with light downwards.
+        """
+        lamps = np.stack([np.asarray(self.lights[k].position) for k in self.lamps])  # type: ignore[attr-defined]
+        to = np.asarray(position)[..., None, :] - lamps
+        cosine = to @ UP / np.maximum(np.linalg.norm(to, axis=-1), 1e-6)
+        t = np.clip(np.concatenate([cosine, -cosine], axis=-1) / INNER_COSINE, 0, 1)
+        return t * t * (3 - 2 * t)
+
+    @functools.cached_property
+    def shades(self) -> Float[np.ndarray, "h w l"]:
+        """Share of each lamp's light that leaves its shade, at the pixels, holes filled; see `_through_shades`."""
+        shares = jnp.asarray(self._through_shades(self.gbuffer.position), jnp.float32)
+        known = self.gbuffer.hit[..., None].astype(jnp.float32)
+        return np.asarray(cascade_known(shares, known, self.view.display, Configuration().schedule))
+
+    def shaded_lamps(self, direct: Float[np.ndarray, "h w k"]) -> Float[np.ndarray, "h w l"]:
+        """Direct light of the lamps through their shades.
+
+        Args:
+            direct: light of the family.
+        """
+        return np.concatenate([direct[..., self.lamps]] * 2, axis=-1) * self.shades
+
     @functools.cached_property
     def bounced(self) -> Float[np.ndarray, "h w k 3"]:
         """Light of the family by way of other surfaces; none of the ambient's, which is everywhere."""
+        by_light = self._bounced[:, :, : len(self.lights) - 1]
+        return np.concatenate([np.zeros_like(by_light[:, :, :1]), by_light], axis=2)
+
+    @functools.cached_property
+    def bounced_shaded(self) -> Float[np.ndarray, "h w l 3"]:
+        """Light of the lamps through their shades by way of other surfaces."""
+        return self._bounced[:, :, len(self.lights) - 1 :]
+
+    @functools.cached_property
+    def _bounced(self) -> Float[np.ndarray, "h w k 3"]:
+        """Bounces of all lights but ambient, and of lamps through their shades."""
         photo = self.scene.photo_light.estimate.light
         transport, own = photo.transport, self.lights[1:]
         maps = self.scene.shadow_maps(LightSetup.of(self.lights))[1:]
@@ -226,14 +265,15 @@ class RealPlace:
             transport.position[None], transport.normal[None], jnp.ones((1, count)), jnp.ones((1, count), bool)
         )
         direct = np.asarray(shade_each(points, own) * visibilities(points, own, maps))[0]
-        found = []
-        for k in range(0, len(own), BOUNCE_CHANNELS // 3):
+        lamps = direct[:, np.array(self.lamps) - 1]
+        shaded = np.concatenate([lamps, lamps], axis=1) * self._through_shades(transport.position)
+        direct, found = np.concatenate([direct, shaded], axis=1), []
+        for k in range(0, direct.shape[1], BOUNCE_CHANNELS // 3):
             part = np.repeat(direct[:, k : k + BOUNCE_CHANNELS // 3], 3, axis=1)
             indirect = bounce(transport, photo.albedo, jnp.asarray(part, jnp.float32))
             found.append(np.asarray(indirect[: transport.vertices]))
         pixels = self.on_pixels(np.concatenate(found, axis=1))
-        by_light = pixels.reshape(*pixels.shape[:2], len(own), 3)
-        return np.concatenate([np.zeros_like(by_light[:, :, :1]), by_light], axis=2)
+        return pixels.reshape(*pixels.shape[:2], direct.shape[1], 3)
 
     @functools.cached_property
     def glow(self) -> Float[np.ndarray, "h w g"]:

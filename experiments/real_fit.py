@@ -6,7 +6,7 @@ they show, then by L-BFGS-B in display values.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -116,10 +116,10 @@ def _refined(matrix: np.ndarray, wanted: np.ndarray, start: np.ndarray, encoded:
     return found.x * scale
 
 
-def chosen_lamps(
-    columns: Columns, lamps: Sequence[int], fixed: Sequence[int], target: Target, count: int
+def chosen_lights(
+    columns: Columns, candidates: Sequence[int], fixed: Sequence[int], target: Target, count: int
 ) -> list[int]:
-    """Columns of the lamps that help most, one after the other, beside those that are always there."""
+    """Columns of the lights that help most, one after the other, beside those that are always there."""
     equations = []
     for channel in range(3):
         light = linear(target.at(target.display)[:, channel].astype(np.float64))
@@ -134,10 +134,17 @@ def chosen_lamps(
             total += theta @ part @ theta - 2 * theta @ side[chosen]
         return total
 
+    return _one_after_another(error, candidates, fixed, count)
+
+
+def _one_after_another(
+    error: Callable[[list[int]], float], candidates: Sequence[int], fixed: Sequence[int], count: int
+) -> list[int]:
+    """Candidates that lower an error most, each beside those fixed and those taken before."""
     taken: list[int] = []
-    for _ in range(min(count, len(lamps))):
-        left = [lamp for lamp in lamps if lamp not in taken]
-        taken.append(min(left, key=lambda lamp: error([*fixed, *taken, lamp])))
+    for _ in range(min(count, len(candidates))):
+        left = [number for number in candidates if number not in taken]
+        taken.append(min(left, key=lambda number: error([*fixed, *taken, number])))
     return taken
 
 
@@ -147,14 +154,21 @@ def polynomial(shape: tuple[int, int], order: int) -> Float[np.ndarray, "h w k"]
     return np.stack([x**i * y**j for i in range(order + 1) for j in range(order + 1 - i)], axis=-1)
 
 
-def smooth_picture(photo: Picture, order: int, target: Target) -> Picture:
-    """Photo times exp(polynomial), fitted in display values; order 0 is three gains. Linear light."""
+def smooth_picture(photo: Picture, order: int, target: Target, count: int | None = None) -> Picture:
+    """Photo times exp(polynomial), fitted in display values; order 0 is three gains. Linear light.
+
+    Args:
+        photo: linear.
+        order: of the polynomial.
+        target: to come near to.
+        count: of its terms to use, those that help most; None for all.
+    """
     terms, light = polynomial(photo.shape[:2], order), np.empty_like(photo, np.float64)
+    if count is not None:
+        terms = terms[..., _chosen_terms(photo, terms, target, count)]
     for channel in range(3):
         own, wanted = target.at(terms), target.at(target.display)[:, channel].astype(np.float64)
-        before = np.maximum(target.at(photo)[:, channel].astype(np.float64), SMALLEST)
-        weight = np.sqrt(before) * slope(before)
-        log = np.log(np.maximum(linear(wanted), 2e-3) / np.maximum(before, 2e-3))
+        before, weight, log = _log_ratio(photo, target, channel)
         start = np.linalg.lstsq(own * weight[:, None], log * weight, rcond=None)[0]
 
         def loss(c: np.ndarray, own: np.ndarray = own, before: np.ndarray = before, wanted: np.ndarray = wanted):  # type: ignore[no-untyped-def]
@@ -165,6 +179,29 @@ def smooth_picture(photo: Picture, order: int, target: Target) -> Picture:
         found = optimize.minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
         light[..., channel] = photo[..., channel] * np.exp(np.clip(terms @ found.x, -8, 8))
     return light
+
+
+def _log_ratio(photo: Picture, target: Target, channel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Photo's light at the fitted pixels, weight of errors of its logarithm, log ratio of the target to it."""
+    before = np.maximum(target.at(photo)[:, channel].astype(np.float64), SMALLEST)
+    wanted = linear(target.at(target.display)[:, channel].astype(np.float64))
+    log = np.log(np.maximum(wanted, 2e-3) / np.maximum(before, 2e-3))
+    return before, np.sqrt(before) * slope(before), log
+
+
+def _chosen_terms(photo: Picture, terms: Float[np.ndarray, "h w k"], target: Target, count: int) -> list[int]:
+    """Terms that help most, the constant one among them."""
+    own, equations = target.at(terms), []
+    for channel in range(3):
+        _, weight, log = _log_ratio(photo, target, channel)
+        weighted = own * weight[:, None]
+        equations.append((weighted.T @ weighted, weighted.T @ (log * weight)))
+
+    def error(chosen: list[int]) -> float:
+        parts = ((normal[np.ix_(chosen, chosen)], side[chosen]) for normal, side in equations)
+        return -sum(float(side @ np.linalg.lstsq(normal, side, rcond=None)[0]) for normal, side in parts)
+
+    return [0, *_one_after_another(error, range(1, terms.shape[-1]), [0], count - 1)]
 
 
 def fit_both(

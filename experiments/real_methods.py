@@ -12,7 +12,7 @@ from experiments.real_fit import (
     Target,
     blurred_ratio,
     checkerboard,
-    chosen_lamps,
+    chosen_lights,
     fit_both,
     fit_strengths,
     smooth_picture,
@@ -21,12 +21,19 @@ from hyjax.photo_light.radiance import linear
 from hyjax.synthetic.tone_curve import encode
 
 PHOTO, GAINS, SMOOTH, SMOOTHER = "untouched photo", "three gains", "exp(polynomial 4)", "exp(polynomial 7)"
+SMOOTH_BEST = "exp(polynomial 7), best 15 terms"
 PAPER, KEPT, NEW = "paper's method", "hyjax 0.1", "default"
+KEPT_BEST, BEST = "hyjax 0.1, best 15 lights", "default, best 15 lights"
 KEPT_GLOW, GLOW = "hyjax 0.1 + glow", "default + glow"
 ORACLE, BLUR_8, BLUR_4 = "oracle: both lights fitted", "true ratio, blurred 8 px", "true ratio, blurred 4 px"
-METHODS = (PHOTO, GAINS, SMOOTH, SMOOTHER, PAPER, KEPT, NEW, KEPT_GLOW, GLOW, ORACLE, BLUR_8, BLUR_4)
+METHODS = (
+    *(PHOTO, GAINS, SMOOTH, SMOOTH_BEST, SMOOTHER, PAPER),
+    *(KEPT, NEW, KEPT_BEST, BEST, KEPT_GLOW, GLOW, ORACLE, BLUR_8, BLUR_4),
+)
 LAMPS = 2
 """Lamps of the grid that a method may choose."""
+FEW = 15
+"""Unknowns of each channel of a method that chooses of all lights or terms: as many as exp(polynomial 4) has."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +56,7 @@ def pictures(place: RealPlace) -> Iterator[tuple[str, Made]]:
     yield PHOTO, Made(place.photo, 0)
     for name, order, unknowns in ((GAINS, 0, 1), (SMOOTH, 4, 15), (SMOOTHER, 7, 36)):
         yield name, _shown(smooth_picture(photo, order, target), unknowns)
+    yield SMOOTH_BEST, _shown(smooth_picture(photo, 7, target, FEW), FEW)
     filters = place.paper
     yield PAPER, Made(*_encoded(place.photo[:, :, None] * filters[..., None], place, target))
     glow = np.repeat(place.glow[..., None], 3, axis=-1)
@@ -56,6 +64,12 @@ def pictures(place: RealPlace) -> Iterator[tuple[str, Made]]:
     divided, light = photo / place.own, place.direct[..., None] + place.bounced
     for name, image, family in ((KEPT, photo, kept), (NEW, divided, light)):
         yield name, _fitted(image[:, :, None] * family, place, target)
+    kept_shaded = np.repeat(place.shaded_lamps(place.before)[..., None], 3, axis=-1)
+    shaded = place.shaded_lamps(place.direct)[..., None] + place.bounced_shaded
+    for name, image, parts in ((KEPT_BEST, photo, (kept, kept_shaded)), (BEST, divided, (light, shaded))):
+        columns = image[:, :, None] * np.concatenate([*parts, glow], axis=2)
+        few = [0, *chosen_lights(columns, range(1, columns.shape[2]), [0], target, FEW - 1)]
+        yield name, _with_strengths(columns[:, :, few], target)
     for name, image, family in ((KEPT_GLOW, photo, kept), (GLOW, divided, light)):
         columns = image[:, :, None] * np.concatenate([family, glow], axis=2)
         yield name, _fitted(columns, place, target, len(place.lights))
@@ -76,13 +90,16 @@ def _shown(light: Picture, unknowns: int) -> Made:
 def _chosen(columns: Columns, place: RealPlace, target: Target, more: int | None = None) -> list[int]:
     """Columns of the family: all but the lamps that help least; and those from `more` on."""
     fixed = [*range(1 + DIRECTIONS), *(range(more, columns.shape[2]) if more is not None else ())]
-    return [*fixed, *chosen_lamps(columns, place.lamps, fixed, target, LAMPS)]
+    return [*fixed, *chosen_lights(columns, place.lamps, fixed, target, LAMPS)]
 
 
 def _fitted(columns: Columns, place: RealPlace, target: Target, more: int | None = None) -> Made:
-    chosen = _chosen(columns, place, target, more)
-    strengths = fit_strengths(columns[:, :, chosen], target)
-    return _shown(np.einsum("hwkc,kc->hwc", columns[:, :, chosen], strengths), len(chosen))
+    return _with_strengths(columns[:, :, _chosen(columns, place, target, more)], target)
+
+
+def _with_strengths(columns: Columns, target: Target) -> Made:
+    strengths = fit_strengths(columns, target)
+    return _shown(np.einsum("hwkc,kc->hwc", columns, strengths), columns.shape[2])
 
 
 def _encoded(columns: Columns, place: RealPlace, target: Target) -> tuple[Picture, int]:
