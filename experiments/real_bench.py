@@ -144,6 +144,24 @@ def family(mesh: trimesh.Trimesh) -> tuple[tuple[Light, ...], list[int]]:
     return lights, list(range(1 + DIRECTIONS, len(lights)))
 
 
+def through_shades(
+    position: Float[np.ndarray, "*s 3"], lamps: Float[np.ndarray, "l 3"]
+) -> Float[np.ndarray, "*s k"]:
+    """Share of each lamp's light that leaves a shade open above, and one open below: spots of 60 to 90 degrees.
+
+    Args:
+        position: of points that are lit.
+        lamps: their positions.
+
+    Returns:
+        All lamps with light upwards, then all with light downwards.
+    """
+    to = np.asarray(position)[..., None, :] - lamps
+    cosine = to @ UP / np.maximum(np.linalg.norm(to, axis=-1), 1e-6)
+    t = np.clip(np.concatenate([cosine, -cosine], axis=-1) / INNER_COSINE, 0, 1)
+    return t * t * (3 - 2 * t)
+
+
 class RealPlace:
     """One direction of a pair: photo, target, surface and lights.
 
@@ -217,21 +235,14 @@ class RealPlace:
         field = np.asarray(self.scene.photo_light.estimate.light.illuminance)
         return np.maximum(self.on_pixels(field), LEAST_PHOTO_LIGHT)
 
-    def _through_shades(self, position: np.ndarray) -> Float[np.ndarray, "*s l"]:
-        """Share of each lamp's light that leaves a shade open above, and the same below: spots of 60 to 90 degrees.
-
-        Columns are all lamps with light upwards, then all with light downwards.
-        """
+    def _shades_at(self, position: np.ndarray) -> Float[np.ndarray, "*s k"]:
         lamps = np.stack([np.asarray(self.lights[k].position) for k in self.lamps])  # type: ignore[attr-defined]
-        to = np.asarray(position)[..., None, :] - lamps
-        cosine = to @ UP / np.maximum(np.linalg.norm(to, axis=-1), 1e-6)
-        t = np.clip(np.concatenate([cosine, -cosine], axis=-1) / INNER_COSINE, 0, 1)
-        return t * t * (3 - 2 * t)
+        return through_shades(position, lamps)
 
     @functools.cached_property
     def shades(self) -> Float[np.ndarray, "h w l"]:
-        """Share of each lamp's light that leaves its shade, at the pixels, holes filled; see `_through_shades`."""
-        shares = jnp.asarray(self._through_shades(self.gbuffer.position), jnp.float32)
+        """Share of each lamp's light that leaves its shade, at the pixels, holes filled; see `through_shades`."""
+        shares = jnp.asarray(self._shades_at(self.gbuffer.position), jnp.float32)
         known = self.gbuffer.hit[..., None].astype(jnp.float32)
         return np.asarray(cascade_known(shares, known, self.view.display, Configuration().schedule))
 
@@ -266,7 +277,7 @@ class RealPlace:
         )
         direct = np.asarray(shade_each(points, own) * visibilities(points, own, maps))[0]
         lamps = direct[:, np.array(self.lamps) - 1]
-        shaded = np.concatenate([lamps, lamps], axis=1) * self._through_shades(transport.position)
+        shaded = np.concatenate([lamps, lamps], axis=1) * self._shades_at(transport.position)
         direct, found = np.concatenate([direct, shaded], axis=1), []
         for k in range(0, direct.shape[1], BOUNCE_CHANNELS // 3):
             part = np.repeat(direct[:, k : k + BOUNCE_CHANNELS // 3], 3, axis=1)

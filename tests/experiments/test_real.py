@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from experiments import dark_frames, real, real_bench
-from experiments.real_fit import Target, checkerboard, fit_strengths, smooth_picture
-from experiments.real_methods import BLUR_4, GAINS, METHODS, NEW, PHOTO, SMOOTH
+from experiments.real_bench import UP, through_shades
+from experiments.real_fit import Target, checkerboard, chosen_lights, fit_strengths, smooth_picture
+from experiments.real_methods import BEST, BLUR_4, FEW, GAINS, METHODS, NEW, PHOTO, SMOOTH, SMOOTH_BEST
 from experiments.real_scores import ratio_scores
 from experiments.records import of_kind
 from hyjax.data import builtin_room
@@ -34,6 +35,28 @@ def test_strengths_and_polynomials_come_back() -> None:
     assert 0.4 < checkerboard(SHAPE).mean() < 0.6
 
 
+def test_the_lights_and_terms_that_help_are_chosen() -> None:
+    rng = np.random.default_rng(0)
+    columns = rng.uniform(0.05, 0.3, (*SHAPE, 6, 3))
+    picture = np.einsum("hwkc,k->hwc", columns[:, :, [0, 2, 5]], [0.3, 1.0, 0.6])
+    target = Target(encode_unclipped(picture), checkerboard(SHAPE))
+    assert chosen_lights(columns, range(1, 6), [0], target, 2) == [2, 5]
+    y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in SHAPE), indexing="ij")
+    photo = columns[:, :, 0]
+    wanted = photo * np.exp(0.4 * x**3 - 0.5 * y)[..., None] * [1.0, 0.8, 0.6]
+    target = Target(encode_unclipped(wanted), checkerboard(SHAPE))
+    found = smooth_picture(photo, 3, target, 3)
+    np.testing.assert_allclose(encode_unclipped(found), encode_unclipped(wanted), atol=0.01)
+
+
+def test_a_shade_lets_light_up_and_down_alone() -> None:
+    lamp, right = np.array([[0.2, 0.5, 1.0]]), np.array([1.0, 0.0, 0.0])
+    points = lamp + np.stack([UP, -UP, right, UP + right])
+    shares = through_shades(points, lamp)
+    np.testing.assert_allclose(shares, [[1, 0], [0, 1], [0, 0], [1, 0]])
+    assert 0 < through_shades(lamp + 0.25 * UP + right, lamp)[0, 0] < 1
+
+
 def test_scores_of_ratios_see_the_light_alone() -> None:
     rng = np.random.default_rng(1)
     true, held = rng.normal(size=(*SHAPE, 3)).cumsum(axis=1), np.ones(SHAPE, bool)
@@ -57,6 +80,8 @@ def test_a_generated_room_through_an_s_curve(tmp_path: Path, monkeypatch: pytest
         assert scores[SMOOTH]["psnr"] > scores[GAINS]["psnr"] > scores[PHOTO]["psnr"] - 0.5
         assert scores[NEW]["psnr"] > scores[GAINS]["psnr"]
         assert scores[BLUR_4]["sie"] < scores[NEW]["sie"]
+        assert row["unknowns"][BEST] == row["unknowns"][SMOOTH_BEST] == row["unknowns"][SMOOTH] == FEW
+        assert scores[BEST]["psnr"] > scores[GAINS]["psnr"]
     assert {file.name for file in config.out.glob("*.png")} == {"builtin-0-true-ab.png", "builtin-0-true-ba.png"}
 
 
