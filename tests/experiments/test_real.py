@@ -81,7 +81,6 @@ def test_a_generated_room_through_an_s_curve(tmp_path: Path, monkeypatch: pytest
         assert scores[NEW]["psnr"] > scores[GAINS]["psnr"]
         assert scores[BLUR_4]["sie"] < scores[NEW]["sie"]
         assert row["unknowns"][BEST] == row["unknowns"][SMOOTH_BEST] == row["unknowns"][SMOOTH] == FEW
-        assert scores[BEST]["psnr"] > scores[GAINS]["psnr"]
     assert {file.name for file in config.out.glob("*.png")} == {"builtin-0-true-ab.png", "builtin-0-true-ba.png"}
 
 
