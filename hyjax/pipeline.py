@@ -197,10 +197,11 @@ def refine_illuminance(shaded: Shaded, guide: Float[Array, "h w f"], schedule: S
     After the lights come the channels of `Shaded.surface_fields`, refined alike: what is divided by each other must
     be wrong at the same places.
     """
-    channels = shaded.illuminance
-    if shaded.surface_fields:
-        channels = _joined(channels, *shaded.surface_fields)
-    return cascade_known(channels, shaded.confidence, guide, schedule, sampling=shaded.sampling)
+    before = shaded.refined_photo_light
+    fields = shaded.surface_fields if before is None else shaded.surface_fields[:-1]
+    channels = _joined(shaded.illuminance, *fields) if fields else shaded.illuminance
+    refined = cascade_known(channels, shaded.confidence, guide, schedule, sampling=shaded.sampling)
+    return refined if before is None else _joined(refined, before)
 
 
 def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w l"]:

@@ -106,7 +106,7 @@ for _row in (
         "The frame is relit at its size over this, and the filter brought to full size under the frame.",
         bounds=(1, 8),
         tried=Tried((1, 2, 3, 4), scale="ordered"),
-        said=("page", "tour", "live tour"),
+        said=("page",),
         refused=("webgpu", "blender", "video"),
     ),
     Choice(
@@ -137,7 +137,7 @@ for _row in (
         "Levels of the cascade for the visibility; none leaves the shadow pass out.",
         tried=Tried((4, 2, 1), scale="steps"),
         paper=Tried((4, 2, 1), "1:8", "steps"),
-        said=("live tour",),
+        said=(),
     ),
     Choice(
         "guide",
@@ -254,7 +254,7 @@ for _row in (
         tried=_SHADOW_KAPPA,
         paper=_SHADOW_KAPPA,
         active=lambda values: _guided(values) and _shadowed(values),
-        said=("live tour",),
+        said=(),
     ),
     Choice(
         "map_scale",
@@ -264,7 +264,7 @@ for _row in (
         "Resolution of the shadow maps, relative to the usual one.",
         bounds=(0.05, 4.0),
         tried=Tried((0.25, 0.5, 1.0), scale="ordered"),
-        said=("webgpu", "tour", "live tour", "blender"),
+        said=("webgpu", "blender"),
     ),
     Choice(
         "views",
@@ -274,7 +274,7 @@ for _row in (
         "Views of a soft light in its shadow map, at most; all that it has where nothing is said.",
         bounds=(1, 2**31),
         tried=Tried((4, 8, 16, None), scale="ordered"),
-        said=(*ELSEWHERE, "blender"),
+        said=("webgpu", "page", "blender"),
     ),
     Choice(
         "least_share",
@@ -284,7 +284,7 @@ for _row in (
         "A light that gives the surface a smaller share of its light than this casts no shadow.",
         bounds=(0.0, 1.0),
         tried=Tried((0.0, 0.02, 0.05, 0.15), scale="ordered"),
-        said=(*ELSEWHERE, "blender"),
+        said=("webgpu", "page", "blender"),
     ),
     Choice(
         "photo_light",

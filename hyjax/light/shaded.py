@@ -31,6 +31,7 @@ class Shaded:
         bounced: lux of the lights by way of other surfaces, with their colours; None for none.
         photo_light: illuminance of the photographed frame, relative to its mean; None if assumed even.
         emission: emitting pixels; None if there are none.
+        refined_photo_light: `photo_light` of all pixels refined before; None to refine it with the rest.
         sampling: the light is that of one pixel in each block of so many by so many (static); emission is whole.
     """
 
@@ -43,6 +44,7 @@ class Shaded:
     bounced: Float[Array, "h w 3"] | None = None
     photo_light: Float[Array, "h w 3"] | None = None
     emission: Emission | None = None
+    refined_photo_light: Float[Array, "fh fw 3"] | None = None
     sampling: int = dataclasses.field(default=1, metadata={"static": True})
 
     @property

@@ -16,12 +16,13 @@ from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera
 from hyjax.guide.choose import FrameGuide
 from hyjax.light.gbuffer import GBuffer
+from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.light.view import View
 from hyjax.relighting.settings import RelightSettings
-from hyjax.scene.relighter import DirectLight, Relighter
+from hyjax.scene.relighter import Relighter, Shader
 from hyjax.scene.scene import Scene
 from hyjax.util.clock import StageClock
 from hyjax.util.cores import cores
@@ -48,19 +49,20 @@ def readable(scene: Scene, index: int) -> Frame | None:
 
 def cycles(
     scene: Scene, setup: LightSetup, settings: RelightSettings, clock: StageClock, stack: ExitStack
-) -> DirectLight:
-    """Direct light by Blender, which ends with the stack."""
+) -> Shader:
+    """Shader by Blender, which ends with the stack."""
     from hyjax.scene.blender import BlenderRenderer  # trimesh is slow to load
 
     with clock("blender start"):
         blender = stack.enter_context(BlenderRenderer(scene.mesh, setup.lights, shadows=settings.shadows))
 
-    def direct(view: View, camera: Camera) -> tuple[View, Shaded]:
+    def shade(view: View, camera: Camera, light: SurfaceLight | None) -> tuple[View, Shaded]:
         with clock("blender"):
             rendering = blender.render(camera)
-        return rendering.shade(view, setup)
+        own, shaded = rendering.shade(view, setup)
+        return own, shaded if light is None else own.add_surface_light(shaded, light, setup.lights)
 
-    return direct
+    return shade
 
 
 def relit_frames(

@@ -148,7 +148,7 @@ def relight_capture(
                 shadows=settings.shadows,
                 occluders=settings.occluders,
                 video=settings.video,
-                direct=cycles(scene, setup, settings, clock, stack) if settings.renderer == "blender" else None,
+                shader=cycles(scene, setup, settings, clock, stack) if settings.renderer == "blender" else None,
                 clock=clock,
             )
             if settings.renderer == "shadow_map":

@@ -22,7 +22,7 @@ from hyjax.util.programs import run_kept
 
 
 class Place(Protocol):
-    """Frames and the surface that they show: a `Scene`, or a `LiveScene` that still grows."""
+    """Frames and the surface that they show: a `Scene`, a `LiveScene` that still grows, or a tour's `Arrangement`."""
 
     @property
     def revision(self) -> int | None:

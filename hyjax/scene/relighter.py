@@ -5,7 +5,7 @@ import dataclasses
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -44,10 +44,11 @@ TRACED = (
 """Message about lights whose values are not known yet."""
 MOST_POINTS = 20_000
 """Points of the surface that tell how much each light gives."""
+T = TypeVar("T")
 Stages = Iterator[tuple[str, Any]]
 Maps = tuple[ShadowMap | None, ...] | None
-DirectLight = Callable[[View, Camera], tuple[View, Shaded]]
-"""Light of a set-up that comes straight, with the view that it is on."""
+Shader = Callable[[View, Camera, SurfaceLight | None], tuple[View, Shaded]]
+"""Light of a set-up on a view, with that of the surface if it is known, and the view that it is on."""
 
 
 @jax.tree_util.register_dataclass
@@ -96,14 +97,14 @@ class Relighter:
     `setup` are its lights, `guide` makes its guides.
 
     Args:
-        place: a `Scene`, or a `LiveScene`.
+        place: a `Scene`, a `LiveScene`, or another `Place`.
         lights: lights, a set-up, or its name or file.
         configuration: a configuration, its name or file, or a schedule for the default one; None for that one.
         guide: in the place of the configuration's.
         shadows: whether lights cast shadows.
         occluders: what throws them; the paper's form knows the bare surface alone.
         video: whether refined light is carried from each frame to the next.
-        direct: makes the direct light in the place of shadow maps.
+        shader: makes the light on a view in the place of shadow maps.
         clock: takes the times of what is made once.
 
     Raises:
@@ -125,7 +126,7 @@ class Relighter:
         shadows: bool = True,
         occluders: Occluders = "completed",
         video: bool = False,
-        direct: DirectLight | None = None,
+        shader: Shader | None = None,
         clock: StageClock | None = None,
     ) -> None:
         self.place, self.configuration = place, Configuration.of(configuration)
@@ -134,10 +135,10 @@ class Relighter:
         self.setup = place.lights(lights, at_photo_sources=self._divides)
         self.setup.check_existing(divided=self._divides)
         traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(self.setup))
-        if traced and (self._divides or (shadows and direct is None)):
+        if traced and (self._divides or (shadows and shader is None)):
             raise InputError(TRACED)
         self.guide = guide or configured_guide(options.guide)
-        self._shadows, self._direct, self._clock = shadows, direct, clock or StageClock()
+        self._shadows, self._shader, self._clock = shadows, shader, clock or StageClock()
         self._occluders: Occluders = "surface" if options.mode == "paper" else occluders
         self._video = Video() if video else None
         self._carried = CarriedGuide(options.guide.every) if video and options.guide.every > 1 else None
@@ -163,7 +164,7 @@ class Relighter:
     def view(self, frame: int | Frame) -> View:
         """View of a frame, at the configuration's scale."""
         own = self.place.frame(frame)
-        return self._view(own, self.gbuffer(own.camera))[0]
+        return self._view(own, self.gbuffer(own.camera))
 
     @checked_arguments
     def shade(self, view: View, *, sampling: int | None = None) -> Shaded:
@@ -173,8 +174,8 @@ class Relighter:
             view: of the place.
             sampling: in the place of the configuration's, see `View.shade`.
         """
-        if self._direct is not None:
-            raise InputError("shade: the direct light is made of whole frames here; use stages or relit")
+        if self._shader is not None:
+            raise InputError("shade: the light is made of whole frames here; use stages or relit")
         *_, (_, shaded) = self._shade_stages(view, sampling)
         return shaded
 
@@ -196,15 +197,16 @@ class Relighter:
         return refined_picture(self.lit(frame), self.configuration)
 
     @checked_arguments
-    def stages(self, frame: int | Frame, *, gbuffer: GBuffer | None = None) -> Stages:
+    def stages(self, frame: int | Frame, *, gbuffer: GBuffer | None = None, view: View | None = None) -> Stages:
         """Frame stage by stage: each stage's name with its result. The last is `Relit`, see `relight_stages`.
 
         Args:
             frame: any of the place, or its position.
             gbuffer: of its camera, where it was made before, see `Relighter.gbuffer`.
+            view: of the frame, where it was made before, see `Relighter.view`.
         """
         remember = None
-        for stage, result in self._lit_stages(frame, gbuffer):
+        for stage, result in self._lit_stages(frame, gbuffer, view):
             yield stage, result
         if self._video is not None:
             remember = self._video.filter(result.view, self.setup, result.features, self.configuration.schedule)
@@ -216,36 +218,39 @@ class Relighter:
         lit: LitFrame = StageClock().follow(self._lit_stages(frame, gbuffer))
         return lit
 
-    def _lit_stages(self, frame: int | Frame, gbuffer: GBuffer | None) -> Stages:
+    def _lit_stages(self, frame: int | Frame, gbuffer: GBuffer | None = None, view: View | None = None) -> Stages:
         """Stages up to a `LitFrame`."""
         own = self.place.frame(frame)
-        if gbuffer is None:
-            gbuffer = self.gbuffer(own.camera)
-            yield "g-buffer", gbuffer
-        view, full = self._view(own, gbuffer)
-        yield "view", view
-        if self._direct is None:
+        if view is None:
+            if gbuffer is None:
+                gbuffer = self.gbuffer(own.camera)
+                yield "g-buffer", gbuffer
+            view = self._view(own, gbuffer)
+            yield "view", view
+        full = self._on_device(own.image) if self.configuration.scale > 1 else None
+        if self._shader is None:
             for stage, shaded in self._shade_stages(view):
                 yield stage, shaded
         else:
-            view, shaded = self._direct(view, own.camera)
-            _, setup, _, light = self._light()
-            shaded = shaded if light is None else view.add_surface_light(shaded, light, setup.lights)
+            view, shaded = self._shader(view, own.camera, self._light()[-1])
             yield "shaded", shaded
         make = self.guide.features
         carried = self._carried
         features = make(view.display) if carried is None else carried.features(view, lambda: make(view.display))
         yield "guide", LitFrame(view, shaded, features, full)
 
-    def _view(self, frame: Frame, gbuffer: GBuffer) -> tuple[View, Float[Array, "fh fw 3"] | None]:
-        """View at the configuration's scale, and the whole frame where that is smaller."""
+    def _view(self, frame: Frame, gbuffer: GBuffer) -> View:
+        """View at the configuration's scale."""
         scale = self.configuration.scale
-        full = jax.device_put(frame.image) if scale > 1 else None
-        if full is None:
-            view = view_of(frame, gbuffer)
-        else:
-            view = camera_view(downsample(full, scale), gbuffer, scaled(frame.camera, scale))
-        return (view, full) if self._device is None else jax.device_put((view, full), self._device)
+        if scale == 1:
+            return self._on_device(view_of(frame, gbuffer))
+        display = downsample(jax.device_put(frame.image), scale)
+        return self._on_device(camera_view(display, gbuffer, scaled(frame.camera, scale)))
+
+    def _on_device(self, arrays: T) -> T:
+        """Arrays on the device of this relighter."""
+        moved: T = jax.device_put(arrays, self._device)
+        return moved
 
     def _shade_stages(self, view: View, sampling: int | None = None) -> Stages:
         _, setup, maps, light = self._light()
@@ -257,7 +262,7 @@ class Relighter:
         with self._lock:
             revision, maps, light = self.place.revision, None, None
             if revision is None or revision != self._made[0]:
-                if self._shadows and self._direct is None:
+                if self._shadows and self._shader is None:
                     with self._clock("shadow maps"):
                         maps = self._shadow_maps()
                 if self._divides:
@@ -276,10 +281,8 @@ class Relighter:
         maps = self.place.shadow_maps(
             self.setup, occluders=self._occluders, scale=options.map_scale, most_views=options.views
         )
-        if not options.least_share:
-            return maps
-        given = shares(self.place, self.setup.lights)
-        return tuple(own if share >= options.least_share else None for own, share in zip(maps, given, strict=True))
+        casting = casters(self.place, self.setup.lights, options.least_share)
+        return tuple(own if casts else None for own, casts in zip(maps, casting, strict=True))
 
     def _surface_light(self) -> SurfaceLight:
         """Photo's light and bounces on the surface."""
@@ -293,6 +296,11 @@ def configured_light(light: SurfaceLight, configuration: Configuration) -> Surfa
         if choice.use is not None:
             light = choice.use(light, configuration.value(name))
     return light
+
+
+def casters(place: Place, lights: Sequence[Light], least_share: float) -> tuple[bool, ...]:
+    """Whether each light casts a shadow: not if it gives a smaller share than the least."""
+    return tuple(shares(place, lights) >= least_share) if least_share else (True,) * len(lights)
 
 
 def shares(place: Place, lights: Sequence[Light]) -> np.ndarray:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from hyjax.configuration import Configuration
 from hyjax.data.capture import Frame
 from hyjax.data.recording import mean_up
 from hyjax.guide.choose import FrameGuide
@@ -46,8 +47,8 @@ class Arriving:
         # A folder keeps what it has; a stream does not wait.
         self._follower = Follower(scene, frames, self._arrived, drop=source in ("-", "record3d")).start()
 
-    def first_renderer(self, guide: FrameGuide, folder: Path) -> LiveRenderer:
-        """Renderer of the first frames, once they have a surface."""
+    def first_renderer(self, guide: FrameGuide, folder: Path, configuration: Configuration) -> LiveRenderer:
+        """Renderer of the first frames, once they have a surface; arguments as of `Renderer`."""
         begun = None
         while True:
             done = self._follower.wait(0.02)
@@ -61,8 +62,7 @@ class Arriving:
             elif done:
                 reasons = "; ".join(f"{count} frames: {reason}" for reason, count in self._scene.skipped.items())
                 raise InputError(f"live: the frames ended before there was a surface {reasons}".rstrip())
-        early, surface = list(self._early), self._scene.surface
-        assert surface is not None
+        early = list(self._early)
         up: Float[np.ndarray, 3] = (
             mean_up([frame.camera.pose for frame in early], "live") if self._up is None else self._up
         )
@@ -70,10 +70,10 @@ class Arriving:
         for frame in early[-1:]:
             capture.append(frame)
         height, width = early[-1].camera.intrinsics.shape
-        size = self._size
-        if size is None and width > self._widest:
-            size = round(height * self._widest / width), self._widest
-        self._renderer = LiveRenderer(capture, surface, size=size, guide=guide, folder=folder)
+        self._scene.size = self._size
+        if self._size is None and width > self._widest:
+            self._scene.size = round(height * self._widest / width), self._widest
+        self._renderer = LiveRenderer(self._scene, capture, guide=guide, folder=folder, configuration=configuration)
         return self._renderer
 
     def stop(self) -> None:
@@ -81,12 +81,12 @@ class Arriving:
         self._follower.stop()
 
     def _arrived(self, frame: Frame) -> None:
-        renderer, surface = self._renderer, self._scene.surface
-        if renderer is None or surface is None:
+        renderer = self._renderer
+        if renderer is None or self._scene.surface is None:
             self._early = [*self._early[-FIRST_FRAMES:], frame]
             return
         assert isinstance(renderer.capture, LiveCapture)
-        renderer.follow(surface)
+        renderer.follow()
         if renderer.capture.append(frame):
             renderer.forget_frames()
         self.on_frame()

@@ -82,13 +82,13 @@ class Controls:
                 self._gui.add_button(kind.capitalize(), icon=ICONS[kind]).on_click(self._tool_button(kind))
 
     def _add_photo_sources(self) -> None:
-        light = self.session.renderer.room_light
+        light = self.session.renderer.photo_light
         if light is None:
             return
         gui = self._gui
         with gui.add_folder("The photo's own light", expand_by_default=False, order=0.5):
             gui.add_markdown("What is left of the light that the photos were taken in: 0 off, 1 as it was.")
-            for name in light.names:
+            for name in light.estimate.names:
                 slider = gui.add_slider(
                     spoken(name), 0.0, MOST_LEFT, 0.05, self.session.plan.existing.get(name, 0.0)
                 )

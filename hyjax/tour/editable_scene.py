@@ -19,8 +19,6 @@ from hyjax.util.lru_cache import LruCache
 from hyjax.util.vectors import fibonacci_sphere, perpendicular, unit
 
 MOST_PARTS = 64
-AS_SCANNED = "rest", ()
-"""Key of the whole room."""
 BESIDE = (0.0, 0.01, 0.025, 0.05)  # tangents of angles from a ray, tried one after the other
 
 
@@ -43,16 +41,17 @@ class SurfaceHit:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SceneParts:
-    """The parts of the room as a plan has them; `keys` name part and pose, `pieces` are the plan's numbers."""
+    """The parts of the room as a plan has them.
+
+    Attributes:
+        parts: the rest of the room first.
+        keys: revision of the surface, part and pose.
+        pieces: the plan's numbers; None for the rest.
+    """
 
     parts: tuple[Part, ...]
     keys: tuple[Hashable, ...]
     pieces: tuple[int | None, ...]
-
-    @property
-    def as_scanned(self) -> bool:
-        """Whether the room is as it was scanned, with no piece taken out or brought in."""
-        return self.keys == (AS_SCANNED,)
 
 
 class EditableScene:
@@ -65,6 +64,8 @@ class EditableScene:
         occluders: what throws the shadows of the room as it was scanned; the surface if None. Once a piece of the
             scan has been taken out, its parts with their holes closed throw them.
         slack: of shadow maps, see `hyjax.light.shadow_map.ShadowMap`; None if the surface throws its own shadows.
+        revision: number of the surface: nothing cached of another is taken.
+        bounds: least and largest coordinates that shadow maps must cover; the surface's if None.
     """
 
     def __init__(
@@ -74,7 +75,11 @@ class EditableScene:
         folder: Path,
         occluders: RayCaster | None = None,
         slack: float | None = None,
+        *,
+        revision: int = 0,
+        bounds: Float[np.ndarray, "2 3"] | None = None,
     ) -> None:
+        self.revision, self.bounds = revision, caster.bounds if bounds is None else bounds
         self.caster, self.mesh, self.up, self._folder = caster, caster.mesh, up, folder
         self._occluders, self._slack = occluders, slack
         self._parts = LruCache(MOST_PARTS)
@@ -87,13 +92,13 @@ class EditableScene:
             left = ~np.logical_or.reduce(masks)
             rest = self._parts(("rest", scanned), lambda: RayCaster(submesh(self.mesh, left)))
         else:
-            left, rest, scanned = np.ones(len(self.mesh.faces), bool), self.caster, AS_SCANNED[1]
+            left, rest, scanned = np.ones(len(self.mesh.faces), bool), self.caster, ()
         thrower = self._thrower(("rest", scanned), rest)
         # What is finer than the scan makes most of the work of a shadow map.
         detailed = self._slack is not None and thrower is not None and thrower is self._occluders
         coarse = self._closed(("rest", scanned), rest) if detailed else None
         parts = [Part(rest, np.eye(4), self.mesh, thrower, self._slack, np.flatnonzero(left), coarse)]
-        keys: list[Hashable] = [("rest", scanned)]
+        keys: list[Hashable] = [(self.revision, "rest", scanned)]
         pieces: list[int | None] = [None]
         for number, piece in enumerate(plan.pieces):
             if piece.removed or (mesh := self.piece_mesh(piece)) is None:
@@ -103,7 +108,7 @@ class EditableScene:
             faces = None if piece.file else self._faces(piece)
             numbers = None if faces is None else np.flatnonzero(faces)
             parts.append(Part(caster, piece.matrix, self.mesh, self._thrower(name, caster), self._slack, numbers))
-            keys.append((name, piece.pose))
+            keys.append((self.revision, name, piece.pose))
             pieces.append(number)
         return SceneParts(tuple(parts), tuple(keys), tuple(pieces))
 

@@ -42,7 +42,7 @@ def save_setup(viewer: Viewer) -> None:
         _send(viewer, file)
     names = " --mesh ".join(str(file) for file in files)
     height, width = session.renderer.camera(viewer.frame).intrinsics.shape
-    kept = " --keep-photo-light" if session.renderer.room_light is None else ""
+    kept = " --keep-photo-light" if session.renderer.photo_light is None else ""
     command = f"hyjax relight --lights {names} --size {width}x{height}{kept} --out relit"
     viewer.notices.notify(
         "Saved", f"All frames in this light (add your --capture): {command}", color="green", seconds=None

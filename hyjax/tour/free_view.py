@@ -84,7 +84,7 @@ class FreeView:
             self._scene.add_light_ambient("/ambient", intensity=math.pi),
             self._scene.add_mesh_trimesh("/room", mesh),
         ]
-        if (light := self._renderer.room_light) is not None:
+        if (light := self._renderer.photo_light) is not None:
             places = [(window.name, window.center) for window in light.sources.windows]
             places += [(lamp.name, lamp.position) for lamp in light.sources.lamps]
             for name, place in places:

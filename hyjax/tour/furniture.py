@@ -89,7 +89,7 @@ def _axes(
 class Part:
     """A rigid part of the room: its surface as it was scanned, and where it is now (4×4).
 
-    Shadow maps take it as a `RayCaster`: `mesh` is the whole room's, as it says what a map must cover. Shadows are
+    `mesh` is the whole room's. Shadows are
     thrown by `occluders`, if there are any, in the surface's place, and looked up with `slack`; `coarse` ones do
     for a draft. `scanned` numbers its triangles among the whole room's; None if it was brought in.
     """
@@ -142,6 +142,31 @@ class Part:
         numbers = np.zeros(len(self.caster.mesh.vertices), int)
         numbers[self.caster.mesh.faces] = self.mesh.faces[self.scanned]
         return numbers
+
+
+def vertex_gbuffer(parts: Sequence[Part], mesh: trimesh.Trimesh, multiple: int) -> GBuffer:
+    """The vertices of all parts as surface points, 1 × n, the last repeated up to a multiple.
+
+    Args:
+        parts: one after the other.
+        mesh: their surface, joined.
+        multiple: ≥ 1.
+    """
+    triangles, corners = [], []
+    for part in parts:
+        faces = part.caster.mesh.faces
+        place = np.zeros(len(part.caster.mesh.vertices), int)
+        place[faces.reshape(-1)] = np.arange(faces.size)
+        triangles.append(np.full(len(place), -1) if part.scanned is None else part.scanned[place // 3])
+        corners.append(np.eye(3, dtype=np.float32)[place % 3])
+    more = -len(mesh.vertices) % multiple
+    each = mesh.vertices, mesh.vertex_normals, np.concatenate(corners)
+    position, normal, barycentric = (
+        jnp.asarray(np.pad(x, ((0, more), (0, 0)), mode="edge"), jnp.float32)[None] for x in each
+    )
+    face = jnp.asarray(np.pad(np.concatenate(triangles), (0, more), mode="edge"), jnp.int32)[None]
+    ones = jnp.ones(face.shape)
+    return GBuffer(position, normal, ones, ones > 0, face, barycentric)
 
 
 def cast_parts(

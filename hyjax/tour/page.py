@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import viser
 
+from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.guide.choose import FrameGuide, configured_guide
 from hyjax.scene.scene import Scene
@@ -95,7 +96,7 @@ class Tour:
         guide = configured_guide(configuration.guide)
         if settings.live is not None:
             make_writable(settings.out)
-            return cls._open_live(settings, schedules, guide)
+            return cls._open_live(settings, schedules, guide, configuration)
         named = settings.scene.capture
         capture = None if named is None else settings.scene.open_capture()
         make_writable(settings.out)
@@ -108,20 +109,26 @@ class Tour:
             scene,
             guide=guide,
             folder=settings.out,
-            keep_photo_light=settings.keep_photo_light or configuration.light.photo_light == "kept",
+            keep_photo_light=settings.keep_photo_light,
             configuration=configuration,
         )
         return cls(renderer, schedules, settings.out, host=settings.host, port=settings.port)
 
     @classmethod
-    def _open_live(cls, settings: TourSettings, schedules: Mapping[str, Schedule], guide: FrameGuide) -> "Tour":
+    def _open_live(
+        cls,
+        settings: TourSettings,
+        schedules: Mapping[str, Schedule],
+        guide: FrameGuide,
+        configuration: Configuration,
+    ) -> "Tour":
         """Wait for the first frames, and serve a tour that follows them."""
         from hyjax.live.scene import LiveScene
         from hyjax.tour.arriving import Arriving
 
         scene = LiveScene()
         arriving = Arriving(scene, settings.live or "", size=parse_size(settings.scene.size), widest=WIDEST)
-        renderer = arriving.first_renderer(guide, settings.out)
+        renderer = arriving.first_renderer(guide, settings.out, configuration)
         tour = cls(renderer, schedules, settings.out, host=settings.host, port=settings.port)
         arriving.on_frame = tour._frame_arrived
         tour.arriving = arriving

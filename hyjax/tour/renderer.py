@@ -5,49 +5,43 @@ colour of a light change only the last.
 """
 
 import dataclasses
-from collections.abc import Callable, Generator, Hashable
+import functools
+from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import trimesh
-from jaxtyping import Array, Float
 from msgspec.structs import replace
 
 from hyjax.configuration import Configuration
-from hyjax.data.capture import Frame
+from hyjax.core.schedule import Schedule
+from hyjax.data.capture import Capture, Frame
+from hyjax.data.frames import fit
 from hyjax.geometry.camera import Camera
 from hyjax.guide.choose import RGB, FrameGuide
-from hyjax.light.color import to_display, to_linear
-from hyjax.light.gbuffer import GBuffer, sample_pixels
-from hyjax.light.photo_light import least_bounced
-from hyjax.light.shading import colored
-from hyjax.light.view import View
-from hyjax.pipeline import refine_illuminance, refine_visibility
+from hyjax.light.color import to_display
+from hyjax.light.relit import Relit
+from hyjax.light.setup import LightSetup
+from hyjax.light.shading import mix_channels
 from hyjax.scene.light_places import survey_capture
+from hyjax.scene.relighter import LitFrame, Relighter, configured_light
 from hyjax.scene.scene import Scene
-from hyjax.tour.editable_scene import EditableScene, SceneParts
-from hyjax.tour.furniture import Part, merge_gbuffers
-from hyjax.tour.layers import LayerCache, Quality, mebibytes
+from hyjax.tour.arrangement import Arrangement
+from hyjax.tour.editable_scene import EditableScene
+from hyjax.tour.furniture import vertex_gbuffer
+from hyjax.tour.layers import Caches, KeptGuide
 from hyjax.tour.lighting import flicker, setup_of
-from hyjax.tour.picture import DeviceFrame, RenderedFrame, compose, stack_layers, to_bytes
+from hyjax.tour.picture import COMPARED, RenderedFrame, shown_stage, to_bytes
 from hyjax.tour.placement import as_point, north_for_bearing, place_lamp
 from hyjax.tour.plan import LampKind, TourPlan, Window
-from hyjax.tour.room_light import (
-    PhotographedFrame,
-    RoomLight,
-    add_room_light,
-    bounced_at_vertices,
-    direct_lights,
-)
-from hyjax.tour.viewpoint import MOST_SAMPLING, Viewpoint
+from hyjax.tour.viewpoint import Viewpoint
 from hyjax.util.clock import StageClock
-from hyjax.util.lru_cache import LruCache
-from hyjax.util.programs import run_kept
 
-FRAMES_MIB = 128
+if TYPE_CHECKING:
+    from hyjax.live.scene import LiveScene
+
 ALBEDO = 0.6  # of the mesh in the free view, whose true colours are unknown
 VERTICES = 1 << 14
 """Number that the vertices of a live mesh are padded to a multiple of."""
@@ -59,43 +53,63 @@ class Renderer:
 
     Attributes:
         capture: frames with poses.
-        up: against gravity, world axes.
+        up: against gravity.
         scene: the surface, which plans edit.
         surface_area: of floor, walls and ceiling of a box around it, square metres.
-        room_light: bounces and the photo's own light; None if that stays in the pictures.
+        photo_light: that the frames were taken under; None if it stays in the pictures.
         live: whether frames arrive, see `hyjax.tour.live`.
 
     Args:
-        scene: capture and surface.
+        place: surface, and frames unless they are given.
+        capture: frames.
         guide: what makes the guide of a frame.
         folder: where uploaded mesh files lie.
         keep_photo_light: whether to leave the light that the frames were taken under in the pictures, and bounces
             out.
-        configuration: sampling, shadow pass and light of the pictures.
+        configuration: of the pictures, but for their schedule.
     """
 
     live = False
 
     def __init__(
         self,
-        scene: Scene,
+        place: "Scene | LiveScene",
+        capture: Capture | None = None,
         *,
         guide: FrameGuide = RGB,
         folder: Path = Path(),
         keep_photo_light: bool = False,
         configuration: Configuration | None = None,
     ) -> None:
-        self.capture, self.guide, self._source = scene.capture, guide, scene
+        self.place, self.guide, self.folder = place, guide, folder
+        if capture is None:
+            assert isinstance(place, Scene)
+            capture = place.capture
+        self.capture = capture
         self.configuration = configuration or Configuration()
-        self.up = np.asarray(scene.capture.up, float)
-        self.scene = EditableScene(scene.caster, self.up, folder, scene.occluders, scene.slack)
-        a, b, c = scene.mesh.extents
+        if keep_photo_light:
+            self.configuration = self.configuration.with_choices({"photo_light": "kept"})
+        self.up = np.asarray(self.capture.up, float)
+        self.photo_light = None
+        if isinstance(place, Scene) and self.configuration.light.photo_light == "divided":
+            self.photo_light = place.photo_light
+            assert self.photo_light.estimate  # made now, if it was not before
+        self.forget_frames()
+        self.follow()
+
+    def follow(self) -> None:
+        """Render on the place's surface as it is now; a picture at work is finished on the one before."""
+        self.scene = self._editable()
+        a, b, c = self.scene.mesh.extents
         self.surface_area = 2.0 * float(a * b + b * c + c * a)
-        self._frames, self._layers = LruCache(FRAMES_MIB, mebibytes), LayerCache()
-        self._cameras: dict[int, Camera] = {}
-        self.room_light = (
-            None if keep_photo_light else RoomLight(scene.photo_light, self._layers, self.configuration)
-        )
+
+    def forget_frames(self) -> None:
+        """Forget all that is known of frames by their numbers, which are other ones now."""
+        self._caches, self._cameras = Caches(), dict[int, Camera]()
+
+    def _editable(self) -> EditableScene:
+        place: Any = self.place
+        return EditableScene(place.caster, self.up, self.folder, place.occluders, place.slack)
 
     def first_plan(self) -> TourPlan:
         """Plan of a sunny afternoon, with the capture's own windows or one near the cameras' view."""
@@ -114,7 +128,7 @@ class Renderer:
 
     def frame(self, index: int) -> Frame:
         """A frame at the size that is worked at."""
-        return self._frames(("frame", index), lambda: self._source.frame(index))
+        return self._caches.frames(("frame", index), lambda: fit(self.capture[index], self.place.size))
 
     def camera(self, index: int) -> Camera:
         """Camera of a frame at the size that is worked at."""
@@ -148,54 +162,30 @@ class Renderer:
             InputError: a frame or mesh file cannot be read.
             RenderCancelled: it was cancelled. What has been cast so far is kept.
         """
-        clock, index = StageClock(), viewpoint.frame
+        clock, index, keep = StageClock(), viewpoint.frame, self._caches.frames
         flames = {k: flicker(seconds, k) for k, lamp in enumerate(plan.lamps) if lamp.kind == "candle"}
-        setup = setup_of(plan, self.up, self.surface_area, flames if seconds else None)
-        frame = self.frame(index)
-        with clock("guide"):
-            pixels = self._frames(("device", index), lambda: jax.block_until_ready(self._device_frame(frame)))
-        with clock("surface"):
-            parts = self.scene.apply(plan)
-            gbuffer = self._gbuffer(index, frame, parts)
-            sampling, samples = self._sampling(viewpoint), self._samples(viewpoint, gbuffer, parts)
-            jax.block_until_ready((gbuffer, samples))
-        with clock("light"):
-            lights = setup.lights if self.room_light is None else direct_lights(setup.lights)
-            coarse = [
-                draft and not self._layers.is_fine(light, index, parts, sampling=sampling) for light in lights
-            ]
-            qualities: list[Quality] = ["draft" if rough else "fine" for rough in coarse]
-            layers = [
-                self._layers.layer(light, index, samples, parts, quality, cancelled, sampling=sampling)
-                for light, quality in zip(lights, qualities, strict=True)
-            ]
-            jax.block_until_ready(layers)
-        view = View(pixels.linear, pixels.display, gbuffer)
-        asked, setup = setup.lights, dataclasses.replace(setup, lights=lights)
-        shaded = stack_layers(setup, layers, samples.hit, sampling=sampling)
-        photo_light: tuple[Float[Array, "h w 3"], ...] = ()
-        if self.room_light is not None:
-            with clock("bounces"):
-                least = least_bounced(asked, self.room_light.filled_share)
-                light = self.room_light.surface_light(setup, qualities, parts, least, cancelled)
-                photographed = self._photographed(viewpoint, frame, pixels)
-                shaded = jax.block_until_ready(add_room_light(shaded, light, photographed, pixels.linear, samples))
-                photo_light = (self._refined_photo_light(viewpoint, photographed, pixels),)
-        guide, schedule = pixels.guide, viewpoint.schedule
-        with clock("cascade"):
-            fresh = dataclasses.replace(shaded, photo_light=None)
-            illuminance = jax.block_until_ready(run_kept(refine_illuminance, fresh, guide, schedule))
-        with clock("shadow pass"):
-            visible = jax.block_until_ready(
-                run_kept(refine_visibility, shaded, guide, self.configuration.shadow_schedule)
-            )
-        with clock("composite"):
-            fields = illuminance, *photo_light
-            picture, linear = compose(viewpoint.shown, view, shaded, guide, schedule, fields, visible)
-            picture, linear = np.asarray(picture), np.asarray(linear)
-            photo = self._frames(("photo", index), lambda: to_bytes(frame.image))
+        setup = self._setup(plan, flames if seconds else None)
+        frame, guide = self.frame(index), KeptGuide(self.guide, functools.partial(keep, ("guide", index)))
+        configuration = self._configured(viewpoint.schedule, fully=viewpoint.shown == "raw filter")
+        own = Arrangement(
+            self.scene, plan, self._caches, self.photo_light, configuration, draft=draft, cancelled=cancelled
+        )
+        shader = functools.partial(own.shade, index, guide, setup)
+        relighter = Relighter(own, setup, configuration, guide=guide, shader=shader, clock=clock)
+        with clock("g-buffer"):
+            kept = keep(("view", index), lambda: jax.block_until_ready(relighter.view(frame)))
+            view = dataclasses.replace(kept, gbuffer=relighter.gbuffer(frame.camera))
+        stages = relighter.stages(frame, view=view)
+        lit: LitFrame = clock.follow(stages, until="guide")
+        result = clock.follow(stages, until=None if viewpoint.shown in COMPARED else "composite")
+        photo = keep(("photo", index), lambda: to_bytes(frame.image))
+        with clock("show"):
+            linear = np.asarray(result.image if isinstance(result, Relit) else result)
+            picture = photo
+            if viewpoint.shown != "photo":
+                picture = shown_stage(viewpoint.shown, frame, lit, result, viewpoint.schedule)
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
-        return RenderedFrame(picture, photo, linear, frame, times, any(coarse))
+        return RenderedFrame(picture, photo, linear, frame, times, own.coarse)
 
     def warm_up(self, plan: TourPlan, viewpoint: Viewpoint) -> Generator[None]:
         """Compile viewers' likely requests, a little each step: lamps, the moon, the mesh."""
@@ -210,68 +200,27 @@ class Renderer:
 
     def lit_mesh(self, plan: TourPlan) -> trimesh.Trimesh:
         """The surface as the plan arranges it, its vertices coloured by the light that falls on them."""
-        mesh, parts = self.scene.apply_to_mesh(plan), self.scene.apply(plan)
-        setup = setup_of(plan, self.up, self.surface_area)
-        count = len(mesh.vertices)
+        mesh, setup = self.scene.apply_to_mesh(plan), self._setup(plan)
+        configuration = self._configured(self.configuration.schedule, fully=True)
+        own = Arrangement(self.scene, plan, self._caches, self.photo_light, configuration, draft=True)
         # A mesh that changes has another number of vertices each time, which would compile all again.
-        more = -count % VERTICES if self.live else 0
-        vertices, normals = (
-            jnp.asarray(np.pad(x, ((0, more), (0, 0)), mode="edge"), jnp.float32)[None]
-            for x in (mesh.vertices, mesh.vertex_normals)
-        )
-        ones = jnp.ones(vertices.shape[:2])
-        gbuffer = GBuffer(vertices, normals, ones, ones > 0)
-        channels = []
-        lights = setup.lights if self.room_light is None else direct_lights(setup.lights)
-        qualities: list[Quality] = ["fine" if self._layers.has_maps(light, parts) else "draft" for light in lights]
-        for light, quality in zip(lights, qualities, strict=True):
-            illuminance, visible = self._layers.shade(light, gbuffer, parts, quality)
-            channels.append(getattr(light, light.STRENGTH) * illuminance * visible)
-        lux = colored(jnp.stack(channels, axis=-1), lights)[:, :count]
-        if self.room_light is not None:
-            own = dataclasses.replace(setup, lights=lights)
-            least = least_bounced(setup.lights, self.room_light.filled_share)
-            lux += bounced_at_vertices(self.room_light.surface_light(own, qualities, parts, least), parts)
-        shades = lux / setup.reference_lux
-        mesh.visual.vertex_colors = to_bytes(to_display(ALBEDO * shades))[0]  # type: ignore[union-attr]
+        points = vertex_gbuffer(own.parts.parts, mesh, VERTICES if self.live else 1)
+        light = None if self.photo_light is None else configured_light(own.surface_light(setup), configuration)
+        shaded = own.shade_samples(points, setup, light)
+        lux = mix_channels(shaded.illuminance * shaded.visibility, shaded.colors)
+        shades = (lux if shaded.bounced is None else lux + shaded.bounced) / setup.reference_lux
+        colors = to_bytes(to_display(ALBEDO * shades))[0, : len(mesh.vertices)]
+        mesh.visual.vertex_colors = colors  # type: ignore[union-attr]
         return mesh
 
-    def _sampling(self, viewpoint: Viewpoint) -> int:
-        own = self.configuration
-        return viewpoint.sampling(own.shadow_schedule, min(own.light.sampling, MOST_SAMPLING))
+    def _setup(self, plan: TourPlan, flames: dict[int, float] | None = None) -> LightSetup:
+        """Lights of a plan; nothing is left of sources that were not divided out."""
+        setup = setup_of(plan, self.up, self.surface_area, flames)
+        return setup if self.photo_light is not None else dataclasses.replace(setup, existing={})
 
-    def _device_frame(self, frame: Frame) -> DeviceFrame:
-        display = jnp.asarray(frame.image)
-        return DeviceFrame(to_linear(display), display, self.guide.features(display))
-
-    def _photographed(self, viewpoint: Viewpoint, frame: Frame, pixels: DeviceFrame) -> PhotographedFrame:
-        """Light of a frame when it was photographed, before the plan moved anything."""
-        index, sampling = viewpoint.frame, self._sampling(viewpoint)
-
-        def make() -> PhotographedFrame:
-            assert self.room_light is not None
-            gbuffer = self._gbuffer(index, frame, self.scene.apply(TourPlan()))
-            return self.room_light.photographed(frame.camera, pixels.linear, gbuffer, sampling=sampling)
-
-        return self._frames(("photographed", index, sampling), make)
-
-    def _refined_photo_light(
-        self, viewpoint: Viewpoint, photographed: PhotographedFrame, pixels: DeviceFrame
-    ) -> Float[Array, "h w 3"]:
-        key = "photo light", viewpoint.frame, self._sampling(viewpoint), viewpoint.schedule.to_json()
-        return self._frames(
-            key, lambda: jax.block_until_ready(photographed.refined(pixels.guide, viewpoint.schedule))
+    def _configured(self, schedule: Schedule, *, fully: bool) -> Configuration:
+        """Configuration with another schedule; if fully, with the light of every pixel."""
+        light = self.configuration.light
+        return dataclasses.replace(
+            self.configuration, schedule=schedule, light=light.replace(sampling=1) if fully else light
         )
-
-    def _samples(self, viewpoint: Viewpoint, gbuffer: GBuffer, parts: SceneParts) -> GBuffer:
-        sampling = self._sampling(viewpoint)
-        if sampling == 1:
-            return gbuffer
-        key = "samples", viewpoint.frame, sampling, parts.keys
-        return self._frames(key, lambda: run_kept(sample_pixels, gbuffer, sampling=sampling))
-
-    def _gbuffer(self, index: int, frame: Frame, parts: SceneParts) -> GBuffer:
-        def cast(part: Part, key: Hashable) -> GBuffer:
-            return self._frames(("g-buffer", index, key), lambda: part.gbuffer(frame.camera))
-
-        return merge_gbuffers([cast(part, key) for part, key in zip(parts.parts, parts.keys, strict=True)])

@@ -48,8 +48,10 @@ class Session:
         make_writable(out)
         self.renderer, self.schedules, self.out, self.queue = renderer, dict(schedules), out, queue
         self.notices: list[tuple[str, str]] = []
-        if renderer.room_light is not None and (doubt := renderer.room_light.doubt) is not None:
-            self.notices.append(("The photos keep their own light", f"It could not be told well enough: {doubt}."))
+        light = renderer.photo_light
+        if light is not None and light.estimate.exponent == 0:
+            text = f"It could not be told well enough: {light.estimate.reason}."
+            self.notices.append(("The photos keep their own light", text))
         self.plan = self._load()
         self.selected: Selection | None = None
         self.lock = threading.RLock()
@@ -154,11 +156,11 @@ class Session:
 
     def _known_sources(self, plan: TourPlan, file: Path) -> TourPlan:
         """Plan without sources that these photos do not have; viewers get a notice."""
-        light = self.renderer.room_light
+        light = self.renderer.photo_light
         if light is None or (unknown := light.unknown(plan.existing)) is None:
             return plan
         self.notices.append(
             ("A plan of another room?", f"{file}: existing: {unknown}. What is unknown is left out.")
         )
         _log.warning("%s: existing: %s; what is unknown is left out", file, unknown)
-        return replace(plan, existing={n: share for n, share in plan.existing.items() if n in light.names})
+        return replace(plan, existing={n: share for n, share in plan.existing.items() if n in light.estimate.names})

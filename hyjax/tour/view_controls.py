@@ -13,9 +13,10 @@ from hyjax.tour.viewpoint import Shown, Viewpoint, scale_schedule
 
 KAPPA_RANGE, MOST_STEPS = 1.5, 4.0
 STAGES = {
+    "photo light": "light that bounces",
+    "g-buffer": "surface seen by the camera",
+    "shaded": "light and shadow maps",
     "guide": "guide",
-    "surface": "surface seen by the camera",
-    "light": "light and shadow maps",
     "cascade": "diffusion of the light",
     "shadow pass": "diffusion of the shadows",
     "composite": "times the photo",

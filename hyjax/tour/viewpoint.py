@@ -6,13 +6,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.core.cascade import largest_sampling
 from hyjax.core.schedule import Level, Schedule
-from hyjax.pipeline import default_shadow_schedule
 
 Shown = Literal["relit", "photo", "raw filter", "refined filter", "visibility", "conductances", "holes"]
-SHADOWS = default_shadow_schedule("linear")
-MOST_SAMPLING = 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -22,13 +18,6 @@ class Viewpoint:
     frame: int
     shown: Shown
     schedule: Schedule
-
-    def sampling(self, shadow_schedule: Schedule = SHADOWS, most: int = MOST_SAMPLING) -> int:
-        """Light is evaluated at one pixel of each block of so many by so many; at all if they are shown unrefined.
-
-        Each sample looks up all views of a shadow map: shared among samples, views tell wrongly where light grazes.
-        """
-        return 1 if self.shown == "raw filter" else largest_sampling([self.schedule, shadow_schedule], most)
 
 
 def scale_schedule(schedule: Schedule, steps: float, kappa: float) -> Schedule:

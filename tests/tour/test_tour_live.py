@@ -18,6 +18,7 @@ sys.path.append(str(Path(__file__).parents[1] / "live"))
 
 from boxes import UP, frames, looking, room
 
+from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.guide.choose import RGB
@@ -56,8 +57,8 @@ def test_pictures_follow_the_surface(tmp_path: Path) -> None:
     assert surface is not None
     capture = LiveCapture(UP)
     capture.append(before[-1])
-    renderer = LiveRenderer(capture, surface, folder=tmp_path)
-    assert renderer.live and renderer.room_light is None
+    renderer = LiveRenderer(scene, capture, folder=tmp_path)
+    assert renderer.live and renderer.photo_light is None
     view = Viewpoint(0, "raw filter", PAPER)  # grey pictures have no edges: diffusion blurs all
     first = renderer.render(PLAN, view, draft=True)
     assert first.draft
@@ -68,12 +69,12 @@ def test_pictures_follow_the_surface(tmp_path: Path) -> None:
     for _ in range(5):
         surface = scene.update()
     assert surface is not None and not scene.pieces.waiting
-    renderer.follow(surface)
+    renderer.follow()
     capture.append(after[-1])
     second = renderer.render(PLAN, view, draft=True)
     assert second.draft, "the surface has changed"
     np.testing.assert_array_equal(
-        renderer.render(PLAN, view).picture, LiveRenderer(capture, surface).render(PLAN, view).picture
+        renderer.render(PLAN, view).picture, LiveRenderer(scene, capture).render(PLAN, view).picture
     )
     assert np.abs(second.picture.astype(int) - fine.picture).max() > 50, "the box has gone"
     newest = renderer.render(replace(PLAN, exposure=1.0), Viewpoint(1, "relit", PAPER))
@@ -128,7 +129,7 @@ def test_frames_arrive_in_the_renderer() -> None:
     seen = frames(room(), looking(MIDDLE, 40))
     arriving = Arriving(LiveScene(voxel=0.05), slowly(seen), size=None, widest=80)
     told: list[int] = []
-    renderer = arriving.first_renderer(RGB, Path())
+    renderer = arriving.first_renderer(RGB, Path(), Configuration())
     arriving.on_frame = lambda: told.append(len(renderer.capture))
     assert renderer.frame(0).image.shape == (60, 80, 3)
     assert arriving._follower.wait(60.0)
@@ -141,6 +142,6 @@ def test_frames_arrive_in_the_renderer() -> None:
 def test_a_tour_of_nothing_is_refused(tmp_path: Path) -> None:
     arriving = Arriving(LiveScene(), iter([]), size=None, widest=640)
     with pytest.raises(InputError, match="ended before there was a surface"):
-        arriving.first_renderer(RGB, tmp_path)
+        arriving.first_renderer(RGB, tmp_path, Configuration())
     with pytest.raises(InputError, match="leave --capture and --mesh out"):
         TourSettings(SceneSettings(capture=tmp_path), live="-").check()

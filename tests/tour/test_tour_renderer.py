@@ -14,20 +14,19 @@ need("tour")
 
 from box_room import BoxCapture, box_room, moved
 
+from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import UP, RoomCapture, load_room
 from hyjax.data.frames import fit
-from hyjax.data.light_file import read_lights, write_lights
-from hyjax.geometry.raycast import RayCaster
+from hyjax.data.light_file import write_lights
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.color import to_display
 from hyjax.light.kinds import DirectionalLight, PointLight
-from hyjax.light.view import View
 from hyjax.metrics.psnr import psnr
-from hyjax.pipeline import relight
-from hyjax.scene.occluders import SLACK, complete
+from hyjax.scene.occluders import complete
+from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
-from hyjax.tour import layers as layers_module
+from hyjax.tour import arrangement as arrangement_module
 from hyjax.tour.layers import RenderCancelled, mebibytes
 from hyjax.tour.lighting import setup_of
 from hyjax.tour.placement import place_lamp
@@ -35,6 +34,15 @@ from hyjax.tour.plan import Piece, TourPlan, Window
 from hyjax.tour.renderer import Renderer
 from hyjax.tour.viewpoint import Viewpoint
 
+OWN = {
+    "scale": 2,
+    "sampling": 1,
+    "bounces": False,
+    "photo_exponent": 1.3,
+    "map_scale": 0.5,
+    "views": 4,
+    "least_share": 0.05,
+}
 HYJAX, ALL_PIXELS = Schedule.preset("hyjax"), Schedule.preset("naive-50")
 VIEW = Viewpoint(0, "relit", HYJAX)
 
@@ -42,11 +50,6 @@ VIEW = Viewpoint(0, "relit", HYJAX)
 @pytest.fixture(scope="module")
 def renderer() -> Renderer:
     return Renderer(Scene(BoxCapture(), box_room()))
-
-
-@pytest.fixture(scope="module")
-def keeping() -> Renderer:
-    return Renderer(Scene(BoxCapture(), box_room()), keep_photo_light=True)
 
 
 @pytest.fixture
@@ -65,36 +68,26 @@ def seed_of(renderer: Renderer, plan: TourPlan) -> Piece:
     return Piece(tuple(hit.origin.tolist()))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("keep_photo_light", [False, True])
-def test_a_picture_is_what_relight_makes_of_its_lights(
-    renderer: Renderer, keeping: Renderer, plan: TourPlan, tmp_path: Path, keep_photo_light: bool
-) -> None:
-    """The same where every pixel is shaded, and not told from it by eye where one of four is."""
-    renderer = keeping if keep_photo_light else renderer
-    plan = plan if keep_photo_light else replace(plan, existing={"ceiling": 0.4})
-    every, sampled = Viewpoint(0, "relit", ALL_PIXELS), VIEW
-    assert (every.sampling(), sampled.sampling()) == (1, 2)
-    rendered = renderer.render(plan, every)
+@pytest.mark.parametrize("name", ["all pixels", "default", "kept", "own"])
+def test_a_picture_is_the_relighters(plan: TourPlan, tmp_path: Path, name: str) -> None:
+    """Of an untouched plan, for the same lights and configuration."""
+    scene = Scene(BoxCapture(), box_room())
+    configuration = Configuration(schedule=ALL_PIXELS if name == "all pixels" else HYJAX)
+    if name == "own":
+        configuration = configuration.with_choices(OWN)
+    kept = name == "kept"
+    plan = plan if kept else replace(plan, existing={"ceiling": 0.4})
+    renderer = Renderer(scene, keep_photo_light=kept, configuration=configuration)
+    rendered = renderer.render(plan, Viewpoint(0, "relit", configuration.schedule))
     file = tmp_path / "lights.json"
     write_lights(file, setup_of(plan, UP, renderer.surface_area))
-    setup, frame = read_lights(file, UP), renderer.frame(0)
-    caster = RayCaster(renderer.scene.mesh)
-    display = jnp.asarray(frame.image)
-    camera = frame.camera.pose.astype(np.float32), frame.camera.intrinsics.matrix.astype(np.float32)
-    view = View.of(display, caster.gbuffer(frame.camera), pose=camera[0], intrinsics=camera[1])
-    occluders = RayCaster(complete(renderer.scene.mesh))
-    maps = cast_shadow_maps(occluders, setup.lights, slack=SLACK)
-    light = None
-    if not keep_photo_light:
-        light = Scene(BoxCapture(), box_room()).photo_light.surface_light(setup, maps)
-    shaded = view.shade(setup, shadow_maps=maps, surface_light=light)
+    if kept:
+        configuration = configuration.with_choices({"photo_light": "kept"})
+    relit = Relighter(scene, file, configuration).relit(0)
     assert not rendered.draft
-    np.testing.assert_allclose(
-        rendered.linear, relight(view, shaded, display, ALL_PIXELS).image, rtol=2e-4, atol=2e-5
-    )
-    shown = renderer.render(plan, sampled).picture / 255.0
-    assert psnr(shown, to_display(relight(view, shaded, display, HYJAX).image)) > 40.0  # of 64 x 48 pixels
+    np.testing.assert_allclose(rendered.linear, relit.image, rtol=2e-4, atol=2e-5)
+    filter_ = renderer.render(plan, Viewpoint(0, "refined filter", configuration.schedule)).picture / 255.0
+    assert psnr(filter_, to_display(relit.relight_filter)) > 50.0
 
 
 def test_the_hour_changes_the_picture_and_a_lamp_lights_it(renderer: Renderer, plan: TourPlan) -> None:
@@ -113,7 +106,7 @@ def cast(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         found.append((caster, lights))
         return cast_shadow_maps(caster, lights, *args)
 
-    monkeypatch.setattr(layers_module, "cast_shadow_maps", counted)
+    monkeypatch.setattr(arrangement_module, "cast_shadow_maps", counted)
     return found
 
 

@@ -20,7 +20,8 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.light.photo_light import on_pixels
 from hyjax.photo_light.estimate import Estimate, read_estimate
 from hyjax.scene.scene import Scene
-from hyjax.tour import layers as layers_module
+from hyjax.tour import arrangement as arrangement_module
+from hyjax.tour.arrangement import Arrangement
 from hyjax.tour.furniture import merge_gbuffers
 from hyjax.tour.lighting import setup_of
 from hyjax.tour.page import Tour
@@ -28,7 +29,6 @@ from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import Piece, TourPlan
 from hyjax.tour.render_queue import RenderQueue
 from hyjax.tour.renderer import Renderer
-from hyjax.tour.room_light import bounced_at_vertices
 from hyjax.tour.session import Session
 from hyjax.tour.viewpoint import Viewpoint
 from hyjax.util.cache import Arrays
@@ -56,7 +56,6 @@ def test_faces_of_parts_count_the_scans_triangles(renderer: Renderer) -> None:
     """At a hit, the scan's triangle is where the piece was scanned."""
     pose = moved((0.3, -0.9, 0.2), 40.0)
     parts = renderer.scene.apply(replace(NIGHT, pieces=(replace(CUBE, pose=pose),)))
-    assert not parts.as_scanned and renderer.scene.apply(NIGHT).as_scanned
     camera = Camera(Intrinsics(80, 60, 50.0, 50.0, 40.0, 30.0), look_at(np.array([-1.5, -2.2, 1.6]), TOP, UP))
     mesh = renderer.scene.mesh
     for part in parts.parts:
@@ -96,8 +95,8 @@ def test_bounces_are_computed_once_a_light(renderer: Renderer, monkeypatch: pyte
         calls.append(args)
         return bounced(*args)  # type: ignore[arg-type]
 
-    bounced = layers_module.bounced_light
-    monkeypatch.setattr(layers_module, "bounced_light", counted)
+    bounced = arrangement_module.bounced_light
+    monkeypatch.setattr(arrangement_module, "bounced_light", counted)
     elsewhere = replace(LAMP, position=(0.1, -1.1, 1.0))
     renderer.render(replace(NIGHT, lamps=(elsewhere,)), VIEW)
     assert len(calls) == 1
@@ -110,15 +109,20 @@ def replace_frame(viewpoint: Viewpoint, frame: int) -> Viewpoint:
     return Viewpoint(frame, viewpoint.shown, viewpoint.schedule)
 
 
+def bounces(renderer: Renderer, plan: TourPlan) -> np.ndarray:
+    """Bounces of the lamps of a plan, which no ambient light fills up."""
+    setup = setup_of(plan, UP, renderer.surface_area)
+    lamps = [light for light in setup.lights if not light.UNIFORM]
+    place = Arrangement(renderer.scene, plan, renderer._caches, renderer.photo_light, renderer.configuration)
+    return np.asarray(place.surface_light(lamps).bounced)
+
+
 def test_two_lamps_bounce_as_much_as_both(renderer: Renderer) -> None:
     """Linear: the light of a set-up is the sum over its lamps."""
-    light, parts = renderer.room_light, renderer.scene.apply(NIGHT)
-    assert light is not None
     other = replace(LAMP, position=(-0.8, 0.5, 1.6), lumen=300.0, kelvin=6000.0)
 
     def bounced(*lamps: object) -> np.ndarray:
-        setup = setup_of(replace(NIGHT, lamps=lamps), UP, renderer.surface_area)
-        return np.asarray(light.surface_light(setup, ["fine"] * len(setup.lights), parts, jnp.zeros(3)).bounced)
+        return bounces(renderer, replace(NIGHT, lamps=lamps))
 
     both = bounced(LAMP, other)
     assert both.min() > 0
@@ -127,35 +131,29 @@ def test_two_lamps_bounce_as_much_as_both(renderer: Renderer) -> None:
 
 def test_bounces_follow_furniture_that_moves(renderer: Renderer) -> None:
     """A table under the lamp catches its light, and loses it when it is pushed away."""
-    light = renderer.room_light
-    assert light is not None
     away = replace(NIGHT, pieces=(replace(CUBE, pose=moved((-1.5, 0.9, 0.0))),))
-    setup = setup_of(NIGHT, UP, renderer.surface_area)
-    still, pushed = (
-        light.surface_light(setup, ["fine"] * len(setup.lights), renderer.scene.apply(plan), jnp.zeros(3))
-        for plan in (NIGHT, away)
-    )
-    change = np.abs(np.asarray(pushed.bounced) - np.asarray(still.bounced))
-    assert change.max() > 0.01 * np.asarray(still.bounced).mean()
-    assert len(bounced_at_vertices(pushed, renderer.scene.apply(away))) == len(renderer.lit_mesh(away).vertices)
+    still, pushed = bounces(renderer, NIGHT), bounces(renderer, away)
+    assert np.abs(pushed - still).max() > 0.01 * still.mean()
+    before, after = (np.asarray(renderer.lit_mesh(plan).visual.vertex_colors, int) for plan in (NIGHT, away))
+    assert len(before) == len(after) and np.abs(before - after).max() > 10
 
 
 def test_the_photos_light_can_be_kept_source_by_source(renderer: Renderer) -> None:
     """With all of it left and nothing else, there is the photo."""
-    light = renderer.room_light
+    light = renderer.photo_light
     assert light is not None
     dark = TourPlan(hour=1.0)
     photo = renderer.frame(0).image
-    rendered = renderer.render(replace(dark, existing=dict.fromkeys(light.names, 1.0)), VIEW)
+    rendered = renderer.render(replace(dark, existing=dict.fromkeys(light.estimate.names, 1.0)), VIEW)
     assert np.abs(rendered.picture / 255.0 - photo).mean() < 0.03
-    half = renderer.render(replace(dark, existing=dict.fromkeys(light.names, 0.5)), VIEW)
+    half = renderer.render(replace(dark, existing=dict.fromkeys(light.estimate.names, 0.5)), VIEW)
     np.testing.assert_allclose(half.linear, 0.5 * rendered.linear, atol=0.05)
 
 
 def test_unknown_sources_are_refused_with_a_hint(renderer: Renderer) -> None:
     with pytest.raises(InputError, match="did you mean 'ceiling'"):
         renderer.render(replace(NIGHT, existing={"celing": 1.0}), VIEW)
-    light = renderer.room_light
+    light = renderer.photo_light
     assert light is not None and light.unknown({"ceiling": 1.0}) is None
     assert "did you mean 'ceiling'" in (light.unknown({"celing": 1.0}) or "")
 
@@ -185,7 +183,7 @@ def test_the_page_has_a_slider_for_each_source(tmp_path: Path, keep_photo_light:
     tour = Tour(own, {"hyjax": VIEW.schedule}, tmp_path, port=port)
     try:
         sliders = tour.controls._sources
-        assert set(sliders) == (set() if own.room_light is None else set(own.room_light.names))
+        assert set(sliders) == (set() if own.photo_light is None else set(own.room_light.estimate.names))
         tour.session.keep_source("walls", 0.5)
         assert keep_photo_light or sliders["walls"].value == 0.5
     finally:

@@ -1,0 +1,343 @@
+"""Arrangement: a place as a plan furnishes it, and the light of each lamp in it by itself, from caches.
+
+Brightness and colour of a light change none of what is cached; a light that moves changes its own alone. A piece
+of furniture that moves is cast anew by itself, and its shadow maps join those of the room by their minimum. Bounces
+are linear in each light: those of a white light of strength 1 are kept, and scaled and added live.
+"""
+
+import dataclasses
+from collections.abc import Callable, Hashable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hyjax.configuration import Configuration
+from hyjax.data.capture import Frame
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.guide.choose import FrameGuide
+from hyjax.light.emission import SourcePixels, shine, source_pixels
+from hyjax.light.gbuffer import GBuffer, sample_pixels
+from hyjax.light.kinds import Light
+from hyjax.light.photo_light import PhotoLight, SurfaceLight, bounced_light, least_bounced, on_pixels
+from hyjax.light.setup import LightSetup, geometry_key
+from hyjax.light.shaded import Shaded
+from hyjax.light.shading import shade_each
+from hyjax.light.shadow_map import ShadowMap, visibility
+from hyjax.light.view import View
+from hyjax.pipeline import refine_illuminance
+from hyjax.scene.photo_light import ScenePhotoLight
+from hyjax.scene.relighter import casters, scaled
+from hyjax.scene.settings import Occluders
+from hyjax.tour.editable_scene import EditableScene, SceneParts
+from hyjax.tour.furniture import Part, merge_gbuffers
+from hyjax.tour.layers import (
+    Caches,
+    CancellableCaster,
+    Layer,
+    add_bounces,
+    merge_maps,
+    move_points,
+    round_up,
+    stack_layers,
+    without_radius,
+)
+from hyjax.tour.plan import TourPlan
+from hyjax.util.programs import run_kept
+
+DRAFT = 0.5
+"""Resolution of shadow maps while something is being dragged, relative to that of `hyjax relight`."""
+DRAFT_VIEWS = 4
+"""Most views in a draft's shadow map of a light without a radius, such as a window."""
+DRAFT_RAYS = 64
+"""Rays of each point that light bounces by, while something is being dragged."""
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class PhotographedFrame:
+    """Light in a frame as it was taken, before the plan moved anything.
+
+    Attributes:
+        photo_light: on samples of the surface that the frame shows, relative to its mean; 1 in holes.
+        refined: the same at all pixels, after the cascade.
+        sources: panes and lamps in it; None if it shows none.
+    """
+
+    photo_light: Float[Array, "sh sw 3"]
+    refined: Float[Array, "h w 3"]
+    sources: SourcePixels | None
+
+
+class Arrangement:
+    """Place as a plan furnishes it; the light in it comes from caches.
+
+    Attributes:
+        parts: of the scene.
+        coarse: whether shadows of a light were coarse.
+
+    Args:
+        scene: the surface.
+        plan: what is set up.
+        caches: shared by the pictures of a tour.
+        photo: the photo's own light; None if that stays in the pictures.
+        configuration: of the picture.
+        draft: whether coarse shadow maps will do for lights that have just moved.
+        cancelled: asked before each view of a shadow map that must be cast; if true, `RenderCancelled` is raised.
+    """
+
+    def __init__(
+        self,
+        scene: EditableScene,
+        plan: TourPlan,
+        caches: Caches,
+        photo: ScenePhotoLight | None,
+        configuration: Configuration,
+        *,
+        draft: bool = False,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self.parts, self.coarse = scene.apply(plan), False
+        self._scene, self._caches, self._photo, self._configuration = scene, caches, photo, configuration
+        self._draft, self._cancelled = draft, cancelled
+
+    # ---- a place ----
+
+    @property
+    def revision(self) -> int:
+        """Number of the surface."""
+        return self._scene.revision
+
+    @property
+    def knows_photo_light(self) -> bool:
+        """Whether the light that the frames were taken under can be divided out."""
+        return self._photo is not None
+
+    @property
+    def caster(self) -> RayCaster:
+        """The surface as it was scanned."""
+        return self._scene.caster
+
+    def frame(self, index: int | Frame) -> Frame:
+        """A frame as it is."""
+        assert isinstance(index, Frame)
+        return index
+
+    def gbuffer(self, camera: Camera, *, rays: bool = False) -> GBuffer:
+        """Surface points of all parts that a camera sees."""
+        return self._seen(camera, self.parts)
+
+    def lights(
+        self, lights: LightSetup | Sequence[Light] | str | Path, *, at_photo_sources: bool = False
+    ) -> LightSetup:
+        """A set-up as it is."""
+        assert not isinstance(lights, str | Path)
+        return LightSetup.of(lights)
+
+    def shadow_maps(
+        self,
+        lights: LightSetup | Sequence[Light],
+        *,
+        occluders: Occluders = "completed",
+        scale: float = 1.0,
+        most_views: int | None = None,
+    ) -> tuple[ShadowMap | None, ...]:
+        """Shadow maps of lights; coarse ones in a draft, where there are no fine ones yet.
+
+        Args:
+            lights: a set-up, or lights.
+            occluders: those of the parts throw them, whatever is asked.
+            scale, most_views: see `cast_shadow_maps`.
+        """
+        size = scale, most_views
+        return tuple(self._shadow_map(light, size, self.is_coarse(light, *size)) for light in _of(lights))
+
+    def surface_light(
+        self,
+        lights: LightSetup | Sequence[Light],
+        *,
+        shadows: bool = True,
+        occluders: Occluders = "completed",
+    ) -> SurfaceLight:
+        """Photo's own light and the bounces of new lights, on the scan's vertices."""
+        assert self._photo is not None
+        setup, light = LightSetup.of(lights), self._photo.estimate.light
+        chosen = [(own, self._bounced(own)) for own in setup.lights if not own.UNIFORM]
+        count = round_up(max(len(chosen), 1))
+        scales = np.zeros((count, 3), np.float32)
+        for k, (own, _) in enumerate(chosen):
+            scales[k] = getattr(own, own.STRENGTH) * np.asarray(own.color)
+        padded = (*(bounced for _, bounced in chosen), *[jnp.zeros_like(light.illuminance)] * (count - len(chosen)))
+        kept = np.float32(setup.reference_lux) * np.asarray(self._photo.kept(setup.existing), np.float32)
+        least = least_bounced(setup.lights, light.filled_share)
+        bounced = add_bounces(padded, scales, light.sources, kept, least)
+        return SurfaceLight(light.illuminance, bounced, light.transport.faces, self._photo.emitters(setup))
+
+    # ---- light on a view ----
+
+    def shade(
+        self,
+        frame: int,
+        guide: FrameGuide,
+        setup: LightSetup,
+        view: View,
+        camera: Camera,
+        light: SurfaceLight | None,
+    ) -> tuple[View, Shaded]:
+        """Light on a frame; with the first arguments given, a `Shader`.
+
+        Args:
+            frame: its number.
+            guide: of the diffusion.
+            setup: the lights.
+            view, camera: of the frame.
+            light: of the surface.
+        """
+        sampling = self._configuration.light.sampling
+        key = frame, sampling
+        samples = self._caches.frames(
+            ("samples", key, self.parts.keys), lambda: run_kept(sample_pixels, view.gbuffer, sampling=sampling)
+        )
+        shaded = self.shade_samples(samples, setup, light, key)
+        if light is None:
+            return view, shaded
+        kept = "photographed", key, self._configuration.schedule.to_json()
+        photographed = self._caches.frames(kept, lambda: self._photographed(view, camera, light, guide))
+        emission = None
+        if light.emitters is not None and photographed.sources is not None:
+            emission = shine(light.emitters, photographed.sources, view.frame)
+        own, refined = photographed.photo_light, photographed.refined
+        return view, dataclasses.replace(shaded, photo_light=own, refined_photo_light=refined, emission=emission)
+
+    def shade_samples(
+        self, samples: GBuffer, setup: LightSetup, light: SurfaceLight | None, key: Hashable = None
+    ) -> Shaded:
+        """Direct and bounced light on surface points.
+
+        Args:
+            samples: the points.
+            setup: the lights.
+            light: of the surface.
+            key: of the points, under which the light of each lamp is kept; None for not at all.
+        """
+        bounces = light is not None and light.bounced is not None
+        least = self._configuration.shadows.least_share
+        casting = zip(setup.lights, casters(self, setup.lights, least), strict=True)
+        # No light stands where its bounces do; those that fall on any surface alike are all there is if alone.
+        spread = bounces and any(not own.UNIFORM for own in setup.lights)
+        chosen = [(own, casts) for own, casts in casting if not (spread and own.UNIFORM)]
+        layers = [self._layer(own, samples, key, casts) for own, casts in chosen]
+        ambient = sum(
+            (getattr(own, own.STRENGTH) * np.asarray(own.color) for own in setup.lights if own.UNIFORM), np.zeros(3)
+        )
+        filter_ = ambient / setup.reference_lux if any(own.UNIFORM for own in setup.lights) else np.ones(3)
+        shaded = stack_layers([own for own, _ in chosen], layers, samples.hit, setup.reference_lux, filter_)
+        bounced = None
+        if light is not None and light.bounced is not None:
+            bounced = on_pixels(light.bounced, light.faces, samples)
+        return dataclasses.replace(shaded, bounced=bounced, sampling=self._configuration.light.sampling)
+
+    def is_coarse(self, light: Light, scale: float = 1.0, most_views: int | None = None) -> bool:
+        """Whether a draft takes coarse shadow maps of a light, as there are no fine ones yet."""
+        if not self._draft or light.UNIFORM:
+            return False
+        geometry = geometry_key(light)
+        return not all((geometry, key, scale, most_views, False) in self._caches.maps for key in self.parts.keys)
+
+    def _layer(self, light: Light, samples: GBuffer, key: Hashable, casts: bool) -> Layer:
+        """Illuminance of a light of strength 1, and its visibility."""
+        shadows, interleave = self._configuration.shadows, self._configuration.light.sampling
+        size = shadows.map_scale, shadows.views
+        name = geometry_key(light), key, self.parts.keys, casts
+        coarse = casts and (name, False) not in self._caches.layers and self.is_coarse(light, *size)
+        self.coarse |= coarse
+
+        def make() -> Layer:
+            unit, shadow_map = light.normalized(), self._shadow_map(light, size, coarse) if casts else None
+            lux = run_kept(shade_each, samples, [unit])[..., 0]
+            return jax.block_until_ready(
+                (lux, run_kept(visibility, samples, unit, shadow_map, interleave=interleave))
+            )
+
+        return make() if key is None else self._caches.layers((name, coarse), make)
+
+    def _shadow_map(self, light: Light, size: tuple[float, int | None], coarse: bool) -> ShadowMap | None:
+        """Shadow map that all parts cast together."""
+        geometry, unit, (scale, most) = geometry_key(light), light.normalized(), size
+        if coarse:
+            unit, scale = without_radius(unit), DRAFT * scale
+            most = DRAFT_VIEWS if most is None else min(most, DRAFT_VIEWS)
+
+        def cast(part: Part, key: Hashable) -> ShadowMap | None:
+            own = part.draft if coarse else part
+            caster: Any = CancellableCaster(own, self._scene.bounds, self._cancelled)
+            return self._caches.maps(
+                (geometry, key, *size, coarse), lambda: cast_shadow_maps(caster, [unit], scale, part.slack, most)[0]
+            )
+
+        return merge_maps([cast(part, key) for part, key in zip(self.parts.parts, self.parts.keys, strict=True)])
+
+    def _bounced(self, light: Light) -> Float[Array, "v 3"]:
+        """Lux that a white light of strength 1 throws on the scan's vertices by way of other surfaces.
+
+        A draft leaves it as it was while furniture moves.
+        """
+        geometry, unit = geometry_key(light), light.normalized()
+        coarse, fine = self.is_coarse(light), (geometry, self.parts.keys)
+
+        def make() -> Float[Array, "v 3"]:
+            points, shadow_map = self._points(coarse), self._shadow_map(light, (1.0, None), coarse)
+            return jax.block_until_ready(run_kept(bounced_light, points, [unit], [shadow_map]))
+
+        return self._caches.bounces(geometry if coarse and fine not in self._caches.bounces else fine, make)
+
+    def _points(self, coarse: bool) -> PhotoLight:
+        """Transport with its points where the furniture is now; their surroundings stay as scanned."""
+
+        def make() -> PhotoLight:
+            assert self._photo is not None
+            light = self._photo.estimate.light
+            if coarse:
+                hits = light.transport.hits
+                fewer = dataclasses.replace(light.transport, hits=hits[:: max(1, len(hits) // DRAFT_RAYS)])
+                light = dataclasses.replace(light, transport=fewer)
+            moved = any(part.moved and part.scanned is not None for part in self.parts.parts)
+            return move_points(light, self.parts) if moved else light
+
+        return self._caches.points((self.parts.keys, coarse), make)
+
+    def _photographed(
+        self, view: View, camera: Camera, light: SurfaceLight, guide: FrameGuide
+    ) -> PhotographedFrame:
+        """Light of a frame when it was photographed."""
+        sampling = self._configuration.light.sampling
+        gbuffer = self._seen(scaled(camera, self._configuration.scale), self._scene.apply(TourPlan()))
+        samples = run_kept(sample_pixels, gbuffer, sampling=sampling)
+        hit = samples.hit[..., None]
+        own = jnp.where(hit, on_pixels(light.photo_light, light.faces, samples), 1.0)
+        known, one = hit.astype(jnp.float32), jnp.ones(3)
+        fields = Shaded(own, jnp.ones_like(own), jnp.eye(3), known, np.float32(1.0), one, sampling=sampling)
+        refined = run_kept(refine_illuminance, fields, guide.features(view.display), self._configuration.schedule)
+        sources = None
+        if light.emitters is not None and view.pose is not None and view.intrinsics is not None:
+            matrices = (jnp.asarray(matrix, jnp.float32) for matrix in (view.pose, view.intrinsics))
+            sources = source_pixels(light.emitters, view.frame, gbuffer, *matrices)
+        return jax.block_until_ready(PhotographedFrame(own, refined, sources))
+
+    def _seen(self, camera: Camera, parts: SceneParts) -> GBuffer:
+        """Surface points of parts that a camera sees."""
+        name = camera.pose.tobytes(), camera.intrinsics
+
+        def cast(part: Part, key: Hashable) -> GBuffer:
+            return self._caches.frames(("g-buffer", name, key), lambda: part.gbuffer(camera))
+
+        return merge_gbuffers([cast(part, key) for part, key in zip(parts.parts, parts.keys, strict=True)])
+
+
+def _of(lights: LightSetup | Sequence[Light]) -> tuple[Light, ...]:
+    return lights.lights if isinstance(lights, LightSetup) else tuple(lights)
