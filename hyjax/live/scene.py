@@ -216,12 +216,9 @@ class LiveScene:
         scale: float = 1.0,
         most_views: int | None = None,
     ) -> tuple[ShadowMap | None, ...]:
-        """Shadow maps of lights, drawn where the surface has changed since they were asked for last.
+        """Shadow maps of lights, drawn where the surface, which throws them, has changed since they were asked for.
 
-        Args:
-            lights: a set-up, or lights.
-            occluders: the surface throws them, whatever is asked.
-            scale, most_views: see `cast_shadow_maps`; the scale is relative to the scene's own.
+        Arguments: see `Place`; the scale is relative to the scene's own.
         """
         surface, scale = self._now(), scale * self._scale
         return tuple(

@@ -22,7 +22,7 @@ from hyjax.util.programs import run_kept
 
 
 class Place(Protocol):
-    """Frames and the surface that they show: a `Scene`, a `LiveScene` that still grows, or a tour's `Arrangement`."""
+    """Frames and the surface that they show: a `Scene`, a growing `LiveScene`, or a tour's `Arrangement`."""
 
     @property
     def revision(self) -> int | None:
@@ -61,7 +61,13 @@ class Place(Protocol):
         scale: float = 1.0,
         most_views: int | None = None,
     ) -> tuple[ShadowMap | None, ...]:
-        """Shadow maps of lights on the surface as it is now."""
+        """Shadow maps of lights on the surface as it is now.
+
+        Args:
+            lights: a set-up, or lights.
+            occluders: what throws the shadows.
+            scale, most_views: see `cast_shadow_maps`.
+        """
         ...
 
     def surface_light(

@@ -227,7 +227,7 @@ class Relighter:
                 yield "g-buffer", gbuffer
             view = self._view(own, gbuffer)
             yield "view", view
-        full = self._on_device(own.image) if self.configuration.scale > 1 else None
+        full = self._on_device(jax.device_put(own.image)) if self.configuration.scale > 1 else None
         if self._shader is None:
             for stage, shaded in self._shade_stages(view):
                 yield stage, shaded
@@ -248,8 +248,8 @@ class Relighter:
         return self._on_device(camera_view(display, gbuffer, scaled(frame.camera, scale)))
 
     def _on_device(self, arrays: T) -> T:
-        """Arrays on the device of this relighter."""
-        moved: T = jax.device_put(arrays, self._device)
+        """Arrays on the device of this relighter, where it has one of its own."""
+        moved: T = arrays if self._device is None else jax.device_put(arrays, self._device)
         return moved
 
     def _shade_stages(self, view: View, sampling: int | None = None) -> Stages:

@@ -249,13 +249,7 @@ class Scene:
         scale: float = 1.0,
         most_views: int | None = None,
     ) -> tuple[ShadowMap | None, ...]:
-        """Shadow maps of lights; the last `most_maps` are kept.
-
-        Args:
-            lights: a set-up, or lights.
-            occluders: what throws the shadows.
-            scale, most_views: see `cast_shadow_maps`.
-        """
+        """Shadow maps of lights; the last `most_maps` are kept. Arguments: see `Place`."""
         key, own = (occluders, scale, most_views), LightSetup.of(lights).lights
         for place, (known, before, maps) in enumerate(self._maps):
             if known == key and same_lights(before, own):

@@ -21,7 +21,7 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.guide.choose import FrameGuide
-from hyjax.light.emission import SourcePixels, shine, source_pixels
+from hyjax.light.emission import shine, source_pixels
 from hyjax.light.gbuffer import GBuffer, sample_pixels
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import PhotoLight, SurfaceLight, bounced_light, least_bounced, on_pixels
@@ -40,10 +40,10 @@ from hyjax.tour.layers import (
     Caches,
     CancellableCaster,
     Layer,
+    PhotographedFrame,
     add_bounces,
     merge_maps,
     move_points,
-    round_up,
     stack_layers,
     without_radius,
 )
@@ -56,22 +56,6 @@ DRAFT_VIEWS = 4
 """Most views in a draft's shadow map of a light without a radius, such as a window."""
 DRAFT_RAYS = 64
 """Rays of each point that light bounces by, while something is being dragged."""
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True, eq=False)
-class PhotographedFrame:
-    """Light in a frame as it was taken, before the plan moved anything.
-
-    Attributes:
-        photo_light: on samples of the surface that the frame shows, relative to its mean; 1 in holes.
-        refined: the same at all pixels, after the cascade.
-        sources: panes and lamps in it; None if it shows none.
-    """
-
-    photo_light: Float[Array, "sh sw 3"]
-    refined: Float[Array, "h w 3"]
-    sources: SourcePixels | None
 
 
 class Arrangement:
@@ -155,7 +139,8 @@ class Arrangement:
             scale, most_views: see `cast_shadow_maps`.
         """
         size = scale, most_views
-        return tuple(self._shadow_map(light, size, self.is_coarse(light, *size)) for light in _of(lights))
+        own = LightSetup.of(lights).lights
+        return tuple(self._shadow_map(light, size, self.is_coarse(light, *size)) for light in own)
 
     def surface_light(
         self,
@@ -167,16 +152,10 @@ class Arrangement:
         """Photo's own light and the bounces of new lights, on the scan's vertices."""
         assert self._photo is not None
         setup, light = LightSetup.of(lights), self._photo.estimate.light
-        chosen = [(own, self._bounced(own)) for own in setup.lights if not own.UNIFORM]
-        count = round_up(max(len(chosen), 1))
-        scales = np.zeros((count, 3), np.float32)
-        for k, (own, _) in enumerate(chosen):
-            scales[k] = getattr(own, own.STRENGTH) * np.asarray(own.color)
-        padded = (*(bounced for _, bounced in chosen), *[jnp.zeros_like(light.illuminance)] * (count - len(chosen)))
-        kept = np.float32(setup.reference_lux) * np.asarray(self._photo.kept(setup.existing), np.float32)
-        least = least_bounced(setup.lights, light.filled_share)
-        bounced = add_bounces(padded, scales, light.sources, kept, least)
-        return SurfaceLight(light.illuminance, bounced, light.transport.faces, self._photo.emitters(setup))
+        bounced = [(own, self._bounced(own)) for own in setup.lights if not own.UNIFORM]
+        kept = setup.reference_lux * self._photo.kept(setup.existing)
+        total = add_bounces(bounced, light, kept, least_bounced(setup.lights, light.filled_share))
+        return SurfaceLight(light.illuminance, total, light.transport.faces, self._photo.emitters(setup))
 
     # ---- light on a view ----
 
@@ -225,21 +204,19 @@ class Arrangement:
             light: of the surface.
             key: of the points, under which the light of each lamp is kept; None for not at all.
         """
-        bounces = light is not None and light.bounced is not None
-        least = self._configuration.shadows.least_share
-        casting = zip(setup.lights, casters(self, setup.lights, least), strict=True)
-        # No light stands where its bounces do; those that fall on any surface alike are all there is if alone.
-        spread = bounces and any(not own.UNIFORM for own in setup.lights)
-        chosen = [(own, casts) for own, casts in casting if not (spread and own.UNIFORM)]
-        layers = [self._layer(own, samples, key, casts) for own, casts in chosen]
-        ambient = sum(
-            (getattr(own, own.STRENGTH) * np.asarray(own.color) for own in setup.lights if own.UNIFORM), np.zeros(3)
-        )
-        filter_ = ambient / setup.reference_lux if any(own.UNIFORM for own in setup.lights) else np.ones(3)
-        shaded = stack_layers([own for own, _ in chosen], layers, samples.hit, setup.reference_lux, filter_)
         bounced = None
         if light is not None and light.bounced is not None:
             bounced = on_pixels(light.bounced, light.faces, samples)
+        uniform = [own for own in setup.lights if own.UNIFORM]
+        # Bounces stand in the place of lights that fall on any surface alike, unless there are no others.
+        left_out = uniform if bounced is not None and len(uniform) < len(setup.lights) else []
+        casting = casters(self, setup.lights, self._configuration.shadows.least_share)
+        layers = [
+            (own, self._layer(own, samples, key, casts))
+            for own, casts in zip(setup.lights, casting, strict=True)
+            if own not in left_out
+        ]
+        shaded = stack_layers(layers, uniform, samples.hit, setup.reference_lux)
         return dataclasses.replace(shaded, bounced=bounced, sampling=self._configuration.light.sampling)
 
     def is_coarse(self, light: Light, scale: float = 1.0, most_views: int | None = None) -> bool:
@@ -288,13 +265,15 @@ class Arrangement:
         A draft leaves it as it was while furniture moves.
         """
         geometry, unit = geometry_key(light), light.normalized()
-        coarse, fine = self.is_coarse(light), (geometry, self.parts.keys)
+        fine = geometry, self.parts.keys
+        coarse = fine not in self._caches.bounces and self.is_coarse(light)
+        self.coarse |= coarse
 
         def make() -> Float[Array, "v 3"]:
             points, shadow_map = self._points(coarse), self._shadow_map(light, (1.0, None), coarse)
             return jax.block_until_ready(run_kept(bounced_light, points, [unit], [shadow_map]))
 
-        return self._caches.bounces(geometry if coarse and fine not in self._caches.bounces else fine, make)
+        return self._caches.bounces(geometry if coarse else fine, make)
 
     def _points(self, coarse: bool) -> PhotoLight:
         """Transport with its points where the furniture is now; their surroundings stay as scanned."""
@@ -337,7 +316,3 @@ class Arrangement:
             return self._caches.frames(("g-buffer", name, key), lambda: part.gbuffer(camera))
 
         return merge_gbuffers([cast(part, key) for part, key in zip(parts.parts, parts.keys, strict=True)])
-
-
-def _of(lights: LightSetup | Sequence[Light]) -> tuple[Light, ...]:
-    return lights.lights if isinstance(lights, LightSetup) else tuple(lights)

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from hyjax.configuration import Configuration
 from hyjax.data.capture import Frame
 from hyjax.data.recording import mean_up
-from hyjax.guide.choose import FrameGuide
 from hyjax.live.follow import Follower
 from hyjax.live.scene import LiveScene
 from hyjax.live.source import known_up, live_frames
@@ -47,7 +46,7 @@ class Arriving:
         # A folder keeps what it has; a stream does not wait.
         self._follower = Follower(scene, frames, self._arrived, drop=source in ("-", "record3d")).start()
 
-    def first_renderer(self, guide: FrameGuide, folder: Path, configuration: Configuration) -> LiveRenderer:
+    def first_renderer(self, folder: Path, configuration: Configuration) -> LiveRenderer:
         """Renderer of the first frames, once they have a surface; arguments as of `Renderer`."""
         begun = None
         while True:
@@ -73,7 +72,7 @@ class Arriving:
         self._scene.size = self._size
         if self._size is None and width > self._widest:
             self._scene.size = round(height * self._widest / width), self._widest
-        self._renderer = LiveRenderer(self._scene, capture, guide=guide, folder=folder, configuration=configuration)
+        self._renderer = LiveRenderer(self._scene, capture, folder=folder, configuration=configuration)
         return self._renderer
 
     def stop(self) -> None:

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 from hyjax.data.capture import Frame
 from hyjax.geometry.rasterizer import RasterView
 from hyjax.guide.choose import FrameGuide
+from hyjax.light.emission import SourcePixels
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import PhotoLight
 from hyjax.light.shaded import Shaded
@@ -65,6 +66,22 @@ class KeptGuide:
         return self.keep(lambda: jax.block_until_ready(self.guide.features(display)))
 
 
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class PhotographedFrame:
+    """Light in a frame as it was taken, before the plan moved anything.
+
+    Attributes:
+        photo_light: on samples of the surface that the frame shows, relative to its mean; 1 in holes.
+        refined: the same at all pixels, after the cascade.
+        sources: panes and lamps in it; None if it shows none.
+    """
+
+    photo_light: Float[Array, "sh sw 3"]
+    refined: Float[Array, "h w 3"]
+    sources: SourcePixels | None
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class CancellableCaster:
     """Ray caster of a part of the scene that stops when its picture is not needed any more."""
@@ -98,21 +115,26 @@ def round_up(count: int) -> int:
 
 
 def stack_layers(
-    lights: Sequence[Light],
-    layers: Sequence[Layer],
-    hit: Bool[Array, "h w"],
-    reference_lux: float,
-    ambient: Float[np.ndarray, "3"],
+    layers: Sequence[tuple[Light, Layer]], uniform: Sequence[Light], hit: Bool[Array, "h w"], reference_lux: float
 ) -> Shaded:
-    """Direct light, with channels of no light up to a multiple of `CHANNELS`."""
+    """Direct light, with channels of no light up to a multiple of `CHANNELS`.
+
+    Args:
+        layers: lights with their layers.
+        uniform: lights that fall on any surface alike.
+        hit: where there is a surface.
+        reference_lux: of the set-up.
+    """
     count = round_up(len(layers))
     strengths, colors = np.zeros(count, np.float32), np.ones((count, 3), np.float32)
-    for k, light in enumerate(lights):
+    for k, (light, _) in enumerate(layers):
         strengths[k], colors[k] = getattr(light, light.STRENGTH), light.color
-    illuminance, visible = layers[0]
+    illuminance, visible = layers[0][1]
     dark = jnp.zeros_like(illuminance), jnp.ones_like(visible)
-    padded = (*layers, *[dark] * (count - len(layers)))
-    return _stack(padded, strengths, colors, hit, np.float32(reference_lux), np.asarray(ambient, np.float32))
+    padded = (*(layer for _, layer in layers), *[dark] * (count - len(layers)))
+    filters = [getattr(own, own.STRENGTH) * np.asarray(own.color) / reference_lux for own in uniform]
+    ambient = np.sum(filters, axis=0, dtype=np.float32) if filters else np.ones(3, np.float32)
+    return _stack(padded, strengths, colors, hit, np.float32(reference_lux), ambient)
 
 
 @jax.jit
@@ -129,8 +151,30 @@ def _stack(
     return Shaded(illuminance, visible, colors, hit[..., None].astype(jnp.float32), reference_lux, ambient)
 
 
-@jax.jit
 def add_bounces(
+    bounced: Sequence[tuple[Light, Float[Array, "v 3"]]],
+    photo: PhotoLight,
+    kept: Float[np.ndarray, "s 3"],
+    least: Float[Array, "3"],
+) -> Float[Array, "v 3"]:
+    """Bounces of all lights, and what is left of the photo's sources.
+
+    Args:
+        bounced: lights, each with its own if it were white and of strength 1.
+        photo: with its sources.
+        kept: lux that is left of each of them.
+        least: illuminance that bounces are filled up to.
+    """
+    count = round_up(max(len(bounced), 1))
+    scales = np.zeros((count, 3), np.float32)
+    for k, (light, _) in enumerate(bounced):
+        scales[k] = getattr(light, light.STRENGTH) * np.asarray(light.color)
+    padded = (*(own for _, own in bounced), *[jnp.zeros_like(photo.illuminance)] * (count - len(bounced)))
+    return _add_up(padded, scales, photo.sources, np.asarray(kept, np.float32), least)
+
+
+@jax.jit
+def _add_up(
     bounces: tuple[Float[Array, "v 3"], ...],
     scales: Float[Array, "l 3"],
     sources: Float[Array, "s v 3"],

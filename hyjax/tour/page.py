@@ -14,7 +14,7 @@ import viser
 
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
-from hyjax.guide.choose import FrameGuide, configured_guide
+from hyjax.guide.choose import configured_guide
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import parse_size
 from hyjax.tour.controls import Controls
@@ -93,10 +93,10 @@ class Tour:
         check_port(settings.host, settings.port)
         configuration, schedules = settings.open_configuration(), settings.open_schedules()
         configuration = configuration.followed_by(settings.renderer)
-        guide = configured_guide(configuration.guide)
+        configured_guide(configuration.guide)
         if settings.live is not None:
             make_writable(settings.out)
-            return cls._open_live(settings, schedules, guide, configuration)
+            return cls._open_live(settings, schedules, configuration)
         named = settings.scene.capture
         capture = None if named is None else settings.scene.open_capture()
         make_writable(settings.out)
@@ -107,7 +107,6 @@ class Tour:
         # Estimates the photo's own light, if it was not before: some ten seconds, with a bar.
         renderer = Renderer(
             scene,
-            guide=guide,
             folder=settings.out,
             keep_photo_light=settings.keep_photo_light,
             configuration=configuration,
@@ -116,11 +115,7 @@ class Tour:
 
     @classmethod
     def _open_live(
-        cls,
-        settings: TourSettings,
-        schedules: Mapping[str, Schedule],
-        guide: FrameGuide,
-        configuration: Configuration,
+        cls, settings: TourSettings, schedules: Mapping[str, Schedule], configuration: Configuration
     ) -> "Tour":
         """Wait for the first frames, and serve a tour that follows them."""
         from hyjax.live.scene import LiveScene
@@ -128,7 +123,7 @@ class Tour:
 
         scene = LiveScene()
         arriving = Arriving(scene, settings.live or "", size=parse_size(settings.scene.size), widest=WIDEST)
-        renderer = arriving.first_renderer(guide, settings.out, configuration)
+        renderer = arriving.first_renderer(settings.out, configuration)
         tour = cls(renderer, schedules, settings.out, host=settings.host, port=settings.port)
         arriving.on_frame = tour._frame_arrived
         tour.arriving = arriving

@@ -20,7 +20,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit
 from hyjax.geometry.camera import Camera
-from hyjax.guide.choose import RGB, FrameGuide
+from hyjax.guide.choose import configured_guide
 from hyjax.light.color import to_display
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
@@ -62,7 +62,6 @@ class Renderer:
     Args:
         place: surface, and frames unless they are given.
         capture: frames.
-        guide: what makes the guide of a frame.
         folder: where uploaded mesh files lie.
         keep_photo_light: whether to leave the light that the frames were taken under in the pictures, and bounces
             out.
@@ -76,12 +75,11 @@ class Renderer:
         place: "Scene | LiveScene",
         capture: Capture | None = None,
         *,
-        guide: FrameGuide = RGB,
         folder: Path = Path(),
         keep_photo_light: bool = False,
         configuration: Configuration | None = None,
     ) -> None:
-        self.place, self.guide, self.folder = place, guide, folder
+        self.place, self.folder = place, folder
         if capture is None:
             assert isinstance(place, Scene)
             capture = place.capture
@@ -89,6 +87,7 @@ class Renderer:
         self.configuration = configuration or Configuration()
         if keep_photo_light:
             self.configuration = self.configuration.with_choices({"photo_light": "kept"})
+        self.guide = configured_guide(self.configuration.guide)
         self.up = np.asarray(self.capture.up, float)
         self.photo_light = None
         if isinstance(place, Scene) and self.configuration.light.photo_light == "divided":
@@ -173,8 +172,12 @@ class Renderer:
         shader = functools.partial(own.shade, index, guide, setup)
         relighter = Relighter(own, setup, configuration, guide=guide, shader=shader, clock=clock)
         with clock("g-buffer"):
-            kept = keep(("view", index), lambda: jax.block_until_ready(relighter.view(frame)))
-            view = dataclasses.replace(kept, gbuffer=relighter.gbuffer(frame.camera))
+            nothing: Any = None  # the surface may be another each time
+            pixels = keep(
+                ("view", index),
+                lambda: jax.block_until_ready(dataclasses.replace(relighter.view(frame), gbuffer=nothing)),
+            )
+            view = dataclasses.replace(pixels, gbuffer=relighter.gbuffer(frame.camera))
         stages = relighter.stages(frame, view=view)
         lit: LitFrame = clock.follow(stages, until="guide")
         result = clock.follow(stages, until=None if viewpoint.shown in COMPARED else "composite")

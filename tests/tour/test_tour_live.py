@@ -21,7 +21,6 @@ from boxes import UP, frames, looking, room
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
-from hyjax.guide.choose import RGB
 from hyjax.live.scene import LiveScene
 from hyjax.scene.settings import SceneSettings
 from hyjax.tour.arriving import Arriving
@@ -129,7 +128,7 @@ def test_frames_arrive_in_the_renderer() -> None:
     seen = frames(room(), looking(MIDDLE, 40))
     arriving = Arriving(LiveScene(voxel=0.05), slowly(seen), size=None, widest=80)
     told: list[int] = []
-    renderer = arriving.first_renderer(RGB, Path(), Configuration())
+    renderer = arriving.first_renderer(Path(), Configuration())
     arriving.on_frame = lambda: told.append(len(renderer.capture))
     assert renderer.frame(0).image.shape == (60, 80, 3)
     assert arriving._follower.wait(60.0)
@@ -142,6 +141,6 @@ def test_frames_arrive_in_the_renderer() -> None:
 def test_a_tour_of_nothing_is_refused(tmp_path: Path) -> None:
     arriving = Arriving(LiveScene(), iter([]), size=None, widest=640)
     with pytest.raises(InputError, match="ended before there was a surface"):
-        arriving.first_renderer(RGB, tmp_path, Configuration())
+        arriving.first_renderer(tmp_path, Configuration())
     with pytest.raises(InputError, match="leave --capture and --mesh out"):
         TourSettings(SceneSettings(capture=tmp_path), live="-").check()
