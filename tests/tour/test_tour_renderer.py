@@ -27,7 +27,8 @@ from hyjax.scene.occluders import complete
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.tour import arrangement as arrangement_module
-from hyjax.tour.layers import RenderCancelled, mebibytes
+from hyjax.tour.arrangement import Arrangement
+from hyjax.tour.layers import Caches, RenderCancelled, mebibytes
 from hyjax.tour.lighting import setup_of
 from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import Piece, TourPlan, Window
@@ -88,6 +89,16 @@ def test_a_picture_is_the_relighters(plan: TourPlan, tmp_path: Path, name: str) 
     np.testing.assert_allclose(rendered.linear, relit.image, rtol=2e-4, atol=2e-5)
     filter_ = renderer.render(plan, Viewpoint(0, "refined filter", configuration.schedule)).picture / 255.0
     assert psnr(filter_, to_display(relit.relight_filter)) > 50.0
+
+
+def test_an_arrangement_is_a_place(plan: TourPlan) -> None:
+    """With a piece that was moved: without the tour's shader, a relighter makes the same picture of it."""
+    renderer = Renderer(Scene(BoxCapture(), box_room()), keep_photo_light=True)
+    piece = replace(seed_of(renderer, plan), pose=moved((0.0, -0.6, 0.0), 20.0))
+    there, setup = replace(plan, pieces=(piece,)), setup_of(plan, UP, renderer.surface_area)
+    place = Arrangement(renderer.scene, there, Caches(), None, renderer.configuration)
+    relit = Relighter(place, setup, renderer.configuration).relit(renderer.frame(0))
+    np.testing.assert_allclose(renderer.render(there, VIEW).linear, relit.image, rtol=2e-4, atol=2e-5)
 
 
 def test_the_hour_changes_the_picture_and_a_lamp_lights_it(renderer: Renderer, plan: TourPlan) -> None:

@@ -22,7 +22,7 @@ from hyjax.photo_light.estimate import Estimate, read_estimate
 from hyjax.scene.scene import Scene
 from hyjax.tour import arrangement as arrangement_module
 from hyjax.tour.arrangement import Arrangement
-from hyjax.tour.furniture import merge_gbuffers
+from hyjax.tour.furniture import merge_gbuffers, vertex_gbuffer
 from hyjax.tour.lighting import setup_of
 from hyjax.tour.page import Tour
 from hyjax.tour.placement import place_lamp
@@ -134,8 +134,12 @@ def test_bounces_follow_furniture_that_moves(renderer: Renderer) -> None:
     away = replace(NIGHT, pieces=(replace(CUBE, pose=moved((-1.5, 0.9, 0.0))),))
     still, pushed = bounces(renderer, NIGHT), bounces(renderer, away)
     assert np.abs(pushed - still).max() > 0.01 * still.mean()
-    before, after = (np.asarray(renderer.lit_mesh(plan).visual.vertex_colors, int) for plan in (NIGHT, away))
-    assert len(before) == len(after) and np.abs(before - after).max() > 10
+    parts, mesh = renderer.scene.apply(away).parts, renderer.scene.mesh
+    points = vertex_gbuffer(parts, renderer.scene.apply_to_mesh(away), 1)
+    found = on_pixels(jnp.asarray(mesh.vertices, jnp.float32), jnp.asarray(mesh.faces, jnp.int32), points)
+    scanned = np.concatenate([mesh.vertices[part.scanned_vertices] for part in parts])
+    np.testing.assert_allclose(found[0], scanned, atol=1e-5)
+    assert len(scanned) == len(renderer.lit_mesh(away).vertices)
 
 
 def test_the_photos_light_can_be_kept_source_by_source(renderer: Renderer) -> None:
@@ -183,7 +187,7 @@ def test_the_page_has_a_slider_for_each_source(tmp_path: Path, keep_photo_light:
     tour = Tour(own, {"hyjax": VIEW.schedule}, tmp_path, port=port)
     try:
         sliders = tour.controls._sources
-        assert set(sliders) == (set() if own.photo_light is None else set(own.room_light.estimate.names))
+        assert set(sliders) == (set() if own.photo_light is None else set(own.photo_light.estimate.names))
         tour.session.keep_source("walls", 0.5)
         assert keep_photo_light or sliders["walls"].value == 0.5
     finally:
