@@ -195,13 +195,11 @@ def refine_illuminance(shaded: Shaded, guide: Float[Array, "h w f"], schedule: S
     """Illuminance of each light after the cascade: holes filled, borders moved to the guide's.
 
     After the lights come the channels of `Shaded.surface_fields`, refined alike: what is divided by each other must
-    be wrong at the same places.
+    be wrong at the same places. A photo's light that was refined before is left out.
     """
-    before = shaded.refined_photo_light
-    fields = shaded.surface_fields if before is None else shaded.surface_fields[:-1]
+    fields = shaded.surface_fields if shaded.refined_photo_light is None else shaded.surface_fields[:-1]
     channels = _joined(shaded.illuminance, *fields) if fields else shaded.illuminance
-    refined = cascade_known(channels, shaded.confidence, guide, schedule, sampling=shaded.sampling)
-    return refined if before is None else _joined(refined, before)
+    return cascade_known(channels, shaded.confidence, guide, schedule, sampling=shaded.sampling)
 
 
 def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w l"]:

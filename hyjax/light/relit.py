@@ -101,8 +101,9 @@ def _split(
 ) -> tuple[Float[Array, "h w l"], list[Float[Array, "h w 3"]]]:
     """Split off the channels of the lights from fields of three channels each."""
     count = shaded.illuminance.shape[-1]
-    rest = illuminance[..., count:]
-    return illuminance[..., :count], jnp.split(rest, rest.shape[-1] // 3, axis=-1) if rest.shape[-1] else []
+    rest, before = illuminance[..., count:], shaded.refined_photo_light
+    fields = jnp.split(rest, rest.shape[-1] // 3, axis=-1) if rest.shape[-1] else []
+    return illuminance[..., :count], fields if before is None else [*fields, before]
 
 
 def _or_ambient(relight_filter: Float[Array, "h w 3"], shaded: Shaded) -> Float[Array, "h w 3"]:
