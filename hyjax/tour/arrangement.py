@@ -88,7 +88,8 @@ class Arrangement:
     ) -> None:
         self.parts, self.coarse = scene.apply(plan), False
         self._scene, self._caches, self._photo, self._configuration = scene, caches, photo, configuration
-        self._draft, self._cancelled = draft, cancelled
+        self._draft, self._cancelled, shadows = draft, cancelled, configuration.shadows
+        self._sampling, self._map_size = configuration.light.sampling, (shadows.map_scale, shadows.views)
 
     # ---- a place ----
 
@@ -177,7 +178,7 @@ class Arrangement:
             view, camera: of the frame.
             light: of the surface.
         """
-        sampling = self._configuration.light.sampling
+        sampling = self._sampling
         key = frame, sampling
         samples = self._caches.frames(
             ("samples", key, self.parts.keys), lambda: run_kept(sample_pixels, view.gbuffer, sampling=sampling)
@@ -217,7 +218,7 @@ class Arrangement:
             if own not in left_out
         ]
         shaded = stack_layers(layers, uniform, samples.hit, setup.reference_lux)
-        return dataclasses.replace(shaded, bounced=bounced, sampling=self._configuration.light.sampling)
+        return dataclasses.replace(shaded, bounced=bounced, sampling=self._sampling)
 
     def is_coarse(self, light: Light, scale: float = 1.0, most_views: int | None = None) -> bool:
         """Whether a draft takes coarse shadow maps of a light, as there are no fine ones yet."""
@@ -228,8 +229,7 @@ class Arrangement:
 
     def _layer(self, light: Light, samples: GBuffer, key: Hashable, casts: bool) -> Layer:
         """Illuminance of a light of strength 1, and its visibility."""
-        shadows, interleave = self._configuration.shadows, self._configuration.light.sampling
-        size = shadows.map_scale, shadows.views
+        size, interleave = self._map_size, self._sampling
         name = geometry_key(light), key, self.parts.keys, casts
         coarse = casts and (name, False) not in self._caches.layers and self.is_coarse(light, *size)
         self.coarse |= coarse
@@ -294,7 +294,7 @@ class Arrangement:
         self, view: View, camera: Camera, light: SurfaceLight, guide: FrameGuide
     ) -> PhotographedFrame:
         """Light of a frame when it was photographed."""
-        sampling = self._configuration.light.sampling
+        sampling = self._sampling
         gbuffer = self._seen(scaled(camera, self._configuration.scale), self._scene.apply(TourPlan()))
         samples = run_kept(sample_pixels, gbuffer, sampling=sampling)
         hit = samples.hit[..., None]
