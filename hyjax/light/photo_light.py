@@ -167,10 +167,15 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
 @jax.jit
 def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, left_out: Bool[Array, "l"]) -> Shaded:
     illuminance = jnp.where(left_out, 0.0, shaded.illuminance)
-    indirect = [field for field in (light.bounced, light.kept) if field is not None]
-    bounced = on_pixels(sum(indirect[1:], indirect[0]), light.faces, gbuffer) if indirect else None
     photo_light = on_pixels(light.photo_light, light.faces, gbuffer)
-    return dataclasses.replace(shaded, illuminance=illuminance, bounced=bounced, photo_light=photo_light)
+    indirect = indirect_on_pixels(light, gbuffer)
+    return dataclasses.replace(shaded, illuminance=illuminance, bounced=indirect, photo_light=photo_light)
+
+
+def indirect_on_pixels(light: SurfaceLight, gbuffer: GBuffer) -> Float[Array, "h w 3"] | None:
+    """Bounces and the kept part of the photo's own light at the pixels; None if there is neither."""
+    fields = [field for field in (light.bounced, light.kept) if field is not None]
+    return on_pixels(sum(fields[1:], fields[0]), light.faces, gbuffer) if fields else None
 
 
 @jax.jit

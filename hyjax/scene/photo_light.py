@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import shrink, spread
@@ -106,15 +106,17 @@ class ScenePhotoLight:
         last = self._last
         if last is not None and last[1] is shadow_maps and same_setup(last[0], setup):
             return last[2]
-        photo, kept = self.estimate.light, self.kept(setup.existing)
-        bounced = run_kept(bounced_light, photo, setup.lights, shadow_maps)
-        left = None
-        if kept.any():
-            shares = jnp.asarray(setup.reference_lux * kept, jnp.float32)
-            left = jnp.einsum("sc,svc->vc", shares, photo.sources)
-        light = SurfaceLight(photo.illuminance, bounced, photo.transport.faces, self.emitters(setup), left)
+        light = self.with_sources(run_kept(bounced_light, self.estimate.light, setup.lights, shadow_maps), setup)
         self._last = setup, shadow_maps, light
         return light
+
+    def with_sources(self, bounced: Float[Array, "v 3"], setup: LightSetup) -> SurfaceLight:
+        """Bounces on the vertices with the photo's light and what a set-up keeps of its sources."""
+        photo, shares, kept = self.estimate.light, self.kept(setup.existing), None
+        if shares.any():
+            lux = jnp.asarray(setup.reference_lux * shares, jnp.float32)
+            kept = jnp.einsum("sc,svc->vc", lux, photo.sources)
+        return SurfaceLight(photo.illuminance, bounced, photo.transport.faces, self.emitters(setup), kept)
 
     def summary(self, estimate: Estimate) -> str:
         """Line on the sources of the photos, the belief in the estimate, and the remedy where that is wrong."""

@@ -24,7 +24,14 @@ from hyjax.guide.choose import FrameGuide
 from hyjax.light.emission import shine, source_pixels
 from hyjax.light.gbuffer import GBuffer, sample_pixels
 from hyjax.light.kinds import Light
-from hyjax.light.photo_light import PhotoLight, SurfaceLight, bounced_light, least_bounced, on_pixels
+from hyjax.light.photo_light import (
+    PhotoLight,
+    SurfaceLight,
+    bounced_light,
+    indirect_on_pixels,
+    least_bounced,
+    on_pixels,
+)
 from hyjax.light.setup import LightSetup, geometry_key
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import shade_each
@@ -154,9 +161,8 @@ class Arrangement:
         assert self._photo is not None
         setup, light = LightSetup.of(lights), self._photo.estimate.light
         bounced = [(own, self._bounced(own)) for own in setup.lights if not own.UNIFORM]
-        kept = setup.reference_lux * self._photo.kept(setup.existing)
-        total = add_bounces(bounced, light, kept, least_bounced(setup.lights, light.filled_share))
-        return SurfaceLight(light.illuminance, total, light.transport.faces, self._photo.emitters(setup))
+        least = least_bounced(setup.lights, light.filled_share)
+        return self._photo.with_sources(add_bounces(bounced, least, len(light.illuminance)), setup)
 
     # ---- light on a view ----
 
@@ -205,12 +211,10 @@ class Arrangement:
             light: of the surface.
             key: of the points, under which the light of each lamp is kept; None for not at all.
         """
-        bounced = None
-        if light is not None and light.bounced is not None:
-            bounced = on_pixels(light.bounced, light.faces, samples)
+        bounces = light is not None and light.bounced is not None
         uniform = [own for own in setup.lights if own.UNIFORM]
         # Bounces stand in the place of lights that fall on any surface alike, unless there are no others.
-        left_out = uniform if bounced is not None and len(uniform) < len(setup.lights) else []
+        left_out = uniform if bounces and len(uniform) < len(setup.lights) else []
         casting = casters(self, setup.lights, self._configuration.shadows.least_share)
         layers = [
             (own, self._layer(own, samples, key, casts))
@@ -218,7 +222,8 @@ class Arrangement:
             if own not in left_out
         ]
         shaded = stack_layers(layers, uniform, samples.hit, setup.reference_lux)
-        return dataclasses.replace(shaded, bounced=bounced, sampling=self._sampling)
+        indirect = None if light is None else indirect_on_pixels(light, samples)
+        return dataclasses.replace(shaded, bounced=indirect, sampling=self._sampling)
 
     def is_coarse(self, light: Light, scale: float = 1.0, most_views: int | None = None) -> bool:
         """Whether a draft takes coarse shadow maps of a light, as there are no fine ones yet."""
@@ -277,18 +282,19 @@ class Arrangement:
 
     def _points(self, coarse: bool) -> PhotoLight:
         """Transport with its points where the furniture is now; their surroundings stay as scanned."""
+        assert self._photo is not None
+        light = self._photo.estimate.light
+        moved = any(part.moved and part.scanned is not None for part in self.parts.parts)
 
         def make() -> PhotoLight:
-            assert self._photo is not None
-            light = self._photo.estimate.light
+            made = light
             if coarse:
                 hits = light.transport.hits
                 fewer = dataclasses.replace(light.transport, hits=hits[:: max(1, len(hits) // DRAFT_RAYS)])
-                light = dataclasses.replace(light, transport=fewer)
-            moved = any(part.moved and part.scanned is not None for part in self.parts.parts)
-            return move_points(light, self.parts) if moved else light
+                made = dataclasses.replace(light, transport=fewer)
+            return move_points(made, self.parts) if moved else made
 
-        return self._caches.points((self.parts.keys, coarse), make)
+        return self._caches.points((self.parts.keys, coarse), make) if coarse or moved else light
 
     def _photographed(
         self, view: View, camera: Camera, light: SurfaceLight, guide: FrameGuide

@@ -19,11 +19,10 @@ from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.tour.editable_scene import SceneParts
 from hyjax.tour.furniture import Part
-from hyjax.util.lru_cache import LruCache
+from hyjax.util.lru_cache import CachePart, LruCache
 
-FRAMES_MIB, MAPS_MIB, LAYERS_MIB, BOUNCES_MIB = 128, 512, 192, 96
-ARRANGEMENTS = 4
-"""Arrangements of furniture whose points are kept."""
+KEPT_MIB = 768
+"""Memory of all that a renderer keeps."""
 CHANNELS = 2
 """Lights are rounded up to a multiple of this, so that another lamp seldom means compiling anew."""
 Layer = tuple[Float[Array, "h w"], Float[Array, "h w"]]
@@ -35,13 +34,18 @@ class RenderCancelled(Exception):
 
 
 class Caches:
-    """Caches of frames, shadow maps, light of each lamp, its bounces, and points that they fall on."""
+    """Caches of frames, shadow maps, light of each lamp, its bounces, and points that they fall on.
+
+    Attributes:
+        kept: results of all of them, with one bound.
+    """
 
     def __init__(self) -> None:
-        self.frames, self.maps, self.layers, self.bounces = (
-            LruCache(size, mebibytes) for size in (FRAMES_MIB, MAPS_MIB, LAYERS_MIB, BOUNCES_MIB)
+        self.kept = LruCache(KEPT_MIB, mebibytes)
+        kinds = "frame", "map", "layer", "bounces", "points"
+        self.frames, self.maps, self.layers, self.bounces, self.points = (
+            CachePart(self.kept, kind) for kind in kinds
         )
-        self.points = LruCache(ARRANGEMENTS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,39 +156,31 @@ def _stack(
 
 
 def add_bounces(
-    bounced: Sequence[tuple[Light, Float[Array, "v 3"]]],
-    photo: PhotoLight,
-    kept: Float[np.ndarray, "s 3"],
-    least: Float[Array, "3"],
+    bounced: Sequence[tuple[Light, Float[Array, "v 3"]]], least: Float[Array, "3"], points: int
 ) -> Float[Array, "v 3"]:
-    """Bounces of all lights, and what is left of the photo's sources.
+    """Bounces of all lights.
 
     Args:
         bounced: lights, each with its own if it were white and of strength 1.
-        photo: with its sources.
-        kept: lux that is left of each of them.
-        least: illuminance that bounces are filled up to.
+        least: illuminance that they are filled up to.
+        points: number of them.
     """
     count = round_up(max(len(bounced), 1))
     scales = np.zeros((count, 3), np.float32)
     for k, (light, _) in enumerate(bounced):
         scales[k] = getattr(light, light.STRENGTH) * np.asarray(light.color)
-    padded = (*(own for _, own in bounced), *[jnp.zeros_like(photo.illuminance)] * (count - len(bounced)))
-    return _add_up(padded, scales, photo.sources, np.asarray(kept, np.float32), least)
+    padded = (*(own for _, own in bounced), *[jnp.zeros((points, 3))] * (count - len(bounced)))
+    return _add_up(padded, scales, least)
 
 
 @jax.jit
 def _add_up(
-    bounces: tuple[Float[Array, "v 3"], ...],
-    scales: Float[Array, "l 3"],
-    sources: Float[Array, "s v 3"],
-    kept: Float[Array, "s 3"],
-    least: Float[Array, "3"],
+    bounces: tuple[Float[Array, "v 3"], ...], scales: Float[Array, "l 3"], least: Float[Array, "3"]
 ) -> Float[Array, "v 3"]:
     total = jnp.zeros_like(bounces[0])
     for k, bounced in enumerate(bounces):
         total += scales[k] * bounced
-    return jnp.maximum(total, least) + jnp.einsum("sc,svc->vc", kept, sources)
+    return jnp.maximum(total, least)
 
 
 def merge_maps(maps: list[ShadowMap | None]) -> ShadowMap | None:

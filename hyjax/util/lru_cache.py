@@ -1,5 +1,6 @@
 """Cache of slow results, shared among threads; the least recently used ones go first."""
 
+import dataclasses
 import threading
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar, cast
@@ -33,3 +34,18 @@ class LruCache:
 
     def __contains__(self, key: Hashable) -> bool:
         return key in self._results
+
+
+@dataclasses.dataclass(frozen=True)
+class CachePart:
+    """Results of one kind in a cache that several kinds share."""
+
+    cache: LruCache
+    kind: str
+
+    def __call__(self, key: Hashable, make: Callable[[], T]) -> T:
+        """See `LruCache`."""
+        return self.cache((self.kind, key), make)
+
+    def __contains__(self, key: Hashable) -> bool:
+        return (self.kind, key) in self.cache
