@@ -18,8 +18,19 @@ from hyjax.util.errors import InputError
 from hyjax.util.lru_cache import LruCache
 from hyjax.util.vectors import fibonacci_sphere, perpendicular, unit
 
-MOST_PARTS = 64
+PARTS_MIB = 256
+"""Memory of parts that were moved lately; where the room is large, that of four rooms."""
+FACE_BYTES = 300
+"""Memory of a face in a ray caster."""
 BESIDE = (0.0, 0.01, 0.025, 0.05)  # tangents of angles from a ray, tried one after the other
+
+
+def mebibytes(result: RayCaster | trimesh.Trimesh | np.ndarray | None) -> float:
+    """Memory of a part, or of what tells its faces."""
+    if isinstance(result, np.ndarray):
+        return result.nbytes / 2**20
+    mesh = result.arrays if isinstance(result, RayCaster) else result
+    return (FACE_BYTES * (1 if mesh is None else 1 + len(mesh.faces))) / 2**20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,7 +93,7 @@ class EditableScene:
         self.revision, self.bounds = revision, caster.bounds if bounds is None else bounds
         self.caster, self.mesh, self.up, self._folder = caster, caster.mesh, up, folder
         self._occluders, self._slack = occluders, slack
-        self._parts = LruCache(MOST_PARTS)
+        self._parts = LruCache(max(PARTS_MIB, 4 * mebibytes(caster)), mebibytes)
 
     def apply(self, plan: TourPlan) -> SceneParts:
         """The parts that a plan makes of it."""
