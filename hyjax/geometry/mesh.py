@@ -13,21 +13,18 @@ from trimesh.exchange.gltf import export_glb
 from trimesh.exchange.ply import export_ply
 from trimesh.resolvers import FilePathResolver
 
+from hyjax.geometry.gltf import counted_gltf
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
-from hyjax.util.reading import LARGEST_JSON, check_most, check_regular, open_regular, parse_json, read_bytes
+from hyjax.util.reading import check_regular, read_bytes
 from hyjax.util.vectors import SHORTEST, unit
 
 READABLE = (".ply", ".obj", ".glb", ".gltf")
 WRITABLE = (".ply", ".glb")
 # Twice a triangle's area over its longest edge squared; below this it has no direction to be shaded in.
 FLATNESS_TOLERANCE = 1e-10
-DEEPEST_NODE = 64
-"""Largest number of transforms in turn of a glTF's node; the time that trimesh takes grows with its cube."""
-LARGEST_BUFFER = 1 << 32
-"""Bytes of a mesh file, or of a buffer that it names."""
-MOST_COPIED_FACES = 1_000_000
-"""Largest number of faces that a file may add by placing its meshes more than once."""
+LARGEST_BUFFER = 1 << 30
+"""Bytes of a file that a mesh names."""
 _log = logging.getLogger(__name__)
 
 
@@ -107,28 +104,20 @@ def _parts(path: Path, content: bytes | None) -> Iterator[Part]:
     """(vertices, faces, vertex normals if the file has them) of each mesh in the file, in world axes."""
     try:
         kind = path.suffix[1:].lower()
-        options: dict[str, Any] = {"file_type": kind, "process": False}
-        if kind in ("obj", "ply"):
-            options["skip_materials"] = True
+        options: dict[str, Any] = {"process": False, "skip_materials": True}
         if kind in ("glb", "gltf"):
-            _check_nodes(path, content)
-        if content is None:
+            # What lies beside a file of an archive is not read.
+            beside = _FilesBeside(str(path)).get if content is None else _nothing_beside
+            slim, buffers = counted_gltf(path, content, beside)
+            scene = trimesh.load_scene(slim, "gltf", resolver=buffers, **options)
+        elif content is None:
             with path.open("rb") as file:
-                scene = trimesh.load_scene(file, resolver=_FilesBeside(str(path)), **options)
-        else:  # of an archive: what lies beside it is not read
-            scene = trimesh.load_scene(io.BytesIO(content), **options)
+                scene = trimesh.load_scene(file, kind, resolver=_FilesBeside(str(path)), **options)
+        else:
+            scene = trimesh.load_scene(io.BytesIO(content), kind, **options)
         placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
         parts = [(scene.geometry[name], transform) for transform, name in placed]
         meshes = [(part, transform) for part, transform in parts if isinstance(part, trimesh.Trimesh)]
-        faces = sum(len(part.faces) for part, _ in meshes)
-        if (
-            faces - sum(len(part.faces) for part in {id(part): part for part, _ in meshes}.values())
-            > MOST_COPIED_FACES
-        ):
-            raise InputError(
-                f"{path}: places its meshes {len(meshes)} times, {faces} faces in all; at most {MOST_COPIED_FACES} "
-                f"faces may be copies"
-            )
         for part, transform in meshes:
             yield _transformed(part, transform)
             _check_announced_faces(path, part, content)
@@ -147,32 +136,8 @@ class _FilesBeside(FilePathResolver):
         return read_bytes(self.absolute(name), most=LARGEST_BUFFER)
 
 
-def _check_nodes(path: Path, content: bytes | None) -> None:
-    """Raise `InputError` for a glTF whose nodes are nested too deep, or in more than one other."""
-    tree = parse_json(_gltf_header(path, content), str(path))
-    nodes = tree.get("nodes", [])
-    parents = {child: parent for parent, node in enumerate(nodes) for child in node.get("children", [])}
-    if len(parents) < sum(len(node.get("children", [])) for node in nodes):
-        raise InputError(f"{path}: a node lies in more than one other, which glTF does not allow")
-    for node in parents:
-        depth = 1
-        while (node := parents.get(node)) is not None and depth <= DEEPEST_NODE:
-            depth += 1
-        if depth > DEEPEST_NODE:
-            raise InputError(f"{path}: its nodes are nested over {DEEPEST_NODE} deep")
-
-
-def _gltf_header(path: Path, content: bytes | None) -> bytes:
-    """The JSON of a glTF, or of a GLB, whose buffers stay unread."""
-    with open_regular(path) if content is None else io.BytesIO(content) as file:
-        start = file.read(20)
-        if start.startswith(b"glTF"):
-            size = int.from_bytes(start[12:16], "little")
-            check_most(size, LARGEST_JSON, str(path))
-            return file.read(size)
-        check_most(file.seek(0, io.SEEK_END), LARGEST_JSON, str(path))
-        file.seek(0)
-        return file.read()
+def _nothing_beside(name: str) -> bytes:
+    raise InputError(f"it names a file, {name[:60]!r}, which is not read from an archive")
 
 
 def _transformed(part: trimesh.Trimesh, transform: Float[np.ndarray, "4 4"]) -> Part:

@@ -5,6 +5,7 @@ import json
 import os
 import struct
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -168,11 +169,54 @@ def test_small_files_that_ask_for_much(tmp_path: Path) -> None:
     for nodes, roots, faces, reason in (
         (nested(3000), [0], 2, r"nested over 64 deep$"),
         ([{"children": [2]}, {"children": [2]}, {"mesh": 0}], [0, 1], 2, r"a node lies in more than one other"),
-        (copies, list(range(600)), 2000, r"places its meshes 600 times, 1200000 faces in all; at most"),
+        (copies, list(range(600)), 2000, r"parts are placed 600 times, with 4793198 vertices and corners that"),
+        ([{"mesh": 0}] * 70_000, [0], 2, r"has 70000 nodes; at most 65536 are read$"),
     ):
         file.write_bytes(gltf(nodes, roots, faces))
         with pytest.raises(InputError, match=reason):
             load_mesh(file)
+
+
+ROW = {"bufferView": 0, "componentType": 5126, "count": 2002, "type": "VEC3"}
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda tree: tree.update(meshes=tree["meshes"] * 600), r"its 600 parts are placed 1 times"),
+        (lambda tree: tree["meshes"][0].update(primitives=tree["meshes"][0]["primitives"] * 600), r"its 600 parts"),
+        (lambda tree: tree.update(bufferViews=tree["bufferViews"] * 600), r"it reads 27 MiB out of far less"),
+        (lambda tree: tree.update(accessors=[*tree["accessors"], *[ROW] * 2000]), r"it reads 46 MiB out of"),
+        (lambda tree: tree["accessors"].append({**ROW, "count": 10**9}), r"it reads 11444 MiB out of far less"),
+        (lambda tree: tree["accessors"][0].pop("bufferView"), r"is compressed \(Draco\) or sparse"),
+        (lambda tree: tree["accessors"][0].update(count=10**9), r"it reads 11444 MiB out of far less"),
+    ],
+)
+def test_small_files_that_read_the_same_bytes_again_and_again(
+    tmp_path: Path, change: Callable[[dict[str, Any]], None], reason: str
+) -> None:
+    """A GLB of 100 KiB took 4 GiB, one without numbers 7 GiB: counted before anything is read."""
+    file, tree = tmp_path / "room.gltf", json.loads(gltf([{"mesh": 0}], [0], 2000))
+    change(tree)
+    file.write_text(json.dumps(tree))
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=reason):
+            load_mesh(file)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 23
+    finally:
+        tracemalloc.stop()
+
+
+def test_of_a_gltf_nothing_but_surfaces_is_read(tmp_path: Path) -> None:
+    """Pictures, notes of meshes and a buffer that is named a thousand times take nothing."""
+    (tmp_path / "a.bin").write_bytes(base64.b64decode(json.loads(gltf([], []))["buffers"][0]["uri"][37:]))
+    tree = json.loads(gltf([{"mesh": 0, "camera": 0}], [0], uri="a.bin"))
+    tree["buffers"] *= 1000
+    tree |= {"images": [{"uri": "nowhere.png"}], "materials": [{}], "textures": [{"source": 0}]}
+    tree["meshes"][0]["extras"] = {str(key): key for key in range(10)}
+    (tmp_path / "room.gltf").write_text(json.dumps(tree))
+    assert len(load_mesh(tmp_path / "room.gltf").faces) == 2
 
 
 def test_the_header_of_a_glb_is_read_without_its_buffers(tmp_path: Path) -> None:
