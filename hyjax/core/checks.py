@@ -9,6 +9,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.cycles import stable_cycle
+from hyjax.core.finite import LARGEST_VALUE
 from hyjax.core.stencil import Edges
 from hyjax.util.argument_kinds import described, is_numeric
 from hyjax.util.errors import InputError, shown
@@ -71,8 +72,9 @@ def check_fidelity(fidelity: Float[ArrayLike, ""], where: str = "fidelity") -> N
     hyjax.util.errors.InputError: fidelity: ...
     """
     value = _known_number(fidelity, where)
-    if value is not None and not (value >= 0 and value < float("inf")):
-        raise InputError(f"{where}: must be finite and >= 0, got {value}")
+    if value is not None and not 0 <= value <= LARGEST_VALUE:
+        limit = "finite" if not np.isfinite(value) else f"at most {LARGEST_VALUE:g}"
+        raise InputError(f"{where}: must be {limit} and >= 0, got {value}")
 
 
 def check_step_sizes(

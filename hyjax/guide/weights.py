@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
-import safetensors
 import safetensors.numpy
 from flax import nnx
 from jaxtyping import Shaped
@@ -23,7 +22,7 @@ from hyjax.guide.network import ENCODERS, GuideNetwork
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
-from hyjax.util.reading import check_regular
+from hyjax.util.tensors import read_tensors
 
 Arrays = dict[str, Shaped[np.ndarray, "..."]]
 Dtype = Literal["float16", "float32"]
@@ -181,17 +180,7 @@ def assign(
 def read_weights(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, str]]:
     """(arrays by name, metadata) of a safetensors file, without torch's counters."""
     file = _downloaded(os.fspath(path)) if os.fspath(path).startswith(HUB) else Path(path)
-    check_regular(file, os.fspath(path))
-    try:
-        with safetensors.safe_open(file, framework="numpy") as opened:
-            metadata = opened.metadata() or {}
-            arrays = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118, no mapping
-    except Exception as error:  # SafetensorError, OSError, KeyError, …: of a damaged header
-        reason = " ".join(str(error).split())
-        raise InputError(
-            f"{path}: not safetensors, or damaged ({reason}); in a clone, "
-            "python -m experiments.convert_weights makes safetensors of torch's files"
-        ) from None
+    arrays, metadata = read_tensors(file, os.fspath(path))
     # Networks trained in parallel by torch have every name prefixed.
     arrays = {name.removeprefix("module."): array for name, array in arrays.items()}
     return {name: array for name, array in arrays.items() if not name.endswith(COUNTER)}, metadata

@@ -9,19 +9,17 @@ from typing import Any, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
-import safetensors.numpy
 from jaxtyping import Array, Float
 
 from hyjax.metrics.networks import NETWORKS, Net
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.cache import cache_folder
 from hyjax.util.errors import InputError, did_you_mean
-from hyjax.util.reading import check_regular
+from hyjax.util.tensors import read_tensors
 
 VARIABLE = "HYJAX_LPIPS"
 FILE = "lpips_{}.safetensors"
 """Name of a file in the cache folder, by network."""
-CONVERT = "; in a clone, python -m experiments.convert_weights makes safetensors of other files"
 
 
 @functools.partial(
@@ -69,7 +67,7 @@ def load_lpips(path: str | Path | None = None, *, net: Net = "alex") -> LpipsWei
     path = _find(net) if path is None else Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file; it should hold weights of LPIPS")
-    arrays = _read(path)
+    arrays, _ = read_tensors(path)
     network = NETWORKS[net]
     take = functools.partial(_take, path, arrays)
     layers = [(f"{network.name}.Conv_{k}", layer) for k, layer in enumerate(network.layers)]
@@ -94,16 +92,6 @@ def _find(net: Net) -> Path:
             f"or give a path, or set {VARIABLE} to one"
         )
     return path
-
-
-def _read(path: Path) -> dict[str, np.ndarray]:
-    """Arrays by name."""
-    check_regular(path)
-    try:
-        return safetensors.numpy.load_file(path)
-    except Exception as error:  # SafetensorError, OSError, KeyError, …: of a damaged header
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: not safetensors, or damaged ({reason}){CONVERT}") from None
 
 
 def _take(path: Path, arrays: dict[str, Any], name: str, shape: tuple[int, ...]) -> Float[Array, "..."]:

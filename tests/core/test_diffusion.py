@@ -291,6 +291,8 @@ def test_bad_fidelities_are_refused(pull: float) -> None:
     y = jnp.zeros((3, 4, 1))
     with pytest.raises(InputError, match=rf"^fidelity: must be finite and >= 0, got {pull}"):
         diffuse(y, conductance(y, 1.0), np.array([0.1]), fidelity=pull)
+    with pytest.raises(InputError, match=r"^fidelity: must be at most 1e\+15 and >= 0, got 3e\+38"):
+        diffuse(y, conductance(y, 1.0), np.array([0.1]), fidelity=3e38)  # whose sum with a conductance is infinite
 
 
 def test_a_source_of_another_size_is_refused() -> None:

@@ -214,11 +214,6 @@ def safetensors(folder: Path) -> None:
     save_file(arrays, folder / "a.safetensors", metadata={"encoder": "conv-small"})
 
 
-def lpips_weights(folder: Path) -> None:
-    arrays = {"params.a.kernel": np.ones((3, 3, 3, 4), np.float32), "params.a.bias": np.zeros(4, np.float32)}
-    save_file(arrays, folder / "a.safetensors")
-
-
 def arrays(folder: Path) -> None:
     np.savez(folder / "a.npz", points=np.ones((20, 3), np.float32), radius=np.ones(20))
     np.savez_compressed(folder / "b.npz", points=np.ones((20, 3), np.float32), radius=np.ones(20))

@@ -232,12 +232,6 @@ def _weights(path: Path) -> object:
     return read_weights(path)
 
 
-def _lpips(path: Path) -> object:
-    from hyjax.metrics.weights import _read
-
-    return _read(path)
-
-
 def _cache(path: Path) -> object:
     from hyjax.util.cache import cached_arrays
 
@@ -307,7 +301,6 @@ READERS: dict[str, Reader] = {
     "Middlebury 2014": Reader(captures.middlebury_pfm, _pairs("middlebury"), True),
     "NYU": Reader(captures.nyu, _pairs("nyu"), extra="nyu"),
     "safetensors": Reader(corpus.safetensors, _weights),
-    "LPIPS weights": Reader(corpus.lpips_weights, _lpips),
     "mesh": Reader(corpus.meshes, _mesh),
     "cached arrays": Reader(corpus.arrays, _cache, writes=True),
     "fusion checkpoint": Reader(corpus.volume, _volume, writes=True),
