@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from hyjax.util.errors import InputError
 
+from .bombs import bombs
 from .mutations import CLASSICS, mutated
 from .readers import READERS
 
@@ -22,7 +23,7 @@ MOST_MIB = 2048
 ODD_FILES = ["/proc/self/mem", "/proc/self/maps", "/dev/zero", "/dev/full", "pipe", "folder", "itself", "nowhere"]
 """Places that a link takes the file's place for, and files that are none."""
 FIRST_CASES = len(CLASSICS) + len(ODD_FILES)
-"""Number of cases that are the same for each reader."""
+"""Number of cases that are the same for each reader; after them come its bombs."""
 
 
 class Outcome(NamedTuple):
@@ -47,6 +48,9 @@ class Bench:
     Args:
         name: of the reader.
         folder: an empty folder for the seeds and the mutated file; one in memory is fastest.
+
+    Attributes:
+        first_mutated: number of the first case that is drawn.
     """
 
     def __init__(self, name: str, folder: Path) -> None:
@@ -56,6 +60,8 @@ class Bench:
         self.reader.make(seeds)
         files = sorted(path for path in seeds.rglob("*") if path.is_file())
         self.files = {path.relative_to(seeds).as_posix(): path.read_bytes() for path in files}
+        self._bombs = bombs(name)
+        self.first_mutated = FIRST_CASES + len(self._bombs)
         shutil.copytree(seeds, self._folder)
 
     def case(self, number: int, seed: int = SEED) -> tuple[str, bytes | str]:
@@ -64,6 +70,9 @@ class Bench:
         names = list(self.files)
         if number < len(CLASSICS):
             return names[number % len(names)], CLASSICS[number]
+        if FIRST_CASES <= number < self.first_mutated:
+            end, content = self._bombs[number - FIRST_CASES]
+            return next((name for name in names if name.endswith(end)), names[0]), content
         name = source.choice(names)
         if not self.reader.stream:
             if number < FIRST_CASES:

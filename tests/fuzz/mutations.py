@@ -79,12 +79,14 @@ def _knowing(content: bytes) -> list[Change]:
     """What goes with a format."""
     if content.startswith(b"\x89PNG"):
         return [_field, _png_chunk]
+    if _json_inside(content):
+        return [_field, _header, _swapped, _header_json, _header_json]
     try:
         text = content.decode()
     except UnicodeDecodeError:
-        return [_field, _header]
+        return [_field, _header, _swapped]
     if "\0" in text:
-        return [_field, _header]
+        return [_field, _header, _swapped]
     return (
         [_number, _word, _line, _json, _json, _json] if text[:1] in ("{", "[") else [_number, _number, _word, _line]
     )
@@ -155,6 +157,35 @@ def _field(content: bytes, source: random.Random, most: int = 1 << 30) -> bytes:
 
 def _header(content: bytes, source: random.Random) -> bytes:
     return _field(content, source, 512)
+
+
+def _swapped(content: bytes, source: random.Random) -> bytes:
+    """Two fields of 32 bits in each other's place."""
+    if len(content) < 8:
+        return content
+    one, other = (4 * source.randrange(min(len(content), 512) // 4) for _ in range(2))
+    changed = bytearray(content)
+    changed[one : one + 4], changed[other : other + 4] = content[other : other + 4], content[one : one + 4]
+    return bytes(changed)
+
+
+def _json_inside(content: bytes) -> tuple[int, int] | None:
+    """Where JSON lies in the header of a GLB or of safetensors."""
+    start = 20 if content.startswith(b"glTF") else 8
+    size = int.from_bytes(content[12:16] if start == 20 else content[:8], "little")
+    return (start, start + size) if content[start : start + 1] == b"{" and start + size <= len(content) else None
+
+
+def _header_json(content: bytes, source: random.Random) -> bytes:
+    """A value of the JSON in a header changed, and the sizes that tell of it made right."""
+    start, end = _json_inside(content) or (0, 0)
+    text = _json(content[start:end], source)
+    text += b" " * (-len(text) % 4)
+    size = len(text).to_bytes(4, "little")
+    if start == 8:
+        return size + bytes(4) + text + content[end:]
+    total = (len(content) - end + start + len(text)).to_bytes(4, "little")
+    return content[:8] + total + size + content[16:20] + text + content[end:]
 
 
 def _png_chunk(content: bytes, source: random.Random) -> bytes:
