@@ -31,7 +31,7 @@ class Outcome(NamedTuple):
 
     Attributes:
         kind: "result", "InputError" or "other".
-        seconds: that it took.
+        seconds: of the processor that it took: the clock's depend on what else runs.
         mib: memory that it took.
         note: of another one, what it was.
     """
@@ -91,7 +91,7 @@ class Bench:
         peak = Peak()
         with written_to_stderr() as noise, warnings.catch_warnings():
             warnings.simplefilter("always")
-            begin = time.perf_counter()
+            begin = time.process_time()
             kind, note = "result", ""
             try:
                 self.reader.read(self._folder if self.reader.whole else path)
@@ -103,7 +103,7 @@ class Bench:
                 if isinstance(error, KeyboardInterrupt):
                     raise
                 kind, note = "other", f"{type(error).__name__}: {str(error)[:300]} ({_place(error)})"
-            seconds = time.perf_counter() - begin
+            seconds = time.process_time() - begin
         if (taken := peak.mib()) > MOST_MIB:
             kind, note = "other", f"took {taken} MiB"
         if noise and kind != "other":

@@ -1,10 +1,12 @@
-"""Every reader takes any bytes and gives a result or an `InputError`, within 5 s and 2 GiB."""
+"""Every reader takes any bytes and gives a result or an `InputError`, within 5 s of a processor and 2 GiB."""
 
+import random
 from pathlib import Path
 
 import pytest
 from extras import missing, need
 
+from . import cases, mutations
 from .cases import FIRST_CASES, Bench
 from .mutations import CLASSICS
 from .readers import READERS
@@ -35,3 +37,24 @@ def test_mutated_files_are_read_or_refused(tmp_path: Path) -> None:
     others = [f"{row['reader']}: {other}" for row in rows for other in row["others"]]
     assert not others, "\n".join(others)
     assert [(row["reader"], row["cases"]) for row in rows] == [(name, MANY) for name in names]
+
+
+def test_a_case_that_takes_too_much_is_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its memory is measured: a limit of the system would make a clean error of it."""
+    monkeypatch.setattr(cases, "MOST_MIB", 64)
+    bench = Bench("results", tmp_path)
+    bench.reader = bench.reader._replace(read=lambda path: bytearray(b"\1") * (128 << 20))
+    outcome = bench.run(*next(iter(bench.files.items())))
+    assert outcome.kind == "other" and outcome.note.startswith("took 1")
+
+
+@pytest.mark.parametrize("name", ["b.glb", "a.safetensors"])
+def test_json_in_a_binary_header_is_changed_and_its_sizes_told(name: str, tmp_path: Path) -> None:
+    bench = Bench("mesh" if name.endswith("glb") else "safetensors", tmp_path)
+    content, source = bench.files[name], random.Random(0)
+    changed = {mutations._header_json(content, source) for _ in range(20)}
+    assert len(changed) > 10
+    for each in changed:
+        span = mutations._json_inside(each)
+        assert span is None or each[span[0] : span[1]].rstrip().endswith((b"}", b"]"))
+        assert name != "b.glb" or int.from_bytes(each[8:12], "little") == len(each)
