@@ -1,5 +1,6 @@
 """Triangle meshes in and out, checked when they are read so that no later code has to."""
 
+import functools
 import io
 import logging
 from collections.abc import Iterator
@@ -107,7 +108,7 @@ def _parts(path: Path, content: bytes | None) -> Iterator[Part]:
         options: dict[str, Any] = {"process": False, "skip_materials": True}
         if kind in ("glb", "gltf"):
             # What lies beside a file of an archive is not read.
-            beside = _FilesBeside(str(path)).get if content is None else _nothing_beside
+            beside = _FilesBeside(str(path)).get if content is None else functools.partial(_nothing_beside, path)
             slim, buffers = counted_gltf(path, content, beside)
             scene = trimesh.load_scene(slim, "gltf", resolver=buffers, **options)
         elif content is None:
@@ -136,8 +137,8 @@ class _FilesBeside(FilePathResolver):
         return read_bytes(self.absolute(name), most=LARGEST_BUFFER)
 
 
-def _nothing_beside(name: str) -> bytes:
-    raise InputError(f"it names a file, {name[:60]!r}, which is not read from an archive")
+def _nothing_beside(path: Path, name: str) -> bytes:
+    raise InputError(f"{path}: names a file, {name[:60]!r}, which is not read from an archive; unpack it")
 
 
 def _transformed(part: trimesh.Trimesh, transform: Float[np.ndarray, "4 4"]) -> Part:

@@ -250,3 +250,5 @@ def test_files_that_a_mesh_names_are_regular_ones_beside_it(tmp_path: Path, uri:
         return
     with pytest.raises(InputError, match=r"room\.gltf|pipe"):
         load_mesh(folder / "room.gltf")
+    with pytest.raises(InputError, match=r"room\.gltf: names a file, .* which is not read from an archive"):
+        load_mesh(folder / "room.gltf", content=(folder / "room.gltf").read_bytes())
