@@ -73,7 +73,7 @@ def check_fidelity(fidelity: Float[ArrayLike, ""], where: str = "fidelity") -> N
     """
     value = _known_number(fidelity, where)
     if value is not None and not 0 <= value <= LARGEST_VALUE:
-        limit = "finite" if not np.isfinite(value) else f"at most {LARGEST_VALUE:g}"
+        limit = f"at most {LARGEST_VALUE:g}" if LARGEST_VALUE < value < np.inf else "finite"
         raise InputError(f"{where}: must be {limit} and >= 0, got {value}")
 
 

@@ -16,7 +16,6 @@ from hyjax.core.pyramid import downsample
 from hyjax.core.schedule import DEFAULT_KAPPA
 from hyjax.guide import ENCODERS, Guide, GuideNetwork, load_guide, normalise, save_guide
 from hyjax.guide.choose import ReducedGuide, configured_guide, open_guide
-from hyjax.guide.convolution import convolve
 from hyjax.guide.inference import fold
 from hyjax.guide.layers import ConvNorm
 from hyjax.guide.weights import named_variables
@@ -72,12 +71,6 @@ def test_kappa_is_folded_in(network: GuideNetwork, tmp_path: Path) -> None:
 def test_any_size(network: GuideNetwork, size: tuple[int, int]) -> None:
     features = Guide(network).features(picture(*size))
     assert features.shape == (*size, 5) and np.isfinite(features).all()
-
-
-def test_features_are_the_trunk_through_the_last_layer(network: GuideNetwork) -> None:
-    guide = Guide(network)
-    trunk = guide.trunk(picture())
-    np.testing.assert_allclose(guide.features(picture()), convolve(trunk[None], guide.kernel)[0], atol=1e-6)
 
 
 def test_a_reduced_guide_is_that_of_the_frame_at_half_its_size(network: GuideNetwork) -> None:
