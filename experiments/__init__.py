@@ -1,4 +1,4 @@
-"""One file an experiment. Each file's docstring gives its command, how long it takes and what to expect."""
+"""Experiments, one a file, whose docstring gives the command, its duration and the expected results."""
 
 EXPERIMENTS = (
     "paper_table",

@@ -1,4 +1,4 @@
-"""hyjax beside others' ways to do the same, in one run: torch, OpenCV, ONNX Runtime, and a loop in C as the floor.
+"""Comparison of hyjax, in one run, with torch, OpenCV, ONNX Runtime, and a loop in C as the floor.
 
     python -m experiments.bench_peers [--capture PATH] [--cores N] [--guard] [--out results/bench_peers]
     python -m experiments.bench_peers --parts quality --choose-on PATH    # the filters held out by scene
@@ -80,7 +80,7 @@ class Config(RunConfig):
     """Side lengths of square pictures."""
     channels: tuple[int, ...] = (1, 3, 16)
     parts: tuple[Part, ...] = typing.get_args(Part)
-    """What is measured."""
+    """Parts of the comparison to run."""
     choose_on: Path | None = None
     """Another capture to choose the filters' strengths on, or `room`, the built-in one. Default: earlier frames."""
     frames: int = 4

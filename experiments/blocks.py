@@ -54,7 +54,7 @@ class Plot:
 
 @dataclasses.dataclass(frozen=True)
 class Picture:
-    """A picture that a run has written beside its rows, and that rows name.
+    """Picture file in the folder of a run's rows, which name it.
 
     Attributes:
         path: PNG file.
@@ -92,7 +92,7 @@ def html(blocks: Iterable[Block]) -> list[Markup]:
 
 
 def write_blocks(out: Path, name: str, blocks: Sequence[Block]) -> None:
-    """Print texts and tables, and leave them as `name`.md in `out` with the figures as PNG beside it."""
+    """Print texts and tables, and leave them as `name`.md in `out` with the figures as PNG files."""
     text = markdown(blocks)
     print(text)
     write_text(out / f"{name}.md", text + "\n")

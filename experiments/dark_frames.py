@@ -40,7 +40,7 @@ class Config(RunConfig):
     captures: tuple[Path, ...] = tuple(
         DATA / name for name in ("scanner3d_board", "scanner3d_corridor", "scanner3d_chair", "kitchen")
     )
-    """Captures beside the built-in room."""
+    """Captures in addition to the built-in room."""
     setups: tuple[str, ...] = tuple(name for name in SETUPS if name not in DARK_SETUPS)
     """Named light set-ups."""
     frames: int = 4

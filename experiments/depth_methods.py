@@ -57,7 +57,7 @@ Options = dict[str, float]
 
 
 class Method(NamedTuple):
-    """A way of super-resolving, and what parameters it may have."""
+    """Method of super-resolution, with the parameters to choose from."""
 
     name: str
     candidates: list[Options]

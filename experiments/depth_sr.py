@@ -1,4 +1,4 @@
-"""Guided depth super-resolution: what a guide is worth on depth that nobody trained or tuned on.
+"""Guided depth super-resolution: gain by each guide on depth that is in no training and no tuning.
 
     python -m experiments.depth_sr [--guides rgb small] [--pairs SPEC ...] [--tuning SPEC ...]
 
@@ -71,7 +71,7 @@ class Config(RunConfig):
     pairs: tuple[str, ...] = ("rooms?seed=1001&frames=0:96:4",)
     """Reported on."""
     tuning: tuple[str, ...] = ("rooms?seed=1002&frames=0:32:4",)
-    """What parameters are chosen on."""
+    """Pairs that parameters are chosen on."""
     guides: tuple[str, ...] = ("rgb", "small")
     """Compared: `rgb`, names of shipped weights, files."""
     factors: tuple[int, ...] = (4, 8, 16, 32)
@@ -136,7 +136,7 @@ def main(config: Config, start: Start) -> None:
 
 
 def check(config: Config) -> None:
-    """Raise `InputError` for what cannot be run."""
+    """Raise `InputError` for settings that cannot be run."""
     if both := sorted({*config.pairs} & {*config.tuning}):
         raise InputError(f"tuning: {both[0]} is reported on as well; choose parameters on other pairs")
     if not config.pairs or not config.tuning or not config.factors or not config.guides:
@@ -205,7 +205,7 @@ def choose(
 
 
 def errors(estimate: Float[np.ndarray, "s s"], tile: Tile) -> dict[str, float | None]:
-    """Mean squared and mean absolute error over what is valid, and over what of it lies beside a depth jump."""
+    """Mean squared and mean absolute error of the valid pixels, and mean squared error of those at a depth jump."""
     error = np.abs(estimate.astype(np.float64) - tile.depth)
     borders = tile.valid & beside_jump(tile.depth, BORDER)
     found = {"mse": error[tile.valid] ** 2, "mae": error[tile.valid], "mse_borders": error[borders] ** 2}

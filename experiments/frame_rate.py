@@ -54,7 +54,7 @@ from hyjax.util.prefetch import prefetch
 
 SETUPS = ("evening-lamps", "two-colors", "golden-hour", "night-moon")
 RATE_SIZE = 512
-"""Pixels a side of the pictures whose rate is told by sampling and by mesh."""
+"""Pixels a side of the pictures for frame rates by sampling and by mesh."""
 WARM_UP = 4
 LONG_PARTS = (0.1, 0.5, 1.0)
 MOST_DIVIDED = 1_000_000
@@ -231,7 +231,7 @@ def add_quality(results: Results, room: str, samplings: Sequence[int]) -> None:
 
 
 def guard(rows: Sequence[Row]) -> list[tuple[str, float, float, bool]]:
-    """Ratios within the run: what, ratio, limit, whether it holds. What was not measured does not hold."""
+    """Ratios within the run: name, ratio, limit, whether it holds. A ratio that was not measured does not hold."""
     nan = float("nan")
     rates = of_kind(rows, "rate")
     scan = {row["sampling"]: row["cpu_ms"] for row in rates if row["faces"] == min(r["faces"] for r in rates)}
@@ -313,7 +313,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
 
 
 def figure(rates: Sequence[Row]) -> Figure:
-    """Stages of each row, beside each other."""
+    """Bars of each row's stages, next to each other."""
     fig = new_figure(7, 3.5)
     axes = fig.subplots()
     names = list(rates[0]["stages"])

@@ -1,4 +1,4 @@
-"""Fusion of a phone's or any depth judged by depth that was not fused: borders, coverage, time; Open3D beside it.
+"""Borders, coverage and time of fused depth, judged by depth maps that were not fused, for hyjax and Open3D.
 
     python -m experiments.fusion_borders [--capture PATH] [--voxel 0.02] [--out results/fusion_borders]
 
@@ -46,7 +46,7 @@ from hyjax.util.errors import InputError
 from hyjax.util.images import write_png
 
 JUMP = 0.15
-"""Metres between near and far, within `AROUND` pixels of a reading, that make it one beside a border."""
+"""Metres between near and far, within `AROUND` pixels of a reading, from which it counts as at a border."""
 AROUND = 9
 WRONG = 0.05
 """Metres by which a mesh is before or behind a reading to hide or to lack it."""
@@ -156,7 +156,7 @@ def _open3d(maps: Sequence[DepthReading], voxel: float, truncation: float, far: 
 
 
 def judged(mesh: trimesh.Trimesh, judges: Sequence[DepthReading]) -> dict[str, float]:
-    """Shares and distances of a mesh beside depth maps that it was not made of."""
+    """Shares and distances of a mesh by depth maps that it was not made of."""
     caster = RayCaster(mesh)
     hidden = beside_far = lacking = beside_near = 0
     for reading in judges:
@@ -175,7 +175,7 @@ def judged(mesh: trimesh.Trimesh, judges: Sequence[DepthReading]) -> dict[str, f
 
 
 def _borders(reading: DepthReading) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Readings of the far and of the near side beside borders."""
+    """Readings on the far and on the near side of borders."""
     depth = reading.depth
     sure = depth > 0 if reading.confidence is None else (depth > 0) & (reading.confidence == 1)
     nearest = ndimage.minimum_filter(np.where(depth > 0, depth, np.inf), AROUND)
@@ -184,7 +184,7 @@ def _borders(reading: DepthReading) -> tuple[Bool[np.ndarray, "h w"], Bool[np.nd
 
 
 def _picture(made: dict[str, trimesh.Trimesh], judges: Sequence[DepthReading]) -> Float[np.ndarray, "h w 3"]:
-    """Surfaces lit from the camera; red hides what was read behind, blue lacks what was read."""
+    """Surfaces lit from the camera; red pixels hide a far reading, blue ones lack a near reading."""
     rows = []
     for mesh in made.values():
         caster, pictures = RayCaster(mesh), []

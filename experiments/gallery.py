@@ -1,4 +1,4 @@
-"""Pictures of the documentation, each from what one command leaves.
+"""Pictures of the documentation, each from the output of one command.
 
     python -m experiments.gallery pareto                        # from the rows that are kept
     python -m experiments.gallery contact_sheet --source out    # from what the picture's command has written there

@@ -1,4 +1,4 @@
-"""κ of each guide, and what a guide is worth in relit frames: between none and one that knows every border.
+"""κ of each guide, and its gain in relit frames, between no guide and one that knows every border.
 
     python -m experiments.guide_worth [--capture PATH] [--guide small] [--out results/guide_worth/room]
 
@@ -40,7 +40,7 @@ KAPPAS = (0.0001, 0.0003, 0.0006, 0.00125, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.1,
 NONE, SURFACE = "none", "the surface"
 POOLED, MEAN_ABS = "rgb, pooled guide", "rgb, mean of |Δ|"
 NORMALS = 0.1
-"""Weight of normals beside the logarithm of depth in the features: a right angle counts as 14 % of depth."""
+"""Weight of normals relative to the logarithm of depth in the features: a right angle counts as 14 % of depth."""
 NOWHERE = 10.0
 """Metres, in place of the depth where the accurate surface has a hole."""
 

@@ -46,7 +46,7 @@ def weights_or_none(path: Path | None) -> LpipsWeights | None:
 
 
 def regions(rough: GBuffer, accurate: GBuffer) -> Regions:
-    """Every pixel by what is wrong with the rough surface there.
+    """Regions of a picture by the fault of the rough surface there.
 
     Returns:
         `all`; and disjoint: `holes`, where the rough mesh has no surface; `silhouettes`, beside a depth jump of
@@ -109,7 +109,7 @@ def judge(
 def _maps(
     picture: Image, target: Image, valid: Bool[Array, "h w"], prepared: tuple[Any, ...], metrics: tuple[Metric, ...]
 ) -> tuple[Float[Array, "h w"], ...]:
-    """Map of each metric; `prepared` holds for each what it compares with."""
+    """Map of each metric, against the target as `prepared` for it."""
     compared = jnp.where(valid[..., None], picture, target)
     return tuple(metric.map(compared, own) for metric, own in zip(metrics, prepared, strict=True))
 

@@ -119,7 +119,7 @@ def walk(mesh: trimesh.Trimesh, width: int, height: int, config: Config) -> dict
 
 
 def alone(frames: Sequence[Frame], config: Config, schedule: hyjax.Schedule) -> dict[str, list[float]]:
-    """Milliseconds of each part with nothing beside it: a renewal after every sixth frame, then a relit picture."""
+    """Milliseconds of each part run alone: a renewal after every sixth frame, then a relit picture."""
     scene = LiveScene(voxel=config.voxel)
     spent: dict[str, list[float]] = {}
 
@@ -209,7 +209,7 @@ def around_the_chair(count: int, width: int = 256, height: int = 192) -> list[Ca
 def without_chair(
     mesh: trimesh.Trimesh, place: tuple[float, float] = CHAIR, radius: float = 0.33
 ) -> trimesh.Trimesh:
-    """The mesh without what stands free on the floor around a place and is no higher than a chair."""
+    """The mesh without parts that stand free on the floor around a place and are no higher than a chair."""
     parts = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
     corners = mesh.vertices[mesh.faces]
     count = np.bincount(parts)

@@ -48,9 +48,9 @@ METHODS: dict[Mode, str] = {"paper": "paper's method", "linear": "ours"}
 OWN_GROUP: dict[Mode, str] = dict(zip(METHODS, GROUPS))
 """Quantity that each mode is meant to multiply its filter with."""
 KAPPA: dict[Mode, float | None] = {"paper": PAPER_KAPPA, "linear": None}
-"""Best for the RGB guide on tuning frames; None: what the schedule brings."""
+"""κ of each mode: the best for the RGB guide on tuning frames; None for the schedule's own."""
 PointPlace = Literal["room", "view"]
-"""Place of the first benchmark's lamp: the middle of the room, as in the paper, or near what is looked at."""
+"""Place of the first benchmark's lamp: the middle of the room, as in the paper, or near the surfaces in view."""
 ANY = Schedule.uniform([(16, 1)])
 """Schedule for the accurate surface, of which only the raw filter is looked at."""
 SHEET = ("frame", "bare mesh", "paper's method", "ours", "accurate surface", "relied on")
@@ -138,7 +138,7 @@ class Bench:
         return base | {"meshes": meshes, "shares": shares, "relied on": relied, "scores": scores}
 
     def view(self, index: int) -> View:
-        """A frame with what its camera sees of both surfaces."""
+        """A frame with both surfaces as its camera sees them."""
         frame = self.capture[index]
         fitted = fit(frame, self.scene.size)
         seen = [gbuffer(fitted.camera) for gbuffer in (self.rough.gbuffer, self.reference.gbuffer)]
@@ -256,14 +256,14 @@ class BenchConfig(RunConfig):
     reference: str | None = None
     """The accurate surface: true, laser, fused or a mesh file. Default: the first of these that there is."""
     guide: str = "rgb"
-    """What guides the diffusion, see `hyjax relight --guide`."""
+    """Guide of the diffusion, see `hyjax relight --guide`."""
     size: int = 512
     """Pixels a side."""
     seed: int = 1
     """Of the built-in room and of the simulated scan."""
     point: PointPlace = "room"
-    """Where the light of mesh error correction stands: in the middle of the room, as in the paper, or near what the
-    cameras look at."""
+    """Where the light of mesh error correction stands: in the middle of the room, as in the paper, or near the
+    surfaces that the cameras look at."""
 
     def start(self, start: Start) -> tuple[Capture, Results]:
         """The capture, and the results in a folder of its name."""
@@ -314,7 +314,7 @@ def in_the_middle(setup: LightSetup, bounds: Float[np.ndarray, "2 3"]) -> LightS
 
 
 def reported(capture: Capture, frames: str | None = None) -> list[int]:
-    """Frames to report on: those asked for, or what nothing was chosen on.
+    """Frames to report on: those asked for, else those that no parameter was chosen on.
 
     Raises:
         InputError: see `select_frames`.

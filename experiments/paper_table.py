@@ -73,7 +73,7 @@ class Config(KappaConfig):
     frames: str | None = None
     """Which, see `hyjax relight --frames`. Default: the last quarter of a capture, all of the built-in room."""
     renderer: Renderer = "shadow_map"
-    """What shades the surfaces."""
+    """Renderer that shades the surfaces."""
     weights: Path | None = None
     """LPIPS weights. Default: those converted of the extra `lpips`."""
     resume: bool = False
@@ -135,7 +135,7 @@ def summary(
 
 
 def whole(frames: Sequence[Row], benchmark: str) -> Table:
-    """One benchmark over all pixels, the paper's own figures beside."""
+    """One benchmark over all pixels, with the paper's own figures."""
     rows = []
     for group, method in methods(frames, benchmark):
         cells = [text_of(summary(frames, benchmark, group, method, "all", metric), metric) for metric in METRICS]
@@ -164,7 +164,7 @@ def by_region(frames: Sequence[Row], benchmark: str) -> Table:
 
 
 def directions(frames: Sequence[Row]) -> Table:
-    """Change by refining against the bare mesh, beside that in the paper."""
+    """Change by refinement from the bare mesh, here and in the paper."""
     rows = []
     for benchmark in BENCHMARKS:
         for metric, (bare, refined) in PAPER[benchmark].items():

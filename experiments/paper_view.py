@@ -1,4 +1,4 @@
-"""One frame of a bench at the size that is worked at, and what is done to its filter."""
+"""One frame of a bench at its working size, and operations on its filter."""
 
 import dataclasses
 from collections.abc import Sequence

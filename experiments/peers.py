@@ -1,7 +1,7 @@
-"""Others' ways to do what hyjax does: a loop in C, torch, OpenCV's filters and ONNX Runtime.
+"""Other implementations of hyjax's steps: a loop in C, torch, OpenCV's filters and ONNX Runtime.
 
-What `bench_peers` compares with. Each is written from the formula or calls a library; what is not installed is left
-out with a word on stderr.
+`bench_peers` compares with them. Each is written from the formula or calls a library; without the library
+it is left out with a line on stderr.
 """
 
 import contextlib
@@ -215,7 +215,7 @@ def opencv_filters(guide: Float[np.ndarray, "h w 3"]) -> dict[str, tuple[Filter,
         return cv2.ximgproc.createGuidedFilter(floats, int(radius), strength**2).filter(y)
 
     def bilateral_solver(y: np.ndarray, strength: float, spatial: float) -> np.ndarray:
-        """Knows confidences itself: the last channel is taken for it, and what is returned is divided already."""
+        """Filter with confidences, taken from the last channel; its result is divided by them already."""
         sigma = max(255 * strength, 1.0)
         made = cv2.ximgproc.createFastBilateralSolverFilter(eight_bits, spatial, sigma, sigma)
         confidence, largest = np.ascontiguousarray(y[..., -1]), max(float(y[..., :-1].max()), 1e-6)

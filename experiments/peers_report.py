@@ -18,7 +18,7 @@ SMOOTHER = "OpenCV fastGlobalSmootherFilter"
 
 
 def guard(rows: Sequence[Row]) -> list[tuple[str, float, float, bool]]:
-    """Ratios within the run: what, ratio, limit, whether it holds. What was not measured does not hold."""
+    """Ratios within the run: name, ratio, limit, whether it holds. A ratio that was not measured does not hold."""
     nan = math.nan
     steps = {(r["size"], r["channels"], r["who"]): r["median_ms"] for r in of_kind(rows, "step")}
     cascades = {(r["schedule"], r["who"]): r["median_ms"] for r in of_kind(rows, "cascade")}
@@ -85,7 +85,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
 
 
 def step_table(steps: Sequence[Row], where: str) -> Table:
-    """Microseconds a step, the share of what copying allows, and the ratio to the floor."""
+    """Microseconds a step, the share of a copy's bandwidth, and the ratio to the floor."""
     rows = {(r["size"], r["channels"], r["who"]): r for r in steps}
     lines = []
     for (size, channels, who), row in rows.items():

@@ -1,4 +1,4 @@
-"""README's picture: photos of a room of known truth, relit, and what the camera would see under the new lights.
+"""README's picture: photos of a room of known truth, relit, and the true pictures under the new lights.
 
     python -m experiments.readme_picture [--out results/readme_picture]
 

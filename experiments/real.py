@@ -1,4 +1,4 @@
-"""Real places under two lights: how near a relit photo comes to the other picture, beside methods without geometry.
+"""Real places under two lights: error of a relit photo against the other picture, by ours and by simple methods.
 
     python -m experiments.real [--folder DIR] [--pairs Piano Djembe Art] [--geometries true rough] [--resume]
 

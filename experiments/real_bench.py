@@ -1,4 +1,4 @@
-"""A real place under two lights: its surface, the family of new lights on it, and what each makes of the photo."""
+"""A real place under two lights: its surface, the family of new lights on it, and the photo relit by each."""
 
 import functools
 from typing import Any, Literal

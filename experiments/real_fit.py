@@ -119,7 +119,7 @@ def _refined(matrix: np.ndarray, wanted: np.ndarray, start: np.ndarray, encoded:
 def chosen_lights(
     columns: Columns, candidates: Sequence[int], fixed: Sequence[int], target: Target, count: int
 ) -> list[int]:
-    """Columns of the lights that help most, one after the other, beside those that are always there."""
+    """Columns of the lights that help most, chosen one by one in addition to the fixed ones."""
     equations = []
     for channel in range(3):
         light = linear(target.at(target.display)[:, channel].astype(np.float64))
@@ -140,7 +140,7 @@ def chosen_lights(
 def _one_after_another(
     error: Callable[[list[int]], float], candidates: Sequence[int], fixed: Sequence[int], count: int
 ) -> list[int]:
-    """Candidates that lower an error most, each beside those fixed and those taken before."""
+    """Candidates that lower an error most, each in addition to the fixed ones and those taken before."""
     taken: list[int] = []
     for _ in range(min(count, len(candidates))):
         left = [number for number in candidates if number not in taken]
@@ -207,7 +207,7 @@ def _chosen_terms(photo: Picture, terms: Float[np.ndarray, "h w k"], target: Tar
 def fit_both(
     photo: Picture, light: Float[np.ndarray, "h w k 3"], target: Target, old: Sequence[Float[np.ndarray, "h w 3"]]
 ) -> Picture:
-    """Photo times one combination of lights over another, both fitted to the target: what nobody can know.
+    """Photo times one combination of lights over another, both fitted to the target: an oracle.
 
     Args:
         photo: linear.

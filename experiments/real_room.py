@@ -22,7 +22,7 @@ def s_curve(display: Float[np.ndarray, "h w 3"], strength: float = CURVE) -> Flo
 
 
 def room_pair(name: str, size: str, quality: float = 1.0) -> RelitPair:
-    """Pair of a room's first photo and what the camera would see under other lights.
+    """Pair of a room's first photo and its true picture under other lights.
 
     Args:
         name: of the room, see `hyjax.synthetic.truth.lit_room`.

@@ -20,7 +20,7 @@ from hyjax.metrics import LpipsWeights
 from hyjax.photo_light.radiance import linear
 
 FLOOR = 2e-3
-"""Linear value below which ratios are not told from noise."""
+"""Linear value below which ratios are noise."""
 BLUR = 3.0
 """Standard deviation of the blur of LFE, in pixels."""
 

@@ -1,4 +1,4 @@
-"""Results as JSON lines: every row says what it takes to make it again.
+"""Results as JSON lines, each with its settings, commit, device and versions, to be made again.
 
 A run writes `rows.jsonl` in its own folder, a line at a time, so that an interrupted run goes on where it was.
 Tables, figures and pages are made from these rows alone (`experiments.report`).

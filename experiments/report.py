@@ -73,7 +73,7 @@ def page(runs: list[tuple[Path, list[Row]]]) -> str:
 
 
 def _section(folder: Path, rows: list[Row]) -> dict[str, Any]:
-    """One run for the template: what the module says of itself, its blocks, where the rows come from."""
+    """One run for the template: the module's description, its blocks, the origin of its rows."""
     module: Any = importlib.import_module(f"experiments.{rows[0]['experiment']}")
     lead, *about = PARAGRAPHS.split(inspect.cleandoc(module.__doc__))
     try:

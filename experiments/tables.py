@@ -45,7 +45,7 @@ SHARED = ("experiment", "settings", "commit", "date", "device", "cpu_count", "ve
 @dataclasses.dataclass(frozen=True)
 class Config:
     check: bool = False
-    """Write nothing; end with status 1 if a table's text is not what its rows say."""
+    """Write nothing; end with status 1 if a table's text differs from its rows."""
     keep: Path | None = None
     """Rows of a finished run, to be kept."""
     name: str | None = None
@@ -53,7 +53,7 @@ class Config:
     drop: tuple[str, ...] = ()
     """Kinds of rows that no table needs, to be left out of the kept file."""
     load: str | None = None
-    """What else the machine did meanwhile, in words, where the run has not recorded its load."""
+    """Other load of the machine meanwhile, in words, where the run has not recorded it."""
 
 
 def main(config: Config) -> None:
@@ -240,7 +240,7 @@ def keep(path: Path, name: str | None = None, told: str | None = None, drop: Seq
 
 
 def kept_rows(path: Path) -> list[Row]:
-    """Rows of a kept file, each with what all share.
+    """Rows of a kept file, each with the entries that all share.
 
     Raises:
         InputError: no such file, or it holds no rows.

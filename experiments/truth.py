@@ -1,4 +1,4 @@
-"""Relit frames against what the camera would see: rooms of known truth under new lights.
+"""Relit frames against the camera's true pictures: rooms of known truth under new lights.
 
     python -m experiments.truth [--rooms NAME ...] [--frames 6] [--out results/truth] [--resume]
 

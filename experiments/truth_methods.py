@@ -1,4 +1,4 @@
-"""Methods that `experiments.truth` compares, from the untouched photo to what nobody can know."""
+"""Methods that `experiments.truth` compares, from the untouched photo to oracles."""
 
 import dataclasses
 
@@ -34,7 +34,7 @@ METHODS = (
     TRUE_LIGHT, TRUE_BOUNCES, TRUE_BOTH, TRUE_SHADOWS, RESPONSE, TRUE_MESH, TRUE_ALL, TRUE_ALL_RESPONSE,
 )  # fmt: skip
 ORACLES = METHODS[METHODS.index(TRUE_LIGHT) :]
-"""Methods that are told something that nobody knows."""
+"""Oracles: methods that are given a part of the truth."""
 COMPLETED = {SHADOWS, NEW, UNCLOSED, UNNAMED, TRUE_LIGHT, TRUE_BOUNCES, TRUE_BOTH, RESPONSE}
 """Methods whose shadows the completed scan throws, and that soften them as `Scene` does; others keep them sharp."""
 OURS, THEIRS = Schedule.preset("hyjax"), with_kappa(Schedule.preset("paper-80"), PAPER_KAPPA)
@@ -91,9 +91,9 @@ class LitBench:
             NEW: new,
             UNCLOSED: self._shade(view, self.unclosed),
             UNNAMED: self._shade(view, self.unnamed),
-            TRUE_LIGHT: self._shade(view, self._told(photo_light=self.bench.true_light)),
-            TRUE_BOUNCES: self._shade(view, self._told(bounced=self.true_bounces)),
-            TRUE_BOTH: self._shade(view, self._told(self.bench.true_light, self.true_bounces)),
+            TRUE_LIGHT: self._shade(view, self._light_with(photo_light=self.bench.true_light)),
+            TRUE_BOUNCES: self._shade(view, self._light_with(bounced=self.true_bounces)),
+            TRUE_BOTH: self._shade(view, self._light_with(self.bench.true_light, self.true_bounces)),
             TRUE_SHADOWS: dataclasses.replace(new, visibility=true.shaded.visibility),
         }
         relit = {name: _relight(view, own, name) for name, own in shaded.items()}
@@ -109,24 +109,24 @@ class LitBench:
         if (smoothed := _smoothed(view, today)) is not None:
             made[OPENCV] = smoothed.image
         responding = scene.shade(exposed, setup)
-        told = {
+        responded = {
             RESPONSE: _relight(exposed, responding, RESPONSE).image,
             TRUE_ALL_RESPONSE: true.relit(exposed, responding),
         }
         pictures = {name: Exposed(np.asarray(image)) for name, image in made.items()}
-        pictures |= {name: Exposed(np.asarray(image), camera_response) for name, image in told.items()}
+        pictures |= {name: Exposed(np.asarray(image), camera_response) for name, image in responded.items()}
         return {name: pictures[name] for name in METHODS if name in pictures}
 
     def _shade(self, view: View, light: SurfaceLight) -> Shaded:
         return view.shade(self.setup, shadow_maps=self.scene.shadow_maps(self.setup), surface_light=light)
 
-    def _told(self, photo_light: np.ndarray | None = None, bounced: np.ndarray | None = None) -> SurfaceLight:
-        """Light on the vertices as usual but for what is told."""
+    def _light_with(self, photo_light: np.ndarray | None = None, bounced: np.ndarray | None = None) -> SurfaceLight:
+        """Light on the vertices, with some of its fields replaced."""
         light = self.light
         fields = {"photo_light": photo_light, "bounced": bounced}
-        for name, told in fields.items():
-            if told is not None:
-                light = dataclasses.replace(light, **{name: jnp.asarray(told)})  # type: ignore[arg-type]
+        for name, value in fields.items():
+            if value is not None:
+                light = dataclasses.replace(light, **{name: jnp.asarray(value)})  # type: ignore[arg-type]
         return light
 
     def _true(self, view: View, index: int) -> "TrueView":
@@ -164,7 +164,7 @@ class TrueView:
     relight_filter: Float[np.ndarray, "h w 3"]
 
     def relit(self, view: View, shaded: Shaded) -> Float[np.ndarray, "h w 3"]:
-        """The frame times the true filter; what shines does as in `shaded`."""
+        """The frame times the true filter, with the light sources in view as in `shaded`."""
         image, source = np.asarray(view.frame) * self.relight_filter, shaded.emission
         if source is None:
             return image

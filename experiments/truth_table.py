@@ -166,7 +166,7 @@ def rooms_table(rows: Sequence[Row]) -> Table:
 
 
 def figure(groups: Mapping[str, Sequence[Row]]) -> Figure:
-    """A strip of pictures for each method: what it gains."""
+    """Strip plot of each method's gain, a point a picture."""
     names = [n for n in methods_of([row for own in groups.values() for row in own]) if n not in (TODAY, PHOTO)]
     fig = new_figure(5.5 * len(groups) + 2, 0.34 * len(names) + 1.4)
     axes = fig.subplots(1, len(groups), sharey=True, squeeze=False)[0]
