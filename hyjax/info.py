@@ -13,7 +13,7 @@ from hyjax.util.settings import Settings
 
 @dataclasses.dataclass(frozen=True)
 class InfoSettings(Settings):
-    """Tell what a capture holds and what is doubtful in it; without PATH: versions, devices and optional parts."""
+    """List the contents of a capture and doubts about it; without PATH: versions, devices and optional parts."""
 
     path: tyro.conf.Positional[Path | None] = None
     """Folder or archive of a capture."""

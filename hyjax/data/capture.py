@@ -209,7 +209,7 @@ class CaptureFormat:
 
 
 class DerivedCapture(Capture):
-    """A capture as another one, but for what a subclass changes: its `fingerprint` at least.
+    """Capture derived from another one; a subclass overrides the parts that differ, at least `fingerprint`.
 
     Attributes:
         source: the other.

@@ -114,7 +114,7 @@ def by_number(name: str) -> tuple[tuple[int, int, str], ...]:
 
 
 def short_names(files: Sequence[str]) -> list[str]:
-    """Names for frames after their files: without folder and extension, where that tells them apart."""
+    """Names of frames from their files: without folder and extension, unless two would be alike."""
     stems = [PurePosixPath(file).stem for file in files]
     if len(set(stems)) == len(stems):
         return stems

@@ -99,7 +99,7 @@ def relight_command(settings: ConvertSettings) -> str:
 
 
 def write_capture(capture: Capture, layout: Layout, out: Path, progress: bool = True) -> int:
-    """Write a capture in a layout; what it keeps is said by the function that fills the folder.
+    """Write a capture in a layout, whose `fill_` function names the parts that are kept.
 
     Args:
         capture: any; frames that are damaged are left out with a line, unless it is strict.

@@ -41,7 +41,7 @@ class FileTree:
         return name in self._known
 
     def below(self, folder: str, suffix: str = "") -> list[str]:
-        """Names of the files right in a folder (`""` for the top) that end with `suffix`, whatever its case."""
+        """Names of the files right in a folder (`""` for the top) that end with `suffix`, in any case."""
         top = f"{folder}/" if folder else ""
         return [
             name

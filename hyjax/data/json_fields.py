@@ -78,7 +78,7 @@ class Fields:
         return [Fields(entry, where) for entry, where in self._list(key)]
 
     def _list(self, key: str) -> list[tuple[Any, str]]:
-        """Entries of a list, and what messages call them."""
+        """Entries of a list, each with its name for messages."""
         value = self._value(key)
         if not isinstance(value, list):
             raise InputError(f"{self.where}: {key}: need a list, got {_kind(value)}")

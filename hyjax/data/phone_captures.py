@@ -1,4 +1,4 @@
-"""Scans of phones: what their readers share, from depth with confidence to the counts of faults."""
+"""Parts that readers of phones' scans share: poses, lenses, depth with confidence, counts of faults."""
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
@@ -78,7 +78,7 @@ def shape_of_pictures(tree: FileTree, names: Sequence[str]) -> tuple[int, int]:
 
 
 class PhoneScan:
-    """Shots of a phone's scan on their way to a recording, and what is to be told of them.
+    """Shots of a phone's scan before they become a recording, with counts of faults and remarks.
 
     Attributes:
         tree: its files.
@@ -89,7 +89,7 @@ class PhoneScan:
         self.tree, self.faults, self.remarks = tree, Tally(), Tally()
 
     def whole(self, name: str, what: str) -> str | None:
-        """The name of a file if it is there and whole; a damaged one is counted in `faults` as `what`."""
+        """Name of a file that is there and whole, else None; a damaged one is counted in `faults` as `what`."""
         if name not in self.tree:
             return None
         if looks_whole(self.tree, name):
@@ -139,10 +139,10 @@ class PhoneScan:
         depth_intrinsics: Intrinsics | None = None,
         exposure: float | None = None,
     ) -> Shot | None:
-        """A shot, with a remark on what it lacks; None, counted in `faults`, without a valid pose.
+        """A shot, with a remark if it lacks picture or depth; None, counted in `faults`, without a valid pose.
 
         Args:
-            source: file that tells it, for messages.
+            source: file of the shot, for messages.
             name, time, pose, intrinsics, picture, depth, depth_intrinsics, exposure: see `Shot`.
         """
         if pose is None:
@@ -164,7 +164,7 @@ class PhoneScan:
         mesh: str | None = None,
         name: str | None = None,
     ) -> Recording:
-        """The recording of some shots, in order of time; a clock that goes back is told.
+        """The recording of some shots in order of time, with a remark if their clock goes back.
 
         Args:
             shots: in the order in which the files have them.

@@ -175,7 +175,7 @@ def _positive(metres: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 def _unpacked(
     tree: FileTree, name: str, kind: type, metadata: Fields, lens: Intrinsics
 ) -> Float[np.ndarray, "h w"]:
-    """An LZFSE-compressed array; of the pictures' proportions where `metadata` does not tell its size."""
+    """An LZFSE-compressed array, in the pictures' proportions if `metadata` has no size for it."""
     lzfse, shape = _lzfse(), None
     if "dw" in metadata and "dh" in metadata:
         shape = metadata.count("dh"), metadata.count("dw")

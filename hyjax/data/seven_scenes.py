@@ -100,7 +100,7 @@ def _read_pose(tree: FileTree, name: str) -> Float[np.ndarray, "4 4"]:
 
 
 def read_intrinsics(tree: FileTree, shape: tuple[int, ...], remarks: list[str]) -> Intrinsics:
-    """The one lens of all pictures, which have this shape; a remark tells if it is the default."""
+    """Intrinsics of all pictures, which have this shape, with a remark if they are the default ones."""
     height, width = shape
     name = "camera-intrinsics.txt"
     path = tree.where(name)
@@ -128,7 +128,7 @@ def read_intrinsics(tree: FileTree, shape: tuple[int, ...], remarks: list[str]) 
 
 
 def read_up(tree: FileTree) -> Float[np.ndarray, "3"] | None:
-    """Unit vector against gravity, where there is a file that tells it."""
+    """Unit vector against gravity from its file; None without one."""
     name = "gravity-direction.txt"
     if name not in tree:
         return None

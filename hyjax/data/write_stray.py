@@ -23,7 +23,7 @@ from hyjax.util.images import write_depth, write_labels
 ENCODERS = ("libx264", "libx265", "hevc", "h264")
 """Video encoders, the first that FFmpeg has is taken."""
 QUALITY = {"crf": "6", "x265-params": "log-level=none"}
-"""Constant rate factor: losses are below what 8 bits show on most pixels."""
+"""Options of the encoders; at this constant rate factor most pixels change by less than a step of 8 bits."""
 FOLDERS = ("depth", "confidence")
 KEY_EVERY = 15
 LIMITED_RANGE = 1

@@ -26,11 +26,11 @@ class ExportSettings(Settings):
     """Export a cascade or a guide network for another runtime, or a page that runs one."""
 
     to: Target
-    """stablehlo, iree, onnx, litert or coreml: a file for that runtime, with a README.md beside it; web and bench:
-    a page for browsers with WebGPU."""
+    """stablehlo, iree, onnx, litert or coreml: a file for that runtime, with a README.md; web and bench: a page for
+    browsers with WebGPU."""
     what: What = "cascade"
-    """What a file for a runtime computes: cascade repairs a filter of which a confidence tells what is known;
-    plain-cascade repairs one of which everything is known; guide is the network of --guide."""
+    """Function of a file for a runtime: cascade repairs a filter with a confidence for each pixel; plain-cascade
+    repairs a filter that is known everywhere; guide is the network of --guide."""
     scene: SceneSettings = dataclasses.field(default_factory=SceneSettings)
     frames: str | None = None
     """Of a page: which frames, by position in the capture: all, 7, 0:300:30, or a list such as 0,5,9:12. Default:
@@ -39,14 +39,14 @@ class ExportSettings(Settings):
     """Of a page: noon-window, golden-hour, evening-lamps, night-moon, center-point, two-colors, or a YAML or JSON
     file."""
     configuration: str | None = None
-    """quality, balanced, fast, or a JSON file that tune wrote; see relight. What a page cannot follow is told. A
-    file for a runtime takes the schedule from it."""
+    """quality, balanced, fast, or a JSON file that tune wrote; see relight. The log names the choices that a
+    page does not follow. A file for a runtime takes the schedule from it."""
     schedule: str | None = None
     """hyjax (the default), paper-50, paper-80, naive-50, naive-1000, or a JSON file of one, such as tune writes."""
     kappa: float | None = None
     """Edge sensitivity of a named schedule. Default: 0.05 for hyjax, 0.02 for the others."""
     guide: str = "rgb"
-    """What guides the diffusion: rgb is the frame itself, small the network that comes with hyjax; or a safetensors
+    """Guide of the diffusion: rgb is the frame itself, small the network that comes with hyjax; or a safetensors
     file that train or tune wrote."""
     channels: int = 3
     """Of the filter that a cascade repairs."""

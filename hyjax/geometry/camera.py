@@ -16,7 +16,7 @@ from hyjax.util.errors import InputError, shown
 # A pose read from a text file carries six or seven digits; scanners' trackers are orthonormal to about 1e-4.
 RIGID_TOLERANCE = 1e-3
 FARTHEST = 1e9
-"""Largest distance in the unit of the poses: beyond, float32 cannot tell two corners of a room apart."""
+"""Largest distance in the unit of the poses; beyond it, corners of a room coincide in float32."""
 LARGEST_SIDE = 1 << 20
 SHORTEST_FOCAL = 1e-3
 """Pixels; at 1e-300 nothing that follows is a number."""

@@ -172,7 +172,7 @@ def _bytes(accessor: Mapping[str, Any]) -> int:
 def _buffers(
     path: Path, entries: Sequence[Mapping[str, Any]], binary: BinaryIO | None, beside: Callable[[str], bytes]
 ) -> list[bytes]:
-    """Content of each buffer: the GLB's own, in the text, or of a file beside it, which is read once."""
+    """Content of each buffer, from the GLB, from base64 text or from another file, each of which is read once."""
     found: dict[str | None, bytes] = {}
     for entry in entries:
         uri = entry.get("uri")

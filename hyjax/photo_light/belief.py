@@ -18,9 +18,9 @@ EXPONENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 LEAST_GAIN = 0.04
 """Least relative gain in flatness of planes on held-out pairs; below it nothing is divided out."""
 LEAST_PAIRS = 100
-"""Fewest pairs of vertices in a fold; with less nothing is told of the light."""
+"""Fewest pairs of vertices in a fold; with fewer there is no estimate of the light."""
 LARGEST_SIDE, SMALLEST_SIDE = 0.9, 0.15
-"""Sides, in metres, of the blocks of space that a fold has whole: large ones tell more, many are needed."""
+"""Largest and smallest side, in metres, of a fold's blocks of space; halved until no fold is too small."""
 LEAST_SHARE = 0.2
 """Least share of the pairs in each fold."""
 
@@ -42,7 +42,7 @@ class Belief:
 
 
 NO_BELIEF = Belief(0.0, 0.0, (1.0,) * len(EXPONENTS))
-"""Belief where scan and frames tell too little."""
+"""Belief where scan and frames give too little evidence: nothing is divided out."""
 
 
 def folds(position: Float[np.ndarray, "n 3"], seed: int = 0) -> Int[np.ndarray, "n"]:

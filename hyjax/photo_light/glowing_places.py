@@ -35,7 +35,7 @@ RADIUS = 0.03
 
 
 def glowing_places(caster: RayCaster, sightings: Sequence[Sighting], up: Vector) -> list[tuple[Vector, float]]:
-    """Places and radii of lamps in dark pictures that burn out what is around them, the largest first.
+    """Places and radii, the largest first, of lamps that burn out their surroundings in dark pictures.
 
     Args:
         caster: the scan.

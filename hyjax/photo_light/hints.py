@@ -1,4 +1,4 @@
-"""Hints of a capture on what lit its photographs, and whether the pictures bear them out."""
+"""Windows and lamps that a capture hints at as sources of its photos' light, checked against the pictures."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -26,15 +26,15 @@ LARGEST_RADIUS, LEAST_RADIUS = 0.35, 0.025
 LEAST_THICKNESS = 0.02
 """Least thickness of a lamp in metres; a flatter burnt-out surface is paper, a screen, a sign or a tabletop."""
 FEWEST_POINTS, SURROUNDINGS = 12, 0.2
-"""Fewest burnt-out points that tell a thickness; of fewer, that of all within so many metres is taken."""
+"""Fewest burnt-out points for a lamp's thickness; for fewer, all points within `SURROUNDINGS` metres are taken."""
 LEAST_FOOT = 0.15
 """Least height, in metres, of a lamp's lower end above its support."""
 MOST_CANDIDATES = 20000
 MOST_LAMPS = 16
 LARGEST_SHARE = 0.05
-"""Largest share of a picture that a lamp, with what it burns out around it, takes."""
+"""Largest share of a picture in a lamp's burnt-out blob."""
 LEAST_ALONE = 0.6
-"""Least share of a blob in what is burnt out around it."""
+"""Least share of a blob in all burnt-out pixels around it."""
 DARK_VALUE = 0.75
 """Largest display value of a lamp's surroundings."""
 

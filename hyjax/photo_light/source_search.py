@@ -41,7 +41,7 @@ MOST_SATURATED = 0.5
 LEAST_AREA = 0.15
 """Least area of a window, in square metres."""
 LEAST_OPEN = 0.1
-"""Least share of a window that is a hole of the scan; what was scanned all over is a burnt-out wall."""
+"""Least share of a window that is a hole of the scan; a surface without a hole is a burnt-out wall."""
 LARGEST_ASPECT = 10
 """Largest ratio of a window's sides; a longer patch is a sunlit strip of ground."""
 _log = logging.getLogger(__name__)

@@ -111,7 +111,7 @@ class ScenePhotoLight:
         return light
 
     def with_sources(self, bounced: Float[Array, "v 3"], setup: LightSetup) -> SurfaceLight:
-        """Bounces on the vertices with the photo's light and what a set-up keeps of its sources."""
+        """Light on the vertices: bounces, the photo's light, and the shares of its sources that a set-up keeps."""
         photo, shares, kept = self.estimate.light, self.kept(setup.existing), None
         if shares.any():
             lux = jnp.asarray(setup.reference_lux * shares, jnp.float32)

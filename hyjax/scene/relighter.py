@@ -43,7 +43,7 @@ TRACED = (
 )
 """Message about lights whose values are not known yet."""
 MOST_POINTS = 20_000
-"""Points of the surface that tell how much each light gives."""
+"""Most points of the surface at which each light's share is measured."""
 T = TypeVar("T")
 Stages = Iterator[tuple[str, Any]]
 Maps = tuple[ShadowMap | None, ...] | None

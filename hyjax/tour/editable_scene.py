@@ -26,7 +26,7 @@ BESIDE = (0.0, 0.01, 0.025, 0.05)  # tangents of angles from a ray, tried one af
 
 
 def mebibytes(result: RayCaster | trimesh.Trimesh | np.ndarray | None) -> float:
-    """Memory of a part, or of what tells its faces."""
+    """Memory, in MiB, of a part: its ray caster, its mesh or the array of its faces."""
     if isinstance(result, np.ndarray):
         return result.nbytes / 2**20
     mesh = result.arrays if isinstance(result, RayCaster) else result

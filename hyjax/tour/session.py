@@ -1,4 +1,4 @@
-"""State that all viewers of a tour share: the plan, what is selected in it, and the folder that keeps them."""
+"""State that all viewers of a tour share: the plan, its selection, and the folder that the plan is saved in."""
 
 import logging
 import threading

@@ -23,11 +23,12 @@ class TourSettings(Settings):
 
     scene: SceneSettings = dataclasses.field(default_factory=SceneSettings)
     configuration: str | None = None
-    """quality, balanced, fast, or a JSON file that tune wrote; see relight. What a tour cannot follow, it tells."""
+    """quality, balanced, fast, or a JSON file that tune wrote; see relight. The log names the choices that a
+    tour does not follow."""
     guide: str | None = None
-    """What guides the diffusion: rgb (the default), small or a safetensors file; see relight."""
+    """Guide of the diffusion: rgb (the default), small or a safetensors file; see relight."""
     schedule: Path | None = None
-    """A JSON file, such as tune writes, to choose from beside the named ones."""
+    """JSON file of one more schedule to choose from, such as tune writes."""
     keep_photo_light: bool = False
     """Leave the light that the frames were taken under in the pictures, and bounces out."""
     live: str | None = None
@@ -39,7 +40,7 @@ class TourSettings(Settings):
     host: str = LOCAL
     """Address to listen at. Anybody who reaches another address than the default can see and change the tour."""
     out: Path = Path("tour")
-    """Folder for what one saves, and for the set-up, with which the tour goes on next time."""
+    """Folder for saved files, and for the set-up, with which the tour goes on next time."""
     quiet: bool = False
     """No progress bars."""
 
@@ -68,7 +69,7 @@ class TourSettings(Settings):
         return "tour" if self.live is None else "live tour"
 
     def open_configuration(self) -> "Configuration":
-        """Configuration by name or from a file, with what is given beside it.
+        """Configuration by name or from a file, with the guide of these settings.
 
         Raises:
             InputError: no such configuration, or one that tours do not show.

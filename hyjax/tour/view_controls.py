@@ -78,7 +78,7 @@ class ViewControls:
         return bool(self._follow_box.value)
 
     def set_frames(self, count: int) -> None:
-        """Tell how many frames the capture has by now."""
+        """Set the number of frames that the capture has by now."""
         self._last = count - 1
         self.frame_slider.max = max(self._last, 1)
         if self.frame_slider.value > self._last:

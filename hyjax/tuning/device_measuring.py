@@ -119,7 +119,7 @@ class Measuring:
             return current.rounds, [at - current.arrived[0] for at in current.arrived]
 
     def end(self) -> None:
-        """Tell the page that there are no more jobs."""
+        """End the session: the page gets no more jobs."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()
@@ -242,7 +242,7 @@ class ConnectedDevice:
             self.say(f"the device got slower by {100 * rise:.0f} % from the first to the last rounds: is it hot?")
 
     def close(self) -> None:
-        """Tell the page that all is done, and stop serving."""
+        """End the page's session, and stop serving."""
         self.site.end()
-        time.sleep(0.2)  # for the answer to what the page waits for
+        time.sleep(0.2)  # for the answer to the page's open request
         self.server.stop()

@@ -19,7 +19,7 @@ ROUNDS = 100
 MOST_SECONDS = 20.0
 """Most seconds of timing, for each configuration."""
 LEAST = 1e-9
-"""Smallest loss that is told from zero."""
+"""Smallest loss; smaller ones count as this one, so that logarithms are finite."""
 
 
 def prove(configurations: Sequence[Configuration], stage: "Stage", *, progress: bool) -> list[Candidate]:

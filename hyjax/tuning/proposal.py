@@ -140,7 +140,7 @@ def relaxed_points(
     seed: int = 0,
     expired: Callable[[], bool] = lambda: False,
 ) -> list[Found]:
-    """Points of whole steps within a budget, the best first: the start, or what fits of it, among them.
+    """Points of whole steps within a budget, the best first, with the start, cut down to the budget, among them.
 
     Args:
         objective: what is minimised.

@@ -90,7 +90,7 @@ class ScheduleClock:
         return list(self.table.stages.values())
 
     def predict(self, schedule: Schedule) -> Milliseconds:
-        """Prediction by the cost model, which is of the form that is searched; of others, what was timed."""
+        """Time by the cost model for schedules of the searched form; for others the measured time, if any."""
         known = self.table.timed.get(schedule_key(schedule))
         if known is None or has_searched_form(schedule):
             known = self.table.predict(self.table.steps_of(schedule))
@@ -101,7 +101,7 @@ class ScheduleClock:
         return not self.whole_frame and schedule_key(schedule) in self.table.timed
 
     def measure(self, schedules: Sequence[Schedule], *, again: bool = False) -> list[Milliseconds]:
-        """Times by the engine, in turns, else as `predict`; what was timed is timed again only if asked for."""
+        """Times by the engine, in turns, else as `predict`; schedules with a time are timed again on request."""
         wanted = [s for s in each_once(schedules) if again or not self.is_timed(s)]
         if self.engine is not None and wanted:
             times = self.engine.times(latency_request(self.latency.workload, wanted), wanted)

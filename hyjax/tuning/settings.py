@@ -125,7 +125,7 @@ class TuneSettings(Settings):
     budget_ms: tuple[float, ...] = ()
     """Budgets in milliseconds, besides or instead of frame rates."""
     stage: BudgetStage | None = None
-    """What the budget is for: frame, the whole frame, all of whose choices are searched; or cascade, the diffusion
+    """Scope of the budget: frame, the whole frame, all of whose choices are searched; or cascade, the diffusion
     alone. Default: frame; of another device, cascade."""
     target: str | None = None
     """The accurate mesh that the picture should look like: a file, 'true', 'fused' (at 2 cm), or 'converged' (1000
@@ -138,9 +138,9 @@ class TuneSettings(Settings):
     holdout: str | None = None
     """Which frames are only reported on. Default: four of the last quarter."""
     guide: str = "rgb"
-    """Where the diffusion alone is tuned, what guides it: rgb, small or a safetensors file; see relight."""
+    """Guide of the diffusion, where it is tuned alone: rgb, small or a safetensors file; see relight."""
     time_limit: float | None = None
-    """Seconds after which the search only finishes what it has."""
+    """Seconds after which the search ends with the trials that it has."""
     extra: bool = True
     """Also tune for a few more budgets, to draw the curve of quality against time."""
     recalibrate: bool = False

@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 
 REPEATS, CALIBRATION_REPEATS, PROBE_REPEATS = 100, 60, 40
 PROBE = "probe"
-"""Stage of a kept file: a paper-like schedule timed on its own, to tell whether the machine still is as fast."""
+"""Stage of a kept file: a paper-like schedule, timed on its own to check that the machine is still as fast."""
 PROBE_TOLERANCE = 1.3
 """Kept times are believed while the probe takes between 1/1.3 and 1.3 times as long as it did then."""
 

@@ -1,4 +1,4 @@
-"""Input errors: the exception for wrong input, which the command line tells from a bug."""
+"""Input errors: the exception for wrong input, as opposed to a bug."""
 
 import difflib
 import reprlib

@@ -33,7 +33,7 @@ _TEMPORARY = re.compile(r"\.(?P<name>.+)\.hyjax-[0-9a-f]{12}(?P<kind>\.part|\.ol
 
 @contextlib.contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """A temporary name beside `path` to write to: renamed to it if the block ends well."""
+    """A temporary name in the folder of `path` to write to, renamed to `path` if the block ends well."""
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{_mark()}{PART}{path.suffix}")
     with contextlib.ExitStack() as held:
@@ -55,7 +55,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def new_folder(out: Path, *, replace: bool = False) -> Iterator[Path]:
-    """A temporary folder beside `out` to fill: renamed to it if the block ends well, removed if not.
+    """A temporary folder next to `out` to fill, renamed to `out` if the block ends well, else removed.
 
     Args:
         out: the folder.
