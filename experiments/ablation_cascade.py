@@ -30,7 +30,7 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table
 from experiments.command import Start, experiment, run
 from experiments.judging import summarise
-from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, reported
+from experiments.paper_bench import METHODS, RAW_SCHEDULE, Bench, KappaConfig, reported
 from experiments.paper_view import View
 from experiments.plotting import new_figure
 from experiments.records import Row, of_kind
@@ -65,7 +65,7 @@ def main(config: Config, start: Start) -> None:
     sheet = []
     for view in bench.views(chosen, "diffusing"):
         for mode in METHODS:
-            accurate = bench.relight(view, LIGHTS, mode, ANY, accurate=True)
+            accurate = bench.relight(view, LIGHTS, mode, RAW_SCHEDULE, accurate=True)
             refined = {name: bench.relight(view, LIGHTS, mode, s).refined for name, s in schedules().items()}
             converged = refined[naive_name(CONVERGED)]
             for name, relight_filter in refined.items():
@@ -78,7 +78,7 @@ def main(config: Config, start: Start) -> None:
                     to_accurate=rms(relight_filter, accurate.shading, jnp.asarray(view.valid), mode),
                     psnr=psnr(view, relight_filter, accurate.shading, mode),
                 )
-            raw = bench.relight(view, LIGHTS, mode, ANY).shading
+            raw = bench.relight(view, LIGHTS, mode, RAW_SCHEDULE).shading
             shown = [raw, *(refined[name] for name in SCHEDULES), converged, accurate.shading]
             label = f"{view.frame.name}, {mode} mode, filters"
             sheet.append((label, [np.asarray(view.display), *(np.asarray(displayed(x, mode)) for x in shown)]))
@@ -123,7 +123,7 @@ def time_schedules(bench: Bench, view: View, repeats: int) -> dict[Mode, dict[st
     """Milliseconds of the diffusion of one filter, all schedules and both modes in turns."""
     setup = bench.setups[LIGHTS]
     each, known = hyjax.shade_each(view.rough, setup.lights), view.rough.hit[..., None]
-    raw = bench.relight(view, LIGHTS, "paper", ANY).shading
+    raw = bench.relight(view, LIGHTS, "paper", RAW_SCHEDULE).shading
     calls = {}
     for name in SCHEDULES:
         paper, ours = (jax.device_put(bench.own_kappa(Schedule.preset(name), mode)) for mode in METHODS)

@@ -11,7 +11,7 @@ dim, by
 - *overlap*: intersection over union of the shadows (visibility below one half);
 - *edge error*: mean difference of visibility within `EDGE` of the true shadow's border;
 - *border offset*: mean distance in pixels between the two borders, both ways, none counted for more than
-  `FARTHEST`.
+  `FARTHEST_PIXELS`.
 
 Once on the rough surface, as in use; and once on the accurate surface, where raw is the truth itself, so that what
 is lost is the diffusion's doing alone. A sweep tells what the steps of the separate pass do, at full and at half
@@ -52,8 +52,8 @@ SURFACES = ("rough", "accurate")
 SIZES = {1: "full", 2: "half"}
 """Sizes by factor."""
 EDGE = 8 / 512  # of the picture's height
-FARTHEST = 32  # pixels
-DIM = 0.05  # of the reference illuminance: less light than this shows no shadow
+FARTHEST_PIXELS = 32  # pixels
+DIM_SHARE = 0.05  # of the reference illuminance: less light than this shows no shadow
 METRICS = {"overlap": 3, "edge_error": 3, "border_offset": 2}
 SHEET = (
     "frame",
@@ -85,7 +85,9 @@ def main(config: Config, start: Start) -> None:
     for view in bench.views(chosen, "casting shadows"):
         for mode in METHODS:
             truth = Lit(view, bench, mode, accurate_maps, accurate=True)
-            counted = view.valid[..., None] & (np.asarray(truth.each) > DIM * bench.setups[LIGHTS].reference_lux)
+            counted = view.valid[..., None] & (
+                np.asarray(truth.each) > DIM_SHARE * bench.setups[LIGHTS].reference_lux
+            )
             for surface, lit in {"rough": Lit(view, bench, mode, rough_maps), "accurate": truth}.items():
                 for (method, factor, steps), visible in estimate(lit, view, bench, mode).items():
                     for light in range(len(lights)):
@@ -161,9 +163,9 @@ def compare(
     near = counted & (from_true < max(1.0, EDGE * truth.shape[0]))
     if not near.any():
         return None
-    offsets = [np.minimum(from_true[border], FARTHEST)]
+    offsets = [np.minimum(from_true[border], FARTHEST_PIXELS)]
     from_own = ndimage.distance_transform_edt(~border) if border.any() else np.full(true.shape, np.inf)
-    offsets.append(np.minimum(from_own[true_border], FARTHEST))
+    offsets.append(np.minimum(from_own[true_border], FARTHEST_PIXELS))
     return {
         "overlap": float((dark & true).sum() / (dark | true).sum()),
         "edge_error": float(np.abs(visible - truth)[near].mean()),

@@ -6,8 +6,8 @@
 
 Conductances (Eq. 3) at full size and min-pooled to the cascade's coarser levels. `SPEC` names pictures with depth
 as `hyjax.pairs.registry` takes them; default are generated rooms of a seed that no training uses. κ is chosen for
-each guide such that the median conductance across depth jumps is `AT_JUMPS`, so that guides can be compared by what
-they do elsewhere. They are compared at a level of the cascade, where it does not matter that no sensor's borders
+each guide such that the median conductance across depth jumps is `JUMP_CONDUCTANCE`, so that guides can be compared
+elsewhere. They are compared at a level of the cascade, where it does not matter that no sensor's borders
 are those of the picture to the pixel. Edges of that level are of one of these kinds:
 
 - *jump*: depth changes by more than 5 %;
@@ -44,10 +44,10 @@ from hyjax.pairs.registry import open_pairs
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
 
-AT_JUMPS = 0.1
+JUMP_CONDUCTANCE = 0.1
 FACTORS = (1, 4, 16)
-COMPARED_AT = 4  # pixels a cell is wide
-TURN = np.cos(np.deg2rad(20.0))
+CELL_PIXELS = 4  # pixels a cell is wide
+CREASE_COSINE = np.cos(np.deg2rad(20.0))
 KINDS = ("jump", "crease", "texture", "plain")
 
 EdgeMask = Bool[np.ndarray, "e"]
@@ -74,7 +74,7 @@ def main(config: Config, start: Start) -> None:
     for number in range(len(pairs)):
         pair = pairs[number]
         distances = {guide.name: guide_distance(guide.features(jnp.asarray(pair.image))) for guide in guides}
-        pooled = {name: _flat(max_pool(distance, COMPARED_AT)) for name, distance in distances.items()}
+        pooled = {name: _flat(max_pool(distance, CELL_PIXELS)) for name, distance in distances.items()}
         found.append((pair.name, kinds(pair, pooled[RGB.name]), pooled))
         if number == config.shown:
             shown = pair, distances
@@ -85,7 +85,7 @@ def main(config: Config, start: Start) -> None:
         if not jumps.size:
             raise InputError(f"{config.pairs}: depth nowhere jumps; choose other pairs")
         squared = float(np.median(jumps))
-        kappa = float(np.sqrt(squared * AT_JUMPS / (1.0 - AT_JUMPS)))  # κ²/(κ² + d) = AT_JUMPS
+        kappa = float(np.sqrt(squared * JUMP_CONDUCTANCE / (1.0 - JUMP_CONDUCTANCE)))  # κ²/(κ² + d) = AT_JUMPS
         results.add(kind="guide", guide=guide.name, kappa=kappa, pairs=pairs.name)
         for name, own, pooled in found:
             scores = compare(pooled[guide.name], own, kappa)
@@ -109,7 +109,7 @@ def kinds(pair: DepthPair, colour: EdgeValues) -> Mapping[str, EdgeMask]:
         if pair.normal is not None:
             n = np.moveaxis(pair.normal, axis, 0)
             known = (n != 0).any(axis=-1)
-            turned = known[1:] & known[:-1] & (np.sum(n[1:] * n[:-1], axis=-1) < TURN)
+            turned = known[1:] & known[:-1] & (np.sum(n[1:] * n[:-1], axis=-1) < CREASE_COSINE)
         for edges, mask in ((jump, far), (turn, turned), (unknown, ~both)):
             edges.append(np.moveaxis(mask, 0, axis))
     jumps, turns, unknowns = ([np.asarray(e) > 0 for e in _pooled(edges)] for edges in (jump, turn, unknown))
@@ -130,7 +130,7 @@ def compare(squared: EdgeValues, own: Mapping[str, EdgeMask], kappa: float) -> d
     conductance = kappa**2 / (kappa**2 + squared)
     medians = {kind: float(np.median(conductance[own[kind]])) if own[kind].any() else None for kind in KINDS}
     others = own["texture"] | own["plain"]
-    stopped = float((conductance[others] < AT_JUMPS).mean()) if others.any() else None
+    stopped = float((conductance[others] < JUMP_CONDUCTANCE).mean()) if others.any() else None
     return medians | {"stopped": stopped, "area": _area(squared[own["jump"]], squared[others])}
 
 
@@ -144,7 +144,7 @@ def _area(positive: EdgeValues, negative: EdgeValues) -> float | None:
 
 def _pooled(edges: Sequence[Bool[np.ndarray, "h w"]]) -> Edges:
     vertical, horizontal = (jnp.asarray(e, jnp.float32) for e in edges)
-    return max_pool((vertical, horizontal), COMPARED_AT)
+    return max_pool((vertical, horizontal), CELL_PIXELS)
 
 
 def _flat(edges: Sequence[np.ndarray] | Edges) -> np.ndarray:
@@ -168,12 +168,12 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         texts = ["–" if s is None else s.text(3) for s in summaries]
         lines.append([guide["guide"], f"{guide['kappa']:.3g}", *texts])
     caption = (
-        f"Conductances at 1/{COMPARED_AT} of the resolution of {len({row['pair'] for row in scores})} pictures of "
-        f"{guides[0]['pairs']}: means of each picture's median by kind of edge, ± half of the 95 % interval. Below "
-        f"{AT_JUMPS:g}: share of texture and plain edges that are as closed as the median jump. Area: under the "
-        "ROC curve, jumps against texture and plain edges."
+        f"Conductances at 1/{CELL_PIXELS} of the resolution of {len({row['pair'] for row in scores})} pictures of "
+        f"{guides[0]['pairs']}: means of each picture's median by kind of edge, ± half of the 95 % interval. "
+        f"Below {JUMP_CONDUCTANCE:g}: share of texture and plain edges that are as closed as the median jump. "
+        "Area: under the ROC curve, jumps against texture and plain edges."
     )
-    header = ["", "kappa", *KINDS, f"below {AT_JUMPS:g}", "area"]
+    header = ["", "kappa", *KINDS, f"below {JUMP_CONDUCTANCE:g}", "area"]
     return [
         Table(caption, header, lines),
         Picture(folder / "conductances.png", "White lets light through, black stops it."),

@@ -61,9 +61,9 @@ Protocol = Literal["tuned", "dada"]
 LEAST_VALID = 0.3  # share of a tile
 FEWEST_CELLS = 4  # of a tile that counts
 STEPS = 1000
-BORDER = 3  # pixels around a depth jump
+BORDER_PIXELS = 3  # pixels around a depth jump
 UNITS = {"metres": ("cm", 100.0), "disparity": ("px", 1.0)}  # as reported
-BRIGHTEST = 3.0  # error that is white in pictures, in multiples of the bicubic RMSE
+WHITE_ERROR = 3.0  # error that is white in pictures, in multiples of the bicubic RMSE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -207,7 +207,7 @@ def choose(
 def errors(estimate: Float[np.ndarray, "s s"], tile: Tile) -> dict[str, float | None]:
     """Mean squared and mean absolute error of the valid pixels, and mean squared error of those at a depth jump."""
     error = np.abs(estimate.astype(np.float64) - tile.depth)
-    borders = tile.valid & beside_jump(tile.depth, BORDER)
+    borders = tile.valid & beside_jump(tile.depth, BORDER_PIXELS)
     found = {"mse": error[tile.valid] ** 2, "mae": error[tile.valid], "mse_borders": error[borders] ** 2}
     return {name: float(values.mean()) if values.size else None for name, values in found.items()}
 
@@ -216,7 +216,7 @@ def pictures(tile: Tile, estimates: Mapping[str, Float[np.ndarray, "s s"]]) -> l
     """The frame, its depth, and the error of each method; black where invalid."""
     near, far = tile.depth[tile.valid].min(), tile.depth[tile.valid].max()
     depth = (tile.depth - near) / max(far - near, 1e-6)
-    white = max(BRIGHTEST * float(np.sqrt(np.mean((estimates["bicubic"] - tile.depth)[tile.valid] ** 2))), 1e-6)
+    white = max(WHITE_ERROR * float(np.sqrt(np.mean((estimates["bicubic"] - tile.depth)[tile.valid] ** 2))), 1e-6)
     shown = [depth, *(np.abs(estimate - tile.depth) / white for estimate in estimates.values())]
     return [tile.image, *(np.repeat(np.where(tile.valid, x, 0)[..., None], 3, axis=-1) for x in shown)]
 
@@ -238,7 +238,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         Plot(main.name, "RMSE against the factor between source and result.", figure(scores)),
         Picture(
             folder / "errors.png",
-            f"The tile of each source on which bicubic errs most; white is {BRIGHTEST:g} times its RMSE.",
+            f"The tile of each source on which bicubic errs most; white is {WHITE_ERROR:g} times its RMSE.",
         ),
     ]
 
@@ -276,7 +276,7 @@ def table(text: str, scores: Sequence[Row], options: Mapping[tuple[int, str], Op
     caption = (
         f"{text}: {pairs} pairs, {count} tiles of {scores[0]['settings']['tile']}² pixels. Means over pairs ± half "
         "of the 95 % interval; of a pair, RMSE is the root of the mean of its tiles' MSE. Borders: within "
-        f"{BORDER} pixels of a depth jump. MSE: mean over tiles."
+        f"{BORDER_PIXELS} pixels of a depth jump. MSE: mean over tiles."
     )
     header = ["factor", "method", "parameters", f"RMSE {unit}", f"MAE {unit}", "RMSE at borders", "of bicubic RMSE"]
     header += [f"MSE {unit}²"]

@@ -30,7 +30,7 @@ import hyjax
 from experiments.blocks import Block, Picture, Plot, Table
 from experiments.command import Start, experiment, run
 from experiments.judging import summarise
-from experiments.paper_bench import ANY, METHODS, Bench, KappaConfig, reported
+from experiments.paper_bench import METHODS, RAW_SCHEDULE, Bench, KappaConfig, reported
 from experiments.paper_view import View, linear_filter, multiplied
 from experiments.plotting import panels
 from experiments.records import Row, of_kind
@@ -42,7 +42,7 @@ from hyjax.util.errors import InputError
 from hyjax.video.temporal_filter import Memory, Video, recall
 
 LIGHTS = "two-colors"
-KEPT = (0.5, 0.8, 0.9)
+KEPT_SHARES = (0.5, 0.8, 0.9)
 """Shares of the last frame; the package's own is among them."""
 BARE, ACCURATE = "bare mesh", "accurate surface"
 GAIN = 8.0
@@ -74,7 +74,7 @@ def main(config: Config, start: Start) -> None:
     chosen = select_frames(config.frames, len(capture)) if config.frames else reported(capture)[:40]
     if len(chosen) < 2:
         raise InputError("frames: flicker is between frames; give at least two")
-    videos, last, sheet = {share: Video(keep=share) for share in KEPT}, None, []
+    videos, last, sheet = {share: Video(keep=share) for share in KEPT_SHARES}, None, []
     with config.bench(capture, schedule) as bench:
         for view in bench.views(chosen, "relighting"):
             filters = filters_of(bench, view, videos)
@@ -112,7 +112,7 @@ def filters_of(bench: Bench, view: View, videos: dict[float, Video]) -> dict[str
         temporal_filter = video.filter(seen, lights, view.guide, own)
         kept = bench.relight(view, LIGHTS, "linear", bench.schedules["linear"], temporal_filter=temporal_filter)
         found[kept_name(share)] = kept.refined
-    found[ACCURATE] = bench.relight(view, LIGHTS, "linear", ANY, accurate=True).shading
+    found[ACCURATE] = bench.relight(view, LIGHTS, "linear", RAW_SCHEDULE, accurate=True).shading
     return {name: jnp.clip(hyjax.to_display(f), 0.0, 1.0) for name, f in found.items()}
 
 

@@ -57,7 +57,7 @@ RATE_SIZE = 512
 """Pixels a side of the pictures for frame rates by sampling and by mesh."""
 WARM_UP = 4
 LONG_PARTS = (0.1, 0.5, 1.0)
-MOST_DIVIDED = 1_000_000
+MOST_DIVIDED_FACES = 1_000_000
 """Triangles up to which the photo's light is estimated: beyond, rays between all vertices would take minutes."""
 
 
@@ -209,7 +209,7 @@ def finer(scene: Scene, faces: int) -> Scene:
 
 
 def add_rate(results: Results, scene: Scene, config: Config, sampling: int) -> None:
-    divided = len(scene.mesh.faces) <= MOST_DIVIDED
+    divided = len(scene.mesh.faces) <= MOST_DIVIDED_FACES
     frames = WholeFrames(scene, config, RATE_SIZE, sampling, keep_photo_light=not divided)
     found = frames.rate(config.frames)
     stages = {name: time["median_ms"] for name, time in frames.clock.summary().items() if "median_ms" in time}

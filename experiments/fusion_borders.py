@@ -46,9 +46,9 @@ from hyjax.util.errors import InputError
 from hyjax.util.images import write_png
 
 JUMP = 0.15
-"""Metres between near and far, within `AROUND` pixels of a reading, from which it counts as at a border."""
-AROUND = 9
-WRONG = 0.05
+"""Metres between near and far, within `BORDER_PIXELS` pixels of a reading, from which it counts as at a border."""
+BORDER_PIXELS = 9
+WRONG_METRES = 0.05
 """Metres by which a mesh is before or behind a reading to hide or to lack it."""
 JUDGES = 20
 OPEN3D_BLOCKS = 40_000
@@ -162,8 +162,8 @@ def judged(mesh: trimesh.Trimesh, judges: Sequence[DepthReading]) -> dict[str, f
     for reading in judges:
         seen = np.asarray(caster.gbuffer(reading.camera).depth)
         far, near = _borders(reading)
-        hidden += int((far & (seen > 0) & (seen < reading.depth - WRONG)).sum())
-        lacking += int((near & ((seen == 0) | (seen > reading.depth + WRONG))).sum())
+        hidden += int((far & (seen > 0) & (seen < reading.depth - WRONG_METRES)).sum())
+        lacking += int((near & ((seen == 0) | (seen > reading.depth + WRONG_METRES))).sum())
         beside_far, beside_near = beside_far + int(far.sum()), beside_near + int(near.sum())
     coverage = Coverage.of(caster, judges)
     return {
@@ -178,8 +178,8 @@ def _borders(reading: DepthReading) -> tuple[Bool[np.ndarray, "h w"], Bool[np.nd
     """Readings on the far and on the near side of borders."""
     depth = reading.depth
     sure = depth > 0 if reading.confidence is None else (depth > 0) & (reading.confidence == 1)
-    nearest = ndimage.minimum_filter(np.where(depth > 0, depth, np.inf), AROUND)
-    farthest = ndimage.maximum_filter(depth, AROUND)
+    nearest = ndimage.minimum_filter(np.where(depth > 0, depth, np.inf), BORDER_PIXELS)
+    farthest = ndimage.maximum_filter(depth, BORDER_PIXELS)
     return sure & (depth - nearest > JUMP), sure & (farthest - depth > JUMP)
 
 
@@ -193,8 +193,8 @@ def _picture(made: dict[str, trimesh.Trimesh], judges: Sequence[DepthReading]) -
             facing = -np.sum(np.asarray(gbuffer.normal) * rays, axis=-1) / np.linalg.norm(rays, axis=-1)
             picture = np.repeat(np.clip(facing, 0, 1)[..., None], 3, axis=-1)
             seen, (far, near) = np.asarray(gbuffer.depth), _borders(reading)
-            picture[far & (seen > 0) & (seen < reading.depth - WRONG)] = (0.9, 0.1, 0.1)
-            picture[near & ((seen == 0) | (seen > reading.depth + WRONG))] = (0.2, 0.4, 1.0)
+            picture[far & (seen > 0) & (seen < reading.depth - WRONG_METRES)] = (0.9, 0.1, 0.1)
+            picture[near & ((seen == 0) | (seen > reading.depth + WRONG_METRES))] = (0.2, 0.4, 1.0)
             step = max(1, round(picture.shape[0] / 240))
             pictures.append(picture[::step, ::step])
         rows.append(np.concatenate(pictures, axis=1))

@@ -22,7 +22,7 @@ from PIL import Image
 from experiments.blocks import DPI, Plot
 from experiments.command import run
 from experiments.records import ROOT
-from experiments.tables import KEPT, experiment_of, kept_rows
+from experiments.tables import KEPT_FOLDER, experiment_of, kept_rows
 from experiments.tour_picture import tour_picture
 from hyjax.util.contact_sheet import GAP, LABEL
 from hyjax.util.errors import InputError, did_you_mean
@@ -70,8 +70,8 @@ class Committed:
 
 def pareto() -> Pixels:
     """The figure of `frame_tuning`, from the kept rows."""
-    rows = kept_rows(KEPT / "frame_tuning.jsonl")
-    (plot,) = (block for block in experiment_of(rows).blocks(rows, KEPT) if isinstance(block, Plot))
+    rows = kept_rows(KEPT_FOLDER / "frame_tuning.jsonl")
+    (plot,) = (block for block in experiment_of(rows).blocks(rows, KEPT_FOLDER) if isinstance(block, Plot))
     stream = io.BytesIO()
     plot.figure.savefig(stream, format="png", dpi=DPI)
     return pixels(stream)

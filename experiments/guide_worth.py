@@ -26,7 +26,7 @@ from matplotlib.figure import Figure
 from experiments.blocks import Block, Plot, Table
 from experiments.command import Start, experiment, run
 from experiments.judging import summarise, tuning_curve
-from experiments.paper_bench import ANY, METHODS, OWN_GROUP, Bench, BenchConfig
+from experiments.paper_bench import METHODS, OWN_GROUP, RAW_SCHEDULE, Bench, BenchConfig
 from experiments.paper_view import View, linear_filter, multiplied
 from experiments.plotting import panels
 from experiments.records import Row, of_kind
@@ -39,9 +39,9 @@ LIGHTS = "two-colors"
 KAPPAS = (0.0001, 0.0003, 0.0006, 0.00125, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 NONE, SURFACE = "none", "the surface"
 POOLED, MEAN_ABS = "rgb, pooled guide", "rgb, mean of |Δ|"
-NORMALS = 0.1
+NORMAL_WEIGHT = 0.1
 """Weight of normals relative to the logarithm of depth in the features: a right angle counts as 14 % of depth."""
-NOWHERE = 10.0
+HOLE_DEPTH = 10.0
 """Metres, in place of the depth where the accurate surface has a hole."""
 
 
@@ -73,7 +73,7 @@ def main(config: Config, start: Start) -> None:
     }
 
     def score(bench: Bench, split: str, view: View, guide: str, kappas: dict[str, Sequence[float]]) -> None:
-        target = bench.relight(view, LIGHTS, "linear", ANY, accurate=True).shading
+        target = bench.relight(view, LIGHTS, "linear", RAW_SCHEDULE, accurate=True).shading
         for mode, group in OWN_GROUP.items():
             for kappa in kappas[mode]:
                 relit = bench.relight(view, LIGHTS, mode, schedules.get(guide, schedule), kappa=kappa)
@@ -105,8 +105,8 @@ def main(config: Config, start: Start) -> None:
 def surface_features(view: View) -> Float[Array, "h w 4"]:
     """Features that change where the accurate surface ends or turns."""
     seen = view.accurate
-    depth = jnp.log(jnp.where(seen.hit, seen.depth, NOWHERE))
-    return jnp.concatenate([NORMALS * seen.normal, depth[..., None]], axis=-1)
+    depth = jnp.log(jnp.where(seen.hit, seen.depth, HOLE_DEPTH))
+    return jnp.concatenate([NORMAL_WEIGHT * seen.normal, depth[..., None]], axis=-1)
 
 
 def best(rows: Sequence[Row], method: str, guide: str) -> float:

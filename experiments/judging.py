@@ -22,7 +22,7 @@ REGIONS = ("all", "holes", "silhouettes", "elsewhere")
 SILHOUETTE = 6 / 512  # of the picture's height: how near to a depth jump counts as beside it
 JUMP = 0.05  # of the depth, between neighbouring pixels
 SMALLEST_SIZE = 64  # pixels a side
-SMALLEST = 1e-3  # share of the picture below which a region says nothing
+SMALLEST_REGION = 1e-3  # share of the picture below which a region says nothing
 
 Image = Float[Array, "h w 3"]
 Regions = Mapping[str, Bool[np.ndarray, "h w"]]
@@ -79,7 +79,7 @@ def judge(
 
     Returns:
         Picture → region → metric, from the mean of the metric's map over the region. Regions smaller than
-        `SMALLEST` of the picture are left out.
+        `SMALLEST_REGION` of the picture are left out.
     """
     valid = np.ones(target.shape[:2], bool) if valid is None else valid
     metrics = {name: m for name, m in METRICS.items() if m.prepare is None or weights is not None}
@@ -95,7 +95,7 @@ def judge(
     scores: dict[str, dict[str, dict[str, float]]] = {name: {} for name in pictures}
     for region, mask in regions.items():
         counted = mask & valid
-        if counted.mean() < SMALLEST:
+        if counted.mean() < SMALLEST_REGION:
             continue
         for k, name in enumerate(pictures):
             means = (m[k][counted].mean(dtype=np.float64) for m in maps)

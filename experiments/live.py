@@ -35,7 +35,7 @@ from hyjax.light.color import blackbody
 from hyjax.light.kinds import PointLight
 from hyjax.live.follow import Follower
 from hyjax.live.scene import VOXEL, LiveScene
-from hyjax.scene.occluders import SLACK
+from hyjax.scene.occluders import SURFACE_ERROR
 from hyjax.synthetic.room import make_room
 from hyjax.synthetic.room.path import camera_path
 from hyjax.util.environment import peak_memory_mib
@@ -172,7 +172,7 @@ def chair_shadow(whole: trimesh.Trimesh, without: trimesh.Trimesh, camera: Camer
     for mesh in (whole, without):
         caster = RayCaster(mesh)
         gbuffer = caster.gbuffer(camera)
-        maps = cast_shadow_maps(caster, [LAMP], slack=SLACK)
+        maps = cast_shadow_maps(caster, [LAMP], slack=SURFACE_ERROR)
         found.append((np.asarray(gbuffer.depth), np.asarray(hyjax.visibility(gbuffer, LAMP, maps[0]))))
     (depth, dark), (depth_after, lit) = found
     return (np.abs(depth - depth_after) < 1e-3) & (dark < 0.1) & (lit > 0.9)

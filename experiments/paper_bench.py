@@ -51,7 +51,7 @@ KAPPA: dict[Mode, float | None] = {"paper": PAPER_KAPPA, "linear": None}
 """κ of each mode: the best for the RGB guide on tuning frames; None for the schedule's own."""
 PointPlace = Literal["room", "view"]
 """Place of the first benchmark's lamp: the middle of the room, as in the paper, or near the surfaces in view."""
-ANY = Schedule.uniform([(16, 1)])
+RAW_SCHEDULE = Schedule.uniform([(16, 1)])
 """Schedule for the accurate surface, of which only the raw filter is looked at."""
 SHEET = ("frame", "bare mesh", "paper's method", "ours", "accurate surface", "relied on")
 
@@ -180,7 +180,7 @@ class Bench:
             "bare mesh": ours.shading,
             METHODS["paper"]: linear_filter(paper, "paper"),
             METHODS["linear"]: linear_filter(ours, "linear"),
-            "accurate surface": self.relight(view, lights, "linear", ANY, accurate=True).shading,
+            "accurate surface": self.relight(view, lights, "linear", RAW_SCHEDULE, accurate=True).shading,
         }
         made = {}
         for group in GROUPS:

@@ -61,8 +61,8 @@ POINT: dict[PointPlace, str] = {
     "room": "; the lamp in the middle of the room as in the paper",
     "view": "; the lamp near what the cameras look at",
 }
-FEWEST = 5  # frames, below which no direction is claimed
-LITTLE = 0.5  # share of the pixels that the accurate surface is relied on, below which something is amiss
+FEWEST_FRAMES = 5  # frames, below which no direction is claimed
+LITTLE_SHARE = 0.5  # share of the pixels that the accurate surface is relied on, below which something is amiss
 SHEET_ROWS = 6
 
 
@@ -111,7 +111,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         f"{relied['holes']} of those in holes, {relied['silhouettes']} of those beside silhouettes and "
         f"{relied['elsewhere']} of the others. The first two benchmarks are judged everywhere.",
     ]
-    if np.mean([row["relied on"]["all"] for row in frames]) < LITTLE:
+    if np.mean([row["relied on"]["all"] for row in frames]) < LITTLE_SHARE:
         made.append("That is little. Are the accurate surface and the frames' depth aligned?")
     made.append(directions(frames))
     for benchmark in BENCHMARKS:
@@ -220,7 +220,7 @@ def _interval(found: Summary) -> str:
 
 
 def _verdict(change: Summary | None, theirs: float) -> str:
-    if change is None or change.half is None or change.count < FEWEST or abs(change.mean) <= change.half:
+    if change is None or change.half is None or change.count < FEWEST_FRAMES or abs(change.mean) <= change.half:
         return "open"
     return "yes" if (change.mean > 0) == (theirs > 0) else "no"
 

@@ -24,7 +24,7 @@ from experiments.records import Row, of_kind
 from hyjax.data.truth_room import load_truth_room
 from hyjax.metrics import psnr
 
-KEPT = Path(__file__).parents[1] / "docs" / "examples" / "readme.jpg"
+KEPT_PICTURE = Path(__file__).parents[1] / "docs" / "examples" / "readme.jpg"
 GAP, WIDEST = 6, 1200
 
 
@@ -65,7 +65,7 @@ def main(config: Config, start: Start) -> None:
     if config.keep:
         picture = Image.fromarray(np.asarray(np.clip(whole, 0, 1) * 255 + 0.5, np.uint8))
         picture.thumbnail((WIDEST, WIDEST))
-        picture.save(KEPT, quality=85, optimize=True)
+        picture.save(KEPT_PICTURE, quality=85, optimize=True)
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:

@@ -30,13 +30,13 @@ from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 
 Geometry = Literal["true", "rough"]
-ACROSS = {"true": 120, "rough": 48}
+VERTICES_ACROSS = {"true": 120, "rough": 48}
 """Vertices across the picture: of the true surface, and of one such as a headset has."""
 ROUGH_NOISE = 0.01
 """Standard deviation of the rough surface's depth, relative."""
-STEEPEST = 0.06
+STEEPEST_JUMP = 0.06
 """Largest relative difference of depth between the corners of a triangle."""
-BURNT = 0.97
+BURNT_VALUE = 0.97
 """Display value from which a pixel of either picture is burnt, and left out."""
 DIRECTIONS, LAMP_GRID = 12, (4, 3, 3)
 UP = np.array([0.0, -1.0, 0.0])
@@ -99,7 +99,7 @@ def depth_of(pair: RelitPair) -> Float[np.ndarray, "h w"]:
 def surface(pair: RelitPair, geometry: Geometry) -> trimesh.Trimesh:
     """Mesh of a pair's depth: its grid, torn at jumps; the rough one is coarse and noisy."""
     depth, camera = depth_of(pair), pair.depth_camera
-    step = max(1, round(depth.shape[1] / ACROSS[geometry]))
+    step = max(1, round(depth.shape[1] / VERTICES_ACROSS[geometry]))
     if geometry == "rough":
         depth = _coarse(depth, step) * (1 + ROUGH_NOISE * np.random.default_rng(0).normal(size=depth.shape))
     points = camera.unproject(depth)[step // 2 :: step, step // 2 :: step]
@@ -109,7 +109,7 @@ def surface(pair: RelitPair, geometry: Geometry) -> trimesh.Trimesh:
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([c, b, d], axis=1)])
     corners = z.ravel()[faces]
     low, high = corners.min(axis=1), corners.max(axis=1)
-    slack = STEEPEST if geometry == "true" else 2 * STEEPEST
+    slack = STEEPEST_JUMP if geometry == "true" else 2 * STEEPEST_JUMP
     faces = faces[(low > 0) & (high < (1 + slack) * low)]
     mesh = trimesh.Trimesh(points.reshape(-1, 3), faces, process=False)
     mesh.remove_unreferenced_vertices()
@@ -188,7 +188,7 @@ class RealPlace:
     @functools.cached_property
     def valid(self) -> Bool[np.ndarray, "h w"]:
         """Pixels that are burnt in neither picture."""
-        return (np.maximum(self.photo, self.target) < BURNT).all(axis=2)
+        return (np.maximum(self.photo, self.target) < BURNT_VALUE).all(axis=2)
 
     @functools.cached_property
     def paper(self) -> Float[np.ndarray, "h w k"]:

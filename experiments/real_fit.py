@@ -15,11 +15,11 @@ from scipy import ndimage, optimize
 from hyjax.photo_light.radiance import linear
 from hyjax.synthetic.tone_curve import encode_unclipped
 
-BLOCK = 32
+BLOCK_SIDE = 32
 """Side, in pixels, of the blocks of the checkerboard: half are fitted on, half scored."""
 ITERATIONS = 150
-SMALLEST = 1e-6
-LEAST_UNDER = 0.05
+SMALLEST_DIVISOR = 1e-6
+LEAST_OLD_LIGHT = 0.05
 """Least old light that the oracle divides by, where each light of the family has a root mean square of 1."""
 Columns = Float[np.ndarray, "h w k 3"]
 Picture = Float[np.ndarray, "h w 3"]
@@ -32,7 +32,7 @@ def slope(light: np.ndarray) -> np.ndarray:
 
 def checkerboard(shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
     """Pixels to fit on; the others are scored."""
-    rows, columns = np.indices(shape) // BLOCK
+    rows, columns = np.indices(shape) // BLOCK_SIDE
     return (rows + columns) % 2 == 0
 
 
@@ -82,7 +82,7 @@ def _normal_equations(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal matrix and right-hand side of weighted least squares, and the scales of the columns."""
     weighted = matrix * weight[:, None]
-    scale = np.maximum(np.sqrt((weighted**2).mean(axis=0)), SMALLEST)
+    scale = np.maximum(np.sqrt((weighted**2).mean(axis=0)), SMALLEST_DIVISOR)
     weighted = weighted / scale
     return weighted.T @ weighted / len(light), weighted.T @ (light * weight) / len(light), scale
 
@@ -95,7 +95,7 @@ def _non_negative(normal: np.ndarray, side: np.ndarray) -> np.ndarray:
 
 def _refined(matrix: np.ndarray, wanted: np.ndarray, start: np.ndarray, encoded: bool) -> np.ndarray:
     """Strengths that bring display values nearest to those wanted."""
-    scale = 1 / np.maximum(np.sqrt((matrix**2).mean(axis=0)), SMALLEST)
+    scale = 1 / np.maximum(np.sqrt((matrix**2).mean(axis=0)), SMALLEST_DIVISOR)
     own = matrix * scale
 
     def loss(theta: np.ndarray) -> tuple[float, np.ndarray]:
@@ -183,7 +183,7 @@ def smooth_picture(photo: Picture, order: int, target: Target, count: int | None
 
 def _log_ratio(photo: Picture, target: Target, channel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Photo's light at the fitted pixels, weight of errors of its logarithm, log ratio of the target to it."""
-    before = np.maximum(target.at(photo)[:, channel].astype(np.float64), SMALLEST)
+    before = np.maximum(target.at(photo)[:, channel].astype(np.float64), SMALLEST_DIVISOR)
     wanted = linear(target.at(target.display)[:, channel].astype(np.float64))
     log = np.log(np.maximum(wanted, 2e-3) / np.maximum(before, 2e-3))
     return before, np.sqrt(before) * slope(before), log
@@ -216,26 +216,26 @@ def fit_both(
         old: guesses of the old light to begin with; the one that ends best is taken, for each channel.
     """
     made, count = np.empty_like(photo, np.float64), light.shape[2]
-    scale = 1 / np.maximum(np.sqrt((light**2).mean(axis=(0, 1))), SMALLEST)
+    scale = 1 / np.maximum(np.sqrt((light**2).mean(axis=(0, 1))), SMALLEST_DIVISOR)
     whole = light * scale
     begins = []
     for guess in old:
         under = np.stack([optimize.nnls(target.at(whole[..., c]), target.at(guess)[:, c])[0] for c in range(3)], 1)
-        divided = photo / (np.einsum("hwkc,kc->hwc", whole, under) + LEAST_UNDER)
+        divided = photo / (np.einsum("hwkc,kc->hwc", whole, under) + LEAST_OLD_LIGHT)
         begins.append((fit_strengths(divided[:, :, None] * whole, target), under))
     for channel in range(3):
         own, before = target.at(whole[..., channel]), target.at(photo)[:, channel].astype(np.float64)
         wanted = target.at(target.display)[:, channel].astype(np.float64)
 
         def relit(x: np.ndarray, own: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            under = own @ x[count:] + LEAST_UNDER
+            under = own @ x[count:] + LEAST_OLD_LIGHT
             return before * (own @ x[:count]) / under, under
 
         def loss(x: np.ndarray, own: np.ndarray = own, before: np.ndarray = before, wanted: np.ndarray = wanted):  # type: ignore[no-untyped-def]
             image, under = relit(x, own, before)
             off = encode_unclipped(image) - wanted
             pull = 2 * off * slope(image) * before / under / len(wanted)
-            change = np.concatenate([own.T @ pull, -own.T @ (pull * image / np.maximum(before, SMALLEST))])
+            change = np.concatenate([own.T @ pull, -own.T @ (pull * image / np.maximum(before, SMALLEST_DIVISOR))])
             return 1e3 * float((off**2).mean()), 1e3 * change
 
         bounds, options = [(0, None)] * (2 * count), {"maxiter": 2 * ITERATIONS}

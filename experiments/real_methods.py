@@ -32,7 +32,7 @@ METHODS = (
 )
 LAMPS = 2
 """Lamps of the grid that a method may choose."""
-FEW = 15
+FEW_UNKNOWNS = 15
 """Unknowns of each channel of a method that chooses of all lights or terms: as many as exp(polynomial 4) has."""
 
 
@@ -56,7 +56,7 @@ def pictures(place: RealPlace) -> Iterator[tuple[str, Made]]:
     yield PHOTO, Made(place.photo, 0)
     for name, order, unknowns in ((GAINS, 0, 1), (SMOOTH, 4, 15), (SMOOTHER, 7, 36)):
         yield name, _shown(smooth_picture(photo, order, target), unknowns)
-    yield SMOOTH_BEST, _shown(smooth_picture(photo, 7, target, FEW), FEW)
+    yield SMOOTH_BEST, _shown(smooth_picture(photo, 7, target, FEW_UNKNOWNS), FEW_UNKNOWNS)
     filters = place.paper
     yield PAPER, Made(*_encoded(place.photo[:, :, None] * filters[..., None], place, target))
     glow = np.repeat(place.glow[..., None], 3, axis=-1)
@@ -68,7 +68,7 @@ def pictures(place: RealPlace) -> Iterator[tuple[str, Made]]:
     shaded = place.shaded_lamps(place.direct)[..., None] + place.bounced_shaded
     for name, image, parts in ((KEPT_BEST, photo, (kept, kept_shaded)), (BEST, divided, (light, shaded))):
         columns = image[:, :, None] * np.concatenate([*parts, glow], axis=2)
-        few = [0, *chosen_lights(columns, range(1, columns.shape[2]), [0], target, FEW - 1)]
+        few = [0, *chosen_lights(columns, range(1, columns.shape[2]), [0], target, FEW_UNKNOWNS - 1)]
         yield name, _with_strengths(columns[:, :, few], target)
     for name, image, family in ((KEPT_GLOW, photo, kept), (GLOW, divided, light)):
         columns = image[:, :, None] * np.concatenate([family, glow], axis=2)

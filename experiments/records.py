@@ -23,7 +23,7 @@ from hyjax.util.run_log import RunLog, check_same_settings, read_lines
 
 FILE = "rows.jsonl"
 ROOT = Path(__file__).parents[1]
-UNSETTLED = ("out", "resume")
+UNSETTLED_OPTIONS = ("out", "resume")
 """Options that decide nothing about the results."""
 Row = dict[str, Any]
 
@@ -55,7 +55,7 @@ class Results:
         make_writable(out)
         self.out, self.path = out, out / FILE
         self._load = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None  # not on Windows
-        settings = {key: value for key, value in dataclasses.asdict(config).items() if key not in UNSETTLED}
+        settings = {key: value for key, value in dataclasses.asdict(config).items() if key not in UNSETTLED_OPTIONS}
         self._stamp = _clean(
             {
                 "experiment": experiment,

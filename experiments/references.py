@@ -5,7 +5,7 @@ would prefer a bumpy filter to a right one. So a fused reference has its normals
 smoothed a little (docs/results/paper.md has how much is good), and pixels do not count where
 
 - it has no surface,
-- its depth is off from the frame's own depth reading by more than `hyjax.geometry.depth_map.SLACK`,
+- its depth is off from the frame's own depth reading by more than `hyjax.geometry.depth_map.READING_TOLERANCE`,
 - it is seen at a cosine below `GRAZING`, or
 - its normals turn by more than `BUMP` when they are smoothed further: a bump, or a crease that a fusion rounds off.
 

@@ -31,15 +31,15 @@ from typing import Any
 from experiments.blocks import Table, markdown
 from experiments.command import Experiment, run
 from experiments.published import TABLES, Published
-from experiments.records import ROOT, UNSETTLED, Row, is_finished, machine, read_rows
+from experiments.records import ROOT, UNSETTLED_OPTIONS, Row, is_finished, machine, read_rows
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
 
-KEPT = ROOT / "evidence"
-BETWEEN = re.compile(r"(?<=<!-- table: )([\w-]+)( -->\n)(.*?)(?=<!-- end -->)", re.DOTALL)
+KEPT_FOLDER = ROOT / "evidence"
+TABLE_BLOCK = re.compile(r"(?<=<!-- table: )([\w-]+)( -->\n)(.*?)(?=<!-- end -->)", re.DOTALL)
 """Name, and the text of a table."""
 DIGITS = 5
-SHARED = ("experiment", "settings", "commit", "date", "device", "cpu_count", "versions", "seed")
+SHARED_FIELDS = ("experiment", "settings", "commit", "date", "device", "cpu_count", "versions", "seed")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,7 +67,7 @@ def main(config: Config) -> None:
         return
     texts = {name: text_of(published) for name, published in TABLES.items()}
     wrong = [f"{page.relative_to(ROOT)}: {what}" for page in pages() for what in update(page, texts, config.check)]
-    used = {name for page in pages() for name, *_ in BETWEEN.findall(page.read_text(encoding="utf-8"))}
+    used = {name for page in pages() for name, *_ in TABLE_BLOCK.findall(page.read_text(encoding="utf-8"))}
     wrong += [f"{name}: is on no page" for name in texts if name not in used]
     if not config.check:
         print(f"{len(used)} tables")
@@ -97,7 +97,7 @@ def update(page: Path, texts: Mapping[str, str], check: bool) -> list[str]:
             stale.append(f"table {name} is not what its rows say")
         return name + middle + texts[name]
 
-    after = BETWEEN.sub(replaced, before)
+    after = TABLE_BLOCK.sub(replaced, before)
     if stale and not check:
         write_text(page, after)
     return stale
@@ -120,7 +120,7 @@ def kept_run(name: str) -> tuple[list[Row], list[Table]]:
     Raises:
         InputError: no such rows.
     """
-    rows = kept_rows(KEPT / f"{name}.jsonl")
+    rows = kept_rows(KEPT_FOLDER / f"{name}.jsonl")
     return rows, tables_of(rows)
 
 
@@ -129,7 +129,7 @@ def tables_of(rows: Sequence[Row]) -> list[Table]:
     if "source" in rows[0]:
         first = rows[0]
         return [Table(first["caption"], first["header"], [row["cells"] for row in rows], first["names"])]
-    return [block for block in experiment_of(rows).blocks(rows, KEPT) if isinstance(block, Table)]
+    return [block for block in experiment_of(rows).blocks(rows, KEPT_FOLDER) if isinstance(block, Table)]
 
 
 def experiment_of(rows: Sequence[Row]) -> Experiment:
@@ -191,7 +191,7 @@ def command(row: Row) -> str:
     parts = [f"python -m experiments.{name}"]
     for field in dataclasses.fields(module.Config):
         value, usual = row["settings"].get(field.name), default_of(field)
-        if field.name in UNSETTLED or value is None or value == usual:
+        if field.name in UNSETTLED_OPTIONS or value is None or value == usual:
             continue
         option = field.name.replace("_", "-")
         if isinstance(value, bool):
@@ -225,15 +225,15 @@ def keep(path: Path, name: str | None = None, told: str | None = None, drop: Seq
     if not rows:
         raise InputError(f"{path}: has no rows")
     written = datetime.date.fromtimestamp(path.stat().st_mtime).isoformat()
-    shared = {"date": written} | {key: rows[0][key] for key in SHARED if key in rows[0]}
+    shared = {"date": written} | {key: rows[0][key] for key in SHARED_FIELDS if key in rows[0]}
     shared |= {"load_told": told} if told else {}
     lines = [
         shared,
         *({key: row[key] for key in row if key not in shared or shared[key] != row[key]} for row in rows),
     ]
     text = "".join(json.dumps(rounded(line), ensure_ascii=False, separators=(",", ":")) + "\n" for line in lines)
-    KEPT.mkdir(exist_ok=True)
-    out = KEPT / f"{name or rows[0]['experiment']}.jsonl"
+    KEPT_FOLDER.mkdir(exist_ok=True)
+    out = KEPT_FOLDER / f"{name or rows[0]['experiment']}.jsonl"
     folder = os.environ.get("HYJAX_DATA")
     write_text(out, text.replace(folder, "$HYJAX_DATA") if folder else text)
     return out

@@ -20,7 +20,7 @@ from hyjax.synthetic.truth.source import direct, unshadowed
 from hyjax.util.cache import cache_folder, cached_arrays
 from hyjax.util.files import digest
 
-DARKEST = 1e-3
+DARKEST_SHARE = 1e-3
 """Share of the mean light that no place is darker than in the truth that is divided by."""
 
 SHADOW_RAYS = 8
@@ -75,7 +75,7 @@ class TruthBench:
     def true_light(self) -> Float[np.ndarray, "v 3"]:
         """E_old / K at the vertices of the scan."""
         light = np.add(*self.at_vertices(None))
-        return (np.maximum(light, DARKEST * light.mean()) / self.capture.mean_light).astype(np.float32)
+        return (np.maximum(light, DARKEST_SHARE * light.mean()) / self.capture.mean_light).astype(np.float32)
 
     def at_vertices(self, setup: LightSetup | None) -> tuple[np.ndarray, np.ndarray]:
         """True (direct, bounced) irradiance / π on the scan, of a set-up or of the photo's light."""

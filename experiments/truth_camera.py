@@ -15,7 +15,7 @@ from hyjax.synthetic.room.render import CONTRAST
 from hyjax.synthetic.tone_curve import encode, tone
 
 Image = Float[np.ndarray, "h w 3"]
-BRIGHTEST = 2.5
+WHITE_LIGHT = 2.5
 """Exposed light that the camera shows as white."""
 
 
@@ -44,7 +44,7 @@ def camera_response(linear: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
 def exposed_light(display: Image) -> Image:
     """Light that the generated rooms' camera shows as these display values, white balance left in."""
-    light = np.linspace(0.0, BRIGHTEST ** (1 / 3), 4096) ** 3  # finer in the dark
+    light = np.linspace(0.0, WHITE_LIGHT ** (1 / 3), 4096) ** 3  # finer in the dark
     return np.interp(display, camera_response(light), light).astype(np.float32)
 
 

@@ -17,9 +17,9 @@ from hyjax.synthetic.truth import DEVELOPMENT_ROOMS, TEST_ROOMS
 
 FITS = ("raw", "fitted")
 SPLITS: Mapping[str, Sequence[str]] = {"reported on": TEST_ROOMS, "chosen on": DEVELOPMENT_ROOMS}
-FIRST = "psnr", "ssim", "lpips"
+FIRST_METRICS = "psnr", "ssim", "lpips"
 """First metrics of a line; all others of the table follow."""
-OTHERS = "other rooms"
+OTHER_ROOMS = "other rooms"
 RESAMPLES = 2000
 
 
@@ -41,7 +41,7 @@ def by_split(pictures: Sequence[Row]) -> dict[str, list[Row]]:
     """Pictures of the rooms that are reported on, that were chosen on, and of others."""
     named = {room for rooms in SPLITS.values() for room in rooms}
     groups = {split: [row for row in pictures if row["room"] in rooms] for split, rooms in SPLITS.items()}
-    groups[OTHERS] = [row for row in pictures if row["room"] not in named]
+    groups[OTHER_ROOMS] = [row for row in pictures if row["room"] not in named]
     return {split: own for split, own in groups.items() if own}
 
 
@@ -58,7 +58,10 @@ def values(pictures: Sequence[Row], method: str, fit: str, metric: str) -> np.nd
 
 def whole(pictures: Sequence[Row], split: str) -> Table:
     """A line for each method: means, medians, and differences to hyjax 0.1."""
-    methods, shown = methods_of(pictures), [*FIRST, *(name for name in METRICS if name not in FIRST)]
+    methods, shown = (
+        methods_of(pictures),
+        [*FIRST_METRICS, *(name for name in METRICS if name not in FIRST_METRICS)],
+    )
     shown = [m for m in shown if any(np.isfinite(values(pictures, name, "raw", m)).any() for name in methods)]
     header = [""]
     for fit in FITS:

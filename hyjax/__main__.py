@@ -4,7 +4,7 @@ import os
 import signal
 from typing import NoReturn
 
-INTERRUPTED = b"hyjax: interrupted; the files written so far are whole\n"
+INTERRUPTED_MESSAGE = b"hyjax: interrupted; the files written so far are whole\n"
 
 
 def main() -> None:
@@ -21,7 +21,7 @@ def main() -> None:
 
 
 def _end(*_: object) -> NoReturn:
-    os.write(2, INTERRUPTED)
+    os.write(2, INTERRUPTED_MESSAGE)
     os._exit(130)
 
 

@@ -23,7 +23,7 @@ RENDERERS: dict[Renderer, str] = {
     "frames": "frames without --video",
 }
 """Renderers that do not follow all choices, in words."""
-ELSEWHERE: tuple[Renderer, ...] = ("webgpu", "page", "tour", "live tour")
+OTHER_RENDERERS: tuple[Renderer, ...] = ("webgpu", "page", "tour", "live tour")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Choice:
     paper: Tried | None = None
     truth: bool = False
     active: Callable[[Values], bool] = lambda values: True
-    said: tuple[Renderer, ...] = ELSEWHERE
+    said: tuple[Renderer, ...] = OTHER_RENDERERS
     refused: tuple[Renderer, ...] = ()
     use: "Callable[[SurfaceLight, Any], SurfaceLight] | None" = None
 

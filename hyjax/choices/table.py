@@ -3,7 +3,7 @@
 import dataclasses
 from typing import TYPE_CHECKING, Literal
 
-from hyjax.choices.choice import ELSEWHERE, Choice, Tried, Values
+from hyjax.choices.choice import OTHER_RENDERERS, Choice, Tried, Values
 from hyjax.core.presets import DEFAULT_KAPPA, GUIDED_FIDELITY, GUIDED_KAPPA, PAPER_KAPPA
 from hyjax.core.step_size import DEFAULT_LAM
 from hyjax.util.errors import InputError, did_you_mean
@@ -96,7 +96,7 @@ for _row in (
         "linear",
         "Multiply linear light, with holes filled; or exactly the paper: display values, holes black.",
         said=(),
-        refused=(*ELSEWHERE, "file", "video"),
+        refused=(*OTHER_RENDERERS, "file", "video"),
     ),
     Choice(
         "scale",
@@ -167,7 +167,7 @@ for _row in (
         "A network sees one frame of so many of a video; the others' features follow the surface's motion.",
         bounds=(1, 64),
         active=_learned,
-        said=(*ELSEWHERE, "frames"),
+        said=(*OTHER_RENDERERS, "frames"),
     ),
     Choice(
         "pooling",

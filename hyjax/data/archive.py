@@ -22,8 +22,8 @@ from hyjax.util.reading import check_most, check_regular, open_regular
 ARCHIVES = (".zip", ".r3d")
 MOST_FILES = 1_000_000
 LARGEST_RATIO = 200
-"""Largest ratio of unpacked to packed size above `HARMLESS` bytes; depth maps of a bare wall reach 50."""
-HARMLESS = 1 << 24
+"""Largest ratio of unpacked to packed size above `HARMLESS_BYTES` bytes; depth maps of a bare wall reach 50."""
+HARMLESS_BYTES = 1 << 24
 LARGEST_FILE = 1 << 32
 
 
@@ -42,7 +42,7 @@ class Archive(FileTree):
         for entry in entries:
             _check_entry(path, entry)
         total, packed = sum(entry.file_size for entry in entries), path.stat().st_size
-        if total > HARMLESS + LARGEST_RATIO * packed:
+        if total > HARMLESS_BYTES + LARGEST_RATIO * packed:
             raise InputError(
                 f"{path}: refused, its files unpack to {total / 2**20:.0f} MiB, it has {packed / 2**20:.3g} MiB; "
                 "unpack it yourself if you trust it"
@@ -131,7 +131,7 @@ def _check_entry(path: Path, entry: zipfile.ZipInfo) -> None:
             f"{path}: {name[:60]!r} is packed by method {entry.compress_type}; pack it anew, by deflate"
         )
     ratio = entry.file_size / max(entry.compress_size, 1)
-    if entry.file_size > LARGEST_FILE or (entry.file_size > HARMLESS and ratio > LARGEST_RATIO):
+    if entry.file_size > LARGEST_FILE or (entry.file_size > HARMLESS_BYTES and ratio > LARGEST_RATIO):
         raise InputError(
             f"{path}: refused, {name[:60]!r} unpacks to {entry.file_size / 2**20:.0f} MiB from "
             f"{entry.compress_size / 2**20:.3g} MiB; unpack the archive yourself if you trust it"

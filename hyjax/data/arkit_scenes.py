@@ -61,10 +61,10 @@ class _Layout:
 
 
 # `wide` is larger than `vga_wide`, but has few pictures of few scans.
-PUBLISHED = _Layout(
+PUBLISHED_LAYOUT = _Layout(
     "lowres_wide.traj", ("vga_wide", "wide", "lowres_wide"), None, "lowres_depth", "lowres_wide_intrinsics"
 )
-OLDER = _Layout("color.traj", ("wide",), "color_intrinsics", "depth_densified", None)
+OLDER_LAYOUT = _Layout("color.traj", ("wide",), "color_intrinsics", "depth_densified", None)
 CONFIDENCE = "confidence"
 SIGNS = re.compile(
     r"(lowres_wide\.traj|color\.traj|[0-9]\w*_3dod_mesh\.ply|"
@@ -94,7 +94,7 @@ def open_arkit_scenes(tree: FileTree) -> Recording:
         tree = open_tree(folder.parent)
     scan = PhoneScan(tree)
     assets = next((f"{name}/" for name in tree.folders() if re.fullmatch(r"[0-9].*_frames", name)), "")
-    layout = OLDER if assets + OLDER.trajectory in tree else PUBLISHED
+    layout = OLDER_LAYOUT if assets + OLDER_LAYOUT.trajectory in tree else PUBLISHED_LAYOUT
     if assets + layout.trajectory not in tree:
         raise InputError(f"{_missing(tree, assets, layout.trajectory)}; about two dozen videos have none")
     trajectory = read_trajectory(tree, assets + layout.trajectory)

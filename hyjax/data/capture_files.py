@@ -18,7 +18,7 @@ LARGEST_OF_NUMBERS = 1 << 16
 """Bytes of a text file that holds one matrix."""
 LARGEST_NUMBER = 1e19
 """Largest number in a capture's file; nanoseconds since 1970 are the largest that any program writes."""
-TIMED = re.compile(r"(?:\d+_)?(\d+\.\d+)")
+TIMED_NAME = re.compile(r"(?:\d+_)?(\d+\.\d+)")
 
 
 def read_numbers(path: Path, shape: tuple[int, ...], meaning: str = "row by row") -> Float[np.ndarray, "*shape"]:
@@ -177,7 +177,7 @@ def timed_files(tree: FileTree, folder: str, suffix: str) -> TimedFiles:
     """Files of a folder named as `47333462_6845.210.png`: video (or nothing), time in seconds, suffix."""
     found: dict[float, str] = {}
     for name in tree.below(folder, suffix):
-        if match := TIMED.fullmatch(name.rpartition("/")[2].removesuffix(suffix)):
+        if match := TIMED_NAME.fullmatch(name.rpartition("/")[2].removesuffix(suffix)):
             time = float(match[1])
             if time in found:
                 raise InputError(f"{tree.where(name)}: time {time:.3f} is also {found[time]}; keep one of the two")

@@ -44,7 +44,7 @@ PARTS = ("cameras", "images", "points3D")
 DEPTHS = ("depth", "depths")
 MESHES = ("meshed-poisson.ply", "meshed-delaunay.ply")
 PICTURES = (".jpg", ".jpeg", ".png")
-MOST_MEASURED, FEWEST_POINTS = 20, 30
+MOST_MEASURED_PICTURES, FEWEST_POINTS = 20, 30
 """Depth maps that the scale is taken from, and points that it needs."""
 
 LENSES: dict[str, tuple[str, str]] = {
@@ -223,7 +223,9 @@ def _read_depth(tree: FileTree, name: str) -> DepthAndConfidence:
 def _scale(model: Any, chosen: dict[str, Any], shots: list[Shot]) -> tuple[float | None, str]:
     """Metres in a unit of the model, by a sensor's depth at its sparse points, and a remark that says so."""
     ratios: list[Float[np.ndarray, n]] = []
-    for shot, image in spread([pair for pair in zip(shots, chosen.values()) if pair[0].depth], MOST_MEASURED):
+    for shot, image in spread(
+        [pair for pair in zip(shots, chosen.values()) if pair[0].depth], MOST_MEASURED_PICTURES
+    ):
         seen = [p.point3D_id for p in image.points2D if p.has_point3D() and model.exists_point3D(p.point3D_id)]
         if not seen or shot.depth is None:
             continue

@@ -56,13 +56,13 @@ from hyjax.util.reading import read_yaml
 
 _log = logging.getLogger(__name__)
 
-COMMON = (
+COMMON_KEYS = (
     FileKey("kind", "any"),
     FileKey("name", "any", default=None),
     FileKey("color", "color", default=None),
     FileKey("temperature", least=BLACKBODY_KELVIN[0], most=BLACKBODY_KELVIN[1], default=None),
 )
-FILE = (
+FILE_KEYS = (
     FileKey("lights", "list", default=()),
     FileKey("existing", "any", default=None),
     FileKey("reference_lux", positive=True, default=REFERENCE_LUX),
@@ -106,7 +106,7 @@ def parse_lights(
         InputError: unknown kind or key (the nearest right one is named), a missing key, a value of the wrong form,
             a negative luminous flux.
     """
-    values = _checked(where, content, FILE)
+    values = _checked(where, content, FILE_KEYS)
     existing = _existing(where, values["existing"])
     if not values["lights"]:
         if not existing:
@@ -157,7 +157,7 @@ def _light(where: str, entry: Any, world_up: Float[np.ndarray, "3"]) -> Light:
         hint = did_you_mean(str(kind), LIGHT_KINDS)
         raise InputError(f"{where}: unknown kind {kind!r}{hint}; there are {', '.join(LIGHT_KINDS)}")
     where = f"{where} ({kind})"
-    values = _checked(where, entry, LIGHT_KINDS[kind].KEYS + COMMON)
+    values = _checked(where, entry, LIGHT_KINDS[kind].KEYS + COMMON_KEYS)
     try:
         return LIGHT_KINDS[kind].from_entry(values, world_up)
     except InputError as error:

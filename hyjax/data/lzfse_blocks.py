@@ -5,9 +5,9 @@ Source: Apple's reference implementation, github.com/lzfse/lzfse, `lzfse_interna
 
 import struct
 
-FEWEST = 1 << 14
+FEWEST_BYTES = 1 << 14
 """Bytes that a block unpacks to, but for the last ones; the reference implementation's have more."""
-FEW = 4
+SMALL_FILE_BLOCKS = 4
 """Blocks that a small file may have."""
 LONG_HEADER = 772
 """Bytes of the header of a `bvx1`."""
@@ -30,7 +30,7 @@ def unpacked_size(content: bytes) -> int | None:
             total, count = total + size, count + 1
     except (struct.error, KeyError):
         return None
-    return total if count <= FEW + total // FEWEST else None
+    return total if count <= SMALL_FILE_BLOCKS + total // FEWEST_BYTES else None
 
 
 def _length(kind: bytes, content: bytes, at: int) -> int:

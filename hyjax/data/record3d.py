@@ -47,7 +47,7 @@ FRAMES_PER_SECOND = 30.0
 """Default frame rate, for files without one."""
 MOST_READINGS = 1 << 22
 """Most readings of a depth map; the largest that the app writes has 640×480."""
-SLACK = 4096
+PACKING_SLACK = 4096
 """Bytes by which incompressible data may grow."""
 
 
@@ -180,7 +180,7 @@ def _unpacked(
     if "dw" in metadata and "dh" in metadata:
         shape = metadata.count("dh"), metadata.count("dw")
     most = MOST_READINGS if shape is None else min(shape[0] * shape[1], MOST_READINGS)
-    if tree.size(name) > most * np.dtype(kind).itemsize + SLACK:
+    if tree.size(name) > most * np.dtype(kind).itemsize + PACKING_SLACK:
         raise InputError(f"{tree.where(name)}: larger than a depth map can be that is compressed")
     values: np.ndarray
     content = tree.read(name)

@@ -17,7 +17,7 @@ from hyjax.data.capture_files import tree_depth
 from hyjax.data.file_tree import FileTree
 from hyjax.data.lens import Distortion, undistorted
 from hyjax.data.orientation import turn_frame, turns_upright
-from hyjax.geometry.camera import FARTHEST, Camera, Intrinsics, check_pose
+from hyjax.geometry.camera import LARGEST_DISTANCE, Camera, Intrinsics, check_pose
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.depth_sensor import UNKNOWN, DepthSensor
 from hyjax.util.errors import InputError
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Y_UP, Z_UP = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 MOST_METRES = 1e5
 """Metres from the world's origin beyond which a camera's position is taken for garbage."""
-FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
+AXIS_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 DepthAndConfidence = tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"] | None]
 
@@ -212,7 +212,7 @@ def from_opengl(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         >>> from_opengl(np.eye(4))[:3, 2]
         array([ 0.,  0., -1.])
     """
-    return np.asarray(pose, np.float64) @ FLIPPED
+    return np.asarray(pose, np.float64) @ AXIS_FLIP
 
 
 to_opengl = from_opengl
@@ -231,7 +231,7 @@ def mean_up(poses: Sequence[Float[np.ndarray, "4 4"]], where: Path | str) -> Flo
 def rigid(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
     """Rigid motion nearest to a rounded pose; None if it is invalid (NaN, infinite, mirrored, scaled)."""
     pose = np.asarray(pose, np.float64)
-    if pose.shape != (4, 4) or not np.abs(pose).max() <= FARTHEST:
+    if pose.shape != (4, 4) or not np.abs(pose).max() <= LARGEST_DISTANCE:
         return None
     if not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-3):
         return None

@@ -44,7 +44,7 @@ PICTURES = ("color", "image", "rgb")
 ENDINGS = (".jpg", ".jpeg", ".png")
 INTRINSICS = ("camera_primesense.json", "camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json")
 MESHES = ("scene/integrated.ply", "integrated.ply", "mesh.ply")
-DEFAULT = Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)
+DEFAULT_INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)
 """Open3D's `PrimeSenseDefault`, counted from the corner of the first pixel."""
 
 
@@ -130,12 +130,12 @@ def _intrinsics(tree: FileTree, picture: str, remarks: list[str]) -> Intrinsics:
     height, width = tree_shape(tree, picture)
     name = next((name for name in INTRINSICS if name in tree), None)
     if name is None:
-        if (height, width) != DEFAULT.shape:
+        if (height, width) != DEFAULT_INTRINSICS.shape:
             raise InputError(
                 f"{tree.where(INTRINSICS[0])}: missing; the default is for 640x480, not {width}x{height}"
             )
         remarks.append(f"there is no {INTRINSICS[0]}; taking the PrimeSense's default, 525 525 319.5 239.5")
-        return DEFAULT
+        return DEFAULT_INTRINSICS
     fields = Fields.of(tree, name)
     k = fields.numbers("intrinsic_matrix", 9).reshape(3, 3).T
     if not np.array_equal(k[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], (0, 0, 0, 0, 1)):

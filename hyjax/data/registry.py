@@ -42,9 +42,9 @@ CAPTURE_FORMATS = [
     redwood.FORMAT,
 ]
 """The formats of captures; the one that recognises a folder reads it."""
-DEEPEST = 16
+DEEPEST_FOLDER = 16
 """Folders in folders that a capture may lie in."""
-LOOKED_INTO = 100
+MOST_FOLDERS = 100
 """Folders, at any depth, that are looked into to say which one is a capture."""
 PHONE_SHAPE = [192, 256]
 """Shape of a phone's depth maps, by which they are known in layouts that name no sensor."""
@@ -126,7 +126,7 @@ def detect_format(tree: FileTree) -> tuple[FileTree, CaptureFormat]:
     Raises:
         InputError: no format fits, or two do.
     """
-    for _ in range(DEEPEST):
+    for _ in range(DEEPEST_FOLDER):
         if len(tree.folders()) != 1 or tree.below("") or _fitting(tree):
             break
         tree = tree.subtree(tree.folders()[0])
@@ -137,7 +137,7 @@ def detect_format(tree: FileTree) -> tuple[FileTree, CaptureFormat]:
         names = " and ".join(f"{entry.name} ({entry.signs})" for entry in fitting)
         raise InputError(f"{tree.path}: looks like {names}; move the files of one of them elsewhere")
     above = {parent.as_posix() for name in tree.names for parent in PurePosixPath(name).parents}
-    for folder in sorted(above - {"."}, key=lambda folder: (folder.count("/"), folder))[:LOOKED_INTO]:
+    for folder in sorted(above - {"."}, key=lambda folder: (folder.count("/"), folder))[:MOST_FOLDERS]:
         if inner := _fitting(tree.subtree(folder)):
             raise InputError(f"{tree.path}: not a capture, but {folder}/ in it is ({inner[0].name}); give that")
     raise InputError(f"{tree.path}: not a known capture layout; known are: {known_formats()}")

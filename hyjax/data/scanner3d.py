@@ -31,7 +31,7 @@ from hyjax.data.phone_captures import (
 )
 from hyjax.data.recording import Recording, Shot
 
-MOMENT = re.compile(r"frame_(\d+)\.json")
+FRAME_FILE = re.compile(r"frame_(\d+)\.json")
 MESH = "export.obj"
 POOR_MOTION = 0.7
 """The app's `motionQuality` below which the phone moved so fast that pictures are blurred; 1 is at rest."""
@@ -39,7 +39,7 @@ POOR_MOTION = 0.7
 
 def is_scanner3d(tree: FileTree) -> bool:
     """Whether there is a `frame_NNNNN.json`."""
-    return any(MOMENT.fullmatch(name) for name in tree.names)
+    return any(FRAME_FILE.fullmatch(name) for name in tree.names)
 
 
 def open_scanner3d(tree: FileTree) -> Recording:
@@ -48,7 +48,7 @@ def open_scanner3d(tree: FileTree) -> Recording:
     Moments without a picture give their depth to fusion alone.
     """
     scan = PhoneScan(tree)
-    moments = {match[1]: name for name in tree.below("") if (match := MOMENT.fullmatch(name))}
+    moments = {match[1]: name for name in tree.below("") if (match := FRAME_FILE.fullmatch(name))}
     pictures = {
         number: picture
         for number in moments

@@ -37,7 +37,7 @@ from hyjax.geometry.camera import Intrinsics
 from hyjax.util.errors import InputError
 
 VIDEO, ODOMETRY, MATRIX = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
-NEEDED = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+NEEDED_COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 LENS = ("fx", "fy", "cx", "cy")
 MOST_FRAMES = 10_000_000
 
@@ -78,17 +78,17 @@ def _read_odometry(scan: PhoneScan) -> list[Row]:
     except csv.Error as error:
         raise InputError(f"{where}: not a table ({error})") from None
     header = [name.strip() for name in lines[0]] if lines else []
-    if missing := [name for name in NEEDED if name not in header]:
-        raise InputError(f"{where}: has no column {', '.join(missing)}; need {', '.join(NEEDED)}")
+    if missing := [name for name in NEEDED_COLUMNS if name not in header]:
+        raise InputError(f"{where}: has no column {', '.join(missing)}; need {', '.join(NEEDED_COLUMNS)}")
     rows = []
     for number, line in enumerate(lines[1:], start=2):
         cells = dict(zip(header, (cell.strip() for cell in line)))
         if not any(cells.values()):
             continue
-        if number == len(lines) and any(not cells.get(name) for name in NEEDED):
+        if number == len(lines) and any(not cells.get(name) for name in NEEDED_COLUMNS):
             scan.faults.add("row was cut off at the end of the file and left out", f"{ODOMETRY} line {number}")
             continue
-        names = [name for name in (*NEEDED, *LENS) if name in NEEDED or cells.get(name)]
+        names = [name for name in (*NEEDED_COLUMNS, *LENS) if name in NEEDED_COLUMNS or cells.get(name)]
         rows.append({name: _cell(cells.get(name, ""), name, f"{where}: line {number}") for name in names})
     if not rows:
         raise InputError(f"{where}: has no rows")

@@ -39,9 +39,9 @@ TOLERANCE = 0.02
 """Seconds between a picture and its depth map."""
 DEPTH_UNIT = 1 / 5000
 CAMERAS = ("camera.txt", "calibration.txt")
-DEFAULT = (525.0, 525.0, 319.5, 239.5)
+DEFAULT_INTRINSICS = (525.0, 525.0, 319.5, 239.5)
 """Intrinsics of the Kinect's driver, for 640×480."""
-PUBLISHED = {
+PUBLISHED_INTRINSICS = {
     "freiburg1": (517.3, 516.5, 318.6, 255.3, 0.2624, -0.9531, -0.0054, 0.0026, 1.1633),
     "freiburg2": (520.9, 521.0, 325.1, 249.7, 0.2312, -0.7849, -0.0033, -0.0001, 0.9172),
     "freiburg3": (535.4, 539.2, 320.1, 247.6),
@@ -158,7 +158,7 @@ def _sequence(tree: FileTree) -> str | None:
 def _camera(tree: FileTree, picture: str, remarks: list[str]) -> tuple[Intrinsics, Distortion | None]:
     height, width = tree_shape(tree, picture)
     name = next((name for name in CAMERAS if name in tree), None)
-    values: Float[np.ndarray, n] = np.array(PUBLISHED.get(_sequence(tree) or "", DEFAULT))
+    values: Float[np.ndarray, n] = np.array(PUBLISHED_INTRINSICS.get(_sequence(tree) or "", DEFAULT_INTRINSICS))
     if name is not None:
         values = _written(tree, name)
     elif (height, width) != (480, 640):
@@ -167,7 +167,9 @@ def _camera(tree: FileTree, picture: str, remarks: list[str]) -> tuple[Intrinsic
             f"{width}x{height}; write fx fy cx cy there"
         )
     elif _sequence(tree) is None:
-        remarks.append(f"intrinsics are not told, taking {' '.join(f'{v:g}' for v in DEFAULT)}; see {CAMERAS[0]}")
+        remarks.append(
+            f"intrinsics are not told, taking {' '.join(f'{v:g}' for v in DEFAULT_INTRINSICS)}; see {CAMERAS[0]}"
+        )
     fx, fy, cx, cy = (float(value) for value in values[:4])
     k1, k2, p1, p2, k3 = (float(value) for value in (*values[4:], *np.zeros(9 - len(values))))
     try:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.phone_captures import PIXEL_CENTRE
 from hyjax.data.recording import Y_UP
-from hyjax.data.stray import LENS, MATRIX, NEEDED, ODOMETRY, VIDEO
+from hyjax.data.stray import LENS, MATRIX, NEEDED_COLUMNS, ODOMETRY, VIDEO
 from hyjax.data.video_frames import REC_709, import_av, new_video
 from hyjax.data.writers import Frames, seen_through, turned_up
 from hyjax.util.errors import InputError
@@ -25,7 +25,7 @@ ENCODERS = ("libx264", "libx265", "hevc", "h264")
 QUALITY = {"crf": "6", "x265-params": "log-level=none"}
 """Options of the encoders; at this constant rate factor most pixels change by less than a step of 8 bits."""
 FOLDERS = ("depth", "confidence")
-KEY_EVERY = 15
+KEY_INTERVAL = 15
 LIMITED_RANGE = 1
 
 
@@ -50,7 +50,7 @@ def fill_stray(capture: Capture, frames: Frames, folder: Path) -> None:
         ", ".join([repr(time), f"{number:06d}", *map(repr, numbers)])
         for number, (time, *numbers) in enumerate(rows)
     )
-    write_text(folder / ODOMETRY, "\n".join([", ".join((*NEEDED, *LENS)), *lines]) + "\n")
+    write_text(folder / ODOMETRY, "\n".join([", ".join((*NEEDED_COLUMNS, *LENS)), *lines]) + "\n")
     fx, fy, cx, cy = rows[-1][-4:]
     write_text(folder / MATRIX, f"{fx!r}, 0.0, {cx!r}\n0.0, {fy!r}, {cy!r}\n0.0, 0.0, 1.0\n")
 
@@ -71,7 +71,7 @@ def _write_video(av: Any, path: Path, pictures: Iterable[Float[np.ndarray, "h w 
         stream = container.add_stream(_encoder(av), rate=30, options=QUALITY)
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = "yuv444p"  # which also takes sizes that are odd
-        stream.codec_context.gop_size = KEY_EVERY
+        stream.codec_context.gop_size = KEY_INTERVAL
         stream.codec_context.colorspace, stream.codec_context.color_range = REC_709, LIMITED_RANGE
         for number, picture in enumerate(itertools.chain([first], pictures)):
             if picture.shape != first.shape:

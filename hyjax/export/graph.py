@@ -21,7 +21,7 @@ from hyjax.util.errors import InputError
 CASCADE_TOLERANCE = 1e-4
 NETWORK_TOLERANCE = 1e-3
 SEED = 0
-BRIGHTEST = 2.3
+LARGEST_VALUE = 2.3
 """Largest value of the example filter."""
 
 Named = dict[str, Float[np.ndarray, "..."]]
@@ -178,7 +178,7 @@ def example_inputs(shape: tuple[int, int], channels: int) -> Named:
     patch = patches[rows[:, None], columns[None]]
     display = np.clip(patch[..., :3] + 0.03 * random.standard_normal((*shape, 3)), 0.0, 1.0)
     shift = max(1, width // 40)  # the filter's borders are not quite where the frame's are
-    light = BRIGHTEST * np.roll(patch[..., 3:], shift, 1) * (0.9 + 0.1 * random.random((*shape, channels)))
+    light = LARGEST_VALUE * np.roll(patch[..., 3:], shift, 1) * (0.9 + 0.1 * random.random((*shape, channels)))
     confidence = np.where(random.random((*shape, 1)) < 0.1, 0.5, 1.0)
     confidence[height // 3 : height // 2, width // 4 : width // 2] = 0.0
     return {

@@ -10,7 +10,7 @@ from hyjax.scene.scene import Scene
 
 BEARING = 240.0
 """Bearing of the first window, degrees from north: an afternoon sun comes in."""
-STEP = 0.5
+STEP_HOURS = 0.5
 """Hours."""
 _log = logging.getLogger(__name__)
 
@@ -28,7 +28,7 @@ def sun_table(scene: Scene, day: str = "2026-06-21", latitude: float = 48.0) -> 
         _log.info("web: no sun by the hour: this room has no windows")
         return None
     try:
-        from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALLS, setup_of
+        from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALL_REFLECTANCE, setup_of
         from hyjax.tour.placement import as_point, north_for_bearing
         from hyjax.tour.plan import MOST_WINDOWS, TourPlan, Window
     except ImportError:
@@ -47,7 +47,7 @@ def sun_table(scene: Scene, day: str = "2026-06-21", latitude: float = 48.0) -> 
     a, b, c = scene.mesh.extents
     area = 2.0 * float(a * b + b * c + c * a)
     rows = []
-    for hour in np.arange(0.0, 24.0, STEP):
+    for hour in np.arange(0.0, 24.0, STEP_HOURS):
         setup = setup_of(_at(plan, float(hour)), up, area)
         content = setup_content(setup)
         rows.append({"hour": float(hour), "reference_lux": content["reference_lux"], "lights": content["lights"]})
@@ -56,7 +56,7 @@ def sun_table(scene: Scene, day: str = "2026-06-21", latitude: float = 48.0) -> 
         "latitude": latitude,
         "rows": rows,
         "adaptation": ADAPTATION,
-        "walls": WALLS,
+        "walls": WALL_REFLECTANCE,
         "least_ambient": LEAST_AMBIENT,
         "surface_area": area,
     }

@@ -13,13 +13,13 @@ from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
 
 EXTRA = "export-litert"
-BESIDES = "pip install --no-deps litert-converter==0.5.0"
+EXTRA_COMMAND = "pip install --no-deps litert-converter==0.5.0"
 PACKAGES = ("litert-converter", "ai-edge-litert")
 
 
 def convert(graph: Graph, triple: str | None = None) -> Artifact:
     """The function as a flatbuffer."""
-    interpreter = optional_module("ai_edge_litert.interpreter", EXTRA, "export", besides=BESIDES)
+    interpreter = optional_module("ai_edge_litert.interpreter", EXTRA, "export", besides=EXTRA_COMMAND)
     content = flatbuffer(graph)
     runner = interpreter.Interpreter(model_content=content).get_signature_runner(graph.name)
 
@@ -32,7 +32,7 @@ def convert(graph: Graph, triple: str | None = None) -> Artifact:
 def flatbuffer(graph: Graph) -> bytes:
     """The function as the bytes of a .tflite file, with a signature of the graph's names."""
     ir, passes, api = (
-        optional_module(f"litert_converter.{name}", EXTRA, "export", besides=BESIDES)
+        optional_module(f"litert_converter.{name}", EXTRA, "export", besides=EXTRA_COMMAND)
         for name in ("mlir.ir", "mlir.passmanager", "converter_api_ext")
     )
     context = ir.Context()

@@ -15,10 +15,10 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 
 from hyjax.util.errors import InputError
 
-LARGEST = float(np.finfo(np.float32).max)
-INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")
+LARGEST_FLOAT = float(np.finfo(np.float32).max)
+INNER_NAMES = ("jaxpr", "call_jaxpr", "fun_jaxpr")
 """Names under which operations hold a function that they call."""
-MOST_REPEATED = 4096
+MOST_REPEATED_VALUES = 4096
 """Values of a constant that is a smaller one repeated; larger ones are left to the runtime."""
 MOST_STEPS = 2000
 """Steps in all that are written out: each is some fifteen operations."""
@@ -101,12 +101,14 @@ def _apply(equation: JaxprEqn, values: list[Any]) -> list[Any]:
             return values
     if name == "pad" and _is_constant(values[1]):
         # Infinities are miscompiled by some; this is as far from every value.
-        values = [values[0], np.clip(np.asarray(values[1]), -LARGEST, LARGEST)]
+        values = [values[0], np.clip(np.asarray(values[1]), -LARGEST_FLOAT, LARGEST_FLOAT)]
     if name == "is_finite":
-        return [jnp.abs(values[0]) <= LARGEST]
-    if inner := next((params[key] for key in INNER if key in params), None):
+        return [jnp.abs(values[0]) <= LARGEST_FLOAT]
+    if inner := next((params[key] for key in INNER_NAMES if key in params), None):
         return _call(inner, values)
-    grows = name == "broadcast_in_dim" and shapes[0].size > MOST_REPEATED  # a number as a picture fills files
+    grows = (
+        name == "broadcast_in_dim" and shapes[0].size > MOST_REPEATED_VALUES
+    )  # a number as a picture fills files
     if all(_is_constant(value) for value in values) and not grows:
         with jax.ensure_compile_time_eval():
             results = equation.primitive.bind(*values, **params)

@@ -15,7 +15,7 @@ from hyjax.util.errors import InputError, shown
 
 # A pose read from a text file carries six or seven digits; scanners' trackers are orthonormal to about 1e-4.
 RIGID_TOLERANCE = 1e-3
-FARTHEST = 1e9
+LARGEST_DISTANCE = 1e9
 """Largest distance in the unit of the poses; beyond it, corners of a room coincide in float32."""
 LARGEST_SIDE = 1 << 20
 SHORTEST_FOCAL = 1e-3
@@ -140,8 +140,10 @@ def check_pose(pose: Float[np.ndarray, "4 4"], where: str = "pose") -> None:
         raise InputError(f"{where}: need a finite 4x4 camera-to-world matrix, got {shown(pose)}")
     if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
         raise InputError(f"{where}: need a finite 4x4 camera-to-world matrix, got shape {pose.shape}")
-    if np.abs(pose).max() > FARTHEST:
-        raise InputError(f"{where}: has numbers up to {np.abs(pose).max():.3g}; a pose's are at most {FARTHEST:g}")
+    if np.abs(pose).max() > LARGEST_DISTANCE:
+        raise InputError(
+            f"{where}: has numbers up to {np.abs(pose).max():.3g}; a pose's are at most {LARGEST_DISTANCE:g}"
+        )
     rotation = pose[:3, :3]
     if not np.allclose(pose[3], (0, 0, 0, 1), atol=RIGID_TOLERANCE):
         raise InputError(f"{where}: last row is {pose[3].tolist()}, must be [0, 0, 0, 1]")

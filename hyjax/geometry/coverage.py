@@ -6,7 +6,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from hyjax.geometry.camera import Camera
-from hyjax.geometry.depth_map import NEAR, SLACK, DepthReading
+from hyjax.geometry.depth_map import NEAR_LIMIT, READING_TOLERANCE, DepthReading
 from hyjax.geometry.raycast import RayCaster
 
 ROWS = 60
@@ -19,7 +19,7 @@ class Coverage:
 
     Attributes:
         measured: share of the pixels that have a reading.
-        covered: share of these in which the mesh lies within `SLACK` of the reading.
+        covered: share of these in which the mesh lies within `READING_TOLERANCE` of the reading.
         hit: share of these in which there is any mesh.
         distance: median of the distance between reading and mesh along the camera's axis in metres, where there is
             mesh; NaN if there is none anywhere.
@@ -49,7 +49,7 @@ class Coverage:
                 for few, many in ((rows, depth.shape[0]), (columns, depth.shape[1]))
             )
             measured = depth[np.ix_(row, column)]
-            valid = np.isfinite(measured) & (measured > NEAR)
+            valid = np.isfinite(measured) & (measured > NEAR_LIMIT)
             if confidence is not None:
                 valid &= confidence[np.ix_(row, column)] > 0
             rays = Camera(small, camera.pose).rays()[valid]
@@ -58,7 +58,7 @@ class Coverage:
                 found = caster.cast(camera.origin, rays).distance  # rays have unit depth
             error = np.abs(found - measured[valid])
             pixels, read = pixels + valid.size, read + len(rays)
-            covered += int((error < SLACK[0] + SLACK[1] * measured[valid]).sum())
+            covered += int((error < READING_TOLERANCE[0] + READING_TOLERANCE[1] * measured[valid]).sum())
             hit += int(np.isfinite(found).sum())
             distances.append(error[np.isfinite(error)])
         every = np.concatenate(distances) if distances else np.zeros(0)

@@ -9,10 +9,11 @@ from jaxtyping import Bool, Float
 from hyjax.geometry.camera import Camera
 from hyjax.util.errors import InputError
 
-NEAR = 0.1  # metres; nothing nearer is measured by any depth camera
+NEAR_LIMIT = 0.1  # metres; nothing nearer is measured by any depth camera
 # Neighbouring pixels further apart than a surface seen at this slope (tan 80°) straddle two surfaces.
-STEEPEST = 5.7
-SLACK = (0.03, 0.02)  # metres, and per metre of depth: how far a surface may be off from a reading of it
+STEEPEST_SLOPE = 5.7
+READING_TOLERANCE = 0.03, 0.02
+"""Largest distance of a surface from a reading of it, in metres, and per metre of depth."""
 
 
 class DepthReading(NamedTuple):
@@ -67,19 +68,19 @@ def posed_depths(frames: Iterable[PosedDepth]) -> Iterator[DepthReading]:
 
 def clean_depth(depth: Float[np.ndarray, "h w"], camera: Camera, max_depth: float) -> Float[np.ndarray, "h w"]:
     """Depth with 0 for readings of no single surface: invalid, out of range, or next to a jump."""
-    usable = np.isfinite(depth) & (depth > NEAR) & (depth < max_depth)
+    usable = np.isfinite(depth) & (depth > NEAR_LIMIT) & (depth < max_depth)
     depth = np.where(usable, depth, 0.0).astype(np.float32)
     from scipy import ndimage  # SciPy is slow to load
 
     farthest = ndimage.maximum_filter(depth, 3)
     nearest = ndimage.minimum_filter(np.where(usable, depth, np.float32(np.inf)), 3)
     # Two pixels apart across the 3×3 window; one part in twenty is left to the noise of the sensor.
-    jump = max(0.05, 2.0 * STEEPEST / camera.intrinsics.fx)
+    jump = max(0.05, 2.0 * STEEPEST_SLOPE / camera.intrinsics.fx)
     return np.where(farthest - nearest > jump * depth, np.float32(0.0), depth)
 
 
 def confirmed(frame: DepthFrame, position: Float[np.ndarray, "h w 3"], *, unread: bool) -> Bool[np.ndarray, "h w"]:
-    """Mask of the surface points whose depth a frame's depth map confirms within `SLACK`.
+    """Mask of the surface points whose depth a frame's depth map confirms within `READING_TOLERANCE`.
 
     Args:
         frame: with its depth.
@@ -95,7 +96,9 @@ def confirmed(frame: DepthFrame, position: Float[np.ndarray, "h w 3"], *, unread
         inside = (column >= 0) & (row >= 0) & (column < width) & (row < height) & (expected > 0)
     row, column = (np.where(inside, x, 0).astype(int) for x in (row, column))
     measured = np.where(inside, frame.depth[row, column], 0.0)
-    return np.where(measured > 0, np.abs(measured - expected) < SLACK[0] + SLACK[1] * expected, unread)
+    return np.where(
+        measured > 0, np.abs(measured - expected) < READING_TOLERANCE[0] + READING_TOLERANCE[1] * expected, unread
+    )
 
 
 def view_cosine(depth: Float[np.ndarray, "h w"], camera: Camera, reach: int = 2) -> Float[np.ndarray, "h w"]:

@@ -24,9 +24,9 @@ MOST_COPIES = 4_000_000
 """Largest number of vertices and corners that come of reading others again: those of a million faces."""
 MOST_READINGS = 4
 """Times that all bytes of the buffers may be read."""
-HARMLESS = 1 << 24
+HARMLESS_BYTES = 1 << 24
 """Bytes that may be read in any case."""
-BINARY = b"BIN\0"
+BINARY_CHUNK = b"BIN\0"
 SIZES = {5120: 1, 5121: 1, 5122: 2, 5123: 2}
 """Bytes of a number by its kind; others have four."""
 COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9}
@@ -60,7 +60,7 @@ def counted_gltf(
         _check_copies(path, nodes, meshes, accessors)
         buffers = _buffers(path, tree.get("buffers", []), file if is_binary else None, beside)
     read = max(sum(map(_bytes, accessors)), sum(max(view["byteLength"], 0) for view in views))
-    if read > HARMLESS + MOST_READINGS * sum(map(len, {id(buffer): buffer for buffer in buffers}.values())):
+    if read > HARMLESS_BYTES + MOST_READINGS * sum(map(len, {id(buffer): buffer for buffer in buffers}.values())):
         raise InputError(f"{path}: refused, it reads {read / 2**20:.0f} MiB out of far less")
     roots = scenes[tree.get("scene", 0)].get("nodes", []) if scenes else []
     slim = {
@@ -192,6 +192,6 @@ def _binary_chunk(path: Path, file: BinaryIO | None) -> bytes:
     while file is not None and len(start := file.read(8)) == 8:
         size = int.from_bytes(start[:4], "little")
         content = file.read(size)
-        if start[4:] == BINARY and len(content) == size:
+        if start[4:] == BINARY_CHUNK and len(content) == size:
             return content
     raise InputError(f"{path}: damaged or truncated, it has no numbers")

@@ -18,7 +18,7 @@ from hyjax.geometry.gltf import counted_gltf
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
 from hyjax.util.reading import check_regular, read_bytes
-from hyjax.util.vectors import SHORTEST, unit
+from hyjax.util.vectors import SHORTEST_LENGTH, unit
 
 READABLE = (".ply", ".obj", ".glb", ".gltf")
 WRITABLE = (".ply", ".glb")
@@ -154,7 +154,7 @@ def _transformed(part: trimesh.Trimesh, transform: Float[np.ndarray, "4 4"]) -> 
     normals = np.asarray(part.vertex_normals) @ np.linalg.inv(linear)
     if not np.isfinite(normals).all():
         return vertices, faces, None
-    return vertices, faces, unit(normals, SHORTEST)
+    return vertices, faces, unit(normals, SHORTEST_LENGTH)
 
 
 def _check_announced_faces(path: Path, part: trimesh.Trimesh, content: bytes | None) -> None:

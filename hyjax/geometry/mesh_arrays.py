@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hyjax.util.errors import InputError, shown
-from hyjax.util.vectors import SHORTEST, unit
+from hyjax.util.vectors import SHORTEST_LENGTH, unit
 
 if TYPE_CHECKING:
     import trimesh
@@ -33,7 +33,7 @@ class MeshArrays:
     ) -> None:
         self.vertices = np.ascontiguousarray(vertices, np.float64)
         self.faces = np.ascontiguousarray(faces, np.int64)
-        self._normals = None if normals is None else unit(normals, SHORTEST)
+        self._normals = None if normals is None else unit(normals, SHORTEST_LENGTH)
 
     @classmethod
     def of(cls, mesh: "trimesh.Trimesh | MeshArrays") -> "MeshArrays":
@@ -76,7 +76,7 @@ class MeshArrays:
     def face_normals(self) -> Float[np.ndarray, "m 3"]:
         """Unit normals of the triangles; zero for one without area."""
         a, b, c = (self.vertices[self.faces[:, corner]] for corner in range(3))
-        return unit(np.cross(b - a, c - a), SHORTEST)
+        return unit(np.cross(b - a, c - a), SHORTEST_LENGTH)
 
     @functools.cached_property
     def bounds(self) -> Float[np.ndarray, "2 3"]:

@@ -17,13 +17,14 @@ from tqdm import tqdm
 from hyjax.geometry.voxels import REACH, voxel_keys
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
-from hyjax.util.vectors import SHORTEST, unit
+from hyjax.util.vectors import SHORTEST_LENGTH, unit
 
 NEIGHBOURS = 16  # that a normal is made of
-COVERING = 6  # a disc reaches to this neighbour; randomly placed discs then leave 1/400 of a surface uncovered
-AROUND = 4  # neighbours that a point is compared with
-ISOLATED = 3.0  # times as far from its neighbours as they are from theirs: not of the surface
-PIECE = 1 << 18  # points that are worked on at once
+COVERING_NEIGHBOUR = 6
+"""Neighbour that a disc reaches to; randomly placed discs then leave 1/400 of a surface uncovered."""
+COMPARED_NEIGHBOURS = 4  # neighbours that a point is compared with
+ISOLATED_RATIO = 3.0  # times as far from its neighbours as they are from theirs: not of the surface
+CHUNK_POINTS = 1 << 18  # points that are worked on at once
 CORNERS = np.sqrt(np.pi) / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
 """Corners of a square as large as the unit disc, which takes two triangles."""
 
@@ -53,20 +54,20 @@ def disc_mesh(
     points = points.astype(np.float32)
     # Points lie on surfaces, near the median of any box around them: sliding cuts are as good and build faster.
     tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-    axes, nearest = np.empty((len(points), 3, 3), np.float32), np.empty((len(points), COVERING), np.int32)
+    axes, nearest = np.empty((len(points), 3, 3), np.float32), np.empty((len(points), COVERING_NEIGHBOUR), np.int32)
     radius = np.empty(len(points), np.float32)
-    for start in tqdm(range(0, len(points), PIECE), "point cloud", unit="piece", disable=not progress):
-        piece = slice(start, start + PIECE)
+    for start in tqdm(range(0, len(points), CHUNK_POINTS), "point cloud", unit="piece", disable=not progress):
+        piece = slice(start, start + CHUNK_POINTS)
         distance, index = tree.query(points[piece], NEIGHBOURS + 1, workers=-1)
         around = tree.data[index]
         around = around - around.mean(axis=1, keepdims=True)
         axes[piece] = np.linalg.eigh(around.transpose(0, 2, 1) @ around)[1].transpose(0, 2, 1)  # least spread first
-        radius[piece], nearest[piece] = distance[:, COVERING], index[:, 1 : COVERING + 1]
-    kept = np.flatnonzero(radius <= ISOLATED * np.median(radius[nearest[:, :AROUND]], axis=1))
+        radius[piece], nearest[piece] = distance[:, COVERING_NEIGHBOUR], index[:, 1 : COVERING_NEIGHBOUR + 1]
+    kept = np.flatnonzero(radius <= ISOLATED_RATIO * np.median(radius[nearest[:, :COMPARED_NEIGHBOURS]], axis=1))
     normal = axes[:, 0]
     beside = normal[nearest[kept]]
     side = np.sign(np.einsum("nd,nkd->nk", normal[kept], beside))
-    normals = unit(normal[kept] + np.einsum("nk,nkd->nd", side, beside), SHORTEST)
+    normals = unit(normal[kept] + np.einsum("nk,nkd->nd", side, beside), SHORTEST_LENGTH)
     arms = radius[kept, None, None] * (CORNERS @ axes[kept, 1:])
     faces = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(kept))[:, None, None]
     vertices = (points[kept, None] + arms).reshape(-1, 3)

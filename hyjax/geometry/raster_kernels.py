@@ -14,10 +14,10 @@ import numpy as np
 
 from hyjax.util.compiled import compiled
 
-FRONT = 1e-9
+FRONT_SHARE = 1e-9
 """Share of a vertex' distance that it must lie in front of the eye's plane to be divided by that."""
-IN_FRONT = 64
-NARROW = 6
+FRONT_FLAG = 64
+NARROW_COLUMNS = 6
 """Columns up to which a row of a triangle is tested pixel by pixel."""
 
 
@@ -38,7 +38,7 @@ def _place(local: tuple[float, float, float], piece: np.ndarray, parallel: bool,
     column = piece[0, 0] * x + piece[0, 1] * y + piece[0, 2] * z
     row = piece[1, 0] * x + piece[1, 1] * y + piece[1, 2] * z
     w = piece[2, 0] * x + piece[2, 1] * y + piece[2, 2] * z
-    if w > FRONT * (abs(x) + abs(y) + abs(z)):
+    if w > FRONT_SHARE * (abs(x) + abs(y) + abs(z)):
         scale = 1.0 / w
         point[0], point[1], point[2] = column * scale, row * scale, 1.0
         point[3] = -local[2] if parallel else scale
@@ -75,11 +75,11 @@ def project(
         x, y, z = local
         side = 0
         if mask:
-            least = FRONT * (abs(x) + abs(y) + abs(z))
+            least = FRONT_SHARE * (abs(x) + abs(y) + abs(z))
             side = (x < least) | (y < least) << 1 | (z < least) << 2
             side |= (x > -least) << 3 | (y > -least) << 4 | (z > -least) << 5
         _place(local, pieces[side & mask], parallel, points[i])
-        sides[i] = side | IN_FRONT if points[i, 2] == 1.0 else side
+        sides[i] = side | FRONT_FLAG if points[i, 2] == 1.0 else side
 
 
 @compiled()
@@ -149,14 +149,14 @@ def _draw_triangle(
                 x, y, key = corner[i, 0], corner[i, 1], corner[i, 3]
     named = len(faces) > 0
     i0, i1, i2 = 0.0, 0.0, 0.0  # where an edge crosses a row is asked only of edges that do so steeply enough
-    if stop - start > NARROW:
-        i0 = 1.0 / a0 if abs(a0) > FRONT else 0.0
-        i1 = 1.0 / a1 if abs(a1) > FRONT else 0.0
-        i2 = 1.0 / a2 if abs(a2) > FRONT else 0.0
+    if stop - start > NARROW_COLUMNS:
+        i0 = 1.0 / a0 if abs(a0) > FRONT_SHARE else 0.0
+        i1 = 1.0 / a1 if abs(a1) > FRONT_SHARE else 0.0
+        i2 = 1.0 / a2 if abs(a2) > FRONT_SHARE else 0.0
     for row in range(begin, end + 1):
         f0, f1, f2 = b0 * row + c0, b1 * row + c1, b2 * row + c2
         low, high = max(start, spans[0, row]), min(stop, spans[1, row])
-        if high - low > NARROW:
+        if high - low > NARROW_COLUMNS:
             for a, inverse, f in ((a0, i0, f0), (a1, i1, f1), (a2, i2, f2)):
                 if inverse != 0.0:
                     crossing = min(max(-f * inverse, -2.0), width + 1.0)
@@ -209,9 +209,9 @@ def select(
         side = sides[a] | sides[b] | sides[c]
         several = side & mask & (side >> 3)
         if not several:
-            if not side & IN_FRONT:
+            if not side & FRONT_FLAG:
                 continue
-            if sides[a] & sides[b] & sides[c] & IN_FRONT:
+            if sides[a] & sides[b] & sides[c] & FRONT_FLAG:
                 x0, x1, x2 = points[a, 0], points[b, 0], points[c, 0]
                 y0, y1, y2 = points[a, 1], points[b, 1], points[c, 1]
                 low, high = min(x0, x1, x2), max(x0, x1, x2)

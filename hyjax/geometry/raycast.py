@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # A few float32 steps off the ray, towards no axis and no diagonal: 3 µm at a metre.
 NUDGE = 3e-6 * np.array([0.61, 0.53, 0.59], dtype=np.float32)
 
-AT_ONCE = 1 << 15
+RAYS_AT_ONCE = 1 << 15
 """Rays that Embree is given at once: a few milliseconds of them."""
 
 
@@ -137,8 +137,8 @@ class RayCaster:
     def _run(self, starts: Float[np.ndarray, "n 3"], rays: Float[np.ndarray, "n 3"]) -> dict[str, np.ndarray]:
         """Embree's answers, asked for by parts: it keeps all of Python waiting meanwhile."""
         parts = [
-            self._scene.run(starts[k : k + AT_ONCE], rays[k : k + AT_ONCE], output=True)
-            for k in range(0, max(len(rays), 1), AT_ONCE)
+            self._scene.run(starts[k : k + RAYS_AT_ONCE], rays[k : k + RAYS_AT_ONCE], output=True)
+            for k in range(0, max(len(rays), 1), RAYS_AT_ONCE)
         ]
         return {key: np.concatenate([part[key] for part in parts]) for key in ("tfar", "primID", "u", "v")}
 

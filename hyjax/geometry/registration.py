@@ -20,18 +20,18 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.depth_map import DepthReading, clean_depth
 from hyjax.geometry.raycast import RayCaster
 
-POINTS = 4000
+MATCHED_READINGS = 4000
 """Readings of a depth map that are matched."""
-FEWEST = 500
+FEWEST_MATCHES = 500
 """Matches below which a depth map stays where it is."""
 ITERATIONS = 6
 GATE = 0.1
 """Metres between a reading and the surface beyond which they do not belong together."""
-NOISE = 0.02
+NOISE_METRES = 0.02
 """Metres off the surface at which a reading has half its weight (Cauchy's weight)."""
 DAMPING = 1e-5
 """Keeps directions along which nothing is known (a floor's own) from running away; per match, m²."""
-FARTHEST, MOST_TURNED = 0.15, 0.1
+MOST_SHIFT, MOST_TURN = 0.15, 0.1
 """Metres and radians that a pose may be corrected by."""
 Pose = Float[np.ndarray, "4 4"]
 
@@ -80,7 +80,9 @@ def registered(reading: DepthReading, caster: RayCaster, far: float, first: Pose
     usable = depth > 0 if reading.confidence is None else (depth > 0) & (reading.confidence >= 1)
     chosen = np.flatnonzero(usable)
     chosen = (
-        chosen[np.linspace(0, len(chosen) - 1, min(POINTS, len(chosen))).astype(int)] if len(chosen) else chosen
+        chosen[np.linspace(0, len(chosen) - 1, min(MATCHED_READINGS, len(chosen))).astype(int)]
+        if len(chosen)
+        else chosen
     )
     local = (Camera(camera.intrinsics, np.eye(4)).rays() * depth[..., None]).reshape(-1, 3)[chosen]
     pose = camera.pose
@@ -91,7 +93,7 @@ def registered(reading: DepthReading, caster: RayCaster, far: float, first: Pose
         pose = step @ pose
     change = pose @ np.linalg.inv(first)
     at_camera = np.linalg.norm(pose[:3, 3] - first[:3, 3])
-    if at_camera > FARTHEST or np.linalg.norm(Rotation.from_matrix(change[:3, :3]).as_rotvec()) > MOST_TURNED:
+    if at_camera > MOST_SHIFT or np.linalg.norm(Rotation.from_matrix(change[:3, :3]).as_rotvec()) > MOST_TURN:
         return reading
     return _posed(reading, pose)
 
@@ -103,11 +105,11 @@ def _step(local: Float[np.ndarray, "n 3"], pose: Pose, caster: RayCaster) -> Pos
     scale = np.where(hits.hit, hits.distance, 1.0)
     apart = (scale - 1.0)[:, None] * rays
     near = hits.hit & (np.linalg.norm(apart, axis=1) < GATE)
-    if near.sum() < FEWEST:
+    if near.sum() < FEWEST_MATCHES:
         return None
     normal = caster.interpolated_normals(hits)[near]
     point, off = (pose[:3, 3] + rays)[near], np.einsum("nk,nk->n", apart[near], normal)
-    weight = 1.0 / (1.0 + (off / NOISE) ** 2)
+    weight = 1.0 / (1.0 + (off / NOISE_METRES) ** 2)
     centre = point.mean(axis=0)
     jacobian = np.concatenate([np.cross(point - centre, normal), normal], axis=1)
     weighted = jacobian * weight[:, None]

@@ -8,7 +8,7 @@ from skimage.measure import marching_cubes
 
 from hyjax.geometry.mesh import degenerate_faces, drop_faces
 from hyjax.util.errors import InputError
-from hyjax.util.vectors import SHORTEST, unit
+from hyjax.util.vectors import SHORTEST_LENGTH, unit
 
 MAX_VOXELS = 400_000_000  # of the dense box for marching cubes: 1.6 GB of distances, 0.4 GB of mask
 # Distances nearer to zero than this share of the truncation are moved off it: a vertex exactly on a grid point
@@ -115,10 +115,10 @@ def smooth_normals(mesh: trimesh.Trimesh, passes: int) -> Float[np.ndarray, "n 3
         (np.ones(faces.size), (faces.ravel(), np.repeat(np.arange(len(faces)), 3))),
         shape=(len(mesh.vertices), len(faces)),
     )
-    normals = unit(incidence @ cross, SHORTEST)
+    normals = unit(incidence @ cross, SHORTEST_LENGTH)
     around = _adjacency(faces, len(mesh.vertices)) + sparse.eye_array(len(mesh.vertices))
     for _ in range(passes):
-        normals = unit(around @ normals, SHORTEST)
+        normals = unit(around @ normals, SHORTEST_LENGTH)
     return normals
 
 

@@ -27,19 +27,19 @@ from scipy import ndimage
 from tqdm import tqdm
 
 from hyjax.geometry.camera import Camera
-from hyjax.geometry.depth_map import NEAR, PosedDepth, clean_depth, posed_depths, view_cosine
+from hyjax.geometry.depth_map import NEAR_LIMIT, PosedDepth, clean_depth, posed_depths, view_cosine
 from hyjax.geometry.surface import extract_surface
 from hyjax.geometry.voxels import voxel_coordinates, voxel_keys
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write, remove
 
 _log = logging.getLogger(__name__)
-BLOCK = 8
+BLOCK_SIDE = 8
 CHUNK = 64  # blocks updated at once: arrays of 128 KiB, which stay in the cache
 NO_READING = -1e6  # in place of a depth: every voxel is then far behind the surface, hence not updated
 MAX_BLOCKS = 1 << 20  # 4 GiB of voxels
 MAX_CANDIDATES = 8_000_000  # blocks in the box around one view
-SAVE_EVERY = 30.0
+SAVE_INTERVAL = 30.0
 """Seconds between two checkpoints."""
 
 
@@ -94,13 +94,13 @@ def fuse(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for count, (depth, camera, confidence) in enumerate(bar, start=done + 1):
             volume.integrate(depth, camera, max_depth, pool, confidence)
-            if checkpoint is not None and time.monotonic() - saved > SAVE_EVERY:
+            if checkpoint is not None and time.monotonic() - saved > SAVE_INTERVAL:
                 save_volume(checkpoint, volume, count)
                 saved = time.monotonic()
     if checkpoint is not None:
         remove(checkpoint)
     if volume.count == 0:
-        raise InputError(f"fuse: not one depth reading between {NEAR} and {max_depth} m; nothing to fuse")
+        raise InputError(f"fuse: not one depth reading between {NEAR_LIMIT} and {max_depth} m; nothing to fuse")
     coordinates, distance, weight = volume.blocks()
     return extract_surface(coordinates, distance, weight > min_weight, voxel)
 
@@ -138,9 +138,9 @@ class Volume:
         self.count = 0
         self._keys = np.zeros(0, dtype=np.int64)  # sorted
         self._slots = np.zeros(0, dtype=np.int64)  # where in the pool the block of each key is
-        self._sums = np.zeros((0, BLOCK**3), dtype=np.float32)
-        self._weights = np.zeros((0, BLOCK**3), dtype=np.float32)
-        self._local = np.indices((BLOCK,) * 3).reshape(3, -1).T * voxel
+        self._sums = np.zeros((0, BLOCK_SIDE**3), dtype=np.float32)
+        self._weights = np.zeros((0, BLOCK_SIDE**3), dtype=np.float32)
+        self._local = np.indices((BLOCK_SIDE,) * 3).reshape(3, -1).T * voxel
 
     def arrays(self) -> dict[str, np.ndarray]:
         """All that it holds, for `of_arrays`."""
@@ -152,7 +152,7 @@ class Volume:
     ) -> "Volume":
         """A volume as it was."""
         kinds = keys.dtype == np.int64 and sums.dtype == weights.dtype == np.float32
-        if not kinds or keys.ndim != 1 or not sums.shape == weights.shape == (len(keys), BLOCK**3):
+        if not kinds or keys.ndim != 1 or not sums.shape == weights.shape == (len(keys), BLOCK_SIDE**3):
             raise InputError("these arrays are none of a volume's")
         volume = cls(voxel, truncation)
         volume.count, volume._keys, volume._slots = len(keys), keys, np.arange(len(keys))
@@ -186,7 +186,7 @@ class Volume:
         reading = np.where(depth > 0, depth, np.float32(NO_READING))
         # A rim of "no reading" takes the voxels that project outside the picture.
         padded = np.pad(reading, 1, constant_values=NO_READING), np.pad(weight, 1)
-        coordinates = _blocks_in_view(depth, camera, self.voxel * BLOCK, self.truncation)
+        coordinates = _blocks_in_view(depth, camera, self.voxel * BLOCK_SIDE, self.truncation)
         slots = self._slots_of(voxel_keys(coordinates))
         chunks = [slice(start, start + CHUNK) for start in range(0, len(slots), CHUNK)]
         # Chunks are disjoint, so the result does not depend on how the threads take turns.
@@ -201,7 +201,7 @@ class Volume:
         camera: Camera,
     ) -> None:
         project = camera.intrinsics.matrix @ camera.pose[:3, :3].T
-        corner = (coordinates * (self.voxel * BLOCK) - camera.origin) @ project.T
+        corner = (coordinates * (self.voxel * BLOCK_SIDE) - camera.origin) @ project.T
         step = self._local @ project.T
         # Homogeneous pixel coordinates; their third component is the voxel's depth.
         x, y, z = (corner[:, i, None].astype(np.float32) + step[None, :, i].astype(np.float32) for i in range(3))
@@ -209,7 +209,7 @@ class Volume:
         with np.errstate(divide="ignore", invalid="ignore"):
             x /= z
             y /= z
-        x[z < NEAR] = y[z < NEAR] = -1.0
+        x[z < NEAR_LIMIT] = y[z < NEAR_LIMIT] = -1.0
         # Pixel j covers [j, j+1], which is column j+1 with the rim; beyond the picture lands on the rim.
         column = np.clip(x + 1.0, 0.0, width - 1).astype(np.int32)
         row = np.clip(y + 1.0, 0.0, height - 1).astype(np.int32)
@@ -240,7 +240,7 @@ class Volume:
     def _reserve(self, count: int) -> None:
         if count > MAX_BLOCKS:
             raise InputError(
-                f"fuse: {count} blocks of {BLOCK}³ voxels of {self.voxel} m are in view, more than the "
+                f"fuse: {count} blocks of {BLOCK_SIDE}³ voxels of {self.voxel} m are in view, more than the "
                 f"{MAX_BLOCKS} that fit in memory; take a coarser voxel or a smaller max depth"
             )
         missing = count - len(self._sums)
@@ -260,7 +260,7 @@ def _blocks_in_view(
     low, high = np.floor(reach.min(axis=0) / size).astype(int), np.floor(reach.max(axis=0) / size).astype(int)
     if np.prod(high - low + 1.0) > MAX_CANDIDATES:
         raise InputError(
-            f"fuse: one view spans {np.prod(high - low + 1.0):.0e} blocks of 8³ voxels of {size / BLOCK:g} m; "
+            f"fuse: one view spans {np.prod(high - low + 1.0):.0e} blocks of 8³ voxels of {size / BLOCK_SIDE:g} m; "
             "take a coarser voxel or a smaller max depth"
         )
     blocks = np.stack(np.meshgrid(*map(np.arange, low, high + 1), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -284,9 +284,9 @@ def _farthest_around(
     Maxima over tiles of 16, 32, ... pixels; a ball looks at the level whose tiles are as wide as itself.
     """
     k = camera.intrinsics
-    z = np.maximum(centres[:, 2] - radius, NEAR)
-    column = k.cx + k.fx * centres[:, 0] / np.maximum(centres[:, 2], NEAR)
-    row = k.cy + k.fy * centres[:, 1] / np.maximum(centres[:, 2], NEAR)
+    z = np.maximum(centres[:, 2] - radius, NEAR_LIMIT)
+    column = k.cx + k.fx * centres[:, 0] / np.maximum(centres[:, 2], NEAR_LIMIT)
+    row = k.cy + k.fy * centres[:, 1] / np.maximum(centres[:, 2], NEAR_LIMIT)
     level = np.ceil(np.log2(np.maximum(max(k.fx, k.fy) * radius / z / 16.0, 1.0))).astype(int)
     bound = np.full(len(centres), depth.max())
     tile = 16

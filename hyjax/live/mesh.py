@@ -13,16 +13,16 @@ from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
 from hyjax.geometry.surface import zero_crossing
-from hyjax.geometry.tsdf import BLOCK
+from hyjax.geometry.tsdf import BLOCK_SIDE
 from hyjax.geometry.voxels import voxel_coordinates, voxel_keys
-from hyjax.live.volume import UNSEEN, LiveVolume
+from hyjax.live.volume import UNSEEN_VALUE, LiveVolume
 from hyjax.util.errors import InputError
-from hyjax.util.vectors import SHORTEST, unit
+from hyjax.util.vectors import SHORTEST_LENGTH, unit
 
-REGION = 4
+REGION_BLOCKS = 4
 """Blocks along a region's side."""
-SIDE = REGION * BLOCK
-SPECK = 64.0
+REGION_VOXELS = REGION_BLOCKS * BLOCK_SIDE
+SPECK_AREA = 64.0
 """Square voxels: connected surface of less that ends within its region is dropped, as in `extract_surface`."""
 Region = tuple[int, int, int]
 PATIENCE = 0.2
@@ -98,7 +98,7 @@ class LiveMesh:
         changed: list[Region] = []
         cuts = {region: cut for region in regions if (cut := self._cut(region)) is not None}
         if self._clean:
-            cuts = without_specks(cuts, SIDE)
+            cuts = without_specks(cuts, REGION_VOXELS)
         for region in regions:
             del self.waiting[region]
             before = self.pieces.pop(region, None)
@@ -114,13 +114,13 @@ class LiveMesh:
         return joined([self.pieces[region] for region in sorted(self.pieces)])
 
     def _cut(self, region: Region) -> "Cut | None":
-        low = np.array(region) * REGION
-        box = self._volume.distances(low - 1, np.full(3, REGION + 2))
+        low = np.array(region) * REGION_BLOCKS
+        box = self._volume.distances(low - 1, np.full(3, REGION_BLOCKS + 2))
         # One voxel before the region and two after it: what gradients at its vertices need.
-        start, end = BLOCK - 1, BLOCK + SIDE + 2
+        start, end = BLOCK_SIDE - 1, BLOCK_SIDE + REGION_VOXELS + 2
         box = box[start:end, start:end, start:end]
         inner = box[1:-1, 1:-1, 1:-1]
-        seen = inner < UNSEEN
+        seen = inner < UNSEEN_VALUE
         if not (inner < 0).any() or not ((inner > 0) & seen).any():
             return None
         try:
@@ -131,7 +131,7 @@ class LiveMesh:
 
     def _piece(self, region: Region, cut: "Cut") -> Piece:
         normals = gradient_normals(cut.distance, cut.vertices + 1.0)
-        first = np.array(region) * float(SIDE)
+        first = np.array(region) * float(REGION_VOXELS)
         world = ((cut.vertices + first) * self._volume.voxel).astype(np.float32)
         return Piece(world, np.ascontiguousarray(cut.faces, np.int32), normals)
 
@@ -139,7 +139,7 @@ class LiveMesh:
 def amounts_of(blocks: Int[np.ndarray, "n 3"], amounts: Float[np.ndarray, "n"]) -> dict[Region, float]:
     """Regions with a cell that has a corner in any of these blocks, and the largest amount of theirs."""
     corners = np.indices((2, 2, 2)).reshape(3, 8).T
-    touched = voxel_keys((blocks[:, None] - corners[None]).reshape(-1, 3) // REGION)
+    touched = voxel_keys((blocks[:, None] - corners[None]).reshape(-1, 3) // REGION_BLOCKS)
     keys, place = np.unique(touched, return_inverse=True)
     largest = np.zeros(len(keys))
     np.maximum.at(largest, place.reshape(-1), np.repeat(amounts, len(corners)))
@@ -163,7 +163,7 @@ def gradient_normals(
 ) -> Float[np.ndarray, "n 3"]:
     """Unit gradient of the distance at vertices on the edges of its grid, one voxel within it at least.
 
-    Differences are central, and one-sided beside voxels that are `UNSEEN`.
+    Differences are central, and one-sided beside voxels that are `UNSEEN_VALUE`.
     """
     first = np.floor(points).astype(np.int64)
     part = points - first
@@ -176,7 +176,7 @@ def gradient_normals(
         flat = np.ascontiguousarray(distance).reshape(-1)
         steps = np.array([distance.shape[1] * distance.shape[2], distance.shape[2], 1])
     ends = [_gradient(flat, end @ steps, steps) for end in (first, second)]
-    return unit(ends[0] + share * (ends[1] - ends[0]), SHORTEST).astype(np.float32)
+    return unit(ends[0] + share * (ends[1] - ends[0]), SHORTEST_LENGTH).astype(np.float32)
 
 
 def _gradient(
@@ -186,7 +186,7 @@ def _gradient(
     parts = []
     for step in steps:
         after, before = flat[index + step], flat[index - step]
-        after, before = np.where(after < UNSEEN, after, here), np.where(before < UNSEEN, before, here)
+        after, before = np.where(after < UNSEEN_VALUE, after, here), np.where(before < UNSEEN_VALUE, before, here)
         parts.append(after - before)
     return np.stack(parts, axis=-1)
 
@@ -223,7 +223,7 @@ def _without_specks(
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.bincount(part[faces[:, 0]], 0.5 * np.linalg.norm(cross, axis=1), minlength=number)
     outside = np.bincount(part, on_border(vertices, side), minlength=number) > 0
-    return np.asarray((outside | (area >= SPECK))[part])
+    return np.asarray((outside | (area >= SPECK_AREA))[part])
 
 
 def on_border(vertices: Float[np.ndarray, "n 3"], side: int) -> Bool[np.ndarray, "n"]:

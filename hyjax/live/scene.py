@@ -38,7 +38,7 @@ from hyjax.live.caster import LiveCaster
 from hyjax.live.mesh import LiveMesh
 from hyjax.live.shadow import LiveShadowMaps, LiveSurface
 from hyjax.live.volume import MOST_BLOCKS, LiveVolume, make_pool
-from hyjax.scene.occluders import SLACK
+from hyjax.scene.occluders import SURFACE_ERROR
 from hyjax.scene.place import view_of
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.settings import Occluders
@@ -50,15 +50,15 @@ MAX_DEPTH = 5.0
 """Metres beyond which readings are left out."""
 DEPTH_WIDTH = 320
 """Columns of a depth map that are used, about: with voxels of 4 cm more of them add nothing."""
-RATE = 5.0
+RENEWAL_RATE = 5.0
 """Renewals of the mesh for each second of frames."""
 MOST_REGIONS = 16
 """Most regions that are meshed anew at once, the most changed first; 1.3 m each way with voxels of 4 cm."""
 SHADOW_SCALE = 0.5
 """Resolution of shadow maps, relative to that of `hyjax relight`."""
-BOUNDS = 1.0
+BOUNDS_STEP = 1.0
 """Metres that the surface's bounds are rounded to."""
-SAME_LINE = 100
+LINE_INTERVAL = 100
 """Frames that are skipped for one reason between two lines about it."""
 _log = logging.getLogger(__name__)
 
@@ -98,7 +98,7 @@ class LiveScene:
         self.surface: LiveSurface | None = None
         self.skipped: Counter[str] = Counter()
         self.times: dict[str, float] = {}
-        self._maps, self._pool, self._last = LiveShadowMaps(SLACK), make_pool(workers), -np.inf
+        self._maps, self._pool, self._last = LiveShadowMaps(SURFACE_ERROR), make_pool(workers), -np.inf
         self._revision = 0
 
     # ---- frames come in ----
@@ -126,7 +126,7 @@ class LiveScene:
         """Count a frame that is not used, with a line for the first of each reason and every hundredth after it."""
         self.skipped[reason] += 1
         count = self.skipped[reason]
-        if count == 1 or count % SAME_LINE == 0:
+        if count == 1 or count % LINE_INTERVAL == 0:
             many = "" if count == 1 else f" ({count} so far)"
             _log.warning("live: frame %s skipped: %s%s", name, reason, many)
 
@@ -154,7 +154,7 @@ class LiveScene:
             self._revision += 1
             caster = LiveCaster(self.pieces.pieces)
             low, high = caster.bounds
-            rounded = np.stack([np.floor(low / BOUNDS), np.ceil(high / BOUNDS)]) * BOUNDS
+            rounded = np.stack([np.floor(low / BOUNDS_STEP), np.ceil(high / BOUNDS_STEP)]) * BOUNDS_STEP
             self.surface = LiveSurface(caster, self._revision, rounded)
         self.times = {"mesh": meshed - begun, "caster": time.perf_counter() - meshed}
         return self.surface
@@ -259,7 +259,7 @@ def relight_live(
     configuration: Configuration | Schedule | str | Path | None = None,
     *,
     scene: LiveScene | None = None,
-    rate: float = RATE,
+    rate: float = RENEWAL_RATE,
 ) -> Iterator[LiveFrame]:
     """Each frame, relit on the surface that is known by then.
 

@@ -24,9 +24,9 @@ from hyjax.util.errors import InputError
 
 POLL = 0.1
 """Seconds between two looks at a folder."""
-MOST_NEW = 10
+MOST_NEW_FRAMES = 10
 """Frames that are taken from one look; of more, so many are taken that are spread over them."""
-MOST_AT_START = 150
+MOST_FIRST_FRAMES = 150
 """The same for frames that are there at the start."""
 RECORD3D_WAIT = 10.0
 """Seconds without a frame from a phone after which it is taken to have gone."""
@@ -67,7 +67,7 @@ def folder_frames(folder: Path, *, stop_after: float | None = None) -> Iterator[
         folder: which programs may still write to.
         stop_after: end when it has not grown for so many seconds; None to look for ever.
     """
-    last, done, most = -1, set[int](), MOST_AT_START
+    last, done, most = -1, set[int](), MOST_FIRST_FRAMES
     grown = time.monotonic()
     while stop_after is None or time.monotonic() - grown <= stop_after:
         tree = open_tree(folder)
@@ -85,7 +85,7 @@ def folder_frames(folder: Path, *, stop_after: float | None = None) -> Iterator[
                 _log.warning("live: frame left out: %s", error)
         done.update(new)
         if new:
-            grown, most = time.monotonic(), MOST_NEW
+            grown, most = time.monotonic(), MOST_NEW_FRAMES
         else:
             time.sleep(POLL)
 

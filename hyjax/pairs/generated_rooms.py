@@ -17,7 +17,7 @@ VERSION = 5
 """Version of the rooms of `hyjax.synthetic.random_room`. Add one when their geometry or pictures change."""
 DEPTH_STEP = 0.0002
 """Step of rounded depth in metres, so that 16 bits reach 13 m."""
-ROOMS_KEPT = 4
+KEPT_ROOMS = 4
 """Number of rooms in memory: neighbours in a stream, and the work of a few threads."""
 
 
@@ -68,7 +68,7 @@ class GeneratedRooms:
         self._seed, self._size, self._views = seed, size, views
         folder = cache_folder() if cache_dir is None else Path(cache_dir)
         self._folder = folder / f"rooms-v{VERSION}-seed{seed}-{size}x{views}" if cached else None
-        self._rooms, self._stored = LruCache(ROOMS_KEPT), LruCache(ROOMS_KEPT)
+        self._rooms, self._stored = LruCache(KEPT_ROOMS), LruCache(KEPT_ROOMS)
 
     @property
     def fingerprint(self) -> str:

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from hyjax.photo_light.fit import RADIANCE_FLOOR, FitProblem, fit_sources, illuminance
 
-FOLDS = 3
+FOLD_COUNT = 3
 """Number of parts of the scan; each judges a fit on the others."""
 FOLD_ITERATIONS = 60
 """Most iterations of a fit that only judges: its last ones change the flatness little."""
@@ -51,7 +51,7 @@ def folds(position: Float[np.ndarray, "n 3"], seed: int = 0) -> Int[np.ndarray, 
     while True:
         _, block = np.unique(np.floor(position / side).astype(np.int64), axis=0, return_inverse=True)
         sizes = np.bincount(block.reshape(-1), minlength=1)
-        fold, total = np.zeros(len(sizes), int), np.zeros(FOLDS)
+        fold, total = np.zeros(len(sizes), int), np.zeros(FOLD_COUNT)
         for number in np.argsort(rng.random(len(sizes)) - sizes):
             fold[number] = np.argmin(total)
             total[fold[number]] += sizes[number]
@@ -76,7 +76,7 @@ def fit_and_judge(
         Strengths and belief; None where there are too few pairs.
     """
     fold = folds(position[pairs[:, 0]]) if len(pairs) else np.zeros(0, int)
-    counts = np.bincount(fold, minlength=FOLDS)
+    counts = np.bincount(fold, minlength=FOLD_COUNT)
     if counts.min() < LEAST_PAIRS:
         return None
     fewest = len(pairs) - counts.max()  # one size, one program

@@ -17,7 +17,7 @@ from hyjax.util.vectors import orthonormal_frame
 
 LEAST_SLOPE = 0.12
 """Least slope of a ray to a ceiling lamp; flatter ones meet the plane anywhere."""
-FARTHEST = 6.0
+FARTHEST_LAMP = 6.0
 """Largest distance, in metres, of a ceiling lamp from the camera."""
 HEIGHT_STEP, HEIGHT_SLACK = 0.02, 0.3
 """Step of the tried heights, and their reach beyond the scan's, in metres."""
@@ -72,7 +72,7 @@ def ceiling_lamps(
     best: tuple[float, list[tuple[Vector, float]]] = (0.0, [])
     for height in heights:
         t = (height - origin @ up) / (ray @ up)
-        near = np.flatnonzero((t > 0.3) & (t < FARTHEST))
+        near = np.flatnonzero((t > 0.3) & (t < FARTHEST_LAMP))
         place = origin[near] + t[near, None] * ray[near]
         found, score = _clusters(place, place @ level.T, number[near], size[near] * t[near])
         if score > best[0]:

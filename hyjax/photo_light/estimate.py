@@ -22,7 +22,7 @@ from hyjax.photo_light.radiance import VertexRadiance, vertex_radiance
 from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.cache import Arrays
 
-PAIRS = 20000
+PAIR_COUNT = 20000
 """Number of pairs of vertices to draw."""
 HUE_TOLERANCE = 0.2
 """Difference of log colour within which two places share one hue."""
@@ -37,7 +37,7 @@ PLAIN_ALBEDO = 0.5
 """Albedo of all surfaces where the photo's light is unknown."""
 VIEW_SHAPE = (48, 64)
 """Rows and columns of rays of a view for the visible mean."""
-VIEWS = 12
+VIEW_COUNT = 12
 """Number of views for the visible mean."""
 
 
@@ -203,7 +203,7 @@ def _fitted(
     nothing = np.full((basis.light.shape[1], 3), 1.0), NO_BELIEF
     if not shown.visible.any() or shown.contrast <= LEAST_CONTRAST:
         return nothing
-    pairs = coplanar_pairs(vertices, normal, shown.visible, PAIRS)
+    pairs = coplanar_pairs(vertices, normal, shown.visible, PAIR_COUNT)
     pairs = pairs[_one_hue(np.log(shown.radiance), pairs)]
     known = (gathered, basis.light[:count], shown.radiance)
     gathered_here, light, radiance = (jnp.asarray(a, jnp.float32) for a in known)
@@ -282,7 +282,7 @@ def _visible_mean(
 ) -> Float[np.ndarray, "3"]:
     """Geometric mean of vertex values over the pixels of the cameras."""
     total, count = np.zeros(3), 0
-    for camera in cameras[:: max(1, len(cameras) // VIEWS)]:
+    for camera in cameras[:: max(1, len(cameras) // VIEW_COUNT)]:
         rays = Camera(camera.intrinsics.resize(*VIEW_SHAPE), camera.pose).rays().reshape(-1, 3)
         hits = caster.cast(camera.origin, rays)
         corners = caster.mesh.faces[hits.face[hits.hit]]

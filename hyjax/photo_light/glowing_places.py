@@ -16,7 +16,7 @@ from hyjax.photo_light.sightings import Sighting
 from hyjax.photo_light.sources import Vector
 from hyjax.util.vectors import orthonormal_frame
 
-CELL = 0.1
+CELL_SIDE = 0.1
 """Side, in metres, of a cell of the volume."""
 MOST_CELLS = 2_000_000
 FEWEST_FRAMES = 3
@@ -27,10 +27,10 @@ DARK_PICTURE = 0.45
 """Largest median value of the pictures; in brighter ones daylight burns walls and floors out, too."""
 LEAST_HEIGHT = 0.9
 """Least height, in metres, of a lamp's middle above the scan's lowest surface."""
-HIDDEN = 0.3
+HIDDEN_DEPTH = 0.3
 """Distance, in metres, behind the scan from which a place is hidden."""
 FEWEST_CELLS, MOST_LAMPS = 3, 3
-RADIUS = 0.03
+UNKNOWN_RADIUS = 0.03
 """Radius, in metres, of a lamp of unknown form: too small to be drawn where its form would show."""
 
 
@@ -49,10 +49,12 @@ def glowing_places(caster: RayCaster, sightings: Sequence[Sighting], up: Vector)
     low, high = np.quantile(local, 0.001, axis=0), np.quantile(local, 0.999, axis=0)
     floor = low[2]
     low[2] += LEAST_HEIGHT
-    shape = tuple(np.maximum(((high - low) / CELL).astype(int) + 1, 1))
+    shape = tuple(np.maximum(((high - low) / CELL_SIDE).astype(int) + 1, 1))
     if np.prod(shape, dtype=float) > MOST_CELLS or high[2] - floor < LEAST_HEIGHT:
         return []
-    cells = np.stack(np.meshgrid(*(low[k] + CELL * np.arange(shape[k]) for k in range(3)), indexing="ij"), axis=-1)
+    cells = np.stack(
+        np.meshgrid(*(low[k] + CELL_SIDE * np.arange(shape[k]) for k in range(3)), indexing="ij"), axis=-1
+    )
     places = cells.reshape(-1, 3) @ axes
     shown, burnt = np.zeros(len(places), int), np.zeros(len(places), int)
     for s in sightings:
@@ -64,7 +66,9 @@ def glowing_places(caster: RayCaster, sightings: Sequence[Sighting], up: Vector)
     parts = [np.flatnonzero(labels.reshape(-1) == k) for k in range(1, number + 1)]
     parts = sorted((part for part in parts if len(part) >= FEWEST_CELLS), key=len, reverse=True)
     return [
-        (np.median(places[part], axis=0), RADIUS) for part in parts[:MOST_LAMPS] if 2 * len(part) >= len(parts[0])
+        (np.median(places[part], axis=0), UNKNOWN_RADIUS)
+        for part in parts[:MOST_LAMPS]
+        if 2 * len(part) >= len(parts[0])
     ]
 
 
@@ -75,5 +79,5 @@ def _seen(s: Sighting, places: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np
     at = np.floor(pixels * (width / camera.intrinsics.width, height / camera.intrinsics.height))
     inside = (depth > 0.2) & (at >= 0).all(axis=1) & (at < (width, height)).all(axis=1)
     column, row = np.where(inside[:, None], at, 0).astype(int).T
-    inside &= s.known[row, column] & ~(s.depth[row, column] < depth - HIDDEN)
+    inside &= s.known[row, column] & ~(s.depth[row, column] < depth - HIDDEN_DEPTH)
     return inside, ndimage.binary_dilation(s.burnt)[row, column]

@@ -15,7 +15,7 @@ from hyjax.photo_light.sources import PhotoLamp, PhotoWindow, Vector
 from hyjax.util.vectors import orthonormal_frame
 
 FEWEST_FRAMES = 3
-FEWEST_UNSCANNED = 5
+FEWEST_UNSCANNED_FRAMES = 5
 """Fewest frames that must agree on a lamp outside the scan."""
 BASELINE = 0.2
 """Least distance, in metres, between two cameras whose rays are crossed."""
@@ -33,7 +33,7 @@ MOST_CANDIDATES = 20000
 MOST_LAMPS = 16
 LARGEST_SHARE = 0.05
 """Largest share of a picture in a lamp's burnt-out blob."""
-LEAST_ALONE = 0.6
+LEAST_ALONE_SHARE = 0.6
 """Least share of a blob in all burnt-out pixels around it."""
 DARK_VALUE = 0.75
 """Largest display value of a lamp's surroundings."""
@@ -52,7 +52,7 @@ def search_lamps(
             continue
         points, faces = _surface(sightings, place, radius)
         ceiling = bool(box[1][4] - box[0][4] @ place < 0.25)
-        if not len(points) and votes < FEWEST_UNSCANNED:
+        if not len(points) and votes < FEWEST_UNSCANNED_FRAMES:
             continue
         if not ceiling and (is_flat(sightings, place, points) or _lies(caster, place, radius, up)):
             continue
@@ -86,7 +86,7 @@ def blobs_of(number: int, s: Sighting) -> list[Blob]:
             continue
         reach = int(np.ceil(np.sqrt(area)))
         around = tuple(slice(max(side.start - reach, 0), side.stop + reach) for side in place)
-        if area < LEAST_ALONE * burnt[around].sum():
+        if area < LEAST_ALONE_SHARE * burnt[around].sum():
             continue  # one of many: leaves against the sky, glitter
         ray = s.rays[place][part].mean(axis=0)
         length = float(np.linalg.norm(ray))

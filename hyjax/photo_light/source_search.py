@@ -36,11 +36,11 @@ OPENING_DEPTH = 0.06
 """Depth behind a wall's plane, in metres, from which a surface belongs to the opening."""
 FEWEST_FRAMES = 2
 """Fewest frames that see a cell of a window, in the mean."""
-MOST_SATURATED = 0.5
+MOST_SATURATED_SHARE = 0.5
 """Largest share of burnt-out pixels; beyond it the frames carry no information about windows."""
 LEAST_AREA = 0.15
 """Least area of a window, in square metres."""
-LEAST_OPEN = 0.1
+LEAST_OPEN_SHARE = 0.1
 """Least share of a window that is a hole of the scan; a surface without a hole is a burnt-out wall."""
 LARGEST_ASPECT = 10
 """Largest ratio of a window's sides; a longer patch is a sunlit strip of ground."""
@@ -52,7 +52,7 @@ def search_sources(
 ) -> tuple[tuple[PhotoWindow, ...], tuple[PhotoLamp, ...]]:
     """Search for windows and lamps on which several frames agree."""
     sightings = [sight(caster, frame) for frame in frames]
-    if not sightings or np.mean([s.burnt.mean() for s in sightings]) > MOST_SATURATED:
+    if not sightings or np.mean([s.burnt.mean() for s in sightings]) > MOST_SATURATED_SHARE:
         return (), ()
     box = closing_box(caster.mesh, up, np.stack([s.frame.camera.origin for s in sightings]))
     windows = [window for wall in range(len(box[0])) for window in _windows_of(wall, box, sightings, up)]
@@ -188,7 +188,7 @@ def _rectangles(
         if sides[0] * CELL_SIDE < 0.25 or sides[1] > LARGEST_ASPECT * sides[0]:
             continue
         open_share = hole[inside].mean()
-        if open_share < LEAST_OPEN or (open_share < 0.3 and not _stands_out(part, brightness, area)):
+        if open_share < LEAST_OPEN_SHARE or (open_share < 0.3 and not _stands_out(part, brightness, area)):
             continue
         found.append((spans[0], spans[1], spans[2], spans[3]))
     return found

@@ -12,7 +12,7 @@ from hyjax.data.capture import Capture
 from hyjax.data.frames import spread
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.coverage import Coverage
-from hyjax.geometry.depth_map import NEAR, DepthReading
+from hyjax.geometry.depth_map import NEAR_LIMIT, DepthReading
 from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.tsdf import fuse
@@ -110,7 +110,7 @@ def plan_fusion(capture: Capture, settings: FusionSettings) -> FusionPlan:
         r.depth[::4, ::4].ravel() for r in Readings(capture, spread(indices, SAMPLED_MAPS), settings.confidence)
     ]
     depth = np.concatenate(seen)
-    depth = depth[np.isfinite(depth) & (depth > NEAR)]
+    depth = depth[np.isfinite(depth) & (depth > NEAR_LIMIT)]
     if not len(depth):
         raise InputError(f"{capture.name}: its depth maps have no readings; give a mesh with --mesh FILE")
     far = settings.depth_range

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from hyjax.data.capture import Capture
 from hyjax.data.frames import spread
 from hyjax.geometry.coverage import Coverage
-from hyjax.geometry.depth_map import NEAR, SLACK
+from hyjax.geometry.depth_map import NEAR_LIMIT, READING_TOLERANCE
 from hyjax.scene.fusion import LEAST_OVERLAP, LOW_COVERAGE, Readings, coverage_of, plan_fusion
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.surfaces import ENOUGH_COVERAGE
@@ -136,7 +136,7 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
                 if str(error) not in doubts:  # a picture with its depth may be one file
                     doubts.append(str(error))
         depth = np.concatenate([np.zeros(0), *(one.ravel() for one in depths)])
-        depth = depth[np.isfinite(depth) & (depth > NEAR)]
+        depth = depth[np.isfinite(depth) & (depth > NEAR_LIMIT)]
         if len(depth):
             depth_size = depths[0].shape[1], depths[0].shape[0]
             low, middle, high = (float(q) for q in np.quantile(depth, (0.01, 0.5, 0.99)))
@@ -169,7 +169,7 @@ def _doubts(
         return
     if coverage.hit < LEAST_OVERLAP:
         yield f"the mesh is met by {100 * coverage.hit:.0f} % of the depth readings; same axes and units?"
-    elif coverage.distance > SLACK[0] + 2 * SLACK[1]:
+    elif coverage.distance > READING_TOLERANCE[0] + 2 * READING_TOLERANCE[1]:
         yield f"mesh and depth lie {coverage.distance:.3g} m apart (median); are both in the same axes and units?"
     elif coverage.covered < LOW_COVERAGE:
         yield f"the mesh has only {100 * coverage.covered:.0f} % of the depth readings"
@@ -202,7 +202,7 @@ def points_from_above(
         plan = plan_fusion(capture, settings)
         points = np.concatenate(
             [
-                camera.unproject(depth)[(depth > NEAR) & (depth < plan.far)]
+                camera.unproject(depth)[(depth > NEAR_LIMIT) & (depth < plan.far)]
                 for depth, camera, _ in Readings(capture, spread(plan.indices, SAMPLE_COUNT), settings.confidence)
             ]
         )

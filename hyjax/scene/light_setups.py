@@ -25,9 +25,9 @@ from hyjax.util.vectors import unit
 
 SUN_TANGENTS = (0.35, -0.35, 0.0, 0.7, -0.7, 1.2, -1.2)
 """Tangents of candidate angles between the sun's direction and the first window's normal, the default first."""
-LEAST_SUNLIT = 0.02
+LEAST_SUNLIT_SHARE = 0.02
 """Least sunlit share of the surface in a picture for the sun to count as shown."""
-ENOUGH_SUNLIT = 0.6
+ENOUGH_SUNLIT_RATIO = 0.6
 """Number of pictures with sun, over that of the best sun, from which the more usual sun is kept."""
 MOST_SUNS = 3
 """Most windows that the sun shines through."""
@@ -46,7 +46,7 @@ EXPOSURES = {
 """Exposures of the named set-ups, but for those of the paper."""
 PAPER_LUX, PAPER_SHARE = 300.0, 0.25
 """Reference of the paper's set-ups, in lux; share of a reference that the median picture gets in its place."""
-LEAST_PAPER_SHARE, MOST_DARK = 0.02, 0.25
+LEAST_PAPER_SHARE, MOST_DARK_SHARE = 0.02, 0.25
 """Share of the reference below which a picture is dark, and the most pictures that may be."""
 DARK_SETUPS = ("night-moon",)
 """Set-ups that are meant to be dark."""
@@ -133,7 +133,7 @@ def _not_dark(
     """Set-up of the paper and its `lux`: one light a stop, exposed for them, where it leaves many pictures dark."""
     seen = anchors.seen
     lights: tuple[Any, ...] = tuple(setup.lights)
-    if (seen.of_cameras(lux.sum(axis=1)) < LEAST_PAPER_SHARE * PAPER_LUX).mean() <= MOST_DARK:
+    if (seen.of_cameras(lux.sum(axis=1)) < LEAST_PAPER_SHARE * PAPER_LUX).mean() <= MOST_DARK_SHARE:
         return setup, lux
     if len(anchors.stops) > 1:
         pairs = zip(anchors.stops, itertools.cycle(lights))
@@ -176,7 +176,7 @@ def _sun(
             break  # the others only where no sun through the first one shows
     most_pictures = max(pictures for _, pictures, _ in found)
     # The usual sun where it lands; the nearest to it that does, else.
-    travel, _, lit = next(each for each in found if each[1] >= ENOUGH_SUNLIT * most_pictures)
+    travel, _, lit = next(each for each in found if each[1] >= ENOUGH_SUNLIT_RATIO * most_pictures)
     best_first = sorted(lit, key=lambda each: -each[0])[:MOST_SUNS]
     through = [window for share, window in best_first if share > 0] or [anchors.windows[0]]
     return [
@@ -194,7 +194,7 @@ def _sunlit(anchors: LightAnchors, travel: Vector) -> tuple[int, list[tuple[floa
         lit = seen.reached_through(window.opening(anchors.up), travel)
         every |= lit
         shares.append((float(lit.mean()), window))
-    pictures = [every[seen.camera == camera].mean() >= LEAST_SUNLIT for camera in np.unique(seen.camera)]
+    pictures = [every[seen.camera == camera].mean() >= LEAST_SUNLIT_SHARE for camera in np.unique(seen.camera)]
     return sum(pictures), shares
 
 

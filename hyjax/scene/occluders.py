@@ -3,7 +3,7 @@
 Legs of chairs and rims of tables are lost in a headset's coarse triangles, and holes let light through that the
 room keeps out. Shadows may be thrown by anything that is known: here also by a finer fusion of the same depth maps,
 where there are any, and with small holes closed. What it throws on itself for being only so accurate is forgiven
-(`SLACK`).
+(`SURFACE_ERROR`).
 """
 
 import logging
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 VERSION = 1
 """Version of the completion. Add one when its meshes change."""
-GAP = 0.5
+LONGEST_GAP = 0.5
 """Longest edge that closes a hole, in metres."""
 VOXEL = 0.03
 """Voxel of the finer fusion, in metres."""
-SLACK = 0.03
+SURFACE_ERROR = 0.03
 """Largest error of a scan's surface in metres, see `hyjax.light.shadow_map.ShadowMap`."""
 _log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ def complete(mesh: "trimesh.Trimesh", detail: "trimesh.Trimesh | MeshArrays | No
 
     from hyjax.geometry.hole_closing import close_holes
 
-    closed = close_holes(mesh, GAP)
+    closed = close_holes(mesh, LONGEST_GAP)
     if detail is None:
         return closed
     parts = [trimesh.Trimesh(part.vertices, part.faces, process=False) for part in (closed, detail)]
@@ -57,7 +57,7 @@ def completed(mesh: MeshArrays, detail: MeshArrays | None = None) -> MeshArrays:
             "faces": np.asarray(completed_mesh.faces, np.int32),
         }
 
-    key = digest([str(VERSION), str(GAP), mesh.key, "" if detail is None else detail.key])
+    key = digest([str(VERSION), str(LONGEST_GAP), mesh.key, "" if detail is None else detail.key])
     return cached_arrays(cache_folder() / f"occluders-{key}.npz", MeshArrays.stored, make)
 
 

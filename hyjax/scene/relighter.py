@@ -37,7 +37,7 @@ from hyjax.util.errors import InputError
 from hyjax.util.programs import run_kept
 from hyjax.video import CarriedGuide, Video
 
-TRACED = (
+TRACED_MESSAGE = (
     "lights: are traced, as by jax.grad or jax.jit, and shadow maps are not cast of such; cast them first "
     "(scene.shadow_maps) and shade by view.shade(lights, shadow_maps=...)"
 )
@@ -136,7 +136,7 @@ class Relighter:
         self.setup.check_existing(divided=self._divides)
         traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(self.setup))
         if traced and (self._divides or (shadows and shader is None)):
-            raise InputError(TRACED)
+            raise InputError(TRACED_MESSAGE)
         self.guide = guide or configured_guide(options.guide)
         self._shadows, self._shader, self._clock = shadows, shader, clock or StageClock()
         self._occluders: Occluders = "surface" if options.mode == "paper" else occluders

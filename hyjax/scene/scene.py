@@ -27,7 +27,7 @@ from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.scene.light_places import LightAnchors, survey_capture
 from hyjax.scene.light_setups import check_setup_name, named_setup
-from hyjax.scene.occluders import SLACK, completed, fine_detail
+from hyjax.scene.occluders import SURFACE_ERROR, completed, fine_detail
 from hyjax.scene.photo_light import ScenePhotoLight
 from hyjax.scene.place import view_of
 from hyjax.scene.relighter import Relighter
@@ -238,7 +238,7 @@ class Scene:
     @property
     def slack(self) -> float | None:
         """Slack of shadow maps of `occluders`, see `ShadowMap`."""
-        return None if self.exact else SLACK
+        return None if self.exact else SURFACE_ERROR
 
     @checked_arguments
     def shadow_maps(

@@ -23,7 +23,7 @@ from hyjax.data.frames import spread
 from hyjax.data.hand_written import check_keys
 from hyjax.data.light_file import is_light_file
 from hyjax.scene.settings import check_lights_name
-from hyjax.tuning.rooms import ROOM, check_room
+from hyjax.tuning.rooms import ROOM_PREFIX, check_room
 from hyjax.tuning.settings import ROOM_PHOTOS
 from hyjax.tuning.space import random_configurations
 from hyjax.util.errors import InputError, did_you_mean
@@ -134,17 +134,17 @@ def _absolute(spec: Spec, folder: Path) -> Spec:
 
 
 def _scene(scene: str, folder: Path) -> str:
-    if scene.startswith(ROOM):
-        check_room(scene.removeprefix(ROOM))
+    if scene.startswith(ROOM_PREFIX):
+        check_room(scene.removeprefix(ROOM_PREFIX))
         return scene
     if not exists(folder / scene):
-        raise InputError(f"scenes: no capture {folder / scene}; a room of known truth is called {ROOM}NAME")
+        raise InputError(f"scenes: no capture {folder / scene}; a room of known truth is called {ROOM_PREFIX}NAME")
     return str(folder / scene)
 
 
 def frames_of(spec: Spec, scene: str) -> list[int]:
     """Frames of a scene, by position."""
-    if scene.startswith(ROOM):
+    if scene.startswith(ROOM_PREFIX):
         count = ROOM_PHOTOS
     else:
         from hyjax.data.registry import open_capture

@@ -57,7 +57,7 @@ from hyjax.tour.layers import (
 from hyjax.tour.plan import TourPlan
 from hyjax.util.programs import run_kept
 
-DRAFT = 0.5
+DRAFT_SCALE = 0.5
 """Resolution of shadow maps while something is being dragged, relative to that of `hyjax relight`."""
 DRAFT_VIEWS = 4
 """Most views in a draft's shadow map of a light without a radius, such as a window."""
@@ -252,7 +252,7 @@ class Arrangement:
         """Shadow map that all parts cast together."""
         geometry, unit, (scale, most) = geometry_key(light), light.normalized(), size
         if coarse:
-            unit, scale = without_radius(unit), DRAFT * scale
+            unit, scale = without_radius(unit), DRAFT_SCALE * scale
             most = DRAFT_VIEWS if most is None else min(most, DRAFT_VIEWS)
 
         def cast(part: Part, key: Hashable) -> ShadowMap | None:

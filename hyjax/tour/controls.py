@@ -14,21 +14,21 @@ from hyjax.tour.checks import checked_flag, clamp_number
 from hyjax.tour.events import change_handler, task_handler
 from hyjax.tour.exports import save_setup, save_video, save_view
 from hyjax.tour.placement import north_for_bearing
-from hyjax.tour.plan import KINDS, MOST_LEFT, TourPlan
+from hyjax.tour.plan import KINDS, LARGEST_FACTOR, TourPlan
 from hyjax.tour.session import Session
 from hyjax.tour.sky import Weather
 from hyjax.tour.tools import MOST_UPLOADED, add_mesh, too_large, too_many
 from hyjax.tour.uploads import Upload, take_uploads
 from hyjax.tour.viewer import Viewer
 
-POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+COMPASS_POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 ICONS: dict[str, Any] = {
     "bulb": viser.Icon.BULB,
     "spot": viser.Icon.LAMP,
     "candle": viser.Icon.CANDLE,
     "strip": viser.Icon.LINE,
 }
-LARGEST_LUMEN, KELVIN = 5000.0, (1800, 8000)
+LARGEST_LUMEN, KELVIN_RANGE = 5000.0, (1800, 8000)
 DAY_LENGTH = len("2026-06-21")
 
 
@@ -90,7 +90,7 @@ class Controls:
             gui.add_markdown("What is left of the light that the photos were taken in: 0 off, 1 as it was.")
             for name in light.estimate.names:
                 slider = gui.add_slider(
-                    spoken(name), 0.0, MOST_LEFT, 0.05, self.session.plan.existing.get(name, 0.0)
+                    spoken(name), 0.0, LARGEST_FACTOR, 0.05, self.session.plan.existing.get(name, 0.0)
                 )
                 slider.on_update(change_handler(self._viewers, functools.partial(self._set_source, name)))
                 self._sources[name] = slider
@@ -177,8 +177,8 @@ class Controls:
             if kind == "lamps":
                 most, step = (100.0, 1.0) if thing.kind == "candle" else (LARGEST_LUMEN, 10.0)
                 bind(gui.add_slider("Lumen", 0.0, max(most, thing.lumen), step, thing.lumen), "lumen")
-                kelvin = round(clamp_number(thing.kelvin, *KELVIN))
-                bind(gui.add_slider("Kelvin", *KELVIN, 50, kelvin), "kelvin")
+                kelvin = round(clamp_number(thing.kelvin, *KELVIN_RANGE))
+                bind(gui.add_slider("Kelvin", *KELVIN_RANGE, 50, kelvin), "kelvin")
                 bind(gui.add_checkbox("On", thing.on), "on", checked_flag)
             elif kind == "windows":
                 add_size("Width", "width", 5.0)
@@ -213,7 +213,7 @@ def describe_daylight(plan: TourPlan, up: Float[np.ndarray, "3"]) -> str:
         light = "dark outside"
     day = datetime.date.fromisoformat(plan.day)
     windows = "".join(
-        f"; window {number + 1} looks {POINTS[round(bearing / 45) % 8]}"
+        f"; window {number + 1} looks {COMPASS_POINTS[round(bearing / 45) % 8]}"
         for number, window in enumerate(plan.windows)
         for bearing in [(plan.north - north_for_bearing(window, 0.0, up)) % 360]
     )

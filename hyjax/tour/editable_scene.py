@@ -22,7 +22,7 @@ PARTS_MIB = 256
 """Memory of parts that were moved lately; where the room is large, that of four rooms."""
 FACE_BYTES = 300
 """Memory of a face in a ray caster."""
-BESIDE = (0.0, 0.01, 0.025, 0.05)  # tangents of angles from a ray, tried one after the other
+NEARBY_TANGENTS = (0.0, 0.01, 0.025, 0.05)  # tangents of angles from a ray, tried one after the other
 
 
 def mebibytes(result: RayCaster | trimesh.Trimesh | np.ndarray | None) -> float:
@@ -147,7 +147,7 @@ class EditableScene:
         """First surface on a ray, or next to a ray through a hole of the scan; None if there is none."""
         origin, ray = np.asarray(origin, float), unit(direction)
         across = unit(perpendicular(ray))
-        for tangent in BESIDE:
+        for tangent in NEARBY_TANGENTS:
             turns = np.linspace(0.0, 2.0 * np.pi, 8 if tangent else 1, endpoint=False)
             for turn in turns:
                 aside = np.cos(turn) * across + np.sin(turn) * np.cross(ray, across)

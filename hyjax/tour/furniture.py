@@ -20,13 +20,13 @@ from hyjax.geometry.raycast import Hits, RayCaster
 from hyjax.light.gbuffer import GBuffer
 from hyjax.tour.placement import compass
 
-SHELL = 0.07
+SHELL_THICKNESS = 0.07
 """Largest distance, in metres, of floor, ceiling and outer walls from their planes; up to twice that by binning."""
-BEYOND = 0.05
+OUTSIDE_SHARE = 0.05
 """Share of a room's surface that may lie outside of a wall, a floor or a ceiling, as scans are no better."""
-LARGEST = 2.5
+LARGEST_PIECE = 2.5
 """Largest piece of furniture, metres; larger connected parts are cut to a box around the point."""
-BOX = 0.7
+BOX_REACH = 0.7
 """Metres from the point to the sides of that box."""
 
 
@@ -39,7 +39,7 @@ def piece_at(
     distance = np.linalg.norm(centres - np.asarray(point), axis=1)
     seed = int(np.argmin(distance))
     if not loose[seed]:
-        near = loose & (distance < SHELL)
+        near = loose & (distance < SHELL_THICKNESS)
         if not near.any():
             return None
         seed = int(np.flatnonzero(near)[np.argmin(distance[near])])
@@ -48,8 +48,8 @@ def piece_at(
     graph = sparse.coo_matrix((np.ones(len(pairs), bool), pairs.T), (count, count))
     _, label = sparse.csgraph.connected_components(graph, directed=False)
     piece = (label == label[seed]) & loose
-    if np.ptp(mesh.vertices[mesh.faces[piece].reshape(-1)], axis=0).max() > LARGEST:
-        piece &= (np.abs(centres - np.asarray(point)) < BOX).all(axis=1)
+    if np.ptp(mesh.vertices[mesh.faces[piece].reshape(-1)], axis=0).max() > LARGEST_PIECE:
+        piece &= (np.abs(centres - np.asarray(point)) < BOX_REACH).all(axis=1)
     return piece
 
 
@@ -62,14 +62,16 @@ def shell(mesh: trimesh.Trimesh, up: Float[np.ndarray, "3"]) -> Bool[np.ndarray,
         across = np.abs(normals @ axis) > 0.9
         if not across.any():
             continue
-        bins = np.arange(height[across].min() - SHELL, height[across].max() + 2 * SHELL, SHELL)
+        bins = np.arange(
+            height[across].min() - SHELL_THICKNESS, height[across].max() + 2 * SHELL_THICKNESS, SHELL_THICKNESS
+        )
         weight, _ = np.histogram(height[across], bins, weights=areas[across])
         strong = np.flatnonzero(weight > 0.25 * weight.max())
-        for outer, sign in ((bins[strong[0]] + SHELL, 1.0), (bins[strong[-1]], -1.0)):
+        for outer, sign in ((bins[strong[0]] + SHELL_THICKNESS, 1.0), (bins[strong[-1]], -1.0)):
             inwards = sign * (height - outer)
             # A scan without its ceiling has tables for its highest planes; beyond walls there is next to nothing.
-            if areas[inwards < -2 * SHELL].sum() < BEYOND * areas.sum():
-                found |= inwards < SHELL
+            if areas[inwards < -2 * SHELL_THICKNESS].sum() < OUTSIDE_SHARE * areas.sum():
+                found |= inwards < SHELL_THICKNESS
     return found
 
 

@@ -22,18 +22,18 @@ from hyjax.tour.placement import as_point, compass, upright
 from hyjax.tour.plan import KINDS, Lamp, Point, TourPlan
 from hyjax.util.vectors import unit
 
-GLASS = 0.7
+GLASS_TRANSMITTANCE = 0.7
 """Share of the light that a window lets in."""
-GROUND = 0.2
+GROUND_REFLECTANCE = 0.2
 """Share of the daylight that the ground outside throws back."""
-WALLS = 0.5
+WALL_REFLECTANCE = 0.5
 """Share of the light that a room's surfaces throw back, on average."""
-BALANCE = 0.43
+BALANCE_SHARE = 0.43
 """Share of a light's distance from neutral, in reciprocal kelvin, that a camera's white balance makes up for."""
 NEUTRAL_KELVIN = 6500.0
 ADAPTATION = 0.8
 """Exponent by which a camera makes up for the dark: 1 shows night as bright as day, 0 leaves it black."""
-STRIP = (1.0, 0.03)  # metres
+STRIP_SIZE = (1.0, 0.03)  # metres
 SPOT_DEGREES = 20.0, 40.0
 """Half angles of a spot's cone: fully lit inside the first, dark outside the second."""
 SUN_RADIUS = np.asarray(np.deg2rad(0.27), np.float32)
@@ -78,13 +78,13 @@ def lights_of(
         opening = _rectangle(center, as_point(inward), window.width, window.height, as_point(up))
         # A tilted surface sees a part of the sky and a part of the ground.
         tilt = float(-inward @ up)
-        outside = 0.5 * (1.0 + tilt) * sky.sky + 0.5 * (1.0 - tilt) * GROUND * sky.ground
-        lumen = GLASS * outside * area
+        outside = 0.5 * (1.0 + tilt) * sky.sky + 0.5 * (1.0 - tilt) * GROUND_REFLECTANCE * sky.ground
+        lumen = GLASS_TRANSMITTANCE * outside * area
         lights.append(RectLight.filling(opening, _float32(lumen), _color(sky.sky_kelvin)))
         flux.append((lumen, sky.sky_kelvin))
         cosine = float(-inward @ toward)
         if sky.direct > 0 and cosine > 0.02:
-            lux, direction = GLASS * sky.direct, _float32(unit(-toward))
+            lux, direction = GLASS_TRANSMITTANCE * sky.direct, _float32(unit(-toward))
             color = _color(sky.direct_kelvin)
             lights.append(DirectionalLight(direction, _float32(lux), color, SUN_RADIUS, opening))
             flux.append((lux * cosine * area, sky.direct_kelvin))
@@ -95,7 +95,7 @@ def lights_of(
             flux.append((lumen, lamp.kelvin))
     total = sum(lumen for lumen, _ in flux)
     kelvin = sum(lumen * k for lumen, k in flux) / total if total > 0 else 4000.0
-    bounced = WALLS * total / (surface_area * (1.0 - WALLS))
+    bounced = WALL_REFLECTANCE * total / (surface_area * (1.0 - WALL_REFLECTANCE))
     lights.append(AmbientLight(_float32(max(bounced, LEAST_AMBIENT)), _color(kelvin)))
     return tuple(lights)
 
@@ -125,7 +125,7 @@ def _lamp_light(lamp: Lamp, lumen: float, up: Float[np.ndarray, "3"]) -> Light:
     if lamp.kind == "spot":
         inner, outer = (_float32(np.deg2rad(degrees)) for degrees in SPOT_DEGREES)
         return SpotLight(position, _float32(direction), flux, color, inner, outer, radius, none)
-    return RectLight.filling(_rectangle(lamp.position, as_point(direction), *STRIP, as_point(up)), flux, color)
+    return RectLight.filling(_rectangle(lamp.position, as_point(direction), *STRIP_SIZE, as_point(up)), flux, color)
 
 
 @functools.lru_cache(maxsize=256)
@@ -150,4 +150,4 @@ def _float32(value: ArrayLike | Point) -> Float[np.ndarray, "*s"]:
 def _balanced(kelvin: float) -> float:
     """The colour temperature that light has in the picture."""
     neutral = 1.0 / NEUTRAL_KELVIN
-    return 1.0 / (neutral + (1.0 - BALANCE) * (1.0 / kelvin - neutral))
+    return 1.0 / (neutral + (1.0 - BALANCE_SHARE) * (1.0 / kelvin - neutral))

@@ -14,14 +14,14 @@ from msgspec.structs import replace
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.live.scene import LiveScene
-from hyjax.scene.occluders import SLACK
+from hyjax.scene.occluders import SURFACE_ERROR
 from hyjax.tour.editable_scene import EditableScene
 from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import LampKind, TourPlan
 from hyjax.tour.renderer import Renderer
 from hyjax.tour.viewpoint import Viewpoint
 
-MOST_KEPT = 240
+MOST_KEPT_FRAMES = 240
 """Frames that can be gone back to; when there are more, every second one is forgotten."""
 
 
@@ -30,12 +30,12 @@ class LiveCapture(Capture):
 
     Args:
         up: unit vector against gravity.
-        most: see `MOST_KEPT`.
+        most: see `MOST_KEPT_FRAMES`.
     """
 
     name, fingerprint = "live", "live"
 
-    def __init__(self, up: Float[np.ndarray, "3"], most: int = MOST_KEPT) -> None:
+    def __init__(self, up: Float[np.ndarray, "3"], most: int = MOST_KEPT_FRAMES) -> None:
         self.up, self._most = up, most
         self._frames: list[tuple[Any, Frame]] = []
 
@@ -66,7 +66,13 @@ class LiveRenderer(Renderer):
         surface = self.place.surface
         assert surface is not None
         return EditableScene(
-            surface.caster, self.up, self.folder, None, SLACK, revision=surface.revision, bounds=surface.bounds
+            surface.caster,
+            self.up,
+            self.folder,
+            None,
+            SURFACE_ERROR,
+            revision=surface.revision,
+            bounds=surface.bounds,
         )
 
     def warm_up(self, plan: TourPlan, viewpoint: Viewpoint) -> Generator[None]:

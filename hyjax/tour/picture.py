@@ -37,7 +37,7 @@ class RenderedFrame:
     draft: bool
 
 
-COMPARED: tuple[Shown, ...] = ("raw filter", "refined filter", "visibility")
+COMPARED_STAGES: tuple[Shown, ...] = ("raw filter", "refined filter", "visibility")
 """Stages for which the unrefined light is needed, too."""
 
 
@@ -50,7 +50,7 @@ def shown_stage(
         shown: its name; not the photo.
         frame: of the capture.
         lit: before its refinement.
-        result: after it; the picture alone will do for what is not among `COMPARED`.
+        result: after it; the picture alone will do for what is not among `COMPARED_STAGES`.
         schedule: of the diffusion, whose conductances may be shown.
     """
     if isinstance(result, Relit):

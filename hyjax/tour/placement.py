@@ -10,9 +10,9 @@ from hyjax.tour.plan import KINDS, Lamp, LampKind, Point, Window
 from hyjax.util.errors import InputError
 from hyjax.util.vectors import reject, unit
 
-SMALLEST = 0.1
+SMALLEST_WINDOW = 0.1
 """Metres: the least width and height of a drawn window."""
-SAME_WALL, SAME_WAY = 0.1, 0.95
+WALL_TOLERANCE, WALL_COSINE = 0.1, 0.95
 """Metres from a plane, and the cosine to its normal, up to which a surface belongs to a wall."""
 
 
@@ -84,8 +84,8 @@ def draw_window(
 
     def votes(wall: Window) -> int:
         inward = np.asarray(wall.normal)
-        near = np.abs((points - np.asarray(wall.center)) @ inward) < SAME_WALL
-        return int((near & (normals @ inward > SAME_WAY)).sum())
+        near = np.abs((points - np.asarray(wall.center)) @ inward) < WALL_TOLERANCE
+        return int((near & (normals @ inward > WALL_COSINE)).sum())
 
     wall = max(walls, key=votes)
     inward, anchor = np.asarray(wall.normal), np.asarray(wall.center)
@@ -99,7 +99,7 @@ def draw_window(
     left, right = _edges((met - anchor) @ across)
     bottom, top = _edges((met - anchor) @ high)
     width, height = right - left, top - bottom
-    if min(width, height) < SMALLEST:
+    if min(width, height) < SMALLEST_WINDOW:
         raise InputError(f"a window of {width:.2f} x {height:.2f} m is too small; draw it larger, or click")
     center = anchor + 0.5 * (left + right) * across + 0.5 * (top + bottom) * high
     return Window(as_point(center), wall.normal, round(width, 3), round(height, 3))

@@ -23,9 +23,9 @@ YEARS = 1900, 2100
 LampKind = Literal["bulb", "spot", "candle", "strip"]
 Metres = Annotated[float, msgspec.Meta(gt=-1e4, lt=1e4)]
 Point = tuple[Metres, Metres, Metres]
-MOST_LEFT = 1.5
+LARGEST_FACTOR = 1.5
 """Largest factor of a source of the photo."""
-Factor = Annotated[float, msgspec.Meta(ge=0, le=MOST_LEFT)]
+Factor = Annotated[float, msgspec.Meta(ge=0, le=LARGEST_FACTOR)]
 FILE_NAME = r"^(?!\.{1,2}$)[^/\\\x00-\x1f\x7f]*\Z"
 """A name in a folder: no path, no control characters, not the folder itself or its parent."""
 SOURCE_NAME = r"^[^\x00-\x1f\x7f]*\Z"

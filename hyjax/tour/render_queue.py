@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Generator, Hashable
 from typing import Any
 
-QUIET = 0.2
+QUIET_SECONDS = 0.2
 """Seconds without an interactive request before drafts are rendered finely."""
 _log = logging.getLogger(__name__)
 
@@ -101,7 +101,7 @@ class RenderQueue:
         with self._changed:
             while not self._stopped:
                 since = time.monotonic() - self._last_interactive
-                quiet = since >= QUIET and not self.has_interactive
+                quiet = since >= QUIET_SECONDS and not self.has_interactive
                 # While requests are not interactive, drafts and jobs have every other turn.
                 if self._requests and not (quiet and self._passive_turn and (self._drafts or self._jobs)):
                     self._passive_turn = True
@@ -111,7 +111,7 @@ class RenderQueue:
                     return self._picture(self._drafts, draft=False)
                 if quiet and self._jobs:
                     return self._step
-                self._changed.wait(QUIET - since if self._drafts or self._jobs else None)
+                self._changed.wait(QUIET_SECONDS - since if self._drafts or self._jobs else None)
             return None
 
     def _picture(self, queue: OrderedDict[Hashable, Any], draft: bool) -> Callable[[], None]:

@@ -33,7 +33,7 @@ from hyjax.tour.editable_scene import EditableScene
 from hyjax.tour.furniture import vertex_gbuffer
 from hyjax.tour.layers import Caches, KeptGuide
 from hyjax.tour.lighting import flicker, setup_of
-from hyjax.tour.picture import COMPARED, RenderedFrame, shown_stage, to_bytes
+from hyjax.tour.picture import COMPARED_STAGES, RenderedFrame, shown_stage, to_bytes
 from hyjax.tour.placement import as_point, north_for_bearing, place_lamp
 from hyjax.tour.plan import LampKind, TourPlan, Window
 from hyjax.tour.viewpoint import Viewpoint
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from hyjax.live.scene import LiveScene
 
 ALBEDO = 0.6  # of the mesh in the free view, whose true colours are unknown
-VERTICES = 1 << 14
+VERTEX_MULTIPLE = 1 << 14
 """Number that the vertices of a live mesh are padded to a multiple of."""
 AFTERNOON, BEARING = 16.0, 240.0
 
@@ -180,7 +180,7 @@ class Renderer:
             view = dataclasses.replace(pixels, gbuffer=relighter.gbuffer(frame.camera))
         stages = relighter.stages(frame, view=view)
         lit: LitFrame = clock.follow(stages, until="guide")
-        result = clock.follow(stages, until=None if viewpoint.shown in COMPARED else "composite")
+        result = clock.follow(stages, until=None if viewpoint.shown in COMPARED_STAGES else "composite")
         photo = keep(("photo", index), lambda: to_bytes(frame.image))
         with clock("show"):
             linear = np.asarray(result.image if isinstance(result, Relit) else result)
@@ -207,7 +207,7 @@ class Renderer:
         configuration = self._configured(self.configuration.schedule, fully=True)
         own = Arrangement(self.scene, plan, self._caches, self.photo_light, configuration, draft=True)
         # A mesh that changes has another number of vertices each time, which would compile all again.
-        points = vertex_gbuffer(own.parts.parts, mesh, VERTICES if self.live else 1)
+        points = vertex_gbuffer(own.parts.parts, mesh, VERTEX_MULTIPLE if self.live else 1)
         light = None if self.photo_light is None else configured_light(own.surface_light(setup), configuration)
         shaded = own.shade_samples(points, setup, light)
         lux = mix_channels(shaded.illuminance * shaded.visibility, shaded.colors)

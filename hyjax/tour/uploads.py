@@ -7,7 +7,7 @@ import viser
 from viser import _messages
 from viser._threadpool_exceptions import print_threadpool_errors
 
-NONE = viser.UploadedFile("", b"")
+NO_FILE = viser.UploadedFile("", b"")
 
 
 class Upload(NamedTuple):
@@ -68,12 +68,12 @@ def take_uploads(
     def hand_over(client: int) -> None:
         """Take a file that has arrived out of the button, which holds one, before the next message is handled."""
         file = button.value
-        if file is not NONE:
-            button._impl.value = NONE
+        if file is not NO_FILE:
+            button._impl.value = NO_FILE
             upload = Upload(client, file.name, file.content)
             gui._thread_executor.submit(take, upload).add_done_callback(print_threadpool_errors)
 
-    button._impl.value = NONE
+    button._impl.value = NO_FILE
     wire.unregister_handler(_messages.FileTransferStartUpload, begin)
     wire.register_handler(_messages.FileTransferStartUpload, begin_small)
     wire.unregister_handler(_messages.FileTransferPart, go_on)

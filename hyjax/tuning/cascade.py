@@ -21,7 +21,7 @@ from hyjax.tuning.cases import Case, raw_filter, refined_filter, scores
 from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.descent import Objective, polish, starts
 from hyjax.tuning.evaluation import Scores
-from hyjax.tuning.evaluator import POLISHING, CascadeEvaluator
+from hyjax.tuning.evaluator import POLISH_ITERATIONS, CascadeEvaluator
 from hyjax.tuning.proposal import with_point
 from hyjax.tuning.relaxation import RANGES, RelaxedSchedule, prepare, relaxed_of
 from hyjax.tuning.request import Budget, split_frames
@@ -38,9 +38,9 @@ from hyjax.util.errors import InputError
 
 BASELINES = ("hyjax", "paper-50", "paper-80", "naive-50", "naive-1000")
 """Presets to compare the tuned schedules with, the default first."""
-FIRST = 6
+FIRST_CASES = 6
 """Cases of the first batch."""
-RELAXED, TURN = 5, 4
+FIRST_RELAXATIONS, RELAXATION_TURN = 5, 4
 """Relaxations before the screening, and one in so many trials afterwards: here gradients cost little."""
 STARTS = 8
 """Starting points of the search for each limit, at most."""
@@ -75,7 +75,7 @@ class CascadeStage(Stage):
     """
 
     name: BudgetStage = "cascade"
-    predicts, first, relaxes, turn = True, FIRST, RELAXED, TURN
+    predicts, first, relaxes, turn = True, FIRST_CASES, FIRST_RELAXATIONS, RELAXATION_TURN
 
     def __init__(
         self,
@@ -133,7 +133,7 @@ class CascadeStage(Stage):
         start = relaxed_of(configuration.schedule, self.factors)
         if not np.any(np.asarray(start.steps)):
             return configuration
-        schedule = polish(self.objective, start, POLISHING).point.schedule(self.factors, configuration.name)
+        schedule = polish(self.objective, start, POLISH_ITERATIONS).point.schedule(self.factors, configuration.name)
         return dataclasses.replace(configuration, schedule=schedule)
 
     def examples(

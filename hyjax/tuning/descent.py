@@ -80,7 +80,7 @@ def with_steps(point: RelaxedSchedule, steps: Sequence[float] | np.ndarray) -> R
 # ---- relax ----
 
 
-SPENT = (1.0, 0.5, 0.25, 0.1)
+BUDGET_SHARES = (1.0, 0.5, 0.25, 0.1)
 """Parts of the budget that starting points spend: the best schedule need not be the dearest."""
 START_KAPPA = (0.005, 0.2)
 
@@ -99,14 +99,14 @@ def starts(count: int, cost: CostModel, budget: float, seed: int) -> list[Relaxe
         else:
             shares = rng.dirichlet(np.ones(size)) * (rng.random(size) < 0.6)
         kappa = GUIDED_KAPPA if i % 4 < 2 else float(np.exp(rng.uniform(*np.log(START_KAPPA))))
-        time = shares / max(shares.sum(), 1e-9) * SPENT[i % len(SPENT)] * budget
+        time = shares / max(shares.sum(), 1e-9) * BUDGET_SHARES[i % len(BUDGET_SHARES)] * budget
         steps = tuple(int(n) for n in project(time / per_step, cost, budget))
         if fits(steps, cost, budget):
             points.append(RelaxedSchedule.of(steps, kappa))
     return points
 
 
-RATE = 0.08
+LEARNING_RATE = 0.08
 _adam = optax.scale_by_adam(b2=0.99)
 
 
@@ -141,7 +141,7 @@ def relax(
     for i, frame in enumerate(itertools.islice(order, iterations)):
         if expired():
             break
-        rate = 0.5 * RATE * (1.0 + np.cos(np.pi * i / iterations))
+        rate = 0.5 * LEARNING_RATE * (1.0 + np.cos(np.pi * i / iterations))
         point, state = _advance(point, objective.gradient(point, [int(frame)])[1], state, unit, jnp.float32(rate))
         point = dataclasses.replace(point, steps=jnp.asarray(project(np.asarray(point.steps), cost, budget)))
     return point
@@ -193,7 +193,7 @@ def polish(objective: Objective, point: RelaxedSchedule, iterations: int) -> Fou
         if value < best.loss:
             best = Found(candidate, float(value))
         gradient = np.concatenate([np.asarray(part)[there] for part in _continuous(slope)])
-        return SCALE * float(value), SCALE * gradient.astype(float)
+        return LOSS_SCALE * float(value), LOSS_SCALE * gradient.astype(float)
 
     box = [bound for bound in bounds() for _ in there]
     first = np.concatenate([np.asarray(part)[there] for part in _continuous(point)]).astype(float)
@@ -207,5 +207,5 @@ def _continuous(point: RelaxedSchedule) -> tuple[Array, ...]:
     return point.log_kappa, point.logit_lam, point.log_fidelity
 
 
-SCALE = 100.0
+LOSS_SCALE = 100.0
 """Losses are around 0.01, where L-BFGS-B's first step, of the gradient's length, would be short."""

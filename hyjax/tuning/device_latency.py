@@ -21,12 +21,12 @@ FORMAT: Literal[1] = 1
 FEWEST_SAMPLES = 10
 """Fewest samples of each schedule: fewer say nothing of a 95th percentile."""
 MOST_BYTES = 16 << 20
-SHORTEST, LONGEST = 1e-3, 1e6
+SHORTEST_MS, LONGEST_MS = 1e-3, 1e6
 """Milliseconds; a time below a microsecond is in another unit."""
-NOISE = 1.9
+NOISE_RATIO = 1.9
 """A schedule with more steps may seem so many times faster."""
 
-Duration = Annotated[float, msgspec.Meta(ge=SHORTEST, le=LONGEST)]
+Duration = Annotated[float, msgspec.Meta(ge=SHORTEST_MS, le=LONGEST_MS)]
 """Milliseconds of something that was timed."""
 Instant = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
 """Seconds since the first round began."""
@@ -246,7 +246,7 @@ def _check_rising(measured: Sequence[Timed]) -> None:
         steps = np.array([[measured[k].steps[factor] for factor in factors] for k in numbers])
         medians = np.array([measured[k].time.median for k in numbers])
         for place, number in enumerate(numbers):
-            slower = np.all(steps <= steps[place], axis=1) & (medians > NOISE * medians[place])
+            slower = np.all(steps <= steps[place], axis=1) & (medians > NOISE_RATIO * medians[place])
             if slower.any():
                 other = int(slower.argmax())
                 raise InputError(

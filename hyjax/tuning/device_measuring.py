@@ -31,9 +31,9 @@ WAIT = 15.0
 """Seconds that a device waits for its next job before it asks again."""
 SILENCE = 30.0
 """Seconds after which a device is said to have gone away."""
-HOT = 0.15
+HOT_RISE = 0.15
 """Rise of times from the first to the last rounds that is worth a word."""
-FEWEST_TO_TELL = 5
+FEWEST_SCHEDULES = 5
 """Schedules that must agree on it."""
 PAGE = "measure.html"
 
@@ -238,7 +238,7 @@ class ConnectedDevice:
 
     def _tell_heat(self, columns: Sequence[Sequence[float]]) -> None:
         rise = drift(columns)
-        if rise is not None and rise > HOT and len(columns) >= FEWEST_TO_TELL:
+        if rise is not None and rise > HOT_RISE and len(columns) >= FEWEST_SCHEDULES:
             self.say(f"the device got slower by {100 * rise:.0f} % from the first to the last rounds: is it hot?")
 
     def close(self) -> None:

@@ -20,7 +20,7 @@ FrameCase = tuple[int, str, int]
 """Scene by position, light set-up, frame."""
 Scores = dict[str, float]
 TIMED_FRAMES = 60
-LIGHTS = 4
+LIGHT_MULTIPLE = 4
 """Frames are padded to a multiple of so many lights, see `padded`."""
 KEPT_SCENES = 8
 
@@ -43,7 +43,7 @@ class Judge:
         """Scores of each case, in their order."""
         found: dict[FrameCase, Scores] = {}
         most = max(len(self.scenes[place].setup(lights).lights) for place, lights, _ in cases)
-        most = -(-most // LIGHTS) * LIGHTS
+        most = -(-most // LIGHT_MULTIPLE) * LIGHT_MULTIPLE
         for place, lights in dict.fromkeys((case[0], case[1]) for case in cases):
             scene = self.scenes[place]
             relighter = scene.relighter(lights, scene.judged(configuration))

@@ -168,13 +168,13 @@ class StudyEvaluator(Evaluator):
 
 ITERATIONS = 30
 """Iterations of a relaxed descent, one frame each."""
-LOOKED_AT = 16
+CHECKED_POINTS = 16
 """Whole steps around the start, and around the end of the descent, of which the loss is computed."""
-POLISHING = 8
+POLISH_ITERATIONS = 8
 """Iterations of the quasi-Newton steps on the numbers of a schedule."""
-POLISHED = 1
+POLISHED_SCHEDULES = 1
 """Number of these, the best, whose numbers are refined before one is chosen."""
-NEVER = 1e6
+UNREACHABLE_TIME = 1e6
 """Time over the default's of no steps at all, which no budget allows."""
 
 
@@ -208,13 +208,13 @@ class CascadeEvaluator(Evaluator):
 
     def time(self, choices: Choices) -> float:
         steps = self._steps(choices)
-        return self._model(steps) / self._usual if any(steps) else NEVER
+        return self._model(steps) / self._usual if any(steps) else UNREACHABLE_TIME
 
     def refined(self, choices: Choices, batch: int) -> Choices:
         start = self._point(choices)
         if not np.any(np.asarray(start.steps)):
             return choices
-        return self._with(choices, polish(self._first(batch), start, POLISHING).point)
+        return self._with(choices, polish(self._first(batch), start, POLISH_ITERATIONS).point)
 
     def relaxed(self, choices: Choices, trial: Trial) -> Choices:
         budget = trial.budget * self._usual
@@ -227,13 +227,17 @@ class CascadeEvaluator(Evaluator):
             self._model,
             budget,
             iterations=ITERATIONS,
-            looked_at=LOOKED_AT,
+            looked_at=CHECKED_POINTS,
             seed=self._seed,
             expired=self._expired,
         )
         if not found:
             return choices
-        polished = [polish(objective, each.point, POLISHING) for each in found[:POLISHED] if not self._expired()]
+        polished = [
+            polish(objective, each.point, POLISH_ITERATIONS)
+            for each in found[:POLISHED_SCHEDULES]
+            if not self._expired()
+        ]
         return self._with(choices, min([*polished, found[0]], key=lambda each: each.loss).point)
 
     def _first(self, count: int) -> Objective:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 ROUNDS = 100
 MOST_SECONDS = 20.0
 """Most seconds of timing, for each configuration."""
-LEAST = 1e-9
+LEAST_LOSS = 1e-9
 """Smallest loss; smaller ones count as this one, so that logarithms are finite."""
 
 
@@ -36,7 +36,7 @@ def prove(configurations: Sequence[Configuration], stage: "Stage", *, progress: 
     bar = tqdm(configurations, "judging", unit="configuration", disable=not progress)
     for configuration, time in zip(bar, times, strict=True):
         rows = judge.scores(configuration, cases)
-        own, base = (np.log([max(row["loss"], LEAST) for row in several]) for several in (rows, default))
+        own, base = (np.log([max(row["loss"], LEAST_LOSS) for row in several]) for several in (rows, default))
         logs = own - base
         tuning, held_out = (
             mean_scores(rows[part]) | {"relative": float(np.exp(np.mean(logs[part])))} if rows[part] else None

@@ -34,7 +34,7 @@ from hyjax.tuning.space import Choices, Space
 ITERATIONS = 16
 LEVEL_STEPS = 3.0
 """Cost of having a level at all, in steps of it: conductances, and interpolation to the next."""
-LOOKED_AT = 3
+CHECKED_POINTS = 3
 """Whole steps around the start, and around the end of the descent, of which the loss of a frame is computed."""
 UNLIMITED_STEPS = 4.0
 """Without a budget, the cascade may take so many times as long as it does."""
@@ -136,7 +136,7 @@ def relaxed_points(
     budget: float,
     *,
     iterations: int = ITERATIONS,
-    looked_at: int = LOOKED_AT,
+    looked_at: int = CHECKED_POINTS,
     seed: int = 0,
     expired: Callable[[], bool] = lambda: False,
 ) -> list[Found]:

@@ -22,7 +22,7 @@ from hyjax.tuning.evaluation import FrameCase, Judge, padded
 from hyjax.tuning.scene import Target
 
 ITERATIONS = 12
-RATE = 0.3
+LEARNING_RATE = 0.3
 """Rate of Adam, in units of a number's logarithm."""
 Numbers = dict[str, Float[Array, "*l"]]
 """Each number, or one for each level."""
@@ -115,7 +115,9 @@ def refine_numbers(
         return jax.value_and_grad(value, has_aux=True)(logs)
 
     logs = {name: jnp.log(value) for name, value in start.items()}
-    optimizer = optax.adam(optax.cosine_decay_schedule(RATE, max(iterations, 1), alpha=0.2), b1=0.7, b2=0.9)
+    optimizer = optax.adam(
+        optax.cosine_decay_schedule(LEARNING_RATE, max(iterations, 1), alpha=0.2), b1=0.7, b2=0.9
+    )
     state, best, lowest = optimizer.init(logs), logs, np.inf
     first: Float[np.ndarray, n] | None = None
     for iteration in range(iterations + 1):

@@ -39,7 +39,7 @@ from hyjax.tuning.budget import MOST_STEPS
 from hyjax.tuning.cases import Case, filter_colors
 from hyjax.util.geometry import TINY
 
-BLOCK = 8
+BLOCK_STEPS = 8
 KAPPA_RANGE = (1e-3, 1.0)
 """Range of κ for guides in [0, 1], of which an edge of full contrast differs by √3."""
 LAM_RANGE = (0.01, 0.2499)
@@ -244,14 +244,14 @@ def _real_steps(state: Array, edges: Edges, lam: Array, steps: Array, fidelity: 
 
     @jax.checkpoint
     def block(state: Array, first: Array) -> tuple[Array, None]:
-        sizes = lam * jnp.clip(steps - first - jnp.arange(BLOCK), 0.0, 1.0)
+        sizes = lam * jnp.clip(steps - first - jnp.arange(BLOCK_STEPS), 0.0, 1.0)
 
         def run(state: Array) -> Array:
             return diffuse(state, edges, sizes, fidelity=fidelity, source=source)
 
         return jax.lax.cond(first < steps, run, lambda s: s, state), None
 
-    return jax.lax.scan(block, state, jnp.arange(0.0, MOST_STEPS, BLOCK))[0]
+    return jax.lax.scan(block, state, jnp.arange(0.0, MOST_STEPS, BLOCK_STEPS))[0]
 
 
 def relaxed_channels(prepared: Prepared, point: RelaxedSchedule, factors: tuple[int, ...]) -> Float[Array, "h w c"]:

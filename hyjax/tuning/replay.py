@@ -14,7 +14,7 @@ from hyjax.tuning.stage import FrameStage, examples
 from hyjax.tuning.study import kept_trials
 from hyjax.tuning.trial import Trial, front_of_trials
 
-POINTS = 3
+POINT_COUNT = 3
 
 
 def replay(journal: Path, settings: TuneSettings) -> Tuned:
@@ -50,7 +50,7 @@ def replay(journal: Path, settings: TuneSettings) -> Tuned:
     )
 
 
-def front_configurations(trials: Sequence[Trial], count: int = POINTS) -> list[Configuration]:
+def front_configurations(trials: Sequence[Trial], count: int = POINT_COUNT) -> list[Configuration]:
     """Configurations of a few points of the front of those trials that were judged on the most cases."""
     most = max((len(trial.losses) for trial in trials), default=0)
     front, space = front_of_trials(trials, cases=most), Space.of(truth=True)

@@ -27,7 +27,7 @@ MOST_BYTES = 5_500_000  # of pictures in one report; as text they take a third m
 # What is tried until it fits: lossless first, then ever smaller.
 ENCODINGS = (("png", 1024), ("jpg", 1024), ("jpg", 768), ("jpg", 512), ("jpg", 384), ("jpg", 256), ("jpg", 160))
 QUALITY = 90
-BLANK = 0.09
+BLANK_GREY = 0.09
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,7 +102,7 @@ def contact_sheet_rows(
     headings = list(dict.fromkeys(itertools.chain.from_iterable(example.pictures for example in examples)))
 
     def pictures(example: Example) -> Iterator[Float[np.ndarray, "h w 3"]]:
-        blank = np.full_like(next(iter(example.pictures.values())), BLANK)
+        blank = np.full_like(next(iter(example.pictures.values())), BLANK_GREY)
         yield from (example.pictures.get(heading, blank) for heading in headings)
 
     return [(example.name, list(pictures(example))) for example in examples], headings
@@ -130,7 +130,7 @@ def percent(share: float) -> str:
 
 def signed_percent(share: float, digits: int = 0) -> str:
     """A change in percent, with its sign."""
-    return f"{100 * share:+.{digits}f}%".replace("-", "−") if math.isfinite(share) else text.MISSING
+    return f"{100 * share:+.{digits}f}%".replace("-", "−") if math.isfinite(share) else text.MISSING_MARK
 
 
 def score_forms() -> dict[str, tuple[str, str]]:
@@ -163,7 +163,7 @@ def page(tuned: Tuned, examples: Sequence[Example]) -> str:
             plots=plots,
             scores=score_forms(),
             usual_choices=text.described(Configuration()),
-            missing=text.MISSING,
+            missing=text.MISSING_MARK,
             record=json.dumps(tuned.record, indent=2, ensure_ascii=False, default=str),
         )
         .lstrip()

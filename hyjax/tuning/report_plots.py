@@ -11,7 +11,7 @@ from hyjax.tuning.report_points import (
     FONT,
     GROUND,
     INK,
-    QUIET,
+    PALE_INK,
     Point,
     draw_budgets,
     draw_front,
@@ -32,12 +32,12 @@ KINDS = {
     "paper": "the paper's form",
     "naive": "naive diffusion",
 }
-WHOLE = {"frame": "a whole frame", "cascade": "the diffusion"}
+STAGE_WORDS = {"frame": "a whole frame", "cascade": "the diffusion"}
 """Stages that budgets are for, in words."""
 LOSS_TICKS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
 CHANGE_TICKS = (-75, -50, -20, -10, -5, 0, 5, 10, 20, 50, 100, 200, 500, 1000)
 NAMED_EFFECTS = 12
-WIDE = 40.0
+LINEAR_PERCENT = 40.0
 """Per cent beyond which an axis of changes is compressed."""
 
 
@@ -60,7 +60,7 @@ def draw_front_plot(tuned: Tuned) -> Figure:
     for axes, points, frames in shown:
         style(axes)
         axes.set_ylabel(f"loss over the default's,\n{frames} frames", color=INK, fontsize=FONT)
-        axes.axhline(1.0, color=QUIET, linewidth=0.8, zorder=0)
+        axes.axhline(1.0, color=PALE_INK, linewidth=0.8, zorder=0)
         draw_budgets(axes, tuned.budgets)
         draw_front(axes, points)
         for point in points:
@@ -71,9 +71,13 @@ def draw_front_plot(tuned: Tuned) -> Figure:
         axes.set_yscale("log")
         axes.set_ylim(low / 1.06, high * 1.06)
         fixed_ticks(axes.yaxis, LOSS_TICKS)
-    panels[0].plot([x for x, _ in dots], [y for _, y in dots], ".", color=QUIET, markersize=4, alpha=0.6, zorder=1)
+    panels[0].plot(
+        [x for x, _ in dots], [y for _, y in dots], ".", color=PALE_INK, markersize=4, alpha=0.6, zorder=1
+    )
     panels[-1].set_xlabel(
-        f"milliseconds of {WHOLE[tuned.stage]}: median (marker) to 95th percentile (line)", color=INK, fontsize=FONT
+        f"milliseconds of {STAGE_WORDS[tuned.stage]}: median (marker) to 95th percentile (line)",
+        color=INK,
+        fontsize=FONT,
     )
     name_budgets(panels[0], tuned.budgets)
     legend(figure, every, KINDS, budgets=bool(tuned.budgets))
@@ -131,12 +135,12 @@ def draw_effects(effects: list[Effect]) -> Figure:
         ([p.y for p in points], axes.yaxis, axes.set_yscale, axes.set_ylim, axes.axhline),
     ):
         low, high = min([*values, -2.0]), max([*values, 2.0])
-        if max(high, -low) > WIDE:
+        if max(high, -low) > LINEAR_PERCENT:
             scale("symlog", linthresh=10.0)
             fixed_ticks(axis, CHANGE_TICKS)
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:+g}" if value else "0"))
         limits(low - 0.15 * (high - low), high + 0.25 * (high - low))
-        draw(0.0, color=QUIET, linewidth=0.8, zorder=0)
+        draw(0.0, color=PALE_INK, linewidth=0.8, zorder=0)
     for point in points:
         axes.plot(point.x, point.y, "o", color=COLORS["tuned"], markeredgecolor=GROUND, markersize=6.5, zorder=3)
     axes.set_xlabel("change of a frame's time, %", color=INK, fontsize=FONT)

@@ -22,7 +22,7 @@ from hyjax.tuning.request import Budget
 
 # Okabe and Ito's palette, apart for the colour-blind; shapes tell the kinds apart too.
 COLORS = {"tuned": "#0072b2", "paper": "#d55e00", "naive": "#009e73", "preset": "#cc79a7"}
-INK, QUIET, GRID, GROUND = "#1b1f24", "#5b6570", "#d9dee3", "#fefefe"
+INK, PALE_INK, GRID, GROUND = "#1b1f24", "#5b6570", "#d9dee3", "#fefefe"
 FONT = 10
 
 
@@ -37,8 +37,8 @@ def style(axes: Axes) -> None:
     """Two quiet spines and a grid."""
     for side, spine in axes.spines.items():
         spine.set_visible(side in ("left", "bottom"))
-        spine.set_edgecolor(QUIET)
-    axes.tick_params(which="both", colors=QUIET, labelcolor=INK, labelsize=FONT - 0.5)
+        spine.set_edgecolor(PALE_INK)
+    axes.tick_params(which="both", colors=PALE_INK, labelcolor=INK, labelsize=FONT - 0.5)
     axes.grid(True, color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
 
@@ -86,7 +86,7 @@ def svg(figure: Figure, name: str, title: str) -> Markup:
     text = re.sub(r' xmlns(:xlink)?="[^"]*"', "", text).replace("xlink:href", "href")
     text = re.sub(r'(<svg[^>]*?) width="[^"]*"', rf'\1 role="img" aria-label="{title}"', text, count=1)
     text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
-    roles = {**COLORS, "ink": INK, "quiet": QUIET, "grid": GRID, "ground": GROUND}
+    roles = {**COLORS, "ink": INK, "quiet": PALE_INK, "grid": GRID, "ground": GROUND}
     for role, color in roles.items():
         text = text.replace(color, f"var(--{role})")
     return Markup(text)
@@ -129,7 +129,7 @@ class Point:
 def draw_budgets(axes: Axes, budgets: Sequence[Budget]) -> None:
     """A dashed line at each budget."""
     for budget in budgets:
-        axes.axvline(budget.milliseconds, color=QUIET, linestyle=(0, (5, 4)), linewidth=1.2, zorder=1)
+        axes.axvline(budget.milliseconds, color=PALE_INK, linestyle=(0, (5, 4)), linewidth=1.2, zorder=1)
 
 
 def draw_front(axes: Axes, points: list[Point]) -> None:
@@ -228,7 +228,7 @@ def name_budgets(axes: Axes, budgets: Sequence[Budget]) -> None:
             textcoords="offset points",
             ha="center",
             va="bottom",
-            color=QUIET,
+            color=PALE_INK,
             fontsize=FONT,
             parse_math=False,
         )
@@ -255,9 +255,9 @@ def legend(figure: Figure, points: Sequence[Point], texts: Mapping[str, str], *,
     if any(point.best for point in points):
         entries.append(entry("best for a budget", color=COLORS["tuned"], markersize=11))
     if any(not point.measured for point in points):
-        entries.append(entry("predicted, not measured", color=GROUND, markeredgecolor=QUIET))
+        entries.append(entry("predicted, not measured", color=GROUND, markeredgecolor=PALE_INK))
     if budgets:
-        entries.append(entry("budget", color=QUIET, marker="", linestyle=(0, (5, 4)), linewidth=1.2))
+        entries.append(entry("budget", color=PALE_INK, marker="", linestyle=(0, (5, 4)), linewidth=1.2))
     if entries:
         legend = figure.legend(
             handles=entries, loc="outside lower center", ncols=3, fontsize=FONT - 0.5, frameon=False

@@ -11,7 +11,7 @@ from hyjax.configuration import DEFAULT, Configuration
 from hyjax.tuning.request import Budget
 from hyjax.tuning.result import Candidate, Tuned
 
-MISSING = "–"
+MISSING_MARK = "–"
 
 
 KINDS = ("tuned", "preset", "paper", "naive")
@@ -192,7 +192,7 @@ def prediction(tuned: Tuned) -> list[str]:
 def milliseconds(value: float | None) -> str:
     """A time with as many decimals as can be believed."""
     if value is None or not math.isfinite(value):
-        return MISSING
+        return MISSING_MARK
     return f"{value:.2f}" if value >= 1 else f"{value:.3f}"
 
 
@@ -208,4 +208,4 @@ def budget_text(budget: Budget) -> str:
 
 def score_text(scores: Mapping[str, float] | None, name: str, form: str) -> str:
     """A score, or a dash where there is none."""
-    return MISSING if scores is None or name not in scores else format(scores[name], form)
+    return MISSING_MARK if scores is None or name not in scores else format(scores[name], form)

@@ -2,9 +2,9 @@
 
 from hyjax.util.errors import InputError, did_you_mean
 
-ROOM = "room:"
+ROOM_PREFIX = "room:"
 """Beginning of the name of a scene that is a room of known truth."""
-KNOWN = ("builtin-0", "random-5-6-day", "random-11-0-both", "random-23-6-lamps")
+EXAMPLE_ROOMS = ("builtin-0", "random-5-6-day", "random-11-0-both", "random-23-6-lamps")
 """Examples: those that `experiments.truth` chooses on."""
 
 
@@ -17,7 +17,7 @@ def check_room(name: str) -> str:
     )
     if not form or not all(part.isdigit() for part in numbers):
         raise InputError(
-            f"rooms: no room {name!r}{did_you_mean(name, KNOWN)}; there are builtin-SEED and "
-            f"random-SEED-NUMBER-day, -lamps or -both, such as {', '.join(KNOWN)}"
+            f"rooms: no room {name!r}{did_you_mean(name, EXAMPLE_ROOMS)}; there are builtin-SEED and "
+            f"random-SEED-NUMBER-day, -lamps or -both, such as {', '.join(EXAMPLE_ROOMS)}"
         )
     return name

@@ -63,7 +63,7 @@ class RunMonitor:
         self.bar.set_postfix_str(f"{phase}, best loss {self.best:.4f} of the default's", refresh=False)
 
 
-EXTRA = (0.35, 0.5, 0.7, 1.0, 1.5)
+EXTRA_BUDGETS = (0.35, 0.5, 0.7, 1.0, 1.5)
 """Further points of the front, in times of the default."""
 ATTEMPTS = 3
 MORE_TRIALS = 8
@@ -123,7 +123,7 @@ class Run:
         base = self.stage.base_time(study, self.budgets)
         self.monitor.begin()
         limits = [self.stage.limit(budget, base) for budget in self.budgets]
-        limits += EXTRA if self.settings.extra else ()
+        limits += EXTRA_BUDGETS if self.settings.extra else ()
         state = self._searched(self.stage.space, study, limits, keep=True)
         candidates, state = self._finalists(state, study, limits)
         references = self.stage.references()

@@ -18,8 +18,8 @@ from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.scene.surfaces import rough_mesh
-from hyjax.tuning.rooms import ROOM, check_room
-from hyjax.tuning.settings import CONVERGED, ROOM_PHOTOS
+from hyjax.tuning.rooms import ROOM_PREFIX, check_room
+from hyjax.tuning.settings import CONVERGED_TARGET, ROOM_PHOTOS
 from hyjax.util.errors import InputError
 from hyjax.util.sizes import parse_size
 
@@ -110,8 +110,8 @@ def open_room(name: str, size: str | None = None, seed: int = 0) -> TuningScene:
 
 def open_tuning_scene(source: str, size: str | None = None, seed: int = 0) -> TuningScene:
     """Scene by name: `room:NAME`, the folder of a capture, or `built-in`."""
-    if source.startswith(ROOM):
-        return open_room(source.removeprefix(ROOM), size, seed)
+    if source.startswith(ROOM_PREFIX):
+        return open_room(source.removeprefix(ROOM_PREFIX), size, seed)
     capture = None if source == "built-in" else Path(source)
     scene, accurate = open_scenes(SceneSettings(capture, size=size, seed=seed))
     if accurate is None:
@@ -152,12 +152,12 @@ def open_scenes(
         capture = settings.open_capture(progress=progress)
     if target is None:
         with_depth = "fused" if capture.reference() is None else "true"
-        target = CONVERGED if not capture.depth_count else with_depth
+        target = CONVERGED_TARGET if not capture.depth_count else with_depth
     if target == "fused":  # whose poses both scenes must have
         capture = aligned(capture, settings.fusion, progress)
     rough = dataclasses.replace(settings, mesh=settings.mesh or rough_mesh(capture))
     scene, accurate = Scene.open(rough, capture=capture, progress=progress), None
-    if target != CONVERGED:
+    if target != CONVERGED_TARGET:
         fusion = dataclasses.replace(settings.fusion, voxel=TARGET_VOXEL)
         better = dataclasses.replace(settings, mesh=target, fusion=fusion)
         accurate = Scene.open(better, capture=capture, progress=progress)

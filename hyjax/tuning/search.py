@@ -32,15 +32,15 @@ from hyjax.tuning.space import Choices, Space, key_of
 from hyjax.tuning.surrogate import Surrogate
 from hyjax.tuning.trial import Improvement, Trial
 
-POOL = 1500
+POOL_SIZE = 1500
 """Combinations that the surrogate is asked for at a time."""
-HOPE = 0.5
+HOPE_DEVIATIONS = 0.5
 """Standard deviations by which a loss may turn out better than predicted."""
 CASE_NOISE = 0.06
 """Standard deviation of a loss relative to the default's between cases."""
 TIME_NOISE = 0.05
 """Likewise of a time, relative to the default's."""
-RETAINED = 3
+REDUCTION_FACTOR = 3
 """One in so many goes on to the next batch."""
 GRADIENT_TURN = 4
 """One in so many combinations is the best of a budget, made better by gradients."""
@@ -269,7 +269,9 @@ def _combined(state: State, budget: float) -> tuple[Choices, float] | None:
     mean, spread = loss.predict(pool)
     times = _times(state, time, pool)
     fits = times <= budget
-    best = int(np.argmin(np.where(fits, mean - HOPE * spread, np.inf)) if fits.any() else np.argmin(times))
+    best = int(
+        np.argmin(np.where(fits, mean - HOPE_DEVIATIONS * spread, np.inf)) if fits.any() else np.argmin(times)
+    )
     return pool[best], float(times[best])
 
 
@@ -286,7 +288,7 @@ def _pool(state: State, loss: Surrogate, time: Surrogate, budget: float) -> list
     climbed = _climbed(state, tried[0].choices, loss, time, budget)
     sources = [*(t.choices for t in tried), climbed]
     found = {key_of(choices): choices for choices in (climbed, *space.changes(tried[0].choices))}
-    for _ in range(POOL if len(space.parameters) > 8 else POOL // 4):
+    for _ in range(POOL_SIZE if len(space.parameters) > 8 else POOL_SIZE // 4):
         one, other = (sources[int(k)] for k in rng.integers(len(sources), size=2))
         crossed = {p.name: (other if rng.random() < 0.5 else one).get(p.name, p.default) for p in space.parameters}
         choices = space.mutated(space.complete(crossed), rng, 0.1)
@@ -324,7 +326,7 @@ def _halved(state: State, budgets: Sequence[float]) -> Proposed | None:
         chosen = {default}
         for budget in budgets:
             known = [t for t in within(state, budget) if len(t.losses) >= size]
-            kept = 1 if state.closed else max(3, len(known) // RETAINED)
+            kept = 1 if state.closed else max(3, len(known) // REDUCTION_FACTOR)
             ranked = sorted(known, key=lambda t: float(np.mean(np.log(t.losses[:size]))))
             chosen |= {key_of(t.choices) for t in ranked[:kept]}
         for key in sorted(chosen):

@@ -22,7 +22,7 @@ DIFFUSION_LIGHTS = "two-colors"
 MOST_TRIALS = 100_000
 ROOM_PHOTOS = 12
 """Number of photos of a room of known truth."""
-CONVERGED = "converged"
+CONVERGED_TARGET = "converged"
 """Target where there is no better mesh: the converged diffusion that the paper's cascade approximates."""
 
 
@@ -175,7 +175,7 @@ class TuneSettings(Settings):
         if self.tunes_frame:
             self._check_frame_alone()
         self.scene.check()
-        if self.target != CONVERGED:
+        if self.target != CONVERGED_TARGET:
             check_mesh_name(self.target)
         return self
 

@@ -27,7 +27,7 @@ Choices = dict[str, Any]
 Levels = tuple[tuple[int, int], ...]
 COUNTS = (0, 1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30)
 """Numbers of steps that are drawn; any up to `MOST_STEPS` may be taken."""
-BARE = ((4, 0),)
+BARE_LEVELS = ((4, 0),)
 """Levels of a cascade without steps."""
 
 
@@ -160,10 +160,10 @@ class Space:
         return self.complete({})
 
     def levels(self, choices: Mapping[str, Any], cascade: str) -> Levels:
-        """Levels of a cascade that have steps, coarse to fine; `BARE` if none has."""
+        """Levels of a cascade that have steps, coarse to fine; `BARE_LEVELS` if none has."""
         own = [p for p in self.parameters if p.cascade == cascade]
         found = tuple((p.factor, choices.get(p.name, p.default)) for p in own if choices.get(p.name, p.default))
-        return found or BARE
+        return found or BARE_LEVELS
 
     def complete(self, choices: Mapping[str, Any]) -> Choices:
         """Choices completed by defaults, without inactive ones.
@@ -215,7 +215,7 @@ class Space:
 
     def _text(self, choices: Mapping[str, Any], cascade: str) -> str:
         levels = self.levels(choices, cascade)
-        return NO_STEPS if levels == BARE else " ".join(f"{factor}:{count}" for factor, count in levels)
+        return NO_STEPS if levels == BARE_LEVELS else " ".join(f"{factor}:{count}" for factor, count in levels)
 
     def random(self, rng: np.random.Generator) -> Choices:
         """Random choices."""
@@ -311,7 +311,7 @@ def levels_of(text: str) -> Levels:
     (((16, 3), (8, 4)), ((4, 0),))
     """
     if text == NO_STEPS:
-        return BARE
+        return BARE_LEVELS
     try:
         return tuple((int(factor), int(steps)) for factor, steps in (level.split(":") for level in text.split()))
     except (AttributeError, ValueError):

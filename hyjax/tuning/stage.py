@@ -28,12 +28,12 @@ from hyjax.util.environment import cores, environment
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 
-FEWEST = 6
+FEWEST_CASES = 6
 """Cases of the first batch, at least."""
 POLISH_CASES = 12
 BASE_ROUNDS = 60
 EXAMPLE_CASES = 3
-ROOM = 0.98
+BUDGET_SHARE = 0.98
 """Share of a budget that is aimed at: a p95 is a noisy number."""
 
 
@@ -125,7 +125,7 @@ class FrameStage(Stage):
         self.clock = FrameClock(bench.scenes[0], bench.lights)
         self.space = Space.of(truth=all(bench.scenes[place].has_truth for place, *_ in bench.cases))
         self.base = Configuration()
-        self.first = max(FEWEST, len(bench.scenes))
+        self.first = max(FEWEST_CASES, len(bench.scenes))
         self._environment = environment()
 
     def base_time(self, study: Study, budgets: Sequence[Budget]) -> FrameTime:
@@ -138,7 +138,7 @@ class FrameStage(Stage):
         return FrameTime(**study.remember(study.timed("default"), timed))
 
     def limit(self, budget: Budget, base: FrameTime) -> float:
-        return ROOM * budget.milliseconds / base.p95
+        return BUDGET_SHARE * budget.milliseconds / base.p95
 
     def starts(self, limits: Sequence[float]) -> list[Choices]:
         return [self.space.choices_of(Configuration.preset(name)) for name in PRESETS]

@@ -28,12 +28,12 @@ from hyjax.util.run_log import as_json, check_same_settings
 if TYPE_CHECKING:
     import optuna
 
-NAME = "study.log"
-UNUSABLE = 1e9
+FILE_NAME = "study.log"
+UNUSABLE_LOSS = 1e9
 """Stands for a loss that is not a number."""
 VERSION = 3
 """Version of the journal. Add one whenever its contents mean something else."""
-KEPT = ("choices", "phase", "losses", "time", "cases", "improve", "source", "predicted")
+KEPT_FIELDS = ("choices", "phase", "losses", "time", "cases", "improve", "source", "predicted")
 """Fields that are kept of a trial; its budget is known while it is proposed alone."""
 
 
@@ -77,7 +77,7 @@ class Study:
         from optuna.storages.journal import JournalFileBackend
 
         optuna.logging.set_verbosity(optuna.logging.ERROR)
-        path = folder / NAME
+        path = folder / FILE_NAME
         check_free(folder, resume)
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -137,7 +137,7 @@ class Study:
                     raise _unwritable(error) from None
                 except ValueError as error:  # Optuna reads the journal again
                     raise InputError(
-                        f"{NAME}: is no journal of a study ({type(error).__name__}); remove it"
+                        f"{FILE_NAME}: is no journal of a study ({type(error).__name__}); remove it"
                     ) from None
         return self._results[name]
 
@@ -148,8 +148,8 @@ class Study:
         import optuna
 
         values = {n: space.named[n].middle(v) if isinstance(v, tuple) else v for n, v in trial.choices.items()}
-        loss = trial.loss if math.isfinite(trial.loss) else UNUSABLE
-        content = {name: getattr(trial, name) for name in KEPT} | {"machine": self.machine}
+        loss = trial.loss if math.isfinite(trial.loss) else UNUSABLE_LOSS
+        content = {name: getattr(trial, name) for name in KEPT_FIELDS} | {"machine": self.machine}
         try:
             self._study.add_trial(
                 optuna.trial.create_trial(
@@ -164,7 +164,7 @@ class Study:
 
 
 def _unwritable(error: OSError) -> InputError:
-    return InputError(f"{NAME}: cannot write ({error.strerror or error}); --resume goes on")
+    return InputError(f"{FILE_NAME}: cannot write ({error.strerror or error}); --resume goes on")
 
 
 def _cut_to_lines(path: Path) -> None:
@@ -208,7 +208,7 @@ def _trial(kept: "optuna.trial.FrozenTrial") -> tuple[Trial, str]:
         results = told["results"].items()
         losses = [loss for of, several in results if of.startswith("losses ") for loss in several]
         return Trial(_named(kept.params), told["phase"], tuple(losses), values[1]), ""
-    trial = msgspec.convert({name: told[name] for name in KEPT}, Trial)
+    trial = msgspec.convert({name: told[name] for name in KEPT_FIELDS}, Trial)
     choices = {name: tuple(v) if isinstance(v, list) else v for name, v in trial.choices.items()}
     return dataclasses.replace(trial, choices=choices), str(told["machine"])
 
@@ -243,7 +243,7 @@ def _distribution(parameter: Parameter) -> "optuna.distributions.BaseDistributio
 
 def check_free(folder: Path, resume: bool) -> None:
     """Raise `InputError` if the folder holds a run that is not to be resumed."""
-    if not resume and (folder / NAME).exists():
+    if not resume and (folder / FILE_NAME).exists():
         raise InputError(
             f"{folder}: holds the trials of another run; add --resume to go on with it, or choose another --out"
         )

@@ -19,9 +19,9 @@ from scipy.linalg import cho_factor, cho_solve
 
 from hyjax.tuning.space import Space
 
-LENGTH = 0.4
+LENGTH_SCALE = 0.4
 """Length scale of the Gaussians, in the range of a parameter."""
-TOGETHER = 0.3
+JOINT_RATIO = 0.3
 """r over s."""
 SPREADS = (0.01, 0.03, 0.1, 0.3, 1.0)
 """Values of s that are tried: the likeliest is taken."""
@@ -78,7 +78,7 @@ class Surrogate:
         """Mean and standard deviation at choices."""
         features = embed(self.space, choices)
         across = self.spread**2 * covariance(self.space, features, self.features)
-        own = self.spread**2 * (len(self.space.parameters) + TOGETHER**2)
+        own = self.spread**2 * (len(self.space.parameters) + JOINT_RATIO**2)
         explained = np.einsum("mn,nm->m", across, cho_solve(self.factor, across.T))
         return across @ self.weights, np.sqrt(np.maximum(own - explained, 0.0))
 
@@ -103,7 +103,7 @@ def covariance(space: Space, a: Float[np.ndarray, "n p"], b: Float[np.ndarray, "
         own, other = a[:, column, None], b[None, :, column]
         each = (own == other).astype(float)
         if parameter.continuous or parameter.ordered:
-            near = np.exp(-0.5 * ((own - other) / LENGTH) ** 2)
+            near = np.exp(-0.5 * ((own - other) / LENGTH_SCALE) ** 2)
             each = np.where((own < 0) | (other < 0), each, near)
         total, product = total + each, product * each
-    return total + TOGETHER**2 * product
+    return total + JOINT_RATIO**2 * product

@@ -21,10 +21,10 @@ from jaxtyping import Array, Float, jaxtyped
 
 from hyjax.util.errors import InputError, did_you_mean, shown
 
-LARGEST = float(np.finfo(np.float32).max)
+LARGEST_FLOAT = float(np.finfo(np.float32).max)
 LARGEST_WHOLE = 1 << 62
 NUMBERS: Any = (int, float, np.integer, np.floating)
-MAY_BE_EMPTY = ("n", "o", "h_1", "w_1", "ch_1", "cw_1")
+EMPTY_AXES = ("n", "o", "h_1", "w_1", "ch_1", "cw_1")
 """Axes that may have no entries: steps and rays may be none, and edges of one row or column."""
 TYPE_NAMES: dict[Any, str] = {
     int: "a whole number",
@@ -35,7 +35,7 @@ TYPE_NAMES: dict[Any, str] = {
     type(None): "None",
 }
 DTYPE_NAMES: dict[Any, str] = {"float32": "a float", "bool": "a bool", "int32": "an integer", "uint8": "a uint8"}
-SCALED = "%s: a picture of bytes is taken for display values of 0 to 255, and divided by 255 (told once)"
+SCALED_MESSAGE = "%s: a picture of bytes is taken for display values of 0 to 255, and divided by 255 (told once)"
 _log = logging.getLogger(__name__)
 _told: set[str] = set()
 _checked: weakref.WeakValueDictionary[int, Any] = weakref.WeakValueDictionary()
@@ -54,7 +54,7 @@ class Kind:
         each: kind of the entries of a sequence.
         parts: kinds of a tuple's entries.
         display: whether bytes are taken for display values of 0 to 255.
-        may_be_empty: whether arrays may be; their axes of `MAY_BE_EMPTY` always may.
+        may_be_empty: whether arrays may be; their axes of `EMPTY_AXES` always may.
         anything: whether the annotation says nothing that can be checked.
     """
 
@@ -87,7 +87,7 @@ class Kind:
                 raise self.refusal(name, given, seen)
             if getattr(given, "dtype", None) == np.uint8 and name not in _told:
                 _told.add(name)
-                _log.warning(SCALED, name)
+                _log.warning(SCALED_MESSAGE, name)
         seen[name] = self, value
         if isinstance(value, tuple) and (self.parts or self.each):
             parts: Any = self.parts or itertools.repeat(self.each)
@@ -105,14 +105,14 @@ class Kind:
         if isinstance(value, NUMBERS):
             if int in self.classes and isinstance(value, int):
                 return abs(value) <= LARGEST_WHOLE
-            return float in self.classes and not LARGEST < abs(value) < math.inf
+            return float in self.classes and not LARGEST_FLOAT < abs(value) < math.inf
         if isinstance(value, tuple):
             return len(value) == len(self.parts) if self.parts else self.each is not None
         if isinstance(value, self.arrays):
             return (
                 self.may_be_empty
                 or 0 not in value.shape
-                or all(n or axis in MAY_BE_EMPTY for axis, n in self.sizes(value).items())
+                or all(n or axis in EMPTY_AXES for axis, n in self.sizes(value).items())
             )
         return any(map(functools.partial(_is_one, value), self.classes))
 

@@ -5,7 +5,7 @@ import reprlib
 from collections.abc import Iterable
 from typing import Any
 
-LONGEST = 600
+LONGEST_MESSAGE = 600
 """Longest message, characters; longer ones lose their middle."""
 
 _short = reprlib.Repr()
@@ -30,7 +30,7 @@ class InputError(ValueError):
         super().__init__(one_line(str(message)))
 
 
-def one_line(text: str, most: int = LONGEST) -> str:
+def one_line(text: str, most: int = LONGEST_MESSAGE) -> str:
     """Text as one line for a terminal: unprintable characters escaped, its middle left out if long."""
     if len(text) > 4 * most:  # what is escaped would be cut anyway
         text = text[: 2 * most] + text[-2 * most :]

@@ -23,11 +23,11 @@ from hyjax.util.claims import try_lock
 from hyjax.util.errors import InputError
 from hyjax.util.reading import disk_error
 
-PART = ".part"
+PART_SUFFIX = ".part"
 """Before the suffix of a file, or after the name of a folder, that is not yet whole."""
-OLD = ".old"
+OLD_SUFFIX = ".old"
 """After the name of a folder that is being replaced."""
-WINDOWS = os.name == "nt"
+ON_WINDOWS = os.name == "nt"
 _TEMPORARY = re.compile(r"\.(?P<name>.+)\.hyjax-[0-9a-f]{12}(?P<kind>\.part|\.old)(\..*)?")
 
 
@@ -35,7 +35,7 @@ _TEMPORARY = re.compile(r"\.(?P<name>.+)\.hyjax-[0-9a-f]{12}(?P<kind>\.part|\.ol
 def atomic_write(path: Path) -> Iterator[Path]:
     """A temporary name in the folder of `path` to write to, renamed to `path` if the block ends well."""
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{_mark()}{PART}{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{_mark()}{PART_SUFFIX}{path.suffix}")
     with contextlib.ExitStack() as held:
         try:
             _make_locked(held, temporary, temporary.touch)
@@ -64,7 +64,7 @@ def new_folder(out: Path, *, replace: bool = False) -> Iterator[Path]:
     out = Path(out)
     if not replace and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is there already and not an empty folder; choose another")
-    temporary, old = (out.with_name(f".{out.name}.{_mark()}{kind}") for kind in (PART, OLD))
+    temporary, old = (out.with_name(f".{out.name}.{_mark()}{kind}") for kind in (PART_SUFFIX, OLD_SUFFIX))
     with contextlib.ExitStack() as held:
         try:
             remove_stale(out.parent)
@@ -103,7 +103,7 @@ def remove_stale(folder: Path) -> None:
                 path = Path(entry.path)
                 if not found or _lock(held, path) is not True:
                     continue
-                if found["kind"] == OLD:
+                if found["kind"] == OLD_SUFFIX:
                     _clear(path, path.with_name(found["name"]))
                 elif entry.is_dir(follow_symlinks=False):
                     shutil.rmtree(path, ignore_errors=True)
@@ -128,7 +128,7 @@ def _make_locked(held: contextlib.ExitStack, path: Path, make: Callable[[], None
 
 def _lock(held: contextlib.ExitStack, path: Path) -> bool | None:
     """Whether a file or folder could be locked until the end; None where there are no locks."""
-    if WINDOWS:
+    if ON_WINDOWS:
         return None
     # NFS locks what may be written alone; a folder never may.
     flags = os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_NOFOLLOW
@@ -175,7 +175,7 @@ def _mark() -> str:
 def _to_disk(path: Path) -> None:
     """Wait until the disk has a file (0.4 ms on a local one): some disks say only then that they are full."""
     # Windows does so for what may be written alone; elsewhere a file may be a copy that may not.
-    descriptor = os.open(path, os.O_RDWR if WINDOWS else os.O_RDONLY)
+    descriptor = os.open(path, os.O_RDWR if ON_WINDOWS else os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

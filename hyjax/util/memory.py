@@ -7,7 +7,7 @@ import sys
 
 M_TRIM_THRESHOLD, M_MMAP_MAX, M_ARENA_MAX = -1, -4, -8
 """Parameters of glibc's `mallopt`, see its manual page."""
-NEVER = 2**31 - 1
+NEVER_TRIMMED = 2**31 - 1
 
 
 def keep_freed_memory() -> bool:
@@ -25,7 +25,7 @@ def keep_freed_memory() -> bool:
         mallopt = ctypes.CDLL(None).mallopt
     except (OSError, AttributeError):  # another C library
         return False
-    wanted = ((M_MMAP_MAX, 0), (M_TRIM_THRESHOLD, NEVER), (M_ARENA_MAX, 1))
+    wanted = ((M_MMAP_MAX, 0), (M_TRIM_THRESHOLD, NEVER_TRIMMED), (M_ARENA_MAX, 1))
     done = [mallopt(name, value) == 1 for name, value in wanted]
     return all(done)
 

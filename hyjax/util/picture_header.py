@@ -21,13 +21,13 @@ VARIABLE = "HYJAX_MOST_MEGAPIXELS"
 MOST_MEGAPIXELS = 64.0
 MOST_CHANNELS = 4
 """Most channels in the mean: a picture of the most pixels may have four channels, a smaller one more."""
-PACKED_FREELY = 16e6
+FREELY_PACKED_PIXELS = 16e6
 """Pixels up to which a picture may be packed as tightly as its format can."""
-MOST_PER_BYTE = 500
+MOST_PIXELS_PER_BYTE = 500
 """Pixels in a byte of a larger one; a photo has 2 to 20, a blank PNG a thousand."""
 MOST_PASSES = 1 << 30
 """Pixels times scans of a JPEG: a progressive one is gone through once for each scan, of which it needs ten."""
-HEAD = 1 << 16
+HEAD_BYTES = 1 << 16
 """Bytes of an EXR within which its data window is looked for; OpenImageIO finds one that a large preview hides."""
 MOST_CHUNKS = 1 << 18
 """Most chunks of a PNG: libraries write eight kilobytes or more in each."""
@@ -51,9 +51,9 @@ def check_picture(path: Path, where: str) -> None:
         if size > LARGEST_FILE:
             raise InputError(f"{where}: has over {LARGEST_FILE >> 20} MiB; too large for a picture")
         start = file.read(12)
-        if not KNOWN.match(start):
-            raise InputError(f"{where}: not a readable picture; read are {READ}")
-        look = next((look for mark, look in LOOKED_INTO.items() if start.startswith(mark)), None)
+        if not KNOWN_SIGNATURES.match(start):
+            raise InputError(f"{where}: not a readable picture; read are {READ_FORMATS}")
+        look = next((look for mark, look in HEADER_READERS.items() if start.startswith(mark)), None)
         if look is None:
             return
         file.seek(0)
@@ -82,10 +82,10 @@ def check_size(width: int, height: int, channels: int, where: str) -> None:
 
 def check_packing(width: int, height: int, size: int, where: str) -> None:
     """Raise `InputError` for a large picture with more pixels in a byte of its file than are read."""
-    if width * height > PACKED_FREELY and width * height > MOST_PER_BYTE * size:
+    if width * height > FREELY_PACKED_PIXELS and width * height > MOST_PIXELS_PER_BYTE * size:
         raise InputError(
-            f"{where}: {width}x{height} pixels in {size} bytes; of so large a picture at most {MOST_PER_BYTE} a "
-            "byte are read"
+            f"{where}: {width}x{height} pixels in {size} bytes; of so large a picture at most "
+            f"{MOST_PIXELS_PER_BYTE} a byte are read"
         )
 
 
@@ -102,7 +102,7 @@ def _most_pixels() -> float:
 
 def _png(file: BinaryIO, size: int) -> Declared | None:
     """The size, if all chunks that decoders need are there in order, with their checksums."""
-    if file.read(8) != PNG:
+    if file.read(8) != PNG_SIGNATURE:
         return None
     order, palette, head = b"", False, b""
     for _ in range(MOST_CHUNKS):
@@ -135,7 +135,7 @@ def _jpeg(file: BinaryIO, size: int) -> Declared | None:
     at, scans, sides = 2, 0, None
     for _ in range(MOST_MARKERS):
         found = MARKER.search(content, at)
-        if found is None or found[0] == END:
+        if found is None or found[0] == END_MARKER:
             return None if sides is None else Declared(*sides, max(1, scans))
         at, kind = found.end(), found[0][1]
         if kind in FRAME_HEADERS and sides is None:
@@ -149,13 +149,13 @@ def _jpeg(file: BinaryIO, size: int) -> Declared | None:
 
 MARKER = re.compile(rb"\xff[^\0\xd0-\xd7\xff]")
 """JPEG marker other than a restart's; between two of them are the bytes of a scan."""
-END = b"\xff\xd9"
+END_MARKER = b"\xff\xd9"
 FRAME_HEADERS = tuple(kind for kind in range(0xC0, 0xD0) if kind not in (0xC4, 0xC8, 0xCC))
 """JPEG's markers of headers with the size."""
 
 
 def _exr(file: BinaryIO, size: int) -> Declared | None:
-    found = DATA_WINDOW.search(file.read(HEAD))
+    found = DATA_WINDOW.search(file.read(HEAD_BYTES))
     if found is None:  # behind a large preview
         return Declared(1, 1)
     left, top, right, bottom = struct.unpack("<4i", found[1])
@@ -168,14 +168,16 @@ PNG_FORMS = {
 } - {(3, 16)}
 """Kinds of colour and bits of each channel that a PNG may have."""
 DATA_WINDOW = re.compile(rb"dataWindow\0box2i\0\x10\0\0\0(.{16})", re.DOTALL)
-EXR = b"v/1\x01"
-PNG = b"\x89PNG\r\n\x1a\n"
-LOOKED_INTO: dict[bytes, Callable[[BinaryIO, int], Declared | None]] = {
-    PNG: _png,
+EXR_SIGNATURE = b"v/1\x01"
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+HEADER_READERS: dict[bytes, Callable[[BinaryIO, int], Declared | None]] = {
+    PNG_SIGNATURE: _png,
     b"\xff\xd8\xff": _jpeg,
-    EXR: _exr,
+    EXR_SIGNATURE: _exr,
 }
 """First bytes of files whose headers are looked at here."""
-KNOWN = re.compile(rb"\x89PNG\r\n\x1a\n|\xff\xd8\xff|v/1\x01|P[1-6]|II[*+]\0|MM\0[*+]|RIFF.{4}WEBP|BM", re.DOTALL)
+KNOWN_SIGNATURES = re.compile(
+    rb"\x89PNG\r\n\x1a\n|\xff\xd8\xff|v/1\x01|P[1-6]|II[*+]\0|MM\0[*+]|RIFF.{4}WEBP|BM", re.DOTALL
+)
 """First bytes of files of all formats that are read."""
-READ = "PNG, JPEG, OpenEXR, PNM, TIFF, WebP and BMP"
+READ_FORMATS = "PNG, JPEG, OpenEXR, PNM, TIFF, WebP and BMP"

@@ -23,9 +23,9 @@ LARGEST_TEXT = 1 << 28
 LARGEST_JSON = 1 << 26
 """Characters; poses and intrinsics of a hundred thousand frames have less. One letter beyond Latin makes four bytes
 of each, in the text and in what is read of it."""
-LARGEST_WRITTEN_BY_HAND = 1 << 18
+LARGEST_YAML = 1 << 18
 """Bytes of a YAML file, which takes three seconds to read; a large one is better JSON."""
-DEEPEST = 64
+DEEPEST_NESTING = 64
 """Lists and mappings within each other."""
 MOST_MARKS = 1 << 22
 """Commas, colons and opening brackets of a JSON text: mappings in mappings take three seconds and 0.4 GiB."""
@@ -175,11 +175,11 @@ def parse_json(text: str | bytes, where: str, *, only_finite: bool = False) -> A
     try:
         value = json.loads(text, parse_int=whole, **strict)
     except RecursionError:
-        raise InputError(f"{where}: lists and mappings more than {DEEPEST} deep") from None
+        raise InputError(f"{where}: lists and mappings more than {DEEPEST_NESTING} deep") from None
     except json.JSONDecodeError as error:
         raise InputError(f"{where}: not JSON (line {error.lineno}: {error.msg})") from None
-    if _depth(value) > DEEPEST:
-        raise InputError(f"{where}: lists and mappings more than {DEEPEST} deep")
+    if _depth(value) > DEEPEST_NESTING:
+        raise InputError(f"{where}: lists and mappings more than {DEEPEST_NESTING} deep")
     if HALF_LETTER.search(text):
         for each in _texts(value):
             _check_letters(each, where)
@@ -188,7 +188,7 @@ def parse_json(text: str | bytes, where: str, *, only_finite: bool = False) -> A
 
 def read_yaml(path: Path, where: str | None = None) -> Any:
     """Plain data of a YAML or JSON file; see `parse_yaml`."""
-    return parse_yaml(read_text(path, where, LARGEST_WRITTEN_BY_HAND), where or str(path))
+    return parse_yaml(read_text(path, where, LARGEST_YAML), where or str(path))
 
 
 def parse_yaml(text: str, where: str) -> Any:
@@ -209,8 +209,8 @@ def parse_yaml(text: str, where: str) -> Any:
     try:
         for event in yaml.parse(text, loader):
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if depth > DEEPEST:
-                raise InputError(f"{where}: lists and mappings more than {DEEPEST} deep")
+            if depth > DEEPEST_NESTING:
+                raise InputError(f"{where}: lists and mappings more than {DEEPEST_NESTING} deep")
             if _is_merge(event):  # expanded while it is loaded, before anything can be counted
                 raise InputError(f"{where}: a merge key (<<); write out what it stands for")
         value = yaml.load(text, loader)
@@ -243,7 +243,7 @@ def _check_values(value: Any, where: str) -> None:
     while left:
         inner, depth = left.pop()
         count += 1
-        if count > MOST_NODES or depth > DEEPEST:  # a list that holds itself is as deep as one likes
+        if count > MOST_NODES or depth > DEEPEST_NESTING:  # a list that holds itself is as deep as one likes
             raise InputError(f"{where}: aliases that stand for over {MOST_NODES} values")
         if isinstance(inner, dict):
             left += [(part, depth + 1) for pair in inner.items() for part in pair]
@@ -279,7 +279,7 @@ def _texts(value: Any) -> Iterator[str]:
 def _depth(value: Any) -> int:
     """Depth of lists and mappings within each other; stops where they are too many."""
     depth, layer = 0, [value]
-    while layer and depth <= DEEPEST:
+    while layer and depth <= DEEPEST_NESTING:
         layer = [
             part
             for outer in layer

@@ -9,7 +9,7 @@ from typing import Any
 
 from hyjax.util.errors import one_line
 
-LONGEST = 200
+LONGEST_ARGUMENT = 200
 """Characters of an argument that messages about the command line may repeat."""
 
 
@@ -65,4 +65,7 @@ def shortened(arguments: list[str]) -> list[str]:
         >>> [len(argument) <= LONGEST for argument in shortened(["relight", "9" * 5000])]
         [True, True]
     """
-    return [one_line(argument, LONGEST) if len(argument) > LONGEST else argument for argument in arguments]
+    return [
+        one_line(argument, LONGEST_ARGUMENT) if len(argument) > LONGEST_ARGUMENT else argument
+        for argument in arguments
+    ]

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-SHORTEST = 1e-20
+SHORTEST_LENGTH = 1e-20
 """Length below which a sum of normals has no direction."""
 
 

@@ -16,7 +16,7 @@ from hyjax.video.temporal_filter import Memory, fill_depth, recall
 
 FILLING_PRESET = "hyjax"
 """Preset that fills features without an earlier frame, under the frame itself."""
-LEAST_FOUND = 0.6
+LEAST_FOUND_SHARE = 0.6
 """Least share of a frame's points seen before; with fewer the network runs again."""
 
 
@@ -62,7 +62,7 @@ class CarriedGuide:
         if self.memory is not None and self._age < self.every and self.memory.depth.shape == depth.shape:
             carried, found = recall(self.memory, depth, *camera)
             seen = concrete(jnp.mean(found))
-            if seen is not None and seen >= LEAST_FOUND:
+            if seen is not None and seen >= LEAST_FOUND_SHARE:
                 filled = cascade_known(carried, found[..., None], view.display, schedule)
                 return jnp.where(found[..., None], carried, filled)
         features, self._age = make(), 0

@@ -29,13 +29,13 @@ from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 
-KEEP = 0.8
+KEEP_WEIGHT = 0.8
 """Weight of the last frame. An error is down to a tenth after ten frames."""
 SAME_DEPTH = 0.05
 """Largest relative difference of depth between two frames at the same point."""
 LEAST_WEIGHT = 1e-3
 """Least weight of the bilinear neighbours on the same surface; below it a point was not seen."""
-LEAST_FOUND = 0.1
+LEAST_FOUND_SHARE = 0.1
 """Least share of pixels found again; below it the camera has jumped, and all starts anew."""
 
 
@@ -138,7 +138,7 @@ def steady(
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
     memory: Memory,
-    keep: Float[ArrayLike, ""] = KEEP,
+    keep: Float[ArrayLike, ""] = KEEP_WEIGHT,
 ) -> Float[Array, "h w c"]:
     """Average a frame's channels with the last frame's at the same surface points.
 
@@ -157,7 +157,7 @@ def steady(
     if kept != count:
         raise InputError(f"channels: {count} of this frame, {kept} in the memory; they must be as many")
     before, found = recall(memory, depth, pose, intrinsics)
-    usable = (found & (jnp.mean(found) >= LEAST_FOUND))[..., None] & jnp.isfinite(before)
+    usable = (found & (jnp.mean(found) >= LEAST_FOUND_SHARE))[..., None] & jnp.isfinite(before)
     mean = jnp.where(jnp.isfinite(channels), channels + keep * (before - channels), before)
     return jnp.where(usable, mean, channels)
 
@@ -185,7 +185,7 @@ class Video:
             anew.
     """
 
-    keep: float = KEEP
+    keep: float = KEEP_WEIGHT
     memory: Memory | None = None
 
     def __post_init__(self) -> None:

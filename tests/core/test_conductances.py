@@ -8,7 +8,7 @@ import pytest
 from reference.arkit_export import write_depth
 
 from experiments import conductances
-from experiments.conductances import AT_JUMPS, Config, compare, kinds, levels, main
+from experiments.conductances import JUMP_CONDUCTANCE, Config, compare, kinds, levels, main
 from experiments.records import FILE, of_kind, read_rows
 from hyjax.guide.choose import RgbGuide
 from hyjax.pairs.depth_pairs import DepthPair
@@ -99,7 +99,7 @@ def test_a_guide_that_knows_is_told_from_one_that_does_not(
     found = {name: [row for row in rows if row["guide"] == name] for name in ("rgb", "red")}
     assert [len(own) for own in found.values()] == [2, 2]
     for row in rows:
-        np.testing.assert_allclose(row["jump"], AT_JUMPS, atol=0.02)
+        np.testing.assert_allclose(row["jump"], JUMP_CONDUCTANCE, atol=0.02)
     assert all(row["area"] > 0.999 and row["texture"] > 0.9 and row["stopped"] == 0 for row in found["red"])
     assert all(row["area"] < 0.95 and row["texture"] < 0.15 and row["crease"] is None for row in found["rgb"])
     printed = capsys.readouterr().out

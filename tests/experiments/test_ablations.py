@@ -47,7 +47,7 @@ def test_a_shifted_shadow() -> None:
 def test_a_lost_shadow_is_the_worst() -> None:
     found = compare(np.ones((64, 64)), square(20), np.ones((64, 64), bool))
     assert found is not None
-    assert found["overlap"] == 0.0 and found["border_offset"] == ablation_shadow.FARTHEST
+    assert found["overlap"] == 0.0 and found["border_offset"] == ablation_shadow.FARTHEST_PIXELS
 
 
 def test_no_shadow_is_not_judged_and_what_does_not_count_is_not_either() -> None:

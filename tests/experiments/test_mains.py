@@ -82,7 +82,7 @@ def test_conductances(tmp_path: Path) -> None:
     assert guide["guide"] == "rgb" and guide["kappa"] > 0
     found = of_kind(rows, "pair")
     medians = [row["jump"] for row in found]
-    assert len(found) == 2 and min(medians) - 1e-6 <= conductances.AT_JUMPS <= max(medians) + 1e-6
+    assert len(found) == 2 and min(medians) - 1e-6 <= conductances.JUMP_CONDUCTANCE <= max(medians) + 1e-6
     assert all(row["plain"] > 0.9 and row["area"] > 0.9 for row in found)  # planes of one colour
 
 
@@ -159,7 +159,7 @@ def test_truth(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.slow
 def test_readme_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(readme_picture, "KEPT", tmp_path / "readme.jpg")
+    monkeypatch.setattr(readme_picture, "KEPT_PICTURE", tmp_path / "readme.jpg")
     config = readme_picture.Config(
         room="builtin-0", shown=("evening-lamps:1",), photos=2, size=(96, 72), quality=0.25, keep=True, out=tmp_path
     )

@@ -9,7 +9,7 @@ import pytest
 from experiments import dark_frames, real, real_bench
 from experiments.real_bench import UP, through_shades
 from experiments.real_fit import Target, checkerboard, chosen_lights, fit_strengths, smooth_picture
-from experiments.real_methods import BEST, BLUR_4, FEW, GAINS, METHODS, NEW, PHOTO, SMOOTH, SMOOTH_BEST
+from experiments.real_methods import BEST, BLUR_4, FEW_UNKNOWNS, GAINS, METHODS, NEW, PHOTO, SMOOTH, SMOOTH_BEST
 from experiments.real_scores import ratio_scores
 from experiments.records import of_kind
 from hyjax.data import builtin_room
@@ -80,7 +80,7 @@ def test_a_generated_room_through_an_s_curve(tmp_path: Path, monkeypatch: pytest
         assert scores[SMOOTH]["psnr"] > scores[GAINS]["psnr"] > scores[PHOTO]["psnr"] - 0.5
         assert scores[NEW]["psnr"] > scores[GAINS]["psnr"]
         assert scores[BLUR_4]["sie"] < scores[NEW]["sie"]
-        assert row["unknowns"][BEST] == row["unknowns"][SMOOTH_BEST] == row["unknowns"][SMOOTH] == FEW
+        assert row["unknowns"][BEST] == row["unknowns"][SMOOTH_BEST] == row["unknowns"][SMOOTH] == FEW_UNKNOWNS
     assert {file.name for file in config.out.glob("*.png")} == {"builtin-0-true-ab.png", "builtin-0-true-ba.png"}
 
 

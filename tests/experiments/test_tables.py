@@ -40,7 +40,7 @@ def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "README.md").write_text("Before.\n\n<!-- table: scores -->\n<!-- end -->\n\nAfter.\n")
     (tmp_path / "docs").mkdir()
     monkeypatch.setattr(tables, "ROOT", tmp_path)
-    monkeypatch.setattr(tables, "KEPT", kept)
+    monkeypatch.setattr(tables, "KEPT_FOLDER", kept)
     monkeypatch.setattr(tables, "TABLES", {"scores": Published("scores")})
     tables.kept_run.cache_clear()
     return tmp_path / "README.md"
@@ -92,7 +92,7 @@ def test_kept_rows_are_those_of_the_run(tmp_path: Path, monkeypatch: pytest.Monk
     results = Results(tmp_path, "stage_times", RunConfig())
     results.add(kind="time", values=[1.0, 2.5], note="ü")
     results.add(kind="tried", values=[3.0])
-    monkeypatch.setattr(tables, "KEPT", tmp_path / "kept")
+    monkeypatch.setattr(tables, "KEPT_FOLDER", tmp_path / "kept")
     found = tables.kept_rows(tables.keep(results.path, "name", "idle", ("tried",)))
     assert found == [row | {"load_told": "idle"} for row in results.rows[:1]]
     assert tables.load(found) == "idle"
@@ -125,7 +125,9 @@ def test_the_command_has_the_options_that_are_not_usual() -> None:
 
 
 def test_every_kept_file_is_published() -> None:
-    assert {path.stem for path in tables.KEPT.glob("*.jsonl")} == {published.rows for published in TABLES.values()}
+    assert {path.stem for path in tables.KEPT_FOLDER.glob("*.jsonl")} == {
+        published.rows for published in TABLES.values()
+    }
 
 
 def test_every_committed_picture_and_its_command_are_on_the_page_of_results() -> None:

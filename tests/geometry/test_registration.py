@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.raycast import RayCaster
-from hyjax.geometry.registration import FARTHEST, mean_motion, register, registered
+from hyjax.geometry.registration import MOST_SHIFT, mean_motion, register, registered
 from hyjax.geometry.tsdf import fuse
 
 LENS = Intrinsics(96, 72, 80.0, 80.0, 48.0, 36.0)
@@ -81,7 +81,7 @@ def test_what_is_too_far_away_stays(corner: trimesh.Trimesh) -> None:
     (reading,) = seen(corner, 1)
     caster = RayCaster(corner)
     away = reading.camera.pose.copy()
-    away[:3, 3] += (2 * FARTHEST, 0, 0)
+    away[:3, 3] += (2 * MOST_SHIFT, 0, 0)
     assert registered(reading, caster, 6.0, first=away) is reading
     empty = reading._replace(depth=np.zeros_like(reading.depth))
     assert registered(empty, caster, 6.0) is empty

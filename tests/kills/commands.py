@@ -99,9 +99,9 @@ def _tuned(out: Path) -> dict[str, Any]:
 
 def entries(out: Path) -> dict[str, Any]:
     """Losses of a tuning's trials by their choices; those of one key are equal in all runs."""
-    from hyjax.tuning.study import NAME, kept_trials
+    from hyjax.tuning.study import FILE_NAME, kept_trials
 
-    return {repr(sorted(t.choices.items())): t.losses for t in kept_trials(out / NAME, "cascade")}
+    return {repr(sorted(t.choices.items())): t.losses for t in kept_trials(out / FILE_NAME, "cascade")}
 
 
 RELIGHT = ["relight", "--size", SIZE, "--save-filters", "--quiet"]

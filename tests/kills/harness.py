@@ -15,7 +15,7 @@ from pathlib import Path
 from hyjax.data.trees import open_tree
 from hyjax.data.video_frames import VideoFrames
 from hyjax.util.errors import InputError
-from hyjax.util.files import PART
+from hyjax.util.files import PART_SUFFIX
 from hyjax.util.images import read_image
 from hyjax.util.reading import read_json
 
@@ -193,7 +193,9 @@ def damages(out: Path) -> list[str]:
     found = []
     for file in sorted(out.rglob("*")):
         inside = file.relative_to(out).parts
-        if not file.is_file() or any(PART in part or part.startswith(".") or "tmp" in part for part in inside):
+        if not file.is_file() or any(
+            PART_SUFFIX in part or part.startswith(".") or "tmp" in part for part in inside
+        ):
             continue
         try:
             if file.suffix in (".png", ".exr"):
@@ -213,4 +215,4 @@ def leftovers(out: Path) -> list[str]:
     """Temporary names in a finished run's folder or beside it that are this run's."""
     names = [str(file.relative_to(out.parent)) for file in out.rglob("*")]
     names += [file.name for file in out.parent.glob(f".{out.name}.*")]
-    return [f"left over: {name}" for name in names if PART in name or "orbax-checkpoint-tmp" in name]
+    return [f"left over: {name}" for name in names if PART_SUFFIX in name or "orbax-checkpoint-tmp" in name]

@@ -12,7 +12,7 @@ from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, Spo
 from hyjax.live.caster import LiveCaster
 from hyjax.live.mesh import LiveMesh
 from hyjax.live.shadow import LiveShadowMaps, LiveSurface
-from hyjax.live.volume import LEFT, UNSEEN, LiveVolume, make_pool
+from hyjax.live.volume import KEPT_SHARE, UNSEEN_VALUE, LiveVolume, make_pool
 from hyjax.util.errors import InputError
 
 VOXEL = 0.05
@@ -83,11 +83,13 @@ def test_pieces_have_the_triangles_of_the_whole(before: list, after: list) -> No
         pass
     blocks, distance = volume.meshed()
     low, size = blocks.min(axis=0), np.ptp(blocks, axis=0) + 1
-    dense = np.full((size[0], 8, size[1], 8, size[2], 8), UNSEEN, np.float32)
+    dense = np.full((size[0], 8, size[1], 8, size[2], 8), UNSEEN_VALUE, np.float32)
     x, y, z = (blocks - low).T
     dense[x, :, y, :, z, :] = distance.reshape(-1, 8, 8, 8)
     dense = dense.reshape(tuple(8 * size))
-    vertices, faces = zero_crossing(np.where(dense < UNSEEN, dense, 1.0).astype(np.float32), dense < UNSEEN)
+    vertices, faces = zero_crossing(
+        np.where(dense < UNSEEN_VALUE, dense, 1.0).astype(np.float32), dense < UNSEEN_VALUE
+    )
     whole = mesh.whole()
     corners = ((vertices + 8 * low) * VOXEL)[faces]
     assert len(whole.faces) == len(faces)
@@ -109,7 +111,7 @@ def test_normals_have_no_seams(before: list) -> None:
 
 def test_memory_is_bounded(before: list) -> None:
     volume = volume_of(before, LiveVolume(VOXEL, most_blocks=300))
-    assert LEFT * 300 <= volume.count <= 300
+    assert KEPT_SHARE * 300 <= volume.count <= 300
     mesh = LiveMesh(volume)
     mesh.renew()
     volume_of(before[:12], volume)

@@ -14,7 +14,7 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import enclose, trace
 from hyjax.light.transport import Transport, bounce, gather, send
 from hyjax.photo_light.basis import BINS, make_basis, window_light
-from hyjax.photo_light.belief import FOLDS, LARGEST_SIDE, LEAST_SHARE, folds
+from hyjax.photo_light.belief import FOLD_COUNT, LARGEST_SIDE, LEAST_SHARE, folds
 from hyjax.photo_light.estimate import estimate_arrays, read_estimate
 from hyjax.photo_light.fit import FitProblem, fit_sources, illuminance, loss
 from hyjax.photo_light.pairs import coplanar_pairs
@@ -148,7 +148,7 @@ def test_pairs_lie_on_one_plane_and_blocks_are_held_out_whole(lit: Lit) -> None:
     for scale in (1.0, 0.3):  # the corner of a room needs smaller blocks than all of it
         first = scale * position[pairs[:, 0]]
         fold = folds(first)
-        assert np.bincount(fold, minlength=FOLDS).min() >= LEAST_SHARE * len(pairs)
+        assert np.bincount(fold, minlength=FOLD_COUNT).min() >= LEAST_SHARE * len(pairs)
         if scale == 1.0:
             _, block = np.unique(np.floor(first / LARGEST_SIDE).astype(int), axis=0, return_inverse=True)
             assert all(len(set(fold[block.reshape(-1) == n])) == 1 for n in range(block.max() + 1))

@@ -123,7 +123,7 @@ def test_damaged_depth_maps_are_left_out_with_a_line(caplog: pytest.LogCaptureFi
 
 def test_a_fusion_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the same result, bit by bit, and without reading again what it had."""
-    monkeypatch.setattr(tsdf, "SAVE_EVERY", -1.0)
+    monkeypatch.setattr(tsdf, "SAVE_INTERVAL", -1.0)
     capture, checkpoint = Walls(2.0, KINECT, count=6), tmp_path / "cache" / "fusion.npz"
     plan = plan_fusion(capture, FusionSettings())
     whole = fuse_capture(capture, plan, progress=False)
@@ -143,7 +143,7 @@ def test_a_fusion_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_frames_in_a_checkpoint_are_not_fused_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tsdf, "SAVE_EVERY", -1.0)
+    monkeypatch.setattr(tsdf, "SAVE_INTERVAL", -1.0)
     checkpoint, frames = tmp_path / "fusion.npz", list(Walls(2.0, KINECT, count=6))
 
     def stopped() -> Iterator[Frame]:

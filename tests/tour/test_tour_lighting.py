@@ -13,7 +13,7 @@ from reference.tour_plans import SURFACE, UP, afternoon, lamps
 
 from hyjax.light.kinds import AmbientLight, DirectionalLight, PointLight, RectLight, SpotLight
 from hyjax.light.setup import LightSetup, geometry_key
-from hyjax.tour.lighting import GLASS, flicker, lights_of, setup_of
+from hyjax.tour.lighting import GLASS_TRANSMITTANCE, flicker, lights_of, setup_of
 from hyjax.tour.plan import KINDS, TourPlan
 
 
@@ -45,7 +45,9 @@ def test_a_window_lets_half_of_an_open_sky_in() -> None:
     plan = afternoon(weather="cloudy")
     light = lights_of(plan, UP, SURFACE)[0]
     assert isinstance(light, RectLight)
-    assert float(light.luminous_flux) == pytest.approx(GLASS * (0.5 + 0.5 * 0.2) * plan.sky().sky * 2.0)
+    assert float(light.luminous_flux) == pytest.approx(
+        GLASS_TRANSMITTANCE * (0.5 + 0.5 * 0.2) * plan.sky().sky * 2.0
+    )
 
 
 def test_at_night_the_camera_takes_longer_but_it_stays_darker() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator, Hashable, Iterator
 
 import pytest
 
-from hyjax.tour.render_queue import QUIET, RenderQueue
+from hyjax.tour.render_queue import QUIET_SECONDS, RenderQueue
 
 WAIT = 20.0
 
@@ -87,7 +87,7 @@ def test_drafts_are_rendered_finely_once_it_is_quiet(queue: RenderQueue, rendere
     queue.request("a", "b")
     renderer.until(lambda: len(renderer.rendered) == 4)
     assert renderer.rendered == [("a", True), ("b", True), ("a", False), ("b", False)]
-    assert time.monotonic() - begun >= QUIET
+    assert time.monotonic() - begun >= QUIET_SECONDS
 
 
 def test_a_viewer_who_has_left_gets_no_picture(queue: RenderQueue, renderer: SlowRenderer) -> None:
@@ -147,7 +147,7 @@ def test_flickering_delays_neither_fine_pictures_nor_jobs(queue: RenderQueue, re
     while ("a", False) not in renderer.rendered or len(steps) < 3:
         assert time.monotonic() < end
         queue.request("a", interactive=False)
-        time.sleep(0.5 * QUIET)
+        time.sleep(0.5 * QUIET_SECONDS)
 
 
 def test_requests_without_end_leave_every_other_turn(renderer: SlowRenderer) -> None:

@@ -18,7 +18,7 @@ from hyjax.metrics.losses import filter_loss
 from hyjax.tuning.budget import MOST_STEPS
 from hyjax.tuning.cases import Case, raw_filter, refined_filter
 from hyjax.tuning.relaxation import (
-    BLOCK,
+    BLOCK_STEPS,
     FIDELITY_RANGE,
     Prepared,
     RelaxedSchedule,
@@ -69,7 +69,7 @@ def random_point(steps: tuple[float, ...], seed: int) -> RelaxedSchedule:
 
 # ---- whole steps ----
 
-COUNTS = (0, 1, 2, BLOCK, BLOCK + 1)
+COUNTS = (0, 1, 2, BLOCK_STEPS, BLOCK_STEPS + 1)
 """Few, and both sides of a block's end: the real cascade is compiled for each combination."""
 
 
@@ -165,7 +165,7 @@ NEAR = 1e-3
 
 
 @pytest.mark.parametrize("level", range(3))
-@pytest.mark.parametrize("count", [1, 2, BLOCK, BLOCK + 1])
+@pytest.mark.parametrize("count", [1, 2, BLOCK_STEPS, BLOCK_STEPS + 1])
 def test_continuous_at_whole_steps(cases: dict, level: int, count: int) -> None:
     """From both sides; 1 is where a level is fully there, multiples of BLOCK where another block is entered."""
     _, prepared = cases[SIZES[0]]
@@ -238,7 +238,7 @@ def test_the_loss_is_the_one_of_the_real_filter(fine: tuple[Case, Prepared]) -> 
             np.testing.assert_allclose(loss, want, rtol=1e-5)
 
 
-@pytest.mark.parametrize("steps", [FREE, (0.4, 2.5), (0.7, 0.2), (BLOCK + 0.5, 1.5)])
+@pytest.mark.parametrize("steps", [FREE, (0.4, 2.5), (0.7, 0.2), (BLOCK_STEPS + 0.5, 1.5)])
 def test_gradients_are_the_differences(fine: tuple[Case, Prepared], steps: tuple[float, ...]) -> None:
     """Every entry: steps between whole numbers (of levels half there, too), log κ, logit λ, log α."""
     _, prepared = fine

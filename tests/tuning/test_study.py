@@ -15,7 +15,7 @@ from hyjax.tuning.evaluator import StudyEvaluator
 from hyjax.tuning.replay import front_configurations
 from hyjax.tuning.search import State, init, search, update
 from hyjax.tuning.space import Choices, Space, key_of, structure
-from hyjax.tuning.study import NAME, Study, kept_trials
+from hyjax.tuning.study import FILE_NAME, Study, kept_trials
 from hyjax.tuning.trial import Trial, front_of_trials
 from hyjax.util.errors import InputError
 
@@ -98,11 +98,11 @@ def test_another_machine_measures_times_anew(tmp_path: Path) -> None:
 
 def test_kept_trials_are_those_of_the_search(tmp_path: Path) -> None:
     whole, _ = run(tmp_path, 10)
-    found = {key_of(trial.choices): trial for trial in kept_trials(tmp_path / NAME)}
+    found = {key_of(trial.choices): trial for trial in kept_trials(tmp_path / FILE_NAME)}
     assert found.keys() == whole.trials.keys()
     for key, trial in whole.trials.items():
         assert (found[key].losses, found[key].time, found[key].phase) == (trial.losses, trial.time, trial.phase)
-    for path, name in ((tmp_path / NAME, "paper"), (tmp_path / "none.log", "frame")):
+    for path, name in ((tmp_path / FILE_NAME, "paper"), (tmp_path / "none.log", "frame")):
         with pytest.raises(InputError, match="no"):
             kept_trials(path, name)
     assert not (tmp_path / "none.log").exists()
@@ -111,7 +111,7 @@ def test_kept_trials_are_those_of_the_search(tmp_path: Path) -> None:
 def test_a_kept_front_is_a_few_configurations(tmp_path: Path) -> None:
     """Of the trials on all cases, from fast to good."""
     whole, _ = run(tmp_path, 14)
-    made = front_configurations(kept_trials(tmp_path / NAME))
+    made = front_configurations(kept_trials(tmp_path / FILE_NAME))
     front = front_of_trials(list(whole.trials.values()), cases=8)
     assert len(front) >= 2 and len(made) == min(3, len(front))
     assert [made[0].name, made[-1].name] == [f"tuned-{t.time:.2f}" for t in (front[0], front[-1])]
@@ -157,17 +157,17 @@ def test_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize("content", ["not a journal\n", '{"op_code": 99}\n', "[]\n", "\x00\xff\n", '{"a": 1}\n{"b'])
 def test_a_damaged_journal_is_refused(content: str, tmp_path: Path) -> None:
-    (tmp_path / NAME).write_text(content, encoding="utf-8")
+    (tmp_path / FILE_NAME).write_text(content, encoding="utf-8")
     assert "is no journal of a study" in refusal(tmp_path, SETTINGS, resume=True)
     with pytest.raises(InputError, match="has no trials"):
-        kept_trials(tmp_path / NAME)
+        kept_trials(tmp_path / FILE_NAME)
 
 
 def test_a_line_that_was_cut_off_is_left_out(tmp_path: Path) -> None:
     """A crash may leave one."""
     run(tmp_path, 6)
-    text = (tmp_path / NAME).read_text(encoding="utf-8")
-    (tmp_path / NAME).write_text(text[:-20], encoding="utf-8")
+    text = (tmp_path / FILE_NAME).read_text(encoding="utf-8")
+    (tmp_path / FILE_NAME).write_text(text[:-20], encoding="utf-8")
     whole, evaluator = run(tmp_path, 6, resume=True)
     assert len(whole.trials) == 6 and evaluator.computed <= 4
     assert all(json.loads(line) for line in text.splitlines())

@@ -31,7 +31,7 @@ from hyjax.tuning.report_text import summary
 from hyjax.tuning.request import parse_budgets, split_frames
 from hyjax.tuning.result import Tuned
 from hyjax.tuning.settings import FrameOptions, TuneScene, TuneSettings
-from hyjax.tuning.study import NAME, kept_trials
+from hyjax.tuning.study import FILE_NAME, kept_trials
 from hyjax.tuning.trial import Trial
 from hyjax.util import clock as latency
 from hyjax.util.images import read_image
@@ -133,7 +133,7 @@ def tuned(surroundings: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
 def test_everything_is_written(tuned: tuple[Tuned, Path]) -> None:
     result, out = tuned
     names = {path.name for path in out.iterdir()}
-    assert {"schedule.json", "schedule-3ms.json", "schedule-1.5ms.json", "front", NAME} <= names
+    assert {"schedule.json", "schedule-3ms.json", "schedule-1.5ms.json", "front", FILE_NAME} <= names
     assert {"pareto.csv", "pareto.png", "report.html", "contact_sheet.png"} <= names
     assert not [name for name in names if ".part" in name]
     assert Schedule.from_json((out / "schedule.json").read_text()).to_json() == result.schedule.to_json()
@@ -246,11 +246,11 @@ def test_a_finished_run_resumed_computes_nothing(
     tuned: tuple[Tuned, Path], surroundings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, out = tuned
-    before, want = kept_trials(out / NAME, "cascade"), schedules(out)
+    before, want = kept_trials(out / FILE_NAME, "cascade"), schedules(out)
     monkeypatch.setattr(CascadeStage, "polished", None)
     monkeypatch.setattr(CascadeEvaluator, "__call__", None)
     assert run_again(surroundings, out, resume=True) == want
-    assert kept_trials(out / NAME, "cascade") == before
+    assert kept_trials(out / FILE_NAME, "cascade") == before
 
 
 def test_time_is_up_at_once(surroundings: dict[str, Any], tmp_path: Path) -> None:

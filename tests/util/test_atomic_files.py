@@ -89,7 +89,7 @@ def test_nothing_is_removed_where_there_are_no_locks(tmp_path: Path, monkeypatch
     monkeypatch.setattr(files, "try_lock", lambda _: None)
     remove_stale(tmp_path)
     assert left.exists()
-    monkeypatch.setattr(files, "WINDOWS", True)
+    monkeypatch.setattr(files, "ON_WINDOWS", True)
     monkeypatch.setattr(files, "try_lock", lambda _: pytest.fail("asked for a lock"))
     remove_stale(tmp_path)
     assert left.exists()
@@ -105,7 +105,7 @@ def test_files_are_synchronised_through_descriptors_that_may_write_on_windows(
         flags.append(flag)
         return actual(path, flag, *more)
 
-    monkeypatch.setattr(files, "WINDOWS", True)
+    monkeypatch.setattr(files, "ON_WINDOWS", True)
     monkeypatch.setattr(os, "open", opened)
     write_text(tmp_path / "a.txt", "whole")
     assert flags[1] & os.O_RDWR and (tmp_path / "a.txt").read_text() == "whole"

@@ -14,7 +14,7 @@ from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.settings import SceneSettings
 from hyjax.tuning.settings import TuneSettings
-from hyjax.tuning.study import NAME
+from hyjax.tuning.study import FILE_NAME
 from hyjax.tuning.tune import tune_schedule
 from hyjax.util.claims import claimed
 from hyjax.util.errors import InputError
@@ -88,6 +88,6 @@ def test_a_relighting_that_is_refused_leaves_the_files_of_the_other(
 
 def test_a_tuning_of_a_folder_in_use_does_not_say_that_it_can_go_on(tmp_path: Path) -> None:
     need("tune")
-    (tmp_path / NAME).write_text("{}\n")
+    (tmp_path / FILE_NAME).write_text("{}\n")
     with of_another(tmp_path), pytest.raises(InputError, match="another run writes there"):
         tune_schedule(settings=TuneSettings(fps=(30.0,), out=tmp_path, quiet=True))

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyjax.util.errors import LONGEST, one_line
+from hyjax.util.errors import LONGEST_MESSAGE, one_line
 
 
 @given(st.text())
@@ -14,8 +14,8 @@ def test_short_texts_keep_what_can_be_shown(text: str) -> None:
 
 
 @pytest.mark.parametrize("letter", ["a", "\n", "\x00", "\u200b", "\U000e0001"])
-@pytest.mark.parametrize("count", [LONGEST // 4, LONGEST + 1, 100_000])
+@pytest.mark.parametrize("count", [LONGEST_MESSAGE // 4, LONGEST_MESSAGE + 1, 100_000])
 def test_long_texts_keep_their_ends_within_the_limit(letter: str, count: int) -> None:
     line = one_line(f"begin{letter * count}end")
-    assert line.isprintable() and len(line) <= LONGEST
+    assert line.isprintable() and len(line) <= LONGEST_MESSAGE
     assert line.startswith("begin") and line.endswith("end")

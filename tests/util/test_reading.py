@@ -23,7 +23,7 @@ from hyjax.util import reading
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
 from hyjax.util.reading import (
-    DEEPEST,
+    DEEPEST_NESTING,
     exists,
     finite,
     open_regular,
@@ -54,7 +54,7 @@ def test_what_json_writes_comes_back(value: object) -> None:
     "text, says",
     [
         ("[" * 100_000, "64 deep"),
-        ("[" * (DEEPEST + 1) + "]" * (DEEPEST + 1), "64 deep"),
+        ("[" * (DEEPEST_NESTING + 1) + "]" * (DEEPEST_NESTING + 1), "64 deep"),
         ('{"a":' * 100_000, "64 deep"),
         ("9" * 5000, "whole number of 5000 digits; at most 20"),
         (str(2**64), "beyond 64 bits"),

@@ -11,7 +11,16 @@ from hypothesis import strategies as st
 
 from hyjax import AmbientLight, GBuffer, InputError, LightSetup, PointLight, Schedule, Shaded, View, relight
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
-from hyjax.video.temporal_filter import KEEP, LEAST_FOUND, Memory, Video, fill_depth, recall, remembers, steady
+from hyjax.video.temporal_filter import (
+    KEEP_WEIGHT,
+    LEAST_FOUND_SHARE,
+    Memory,
+    Video,
+    fill_depth,
+    recall,
+    remembers,
+    steady,
+)
 
 SIZE = (24, 32)
 INTRINSICS = Intrinsics(SIZE[1], SIZE[0], 30.0, 30.0, 16.0, 12.0)
@@ -116,7 +125,7 @@ def test_a_frame_that_is_not_a_number_is_forgotten() -> None:
 def test_after_a_jump_all_starts_anew() -> None:
     now, old = camera(3.1), memory(camera(), jnp.zeros((*SIZE, 2)))
     _, found = recall(old, wall(now).depth, *view(now))
-    assert 0 < found.mean() < LEAST_FOUND
+    assert 0 < found.mean() < LEAST_FOUND_SHARE
     np.testing.assert_array_equal(steady(jnp.ones((*SIZE, 2)), wall(now).depth, *view(now), old), 1.0)
 
 
@@ -168,7 +177,7 @@ def test_a_video_of_a_noisy_guide_is_stiller_and_as_bright() -> None:
         free.append(relight(view, shaded, frame, SCHEDULE).refined)
     still, restless = (np.abs(np.diff(np.stack(f[3:]), axis=0)).mean() for f in (kept, free))
     # An exponential mean that keeps k of the last changes by (1-k)/sqrt(1+k) of what independent frames do.
-    assert still < 1.1 * (1 - KEEP) * restless
+    assert still < 1.1 * (1 - KEEP_WEIGHT) * restless
     assert abs(np.mean(kept[-1]) / np.mean(free[-1]) - 1.0) < 0.02
 
 

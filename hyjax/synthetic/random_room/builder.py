@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from hyjax.synthetic.random_room.looks import Looks
 from hyjax.synthetic.room import materials as m
 from hyjax.synthetic.surface import DEGENERATE_AREA, WHITE, Builder, Color, Quads, Surface
-from hyjax.util.vectors import SHORTEST, unit
+from hyjax.util.vectors import SHORTEST_LENGTH, unit
 
 ROLES = {
     m.PAINT: "wall", m.FLOOR: "floor", m.WOOD: "wood", m.FABRIC: "cloth", m.STRIPES: "cloth", m.RUG: "rug",
@@ -131,7 +131,7 @@ class RoomBuilder(Builder):
         # Smooth charts share their vertices, hard edges do not: a sum over faces weighted by area is all it takes.
         weights = np.repeat(across, 3, axis=0)
         normals = np.stack([np.bincount(faces.ravel(), weights[:, k], len(points)) for k in range(3)], axis=1)
-        normals = unit(normals, SHORTEST)
+        normals = unit(normals, SHORTEST_LENGTH)
         mesh = trimesh.Trimesh(
             points, faces, face_normals=across / twice[:, None], vertex_normals=normals, process=False
         )
