@@ -80,15 +80,15 @@ def open_nerfstudio(tree: FileTree) -> Recording:
         for index, ((name, entry), short) in enumerate(zip(chosen.items(), short_names(list(chosen))))
     ]
     has_depth = any(shot.depth is not None for shot in shots)
-    up, told = _up(top, [shot.pose for shot in shots], has_depth, tree) if shots else (Z_UP, [])
+    up, up_remarks = _up(top, [shot.pose for shot in shots], has_depth, tree) if shots else (Z_UP, [])
     if listing != NAMES[0]:
-        told = [*told, f"there is no {NAMES[0]}; the frames are those of {listing}"]
+        up_remarks = [*up_remarks, f"there is no {NAMES[0]}; the frames are those of {listing}"]
     return Recording(
         tree,
         shots,
         up=up,
         faults=faults.lines(),
-        remarks=[*remarks.lines(), *told],
+        remarks=[*remarks.lines(), *up_remarks],
         metric=has_depth,
         depth_in_units=True,
     )

@@ -119,10 +119,10 @@ def _read_log(tree: FileTree, name: str, count: int) -> dict[int, Float[np.ndarr
             raise InputError(f"{where}: pose {start // 5} is not three numbers and four rows of four")
         numbers.append(head[0])
         poses.append(np.array(matrix))
-    told = np.array(numbers)
-    usable = bool(np.all(np.isfinite(told)) and np.all(told == np.round(told)) and np.all(np.diff(told) > 0))
-    if len(told) and usable and told[0] >= 0 and told[-1] < count:
-        return dict(zip(map(int, told), poses))
+    given = np.array(numbers)
+    usable = bool(np.all(np.isfinite(given)) and np.all(given == np.round(given)) and np.all(np.diff(given) > 0))
+    if len(given) and usable and given[0] >= 0 and given[-1] < count:
+        return dict(zip(map(int, given), poses))
     return dict(enumerate(poses))
 
 

@@ -147,8 +147,8 @@ class Arrangement:
             scale, most_views: see `cast_shadow_maps`.
         """
         size = scale, most_views
-        own = LightSetup.of(lights).lights
-        return tuple(self._shadow_map(light, size, self.is_coarse(light, *size)) for light in own)
+        usable = LightSetup.of(lights).lights
+        return tuple(self._shadow_map(light, size, self.is_coarse(light, *size)) for light in usable)
 
     def surface_light(
         self,
@@ -160,7 +160,7 @@ class Arrangement:
         """Photo's own light and the bounces of new lights, on the scan's vertices."""
         assert self._photo is not None
         setup, light = LightSetup.of(lights), self._photo.estimate.light
-        bounced = [(own, self._bounced(own)) for own in setup.lights if not own.UNIFORM]
+        bounced = [(lamp, self._bounced(lamp)) for lamp in setup.lights if not lamp.UNIFORM]
         least = least_bounced(setup.lights, light.filled_share)
         return self._photo.with_sources(add_bounces(bounced, least, len(light.illuminance)), setup)
 
@@ -197,8 +197,10 @@ class Arrangement:
         emission = None
         if light.emitters is not None and photographed.sources is not None:
             emission = shine(light.emitters, photographed.sources, view.frame)
-        own, refined = photographed.photo_light, photographed.refined
-        return view, dataclasses.replace(shaded, photo_light=own, refined_photo_light=refined, emission=emission)
+        photo_light, refined = photographed.photo_light, photographed.refined
+        return view, dataclasses.replace(
+            shaded, photo_light=photo_light, refined_photo_light=refined, emission=emission
+        )
 
     def shade_samples(
         self, samples: GBuffer, setup: LightSetup, light: SurfaceLight | None, key: Hashable = None
@@ -212,14 +214,14 @@ class Arrangement:
             key: of the points, under which the light of each lamp is kept; None for not at all.
         """
         bounces = light is not None and light.bounced is not None
-        uniform = [own for own in setup.lights if own.UNIFORM]
+        uniform = [lamp for lamp in setup.lights if lamp.UNIFORM]
         # Bounces stand in the place of lights that fall on any surface alike, unless there are no others.
         left_out = uniform if bounces and len(uniform) < len(setup.lights) else []
         casting = casters(self, setup.lights, self._configuration.shadows.least_share)
         layers = [
-            (own, self._layer(own, samples, key, casts))
-            for own, casts in zip(setup.lights, casting, strict=True)
-            if own not in left_out
+            (lamp, self._layer(lamp, samples, key, casts))
+            for lamp, casts in zip(setup.lights, casting, strict=True)
+            if lamp not in left_out
         ]
         shaded = stack_layers(layers, uniform, samples.hit, setup.reference_lux)
         indirect = None if light is None else indirect_on_pixels(light, samples)
@@ -256,8 +258,8 @@ class Arrangement:
             most = DRAFT_VIEWS if most is None else min(most, DRAFT_VIEWS)
 
         def cast(part: Part, key: Hashable) -> ShadowMap | None:
-            own = part.draft if coarse else part
-            caster: Any = CancellableCaster(own, self._scene.bounds, self._cancelled)
+            caster_of_part = part.draft if coarse else part
+            caster: Any = CancellableCaster(caster_of_part, self._scene.bounds, self._cancelled)
             return self._caches.maps(
                 (geometry, key, *size, coarse), lambda: cast_shadow_maps(caster, [unit], scale, part.slack, most)[0]
             )
@@ -304,15 +306,17 @@ class Arrangement:
         gbuffer = self._seen(scaled(camera, self._configuration.scale), self._scene.apply(TourPlan()))
         samples = run_kept(sample_pixels, gbuffer, sampling=sampling)
         hit = samples.hit[..., None]
-        own = jnp.where(hit, on_pixels(light.photo_light, light.faces, samples), 1.0)
-        known, one = hit.astype(jnp.float32), jnp.ones(3)
-        fields = Shaded(own, jnp.ones_like(own), jnp.eye(3), known, np.float32(1.0), one, sampling=sampling)
+        photo_light = jnp.where(hit, on_pixels(light.photo_light, light.faces, samples), 1.0)
+        hit_weight, one = hit.astype(jnp.float32), jnp.ones(3)
+        fields = Shaded(
+            photo_light, jnp.ones_like(photo_light), jnp.eye(3), hit_weight, np.float32(1.0), one, sampling=sampling
+        )
         refined = run_kept(refine_illuminance, fields, guide.features(view.display), self._configuration.schedule)
         sources = None
         if light.emitters is not None and view.pose is not None and view.intrinsics is not None:
             matrices = (jnp.asarray(matrix, jnp.float32) for matrix in (view.pose, view.intrinsics))
             sources = source_pixels(light.emitters, view.frame, gbuffer, *matrices)
-        return jax.block_until_ready(PhotographedFrame(own, refined, sources))
+        return jax.block_until_ready(PhotographedFrame(photo_light, refined, sources))
 
     def _seen(self, camera: Camera, parts: SceneParts) -> GBuffer:
         """Surface points of parts that a camera sees."""

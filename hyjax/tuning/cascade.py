@@ -59,8 +59,8 @@ class CascadeJudge:
 
     def scores(self, configuration: Configuration, cases: Sequence[int]) -> list[Scores]:
         """Scores of each case, in their order."""
-        own = [self.known[place] for place in cases]
-        return [scores([case], [refined_filter(case, configuration.schedule)]) for case in own]
+        chosen = [self.known[number] for number in cases]
+        return [scores([case], [refined_filter(case, configuration.schedule)]) for case in chosen]
 
 
 class CascadeStage(Stage):
@@ -113,11 +113,11 @@ class CascadeStage(Stage):
     def starts(self, limits: Sequence[float]) -> list[Choices]:
         """Steps of the paper's schedules, and for each limit in turn time shared between runs of levels."""
         table, seed = self.own_clock.table, self.settings.scene.seed
-        known = [table.steps_of(c.schedule) for c in self.references()]
-        points = [RelaxedSchedule.of(steps) for steps in known if max(steps) <= MOST_STEPS]
+        step_counts = [table.steps_of(c.schedule) for c in self.references()]
+        points = [RelaxedSchedule.of(steps) for steps in step_counts if max(steps) <= MOST_STEPS]
         drawn = [starts(STARTS, self.own_clock.cost, limit * self._usual_cost, seed) for limit in limits]
         size = len(self.factors)
-        turns = itertools.zip_longest(*(own[size:] + own[:size] for own in drawn))  # single steps last
+        turns = itertools.zip_longest(*(singles[size:] + singles[:size] for singles in drawn))  # single steps last
         points += [point for turn in turns for point in turn if point is not None]
         return [with_point(self.space.default, self.space, point, self.factors) for point in points]
 
@@ -154,11 +154,13 @@ class CascadeStage(Stage):
         return made
 
     def named(self, candidate: Candidate, budget: Budget) -> Configuration:
-        own = candidate.configuration
+        configuration = candidate.configuration
         if not candidate.name.startswith("tuned-"):
-            return own
+            return configuration
         name = f"tuned-{budget.slug}" + (f" on {self.own_clock.device}" if self.own_clock.device else "")
-        return dataclasses.replace(own, name=name, schedule=dataclasses.replace(own.schedule, name=name))
+        return dataclasses.replace(
+            configuration, name=name, schedule=dataclasses.replace(configuration.schedule, name=name)
+        )
 
     def prediction_errors(self, state: State, tuned: Sequence[Candidate]) -> list[float]:
         timed = [c for c in tuned if not c.time.predicted]
@@ -166,7 +168,7 @@ class CascadeStage(Stage):
 
     def decisive(self) -> dict[str, Any]:
         scene, accurate = self.bench.scene, self.bench.accurate
-        told = {
+        record = {
             "capture": scene.capture.fingerprint,
             "meshes": [_fingerprint(scene), None if accurate is None else _fingerprint(accurate)],
             "lights": str(self.bench.lights),
@@ -177,11 +179,11 @@ class CascadeStage(Stage):
             "device": self._environment["device"],
             "versions": {name: self._environment["versions"][name] for name in ("hyjax", "jax", "jaxlib")},
         }
-        return told | ({"latency": self.latency.fingerprint} if self.latency.fingerprint else {})
+        return record | ({"latency": self.latency.fingerprint} if self.latency.fingerprint else {})
 
     def record(self) -> dict[str, Any]:
         name, table = self.bench.name, self.own_clock.table
-        told: dict[str, Any] = {
+        record: dict[str, Any] = {
             "capture": self.bench.scene.capture.name,
             "guide": self.bench.guide.name,
             "meshes": self.bench.description,
@@ -196,8 +198,8 @@ class CascadeStage(Stage):
             },
         }
         if self.own_clock.device:
-            told |= {"device": self.own_clock.device, "searched on": self._environment["device"]}
-        return told
+            record |= {"device": self.own_clock.device, "searched on": self._environment["device"]}
+        return record
 
 
 def tune_bench(

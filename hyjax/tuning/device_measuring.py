@@ -106,15 +106,15 @@ class Measuring:
         with self._changed:
             self._jobs += 1
             current = self._job = _Job(self._jobs, request, schedules)
-            self._heard, told = time.monotonic(), False
+            self._heard, reported = time.monotonic(), False
             self._changed.notify_all()
             while not current.done:
                 self._changed.wait(1.0)
                 silent = time.monotonic() - self._heard > SILENCE
-                if silent and not told:
+                if silent and not reported:
                     name = "the device" if self.device is None else self.device.name
                     self.say(f"nothing is heard of {name}; open the page again there, it goes on where it stopped")
-                told = silent
+                reported = silent
             self._job = None
             return current.rounds, [at - current.arrived[0] for at in current.arrived]
 

@@ -35,15 +35,16 @@ def numbers_of(configuration: Configuration, *, levels: bool) -> Numbers:
         configuration: any.
         levels: κ, λ and α of each level instead of their geometric means.
     """
-    own, shadow, light = configuration.schedule, configuration.shadow_schedule, configuration.light
+    schedule, shadow, light = configuration.schedule, configuration.shadow_schedule, configuration.light
     found: dict[str, list[float]] = {
-        "kappa": [float(np.asarray(level.kappa)) for level in own.levels],
+        "kappa": [float(np.asarray(level.kappa)) for level in schedule.levels],
         "lam": [
-            float(np.mean(np.asarray(level.step_sizes))) if level.steps else DEFAULT_LAM for level in own.levels
+            float(np.mean(np.asarray(level.step_sizes))) if level.steps else DEFAULT_LAM
+            for level in schedule.levels
         ],
     }
-    if all(level.fidelity is not None for level in own.levels):
-        found["fidelity"] = [max(float(np.asarray(level.fidelity)), 0.01) for level in own.levels]
+    if all(level.fidelity is not None for level in schedule.levels):
+        found["fidelity"] = [max(float(np.asarray(level.fidelity)), 0.01) for level in schedule.levels]
     if any(level.steps for level in shadow.levels):
         found["shadow_kappa"] = [float(np.asarray(level.kappa)) for level in shadow.levels]
     if configuration.mode == "linear" and light.photo_light == "divided":
@@ -59,22 +60,22 @@ def numbers_of(configuration: Configuration, *, levels: bool) -> Numbers:
 
 def with_numbers(configuration: Configuration, numbers: Mapping[str, Array]) -> Configuration:
     """The configuration with other numbers of its cascades; they may be traced."""
-    own = {name: numbers.get(name) for name in ("kappa", "lam", "fidelity")}
+    cascade_numbers = {name: numbers.get(name) for name in ("kappa", "lam", "fidelity")}
     return dataclasses.replace(
         configuration,
-        schedule=with_cascade_numbers(configuration.schedule, **own),
+        schedule=with_cascade_numbers(configuration.schedule, **cascade_numbers),
         shadow_schedule=with_cascade_numbers(configuration.shadow_schedule, kappa=numbers.get("shadow_kappa")),
     )
 
 
 def settled(configuration: Configuration, numbers: Mapping[str, Array]) -> Configuration:
     """`with_numbers` of known numbers, those of the light among them."""
-    whole = with_numbers(configuration, numbers)
+    changed = with_numbers(configuration, numbers)
     light = configuration.light
     for name in ("photo_exponent", "bounce_gain"):
         if name in numbers:
             light = light.replace(**{name: round(float(numbers[name]), 4)})
-    return dataclasses.replace(whole, light=light).check()
+    return dataclasses.replace(changed, light=light).check()
 
 
 def refine_numbers(
@@ -99,7 +100,7 @@ def refine_numbers(
         expired: asked before each iteration.
     """
     lit = [lit_case(configuration, judge, case) for case in cases]
-    gains = [judge.loss.gains(np.asarray(refined_picture(frame, own)), target) for frame, target, own in lit]
+    gains = [judge.loss.gains(np.asarray(refined_picture(frame, judged)), target) for frame, target, judged in lit]
     most = max(frame.shaded.illuminance.shape[-1] for frame, _, _ in lit)
     alike = [padded(frame, most) for frame, _, _ in lit]
     start = numbers_of(configuration, levels=levels)
@@ -124,9 +125,9 @@ def refine_numbers(
         if expired():
             break
         losses, slopes = [], []
-        for place, (frame, (_, target, _)) in enumerate(zip(alike, lit, strict=True)):
-            (loss, image), change = slope(logs, frame, gains[place], target.picture, target.valid)
-            gains[place] = judge.loss.gains(np.asarray(image), target)  # for the next time
+        for index, (frame, (_, target, _)) in enumerate(zip(alike, lit, strict=True)):
+            (loss, image), change = slope(logs, frame, gains[index], target.picture, target.valid)
+            gains[index] = judge.loss.gains(np.asarray(image), target)  # for the next time
             losses.append(float(loss))
             slopes.append(change)
         first = np.maximum(losses, 1e-9) if first is None else first
@@ -135,7 +136,7 @@ def refine_numbers(
         report(iteration, relative)
         if relative < lowest:
             best, lowest = logs, relative
-        total = {name: sum(w * each[name] for w, each in zip(shares, slopes)) for name in logs}
+        total = {name: sum(w * slope_of[name] for w, slope_of in zip(shares, slopes)) for name in logs}
         updates, state = optimizer.update(total, state)
         logs = {name: _bounded(name, value) for name, value in optax.apply_updates(logs, updates).items()}
     return settled(configuration, {name: jnp.exp(value) for name, value in best.items()})
@@ -150,17 +151,17 @@ def _bounded(name: str, log: Array) -> Array:
 
 def lit_case(configuration: Configuration, judge: Judge, case: FrameCase) -> tuple[LitFrame, Target, Configuration]:
     scene = judge.scenes[case[0]]
-    own = scene.judged(configuration)
-    return scene.relighter(case[1], own).lit(case[2]), scene.target(case[1], case[2]), own
+    judged = scene.judged(configuration)
+    return scene.relighter(case[1], judged).lit(case[2]), scene.target(case[1], case[2]), judged
 
 
 def _picture(logs: Numbers, start: Numbers, configuration: Configuration, lit: LitFrame) -> Float[Array, "h w 3"]:
     numbers, shaded = {name: jnp.exp(value) for name, value in logs.items()}, lit.shaded
     if "photo_exponent" in numbers and shaded.photo_light is not None:
         more = numbers["photo_exponent"] / start["photo_exponent"]
-        light, known = shaded.photo_light, shaded.photo_light > 0
+        light, has_light = shaded.photo_light, shaded.photo_light > 0
         shaded = dataclasses.replace(
-            shaded, photo_light=jnp.where(known, jnp.where(known, light, 1.0) ** more, light)
+            shaded, photo_light=jnp.where(has_light, jnp.where(has_light, light, 1.0) ** more, light)
         )
     if "bounce_gain" in numbers and shaded.bounced is not None:
         shaded = dataclasses.replace(shaded, bounced=shaded.bounced * numbers["bounce_gain"] / start["bounce_gain"])

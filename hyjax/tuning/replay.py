@@ -33,8 +33,8 @@ def replay(journal: Path, settings: TuneSettings) -> Tuned:
     trials = kept_trials(journal)
     bench = open_frame_bench(settings.check())
     found = [Configuration(), Configuration.paper(), *front_configurations(trials)]
-    told = prove(found, FrameStage(bench, settings), progress=not settings.quiet)
-    references, tuned, budgets = told[:2], told[2:], settings.budgets()
+    candidates = prove(found, FrameStage(bench, settings), progress=not settings.quiet)
+    references, tuned, budgets = candidates[:2], candidates[2:], settings.budgets()
     best = [best_within(budget, tuned) for budget in budgets]
     front = front_of(tuned)
     return Tuned(

@@ -96,8 +96,8 @@ def trial_dots(tuned: Tuned) -> list[tuple[float, float]]:
 def _points(tuned: Tuned, scores: Callable[[Candidate], dict[str, float] | None]) -> list[Point]:
     found = []
     for kind, candidate in candidates(tuned):
-        told, time, best = scores(candidate), candidate.time, bool(best_for(tuned, candidate))
-        if told is not None:
+        values, time, best = scores(candidate), candidate.time, bool(best_for(tuned, candidate))
+        if values is not None:
             front, named = on_front(tuned, candidate), best or kind != "tuned"
             label = candidate.name
             found.append(
@@ -106,7 +106,7 @@ def _points(tuned: Tuned, scores: Callable[[Candidate], dict[str, float] | None]
                     kind,
                     time.median,
                     time.p95,
-                    told["relative"],
+                    values["relative"],
                     measured=not time.predicted,
                     best=best,
                     front=front,

@@ -65,12 +65,12 @@ def choices_text(choices: Mapping[str, Any], beside: Mapping[str, Any] | None = 
     'scale 2, kappa 0.03123'
     """
     missing = object()
-    told = [
+    changes = [
         f"{name} {value_text(value)}"
         for name, value in choices.items()
         if beside is None or beside.get(name, missing) != value
     ]
-    return ", ".join(told) or "the default"
+    return ", ".join(changes) or "the default"
 
 
 def value_text(value: Any) -> str:
@@ -88,8 +88,8 @@ def configuration_text(configuration: Configuration) -> str:
     >>> configuration_text(Configuration()), configuration_text(Configuration(scale=2))
     ('the default', 'scale 2')
     """
-    own, default = described(configuration), described(Configuration())
-    return ", ".join(f"{name} {text}" for name, text in own.items() if text != default.get(name)) or "the default"
+    words, default = described(configuration), described(Configuration())
+    return ", ".join(f"{name} {text}" for name, text in words.items() if text != default.get(name)) or "the default"
 
 
 def described(configuration: Configuration) -> dict[str, str]:
@@ -102,8 +102,8 @@ def described(configuration: Configuration) -> dict[str, str]:
 
 def _levels(values: Iterable[Any]) -> str:
     """A number for each level, or one if they are alike; a dash for levels without one."""
-    told = ["-" if value is None else f"{value:.4g}" for value in values]
-    return " ".join(told[:1] if len(set(told)) == 1 else told)
+    texts = ["-" if value is None else f"{value:.4g}" for value in values]
+    return " ".join(texts[:1] if len(set(texts)) == 1 else texts)
 
 
 def summary(tuned: Tuned) -> list[str]:
@@ -149,11 +149,11 @@ def sentence(tuned: Tuned, budget: Budget, best: Candidate) -> str:
     )
     if best.held_out is not None:
         text += f", {change_text(best.held_out['relative'])} on held-out ones"
-    frames, scores, known = "tuning", best.tuning, None if base is None else base.tuning
+    frames, scores, reference = "tuning", best.tuning, None if base is None else base.tuning
     if best.held_out is not None:
-        frames, scores, known = "held-out", best.held_out, None if base is None else base.held_out
+        frames, scores, reference = "held-out", best.held_out, None if base is None else base.held_out
     text += f"; PSNR {scores['psnr']:.2f} dB"
-    return text + (f" against {known['psnr']:.2f}" if known is not None else "") + f" ({frames} frames)."
+    return text + (f" against {reference['psnr']:.2f}" if reference is not None else "") + f" ({frames} frames)."
 
 
 def change_text(ratio: float) -> str:

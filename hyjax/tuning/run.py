@@ -103,9 +103,9 @@ class Run:
     ) -> None:
         self.stage, self.settings, self.budgets, self.monitor = stage, settings, list(budgets), monitor
         self._environment, self._kept = environment(), Choices()
-        told = [f"{name} {self._environment['versions'][name]}" for name in ("jax", "jaxlib")]
+        versions = [f"{name} {self._environment['versions'][name]}" for name in ("jax", "jaxlib")]
         lights = stage.record().get("timed under", stage.name)
-        machine = ", ".join([f"{lights}, {self._environment['device']}", f"{cores()} cores", *told])
+        machine = ", ".join([f"{lights}, {self._environment['device']}", f"{cores()} cores", *versions])
         self._study = functools.partial(Study, settings.out, settings=stage.decisive(), machine=machine)
 
     def run(self) -> Tuned:
@@ -133,8 +133,8 @@ class Run:
             best = found.best(math.inf, cases=len(self.stage.cases))
             if best is not None:
                 references.append(self._polished(paper.configuration(best.choices, "paper-tuned")))
-        told = prove([*candidates, *references], self.stage, progress=not self.settings.quiet)
-        result = self._result(state, told[: len(candidates)], told[len(candidates) :], base)
+        proven = prove([*candidates, *references], self.stage, progress=not self.settings.quiet)
+        result = self._result(state, proven[: len(candidates)], proven[len(candidates) :], base)
         if self.settings.out is not None:
             write_results(self.settings.out, result)
         return result

@@ -86,8 +86,8 @@ class Parameter:
         if self.factor:
             return math.log2(1 + value) / math.log2(1 + MOST_STEPS)
         if self.continuous:
-            low, high, own = (math.log(x) if self.log else x for x in (*self.values, self.middle(value)))
-            return (own - low) / (high - low)
+            low, high, middle = (math.log(x) if self.log else x for x in (*self.values, self.middle(value)))
+            return (middle - low) / (high - low)
         return self.values.index(value) / max(len(self.values) - 1, 1)
 
     def middle(self, value: Any) -> float:
@@ -96,10 +96,10 @@ class Parameter:
         mean = np.exp(np.mean(np.log(numbers))) if self.log else np.mean(numbers)
         return float(np.clip(mean, *self.values))
 
-    def at(self, place: float) -> Any:
+    def at(self, position: float) -> Any:
         """Value of a range at a number in [0, 1]."""
         low, high = (math.log(x) if self.log else x for x in self.values)
-        value = low + place * (high - low)
+        value = low + position * (high - low)
         return float(np.clip(math.exp(value) if self.log else value, *self.values))
 
     def draw(self, rng: np.random.Generator) -> Any:
@@ -134,8 +134,8 @@ class Space:
     def of(cls, *, truth: bool, paper: bool = False) -> "Space":
         """Space of linear light, or of the paper's form."""
         if paper:
-            own = [p for c in CHOICES.values() if c.paper for p in Parameter.of(c, c.paper, paper=True)]
-            return cls(tuple(own), True)
+            parameters = [p for c in CHOICES.values() if c.paper for p in Parameter.of(c, c.paper, paper=True)]
+            return cls(tuple(parameters), True)
         chosen = [choice for choice in CHOICES.values() if truth or not choice.truth]
         return cls(tuple(p for choice in chosen if choice.tried for p in Parameter.of(choice, choice.tried)))
 
@@ -161,8 +161,10 @@ class Space:
 
     def levels(self, choices: Mapping[str, Any], cascade: str) -> Levels:
         """Levels of a cascade that have steps, coarse to fine; `BARE_LEVELS` if none has."""
-        own = [p for p in self.parameters if p.cascade == cascade]
-        found = tuple((p.factor, choices.get(p.name, p.default)) for p in own if choices.get(p.name, p.default))
+        parameters = [p for p in self.parameters if p.cascade == cascade]
+        found = tuple(
+            (p.factor, choices.get(p.name, p.default)) for p in parameters if choices.get(p.name, p.default)
+        )
         return found or BARE_LEVELS
 
     def complete(self, choices: Mapping[str, Any]) -> Choices:
@@ -177,22 +179,22 @@ class Space:
         given = {n: tuple(v) if isinstance(v, list) else v for n, v in self._expanded(choices).items()}
         if unknown := sorted(given.keys() - self.named.keys()):
             raise InputError(f"choices: no parameter {unknown[0]!r}; there are {', '.join(sorted(self.named))}")
-        whole = {p.name: given.get(p.name, p.default) for p in self.parameters}
-        for name, value in whole.items():
+        completed = {p.name: given.get(p.name, p.default) for p in self.parameters}
+        for name, value in completed.items():
             if not self.named[name].holds(value):
                 raise InputError(f"choices: {name} {value!r} is not among {self.named[name].values}")
-        text = self.seen(whole)
+        text = self.seen(completed)
         if "sampling" in self.named and "cascade" in self._cascades:
             held = text.get("data_term", True)
-            allowed = _allowed(whole["sampling"], text["cascade"], text.get("shadow_pass", NO_STEPS), held)
-            whole["sampling"] = allowed
-        for name, value in whole.items():
+            allowed = _allowed(completed["sampling"], text["cascade"], text.get("shadow_pass", NO_STEPS), held)
+            completed["sampling"] = allowed
+        for name, value in completed.items():
             if isinstance(value, tuple):
                 cascade = _cascade_of(name)
-                apart = cascade and len(value) == len(self.levels(whole, cascade))
+                apart = cascade and len(value) == len(self.levels(completed, cascade))
                 if not apart or len(set(value)) == 1:
-                    whole[name] = self.named[name].middle(value)
-        return {p.name: whole[p.name] for p in self.parameters if p.active(text)}
+                    completed[name] = self.named[name].middle(value)
+        return {p.name: completed[p.name] for p in self.parameters if p.active(text)}
 
     def seen(self, choices: Mapping[str, Any]) -> Choices:
         """Choices as rows of the table look at them, cascades as text among them."""
@@ -263,9 +265,9 @@ class Space:
 
     def configuration(self, choices: Mapping[str, Any], name: str = "tuned") -> Configuration:
         """Configuration of these choices."""
-        known = self._expanded(choices)
-        full = dict(self.fixed) | {p.name: p.default for p in self.parameters} | known
-        own = Schedule.uniform(
+        expanded = self._expanded(choices)
+        full = dict(self.fixed) | {p.name: p.default for p in self.parameters} | expanded
+        schedule = Schedule.uniform(
             self.levels(full, "cascade"),
             fidelity=1.0 if full.get("data_term") else None,
             pooling=full["pooling"],
@@ -273,13 +275,13 @@ class Space:
             upsampling=full.get("upsampling", "bilinear"),
             name=name,
         )
-        own = with_numbers(own, kappa=full["kappa"], lam=full["lam"], fidelity=full.get("fidelity"))
+        schedule = with_numbers(schedule, kappa=full["kappa"], lam=full["lam"], fidelity=full.get("fidelity"))
         shadow = Configuration().shadow_schedule
         if "shadow_pass" in self._cascades:
             shadow = Schedule.uniform(self.levels(full, "shadow_pass"), norm=full.get("norm", "l2"))
             shadow = with_numbers(shadow, kappa=full["shadow_kappa"]).check()
             shadow = dataclasses.replace(shadow, name=f"{name}-shadow")
-        schedules: dict[str, Any] = {"schedule": own.check(), "shadow_schedule": shadow}
+        schedules: dict[str, Any] = {"schedule": schedule.check(), "shadow_schedule": shadow}
         if self.paper:
             return dataclasses.replace(Configuration.paper(), name=name, **schedules)
         if full["guide"] in ("rgb", NO_GUIDE):
@@ -290,12 +292,12 @@ class Space:
 
 def _known(values: Mapping[str, Any], space: Space) -> Choices:
     """Values of choices without cascades that have a level which the space does not."""
-    own: Choices = dict(values)
+    kept: Choices = dict(values)
     for name in ("cascade", "shadow_pass"):
         factors = {p.factor for p in space.parameters if p.cascade == name}
-        if name in own and not {factor for factor, count in levels_of(own[name]) if count} <= factors:
-            del own[name]
-    return own
+        if name in kept and not {factor for factor, count in levels_of(kept[name]) if count} <= factors:
+            del kept[name]
+    return kept
 
 
 def _cascade_of(name: str) -> str:
@@ -321,8 +323,8 @@ def levels_of(text: str) -> Levels:
 @functools.cache
 def _allowed(sampling: int, cascade: str, shadow_pass: str, data_term: bool) -> int:
     """Sampling that the cascades allow."""
-    own = Schedule.uniform(levels_of(cascade), fidelity=1.0 if data_term else None)
-    return largest_sampling([own, Schedule.uniform(levels_of(shadow_pass))], sampling)
+    schedule = Schedule.uniform(levels_of(cascade), fidelity=1.0 if data_term else None)
+    return largest_sampling([schedule, Schedule.uniform(levels_of(shadow_pass))], sampling)
 
 
 def structure(choices: Mapping[str, Any], space: Space) -> str:

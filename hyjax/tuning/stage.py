@@ -154,7 +154,9 @@ class FrameStage(Stage):
     def polished(self, configuration: Configuration, expired: Callable[[], bool]) -> Configuration:
         cases = self.cases[:POLISH_CASES]
         better = refine_numbers(configuration, self._judge, cases, levels=True, expired=expired)
-        before, after = (_mean_log(self.judge.scores(each, self.cases)) for each in (configuration, better))
+        before, after = (
+            _mean_log(self.judge.scores(candidate, self.cases)) for candidate in (configuration, better)
+        )
         return better if after < before else configuration
 
     def examples(
@@ -165,7 +167,7 @@ class FrameStage(Stage):
     def named(self, candidate: Candidate, budget: Budget) -> Configuration:
         time, scene = candidate.time, self.bench.scenes[0].scene
         size = scene.frame(0).camera.intrinsics.shape
-        told = Measured(
+        measured = Measured(
             device=self._environment["device"],
             cores=cores(),
             size=(int(size[0]), int(size[1])),
@@ -174,19 +176,27 @@ class FrameStage(Stage):
             default_ms=round(time.default, 3),
         )
         name = f"tuned-{budget.slug}" if candidate.name.startswith("tuned-") else candidate.name
-        return dataclasses.replace(candidate.configuration, name=name, measured=told)
+        return dataclasses.replace(candidate.configuration, name=name, measured=measured)
 
     def decisive(self) -> dict[str, Any]:
         scenes = self.bench.scenes
         surfaces = [
-            [each.scene.caster.arrays.key, None if each.accurate is None else each.accurate.caster.arrays.key]
-            for each in scenes
+            [
+                tuned_scene.scene.caster.arrays.key,
+                None if tuned_scene.accurate is None else tuned_scene.accurate.caster.arrays.key,
+            ]
+            for tuned_scene in scenes
         ]
-        setups = {name: [digest([str(each.setup(name))]) for each in scenes] for name in self.settings.set_ups()}
+        setups = {
+            name: [digest([str(tuned_scene.setup(name))]) for tuned_scene in scenes]
+            for name in self.settings.set_ups()
+        }
         return {
             "scenes": [[scene.name, scene.scene.capture.fingerprint] for scene in scenes],
             "surfaces": surfaces,
-            "sizes": [None if each.scene.size is None else list(each.scene.size) for each in scenes],
+            "sizes": [
+                None if tuned_scene.scene.size is None else list(tuned_scene.scene.size) for tuned_scene in scenes
+            ],
             "lights": setups,
             "cases": [list(case) for case in self.cases],
             "lpips": self.settings.frame.lpips,
@@ -217,7 +227,7 @@ def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, cl
         space.complete({"scale": 4, "cascade": "8:4", "shadow_pass": "none", "guide": "none"}),
         space.complete({"scale": 4, "cascade": "4:6", "shadow_pass": "none", "sampling": 4}),
     ]
-    fastest = [space.configuration(each, "fastest") for each in cheap]
+    fastest = [space.configuration(choices, "fastest") for choices in cheap]
     time, configuration = min(
         zip(clock.times(fastest, BASE_ROUNDS), fastest, strict=True), key=lambda pair: pair[0].p95
     )
@@ -243,8 +253,8 @@ def examples(bench: FrameBench, front: Sequence[Candidate]) -> list[tuple[str, d
         frame = scene.scene.frame(index)
         pictures: dict[str, Any] = {"photo": frame.image}
         for candidate in spread(list(front), 3):
-            own = scene.judged(candidate.configuration)
-            image = jnp.asarray(scene.relighter(lights, own).picture(frame))
+            judged = scene.judged(candidate.configuration)
+            image = jnp.asarray(scene.relighter(lights, judged).picture(frame))
             pictures[f"{candidate.name}, {candidate.time.median:.1f} ms"] = np.asarray(to_display(image))
         pictures["target"] = scene.target(lights, index).picture
         rows.append((f"{scene.name}, {lights}, frame {index}", pictures))

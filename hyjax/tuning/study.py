@@ -90,30 +90,30 @@ class Study:
                 self._study = optuna.create_study(
                     storage=storage, study_name=name, directions=["minimize", "minimize"]
                 )
-            told = self._study.user_attrs
+            attributes = self._study.user_attrs
         except OSError as error:
             raise InputError(f"{path}: cannot write ({error.strerror or error})") from None
         except Exception as error:  # whatever a damaged journal makes of Optuna
             raise InputError(f"{path}: is no journal of a study ({type(error).__name__}); remove it") from None
-        if told and told.get("version") != VERSION:
+        if attributes and attributes.get("version") != VERSION:
             raise InputError(
-                f"{path}: trials of version {told.get('version')} of the search, this is {VERSION}; they cannot be "
+                f"{path}: trials of version {attributes.get('version')} of the search, this is {VERSION}; they cannot be "
                 "gone on with, choose another --out"
             )
-        if told:
-            if not isinstance(told.get("settings"), dict):
+        if attributes:
+            if not isinstance(attributes.get("settings"), dict):
                 raise InputError(f"{path}: has no settings of a study; remove it")
-            check_same_settings(folder, told["settings"], as_json(settings))
+            check_same_settings(folder, attributes["settings"], as_json(settings))
         try:
-            if not told:
+            if not attributes:
                 self._study.set_user_attr("settings", as_json(settings))
                 self._study.set_user_attr("version", VERSION)
-            self.trials = _merged([_trial(each) for each in self._study.get_trials(deepcopy=False)], machine)
+            self.trials = _merged([_trial(trial) for trial in self._study.get_trials(deepcopy=False)], machine)
         except OSError as error:
             raise InputError(f"{path}: cannot write ({error.strerror or error})") from None
         except Exception as error:  # as above
             raise InputError(f"{path}: holds no trials of a search ({type(error).__name__}); remove it") from None
-        self._results = {key: value for key, value in told.items() if key.startswith("result ")}
+        self._results = {key: value for key, value in attributes.items() if key.startswith("result ")}
 
     def timed(self, key: str) -> str:
         """Key of a time, which is of this machine alone."""
@@ -189,10 +189,10 @@ def kept_trials(path: Path, name: str = "frame") -> list[Trial]:
     found: dict[str, Trial] = {}
     try:
         study = optuna.load_study(study_name=name, storage=JournalStorage(JournalFileBackend(str(path))))
-        for each in study.get_trials(deepcopy=False):
-            trial, _ = _trial(each)
+        for kept in study.get_trials(deepcopy=False):
+            trial, _ = _trial(kept)
             before = found.get(key := key_of(trial.choices))
-            if before is None or "results" not in each.user_attrs:
+            if before is None or "results" not in kept.user_attrs:
                 found[key] = max(before or trial, trial, key=lambda t: len(t.losses))
             else:
                 found[key] = dataclasses.replace(before, losses=before.losses + trial.losses)
@@ -203,14 +203,14 @@ def kept_trials(path: Path, name: str = "frame") -> list[Trial]:
 
 def _trial(kept: "optuna.trial.FrozenTrial") -> tuple[Trial, str]:
     """Trial as it was kept, and the machine that timed it."""
-    told, values = kept.user_attrs, kept.values
-    if "results" in told:  # of versions 1 and 2, in which each batch was a trial of its own
-        results = told["results"].items()
+    attributes, values = kept.user_attrs, kept.values
+    if "results" in attributes:  # of versions 1 and 2, in which each batch was a trial of its own
+        results = attributes["results"].items()
         losses = [loss for of, several in results if of.startswith("losses ") for loss in several]
-        return Trial(_named(kept.params), told["phase"], tuple(losses), values[1]), ""
-    trial = msgspec.convert({name: told[name] for name in KEPT_FIELDS}, Trial)
+        return Trial(_named(kept.params), attributes["phase"], tuple(losses), values[1]), ""
+    trial = msgspec.convert({name: attributes[name] for name in KEPT_FIELDS}, Trial)
     choices = {name: tuple(v) if isinstance(v, list) else v for name, v in trial.choices.items()}
-    return dataclasses.replace(trial, choices=choices), str(told["machine"])
+    return dataclasses.replace(trial, choices=choices), str(attributes["machine"])
 
 
 def _merged(kept: Sequence[tuple[Trial, str]], machine: str) -> list[Trial]:
@@ -220,8 +220,8 @@ def _merged(kept: Sequence[tuple[Trial, str]], machine: str) -> list[Trial]:
         key = key_of(trial.choices), trial.improve, trial.source
         before, time = found.get(key, trial), trial.time if on == machine else None
         losses = max(before.losses, trial.losses, key=len)
-        known = found[key].time if key in found else None
-        found[key] = dataclasses.replace(before, losses=losses, time=known if time is None else time)
+        old_time = found[key].time if key in found else None
+        found[key] = dataclasses.replace(before, losses=losses, time=old_time if time is None else time)
     return list(found.values())
 
 

@@ -119,7 +119,7 @@ class Kind:
     @property
     def on_host(self) -> bool:
         """Whether arrays are NumPy's alone, in the precision that they have."""
-        return bool(self.arrays) and all(each.array_type is np.ndarray for each in self.arrays)
+        return bool(self.arrays) and all(kind.array_type is np.ndarray for kind in self.arrays)
 
     def _readings(self, value: Any) -> Iterator[Any]:
         """Possible conversions of a value, the likeliest first."""
@@ -163,12 +163,12 @@ class Kind:
         got = f"must be {self.wanted}, got {described(value)}"
         if value.dtype == np.uint8 and self.arrays:
             return InputError(f"{name}: {got}; divide a picture of bytes by 255")
-        own = self.sizes(value)
-        for axis, size in own.items():
+        sizes = self.sizes(value)
+        for axis, size in sizes.items():
             for other, (kind, earlier) in seen.items():
-                if (known := kind.sizes(earlier).get(axis, size)) != size:
-                    return InputError(f"{name}: {got}; {axis} is {known} by {other}")
-        return InputError(f"{name}: {'' if all(own.values()) else 'is empty; '}{got}")
+                if (expected := kind.sizes(earlier).get(axis, size)) != size:
+                    return InputError(f"{name}: {got}; {axis} is {expected} by {other}")
+        return InputError(f"{name}: {'' if all(sizes.values()) else 'is empty; '}{got}")
 
     def sizes(self, value: Any) -> dict[str, int]:
         """Sizes of an array's named axes; axes before a variadic one are left out."""
@@ -202,8 +202,8 @@ def kind_of(hint: Any, **options: Any) -> Kind:
         names = " and ".join(dict.fromkeys(kind.wanted or "anything" for kind in kinds))
         return Kind(f"{len(kinds)} values, each {names}", parts=kinds)
     if origin in (tuple, collections.abc.Sequence, collections.abc.Iterable, list):
-        each = kind_of(parts[0])
-        return Kind(f"several, each {each.wanted}" if each.wanted else "several values", each=each)
+        entry = kind_of(parts[0])
+        return Kind(f"several, each {entry.wanted}" if entry.wanted else "several values", each=entry)
     if origin is collections.abc.Callable:
         return Kind("a function", classes=(collections.abc.Callable,))
     if hint is float:
@@ -223,13 +223,13 @@ def kind_of(hint: Any, **options: Any) -> Kind:
 def _any_of(kinds: Sequence[Kind]) -> Kind:
     """The kind of a union; arrays take lists of numbers as well, and those of no axes take numbers."""
     arrays = sum((kind.arrays for kind in kinds), ())
-    each = None if any(a.dim_str for a in arrays) else next((kind.each for kind in kinds if kind.each), None)
+    entry = None if any(a.dim_str for a in arrays) else next((kind.each for kind in kinds if kind.each), None)
     return Kind(
         " or ".join(dict.fromkeys(kind.wanted for kind in kinds if kind.wanted)),
         arrays,
         sum((kind.classes for kind in kinds), ()),
         sum((kind.words for kind in kinds), ()),
-        each,
+        entry,
         next((kind.parts for kind in kinds if kind.parts), ()),
         any(kind.display for kind in kinds),
         any(kind.may_be_empty for kind in kinds),

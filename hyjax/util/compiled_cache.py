@@ -39,15 +39,15 @@ def keep_compiled() -> None:
 
 
 def _show(
-    folder: Path, told: set[Path], show: Callable[..., None], message: Warning | str, *rest: Any, **options: Any
+    folder: Path, reported: set[Path], show: Callable[..., None], message: Warning | str, *rest: Any, **options: Any
 ) -> None:
     """A warning; of all of JAX's about damage, one line. It leaves damaged files where they are: they go here."""
     damaged = DAMAGED.match(str(message))
     if damaged is None:
         show(message, *rest, **options)
         return
-    if folder not in told:
-        told.add(folder)
+    if folder not in reported:
+        reported.add(folder)
         _log.warning("%s: programs in it are damaged, they are compiled again", folder)
     for file in folder.glob(f"{glob.escape(damaged[1])}-*"):
         with contextlib.suppress(OSError):

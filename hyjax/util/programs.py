@@ -97,9 +97,9 @@ class KeptFunction(Generic[P, T]):
         function = functools.partial(self._function, **given)
         if _folder is None or len(jax.local_devices()) > 1 or not all(map(_is_known, _node_types(tree))):
             return functools.partial(self._jitted, **given)
-        told = repr((static, str(tree), [(shape, str(dtype)) for shape, dtype in shapes]))
+        signature = repr((static, str(tree), [(shape, str(dtype)) for shape, dtype in shapes]))
         here = f"{self._name}-{_surroundings()}"
-        file = _folder / f"{here}-{hashlib.sha256(told.encode()).hexdigest()[:24]}.program"
+        file = _folder / f"{here}-{hashlib.sha256(signature.encode()).hexdigest()[:24]}.program"
         if file.is_file():
             try:
                 program = _read(file, tree)
