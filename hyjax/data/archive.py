@@ -50,7 +50,7 @@ class Archive(FileTree):
         names = [entry.filename for entry in entries if not set(PurePosixPath(entry.filename).parts) & {*IGNORED}]
         super().__init__(path, names)
         if len(self._known) < len(names):
-            raise InputError(f"{path}: two files have one name; which of them is meant cannot be told")
+            raise InputError(f"{path}: two files have the same name; remove or rename one")
         self._lock = threading.Lock()
         self._copies = _Copies()
 

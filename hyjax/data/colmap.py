@@ -9,7 +9,7 @@
 
 Camera axes are ours, pixel coordinates have the centre of the first pixel at 0.5 as here. The unit is not
 metres: a sensor's depth tells it, as the median ratio to the depth of the sparse points; otherwise `--scale` does.
-Which way is up is not told either: it is the cameras' mean up direction. A sensor's depth is taken to be that of a
+It has no direction of gravity either: up is the cameras' mean up direction. A sensor's depth is taken to be that of a
 pinhole with the picture's intrinsics.
 
 Tested on models written by pycolmap, not on a real capture.
@@ -86,7 +86,7 @@ def open_colmap(tree: FileTree) -> Capture:
             faults.add("pictures are left out, their poses are no rigid motions", name)
         else:
             chosen[name] = image
-    remarks = ["up is the cameras' mean up direction; which way gravity is, is not told"]
+    remarks = ["up is the cameras' mean up direction; the files have no direction of gravity"]
     known = {image.name for image in model.images.values() if image.has_pose}
     if unknown := sorted((name for name in pictures if name not in known), key=by_number):
         remarks.append(

@@ -222,7 +222,7 @@ def _up(
         return axis, [
             f"{'-' * bool(axis.min() < 0)}{'xyz'[np.abs(axis).argmax()]} is up, next to the cameras' own up"
         ]
-    return mean, ["up is the cameras' mean up direction; which way gravity is, is not told"]
+    return mean, ["up is the cameras' mean up direction; the files have no direction of gravity"]
 
 
 FORMAT = CaptureFormat("nerfstudio", is_nerfstudio, open_nerfstudio, "transforms.json")

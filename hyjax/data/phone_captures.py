@@ -146,7 +146,7 @@ class PhoneScan:
             name, time, pose, intrinsics, picture, depth, depth_intrinsics, exposure: see `Shot`.
         """
         if pose is None:
-            self.faults.add("poses are none (not finite, or no rotation) and left out", source)
+            self.faults.add("poses are unusable (not finite, or no rotation) and left out", source)
             return None
         if picture is None:
             self.remarks.add(

@@ -224,7 +224,7 @@ def mean_up(poses: Sequence[Float[np.ndarray, "4 4"]], where: Path | str) -> Flo
     up = -np.mean([pose[:3, 1] for pose in poses], axis=0)
     length = float(np.linalg.norm(up))
     if not length > 0.1:
-        raise InputError(f"{where}: the cameras' up directions cancel out, so gravity cannot be told")
+        raise InputError(f"{where}: the cameras' up directions cancel out, so gravity is unknown")
     return up / length
 
 

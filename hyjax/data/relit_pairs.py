@@ -100,7 +100,7 @@ def open_relit_pairs(folder: Path, width: int = WIDTH) -> list[RelitPair]:
             pairs.append(_evaluation_pair(scene, other, width))
     if not pairs:
         raise InputError(
-            f"{folder}: no NAME/ beside NAMEL/im1.png, and no SCENE/ambient/; see SOURCE.txt or the site"
+            f"{folder}: no folder NAME/ next to NAMEL/im1.png, and no SCENE/ambient/; see SOURCE.txt or the site"
         )
     return pairs
 

@@ -168,7 +168,7 @@ def _camera(tree: FileTree, picture: str, remarks: list[str]) -> tuple[Intrinsic
         )
     elif _sequence(tree) is None:
         remarks.append(
-            f"intrinsics are not told, taking {' '.join(f'{v:g}' for v in DEFAULT_INTRINSICS)}; see {CAMERAS[0]}"
+            f"intrinsics are not given, taking {' '.join(f'{v:g}' for v in DEFAULT_INTRINSICS)}; see {CAMERAS[0]}"
         )
     fx, fy, cx, cy = (float(value) for value in values[:4])
     k1, k2, p1, p2, k3 = (float(value) for value in (*values[4:], *np.zeros(9 - len(values))))

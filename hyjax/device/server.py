@@ -166,7 +166,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         try:
             length = int(self.headers.get("Content-Length", ""))
         except ValueError:
-            return self._refuse(411, "how long it is must be told")
+            return self._refuse(411, "the length of the content must be given")
         if not 0 <= length <= MOST_BODY_BYTES:
             return self._refuse(413, f"larger than {MOST_BODY_BYTES >> 20} MiB")
         body = self.rfile.read(length)

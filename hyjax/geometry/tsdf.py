@@ -153,7 +153,7 @@ class Volume:
         """A volume as it was."""
         kinds = keys.dtype == np.int64 and sums.dtype == weights.dtype == np.float32
         if not kinds or keys.ndim != 1 or not sums.shape == weights.shape == (len(keys), BLOCK_SIDE**3):
-            raise InputError("these arrays are none of a volume's")
+            raise InputError("keys, sums, weights: kinds or shapes are not those of a volume")
         volume = cls(voxel, truncation)
         volume.count, volume._keys, volume._slots = len(keys), keys, np.arange(len(keys))
         volume._sums, volume._weights = sums, weights

@@ -116,7 +116,7 @@ def _frame(header: dict[str, Any], picture: bytes, depth: bytes) -> Frame:
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name}: its first line lacks something ({type(error).__name__}: {error})") from None
     if pose is None or not np.isfinite(seconds):
-        raise InputError(f"{name}: its pose or time is none")
+        raise InputError(f"{name}: its pose or time is not valid")
     image = _picture(picture, name)
     readings = None
     if depth_lens is not None:

@@ -105,7 +105,7 @@ def _folder_frame(tree: FileTree, number: int, colour: str) -> Frame:
     stem, where = colour.split(".")[0], tree.where(colour)
     pose = rigid(tree_numbers(tree, f"{stem}.pose.txt", (4, 4)))
     if pose is None:
-        raise InputError(f"{where}: its pose is none (not finite, or no rigid motion)")
+        raise InputError(f"{where}: its pose is not valid (not finite, or no rigid motion)")
     image, depth = tree_colour(tree, colour), tree_depth(tree, f"{stem}.depth.png")
     lens = read_intrinsics(tree, image.shape[:2], [])
     depth_lens = None if depth.shape == image.shape[:2] else lens.resize(*depth.shape)
@@ -159,7 +159,7 @@ def _record3d_frame(stream: Any, number: int, seconds: float) -> Frame:
     height, width = colour.shape[:2]
     pose = pose_from_quaternion(np.array([p.qx, p.qy, p.qz, p.qw]), np.array([p.tx, p.ty, p.tz]))
     if pose is None:
-        raise InputError(f"record3d: frame {number}: its pose is none")
+        raise InputError(f"record3d: frame {number}: its pose is not valid")
     lens = Intrinsics(width, height, float(k.fx), float(k.fy), float(k.tx), float(k.ty))
     image = colour.astype(np.float32) / 255.0
     usable = np.nan_to_num(np.asarray(depth, np.float32), nan=0.0)

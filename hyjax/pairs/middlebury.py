@@ -47,7 +47,7 @@ def open_middlebury(path: Path) -> FilePairs:
             picture = _first(scene / f"{view}{suffix}" for view in views for suffix in PICTURES)
             if picture is None:
                 wanted = " or ".join(f"{view}.png" for view in views)
-                raise InputError(f"{disparity}: has no picture {wanted} beside it; add it or remove this file")
+                raise InputError(f"{disparity}: has no picture {wanted} in its folder; add it or remove this file")
             files[(scene.relative_to(path) / picture.stem).as_posix()] = (picture, disparity)
     if not files:
         known = "view1.png + disp1.png, im0.png + disp0.pfm and such"

@@ -38,7 +38,7 @@ from hyjax.util.programs import run_kept
 from hyjax.video import CarriedGuide, Video
 
 TRACED_MESSAGE = (
-    "lights: are traced, as by jax.grad or jax.jit, and shadow maps are not cast of such; cast them first "
+    "lights: are traced, as by jax.grad or jax.jit, and no shadow maps can be cast then; cast them first "
     "(scene.shadow_maps) and shade by view.shade(lights, shadow_maps=...)"
 )
 """Message about lights whose values are not known yet."""

@@ -50,7 +50,7 @@ class Session:
         self.notices: list[tuple[str, str]] = []
         light = renderer.photo_light
         if light is not None and light.estimate.exponent == 0:
-            text = f"It could not be told well enough: {light.estimate.reason}."
+            text = f"It could not be estimated well enough: {light.estimate.reason}."
             self.notices.append(("The photos keep their own light", text))
         self.plan = self._load()
         self.selected: Selection | None = None

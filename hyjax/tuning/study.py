@@ -97,8 +97,8 @@ class Study:
             raise InputError(f"{path}: is no journal of a study ({type(error).__name__}); remove it") from None
         if attributes and attributes.get("version") != VERSION:
             raise InputError(
-                f"{path}: trials of version {attributes.get('version')} of the search, this is {VERSION}; they cannot be "
-                "gone on with, choose another --out"
+                f"{path}: trials of version {attributes.get('version')} of the search, this is {VERSION}; they "
+                "cannot be gone on with, choose another --out"
             )
         if attributes:
             if not isinstance(attributes.get("settings"), dict):

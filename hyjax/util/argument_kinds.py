@@ -35,7 +35,7 @@ TYPE_NAMES: dict[Any, str] = {
     type(None): "None",
 }
 DTYPE_NAMES: dict[Any, str] = {"float32": "a float", "bool": "a bool", "int32": "an integer", "uint8": "a uint8"}
-SCALED_MESSAGE = "%s: a picture of bytes is taken for display values of 0 to 255, and divided by 255 (told once)"
+SCALED_MESSAGE = "%s: a picture of bytes is taken for display values of 0 to 255, and divided by 255 (said once)"
 _log = logging.getLogger(__name__)
 _told: set[str] = set()
 _checked: weakref.WeakValueDictionary[int, Any] = weakref.WeakValueDictionary()

@@ -180,7 +180,7 @@ def test_folders_in_folders_without_end_are_one_line(tmp_path: Path) -> None:
 def test_a_file_twice_is_refused(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="Duplicate name"):
         path = _archive_with(tmp_path / "bad.zip", "a.txt")
-    with pytest.raises(InputError, match="two files have one name"):
+    with pytest.raises(InputError, match="two files have the same name"):
         open_tree(path)
 
 

@@ -100,8 +100,8 @@ def test_a_scan_is_read_from_folder_and_archive_however_the_phone_was_held(
 def test_poses_that_are_none_are_left_out_and_counted(app: App, folder: Path) -> None:
     app.break_pose(folder, 1)
     capture = open_capture(folder)
-    assert len(capture) == capture.depth_count == 3 and "1 poses are none" in capture.faults[0]
-    with pytest.raises(InputError, match=r"1 poses are none.*--strict"):
+    assert len(capture) == capture.depth_count == 3 and "1 poses are unusable" in capture.faults[0]
+    with pytest.raises(InputError, match=r"1 poses are unusable.*--strict"):
         open_capture(folder, strict=True)
 
 

@@ -45,7 +45,7 @@ def test_poor_motion_is_told(folder: Path) -> None:
 def test_without_any_pose_that_line_says_why(folder: Path) -> None:
     for moment in folder.glob("frame_*.json"):
         edit_json(moment, cameraPoseARFrame=[float("nan")] * 16)
-    refuses(folder, "no frame is usable", "4 poses are none")
+    refuses(folder, "no frame is usable", "4 poses are unusable")
 
 
 def test_missing_and_damaged_depth_and_confidence(folder: Path) -> None:

@@ -279,7 +279,7 @@ def test_poses_that_are_none_are_left_out_and_counted(folder: Path) -> None:
 
     edit_lines(folder, spoil)
     capture = open_capture(folder)
-    assert len(capture) == 5 and "1 poses are none" in capture.faults[0] and "000001" in capture.faults[0]
+    assert len(capture) == 5 and "1 poses are unusable" in capture.faults[0] and "000001" in capture.faults[0]
 
 
 def test_clocks_that_go_back_are_put_in_order_and_told(folder: Path) -> None:
