@@ -9,7 +9,7 @@
 
 Camera axes are ours, pixel coordinates have the centre of the first pixel at 0.5 as here. The unit is not
 metres: a sensor's depth tells it, as the median ratio to the depth of the sparse points; otherwise `--scale` does.
-It has no direction of gravity either: up is the cameras' mean up direction. A sensor's depth is taken to be that of a
+Up is the cameras' mean up direction. A sensor's depth is taken to be that of a
 pinhole with the picture's intrinsics.
 
 Tested on models written by pycolmap, not on a real capture.
@@ -87,8 +87,8 @@ def open_colmap(tree: FileTree) -> Capture:
         else:
             chosen[name] = image
     remarks = ["up is the cameras' mean up direction; the files have no direction of gravity"]
-    known = {image.name for image in model.images.values() if image.has_pose}
-    if unknown := sorted((name for name in pictures if name not in known), key=by_number):
+    posed = {image.name for image in model.images.values() if image.has_pose}
+    if unknown := sorted((name for name in pictures if name not in posed), key=by_number):
         remarks.append(
             f"{len(unknown)} of {len(pictures)} pictures are not registered in the model (first: {unknown[0]})"
         )
@@ -102,7 +102,7 @@ def open_colmap(tree: FileTree) -> Capture:
         for index, ((name, image), short) in enumerate(zip(chosen.items(), short_names(list(chosen))))
     ]
     has_sensor = any(not depth.endswith(".bin") for depth in maps.values())
-    mesh = next((n for place in (top, *WORKSPACES) for m in MESHES if (n := place + m) in tree), None)
+    mesh = next((n for prefix in (top, *WORKSPACES) for m in MESHES if (n := prefix + m) in tree), None)
     scale, line = _scale(model, chosen, shots) if has_sensor else (None, "")
     recording = Recording(
         tree,
@@ -119,10 +119,10 @@ def open_colmap(tree: FileTree) -> Capture:
 def _model(tree: FileTree) -> tuple[str, str] | None:
     """Folder of the model and whether it is .bin or .txt; that of a workspace with depth maps first."""
     dense = [w for w in WORKSPACES if any(n.startswith(f"{w}stereo/depth_maps/") for n in tree.names)]
-    for place in (*(w + "sparse/" for w in dense), *MODELS):
+    for folder in (*(w + "sparse/" for w in dense), *MODELS):
         for kind in (".bin", ".txt"):
-            if all(f"{place}{part}{kind}" in tree for part in PARTS):
-                return place, kind
+            if all(f"{folder}{part}{kind}" in tree for part in PARTS):
+                return folder, kind
     return None
 
 
@@ -152,12 +152,12 @@ def _read_model(tree: FileTree, folder: str, kind: str) -> Any:
 
 def _pictures(tree: FileTree, top: str) -> dict[str, str]:
     """Names in the model → names in the tree, of all pictures that are there."""
-    for place in (f"{top}images/", f"{top}input/", top):
-        inside = [n for n in tree.names if n.startswith(place) and n.lower().endswith(PICTURES)]
-        if place == top:
+    for folder in (f"{top}images/", f"{top}input/", top):
+        inside = [n for n in tree.names if n.startswith(folder) and n.lower().endswith(PICTURES)]
+        if folder == top:
             inside = [name for name in inside if "/" not in name.removeprefix(top)]
         if inside:
-            return {name.removeprefix(place): name for name in inside}
+            return {name.removeprefix(folder): name for name in inside}
     smaller = [f for f in tree.folders() if f.startswith("images_")]
     hint = f"; those of {smaller[0]}/ are smaller than the model's" if smaller else ""
     raise InputError(f"{tree.path}: no pictures of the COLMAP model; looked in {top}images/{hint}")
@@ -173,11 +173,13 @@ def _pose(image: Any) -> Float[np.ndarray, "4 4"] | None:
 
 def _depth_names(tree: FileTree, top: str, chosen: dict[str, Any]) -> dict[str, str]:
     """Depth map by picture: a sensor's, else that of COLMAP's dense reconstruction."""
-    for place in (f"{top}{folder}" for folder in DEPTHS):
-        paths = {n: f"{place}/{PurePosixPath(image.name).with_suffix('.png')}" for n, image in chosen.items()}
+    for depth_folder in (f"{top}{folder}" for folder in DEPTHS):
+        paths = {
+            n: f"{depth_folder}/{PurePosixPath(image.name).with_suffix('.png')}" for n, image in chosen.items()
+        }
         if found := {name: depth for name, depth in paths.items() if depth in tree}:
             return found
-        flat = {name: f"{place}/{PurePosixPath(name).stem}.png" for name in chosen}
+        flat = {name: f"{depth_folder}/{PurePosixPath(name).stem}.png" for name in chosen}
         if len(set(flat.values())) == len(flat) and any(depth in tree for depth in flat.values()):
             return {name: depth for name, depth in flat.items() if depth in tree}
     stereo = {name: f"{top}stereo/depth_maps/{image.name}.geometric.bin" for name, image in chosen.items()}

@@ -52,11 +52,11 @@ def fenced(function: Callable[..., Any], *, primitive: str) -> Callable[..., Any
 
     def with_barriers(*inputs: Any) -> Any:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*inputs)
-        known = dict(zip(closed.jaxpr.invars, jax.tree.leaves(inputs), strict=True))
-        known |= dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
+        values = dict(zip(closed.jaxpr.invars, jax.tree.leaves(inputs), strict=True))
+        values |= dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
 
         def read(variable: Any) -> Any:
-            return variable.val if isinstance(variable, Literal) else known[variable]
+            return variable.val if isinstance(variable, Literal) else values[variable]
 
         for equation in closed.jaxpr.eqns:
             results = equation.primitive.bind(*map(read, equation.invars), **equation.params)
@@ -64,21 +64,21 @@ def fenced(function: Callable[..., Any], *, primitive: str) -> Callable[..., Any
                 results = [results]
             if equation.primitive.name == primitive:
                 results = [jax.lax.optimization_barrier(result) for result in results]
-            known |= dict(zip(equation.outvars, results, strict=True))
+            values |= dict(zip(equation.outvars, results, strict=True))
         return jax.tree.unflatten(jax.tree.structure(shape), [read(v) for v in closed.jaxpr.outvars])
 
     return with_barriers
 
 
 def _evaluate(jaxpr: Jaxpr, consts: Sequence[Any], inputs: Sequence[Any]) -> list[Any]:
-    known: dict[Any, Any] = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *inputs], strict=True))
+    values: dict[Any, Any] = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *inputs], strict=True))
 
     def read(variable: Any) -> Any:
-        return variable.val if isinstance(variable, Literal) else known[variable]
+        return variable.val if isinstance(variable, Literal) else values[variable]
 
     for equation in jaxpr.eqns:
         results = _apply(equation, [read(variable) for variable in equation.invars])
-        known |= dict(zip(equation.outvars, results, strict=True))
+        values |= dict(zip(equation.outvars, results, strict=True))
     return [read(variable) for variable in jaxpr.outvars]
 
 

@@ -74,21 +74,21 @@ def blobs_of(number: int, s: Sighting) -> list[Blob]:
     labels, _ = ndimage.label(burnt)
     found = []
     pixel = float(np.linalg.norm(s.rays[0, 1] - s.rays[0, 0]))
-    for k, place in enumerate(ndimage.find_objects(labels), 1):
-        part = labels[place] == k
+    for k, region in enumerate(ndimage.find_objects(labels), 1):
+        part = labels[region] == k
         area = int(part.sum())
         if not 4 <= area <= LARGEST_SHARE * labels.size or part.mean() < 0.35:
             continue
-        grown = tuple(slice(max(side.start - 4, 0), side.stop + 4) for side in place)
+        grown = tuple(slice(max(side.start - 4, 0), side.stop + 4) for side in region)
         blob = labels[grown] == k
         ring = ndimage.binary_dilation(blob, iterations=4) & ~ndimage.binary_dilation(blob, iterations=2)
         if not ring.any() or np.median(s.low[grown][ring]) > DARK_VALUE:
             continue
         reach = int(np.ceil(np.sqrt(area)))
-        around = tuple(slice(max(side.start - reach, 0), side.stop + reach) for side in place)
+        around = tuple(slice(max(side.start - reach, 0), side.stop + reach) for side in region)
         if area < LEAST_ALONE_SHARE * burnt[around].sum():
             continue  # one of many: leaves against the sky, glitter
-        ray = s.rays[place][part].mean(axis=0)
+        ray = s.rays[region][part].mean(axis=0)
         length = float(np.linalg.norm(ray))
         found.append(Blob(number, ray / length, float(np.sqrt(area / np.pi)) * pixel / length))
     return found

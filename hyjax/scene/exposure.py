@@ -86,7 +86,7 @@ class SeenSurface:
             raise InputError(
                 "no camera sees the mesh; are the mesh and the poses in the same coordinates (metres)?"
             )
-        numbers = np.repeat(np.arange(len(chosen)), [len(own) for own in points])
+        numbers = np.repeat(np.arange(len(chosen)), [len(seen) for seen in points])
         return cls(caster, surface, np.concatenate(normals), numbers), np.stack([c.origin for c in chosen])
 
     def chosen(self, which: Bool[np.ndarray, "n"]) -> "SeenSurface":
@@ -112,14 +112,17 @@ class SeenSurface:
         """Illuminance of lights on the points, with shadows; times the strongest channels of their colours."""
         count = len(self.points)
         padded = [(0, 0), (0, -count % POINTS_AT_ONCE), (0, 0)]
-        place, facing = (
-            np.pad(np.asarray(each[None], np.float32), padded, mode="edge") for each in (self.points, self.normals)
+        position, facing = (
+            np.pad(np.asarray(vectors[None], np.float32), padded, mode="edge")
+            for vectors in (self.points, self.normals)
         )
-        every = np.ones(place.shape[:2], bool)
-        points = GBuffer(*map(jax.device_put, (place, facing, every.astype(np.float32), every)))
+        every = np.ones(position.shape[:2], bool)
+        points = GBuffer(*map(jax.device_put, (position, facing, every.astype(np.float32), every)))
         # One by one: lights of a kind share a program, however many there are.
         lux = [np.asarray(run_kept(shade_each, points, (light,)))[0, :count, 0] for light in lights]
-        return np.stack([self._reached(light, own) for light, own in zip(lights, lux, strict=True)], axis=-1)
+        return np.stack(
+            [self._reached(light, strength) for light, strength in zip(lights, lux, strict=True)], axis=-1
+        )
 
     def _reached(self, light: Light, lux: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         every = np.ones(len(self.points), bool)
@@ -157,7 +160,9 @@ def exposed(setup: LightSetup, lux: Float[np.ndarray, "n l"], seen: SeenSurface,
     sun, reference = np.ones(len(setup.lights)), 0.0
     strengths = [float(getattr(light, light.STRENGTH)) for light in setup.lights]
     pale = np.array([np.mean(light.color) / np.max(light.color) for light in setup.lights])
-    brightest = np.array([np.quantile(own[own > 0], 0.9) if (own > 0).any() else np.inf for own in lux.T])
+    brightest = np.array(
+        [np.quantile(column[column > 0], 0.9) if (column > 0).any() else np.inf for column in lux.T]
+    )
     for _ in range(DIMMINGS):
         shade, light = lux[:, near].sum(axis=1), (lux * sun)[:, near | parallel].sum(axis=1)
         bright, bounced = (lux * sun * pale)[:, near | parallel].sum(axis=1), np.zeros(len(light))

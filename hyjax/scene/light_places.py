@@ -115,16 +115,16 @@ def survey(
             `lamp_0`, `lamp_1`, … with position. What is missing is made up.
     """
     seen, eyes = SeenSurface.of(caster, cameras, SURVEY_CAMERAS)
-    known = anchors or {}
+    given = anchors or {}
     # Two places for the whole capture, by few cameras: those of the paper's benchmarks.
     few, few_eyes = SeenSurface.of(caster, cameras)
     focus, eye = np.median(few.points, axis=0), few_eyes.mean(axis=0)
     points = _points(caster, focus, eye, up)
     stops = _stops(caster, seen, eyes, up)
-    lamps = [np.asarray(known[name]["position"], float) for name in sorted(known) if name.startswith("lamp")]
+    lamps = [np.asarray(given[name]["position"], float) for name in sorted(given) if name.startswith("lamp")]
     if lamps or len(stops) > 1:
         lamps += [stop.lamp for stop in stops if not _has_lamp(caster, stop, lamps)]
-    windows = [_known_window(known[name]) for name in sorted(known) if name.startswith("window")]
+    windows = [_known_window(given[name]) for name in sorted(given) if name.startswith("window")]
     dark = [stop for stop in stops if not _has_window(seen, stop, windows, up)]
     chosen = dark if len(dark) <= MOST_WINDOWS else dark[:: -(-len(dark) // MOST_WINDOWS)]
     if windows and len(stops) == 1:
@@ -149,11 +149,11 @@ def _stops(caster: RayCaster, seen: SeenSurface, eyes: Float[np.ndarray, "c 3"],
     """Stops of the walk, in its order."""
     found: list[tuple[Vector, list[int]]] = []
     for camera, eye in enumerate(eyes):
-        own = seen.points[seen.camera == camera]
-        if not len(own):
+        stop_points = seen.points[seen.camera == camera]
+        if not len(stop_points):
             continue
-        lamp = _points(caster, np.median(own, axis=0), eye, up)[0]
-        near = [number for number, (place, _) in enumerate(found) if _together(caster, place, lamp)]
+        lamp = _points(caster, np.median(stop_points, axis=0), eye, up)[0]
+        near = [number for number, (earlier, _) in enumerate(found) if _together(caster, earlier, lamp)]
         if near:
             found[min(near, key=lambda n: float(np.linalg.norm(found[n][0] - lamp)))][1].append(camera)
         else:

@@ -163,8 +163,8 @@ class Relighter:
     @checked_arguments
     def view(self, frame: int | Frame) -> View:
         """View of a frame, at the configuration's scale."""
-        own = self.place.frame(frame)
-        return self._view(own, self.gbuffer(own.camera))
+        opened = self.place.frame(frame)
+        return self._view(opened, self.gbuffer(opened.camera))
 
     @checked_arguments
     def shade(self, view: View, *, sampling: int | None = None) -> Shaded:
@@ -187,8 +187,8 @@ class Relighter:
             frame: any of the place, or its position.
             rays: see `Scene.gbuffer`.
         """
-        own = self.place.frame(frame)
-        *_, (_, relit) = self.stages(own, gbuffer=self.gbuffer(own.camera, rays=rays))
+        opened = self.place.frame(frame)
+        *_, (_, relit) = self.stages(opened, gbuffer=self.gbuffer(opened.camera, rays=rays))
         return relit
 
     @checked_arguments
@@ -220,19 +220,19 @@ class Relighter:
 
     def _lit_stages(self, frame: int | Frame, gbuffer: GBuffer | None = None, view: View | None = None) -> Stages:
         """Stages up to a `LitFrame`."""
-        own = self.place.frame(frame)
+        opened = self.place.frame(frame)
         if view is None:
             if gbuffer is None:
-                gbuffer = self.gbuffer(own.camera)
+                gbuffer = self.gbuffer(opened.camera)
                 yield "g-buffer", gbuffer
-            view = self._view(own, gbuffer)
+            view = self._view(opened, gbuffer)
             yield "view", view
-        full = self._on_device(jax.device_put(own.image)) if self.configuration.scale > 1 else None
+        full = self._on_device(jax.device_put(opened.image)) if self.configuration.scale > 1 else None
         if self._shader is None:
             for stage, shaded in self._shade_stages(view):
                 yield stage, shaded
         else:
-            view, shaded = self._shader(view, own.camera, self._light()[-1])
+            view, shaded = self._shader(view, opened.camera, self._light()[-1])
             yield "shaded", shaded
         make = self.guide.features
         carried = self._carried
@@ -282,7 +282,7 @@ class Relighter:
             self.setup, occluders=self._occluders, scale=options.map_scale, most_views=options.views
         )
         casting = casters(self.place, self.setup.lights, options.least_share)
-        return tuple(own if casts else None for own, casts in zip(maps, casting, strict=True))
+        return tuple(shadow_map if casts else None for shadow_map, casts in zip(maps, casting, strict=True))
 
     def _surface_light(self) -> SurfaceLight:
         """Photo's light and bounces on the surface."""
@@ -322,5 +322,5 @@ def scaled(camera: Camera, factor: int) -> Camera:
     """Camera of the picture whose pixels are cells of `factor` × `factor`."""
     k = camera.intrinsics
     height, width = level_shape((k.height, k.width), factor)
-    parts = (each / factor for each in (k.fx, k.fy, k.cx, k.cy))
+    parts = (length / factor for length in (k.fx, k.fy, k.cx, k.cy))
     return Camera(Intrinsics(width, height, *parts), camera.pose)

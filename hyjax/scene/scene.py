@@ -221,8 +221,8 @@ class Scene:
         check_setup_name(name)
         found = at_photo_sources and (self._sources_file is not None or not self.capture.anchors)
         if found not in self._anchors:
-            known = self.photo_light.sources.anchors if found else None
-            self._anchors[found] = survey_capture(self.caster, self.capture, known)
+            anchors = self.photo_light.sources.anchors if found else None
+            self._anchors[found] = survey_capture(self.caster, self.capture, anchors)
         return named_setup(name, self._anchors[found])
 
     @property
@@ -250,15 +250,15 @@ class Scene:
         most_views: int | None = None,
     ) -> tuple[ShadowMap | None, ...]:
         """Shadow maps of lights; the last `most_maps` are kept. Arguments: see `Place`."""
-        key, own = (occluders, scale, most_views), LightSetup.of(lights).lights
-        for place, (known, before, maps) in enumerate(self._maps):
-            if known == key and same_lights(before, own):
-                self._maps.append(self._maps.pop(place))  # the last used are kept
+        key, cast_lights = (occluders, scale, most_views), LightSetup.of(lights).lights
+        for index, (earlier, before, maps) in enumerate(self._maps):
+            if earlier == key and same_lights(before, cast_lights):
+                self._maps.append(self._maps.pop(index))  # the last used are kept
                 return maps
         caster, slack = (self.occluders, self.slack) if occluders == "completed" else (self.caster, None)
         folder = cache_folder() / "shadow-maps"
-        maps = jax.block_until_ready(cast_shadow_maps(caster, own, scale, slack, most_views, folder=folder))
-        self._maps = [*self._maps, (key, own, maps)][-self.most_maps :]
+        maps = jax.block_until_ready(cast_shadow_maps(caster, cast_lights, scale, slack, most_views, folder=folder))
+        self._maps = [*self._maps, (key, cast_lights, maps)][-self.most_maps :]
         return maps
 
     @checked_arguments
@@ -286,8 +286,8 @@ class Scene:
             InputError: no such set-up, or it keeps sources of a photo whose light is kept whole.
         """
         options = LightOptions(photo_light="kept" if keep_photo_light else "divided")
-        own = Configuration(light=options)
-        relighter = Relighter(self, lights, own, shadows=shadows, occluders=occluders)
+        configuration = Configuration(light=options)
+        relighter = Relighter(self, lights, configuration, shadows=shadows, occluders=occluders)
         return relighter.shade(view, sampling=sampling)
 
     @checked_arguments

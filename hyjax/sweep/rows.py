@@ -91,11 +91,11 @@ class RowStore:
             head = _heads.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # of a line that a kill cut off
             return
-        place = _Place(path, start, len(line), head.kind == ERROR)
+        entry = _Place(path, start, len(line), head.kind == ERROR)
         before = self._places.get(head.key)
-        if before is None or (before.is_error and not place.is_error):
-            self._places[head.key] = place
-        elif not place.is_error:
+        if before is None or (before.is_error and not entry.is_error):
+            self._places[head.key] = entry
+        elif not entry.is_error:
             self._repeated.add(head.key)
 
     def __len__(self) -> int:
@@ -107,24 +107,24 @@ class RowStore:
 
     def done(self) -> set[str]:
         """Keys with a result."""
-        return {key for key, place in self._places.items() if not place.is_error}
+        return {key for key, entry in self._places.items() if not entry.is_error}
 
     def get(self, key: str) -> Row | None:
         """Row of a key."""
         if key not in self._places:
             return None
-        place = self._places[key]
-        with open_regular(place.path) as file:
-            return _row(file, place)
+        entry = self._places[key]
+        with open_regular(entry.path) as file:
+            return _row(file, entry)
 
     def read(self) -> Iterator[Row]:
         """One row for each key, file by file."""
         self.refresh()
         for path in self.files():
-            places = [place for place in self._places.values() if place.path == path]
+            places = [entry for entry in self._places.values() if entry.path == path]
             with open_regular(path) as file:
-                for place in places:
-                    yield _row(file, place)
+                for entry in places:
+                    yield _row(file, entry)
 
     def duplicates(self) -> int:
         """Keys with more than one result."""
@@ -152,9 +152,9 @@ class RowStore:
             return ""
 
 
-def _row(file: BinaryIO, place: _Place) -> Row:
-    file.seek(place.start)
-    row: Row = parse_json(file.read(place.length), str(place.path))
+def _row(file: BinaryIO, entry: _Place) -> Row:
+    file.seek(entry.start)
+    row: Row = parse_json(file.read(entry.length), str(entry.path))
     return row
 
 

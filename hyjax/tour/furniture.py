@@ -132,8 +132,12 @@ class Part:
         return _transform_gbuffer(self._numbered(scanned), jnp.asarray(self.pose, jnp.float32))
 
     def _numbered(self, gbuffer: GBuffer) -> GBuffer:
-        own = np.asarray(gbuffer.face)
-        face = np.full_like(own, -1) if self.scanned is None else np.where(own >= 0, self.scanned[own], -1)
+        part_face = np.asarray(gbuffer.face)
+        face = (
+            np.full_like(part_face, -1)
+            if self.scanned is None
+            else np.where(part_face >= 0, self.scanned[part_face], -1)
+        )
         return dataclasses.replace(gbuffer, face=jnp.asarray(face, jnp.int32))
 
     @property
@@ -157,14 +161,14 @@ def vertex_gbuffer(parts: Sequence[Part], mesh: trimesh.Trimesh, multiple: int) 
     triangles, corners = [], []
     for part in parts:
         faces = part.caster.mesh.faces
-        place = np.zeros(len(part.caster.mesh.vertices), int)
-        place[faces.reshape(-1)] = np.arange(faces.size)
-        triangles.append(np.full(len(place), -1) if part.scanned is None else part.scanned[place // 3])
-        corners.append(np.eye(3, dtype=np.float32)[place % 3])
+        corner = np.zeros(len(part.caster.mesh.vertices), int)
+        corner[faces.reshape(-1)] = np.arange(faces.size)
+        triangles.append(np.full(len(corner), -1) if part.scanned is None else part.scanned[corner // 3])
+        corners.append(np.eye(3, dtype=np.float32)[corner % 3])
     more = -len(mesh.vertices) % multiple
-    each = mesh.vertices, mesh.vertex_normals, np.concatenate(corners)
+    fields = mesh.vertices, mesh.vertex_normals, np.concatenate(corners)
     position, normal, barycentric = (
-        jnp.asarray(np.pad(x, ((0, more), (0, 0)), mode="edge"), jnp.float32)[None] for x in each
+        jnp.asarray(np.pad(x, ((0, more), (0, 0)), mode="edge"), jnp.float32)[None] for x in fields
     )
     face = jnp.asarray(np.pad(np.concatenate(triangles), (0, more), mode="edge"), jnp.int32)[None]
     ones = jnp.ones(face.shape)
@@ -188,10 +192,10 @@ def cast_parts(
 
 def merge_gbuffers(parts: list[GBuffer]) -> GBuffer:
     """G-buffer of several parts: pixel by pixel the part in front."""
-    whole = parts[0]
+    merged = parts[0]
     for part in parts[1:]:
-        whole = _nearer_of_two(whole, part)
-    return whole
+        merged = _nearer_of_two(merged, part)
+    return merged
 
 
 @jax.jit

@@ -75,17 +75,17 @@ def random_shading(sample: Sample, key: Key[Array, ""]) -> Float[Array, "h w 3"]
     depth = relative_depth(sample)
     u, v = jnp.meshgrid((jnp.arange(w) - (w - 1) / 2) / FOCAL_LENGTH, (jnp.arange(h) - (h - 1) / 2) / FOCAL_LENGTH)
     position = depth[..., None] * jnp.stack([u, v, jnp.ones_like(u)], axis=-1)
-    known = lit(sample)
+    is_lit = lit(sample)
     total = jnp.full((h, w, 3), AMBIENT_SHARE)
     for lamp_key in jax.random.split(key, LAMPS):
         place_key, color_key = jax.random.split(lamp_key)
-        place = jax.random.uniform(
+        lamp_position = jax.random.uniform(
             place_key, (3,), minval=jnp.array([-1.2, -1.2, -0.5]), maxval=jnp.array([1.2, 1.2, 1.1])
         )
         color = jax.random.uniform(color_key, (3,), minval=0.1, maxval=1.0)
-        lamp = PointLight(place, jnp.asarray(1.0), color)
-        lux = jnp.where(known, lamp.illuminance_at(position, sample.normal), 0.0)
-        lux = lux / jnp.maximum(mean_over(lux, known), 1e-6)
+        lamp = PointLight(lamp_position, jnp.asarray(1.0), color)
+        lux = jnp.where(is_lit, lamp.illuminance_at(position, sample.normal), 0.0)
+        lux = lux / jnp.maximum(mean_over(lux, is_lit), 1e-6)
         total = total + jnp.minimum(lux, LARGEST_BRIGHTNESS)[..., None] * (color / LAMPS)
     return total
 

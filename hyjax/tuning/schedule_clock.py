@@ -91,10 +91,10 @@ class ScheduleClock:
 
     def predict(self, schedule: Schedule) -> Milliseconds:
         """Time by the cost model for schedules of the searched form; for others the measured time, if any."""
-        known = self.table.timed.get(schedule_key(schedule))
-        if known is None or has_searched_form(schedule):
-            known = self.table.predict(self.table.steps_of(schedule))
-        return Milliseconds(self.rest.median + known.median, self.rest.p95 + known.p95)
+        time = self.table.timed.get(schedule_key(schedule))
+        if time is None or has_searched_form(schedule):
+            time = self.table.predict(self.table.steps_of(schedule))
+        return Milliseconds(self.rest.median + time.median, self.rest.p95 + time.p95)
 
     def is_timed(self, schedule: Schedule) -> bool:
         """Whether the device has run a schedule; of a whole frame only parts were timed."""
@@ -116,10 +116,10 @@ class ScheduleClock:
         How often each runs is the engine's own.
         """
         schedules = [configuration.schedule for configuration in configurations]
-        *own, base = self.measure([*schedules, self.base], again=True)
+        *measured, base = self.measure([*schedules, self.base], again=True)
         return [
             FrameTime(time.median, time.p95, base.median, time.median / base.median, not self.is_timed(schedule))
-            for time, schedule in zip(own, schedules, strict=True)
+            for time, schedule in zip(measured, schedules, strict=True)
         ]
 
     def check_reachable(self, milliseconds: float) -> None:
@@ -138,9 +138,9 @@ class ScheduleClock:
 
     def _parts(self) -> dict[str, float]:
         """Milliseconds (95th percentile) of the stages that no schedule changes, dearest first."""
-        own = self.table.p95
-        cheapest = min(level + finest for level, finest in zip(own.level, own.finest))
-        parts = {"reading, weighting and upsampling the filter": own.fixed, "one level": cheapest}
+        p95 = self.table.p95
+        cheapest = min(level + finest for level, finest in zip(p95.level, p95.finest))
+        parts = {"reading, weighting and upsampling the filter": p95.fixed, "one level": cheapest}
         if self.whole_frame:
             parts |= {name: time.p95 for name, time in self.table.stages.items()}
         return dict(sorted(parts.items(), key=lambda item: -item[1]))

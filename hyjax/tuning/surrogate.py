@@ -78,9 +78,9 @@ class Surrogate:
         """Mean and standard deviation at choices."""
         features = embed(self.space, choices)
         across = self.spread**2 * covariance(self.space, features, self.features)
-        own = self.spread**2 * (len(self.space.parameters) + JOINT_RATIO**2)
+        prior = self.spread**2 * (len(self.space.parameters) + JOINT_RATIO**2)
         explained = np.einsum("mn,nm->m", across, cho_solve(self.factor, across.T))
-        return across @ self.weights, np.sqrt(np.maximum(own - explained, 0.0))
+        return across @ self.weights, np.sqrt(np.maximum(prior - explained, 0.0))
 
     def effect(self, choices: Mapping[str, Any], other: Mapping[str, Any]) -> float:
         """Predicted difference between two choices."""
@@ -100,10 +100,10 @@ def covariance(space: Space, a: Float[np.ndarray, "n p"], b: Float[np.ndarray, "
     """The kernel over s², see the module."""
     total, product = np.zeros((len(a), len(b))), np.ones((len(a), len(b)))
     for column, parameter in enumerate(space.parameters):
-        own, other = a[:, column, None], b[None, :, column]
-        each = (own == other).astype(float)
+        first, second = a[:, column, None], b[None, :, column]
+        likeness = (first == second).astype(float)
         if parameter.continuous or parameter.ordered:
-            near = np.exp(-0.5 * ((own - other) / LENGTH_SCALE) ** 2)
-            each = np.where((own < 0) | (other < 0), each, near)
-        total, product = total + each, product * each
+            near = np.exp(-0.5 * ((first - second) / LENGTH_SCALE) ** 2)
+            likeness = np.where((first < 0) | (second < 0), likeness, near)
+        total, product = total + likeness, product * likeness
     return total + JOINT_RATIO**2 * product
