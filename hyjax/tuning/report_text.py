@@ -107,12 +107,18 @@ def _levels(values: Iterable[Any]) -> str:
 
 
 def summary(tuned: Tuned) -> list[str]:
-    """Sentences of the result: one for each budget, missed budgets, and the error of predicted times."""
+    """Sentences of the result: one for each budget, missed budgets, times as predicted, what was left out."""
     sentences = []
     for budget, best in zip(tuned.budgets, tuned.best, strict=True):
         sentences.append(sentence(tuned, budget, best))
         sentences += missed(budget, best)
-    return sentences + bargain(tuned) + prediction(tuned) + cut_short(tuned)
+    return sentences + bargain(tuned) + prediction(tuned) + unjudged(tuned) + cut_short(tuned)
+
+
+def unjudged(tuned: Tuned) -> list[str]:
+    """The choices that were not searched for want of true pictures."""
+    names = tuned.record.get("not searched")
+    return [f"Not searched: {', '.join(names)}; only the true pictures of --rooms can judge them."] if names else []
 
 
 def cut_short(tuned: Tuned) -> list[str]:

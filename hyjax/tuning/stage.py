@@ -208,6 +208,7 @@ class FrameStage(Stage):
         return {
             "scenes": [scene.name for scene in self.bench.scenes],
             "timed under": self.bench.lights,
+            "not searched": [name for name in Space.of(truth=True).named if name not in self.space.named],
         }
 
     def prediction_errors(self, state: State, tuned: Sequence[Candidate]) -> list[float]:

@@ -209,6 +209,12 @@ def test_sentences_where_less_is_known() -> None:
     )
 
 
+def test_choices_that_no_true_picture_could_judge_are_told() -> None:
+    said = report.summary(fake([FPS60], record={"not searched": ["bounces", "bounce_gain"]}))
+    assert "Not searched: bounces, bounce_gain; only the true pictures of --rooms can judge them." in said
+    assert not any("Not searched" in line for line in report.summary(fake([FPS60], record={"not searched": []})))
+
+
 def test_what_differs_from_the_default() -> None:
     assert configuration_text(Configuration()) == "the default"
     paper = described(Configuration.paper())
