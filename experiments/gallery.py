@@ -130,7 +130,7 @@ def main(config: Config) -> None:
 
 
 def cells_of(folder: Path, cells: Cells) -> Pixels:
-    """Some rows and columns of a sheet, with the names above and beneath them.
+    """Some rows and columns of a sheet, with the names above them.
 
     Raises:
         InputError: no such picture.

@@ -18,7 +18,7 @@ def contact_sheet(
     """Compose a sheet.
 
     Args:
-        rows: (label, display-encoded pictures), as many pictures as headings.
+        rows: (label above them, display-encoded pictures), as many pictures as headings.
         headings: one for each column.
         width: of each picture on the sheet, in pixels.
 
@@ -32,11 +32,11 @@ def contact_sheet(
     )
     texts = [(GAP + i * (width + GAP), LABEL - 6, heading) for i, heading in enumerate(headings)]
     for r, (label, pictures) in enumerate(rows):
-        top = LABEL + r * (height + LABEL)
+        top = 2 * LABEL + r * (height + LABEL)
         for i, picture in enumerate(_resized(pictures, height, width)):
             left = GAP + i * (width + GAP)
             sheet[top : top + height, left : left + width] = np.clip(picture, 0, 1)
-        texts.append((GAP, top + height + LABEL - 6, label))
+        texts.append((GAP, top - 6, label))
     return _write_texts(sheet, texts)
 
 

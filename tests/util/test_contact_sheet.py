@@ -15,7 +15,7 @@ def plain(value: float, height: int = 30, width: int = 40) -> np.ndarray:
 
 
 def cell(sheet: np.ndarray, row: int, column: int, height: int = 30) -> np.ndarray:
-    top, left = LABEL + row * (height + LABEL), GAP + column * (WIDTH + GAP)
+    top, left = 2 * LABEL + row * (height + LABEL), GAP + column * (WIDTH + GAP)
     return sheet[top : top + height, left : left + WIDTH]
 
 
@@ -28,14 +28,14 @@ def test_each_picture_is_in_its_cell() -> None:
             np.testing.assert_allclose(cell(sheet, r, c), 0.1 + 0.3 * r + 0.1 * c, atol=1e-5)
 
 
-def test_headings_and_labels_are_written_between_the_pictures() -> None:
+def test_headings_and_labels_are_written_above_the_pictures() -> None:
     sheet = contact_sheet([("000", [plain(0.5)] * 2)], ("iiii", ""), width=WIDTH)
     heading, no_heading = sheet[:LABEL, : GAP + WIDTH], sheet[:LABEL, GAP + WIDTH + 1 :]
-    label = sheet[LABEL + 30 :, : GAP + WIDTH]
+    label = sheet[LABEL : 2 * LABEL, : GAP + WIDTH]
     assert heading.max() > 0.6 * INK and label.max() > 0.6 * INK
     np.testing.assert_allclose(no_heading, BACKGROUND, atol=1e-6)
-    other = contact_sheet([("001", [plain(0.5)] * 2)], ("iiii", ""), width=WIDTH)[LABEL + 30 :, : GAP + WIDTH]
-    assert not np.allclose(other, label)
+    other = contact_sheet([("001", [plain(0.5)] * 2)], ("iiii", ""), width=WIDTH)[LABEL : 2 * LABEL]
+    assert not np.allclose(other[:, : GAP + WIDTH], label)
 
 
 def test_pictures_of_any_size_are_resampled_to_the_column() -> None:
