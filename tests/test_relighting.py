@@ -74,6 +74,8 @@ def test_frames_past_the_end_are_refused(text: str) -> None:
 def test_frames_of_another_form_are_refused(text: str) -> None:
     with pytest.raises(InputError, match="is not of the form"):
         select_frames(text, 24)
+    with pytest.raises(InputError, match="is not of the form"):
+        RelightSettings(frames=text).check()  # before a capture is opened, or the built-in room rendered
 
 
 @pytest.mark.parametrize("text", ["3:3", "5:2", "2:5:-1"])

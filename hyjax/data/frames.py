@@ -53,14 +53,7 @@ def shrink(frame: Frame, longest: int) -> Frame:
 def select_frames(text: str, count: int) -> list[int]:
     """Frame indices from `all`, `7`, `0:300:30` (as Python slices) or a comma-separated list of these."""
     chosen: list[int] = []
-    for part in text.split(","):
-        fields = ["", "", ""] if part.strip() == "all" else part.strip().split(":")
-        try:
-            numbers = [int(field) if field.strip() else None for field in fields]
-        except ValueError:
-            numbers = []
-        if not 1 <= len(numbers) <= 3 or numbers == [None] or numbers[2:] == [0]:
-            raise InputError(f"frames: {text!r} is not of the form all, 7, 0:{count}:10 or a list of these")
+    for numbers in frame_numbers(text):
         first = numbers[0] or 0
         last = numbers[1] if len(numbers) > 1 else first + 1 if first != -1 else None
         if not -count <= first < count or not -count <= (last or 0) <= count:
@@ -70,6 +63,25 @@ def select_frames(text: str, count: int) -> list[int]:
     if not chosen:
         raise InputError(f"frames: {text!r} selects no frame of 0 to {count - 1}")
     return chosen
+
+
+def frame_numbers(text: str) -> list[list[int | None]]:
+    """Numbers of each part of what `select_frames` takes, before the capture is known.
+
+    Raises:
+        InputError: not of its form.
+    """
+    found = []
+    for part in text.split(","):
+        fields = ["", "", ""] if part.strip() == "all" else part.strip().split(":")
+        try:
+            numbers = [int(field) if field.strip() else None for field in fields]
+        except ValueError:
+            numbers = []
+        if not 1 <= len(numbers) <= 3 or numbers == [None] or numbers[2:] == [0]:
+            raise InputError(f"frames: {text!r} is not of the form all, 7, 0:300:30 or a list of these")
+        found.append(numbers)
+    return found
 
 
 def spread(items: Sequence[T], count: int) -> list[T]:

@@ -70,9 +70,11 @@ class RelightSettings(Settings):
         """These settings, if a run can start with them as far as that can be known in advance.
 
         Raises:
-            InputError: a value out of range, a schedule or set-up that does not exist, or options that exclude each
-                other.
+            InputError: a value out of range or of another form, a schedule or set-up that does not exist, or
+                options that exclude each other.
         """
+        from hyjax.data.frames import frame_numbers
+
         if self.kappa is not None and self.configuration is not None and self.schedule is None:
             raise InputError("kappa: the configuration brings its own; give --kappa with a named --schedule only")
         if (self.schedule, self.configuration) == (None, None):
@@ -82,6 +84,7 @@ class RelightSettings(Settings):
         for renderer in self.renderers:
             self.open_configuration().followed_by(renderer, say=False)
         check_lights_name(self.lights)
+        frame_numbers(self.frames)
         self.scene.check()
         return self
 
