@@ -26,6 +26,8 @@ from hyjax.util.extras import optional_module
 from hyjax.util.interrupts import defer_interrupts, exit_now
 from hyjax.util.terminal import end_output, open_closed_streams, quiet_libraries, shortened
 
+WITH_CAPTURE = ("relight", "tune", "tour", "export")
+"""Commands that take a capture as an option."""
 RENAMED_VALUES = {("--renderer", "hyjax"): "shadow_map"}
 
 
@@ -69,7 +71,11 @@ Command = (
 
 
 def parse() -> Command:
-    """Settings of the command line. Exits with status 2 on a usage error."""
+    """Settings of the command line. Exits with status 2 on a usage error.
+
+    Raises:
+        InputError: a capture without its option.
+    """
     # The defaults of `train`, and what its help says they are.
     recipe = paper_settings() if "--paper" in sys.argv else TrainSettings()
     commands = (
@@ -94,7 +100,10 @@ def parse() -> Command:
         )
 
     arguments = _renamed(sys.argv[1:])
-    if (short := shortened(arguments)) == arguments:
+    short = shortened(arguments)
+    if len(short) > 1 and short[0] in WITH_CAPTURE and not short[1].startswith("-"):
+        raise InputError(f"{short[1]}: is no option; a capture is given as --capture {short[1]}")
+    if short == arguments:
         return read(arguments)
     said = io.StringIO()
     try:

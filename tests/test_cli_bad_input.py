@@ -14,8 +14,9 @@ import trimesh
 import yaml
 from reference.seven_scenes_export import export_seven_scenes
 
-from hyjax.cli import main
+from hyjax.cli import main, parse
 from hyjax.data.builtin_room import RoomCapture, load_room
+from hyjax.util.errors import InputError
 
 HYJAX = str(Path(sys.executable).with_name("hyjax"))
 POINT = {"kind": "point", "position": [2.2, 2.6, 1.5], "luminous_flux": 2000}
@@ -157,6 +158,8 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "light key": (lights(postion=1), ("given.yaml", "'postion'", "'position'")),
     "lights unknown": (plain("--lights", "noon-windows"), ("'noon-windows'", "noon-window")),
     "frames past the end": (plain("--frames", "0:3"), ("past the end", "0 to 1")),
+    "frames misspelt": (plain("--frames", "five"), ("'five'", "0:300:30")),
+    "no photo sources": (plain("--photo-sources", "none.yaml"), ("none.yaml", "no such file")),
     "size superscript": (plain("--size", "64²"), ("64²",)),
     "size gigantic": (plain("--size", "99999999"), ("99999999",)),
     "seed": (plain("--seed", "-1"), ("seed",)),
@@ -198,6 +201,14 @@ def test_bad_input_is_one_line(
     options = apply(capture) + (["--mesh", true_mesh] if name in NEEDS_MESH else [])
     run = relight if name in IN_A_PROCESS else relight_here
     refuses(tmp_path / "out", run("--out", tmp_path / "out", *options), *parts)
+
+
+def test_a_capture_without_its_option(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `hyjax info` takes it."""
+    for command in ("relight", "tour"):
+        monkeypatch.setattr(sys, "argv", ["hyjax", command, "my_scan"])
+        with pytest.raises(InputError, match="--capture my_scan"):
+            parse()
 
 
 @pytest.mark.slow

@@ -156,6 +156,20 @@ FORMS = {
 }
 
 
+def source_entries(path: Path) -> tuple[list[_Window], list[_Lamp]]:
+    """Windows and lamps of a file, whatever the scan.
+
+    Raises:
+        InputError: no such file, or malformed.
+    """
+    lists = _converted(str(path), read_yaml(path), _SourcesFile)
+    windows = [_converted(f"{path}: window {i}", entry, _Window) for i, entry in enumerate(lists.windows)]
+    lamps = [_converted(f"{path}: lamp {i}", entry, _Lamp) for i, entry in enumerate(lists.lamps)]
+    if not windows and not lamps:
+        raise InputError(f"{path}: names no window and no lamp")
+    return windows, lamps
+
+
 @checked_arguments
 def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarray, "n 3"]) -> PhotoSources:
     """Sources from a file; see the module for its form.
@@ -170,26 +184,18 @@ def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarr
         InputError: no such file, malformed, a window off the walls or inside out, a lamp outside the scan.
     """
     path = Path(path)
-    content = read_yaml(path)
-    lists = _converted(str(path), content, _SourcesFile)
-    windows = [
-        _checked_window(f"{path}: window {i}", _converted(f"{path}: window {i}", entry, _Window), i, up)
-        for i, entry in enumerate(lists.windows)
-    ]
-    lamps = [
-        (_converted(f"{path}: lamp {i}", entry, _Lamp), f"{path}: lamp {i}", i)
-        for i, entry in enumerate(lists.lamps)
-    ]
-    if not windows and not lamps:
-        raise InputError(f"{path}: names no window and no lamp")
+    named_windows, lamps = source_entries(path)
+    windows = [_checked_window(f"{path}: window {i}", entry, i, up) for i, entry in enumerate(named_windows)]
     for i, window in enumerate(windows):
         _check_place(f"{path}: window {i}", window, caster, eyes)
     low, high = caster.mesh.bounds
     made = []
-    for lamp, where, i in lamps:
+    for i, lamp in enumerate(lamps):
         place = np.asarray(lamp.position, float)
         if (place < low - WALL_DISTANCE).any() or (place > high + WALL_DISTANCE).any():
-            raise InputError(f"{where}: position {list(lamp.position)} lies outside the scan (metres, its axes)")
+            raise InputError(
+                f"{path}: lamp {i}: position {list(lamp.position)} lies outside the scan (metres, its axes)"
+            )
         made.append(PhotoLamp(lamp.name or f"lamp-{i + 1}", place, lamp.radius, np.zeros(0, int)))
     names = [window.name for window in windows] + [lamp.name for lamp in made]
     for name in names:
