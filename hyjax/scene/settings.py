@@ -64,13 +64,14 @@ class SceneSettings(Settings):
             InputError: a size, a setting of the fusion or the seed is out of range, there is no such mesh, or the
                 file of the photo's sources cannot be read.
         """
-        from hyjax.photo_light.sources import source_entries
         from hyjax.scene.surfaces import check_mesh_name, check_surface
 
         parse_size(self.size)
         check_mesh_name(self.mesh)
         check_surface(self.fusion, self.seed)
         if self.photo_sources is not None:
+            from hyjax.photo_light.sources import source_entries
+
             source_entries(self.photo_sources)
         return self
 
