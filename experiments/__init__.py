@@ -5,6 +5,7 @@ EXPERIMENTS = (
     "truth",
     "real",
     "dark_frames",
+    "patches",
     "readme_picture",
     "flicker",
     "ablation_cascade",
