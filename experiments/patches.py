@@ -7,8 +7,8 @@ in pixels of the frame as captured. The new light is ambient alone. *Unevenness*
 logarithm of luminance in a patch; *robust* half the distance of its percentiles 16 and 84. A material has texture
 and gloss, too: unevenness cannot fall to nothing.
 
-`--folder` has the captures in layouts that hyjax reads. Of slambook's dining room the five poses in `pose.txt` must be
-written as Redwood's `trajectory.log` first, and its depth as PNG.
+`--folder` has the captures in layouts that hyjax reads. Of slambook's dining room the five poses in `pose.txt` must
+be written as Redwood's `trajectory.log` first, and its depth as PNG.
 
 Takes some minutes a capture on two free cores, most of it once: the fusion of its depth, and the photo's own light.
 
@@ -149,9 +149,7 @@ def _rows(scene: Scene, patches: list[Patch]) -> tuple[list[Row], list[tuple[str
             scores = {name: unevenness(picture, mask) for name, picture in pictures.items()}
             light = scene.photo_light.record()
             rows.append({"frame": index, "material": patch.material, "scores": scores, "light": light})
-            border = mask & ~(
-                np.roll(mask, 1, 0) & np.roll(mask, -1, 0) & np.roll(mask, 1, 1) & np.roll(mask, -1, 1)
-            )
+            border = mask & ~binary_erosion(mask)
             for picture in shown:
                 picture[border] = OUTLINE
         sheet.append((f"frame {index}", shown))
