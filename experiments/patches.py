@@ -42,7 +42,6 @@ from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
 from hyjax.util.reading import read_json
 
-PATCHES = Path(__file__).with_suffix(".json")
 DARKEST = 1e-4
 """Luminance that darker pixels are taken to have."""
 OUTLINE = (1.0, 0.2, 0.8)
@@ -71,7 +70,7 @@ class Config(RunConfig):
     """Has the captures."""
     captures: tuple[str, ...] = ()
     """Those to look at. Default: all that have patches."""
-    patches: Path = PATCHES
+    patches: Path = Path("experiments/patches.json")
     """Patches."""
     size: str = "320x240"
     """Width x height of the pictures."""

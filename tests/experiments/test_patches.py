@@ -41,7 +41,7 @@ def test_pixels_of_a_polygon() -> None:
 
 
 def test_the_drawn_patches_can_be_read() -> None:
-    drawn = patches.read_patches(patches.Config().patches)
+    drawn = patches.read_patches(Path(patches.__file__).with_suffix(".json"))
     assert 10 <= len(drawn) <= 15 and len({patch.capture for patch in drawn}) == 5
 
 
