@@ -87,6 +87,7 @@ TABLES: dict[str, Published] = {
     "real-best": Published("real_best", 0, lines=BEST_LINES, caption=f"PSNR dB, {BEST_CAPTION}"),
     "real-best-scores": Published("real_best", 1, lines=BEST_LINES, caption=f"SSIM / SIE / LFE, {BEST_CAPTION}"),
     "dark-frames": Published("dark_frames"),
+    "patches": Published("patches"),
     # the paper's tables
     "directions-room": Published("paper_table_room", 0),
     "directions-kitchen": Published("paper_table_kitchen", 0),

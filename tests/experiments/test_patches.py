@@ -45,6 +45,7 @@ def test_the_drawn_patches_can_be_read() -> None:
     assert 10 <= len(drawn) <= 15 and len({patch.capture for patch in drawn}) == 5
 
 
+@pytest.mark.slow
 def test_patches_of_a_scan(scan: Path, tmp_path: Path) -> None:
     file = tmp_path / "patches.json"
     corners = "[[20, 20], [120, 20], [120, 90], [20, 90]]"
