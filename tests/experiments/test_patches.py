@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from experiments import patches
+from experiments.blocks import Table
 from experiments.records import of_kind
 from hyjax.data.builtin_room import RoomCapture
 from hyjax.light.kinds import PointLight
@@ -55,7 +56,8 @@ def test_patches_of_a_scan(scan: Path, tmp_path: Path) -> None:
     (row,) = of_kind(rows, "patch")
     assert row["scores"]["photo"]["deviation"] > 0 and 0 <= row["light"]["exponent"] <= 1.2
     assert patches.ratio(row, "photo's light kept") == pytest.approx(1, abs=0.05)
-    table, *_ = patches.blocks(rows, config.out)
+    table = patches.blocks(rows, tmp_path)[0]
+    assert isinstance(table, Table)
     assert [line[0] for line in table.rows] == [scan.name, "median", "worst"]
     with pytest.raises(InputError, match="'attic' has no patch"):
         patches.main(dataclasses.replace(config, captures=("attic",)))
