@@ -130,7 +130,7 @@ def _rows(scene: Scene, patches: list[Patch]) -> tuple[list[Row], list[tuple[str
     """Row of each patch, and lines of the sheet."""
     even = (AmbientLight(jnp.float32(REFERENCE_LUX), jnp.ones(3)),)
     relighters = {
-        way: Relighter(scene, even, Configuration(light=LightOptions(photo_light=kept)))  # type: ignore[arg-type]
+        way: Relighter(scene, even, Configuration(light=LightOptions(photo_light=kept)))
         for way, kept in WAYS.items()
     }
     rows: list[Row] = []
