@@ -71,11 +71,7 @@ Command = (
 
 
 def parse() -> Command:
-    """Settings of the command line. Exits with status 2 on a usage error.
-
-    Raises:
-        InputError: a capture without its option.
-    """
+    """Settings of the command line. Exits with status 2 on a usage error."""
     # The defaults of `train`, and what its help says they are.
     recipe = paper_settings() if "--paper" in sys.argv else TrainSettings()
     commands = (

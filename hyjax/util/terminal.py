@@ -62,7 +62,7 @@ def shortened(arguments: list[str]) -> list[str]:
     """Arguments with the middle of long ones left out, for messages.
 
     Example:
-        >>> [len(argument) <= LONGEST for argument in shortened(["relight", "9" * 5000])]
+        >>> [len(argument) <= LONGEST_ARGUMENT for argument in shortened(["relight", "9" * 5000])]
         [True, True]
     """
     return [

@@ -80,7 +80,7 @@ def test_damaged_files_are_one_line(folder: Path, file: str, content: str, messa
 
 def test_folders_without_pairs(tmp_path: Path, folder: Path) -> None:
     (tmp_path / "empty").mkdir()
-    for place, message in ((tmp_path / "empty", "no NAME/"), (tmp_path / "nothing", "no such folder")):
+    for place, message in ((tmp_path / "empty", "no folder NAME/"), (tmp_path / "nothing", "no such folder")):
         with pytest.raises(InputError, match=message):
             open_relit_pairs(place)
     write_pfm(folder / "Desk" / "disp0GT.pfm", np.full((15, 20), 6.0))

@@ -105,7 +105,7 @@ def test_dark_and_burnt_shares_of_every_set_up(scan: Path, tmp_path: Path, monke
 def test_bad_options_are_one_line(tmp_path: Path) -> None:
     for options, message in (
         ({"pairs": ()}, "at least one pair"),
-        ({"folder": tmp_path}, "no NAME/"),
+        ({"folder": tmp_path}, "no folder NAME/"),
         ({"geometries": ("fine",)}, "neither true nor rough"),
     ):
         with pytest.raises(InputError, match=message):
