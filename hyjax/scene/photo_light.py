@@ -126,7 +126,8 @@ class ScenePhotoLight:
         lit = f"{', '.join(names)} ({origin[sources.origin]})" if names else "no window and no lamp was found"
         shares = f"its brightness is believed by {estimate.exponent:.0%}, hue by {estimate.hue_exponent:.0%}"
         fate = shares if estimate.exponent else f"it stays in the pictures: {estimate.reason}"
-        return f"light of the photos: {lit}; {fate}; name what else was lit with --photo-sources"
+        remedy = "if other windows or lamps lit them, name these with --photo-sources"
+        return f"light of the photos: {lit}; {fate}; {remedy}"
 
     def record(self) -> dict[str, Any]:
         """Entries of the photo's light in a run's record."""
