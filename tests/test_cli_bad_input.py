@@ -231,7 +231,7 @@ def test_a_damaged_frame_amid_a_run_is_left_out(capture: Path, true_mesh: Path, 
     assert "light of the photos: no window and no lamp was found; it stays in the pictures: " in done.stderr
     names = {entry.name for entry in out.iterdir()}
     assert {"frame-000000.relit.png", "contact_sheet.png", "run.json"} <= names and len(names) == 5
-    done = relight(*options, "--mesh", true_mesh, "--no-shadows", "--strict", "--out", out)
+    done = relight(*options, "--mesh", true_mesh, "--no-shadows", "--keep-photo-light", "--strict", "--out", out)
     assert done.returncode == 2 and COLOR in done.stderr.splitlines()[-1]
 
 

@@ -367,13 +367,10 @@ def assert_same_run(log: list[dict], expected: list[dict]) -> None:
 
 @pytest.mark.slow
 def test_two_hosts_make_the_same_updates_and_resume(folder: Path, tmp_path: Path, alone: list[dict]) -> None:
-    cache = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "compiled")}
-    cache["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-    for iterations, resume in ((2, False), (3, True)):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-        code = f"""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    code = f"""
 import sys
 sys.path[:0] = {[str(Path(__file__).parents[k]) for k in (0, 1)]!r}
 import jax
@@ -382,24 +379,20 @@ assert jax.process_count() == 2 and jax.device_count() == 2
 from pathlib import Path
 import test_training as t
 t.ENCODERS["toy"] = t.ToyEncoder
-settings = t.settings_for(Path({str(folder)!r}), iterations={iterations}, validate_every=1)
-t.train(settings, Path({str(tmp_path)!r}), resume={resume}, progress=False)
+for iterations, resume in ((2, False), (3, True)):
+    settings = t.settings_for(Path({str(folder)!r}), iterations=iterations, validate_every=1)
+    t.train(settings, Path({str(tmp_path)!r}), resume=resume, progress=False)
 """
-        hosts = [
-            subprocess.Popen(
-                [sys.executable, "-c", code, str(k)],
-                env=devices(1) | cache,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-            for k in range(2)
-        ]
-        try:
-            for host in hosts:
-                _, errors = host.communicate(timeout=300)
-                assert host.returncode == 0, errors
-        finally:
-            for host in hosts:
-                host.kill()
+    hosts = [
+        subprocess.Popen([sys.executable, "-c", code, str(k)], env=devices(1), stderr=subprocess.PIPE, text=True)
+        for k in range(2)
+    ]
+    try:
+        for host in hosts:
+            _, errors = host.communicate(timeout=300)
+            assert host.returncode == 0, errors
+    finally:
+        for host in hosts:
+            host.kill()
     assert_same_run(log_of(tmp_path), alone)
     load_guide(tmp_path / "guide.safetensors")
