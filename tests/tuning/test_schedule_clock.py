@@ -18,11 +18,11 @@ from hyjax.core.schedule import Schedule, guided_schedule
 from hyjax.tuning import calibration, this_machine
 from hyjax.tuning.calibration import probe_steps
 from hyjax.tuning.cost_model import Milliseconds
-from hyjax.tuning.device_latency import DeviceWorkload
-from hyjax.tuning.device_request import calibration_schedules
+from hyjax.tuning.device_latency import FORMAT, Device, DeviceLatency, DeviceWorkload, Timed, WarmUp
+from hyjax.tuning.device_request import LatencyRequest, calibration_schedules
 from hyjax.tuning.factors import FACTORS, schedule_key
 from hyjax.tuning.latency_table import LatencyTable
-from hyjax.tuning.schedule_clock import ScheduleClock
+from hyjax.tuning.schedule_clock import MOST_CALIBRATIONS, ConnectedTimes, ScheduleClock
 from hyjax.tuning.this_machine import PROBE, ThisMachine, kept_latency
 from hyjax.util import clock
 from hyjax.util.errors import InputError
@@ -264,3 +264,37 @@ def test_a_small_calibration_for_real(monkeypatch: pytest.MonkeyPatch, tmp_path:
     assert 0 < predicted.median <= predicted.p95 < float("inf")
     for time in own.measure([Schedule.uniform([(2, 3)]), guided_schedule([(1, 2)])], again=True):
         assert 0 < time.median <= time.p95
+
+
+class BusyDevice:
+    """Stands in for a connected page; in its first rounds, other work slows the schedules that come first."""
+
+    def __init__(self, busy: int) -> None:
+        self.busy, self.said = busy, list[str]()
+        self.say = self.said.append
+
+    def latency(self, request: LatencyRequest, schedules: Sequence[Schedule]) -> DeviceLatency:
+        busy, self.busy = self.busy > 0, self.busy - 1
+        steps = [sum(level.steps for level in schedule.levels) for schedule in schedules]
+        times = [200.0 - 0.1 * count if busy else 10.0 + count for count in steps]
+        times = [time / (10.0 if busy and count == max(steps) else 1.0) for time, count in zip(times, steps)]
+        return DeviceLatency(
+            format=FORMAT,
+            device=Device(name="a phone"),
+            workload=request.workload,
+            measured=tuple(Timed.of(s, milliseconds=(t,) * 10) for s, t in zip(schedules, times)),
+            warm_up=WarmUp(seconds=1.0, runs=1),
+        )
+
+
+@pytest.mark.parametrize("busy", [0, 2, 3])
+def test_a_device_that_other_work_disturbs_is_timed_again(busy: int) -> None:
+    device = BusyDevice(busy)
+    measured = ConnectedTimes(device)._measured  # type: ignore[arg-type]
+    if busy == MOST_CALIBRATIONS:
+        with pytest.raises(InputError, match=r"a phone: .*times must rise with steps; end other work on it"):
+            measured(WORKLOAD)
+    else:
+        assert measured(WORKLOAD).measured[0].time.median < 100.0
+    assert len(device.said) == min(busy, MOST_CALIBRATIONS - 1)
+    assert all("taken again" in line for line in device.said)
