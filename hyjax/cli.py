@@ -24,7 +24,7 @@ from hyjax.util.claims import claimed
 from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
 from hyjax.util.interrupts import defer_interrupts, exit_now
-from hyjax.util.terminal import end_output, open_closed_streams, quiet_libraries, shortened
+from hyjax.util.terminal import end_output, open_closed_streams, quiet_libraries, usage_error
 
 WITH_CAPTURE = ("relight", "tune", "tour", "export")
 """Commands that take a capture as an option."""
@@ -86,29 +86,22 @@ def parse() -> Command:
         | Annotated[InfoSettings, tyro.conf.subcommand("info")]
     )
 
-    def read(arguments: list[str]) -> Command:
-        return tyro.cli(
-            commands,
-            args=arguments,
-            prog="hyjax",
-            description="Relight camera frames of real rooms.",
-            config=(tyro.conf.OmitArgPrefixes,),
-        )
-
     arguments = _renamed(sys.argv[1:])
-    short = shortened(arguments)
-    if len(short) > 1 and short[0] in WITH_CAPTURE and not short[1].startswith("-"):
-        raise InputError(f"{short[1]}: is no option; a capture is given as --capture {short[1]}")
-    if short == arguments:
-        return read(arguments)
+    if len(arguments) > 1 and arguments[0] in WITH_CAPTURE and not arguments[1].startswith("-"):
+        raise InputError(f"{arguments[1]}: is no option; a capture is given as --capture {arguments[1]}")
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            command = read(arguments)
+            command: Command = tyro.cli(
+                commands,
+                args=arguments,
+                prog="hyjax",
+                description="Relight camera frames of real rooms.",
+                config=(tyro.conf.OmitArgPrefixes,),
+            )
     except SystemExit as end:
         if end.code:
-            read(short)  # says the same without all of a long argument
-            raise InputError("one of the arguments of over 200 characters cannot be used") from None
+            raise InputError(usage_error(said.getvalue())) from None
         raise
     sys.stderr.write(said.getvalue())
     return command

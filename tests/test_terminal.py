@@ -8,7 +8,6 @@ import warnings
 import pytest
 
 from hyjax import cli
-from hyjax.util.errors import InputError
 from hyjax.util.terminal import OneLine, quiet_libraries
 
 INTERRUPTED_WHILE_LOADING = """
@@ -80,21 +79,41 @@ def test_help_beside_a_long_argument_comes_once(
     assert capsys.readouterr().out.count("usage: hyjax") == 1
 
 
-def test_what_is_said_of_long_arguments_is_not_lost(
+@pytest.mark.parametrize(
+    "arguments, line",
+    [
+        (
+            ["relight", "--lihgts", "night"],
+            "Unrecognized options: --lihgts, night; perhaps --lights",
+        ),
+        (
+            ["relight", "--seed", "x"],
+            "Error parsing --seed: invalid literal for int() with base 10: 'x'",
+        ),
+        (["relight", "--size"], "Missing value for argument '--size'. Expected 1 values"),
+        (["relite"], "Unrecognized options: relite"),
+        (["relight", "kitchen"], "kitchen: is no option; a capture is given as --capture kitchen"),
+    ],
+)
+def test_a_usage_error_is_one_line(
+    arguments: list[str], line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["hyjax", *arguments])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    assert capsys.readouterr().err.removesuffix("; see hyjax --help\n").rstrip("\n") == f"hyjax: {line}"
+
+
+def test_notes_of_the_reader_of_options_are_not_lost(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def read(*_: object, args: list[str], **__: object) -> str:
+    def read(*_: object, **__: object) -> str:
         print("a note", file=sys.stderr)
-        if "…" not in args[0] and args[0].startswith("wrong"):
-            raise SystemExit(2)
-        return args[0]
+        return "command"
 
     monkeypatch.setattr(cli.tyro, "cli", read)
-    monkeypatch.setattr(sys, "argv", ["hyjax", "right" * 100])
-    assert cli.parse() == "right" * 100 and capsys.readouterr().err == "a note\n"
-    monkeypatch.setattr(sys, "argv", ["hyjax", "wrong" * 100])
-    with pytest.raises(InputError, match="over 200 characters"):  # though the shortened one is right
-        cli.parse()
+    monkeypatch.setattr(sys, "argv", ["hyjax", "relight"])
+    assert cli.parse() == "command" and capsys.readouterr().err == "a note\n"
 
 
 def test_a_logged_message_is_one_line_and_a_traceback_below_it_is_not() -> None:

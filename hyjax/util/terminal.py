@@ -1,6 +1,7 @@
 """Messages of commands on stderr: one line each, without the libraries' own."""
 
 import errno
+import itertools
 import logging
 import os
 import sys
@@ -9,8 +10,8 @@ from typing import Any
 
 from hyjax.util.errors import one_line
 
-LONGEST_ARGUMENT = 200
-"""Characters of an argument that messages about the command line may repeat."""
+LONGEST_USAGE_ERROR = 400
+"""Characters of a message about the command line."""
 
 
 class OneLine(logging.Formatter):
@@ -58,14 +59,20 @@ def _show(message: Warning | str, *_: Any, **__: Any) -> None:
     print(one_line(f"hyjax: {message}"), file=sys.stderr)
 
 
-def shortened(arguments: list[str]) -> list[str]:
-    """Arguments with the middle of long ones left out, for messages.
+def usage_error(box: str) -> str:
+    """Line of a usage error that tyro has drawn as a box, with the first option that it takes for meant.
 
     Example:
-        >>> [len(argument) <= LONGEST_ARGUMENT for argument in shortened(["relight", "9" * 5000])]
-        [True, True]
+        >>> usage_error("title\\n--\\n Unrecognized options: --lihgt \\n --\\n Perhaps you meant:\\n  --lights STR")
+        'Unrecognized options: --lihgt; perhaps --lights; see hyjax --help'
     """
-    return [
-        one_line(argument, LONGEST_ARGUMENT) if len(argument) > LONGEST_ARGUMENT else argument
-        for argument in arguments
-    ]
+    rows = [row.strip("│ ") for row in box.splitlines()]
+    texts = itertools.dropwhile(_is_rule, rows[1:])  # of a title without Unicode's box
+    said = " ".join(itertools.takewhile(lambda row: not _is_rule(row), texts))
+    options = [row.split()[0] for row in rows if row.startswith("--") and not _is_rule(row)]
+    perhaps = f"; perhaps {options[0]}" if "Perhaps you meant:" in rows else ""
+    return f"{one_line(said, LONGEST_USAGE_ERROR).rstrip('.')}{perhaps}; see hyjax --help"
+
+
+def _is_rule(row: str) -> bool:
+    return not row.strip("╰╯─-")
