@@ -34,7 +34,7 @@ FRAME_WIDTH = 800
 """Largest longer side of these frames, in pixels."""
 PANE_FRAMES, PANE_WIDTH = 12, 320
 """Number of frames for the means of panes, and their longer side in pixels."""
-VERSION = 13
+VERSION = 14
 """Version of sources and estimate. Add one when either changes."""
 _log = logging.getLogger(__name__)
 

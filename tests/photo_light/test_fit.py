@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
@@ -16,7 +18,7 @@ from hyjax.light.transport import Transport, bounce, gather, send
 from hyjax.photo_light.basis import BINS, make_basis, window_light
 from hyjax.photo_light.belief import FOLD_COUNT, LARGEST_SIDE, LEAST_SHARE, folds
 from hyjax.photo_light.estimate import estimate_arrays, read_estimate
-from hyjax.photo_light.fit import FitProblem, fit_sources, illuminance, loss
+from hyjax.photo_light.fit import FitProblem, fit_sources, high_quantile, illuminance, loss
 from hyjax.photo_light.pairs import coplanar_pairs
 from hyjax.photo_light.radiance import linear, vertex_radiance
 from hyjax.photo_light.sources import PhotoLamp, PhotoSources, PhotoWindow
@@ -106,6 +108,16 @@ def test_the_gradient_of_the_fit_is_that_of_finite_differences(lit: Lit) -> None
         step = 1e-6
         numeric = (loss(start + step * way, double) - loss(start - step * way, double)) / (2 * step)
     np.testing.assert_allclose(slope, numeric, rtol=1e-4)
+
+
+@given(st.integers(1, 60), st.integers(0, 2**32 - 1))
+def test_the_high_quantile_is_numpys(count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.integers(0, 9, (count, 3)) + rng.choice([0.0, 0.25], (count, 3))  # with ties
+    chosen = rng.random(count) < rng.choice([0.1, 0.6, 1.0])
+    chosen[rng.integers(count)] = True
+    found = high_quantile(jnp.asarray(values, jnp.float32), jnp.asarray(chosen), 0.95)
+    np.testing.assert_allclose(found, np.quantile(values[chosen], 0.95, axis=0), atol=1e-5)
 
 
 def test_a_window_lights_what_faces_it(lit: Lit) -> None:
