@@ -208,6 +208,10 @@ class CaptureFormat:
     signs: str
 
 
+DESCRIPTION = ("name", "up", "sensor", "metric", "depth_in_units", "format", "strict")
+"""Attributes that hold of all frames and of some."""
+
+
 class DerivedCapture(Capture):
     """Capture derived from another one; a subclass overrides the parts that differ, at least `fingerprint`.
 
@@ -216,11 +220,9 @@ class DerivedCapture(Capture):
     """
 
     def __init__(self, source: Capture) -> None:
-        self.source, self.name, self.up, self.sensor = source, source.name, source.up, source.sensor
-        self.metric, self.depth_in_units = source.metric, source.depth_in_units
-        self.faults, self.remarks = source.faults, source.remarks
-        self.format, self.strict = source.format, source.strict
-        self.anchors, self.mesh_file, self.laser_folder = source.anchors, source.mesh_file, source.laser_folder
+        self.source = source
+        for name in (*DESCRIPTION, "anchors", "faults", "remarks", "mesh_file", "laser_folder"):
+            setattr(self, name, getattr(source, name))
 
     def __len__(self) -> int:
         return len(self.source)
@@ -259,9 +261,8 @@ class ChosenFrames(Capture):
     """Selected frames of a capture, as a capture of their own that depends on no other frame."""
 
     def __init__(self, capture: Capture, indices: Sequence[int]) -> None:
-        self.name, self.up, self.sensor = capture.name, capture.up, capture.sensor
-        self.metric, self.depth_in_units = capture.metric, capture.depth_in_units
-        self.format, self.strict = capture.format, capture.strict
+        for name in DESCRIPTION:
+            setattr(self, name, getattr(capture, name))
         self._capture, self.indices = capture, list(indices)
 
     @property

@@ -18,6 +18,7 @@ from hyjax.scene.fusion import LEAST_OVERLAP, LOW_COVERAGE, Readings, coverage_o
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.surfaces import ENOUGH_COVERAGE
 from hyjax.util.errors import InputError
+from hyjax.util.vectors import orthonormal_frame
 
 SAMPLE_COUNT = 12
 """Number of frames and depth maps to read."""
@@ -195,7 +196,7 @@ def points_from_above(
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "m 2"]]:
     """Plan of surface points and camera positions: metres along two horizontal axes."""
     capture = inspection.capture
-    x, y = horizontal_axes(capture.up)
+    x, y, _ = orthonormal_frame(capture.up)
     points = np.zeros((0, 3))
     if inspection.quantiles is not None:
         settings = FusionSettings()
@@ -212,10 +213,3 @@ def points_from_above(
     return np.stack([points @ x, points @ y], -1), np.stack(
         [inspection.positions @ x, inspection.positions @ y], -1
     )
-
-
-def horizontal_axes(up: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Horizontal axes: two unit vectors across `up` and each other, right-handed with it."""
-    first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    first /= np.linalg.norm(first)
-    return first, np.cross(up, first)

@@ -13,7 +13,7 @@ from hyjax.data.capture import Capture, Frame
 from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
-from hyjax.scene.inspection import Inspection, horizontal_axes, inspect, relight_command
+from hyjax.scene.inspection import Inspection, inspect, relight_command
 from hyjax.scene.inspection_picture import write_inspection
 from hyjax.util.errors import InputError
 from hyjax.util.images import picture_shape
@@ -101,12 +101,6 @@ def test_the_command_to_relight_it() -> None:
     command = relight_command(Path("x"), bare)
     assert "--scale METRES_IN_ONE_UNIT" in command and "--mesh FILE" in command
     assert "--scale 0.5" in relight_command(Path("x"), bare, scale=0.5)
-
-
-@pytest.mark.parametrize("up", [UP, [0.0, 1.0, 0.0], [0.6, 0.0, -0.8]])
-def test_axes_seen_from_above(up: list[float]) -> None:
-    x, y = horizontal_axes(np.asarray(up))
-    np.testing.assert_allclose(np.cross(x, y), up, atol=1e-12)
 
 
 @pytest.mark.parametrize("capture", [Walk(), Walk(wall(), depth=False), Walk(depth=False)])
