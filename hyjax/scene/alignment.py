@@ -1,12 +1,16 @@
 """Alignment of a capture's frames: registration of depth maps removes the drift of a phone's tracking.
 
 A phone's poses are off by centimetres from one end of a walk to the other. Fused as they are, thin things vanish
-and borders swell, and the surface lies beside the picture. Half of the depth maps are registered to each other, the
-other half to their surface; if it covers that other half no better than before, the poses stay as they are.
+and borders swell, and the surface lies beside the picture. Half of the depth maps are registered to each other. A
+tracker drifts and does not jump from frame to frame, so their corrections are smoothed along the walk, and those of
+all frames lie between them. How much is chosen by the agreement of every other pair of neighbouring pictures
+(`hyjax.geometry.picture_agreement`), which knows nothing of the surface. The poses stay as they are unless the
+other pairs agree better, and the surface covers the other half of the depth maps no worse.
 """
 
 import dataclasses
 import functools
+import itertools
 import logging
 from collections.abc import Sequence
 
@@ -16,12 +20,14 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from hyjax.data.capture import Capture, DerivedCapture, Frame
+from hyjax.data.frames import shrink, spread
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.coverage import Coverage
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
+from hyjax.geometry.picture_agreement import PosedPicture, agreement, fine_structure
 from hyjax.geometry.raycast import RayCaster
-from hyjax.geometry.registration import register, registered
+from hyjax.geometry.registration import register
 from hyjax.geometry.tsdf import fuse
 from hyjax.scene.fusion import FusionPlan, Readings, plan_fusion
 from hyjax.scene.fusion_settings import MAX_FUSED_FRAMES, FusionSettings
@@ -29,12 +35,22 @@ from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 
-VERSION = 1
+VERSION = 2
 """Version of the alignment. Add one when its poses change."""
 FEWEST_MAPS = 8
 """Fewest depth maps to align."""
 LEAST_GAIN = 0.005
-"""Least gain of coverage of held-out depth by aligned poses."""
+"""Least gain of coverage of held-out depth by aligned poses, where no pictures can judge them."""
+LEAST_AGREEMENT_GAIN = 0.01
+"""Least gain of the mean agreement of held-out pairs of pictures by aligned poses."""
+MOST_PICTURES, PICTURE_WIDTH = 48, 320
+"""Most pictures whose agreement is measured, and their longer side in pixels."""
+FEWEST_PAIRS = 6
+"""Fewest pairs of pictures that can judge poses."""
+SMOOTHING_WIDTHS = (2.0, 4.0, 8.0, 16.0)
+"""Standard deviations, in depth maps of the fusion, of the Gaussian that smooths corrections along the walk."""
+DEFAULT_WIDTH = 4.0
+"""The one where no pictures can judge them."""
 _log = logging.getLogger(__name__)
 
 
@@ -47,22 +63,32 @@ def aligned(capture: Capture, settings: FusionSettings, progress: bool = True) -
         progress: show bars on stderr.
     """
     wanted = settings.align == "yes" or (settings.align == "auto" and capture.sensor == PHONE_LIDAR)
-    if not wanted or isinstance(capture, AlignedCapture) or capture.depth_count < FEWEST_MAPS:
+    if not wanted or isinstance(capture, AlignedCapture):
+        return capture
+    if (count := capture.depth_count) < FEWEST_MAPS:
+        _say_unaligned(capture, settings, f"alignment needs {FEWEST_MAPS} depth maps, there are {count}")
         return capture
     most = min(settings.fuse_frames or MAX_FUSED_FRAMES, MAX_FUSED_FRAMES)
     try:
         plan = plan_fusion(capture, dataclasses.replace(settings, fuse_frames=most))
         corrections = cached_arrays(
             cache_folder() / f"alignment-{digest([f'{VERSION}', capture.fingerprint, repr(plan)])}.npz",
-            functools.partial(_corrections, len(plan.indices)),
+            functools.partial(_corrections, len(plan.indices[::2])),
             lambda: _align(capture, plan, progress),
         )
     except InputError as error:
         _log.warning("%s: poses are taken as they are: %s", capture.name, error)
         return capture
     if corrections is None:
+        _say_unaligned(capture, settings, "neighbouring pictures and depth maps agree no better by aligned ones")
         return capture
-    return AlignedCapture(capture, np.array(plan.indices), corrections)
+    return AlignedCapture(capture, np.array(plan.indices[::2]), corrections)
+
+
+def _say_unaligned(capture: Capture, settings: FusionSettings, reason: str) -> None:
+    """Say that the poses stay as they are; as a warning where alignment was asked for."""
+    level = logging.WARNING if settings.align == "yes" else logging.INFO
+    _log.log(level, "%s: poses are taken as they are: %s", capture.name, reason)
 
 
 def _corrections(count: int, arrays: Arrays) -> Float[np.ndarray, "n 4 4"] | None:
@@ -73,23 +99,101 @@ def _corrections(count: int, arrays: Arrays) -> Float[np.ndarray, "n 4 4"] | Non
 
 
 def _align(capture: Capture, plan: FusionPlan, progress: bool) -> Arrays:
-    """Corrections of the poses as motions; none if they are no better."""
-    readings = list(Readings(capture, plan.indices, plan.confidence))
+    """Corrections of the poses of every other depth map as motions; none if they are no better."""
+    readings, indices = list(Readings(capture, plan.indices, plan.confidence)), np.array(plan.indices)
 
     def fused(maps: Sequence[DepthReading]) -> trimesh.Trimesh:
         return fuse(maps, plan.voxel, plan.truncation, plan.far, plan.min_weight, progress=False)
 
-    fitted, heldout = readings[::2], readings[1::2]
-    before = Coverage.of(RayCaster(fused(fitted)), heldout)
-    moved = register(fitted, fused, plan.far, progress=progress)
-    caster = RayCaster(fused(moved))
-    others = [registered(reading, caster, plan.far) for reading in heldout]
-    after = Coverage.of(caster, others)
-    if after.covered < before.covered + LEAST_GAIN:
-        return {"corrections": np.zeros((0, 4, 4))}
-    final = [(moved if k % 2 == 0 else others)[k // 2] for k in range(len(readings))]
-    pairs = zip(final, readings, strict=True)
-    return {"corrections": np.stack([new.camera.pose @ np.linalg.inv(old.camera.pose) for new, old in pairs])}
+    def coverage(maps: Sequence[DepthReading]) -> float:
+        """Coverage of every other depth map by the surface of the rest."""
+        return Coverage.of(RayCaster(fused(maps[::2])), maps[1::2]).covered
+
+    moved = register(readings[::2], fused, plan.far, progress=progress)
+    motions = np.stack(
+        [new.camera.pose @ np.linalg.inv(old.camera.pose) for new, old in zip(moved, readings[::2], strict=True)]
+    )
+    origins = np.stack([reading.camera.origin for reading in readings[::2]])
+    candidates = {width: smoothed(motions, origins, width) for width in SMOOTHING_WIDTHS}
+    captures = {width: AlignedCapture(capture, indices[::2], found) for width, found in candidates.items()}
+    pictures = posed_pictures(capture)
+    scores = agreements(pictures, [capture, *captures.values()], plan.far)
+    width, judged, none = DEFAULT_WIDTH, len(scores) >= FEWEST_PAIRS, {"corrections": np.zeros((0, 4, 4))}
+    if judged:
+        before, *after = scores[1::2].mean(axis=0)
+        best = int(np.argmax(scores[::2, 1:].mean(axis=0)))
+        width = SMOOTHING_WIDTHS[best]
+        _log.info(
+            "%s: neighbouring pictures agree to %.2f as tracked and to %.2f as aligned",
+            capture.name,
+            before,
+            after[best],
+        )
+        if after[best] < before + LEAST_AGREEMENT_GAIN:
+            return none
+    corrected = [
+        reading._replace(camera=captures[width].corrected(reading.camera, float(index)))
+        for reading, index in zip(readings, indices, strict=True)
+    ]
+    if coverage(corrected) < coverage(readings) + (0.0 if judged else LEAST_GAIN):
+        return none
+    return {"corrections": candidates[width]}
+
+
+def smoothed(
+    motions: Float[np.ndarray, "n 4 4"], origins: Float[np.ndarray, "n 3"], width: float
+) -> Float[np.ndarray, "n 4 4"]:
+    """Motions smoothed along their order by a Gaussian; shifts are those of the places `origins`.
+
+    Args:
+        motions: small ones.
+        origins: of the cameras that they move.
+        width: standard deviation, in motions of the whole fusion, of which these are every other.
+    """
+    from scipy import ndimage  # SciPy is slow to load
+
+    shifts = np.einsum("nij,nj->ni", motions[:, :3, :3], origins) + motions[:, :3, 3] - origins
+    turns = Rotation.from_matrix(motions[:, :3, :3]).as_rotvec()
+    shifts, turns = (ndimage.gaussian_filter1d(x, 0.5 * width, axis=0, mode="nearest") for x in (shifts, turns))
+    found = np.tile(np.eye(4), (len(motions), 1, 1))
+    found[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix()
+    found[:, :3, 3] = origins + shifts - np.einsum("nij,nj->ni", found[:, :3, :3], origins)
+    return found
+
+
+def posed_pictures(capture: Capture) -> dict[int, PosedPicture]:
+    """Pictures spread over a capture that have a depth map of their moment, by their positions."""
+    found = {}
+    for index in spread(range(len(capture)), MOST_PICTURES):
+        position = capture.depth_position(index)
+        if position != int(position):
+            continue
+        try:
+            reading, picture = capture.depth_reading(int(position)), shrink(capture[index], PICTURE_WIDTH)
+        except InputError as error:
+            _log.info("poses are judged without frame %d: %s", index, error)
+            continue
+        found[index] = PosedPicture(fine_structure(picture.image), picture.camera, reading)
+    return found
+
+
+def agreements(
+    pictures: dict[int, PosedPicture], captures: Sequence[Capture], far: float
+) -> Float[np.ndarray, "p n"]:
+    """Agreement of each pair of neighbouring pictures by the poses of each capture; pairs that all can tell.
+
+    Args:
+        pictures: by their positions.
+        captures: of these pictures, with other poses.
+        far: metres beyond which no reading counts.
+    """
+    pairs = []
+    for (first, one), (second, other) in itertools.pairwise(pictures.items()):
+        posed = [(one.moved(c.camera(first).pose), other.moved(c.camera(second).pose)) for c in captures]
+        found = [agreement(*pair, far) for pair in posed]
+        if None not in found:
+            pairs.append(found)
+    return np.array(pairs, float).reshape(-1, len(captures))
 
 
 class AlignedCapture(DerivedCapture):
@@ -122,21 +226,22 @@ class AlignedCapture(DerivedCapture):
 
     def __getitem__(self, index: int) -> Frame:
         frame = self.source[index]
-        return dataclasses.replace(frame, camera=self._corrected(frame.camera, self._position(index)))
+        return dataclasses.replace(frame, camera=self.corrected(frame.camera, self._position(index)))
 
     def camera(self, index: int) -> Camera:
         """See `Capture`."""
-        return self._corrected(self.source.camera(index), self._position(index))
+        return self.corrected(self.source.camera(index), self._position(index))
 
     def depth_reading(self, index: int) -> DepthReading:
         """See `Capture`."""
         reading = self.source.depth_reading(index)
-        return reading._replace(camera=self._corrected(reading.camera, float(index)))
+        return reading._replace(camera=self.corrected(reading.camera, float(index)))
 
     def _position(self, index: int) -> float:
         return self.source.depth_position(range(len(self))[index])
 
-    def _corrected(self, camera: Camera, position: float) -> Camera:
+    def corrected(self, camera: Camera, position: float) -> Camera:
+        """Camera of the source with its correction at a position among the depth maps."""
         right = int(np.clip(np.searchsorted(self._indices, position), 1, max(len(self._indices) - 1, 1)))
         pair = self._corrections[[right - 1, min(right, len(self._corrections) - 1)]]
         first, second = self._indices[right - 1], self._indices[min(right, len(self._indices) - 1)]

@@ -9,6 +9,7 @@ import trimesh
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.depth_sensor import KINECT, PHONE_LIDAR
 from hyjax.geometry.raycast import RayCaster
 from hyjax.scene import alignment, surfaces
@@ -23,17 +24,20 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 class Drifting(Capture):
-    """A walk in a corner of a room; the told poses drift away from the true ones by `metres`."""
+    """A walk in a corner of a room; the told poses drift away from the true ones by `metres`.
+
+    Its pictures are grey, or show a pattern on the walls.
+    """
 
     name, up, fingerprint, sensor = "walk", UP, "", PHONE_LIDAR
 
-    def __init__(self, metres: float, count: int = 16) -> None:
+    def __init__(self, metres: float, count: int = 16, *, pattern: bool = False) -> None:
         room = trimesh.creation.box((4, 4, 3)).subdivide()
         room.invert()
         box = trimesh.creation.box((0.5, 0.5, 1.2))
         box.apply_translation([1.1, 0.9, -0.9])
         self._caster, self._metres, self._count = RayCaster(trimesh.util.concatenate([room, box])), metres, count
-        self.fingerprint = f"{metres} {count}"
+        self.fingerprint, self._pattern = f"{metres} {count} {pattern}", pattern
 
     def __len__(self) -> int:
         return self._count
@@ -50,8 +54,11 @@ class Drifting(Capture):
     def __getitem__(self, index: int) -> Frame:
         if not 0 <= index < self._count:
             raise IndexError
-        depth = np.asarray(self._caster.gbuffer(self.true(index)).depth)
-        picture = np.full((*LENS.shape, 3), 0.5, np.float32)
+        seen = self._caster.gbuffer(self.true(index))
+        depth, picture = np.asarray(seen.depth), np.full((*LENS.shape, 3), 0.5, np.float32)
+        if self._pattern:
+            x, y, z = np.moveaxis(np.asarray(seen.position), -1, 0)
+            picture += (0.4 * np.sin(17 * x + 3 * np.sin(4 * y)) * np.sin(15 * y + 5 * z))[..., None]
         return Frame(f"{index}", picture, self.camera(index), index / 10, depth)
 
 
@@ -85,12 +92,53 @@ def test_drift_is_taken_out(cache: Path) -> None:
     assert file.stat().st_mtime_ns == stamp and again.fingerprint == found.fingerprint
 
 
-def test_poses_without_drift_stay() -> None:
-    capture = Drifting(0.0)
+def test_pictures_agree_better_by_aligned_poses() -> None:
+    capture = Drifting(0.12, pattern=True)
+    found = aligned(capture, FusionSettings(), progress=False)
+    assert isinstance(found, AlignedCapture)
+    tracked, corrected = alignment.agreements(alignment.posed_pictures(capture), [capture, found], 5.0).mean(axis=0)
+    assert corrected > max(tracked + 0.01, 0.99)
+
+
+@pytest.mark.parametrize("pattern", [False, True])
+def test_poses_without_drift_stay(pattern: bool) -> None:
+    capture = Drifting(0.0, pattern=pattern)
     assert aligned(capture, FusionSettings(), progress=False) is capture
 
 
-def test_only_phones_are_aligned_unless_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_better_surface_alone_does_not_move_poses(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Maps that are registered to each other, and pictures that then agree less."""
+
+    def pushed(readings: list[DepthReading], *_: object, **__: object) -> list[DepthReading]:
+        shifts = 0.08 * np.random.default_rng(0).standard_normal((len(readings), 3)) * (1, 1, 0)
+        poses = [
+            reading.camera.pose + np.pad(shift[:, None], ((0, 1), (3, 0)))
+            for reading, shift in zip(readings, shifts)
+        ]
+        return [reading._replace(camera=Camera(LENS, pose)) for reading, pose in zip(readings, poses, strict=True)]
+
+    monkeypatch.setattr(alignment, "register", pushed)
+    monkeypatch.setattr(alignment.Coverage, "of", lambda *_: pytest.fail("is not asked"))
+    capture = Drifting(0.0, pattern=True)
+    assert aligned(capture, FusionSettings(align="yes"), progress=False) is capture
+    assert "poses are taken as they are: neighbouring pictures" in caplog.text
+
+
+def test_corrections_are_smoothed_along_the_walk() -> None:
+    motions, origins = np.tile(np.eye(4), (9, 1, 1)), np.random.default_rng(0).uniform(-3, 3, (9, 3))
+    motions[4, :3, 3] = 0.0, 0.0, 0.1
+    found = alignment.smoothed(motions, origins, 4.0)
+    assert 0.01 < found[4, 2, 3] < 0.03 and found[:, 2, 3].sum() == pytest.approx(0.1, rel=0.1)
+    np.testing.assert_allclose(
+        alignment.smoothed(np.tile(found[4], (9, 1, 1)), origins, 4.0)[0], found[4], atol=1e-9
+    )
+
+
+def test_only_phones_are_aligned_unless_it_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     asked: list[str] = []
     nothing = {"corrections": np.zeros((0, 4, 4))}
     monkeypatch.setattr(alignment, "_align", lambda capture, *_: asked.append(capture.sensor.name) or nothing)
@@ -101,6 +149,7 @@ def test_only_phones_are_aligned_unless_it_is_asked_for(monkeypatch: pytest.Monk
     assert aligned(capture, FusionSettings(align="yes"), progress=False) is capture and asked == ["Kinect"]
     few = Drifting(0.1, count=4)
     assert aligned(few, FusionSettings(align="yes"), progress=False) is few and len(asked) == 1
+    assert "needs 8 depth maps, there are 4" in caplog.text
 
 
 def test_corrections_are_interpolated_between_depth_maps() -> None:
@@ -137,7 +186,7 @@ def test_a_devices_mesh_keeps_the_devices_poses(gain: float, monkeypatch: pytest
     monkeypatch.setattr(surfaces, "LEAST_GAIN", gain)
     shift = np.eye(4)
     shift[0, 3] = 0.05
-    monkeypatch.setattr(alignment, "_align", lambda *_: {"corrections": np.tile(shift, (8, 1, 1))})
+    monkeypatch.setattr(alignment, "_align", lambda *_: {"corrections": np.tile(shift, (4, 1, 1))})
     capture = WithMesh(0.0, count=8)
     scene = Scene.open(SceneSettings(fusion=FusionSettings(voxel=0.1)), capture=capture)
     fused = scene.source.startswith("fused")

@@ -1,0 +1,93 @@
+"""Agreement of posed pictures: one is seen through another's depth map, and their fine grey structure compared.
+
+The depth sensor says where a pixel of one picture lies in the next; a wrong pose shows there another place. No mesh
+takes part, so that poses can be judged which a mesh was made to fit. Shading and exposure are left out by comparing
+what is finer than a few pixels alone.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.depth_map import READING_TOLERANCE, DepthReading, clean_depth
+
+COARSE_PIXELS = 4.0
+"""Standard deviation of the Gaussian, in pixels of the picture, that is taken off it."""
+FEWEST_POINTS = 500
+"""Fewest common points of two pictures for their agreement to be told."""
+LEAST_CONTRAST = 1e-3
+"""Least standard deviation of the fine structure of common points for their agreement to be told."""
+
+
+class PosedPicture(NamedTuple):
+    """A picture with the depth map of its moment.
+
+    Attributes:
+        fine: fine structure of its grey values, see `fine_structure`.
+        camera: of the picture.
+        reading: depth map; its camera has the pose of the picture's.
+    """
+
+    fine: Float[np.ndarray, "h w"]
+    camera: Camera
+    reading: DepthReading
+
+    def moved(self, pose: Float[np.ndarray, "4 4"]) -> "PosedPicture":
+        """The same with another pose."""
+        reading = self.reading._replace(camera=Camera(self.reading.camera.intrinsics, pose))
+        return self._replace(camera=Camera(self.camera.intrinsics, pose), reading=reading)
+
+
+def fine_structure(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
+    """Grey values of a picture less their smooth part."""
+    from scipy import ndimage  # SciPy is slow to load
+
+    grey = image.mean(axis=-1)
+    fine: Float[np.ndarray, "h w"] = grey - ndimage.gaussian_filter(grey, COARSE_PIXELS)
+    return fine
+
+
+def agreement(first: PosedPicture, second: PosedPicture, far: float) -> float | None:
+    """Correlation of the fine structure of two pictures where both see one surface; None where little is common.
+
+    Args:
+        first: its readings say which surface.
+        second: what it sees in front of that surface hides it.
+        far: metres beyond which no reading counts.
+    """
+    reading = first.reading
+    depth = clean_depth(reading.depth, reading.camera, far)
+    usable = depth > 0 if reading.confidence is None else (depth > 0) & (reading.confidence > 0)
+    points = reading.camera.unproject(depth)[usable]
+    own, inside = _sampled(first, points)
+    other, seen = _sampled(second, points)
+    common = inside & seen & _confirmed(second.reading, points)
+    if common.sum() < FEWEST_POINTS or min(own[common].std(), other[common].std()) < LEAST_CONTRAST:
+        return None
+    return float(np.corrcoef(own[common], other[common])[0, 1])
+
+
+def _sampled(
+    picture: PosedPicture, points: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+    """Fine structure of a picture at world points, and which of them lie in it."""
+    from scipy import ndimage  # SciPy is slow to load
+
+    pixel, depth = picture.camera.project(points)
+    (height, width), (x, y) = picture.fine.shape, np.nan_to_num(pixel.T - 0.5)
+    inside = (depth > 0) & (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    return ndimage.map_coordinates(picture.fine, [y, x], order=1, mode="nearest"), inside
+
+
+def _confirmed(reading: DepthReading, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+    """Whether a depth map measured a surface at each of the points."""
+    pixel, expected = reading.camera.project(points)
+    height, width = reading.depth.shape
+    column, row = np.floor(np.nan_to_num(pixel.T, nan=-1.0, posinf=-1.0, neginf=-1.0))
+    inside = (expected > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    measured = np.zeros(len(points))
+    measured[inside] = reading.depth[row[inside].astype(int), column[inside].astype(int)]
+    tolerance = READING_TOLERANCE[0] + READING_TOLERANCE[1] * expected
+    return (measured > 0) & (np.abs(measured - expected) < tolerance)
