@@ -1,7 +1,8 @@
 """Emitters in a frame: window panes and lamps, which show the new sky or bulb.
 
 Their pixels are not a surface that light falls on. A pane shows the sky that the new lights put there, bright at
-noon and dark at night, patterned as the photo's was; a lamp that is off is white in the light of the room.
+noon and dark at night, patterned as the photo's was; a lamp that is off is white in the light of the room. The
+scanned reveal and frame of a window are lit by the new light, however bright the old sky made them.
 """
 
 import dataclasses
@@ -10,7 +11,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from hyjax.core.finite import finite_or_zero
 from hyjax.light.gbuffer import GBuffer
@@ -30,6 +31,13 @@ PANE_UNLIT, PANE_LIT = 0.05, 0.1
 are open, to bright, where bright ones are; and values between which a pixel of a dark pane becomes a bar."""
 PANE_SLACK = 0.12
 """Distance before a pane, in metres, within which a scanned surface belongs to it: bars, blinds, noise."""
+REVEAL_DEPTH, REVEAL_WIDTH = 0.5, 0.1
+"""Largest depth of a window's reveal behind its plane, and distance inside the window's border within which a
+scanned surface is reveal or frame, in metres."""
+REVEAL_REFLECTANCE, MOST_REVEAL_REFLECTANCE = 0.35, 0.45
+"""Reflectance of a reveal that was as bright as its window in the photos, and the most of any. What the scan says
+of the old light in a reveal is too little: it lies outside the opening that lit the room. Chosen on one of the
+rooms that `experiments.truth` chooses on."""
 SOURCE_RADIUS = 0.1
 """Distance from a source, in metres, within which a new light makes it shine."""
 PANE_DARK, PANE_BRIGHT = 0.1, 0.3
@@ -87,11 +95,13 @@ class SourcePixels:
         weight: how far a pixel belongs to a source, in [0, 1].
         source: which one, panes first; -1 for none.
         pattern: of its light, relative to its mean.
+        reveal: whether it is the scanned reveal or frame of a window, which reflects light and sends none.
     """
 
     weight: Float[Array, "h w 1"]
     source: Int[Array, "h w"]
     pattern: Float[Array, "h w 3"]
+    reveal: Bool[Array, "h w 1"]
 
 
 def radiant_filter(
@@ -186,12 +196,15 @@ def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]
     shares = [PANE_REFLECTANCE] * len(emitters.panes) + [LAMP_REFLECTANCE] * len(emitters.lamps)
     count, light = len(emitters.panes), emitters.sent * emitters.mean
     light = jnp.concatenate([_view_light(light[:count], emitters.pane_means), light[count:]])
+    shown = jnp.where(pixels.reveal, 0.0, pixels.pattern)
+    surface = jnp.minimum(REVEAL_REFLECTANCE * pixels.pattern, MOST_REVEAL_REFLECTANCE)
     for k, share in enumerate(shares):  # a few; gathering from a table takes longer
         here = pixels.source[..., None] == k
-        radiance = light[k] * pixels.pattern + emitters.kept[k] * frame
+        radiance = light[k] * shown + emitters.kept[k] * frame
         sent = jnp.where(here, radiance, sent)
         # The kept part of the photo holds its reflections, too.
-        reflected = share * emitters.mean * jnp.maximum(1.0 - emitters.kept[k], 0.0)
+        reflected = jnp.where(pixels.reveal, surface, share)
+        reflected *= emitters.mean * jnp.maximum(1.0 - emitters.kept[k], 0.0)
         reflectance = jnp.where(here, reflected, reflectance)
     return Emission(pixels.weight, sent, reflectance)
 
@@ -215,7 +228,8 @@ def source_pixels(
     """
     ray, depth, pixel = _rays(gbuffer, pose, intrinsics)
     weight, pattern = jnp.zeros(depth.shape), jnp.ones((*depth.shape, 3))
-    source = jnp.full(depth.shape, -1)
+    source, reveal = jnp.full(depth.shape, -1), jnp.zeros(depth.shape, bool)
+    reveals = _reveals(emitters.panes, gbuffer)
     shares = list(pane_shares(emitters.panes, emitters.pane_means, frame, gbuffer, pose, intrinsics))
     for *place, radius in emitters.lamps:
         toward = jnp.stack(place) - pose[:3, 3]
@@ -232,8 +246,9 @@ def source_pixels(
         largest = (share > 0) & (share >= weight)  # of equals the later one: lamps stand before panes
         weight = jnp.maximum(weight, share)
         source = jnp.where(largest, k, source)
+        reveal = jnp.where(largest, reveals[k] if k < len(emitters.panes) else False, reveal)
         pattern = jnp.where(largest[..., None], shown, pattern)
-    return SourcePixels(weight[..., None], source, pattern)
+    return SourcePixels(weight[..., None], source, pattern, reveal[..., None])
 
 
 def _view_light(light: Float[Array, "n 3"], means: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
@@ -301,6 +316,17 @@ def _covers(
         cover = jnp.clip(jnp.minimum(*inside) / (pixel * jnp.maximum(distance, 1e-3)) + 0.5, 0.0, 1.0)
         shares.append(cover * ((distance > 0) & (slope < 0) & (depth > distance - PANE_SLACK)))
     return jnp.stack(shares) if shares else jnp.zeros((0, *depth.shape))
+
+
+def _reveals(panes: Float[Array, "n 3 3"], gbuffer: GBuffer) -> Bool[Array, "n h w"]:
+    """Whether the surface at a pixel is the scanned reveal or frame of each pane."""
+    found = [jnp.zeros((0, *gbuffer.hit.shape), bool)]
+    for center, right, up in panes:
+        place = gbuffer.position - center
+        behind = -dot(place, unit(cross(right, up)))
+        inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
+        found.append((gbuffer.hit & (behind < REVEAL_DEPTH) & (jnp.minimum(*inside) < REVEAL_WIDTH))[None])
+    return jnp.concatenate(found)
 
 
 def _rays(
