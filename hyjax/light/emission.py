@@ -16,7 +16,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from hyjax.core.finite import finite_or_zero
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
-from hyjax.util.geometry import cross, dot, unit
+from hyjax.light.panes import PANE_SLACK, lit_degree, pane_shares, pixel_rays, ramp, reveals
+from hyjax.util.geometry import dot
 from hyjax.util.tracing import concrete
 
 PANE_REFLECTANCE, LAMP_REFLECTANCE = 0.04, 0.6
@@ -26,22 +27,12 @@ above. Chosen on two of the rooms that `experiments.truth` chooses on."""
 PANE_WHITE = 0.75
 """Linear value that the mean of a pane stays below, unless it was brighter in the photos: exposed for the room,
 a view would burn out with all that is in it."""
-PANE_UNLIT, PANE_LIT = 0.05, 0.1
-"""Linear means of panes in the photos between which they turn from dark, where dark pixels before holes of the scan
-are open, to bright, where bright ones are; and values between which a pixel of a dark pane becomes a bar."""
-PANE_SLACK = 0.12
-"""Distance before a pane, in metres, within which a scanned surface belongs to it: bars, blinds, noise."""
-REVEAL_DEPTH, REVEAL_WIDTH = 0.5, 0.1
-"""Largest depth of a window's reveal behind its plane, and distance inside the window's border within which a
-scanned surface is reveal or frame, in metres."""
 REVEAL_REFLECTANCE, MOST_REVEAL_REFLECTANCE = 0.35, 0.45
 """Reflectance of a reveal that was as bright as its window in the photos, and the most of any. What the scan says
 of the old light in a reveal is too little: it lies outside the opening that lit the room. Chosen on one of the
 rooms that `experiments.truth` chooses on."""
 SOURCE_RADIUS = 0.1
 """Distance from a source, in metres, within which a new light makes it shine."""
-PANE_DARK, PANE_BRIGHT = 0.1, 0.3
-"""Linear values of the photo between which a pixel of a pane begins to shine."""
 LAMP_DARK, LAMP_BRIGHT = 0.75, 0.95
 """Linear values of the photo between which a pixel of a lamp begins to shine."""
 BORDER_WIDTH = 0.05
@@ -226,10 +217,10 @@ def source_pixels(
         pose: camera-to-world.
         intrinsics: calibration matrix.
     """
-    ray, depth, pixel = _rays(gbuffer, pose, intrinsics)
+    ray, depth, pixel = pixel_rays(gbuffer, pose, intrinsics)
     weight, pattern = jnp.zeros(depth.shape), jnp.ones((*depth.shape, 3))
     source, reveal = jnp.full(depth.shape, -1), jnp.zeros(depth.shape, bool)
-    reveals = _reveals(emitters.panes, gbuffer)
+    frames = reveals(emitters.panes, gbuffer)
     shares = list(pane_shares(emitters.panes, emitters.pane_means, frame, gbuffer, pose, intrinsics))
     for *place, radius in emitters.lamps:
         toward = jnp.stack(place) - pose[:3, 3]
@@ -237,16 +228,16 @@ def source_pixels(
         away = jnp.sqrt(jnp.maximum(dot(toward, toward) - along**2 * dot(ray, ray), 1e-12))
         cover = jnp.clip((1.5 * radius - away) / (pixel * jnp.maximum(along, 1e-3)) + 0.5, 0.0, 1.0)
         cover *= (along > 0) & (depth > along - 2 * radius - PANE_SLACK)
-        shares.append(cover * _ramp(jnp.min(frame, axis=-1), LAMP_DARK, LAMP_BRIGHT))
+        shares.append(cover * ramp(jnp.min(frame, axis=-1), LAMP_DARK, LAMP_BRIGHT))
     for k, share in enumerate(shares):
         shown = jnp.ones(3)
         if k < len(emitters.panes):
             mean = emitters.pane_means[k]
-            shown = 1.0 + _lit(mean) * (frame / jnp.maximum(mean, 1e-3) - 1.0)  # of a dark pane, an even sky
+            shown = 1.0 + lit_degree(mean) * (frame / jnp.maximum(mean, 1e-3) - 1.0)  # of a dark pane, an even sky
         largest = (share > 0) & (share >= weight)  # of equals the later one: lamps stand before panes
         weight = jnp.maximum(weight, share)
         source = jnp.where(largest, k, source)
-        reveal = jnp.where(largest, reveals[k] if k < len(emitters.panes) else False, reveal)
+        reveal = jnp.where(largest, frames[k] if k < len(emitters.panes) else False, reveal)
         pattern = jnp.where(largest[..., None], shown, pattern)
     return SourcePixels(weight[..., None], source, pattern, reveal[..., None])
 
@@ -255,91 +246,3 @@ def _view_light(light: Float[Array, "n 3"], means: Float[Array, "n 3"]) -> Float
     """Mean of the view through each pane by the light that comes in; a shoulder holds it below white."""
     light, white = PANE_SHARE * light, jnp.maximum(means, PANE_WHITE)
     return jnp.where(2 * light < white, light, white * (1.0 - 0.5 * jnp.exp(1.0 - 2 * light / white)))
-
-
-@jax.jit
-def pane_shares(
-    panes: Float[Array, "n 3 3"],
-    means: Float[Array, "n 3"],
-    frame: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
-    pose: Float[Array, "4 4"],
-    intrinsics: Float[Array, "3 3"],
-) -> Float[Array, "n h w"]:
-    """Weight of each pane in each pixel, in [0, 1].
-
-    Args:
-        panes, means: see `Emitters`.
-        frame, gbuffer, pose, intrinsics: see `source_pixels`.
-    """
-    brightness = jnp.min(frame, axis=-1)
-    bright = _ramp(brightness, PANE_DARK, PANE_BRIGHT)
-    dark = jnp.where(gbuffer.hit, 0.0, 1.0 - _ramp(brightness, PANE_UNLIT, PANE_LIT))
-    lit = _lit(means)[:, None, None]
-    return _covers(panes, gbuffer, pose, intrinsics) * (lit * bright + (1.0 - lit) * dark)
-
-
-@jax.jit
-def open_shares(
-    panes: Float[Array, "n 3 3"],
-    frame: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
-    pose: Float[Array, "4 4"],
-    intrinsics: Float[Array, "3 3"],
-) -> Float[Array, "n h w"]:
-    """Share of each pane in each pixel, in [0, 1], where it is bright or the scan has a hole.
-
-    Args: see `pane_shares`.
-    """
-    shown = jnp.where(gbuffer.hit, _ramp(jnp.min(frame, axis=-1), PANE_DARK, PANE_BRIGHT), 1.0)
-    return _covers(panes, gbuffer, pose, intrinsics) * shown
-
-
-def _lit(means: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    """Degree to which panes of such means are bright ones."""
-    return _ramp(jnp.min(means, axis=-1), PANE_UNLIT, PANE_LIT)
-
-
-def _covers(
-    panes: Float[Array, "n 3 3"], gbuffer: GBuffer, pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
-) -> Float[Array, "n h w"]:
-    """Share of each pane in each pixel, with nothing before it."""
-    ray, depth, pixel = _rays(gbuffer, pose, intrinsics)
-    shares = []
-    for center, right, up in panes:
-        normal = cross(right, up)
-        slope = dot(ray, normal)
-        distance = dot(center - pose[:3, 3], normal) / jnp.where(jnp.abs(slope) > 1e-9, slope, 1e-9)
-        place = pose[:3, 3] + distance[..., None] * ray - center
-        # Metres inside the border, over the width of a pixel there: a border without stairs.
-        inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
-        cover = jnp.clip(jnp.minimum(*inside) / (pixel * jnp.maximum(distance, 1e-3)) + 0.5, 0.0, 1.0)
-        shares.append(cover * ((distance > 0) & (slope < 0) & (depth > distance - PANE_SLACK)))
-    return jnp.stack(shares) if shares else jnp.zeros((0, *depth.shape))
-
-
-def _reveals(panes: Float[Array, "n 3 3"], gbuffer: GBuffer) -> Bool[Array, "n h w"]:
-    """Whether the surface at a pixel is the scanned reveal or frame of each pane."""
-    found = [jnp.zeros((0, *gbuffer.hit.shape), bool)]
-    for center, right, up in panes:
-        place = gbuffer.position - center
-        behind = -dot(place, unit(cross(right, up)))
-        inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
-        found.append((gbuffer.hit & (behind < REVEAL_DEPTH) & (jnp.minimum(*inside) < REVEAL_WIDTH))[None])
-    return jnp.concatenate(found)
-
-
-def _rays(
-    gbuffer: GBuffer, pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
-) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"], Float[Array, ""]]:
-    """Rays of unit depth, depth of the surface on them (infinite in holes), and width of a pixel at unit depth."""
-    h, w = gbuffer.depth.shape
-    x, y = jnp.meshgrid(jnp.arange(w) + 0.5, jnp.arange(h) + 0.5)
-    local = [(x - intrinsics[0, 2]) / intrinsics[0, 0], (y - intrinsics[1, 2]) / intrinsics[1, 1], jnp.ones_like(x)]
-    ray = jnp.stack([sum(pose[i, k] * local[k] for k in range(3)) for i in range(3)], axis=-1)
-    return ray, jnp.where(gbuffer.hit, gbuffer.depth, jnp.inf), 1.0 / intrinsics[0, 0]
-
-
-def _ramp(x: Float[Array, "*s"], low: float, high: float) -> Float[Array, "*s"]:
-    t = jnp.clip((x - low) / (high - low), 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)

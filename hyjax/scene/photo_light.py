@@ -16,7 +16,8 @@ from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import shrink, spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
-from hyjax.light.emission import Emitters, open_shares, radiant_filter
+from hyjax.light.emission import Emitters, radiant_filter
+from hyjax.light.panes import open_shares
 from hyjax.light.photo_light import SurfaceLight, bounced_light
 from hyjax.light.setup import LightSetup, same_setup
 from hyjax.light.shadow_map import ShadowMap

@@ -1,0 +1,108 @@
+"""Panes of windows in a frame: the pixels that show them, and those of their scanned reveals and frames."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from hyjax.light.gbuffer import GBuffer
+from hyjax.util.geometry import cross, dot, unit
+
+PANE_UNLIT, PANE_LIT = 0.05, 0.1
+"""Linear means of panes in the photos between which they turn from dark, where dark pixels before holes of the scan
+are open, to bright, where bright ones are; and values between which a pixel of a dark pane becomes a bar."""
+PANE_SLACK = 0.12
+"""Distance before a pane, in metres, within which a scanned surface belongs to it: bars, blinds, noise."""
+REVEAL_DEPTH, REVEAL_WIDTH = 0.5, 0.1
+"""Largest depth of a window's reveal behind its plane, and distance inside the window's border within which a
+scanned surface is reveal or frame, in metres."""
+PANE_DARK, PANE_BRIGHT = 0.1, 0.3
+"""Linear values of the photo between which a pixel of a pane begins to shine."""
+
+
+@jax.jit
+def pane_shares(
+    panes: Float[Array, "n 3 3"],
+    means: Float[Array, "n 3"],
+    frame: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+    pose: Float[Array, "4 4"],
+    intrinsics: Float[Array, "3 3"],
+) -> Float[Array, "n h w"]:
+    """Weight of each pane in each pixel, in [0, 1].
+
+    Args:
+        panes, means: see `hyjax.light.emission.Emitters`.
+        frame, gbuffer, pose, intrinsics: see `hyjax.light.emission.source_pixels`.
+    """
+    brightness = jnp.min(frame, axis=-1)
+    bright = ramp(brightness, PANE_DARK, PANE_BRIGHT)
+    dark = jnp.where(gbuffer.hit, 0.0, 1.0 - ramp(brightness, PANE_UNLIT, PANE_LIT))
+    lit = lit_degree(means)[:, None, None]
+    return pane_covers(panes, gbuffer, pose, intrinsics) * (lit * bright + (1.0 - lit) * dark)
+
+
+@jax.jit
+def open_shares(
+    panes: Float[Array, "n 3 3"],
+    frame: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+    pose: Float[Array, "4 4"],
+    intrinsics: Float[Array, "3 3"],
+) -> Float[Array, "n h w"]:
+    """Share of each pane in each pixel, in [0, 1], where it is bright or the scan has a hole.
+
+    Args: see `pane_shares`.
+    """
+    shown = jnp.where(gbuffer.hit, ramp(jnp.min(frame, axis=-1), PANE_DARK, PANE_BRIGHT), 1.0)
+    return pane_covers(panes, gbuffer, pose, intrinsics) * shown
+
+
+def lit_degree(means: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+    """Degree to which panes of such means are bright ones."""
+    return ramp(jnp.min(means, axis=-1), PANE_UNLIT, PANE_LIT)
+
+
+def pane_covers(
+    panes: Float[Array, "n 3 3"], gbuffer: GBuffer, pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
+) -> Float[Array, "n h w"]:
+    """Share of each pane in each pixel, with nothing before it."""
+    ray, depth, pixel = pixel_rays(gbuffer, pose, intrinsics)
+    shares = []
+    for center, right, up in panes:
+        normal = cross(right, up)
+        slope = dot(ray, normal)
+        distance = dot(center - pose[:3, 3], normal) / jnp.where(jnp.abs(slope) > 1e-9, slope, 1e-9)
+        place = pose[:3, 3] + distance[..., None] * ray - center
+        # Metres inside the border, over the width of a pixel there: a border without stairs.
+        inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
+        cover = jnp.clip(jnp.minimum(*inside) / (pixel * jnp.maximum(distance, 1e-3)) + 0.5, 0.0, 1.0)
+        shares.append(cover * ((distance > 0) & (slope < 0) & (depth > distance - PANE_SLACK)))
+    return jnp.stack(shares) if shares else jnp.zeros((0, *depth.shape))
+
+
+def reveals(panes: Float[Array, "n 3 3"], gbuffer: GBuffer) -> Bool[Array, "n h w"]:
+    """Whether the surface at a pixel is the scanned reveal or frame of each pane."""
+    found = [jnp.zeros((0, *gbuffer.hit.shape), bool)]
+    for center, right, up in panes:
+        place = gbuffer.position - center
+        behind = -dot(place, unit(cross(right, up)))
+        inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
+        found.append((gbuffer.hit & (behind < REVEAL_DEPTH) & (jnp.minimum(*inside) < REVEAL_WIDTH))[None])
+    return jnp.concatenate(found)
+
+
+def pixel_rays(
+    gbuffer: GBuffer, pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"], Float[Array, ""]]:
+    """Rays of unit depth, depth of the surface on them (infinite in holes), and width of a pixel at unit depth."""
+    h, w = gbuffer.depth.shape
+    x, y = jnp.meshgrid(jnp.arange(w) + 0.5, jnp.arange(h) + 0.5)
+    local = [(x - intrinsics[0, 2]) / intrinsics[0, 0], (y - intrinsics[1, 2]) / intrinsics[1, 1], jnp.ones_like(x)]
+    ray = jnp.stack([sum(pose[i, k] * local[k] for k in range(3)) for i in range(3)], axis=-1)
+    return ray, jnp.where(gbuffer.hit, gbuffer.depth, jnp.inf), 1.0 / intrinsics[0, 0]
+
+
+def ramp(x: Float[Array, "*s"], low: float, high: float) -> Float[Array, "*s"]:
+    """Smooth step from 0 at `low` to 1 at `high`."""
+    t = jnp.clip((x - low) / (high - low), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
