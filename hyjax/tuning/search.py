@@ -12,8 +12,8 @@ machine are taken for good choices. A kept search goes on by updating an initial
 1. *Ranges*: κ, λ, α and the like of the default, by the gradient of the whole frame.
 2. *Relaxed*: levels and steps of the cascade as real numbers, by the same gradient, within each budget.
 3. *Screening*: other values of the discrete choices, one at a time.
-4. *Combining*: a surrogate of loss and time proposes what should be best within each budget, trials correct it;
-   every few trials the best of a budget is relaxed, or has its numbers follow the gradient.
+4. *Combining*: a surrogate of the loss and a model of the time propose what should be best within each budget,
+   trials correct it; the numbers of each new best follow the gradient, and every few trials a best is relaxed.
 5. *Halving*: the best of each budget on more frames, then on all.
 
 Sources: Jamieson and Talwalkar, *Non-stochastic best arm identification and hyperparameter optimization*, AISTATS
@@ -28,8 +28,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.tuning.space import Choices, Space, key_of
+from hyjax.tuning.space import Choices, Space, key_of, structure
 from hyjax.tuning.surrogate import Surrogate
+from hyjax.tuning.time_model import TimeModel
 from hyjax.tuning.trial import Improvement, Trial
 
 POOL_SIZE = 1500
@@ -38,8 +39,6 @@ HOPE_DEVIATIONS = 0.5
 """Standard deviations by which a loss may turn out better than predicted."""
 CASE_NOISE = 0.06
 """Standard deviation of a loss relative to the default's between cases."""
-TIME_NOISE = 0.05
-"""Likewise of a time, relative to the default's."""
 REDUCTION_FACTOR = 3
 """One in so many goes on to the next batch."""
 GRADIENT_TURN = 4
@@ -150,6 +149,8 @@ def propose(state: State, budgets: Sequence[float]) -> Proposed | None:
             screened = _screened(state)
             if screened is not None:
                 return state, Trial(screened, "screening", cases=first)
+        if state.relaxes <= 1 and (proposed := _new_best(state, budgets)):
+            return proposed
         if len(trials) % state.turn == 0 and (proposed := _better(state, budgets)):
             return proposed
         budget = budgets[len(trials) % len(budgets)]
@@ -226,6 +227,17 @@ def _better(state: State, budgets: Sequence[float]) -> Proposed | None:
     return None
 
 
+def _new_best(state: State, budgets: Sequence[float]) -> Proposed | None:
+    """The best of a budget, to have its numbers follow the gradient, if that is of other discrete choices."""
+    for budget in budgets:
+        best = state.best(budget)
+        if best is None or best.improve or best.phase == "default":
+            continue
+        if proposed := _improved(state, best, "numbers", "numbers", budget):
+            return proposed
+    return None
+
+
 def _rng(state: State) -> np.random.Generator:
     return np.random.default_rng([state.seed, len(state.trials)])
 
@@ -249,25 +261,39 @@ def _screened(state: State) -> Choices | None:
 # ---- combinations ----
 
 
-def surrogates(state: State) -> tuple[Surrogate, Surrogate]:
-    """Surrogates of the logarithms of loss and time."""
+def loss_surrogate(state: State) -> Surrogate:
+    """Surrogate of the logarithm of the loss."""
     trials = [t for t in state.trials.values() if t.losses]
     choices, losses = [t.choices for t in trials], np.log([max(t.loss, 1e-9) for t in trials])
     noise = np.array([CASE_NOISE / math.sqrt(len(t.losses)) for t in trials])
     noise[0] = 1e-3  # the default is what others are relative to
-    loss = Surrogate.fit(state.space, choices, losses, noise)
-    times = np.log([t.time or 1.0 for t in trials])
-    return loss, Surrogate.fit(state.space, choices, times, np.full(len(trials), TIME_NOISE))
+    return Surrogate.fit(state.space, choices, losses, noise)
+
+
+Times = Callable[[Sequence[Choices]], Float[np.ndarray, "n"]]
+"""Times of choices over the default's."""
+
+
+def times_of(state: State) -> Times:
+    """Times where they are known, else those of a model of the timed trials."""
+    cost = state.cost
+    if cost is not None:
+        return lambda several: np.array([cost(choices) for choices in several])
+    timed = {
+        structure(t.choices, state.space): (t.choices, t.time) for t in state.trials.values() if t.time is not None
+    }
+    choices, times = zip(*timed.values(), strict=True)
+    return TimeModel.fit(state.space, choices, times)
 
 
 def _combined(state: State, budget: float) -> tuple[Choices, float] | None:
     """Choices that were not tried yet and promise the least loss within a budget, with their expected time."""
-    loss, time = surrogates(state)
+    loss, time = loss_surrogate(state), times_of(state)
     pool = _pool(state, loss, time, budget)
     if not pool:
         return None
     mean, spread = loss.predict(pool)
-    times = _times(state, time, pool)
+    times = time(pool)
     fits = times <= budget
     best = int(
         np.argmin(np.where(fits, mean - HOPE_DEVIATIONS * spread, np.inf)) if fits.any() else np.argmin(times)
@@ -275,13 +301,7 @@ def _combined(state: State, budget: float) -> tuple[Choices, float] | None:
     return pool[best], float(times[best])
 
 
-def _times(state: State, time: Surrogate, pool: Sequence[Choices]) -> Float[np.ndarray, "n"]:
-    if state.cost is not None:
-        return np.array([state.cost(choices) for choices in pool])
-    return np.exp(time.predict(pool)[0])
-
-
-def _pool(state: State, loss: Surrogate, time: Surrogate, budget: float) -> list[Choices]:
+def _pool(state: State, loss: Surrogate, time: Times, budget: float) -> list[Choices]:
     """Combinations of the best trials, mutated and crossed, and of the most promising single choices."""
     space, rng = state.space, _rng(state)
     tried = sorted(state.trials.values(), key=lambda t: t.loss + 10.0 * ((t.time or 1.0) > budget))[:8]
@@ -296,11 +316,11 @@ def _pool(state: State, loss: Surrogate, time: Surrogate, budget: float) -> list
     return [choices for key, choices in found.items() if key not in state.trials]
 
 
-def _climbed(state: State, choices: Choices, loss: Surrogate, time: Surrogate, budget: float) -> Choices:
+def _climbed(state: State, choices: Choices, loss: Surrogate, time: Times, budget: float) -> Choices:
     """The predicted best by changes of one choice at a time."""
 
     def value(several: Sequence[Choices]) -> Float[np.ndarray, "n"]:
-        over = np.log(_times(state, time, several)) - (math.log(budget) if math.isfinite(budget) else np.inf)
+        over = np.log(time(several)) - (math.log(budget) if math.isfinite(budget) else np.inf)
         return loss.predict(several)[0] + 10.0 * np.maximum(over, 0.0)
 
     best = value([choices])[0]

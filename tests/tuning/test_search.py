@@ -163,7 +163,7 @@ def test_phases_come_in_their_order() -> None:
     told: list[Trial] = []
     found = search(begun(24, relaxes=1), Known(), (0.5,), report=lambda _, trial: told.append(trial))
     phases = list(dict.fromkeys(trial.phase for trial in told))
-    assert phases == ["default", "ranges", "relaxed", "screening", "combining"]
+    assert phases == ["default", "ranges", "relaxed", "screening", "numbers", "combining"]
     count = Counter(t.phase for t in found.trials.values())
     assert count["screening"] == 12 and count["combining"] >= 3
     screened = [t.choices for t in told if t.phase == "screening"][:6]
@@ -173,6 +173,22 @@ def test_phases_come_in_their_order() -> None:
     assert sorted(names) == sorted(parts), "each is looked at first"
     relaxed = next(t for t in told if t.phase == "relaxed")
     assert relaxed.choices["level_8"] == 6 and relaxed.improve and relaxed.budget == 0.5
+
+
+def test_numbers_of_each_new_best_follow_the_gradient() -> None:
+    told: list[Trial] = []
+    budgets = (0.5, 1.0)
+    search(begun(30, relaxes=1), Known(), budgets, report=lambda _, trial: told.append(trial))
+    refined = [t for t in told if t.phase == "numbers"]
+    assert refined and all(t.improve == "numbers" and t.choices["kappa"] == 0.2 for t in refined)
+    assert len({t.source for t in refined}) == len(refined), "each once"
+    known: dict[str, Trial] = {}
+    for trial in told:
+        if trial.phase == "numbers":
+            fitting = [t for t in known.values() if t.time is not None and t.time <= trial.budget]
+            best = min(fitting, key=lambda t: t.loss)
+            assert trial.source == key_of(best.choices) and best.phase != "default"
+        known[key_of(trial.choices)] = trial
 
 
 def test_starts_are_tried() -> None:

@@ -1,0 +1,122 @@
+"""Time of a frame as a sum of stages, whose prices follow from timed trials by non-negative least squares.
+
+    t(x) = Σ_k price_k · work_k(x),   price_k ≥ 0
+
+Work is counted in pixels at the size that a stage runs at, over those of the frame: light and shadow maps at one
+pixel in a block of the sampling that runs, a level of a cascade at 1 / factor² of the pixels for each of its steps.
+A surrogate adds what the sum leaves (`TimeModel.residual`).
+
+Source: Lawson and Hanson, *Solving least squares problems*, 1974, chapter 23.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import nnls
+
+from hyjax.choices.table import NO_STEPS
+from hyjax.guide.choose import NO_GUIDE
+from hyjax.tuning.space import Choices, Space
+from hyjax.tuning.surrogate import Surrogate
+
+ALL_VIEWS = 24
+"""Views that count for a soft light of which all are drawn."""
+USUAL_GUIDE_SIZE = 512
+"""Longer side of pictures, in pixels, that a network's work is relative to."""
+RIDGE = 0.02
+"""Weight that keeps prices small where trials do not tell them."""
+RESIDUAL_NOISE = 0.05
+"""Standard deviation of the logarithm of a measured time."""
+SHORTEST_RATIO = 1e-3
+"""Time over the default's; shorter ones count as this one."""
+
+
+def stage_work(space: Space, choices: Mapping[str, Any]) -> Float[np.ndarray, "k"]:
+    """Work of each stage under choices.
+
+    Args:
+        space: of the choices.
+        choices: complete, so that `sampling` is the one that runs.
+    """
+    values = dict(space.fixed) | {p.name: p.default for p in space.parameters} | dict(choices)
+    seen = space.seen(values)
+    pixels = 1.0 / values.get("scale", 1) ** 2
+    samples = pixels / values.get("sampling", 1) ** 2
+    views = min(values.get("views") or ALL_VIEWS, ALL_VIEWS) / ALL_VIEWS
+    guide, divided = values.get("guide", NO_GUIDE), values.get("photo_light") == "divided"
+    network = (values.get("guide_size") or USUAL_GUIDE_SIZE) / USUAL_GUIDE_SIZE
+    work = [
+        1.0,  # composite and bytes, at full size
+        pixels,
+        samples,
+        samples * views,
+        samples * views * (values.get("least_share", 0.0) == 0.0),
+        samples * values.get("map_scale", 1.0),
+        samples * (divided + (divided and bool(values.get("bounces")))),
+        pixels * (guide != NO_GUIDE),
+        network**2 * (guide not in (NO_GUIDE, "rgb")),
+        pixels * (values.get("upsampling") == "guide"),
+        pixels * (values.get("pooling") == "edges"),
+    ]
+    for cascade in ("cascade", "shadow_pass"):
+        levels = () if seen.get(cascade, NO_STEPS) == NO_STEPS else space.levels(values, cascade)
+        work.append(pixels * sum(1 / factor**2 for factor, _ in levels))
+        work.append(pixels * sum(steps / factor**2 for factor, steps in levels))
+    return np.array(work, float)
+
+
+@dataclasses.dataclass(frozen=True)
+class TimeModel:
+    """Times of choices over the default's, from trials.
+
+    Attributes:
+        space: of the choices.
+        prices: of the stages.
+        residual: of the logarithms of times over the sum of stages.
+    """
+
+    space: Space
+    prices: Float[np.ndarray, "k"]
+    residual: Surrogate
+
+    @classmethod
+    def fit(cls, space: Space, trials: Sequence[Choices], times: Sequence[float]) -> "TimeModel":
+        """Model of timed trials.
+
+        Args:
+            space: of the choices.
+            trials: choices.
+            times: of them, over the default's.
+        """
+        work = np.stack([stage_work(space, choices) for choices in trials])
+        measured = np.maximum(np.asarray(times, float), SHORTEST_RATIO)
+        # Relative errors, and each stage's price over the work that the dearest trial has of it.
+        size = np.maximum(work.max(axis=0), 1e-12)
+        rows = np.concatenate([work / size / measured[:, None], RIDGE * np.eye(len(size))])
+        found, _ = nnls(rows, np.concatenate([np.ones(len(measured)), np.zeros(len(size))]))
+        prices = found / size
+        left = np.log(measured) - np.log(np.maximum(work @ prices, SHORTEST_RATIO))
+        noise = np.full(len(trials), RESIDUAL_NOISE)
+        return cls(space, prices, Surrogate.fit(space, list(trials), left, noise))
+
+    def stages(self, choices: Sequence[Choices]) -> Float[np.ndarray, "n"]:
+        """Sum of the stages alone."""
+        work = np.stack([stage_work(self.space, each) for each in choices])
+        return np.maximum(work @ self.prices, SHORTEST_RATIO)
+
+    def __call__(self, choices: Sequence[Choices]) -> Float[np.ndarray, "n"]:
+        """Times over the default's."""
+        return self.stages(choices) * np.exp(self.residual.predict(choices)[0])
+
+
+def errors_left_out(space: Space, trials: Sequence[Choices], times: Sequence[float]) -> list[float]:
+    """Relative errors of times that are predicted from all other trials."""
+    found = []
+    for number, (choices, time) in enumerate(zip(trials, times, strict=True)):
+        others = [k for k in range(len(trials)) if k != number]
+        model = TimeModel.fit(space, [trials[k] for k in others], [times[k] for k in others])
+        found.append(abs(float(model([choices])[0]) / max(time, SHORTEST_RATIO) - 1.0))
+    return found
