@@ -211,6 +211,9 @@ def run_swept(settings: SweepSettings) -> None:
         raise
     if swept.errors:
         print(f"hyjax: {len(swept.errors)} tasks have no result; the first: {swept.errors[0]}", file=sys.stderr)
+    if swept.damaged:
+        lines = f"{swept.damaged} damaged line{'s' * (swept.damaged != 1)} of rows"
+        print(f"hyjax: {lines} left out, cut off by a kill or a full disk; their tasks ran again", file=sys.stderr)
     print(f"{swept.tasks} tasks of {len(swept.lines)} configurations; look at {swept.out / 'sweep.png'}")
 
 

@@ -26,6 +26,8 @@ ERROR = "error"
 """Kind of a row with an error in place of a result."""
 DRIVER_FILE = "driver.txt"
 """Name of the file with the identity of the driver whose batches may write."""
+PART_PREFIX = "part-"
+"""Beginning of the name of a folder with a part of a sweep."""
 MOST_DRIVER_BYTES = 1000
 """Largest size of that file, in bytes."""
 TAKE_OVER_SECONDS = 900.0
@@ -51,10 +53,10 @@ class _Place(NamedTuple):
 class RowStore:
     """Store of the rows in a folder, one for each key: the first result, else an error.
 
-    Only the places of rows are kept in memory. A line that a kill cut off counts for nothing.
+    Only the places of rows are kept in memory. A line that a kill cut off counts for nothing, but see `damaged`.
 
     Args:
-        folder: of the files `rows-HOST-PID-N.jsonl`.
+        folder: of the files `rows-HOST-PID-N.jsonl`, and of the folders of parts of a sweep with such files.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -62,10 +64,12 @@ class RowStore:
         self._ends: dict[Path, int] = {}
         self._places: dict[str, _Place] = {}
         self._repeated: set[str] = set()
+        self._damaged: set[tuple[Path, int]] = set()
 
     def files(self) -> list[Path]:
         """Files of rows."""
-        return sorted(self.folder.glob("rows-*.jsonl"))
+        patterns = ("rows-*.jsonl", f"{PART_PREFIX}*/rows-*.jsonl")
+        return sorted(path for pattern in patterns for path in self.folder.glob(pattern))
 
     def refresh(self) -> "RowStore":
         """Read rows appended since the last call, and return the store."""
@@ -90,6 +94,7 @@ class RowStore:
         try:
             head = _heads.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # of a line that a kill cut off
+            self._damaged.add((path, start))
             return
         entry = _Place(path, start, len(line), head.kind == ERROR)
         before = self._places.get(head.key)
@@ -130,6 +135,12 @@ class RowStore:
         """Keys with more than one result."""
         self.refresh()
         return len(self._repeated)
+
+    def damaged(self) -> int:
+        """Lines that hold no row, those without an end among them."""
+        self.refresh()
+        cut_off = sum(path.stat().st_size > self._ends.get(path, 0) for path in self.files())
+        return len(self._damaged) + cut_off
 
     def take_over(self, driver: str, tell: Callable[[str], None]) -> None:
         """Make `driver` the only one whose batches may write, and wait for batches of others."""

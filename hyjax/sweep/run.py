@@ -14,7 +14,7 @@ from tqdm import tqdm
 from hyjax.sweep import work
 from hyjax.sweep.batch import Function
 from hyjax.sweep.engine import Engine
-from hyjax.sweep.rows import ERROR, Row, RowStore
+from hyjax.sweep.rows import ERROR, PART_PREFIX, Row, RowStore
 from hyjax.sweep.settings import SweepSettings
 from hyjax.sweep.spec import Spec, configurations_of, frames_of, read_spec
 from hyjax.sweep.summary import Line, draw, lines_of, write_csv
@@ -38,6 +38,7 @@ class SweepResult:
         tasks: their number.
         errors: one line each.
         repeated: tasks that were done more than once.
+        damaged: lines of rows that were left out, as a kill or a full disk cut them off.
         lines: of the summary.
     """
 
@@ -45,6 +46,7 @@ class SweepResult:
     tasks: int
     errors: list[str]
     repeated: int
+    damaged: int
     lines: list[Line]
 
 
@@ -62,18 +64,22 @@ def run_sweep(
             workers, or a full disk; the rows so far are kept.
     """
     settings.check()
-    spec = read_spec(settings.spec)
-    store = RowStore(settings.out)
+    spec, out, part = read_spec(settings.spec), settings.out, settings.part
+    if part is not None:
+        out = out / f"{PART_PREFIX}{part[0]}-of-{part[1]}"
+    store = RowStore(out)
     if not settings.resume and store.files():
         raise InputError(
-            f"{settings.out}: holds the rows of a sweep; add --resume to go on with it, or choose another --out"
+            f"{out}: holds the rows of a sweep; add --resume to go on with it, or choose another --out"
         )
     configurations = configurations_of(spec)
     tasks = list(tasks_of(spec, list(configurations.values())))
+    if part is not None:
+        tasks = tasks[part[0] - 1 :: part[1]]
     left = sum(task.key not in store for task in tasks) if store.refresh() else len(tasks)
     quality, timed = ([task for task in tasks if task.kind == kind] for kind in (RESULT, TIME))
     with (
-        Engine.open(settings.workers, settings.scheduler, settings.out) as engine,
+        Engine.open(settings.workers, settings.scheduler, out) as engine,
         tqdm(total=len(tasks), initial=len(tasks) - left, unit="task", disable=settings.quiet) as bar,
     ):
         if timed:
@@ -82,7 +88,7 @@ def run_sweep(
             engine.run(evaluate, quality), engine.run(time_frames, timed, timing=True) if timed else ()
         ):
             bar.update()
-    return _conclude(settings.out, tasks, configurations)
+    return _conclude(out, tasks, configurations)
 
 
 def tasks_of(spec: Spec, configurations: list[dict[str, Any]]) -> Iterator[Task]:
@@ -125,4 +131,4 @@ def _conclude(out: Path, tasks: list[Task], configurations: dict[str, dict[str, 
     with atomic_write(out / "sweep.png") as temporary:
         draw(lines).savefig(temporary, dpi=DPI)
     errors = [f"{row['name']} on {row['scene']}: {row['error']}" for row in rows if row["kind"] == ERROR]
-    return SweepResult(out, len(tasks), errors, store.duplicates(), lines)
+    return SweepResult(out, len(tasks), errors, store.duplicates(), store.damaged(), lines)

@@ -51,6 +51,16 @@ def test_a_cut_off_row_counts_for_nothing(cut: int, tmp_path_factory: pytest.Tem
     write(folder, row("c"))
     store = RowStore(folder)
     assert [r["key"] for r in store.read()] == ["a", "c"] and "b" not in store
+    assert store.damaged() == 1
+
+
+def test_damaged_lines_are_counted(tmp_path: Path) -> None:
+    path = write(tmp_path, row("a"), row("b"))
+    assert RowStore(tmp_path).damaged() == 0
+    whole, cut = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(cut[:9] + whole + b"\0\0\n" + cut + b"{")
+    store = RowStore(tmp_path)
+    assert [r["key"] for r in store.read()] == ["b"] and store.damaged() == store.damaged() == 3
 
 
 def test_the_first_result_counts_and_stands_before_errors(tmp_path: Path) -> None:

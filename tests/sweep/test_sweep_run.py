@@ -52,6 +52,28 @@ def test_a_sweep_of_everything(tmp_path: Path) -> None:
         sweep(write(tmp_path), out)
 
 
+def test_parts_are_put_together(tmp_path: Path) -> None:
+    path, out = write(tmp_path), tmp_path / "out"
+    parts = [sweep(path, out, task=f"{number}/3") for number in (1, 2, 3)]
+    assert [part.tasks for part in parts] == [6, 5, 5] and parts[0].out == out / "part-1-of-3"
+    file = next(parts[1].out.glob("rows-*.jsonl"))
+    with file.open("ab") as appended:
+        appended.write(b'{"key": "cut of')
+    whole = sweep(path, out, resume=True)
+    assert whole.tasks == 16 and whole.repeated == 0 and whole.damaged == 1
+    own = [line for rows in out.glob("rows-*.jsonl") for line in rows.read_text().splitlines()]
+    assert {json.loads(line)["kind"] for line in own} == {"error"}, "failed tasks alone are tried again"
+    with pytest.raises(InputError, match="holds the rows of a sweep"):
+        sweep(path, out, task="1/3")
+    assert sweep(path, out, task="1/3", resume=True).tasks == 6
+
+
+@pytest.mark.parametrize("task", ["0/3", "4/3", "3", "1/0", "-1/3", "1/3/5", ""])
+def test_parts_that_there_are_not(task: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="task: must be a part of all, such as 3/16"):
+        sweep(write(tmp_path), tmp_path / "out", task=task)
+
+
 def test_a_sweep_goes_on_with_more_of_a_spec(tmp_path: Path) -> None:
     done = []
 
