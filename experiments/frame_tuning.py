@@ -184,6 +184,10 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     return made
 
 
+SHOWN = {"psnr_raw": 2, "psnr": 2, "ssim": 4}
+"""Scores on held-out rooms that the tables show, and their digits."""
+
+
 def table(caption: str, rows: Sequence[Row]) -> Table:
     """Configurations with times and losses, by time."""
     lines = []
@@ -197,10 +201,11 @@ def table(caption: str, rows: Sequence[Row]) -> Table:
                 f"{row['median_ms'] / row['default_ms']:.2f}",
                 percent(row["tuning"]["relative"]),
                 percent(held.get("relative")),
-                *(f"{held[name]:.2f}" if name in held else "–" for name in ("psnr_raw", "psnr")),
+                *(f"{held[n]:.{digits}f}" if n in held else "–" for n, digits in SHOWN.items()),
             ]
         )
-    header = ["configuration", "ms", "p95", "of default", "loss, tuning", "loss, held out", "PSNR raw", "fitted"]
+    header = ["configuration", "ms", "p95", "of default", "loss, tuning", "loss, held out"]
+    header += ["PSNR raw", "fitted", "SSIM"]
     return Table(caption, header, lines)
 
 

@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 
 from experiments.blocks import Block, Plot, Table
 from experiments.command import Start, experiment, run
-from experiments.judging import summarise, tuning_curve
+from experiments.judging import middle, summarise, tuning_curve
 from experiments.paper_bench import METHODS, OWN_GROUP, RAW_SCHEDULE, Bench, BenchConfig
 from experiments.paper_view import View, linear_filter, multiplied
 from experiments.plotting import panels
@@ -129,16 +129,16 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         rgb = {row["frame"]: row["psnr"] for row in _of(held, method, RGB.name)}
         for guide in dict.fromkeys(row["guide"] for row in scores):
             own, chosen = _of(held, method, guide), best(scores, method, guide)
-            mean = summarise([row["psnr"] for row in own])
+            level = middle([row["psnr"] for row in own])
             gain = summarise([row["psnr"] - rgb[row["frame"]] for row in own])
-            cells = ["" if x is None else x.text(2) for x in (mean, gain)]
+            cells = ["" if x is None else x.text(2) for x in (level, gain)]
             tuned = f"{curve(scores, method, guide)[chosen]:.2f}"
             lines.append([f"{method}, {guide}", "" if guide == NONE else f"{chosen:g}", tuned, *cells])
     counts = [len({row["frame"] for row in scores if row["split"] == split}) for split in ("tuning", "held-out")]
     caption = (
         f"{scores[0]['capture']}: PSNR of relit frames against those of the accurate surface; "
-        f"{scores[0]['settings']['schedule']}, means over {counts[0]} tuning frames, on which κ is chosen, and "
-        f"{counts[1]} held-out ones, ± half of the 95 % interval."
+        f"{scores[0]['settings']['schedule']}; mean over {counts[0]} tuning frames, on which κ is chosen; median "
+        f"over {counts[1]} held-out ones (95 % interval), and mean of the gain ± half of its 95 % interval."
     )
     header = ["method, guide", "best kappa", "tuning dB", "held-out dB", "more than rgb, dB"]
     return [Table(caption, header, lines), Plot(main.name, "PSNR on the tuning frames against κ.", figure(scores))]

@@ -141,6 +141,10 @@ def beside_jump(depth: Float[np.ndarray, "h w"], reach: int | None = None) -> Bo
     return ndimage.binary_dilation(jump, iterations=reach) if reach else jump
 
 
+FEWEST_VALUES = 3
+"""Values below which no interval is told."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Summary:
     """A mean over frames.
@@ -176,12 +180,56 @@ def summarise(values: Sequence[float | None]) -> Summary | None:
         return None
     mean, half = float(there.mean()), None
     if there.size > 1:
-        centred, spread = there - mean, float(there.std(ddof=1))
-        total = float(centred @ centred)
-        correlation = max(0.0, float(centred[1:] @ centred[:-1]) / total) if total > 0 else 0.0
-        count = max(1.0, there.size * (1.0 - correlation) / (1.0 + correlation))
-        half = float(stats.t.ppf(0.975, there.size - 1) * spread / math.sqrt(count))
+        spread = float(there.std(ddof=1))
+        half = float(stats.t.ppf(0.975, there.size - 1) * spread / math.sqrt(_effective_size(there)))
     return Summary(mean, half, there.size)
+
+
+@dataclasses.dataclass(frozen=True)
+class Middle:
+    """A median over frames.
+
+    Attributes:
+        median: of the values.
+        low, high: bounds of its 95 % interval; None if there are too few values to tell. It is of other frames of
+            the same walk, not of other rooms.
+    """
+
+    median: float
+    low: float | None
+    high: float | None
+
+    def text(self, digits: int) -> str:
+        """Such as `0.123 (0.119 to 0.131)`."""
+        bounds = "" if self.low is None else f" ({self.low:.{digits}f} to {self.high:.{digits}f})"
+        return f"{self.median:.{digits}f}{bounds}"
+
+
+def middle(values: Sequence[float | None]) -> Middle | None:
+    """Median of the values that there are, in the frames' order, and its interval; None if there is none.
+
+    The bounds are the values of rank n/2 ± 0.98 √n, with n as in `summarise`: they lie within the values, however
+    strongly these are correlated.
+
+    Source: Conover, *Practical nonparametric statistics*, section 3.2 (confidence interval of a quantile).
+    """
+    there = np.array([v for v in values if v is not None], dtype=float)
+    if not there.size:
+        return None
+    median = float(np.median(there))
+    if there.size < FEWEST_VALUES:
+        return Middle(median, None, None)
+    share = min(0.5, 0.98 / math.sqrt(_effective_size(there)))
+    low, high = np.quantile(there, [0.5 - share, 0.5 + share])
+    return Middle(median, float(low), float(high))
+
+
+def _effective_size(values: np.ndarray) -> float:
+    """Number of independent values that say as much; one at least."""
+    centred = values - values.mean()
+    total = float(centred @ centred)
+    correlation = max(0.0, float(centred[1:] @ centred[:-1]) / total) if total > 0 else 0.0
+    return max(1.0, values.size * (1.0 - correlation) / (1.0 + correlation))
 
 
 def better_text() -> str:
@@ -189,8 +237,8 @@ def better_text() -> str:
     return "; ".join(f"{metric.label}: {metric.better} is better" for metric in METRICS.values())
 
 
-def text_of(found: Summary | None, metric: str) -> str:
-    """Mean and interval with the metric's decimals; a dash if there is none."""
+def text_of(found: Middle | None, metric: str) -> str:
+    """Median and interval with the metric's decimals; a dash if there is none."""
     return "–" if found is None else found.text(METRICS[metric].digits)
 
 

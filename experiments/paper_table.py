@@ -41,7 +41,7 @@ from tqdm import tqdm
 
 from experiments.blocks import Block, Picture, Plot, Table
 from experiments.command import Start, experiment, run
-from experiments.judging import REGIONS, Summary, better_text, pick, summarise, text_of
+from experiments.judging import REGIONS, Middle, Summary, better_text, middle, pick, summarise, text_of
 from experiments.paper_bench import BENCHMARKS, METHODS, OWN_GROUP, SHEET, KappaConfig, PointPlace, reported
 from experiments.plotting import new_figure
 from experiments.records import Row
@@ -130,8 +130,8 @@ def methods(frames: Sequence[Row], benchmark: str) -> list[tuple[str, str]]:
 
 def summary(
     frames: Sequence[Row], benchmark: str, group: str, method: str, region: str, metric: str
-) -> Summary | None:
-    return summarise([pick(row, "scores", benchmark, group, method, region, metric) for row in frames])
+) -> Middle | None:
+    return middle([pick(row, "scores", benchmark, group, method, region, metric) for row in frames])
 
 
 def whole(frames: Sequence[Row], benchmark: str) -> Table:
@@ -145,7 +145,7 @@ def whole(frames: Sequence[Row], benchmark: str) -> Table:
     header = ["", *(metric.label for metric in METRICS.values())]
     header += [f"the paper's {METRICS[name].label}" for name in PAPER[benchmark]]
     where = POINT[frames[0]["settings"].get("point", "view")] if benchmark == "mesh error correction" else ""
-    return Table(f"{benchmark.capitalize()}: mean over frames ± 95 % interval{where}.", header, rows)
+    return Table(f"{benchmark.capitalize()}: median over frames (95 % interval){where}.", header, rows)
 
 
 def by_region(frames: Sequence[Row], benchmark: str) -> Table:
@@ -156,10 +156,10 @@ def by_region(frames: Sequence[Row], benchmark: str) -> Table:
         for metric in METRICS:
             for region in REGIONS[1:]:
                 found = summary(frames, benchmark, group, method, region, metric)
-                cells.append("–" if found is None else f"{found.mean:.{METRICS[metric].digits}f}")
+                cells.append("–" if found is None else f"{found.median:.{METRICS[metric].digits}f}")
         rows.append([f"{method}, times {group}", *cells])
     header = ["", *(f"{metric.label} {region}" for metric in METRICS.values() for region in REGIONS[1:])]
-    caption = f"{benchmark.capitalize()}, by kind of pixel: means over the frames that have such pixels."
+    caption = f"{benchmark.capitalize()}, by kind of pixel: medians over the frames that have such pixels."
     return Table(caption, header, rows)
 
 
@@ -203,7 +203,9 @@ def figure(frames: Sequence[Row]) -> Any:
                 found = summary(frames, benchmark, group, method, "all", metric)
                 if found is not None:
                     color = {"display values": "C1", "light": "C0"}[group]
-                    ax.barh(y, found.mean, xerr=found.half, color=color, alpha=0.85, error_kw={"lw": 1})
+                    ax.barh(y, found.median, color=color, alpha=0.85)
+                    if found.low is not None:
+                        ax.plot([found.low, found.high], [y, y], color="0.2", linewidth=1)
             ax.set_yticks(range(len(names)), [f"{method}, times {group}" for group, method in names], fontsize=8)
             ax.set_xlabel(f"{METRICS[metric].label}, {METRICS[metric].better} is better")
     axes[0, 0].invert_yaxis()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.judging import beside_jump, judge, pick, regions, summarise
+from experiments.judging import beside_jump, judge, middle, pick, regions, summarise
 from hyjax.light.gbuffer import GBuffer
 
 SIZE = 32
@@ -82,6 +82,27 @@ def test_summaries() -> None:
     assert summarise([None]) is None
     same = summarise([5.0, 5.0])
     assert same is not None and same.half == 0.0
+
+
+def test_intervals_of_medians_lie_within_the_values() -> None:
+    assert middle([None]) is None
+    few = middle([1.0, None, 2.0])
+    assert few is not None and few.low is None and few.text(1) == "1.5"
+    walk = [26.0 + 0.5 * n for n in range(12)]  # each frame like the next: summarise says more than their range
+    slow, wide = middle(walk), summarise(walk)
+    assert slow is not None and wide is not None and slow.low is not None and slow.high is not None
+    assert wide.half is not None and 2 * wide.half > walk[-1] - walk[0]
+    assert walk[0] <= slow.low < slow.median < slow.high <= walk[-1] and slow.median == np.median(walk)
+    rng, inside, runs = np.random.default_rng(0), 0, 200
+    for _ in range(runs):
+        values = [rng.standard_normal()]
+        for _ in range(59):
+            values.append(0.5 * values[-1] + 0.866 * rng.standard_normal())
+        found = middle(values)
+        assert found is not None and found.low is not None and found.high is not None
+        inside += found.low < 0 < found.high
+    assert 0.85 < inside / runs <= 1.0
+    assert found.text(2) == f"{found.median:.2f} ({found.low:.2f} to {found.high:.2f})"
 
 
 def test_neighbours_that_are_alike_count_for_less() -> None:
