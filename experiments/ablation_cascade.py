@@ -138,12 +138,13 @@ def time_schedules(bench: Bench, view: View, repeats: int) -> dict[Mode, dict[st
     waiting = {name: functools.partial(_finished, call) for name, call in calls.items()}
     for call in waiting.values():
         call()
-    rounds = {name: 1e3 * np.array(seconds) for name, seconds in rounds_of(waiting, repeats, MOST_SECONDS).items()}
+    rounds = rounds_of(waiting, repeats, MOST_SECONDS)
 
     def told(mode: Mode, name: str) -> dict[str, float]:
         own, cascaded = rounds[f"{mode} {name}"], rounds[f"{mode} {SCHEDULES[0]}"]
-        median, p95 = np.percentile(own, [50, 95])
-        return {"median": float(median), "p95": float(p95), "ratio": float(np.median(own / cascaded))}
+        median, p95 = np.percentile(own.wall, [50, 95])
+        ratio = np.median(own.undisturbed / cascaded.undisturbed)
+        return {"median": float(median), "p95": float(p95), "ratio": float(ratio)}
 
     return {mode: {name: told(mode, name) for name in SCHEDULES} for mode in METHODS}
 

@@ -88,6 +88,10 @@ class Choice:
         """Name in its part."""
         return self.field.rpartition(".")[2]
 
+    def followed_by(self, renderer: Renderer) -> bool:
+        """Whether a renderer follows every value."""
+        return renderer not in self.refused and not self.ignored_by(renderer)
+
     def ignored_by(self, renderer: Renderer) -> bool:
         """Whether a renderer leaves it out: files hold the cascade of the light alone, live frames no bounces."""
         if renderer == "file":

@@ -103,7 +103,7 @@ class CascadeStage(Stage):
         self._usual_cost = self.own_clock.cost(self.own_clock.table.steps_of(usual))
         self.objective = Objective([prepare(case, self.factors) for case in tuning], self.factors)
 
-    def base_time(self, study: Study, budgets: Sequence[Budget]) -> FrameTime:
+    def base_time(self, study: Study) -> FrameTime:
         time = self.own_clock.predict(self.base.schedule)
         return FrameTime(time.median, time.p95, time.median, 1.0, True)
 

@@ -33,6 +33,8 @@ class Evaluator(abc.ABC):
 
     cost: Callable[[Choices], float] | None = None
     """Time of choices over the default's, where it is known without measuring."""
+    say: Callable[[str], None] = staticmethod(lambda words: None)
+    """Called with how far a long trial has come."""
 
     def __init__(
         self, space: Space, cases: Sequence[Any], *, seed: int = 0, expired: Callable[[], bool] = lambda: False
@@ -130,6 +132,7 @@ class StudyEvaluator(Evaluator):
             self.judge,
             self.cases[:batch],
             levels=levels,
+            report=lambda iteration, loss: self.say(f"numbers, iteration {iteration}"),
             expired=self._expired,
         )
         changed = dict(choices)

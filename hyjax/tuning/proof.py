@@ -1,6 +1,6 @@
 """Proof of configurations: whole frames timed in turns, and judged on all cases, the held-out ones among them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,22 +18,31 @@ if TYPE_CHECKING:
 ROUNDS = 100
 MOST_SECONDS = 20.0
 """Most seconds of timing, for each configuration."""
+NEXT_TO_NO_LOSS, FAR_FASTER = 0.005, 0.5
+"""Share of loss that is given away, and share of the time that must be left for it."""
 LEAST_LOSS = 1e-9
 """Smallest loss; smaller ones count as this one, so that logarithms are finite."""
 
 
-def prove(configurations: Sequence[Configuration], stage: "Stage", *, progress: bool) -> list[Candidate]:
+def prove(
+    configurations: Sequence[Configuration],
+    stage: "Stage",
+    *,
+    progress: bool,
+    done: Callable[[], None] = lambda: None,
+) -> list[Candidate]:
     """Configurations with times in turns, and scores on all cases.
 
     Args:
         configurations: each.
         stage: that they are of: its cases, and those held out, its judge and its clock.
         progress: show a bar on stderr.
+        done: called after each configuration.
     """
     times = stage.clock.times(configurations, ROUNDS, most_seconds=MOST_SECONDS * len(configurations))
     cases, count, judge = [*stage.cases, *stage.held_out], len(stage.cases), stage.judge
     default, found = judge.scores(stage.base, cases), []
-    bar = tqdm(configurations, "judging", unit="configuration", disable=not progress)
+    bar = tqdm(configurations, "judging", unit="configuration", disable=not progress, leave=False)
     for configuration, time in zip(bar, times, strict=True):
         rows = judge.scores(configuration, cases)
         own, base = (np.log([max(row["loss"], LEAST_LOSS) for row in several]) for several in (rows, default))
@@ -45,6 +54,7 @@ def prove(configurations: Sequence[Configuration], stage: "Stage", *, progress: 
         assert tuning is not None
         form = "paper" if configuration.mode == "paper" else "hyjax"
         found.append(Candidate(configuration, tuning, held_out, time, form))
+        done()
     return found
 
 
@@ -58,11 +68,17 @@ def front_of(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def best_within(budget: Budget, candidates: Sequence[Candidate]) -> Candidate:
-    """The best of those whose p95 is within a budget, or else the fastest."""
-    fitting = [c for c in candidates if c.time.p95 <= budget.milliseconds]
+    """The best of those whose p95, as budgets are judged, is within a budget, or else the fastest.
+
+    One that is far faster for next to no loss is preferred: the time is worth more.
+    """
+    fitting = [c for c in candidates if c.time.judged <= budget.milliseconds]
     if not fitting:
-        return min(candidates, key=lambda c: c.time.p95)
-    return min(fitting, key=lambda c: c.tuning["relative"])
+        return min(candidates, key=lambda c: c.time.judged)
+    least = min(fitting, key=lambda c: c.tuning["relative"])
+    most_loss, most_time = (1 + NEXT_TO_NO_LOSS) * least.tuning["relative"], FAR_FASTER * least.time.ratio
+    cheap = [c for c in fitting if c.tuning["relative"] <= most_loss and c.time.ratio <= most_time]
+    return min(cheap, key=lambda c: c.time.ratio, default=least)
 
 
 def effects(trials: Sequence[Trial]) -> list[Effect]:

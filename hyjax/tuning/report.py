@@ -26,6 +26,7 @@ __all__ = ["CSV_COLUMNS", "summary", "write_results"]
 
 STEMS: dict[BudgetStage, str] = {"frame": "configuration", "cascade": "schedule"}
 """Names of the result's files: of a whole configuration, or of the schedule of the diffusion alone."""
+REPORT_FILE = "report.html"
 CSV_COLUMNS = (
     *("name", "kind", "best_for", "front", "choices", "cases", "relative_loss", "relative_time"),
     *("median_ms", "p95_ms", "default_ms"),
@@ -68,7 +69,7 @@ def write_results(out: Path, tuned: Tuned) -> None:
     examples = [Example(name, pictures) for name, pictures in tuned.examples]
     if examples:
         write_contact_sheet(out / "contact_sheet.png", *contact_sheet_rows(examples))
-    write_text(out / "report.html", page(tuned, examples))
+    write_text(out / REPORT_FILE, page(tuned, examples))
 
 
 def best_file(stage: BudgetStage) -> str:

@@ -105,7 +105,7 @@ def _points(tuned: Tuned, scores: Callable[[Candidate], dict[str, float] | None]
                     label,
                     kind,
                     time.median,
-                    time.p95,
+                    time.judged,
                     values["relative"],
                     measured=not time.predicted,
                     best=best,

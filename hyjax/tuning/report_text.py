@@ -12,7 +12,8 @@ from hyjax.tuning.request import Budget
 from hyjax.tuning.result import Candidate, Tuned
 
 MISSING_MARK = "–"
-
+UNFINISHED = "unfinished"
+"""Entry of the record of a search that is not at its end."""
 
 KINDS = ("tuned", "preset", "paper", "naive")
 """Kinds of candidates, in the order of tables."""
@@ -108,11 +109,53 @@ def _levels(values: Iterable[Any]) -> str:
 
 def summary(tuned: Tuned) -> list[str]:
     """Sentences of the result: one for each budget, missed budgets, times as predicted, what was left out."""
-    sentences = []
+    sentences = unfinished_search(tuned)
     for budget, best in zip(tuned.budgets, tuned.best, strict=True):
         sentences.append(sentence(tuned, budget, best))
         sentences += missed(budget, best)
-    return sentences + bargain(tuned) + prediction(tuned) + unjudged(tuned) + cut_short(tuned)
+    sentences += choices_of_best(tuned) + outdone(tuned) + bargain(tuned) + disturbed(tuned)
+    return sentences + further_budgets(tuned) + prediction(tuned) + unjudged(tuned) + cut_short(tuned)
+
+
+def unfinished_search(tuned: Tuned) -> list[str]:
+    """That the search is not at its end, if it is not."""
+    if not tuned.record.get(UNFINISHED):
+        return []
+    return [
+        f"Unfinished, after {tuned.record['trials']} trials: losses are of a part of the tuning frames, times are "
+        "shares of the default's. --resume goes on."
+    ]
+
+
+def choices_of_best(tuned: Tuned) -> list[str]:
+    """What the best for each budget differ from the default in."""
+    words = {best.name: configuration_text(best.configuration) for best in tuned.best}
+    if len(words) == 1:
+        return [f"It differs from the default in: {text}." for text in words.values() if text != "the default"]
+    return [f"{name} differs from the default in: {text}." for name, text in words.items() if text != "the default"]
+
+
+def disturbed(tuned: Tuned) -> list[str]:
+    """That other work disturbed the clock, if it did, and what follows."""
+    times = tuned.record.get("disturbed")
+    if not times:
+        return []
+    return [
+        f"Other work disturbed the clock: the default's p95 was {milliseconds(times[0])} ms, and "
+        f"{milliseconds(times[1])} in the quieter half of the rounds without waiting for processors. Budgets are "
+        "judged by the latter, and by the ratio to the default: they are kept while this machine does nothing else."
+    ]
+
+
+def further_budgets(tuned: Tuned) -> list[str]:
+    """Further times that were searched for, if there were any."""
+    further = tuned.record.get("further budgets")
+    if not further:
+        return []
+    return [
+        f"Searched for {len(tuned.budgets)} budget{'s' * (len(tuned.budgets) > 1)} and, to draw the front, for "
+        f"{', '.join(f'{share:g}' for share in further)} of the default's time (--no-extra leaves these out)."
+    ]
 
 
 def unjudged(tuned: Tuned) -> list[str]:
@@ -126,6 +169,20 @@ def cut_short(tuned: Tuned) -> list[str]:
     if not tuned.record.get("time was up"):
         return []
     return [f"The time was up after {tuned.record['trials']} trials; --resume with more time goes on."]
+
+
+def outdone(tuned: Tuned) -> list[str]:
+    """The candidate of the least loss within the first budget, where a far faster one is the result."""
+    best, budget = tuned.best[0], tuned.budgets[0]
+    within = [c for c in tuned.front if c.time.judged <= budget.milliseconds]
+    least = min(within, key=lambda c: c.tuning["relative"], default=best)
+    less = 100.0 * (1.0 - least.tuning["relative"] / best.tuning["relative"])
+    if less <= 0.0 or same(least, best) or least.time.ratio < best.time.ratio:
+        return []
+    return [
+        f"{least.name} has {less:.1f} % less loss within the budget, for {least.time.ratio / best.time.ratio:.1f} "
+        "times the time (tuning frames)."
+    ]
 
 
 def bargain(tuned: Tuned) -> list[str]:
@@ -143,23 +200,23 @@ def bargain(tuned: Tuned) -> list[str]:
 
 
 def sentence(tuned: Tuned, budget: Budget, best: Candidate) -> str:
-    """Sentence of a budget: its configuration, its time, and its loss against the default's."""
+    """Sentence of a budget: median, p95, share of the default's time, loss and PSNR against the default's."""
     base = default_of(tuned)
-    time = f"median {milliseconds(best.time.median)} ms, p95 {milliseconds(best.time.p95)} ms"
-    if best.time.predicted:
-        time = f"for {tuned.record.get('device', 'the device')} predicted, not timed: {time}"
-    against = f"{best.time.ratio:.2f} of the default's time" + ("" if best.time.predicted else ", in turns with it")
-    text = (
-        f"{budget_text(budget)}: {best.name} ({configuration_text(best.configuration)}); {time}, {against}; loss "
-        f"{change_text(best.tuning['relative'])} on tuning frames"
-    )
-    if best.held_out is not None:
-        text += f", {change_text(best.held_out['relative'])} on held-out ones"
+    p95 = f"p95 {milliseconds(best.time.judged)} ms"
+    if best.time.judged < best.time.p95:
+        p95 += f", of all rounds {milliseconds(best.time.p95)}"
+    how = f", predicted for {tuned.record.get('device', 'the device')}, not timed," if best.time.predicted else ""
     frames, scores, reference = "tuning", best.tuning, None if base is None else base.tuning
     if best.held_out is not None:
         frames, scores, reference = "held-out", best.held_out, None if base is None else base.held_out
-    text += f"; PSNR {scores['psnr']:.2f} dB"
-    return text + (f" against {reference['psnr']:.2f}" if reference is not None else "") + f" ({frames} frames)."
+    text = (
+        f"{budget_text(budget)}: {best.name} takes{how} {milliseconds(best.time.median)} ms ({p95}), "
+        f"{best.time.ratio:.2f} of the default's time; loss {change_text(scores['relative'])}"
+    )
+    if "psnr" in scores:
+        text += f", PSNR {scores['psnr']:.2f} dB"
+        text += f" against {reference['psnr']:.2f}" if reference is not None and "psnr" in reference else ""
+    return f"{text} ({frames} frames)."
 
 
 def change_text(ratio: float) -> str:
@@ -176,10 +233,10 @@ def change_text(ratio: float) -> str:
 
 def missed(budget: Budget, best: Candidate) -> list[str]:
     """Sentence of a budget that even the fastest configuration missed."""
-    if best.time.p95 <= budget.milliseconds:
+    if best.time.judged <= budget.milliseconds:
         return []
     return [
-        f"{budget_text(budget)} could not be kept: measured p95 {milliseconds(best.time.p95)} ms; "
+        f"{budget_text(budget)} could not be kept: measured p95 {milliseconds(best.time.judged)} ms; "
         f"{best.name} is the fastest that was found."
     ]
 

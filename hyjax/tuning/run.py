@@ -14,15 +14,17 @@ from tqdm import tqdm
 from hyjax.configuration import Configuration
 from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.proof import MOST_SECONDS, ROUNDS, best_within, effects, front_of, prove
-from hyjax.tuning.report import best_file, text_of, write_results
+from hyjax.tuning.report import REPORT_FILE, best_file, text_of, write_results
+from hyjax.tuning.report_page import page
 from hyjax.tuning.request import Budget
 from hyjax.tuning.result import Candidate, Tuned
-from hyjax.tuning.search import State, init, search, update
+from hyjax.tuning.search import State, init, search, update, within
 from hyjax.tuning.settings import TuneSettings
 from hyjax.tuning.space import Choices, Space
 from hyjax.tuning.stage import Stage
 from hyjax.tuning.study import Study, check_free, check_installed
 from hyjax.tuning.trial import Trial
+from hyjax.tuning.unfinished import best_or_fastest, unfinished
 from hyjax.util.claims import claimed
 from hyjax.util.clock import Stopwatch
 from hyjax.util.environment import cores, environment, peak_memory_mib
@@ -50,22 +52,42 @@ class RunMonitor:
         return self.limit is not None and self.clock.seconds > self.limit
 
     @contextlib.contextmanager
-    def watching(self, label: str, trials: int) -> Iterator[None]:
-        """A bar of so many trials."""
-        self.best = math.inf
-        with tqdm(desc=label, total=trials, unit="trial", disable=not self.progress) as self.bar:
+    def watching(self, parts: int) -> Iterator[None]:
+        """One bar of the whole run, of about so many parts."""
+        with tqdm(desc="tuning", total=parts, unit="part", disable=not self.progress) as self.bar:
             yield
+            self.bar.total = self.bar.n
+            self.bar.refresh()
+
+    def enter(self, phase: str) -> None:
+        """Say what is done now."""
+        self.best = math.inf
+        self.bar.set_description_str(f"tuning: {phase}")
+
+    def say(self, words: str) -> None:
+        """Say how far a long part has come."""
+        self.bar.set_postfix_str(words)
+
+    def done(self, parts: int = 1) -> None:
+        """Called after each part."""
+        if self.bar.total is not None and self.bar.n + parts > self.bar.total:
+            self.bar.total = self.bar.n + parts
+        self.bar.update(parts)
 
     def note(self, phase: str, loss: float) -> None:
         """Called after each trial with its loss over the default's."""
-        self.bar.update()
         self.best = min(self.best, loss)
         self.bar.set_postfix_str(f"{phase}, best loss {self.best:.4f} of the default's", refresh=False)
+        self.done()
 
 
+FIRST_PHASES = ("default", "start")
+"""Phases of the first candidates, which are there before a budget is refused."""
 EXTRA_BUDGETS = (0.35, 0.5, 0.7, 1.0, 1.5)
 """Further points of the front, in times of the default."""
 ATTEMPTS = 3
+REPORT_SHARE = 20.0
+"""A report of an unfinished search is written after so many times as long as it takes to write."""
 MORE_TRIALS = 8
 """Trials for a budget that the clock, unlike the prediction, finds exceeded."""
 
@@ -103,6 +125,10 @@ class Run:
     ) -> None:
         self.stage, self.settings, self.budgets, self.monitor = stage, settings, list(budgets), monitor
         self._environment, self._kept = environment(), Choices()
+        self._state: State | None = None
+        self._base: FrameTime | None = None
+        self._checked = False
+        self._since_report, self._report_seconds = Stopwatch(), 0.0
         versions = [f"{name} {self._environment['versions'][name]}" for name in ("jax", "jaxlib")]
         lights = stage.record().get("timed under", stage.name)
         machine = ", ".join([f"{lights}, {self._environment['device']}", f"{cores()} cores", *versions])
@@ -110,20 +136,42 @@ class Run:
 
     def run(self) -> Tuned:
         """Search, refine, prove, write."""
+        references = len(self.stage.references())
+        parts = 1 + self.settings.frame.trials + 2 * len(self._relative_limits()) + 2 * references
         try:
-            return self._run()
+            with self.monitor.watching(parts):
+                return self._run()
         except KeyboardInterrupt:
             if (out := self.settings.out) is not None:
-                best = f"; {out / best_file(self.stage.name)} is the best so far" if self._kept else ""
-                tqdm.write(f"hyjax: stopped; --resume goes on with {out}{best}", file=sys.stderr)
+                self._report_so_far()
+                tqdm.write(f"hyjax: stopped; --resume goes on with {out}{self._left()}", file=sys.stderr)
             raise
+        except InputError as error:
+            if not self._kept:
+                raise
+            self._report_so_far()
+            raise InputError(f"{error}; --resume goes on with {self.settings.out}{self._left()}") from None
+
+    def _left(self) -> str:
+        """Words on what an unfinished run leaves."""
+        out = self.settings.out
+        return f"; {out / best_file(self.stage.name)} is the best so far" if self._kept and out else ""
+
+    def _relative_limits(self) -> list[float]:
+        """Placeholders of the budgets' limits, and further limits over the default's time."""
+        return [math.nan] * len(self.budgets) + list(EXTRA_BUDGETS if self.settings.extra else ())
 
     def _run(self) -> Tuned:
         study = self._study(self.stage.name, resume=self.settings.resume)
-        base = self.stage.base_time(study, self.budgets)
+        self.monitor.enter("timing the default")
+        base = self._base = self.stage.base_time(study)
+        self.monitor.done()
         self.monitor.begin()
         limits = [self.stage.limit(budget, base) for budget in self.budgets]
-        limits += EXTRA_BUDGETS if self.settings.extra else ()
+        self._so_far = functools.partial(
+            unfinished, base=base, budgets=self.budgets, limits=limits, record=self._record()
+        )
+        limits = [*limits, *(EXTRA_BUDGETS if self.settings.extra else ())]
         state = self._searched(self.stage.space, study, limits, keep=True)
         candidates, state = self._finalists(state, study, limits)
         references = self.stage.references()
@@ -133,9 +181,16 @@ class Run:
             best = found.best(math.inf, cases=len(self.stage.cases))
             if best is not None:
                 references.append(self._polished(paper.configuration(best.choices, "paper-tuned")))
-        proven = prove([*candidates, *references], self.stage, progress=not self.settings.quiet)
+        self.monitor.enter("timing and judging the best")
+        proven = prove(
+            [*candidates, *references],
+            self.stage,
+            progress=not self.settings.quiet,
+            done=self.monitor.done,
+        )
         result = self._result(state, proven[: len(candidates)], proven[len(candidates) :], base)
         if self.settings.out is not None:
+            self.monitor.enter("writing the report")
             write_results(self.settings.out, result)
         return result
 
@@ -163,12 +218,16 @@ class Run:
             seed=seed,
             cost=cost,
         )
-        with self.monitor.watching(f"tuning, {study.name}", trials):
-            for trial in study.trials:
-                state = update(state, known := evaluator.known(trial))
-                if trial.time is None:
-                    study.add(space, known)
-            return self._go_on(state, evaluator, study, limits, keep=keep)
+        evaluator.say = self.monitor.say
+        self.monitor.enter(f"searching, {study.name}" if space.paper else "searching")
+        for trial in study.trials:
+            state = update(state, known := evaluator.known(trial))
+            self.monitor.note(trial.phase, trial.loss)
+            if trial.time is None:
+                study.add(space, known)
+        if keep:
+            self._keep(state, limits[0])
+        return self._go_on(state, evaluator, study, limits, keep=keep)
 
     def _go_on(
         self,
@@ -185,15 +244,41 @@ class Run:
             if keep:
                 self._keep(state, limits[0])
 
-        return search(state, evaluator, limits, report=report, expired=self.monitor.expired)
+        def judged(trial: Trial) -> Trial:
+            if keep and trial.phase not in FIRST_PHASES:
+                self._check_reachable(state.space, limits)
+            return evaluator(trial)
+
+        return search(state, judged, limits, report=report, expired=self.monitor.expired)
+
+    def _check_reachable(self, space: Space, limits: Sequence[float]) -> None:
+        """Raise `InputError`, once the first candidates are there, if a budget is out of reach."""
+        if not self._checked and self._base is not None:
+            self._checked = True
+            least = min(limits[: len(self.budgets)])
+            if self._state is None or not within(self._state, least):
+                self.stage.check_reachable(space, self.budgets, self._base)
 
     def _keep(self, state: State, limit: float) -> None:
-        """Write the best so far, for runs that are stopped."""
-        best, out = state.best(limit), self.settings.out
-        if best is not None and out is not None and best.choices != self._kept:
-            self._kept = best.choices
+        """Write the best so far, or else the fastest, with a report of it, for runs that are stopped."""
+        self._state, out = state, self.settings.out
+        best = best_or_fastest(state, limit)
+        if best is None or out is None:
+            return
+        if best.choices != self._kept:
             own = self.stage.space.configuration(best.choices, f"tuned-{self.budgets[0].slug}")
             write_text(out / best_file(self.stage.name), text_of(own, self.stage.name))
+            self._kept = best.choices
+        if self._since_report.seconds > REPORT_SHARE * self._report_seconds:
+            watch = Stopwatch()
+            self._report_so_far()
+            self._since_report, self._report_seconds = Stopwatch(), watch.seconds
+
+    def _report_so_far(self) -> None:
+        """Write a report of the trials so far, as far as the disk allows."""
+        if self._state is not None and self.settings.out is not None:
+            with contextlib.suppress(InputError):
+                write_text(self.settings.out / REPORT_FILE, page(self._so_far(self._state), []))
 
     def _finalists(self, state: State, study: Study, limits: Sequence[float]) -> tuple[list[Configuration], State]:
         """The best for each limit, refined level by level, and the state after the search for them.
@@ -201,7 +286,9 @@ class Run:
         Where times are predicted and the clock says that a budget is exceeded, the search goes on below it.
         """
         found: dict[str, Configuration] = {}
+        self.monitor.enter("refining the best")
         for number, limit in enumerate(limits):
+            self.monitor.done()
             budget = self.budgets[number] if number < len(self.budgets) else None
             for _ in range(ATTEMPTS):
                 best = state.best(limit, cases=len(self.stage.cases))
@@ -213,9 +300,9 @@ class Run:
                 if budget is None or not self.stage.predicts:
                     break
                 (time,) = self.stage.clock.times([found[name]], ROUNDS)
-                if time.p95 <= budget.milliseconds or self.monitor.expired():
+                if time.judged <= budget.milliseconds or self.monitor.expired():
                     break
-                limit = 0.98 * min(limit, best.time or limit) * budget.milliseconds / time.p95
+                limit = 0.98 * min(limit, best.time or limit) * budget.milliseconds / time.judged
                 evaluator = self.stage.evaluator(state.space, study, self.monitor.expired)
                 state = dataclasses.replace(state, count=len(state.trials) + MORE_TRIALS)
                 state = self._go_on(state, evaluator, study, [limit])
@@ -234,25 +321,22 @@ class Run:
         return Configuration.from_json(self._polish_study.remember(key, compute, expired=expired))
 
     def _result(self, state: State, tuned: list[Candidate], known: list[Candidate], base: FrameTime) -> Tuned:
-        usable = [c for c in (*tuned, *known) if c.form == "hyjax"]
+        forms = [c for c in (*tuned, *known) if c.form == "hyjax"]
+        usable = [c for c in forms if self.stage.is_followed(c.configuration)]
         best = []
         for budget in self.budgets:
             chosen = self._timed_again(budget, usable)
             best.append(dataclasses.replace(chosen, configuration=self.stage.named(chosen, budget)))
         front = front_of(usable)
-        record: dict[str, Any] = {
-            "stage": self.stage.name,
-            "settings": self.settings.record(),
-            "cases": len(self.stage.cases),
-            "held-out cases": len(self.stage.held_out),
+        record: dict[str, Any] = self._record() | {
             "trials": len(state.trials),
             "prediction errors": self.stage.prediction_errors(state, tuned),
-            "default p95 at the start": base.p95,
-            "kept": [budget.label for budget, c in zip(self.budgets, best) if c.time.p95 <= budget.milliseconds],
+            "default p95 at the start": base.judged,
+            "disturbed": [time.default_p95, time.default_quiet_p95] if (time := best[0].time).disturbed else None,
+            "kept": [budget.label for budget, c in zip(self.budgets, best) if c.time.judged <= budget.milliseconds],
             "time was up": self.monitor.expired(),
             "seconds": round(self.monitor.clock.seconds, 1),
             "peak memory, MiB": round(peak_memory_mib()),
-            "cores": cores(),
         }
         trials = list(state.trials.values())
         return Tuned(
@@ -264,8 +348,20 @@ class Run:
             trials,
             effects(trials),
             self.stage.examples(front, known),
-            record | self._environment | self.stage.record(),
+            record,
         )
+
+    def _record(self) -> dict[str, Any]:
+        """Parts of the record that are known before the search."""
+        record = {
+            "stage": self.stage.name,
+            "settings": self.settings.record(),
+            "cases": len(self.stage.cases),
+            "held-out cases": len(self.stage.held_out),
+            "further budgets": list(EXTRA_BUDGETS if self.settings.extra else ()),
+            "cores": cores(),
+        }
+        return record | self._environment | self.stage.record()
 
     def _timed_again(self, budget: Budget, usable: Sequence[Candidate]) -> Candidate:
         """The best within a budget, timed once more: of several, one may have fitted by luck."""
@@ -274,7 +370,7 @@ class Run:
             chosen = best_within(budget, left)
             (time,) = self.stage.clock.times([chosen.configuration], ROUNDS, most_seconds=MOST_SECONDS)
             again = dataclasses.replace(chosen, time=time)
-            if len(left) == 1 or not time.p95 > budget.milliseconds >= chosen.time.p95:
+            if len(left) == 1 or not time.judged > budget.milliseconds >= chosen.time.judged:
                 break
             left = [c for c in left if c is not chosen]
         return again

@@ -3,7 +3,9 @@
 import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
 
 from hyjax.scene.settings import SceneSettings, check_lights_name
 from hyjax.util.errors import InputError
@@ -127,6 +129,8 @@ class TuneSettings(Settings):
     stage: BudgetStage | None = None
     """Scope of the budget: frame, the whole frame, all of whose choices are searched; or cascade, the diffusion
     alone. Default: frame; of another device, cascade."""
+    renderer: Annotated[Literal["page", "tour"] | None, tyro.conf.arg(name="for")] = None
+    """Search only choices that an exported page, or a tour, follows. Times are those of `hyjax relight` here."""
     target: str | None = None
     """The accurate mesh that the picture should look like: a file, 'true', 'fused' (at 2 cm), or 'converged' (1000
     steps of diffusion on the rough mesh). Default: true for the built-in room, else fused where there is depth."""
@@ -174,6 +178,8 @@ class TuneSettings(Settings):
         self.frame.check()
         if self.tunes_frame:
             self._check_frame_alone()
+        elif self.renderer is not None:
+            raise InputError("for: goes with the whole frame on this machine; every renderer follows a schedule")
         self.scene.check()
         if self.target != CONVERGED_TARGET:
             check_mesh_name(self.target)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hyjax.choices.choice import Choice, Tried
+from hyjax.choices.choice import Choice, Renderer, Tried
 from hyjax.choices.table import CASCADES, CHOICES, NO_STEPS
 from hyjax.configuration import Configuration
 from hyjax.core.cascade import largest_sampling
@@ -131,13 +131,15 @@ class Space:
     fixed: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, *, truth: bool, paper: bool = False) -> "Space":
-        """Space of linear light, or of the paper's form."""
+    def of(cls, *, truth: bool, paper: bool = False, renderer: Renderer | None = None) -> "Space":
+        """Space of linear light, or of the paper's form; where a renderer is named, of the choices it follows."""
         if paper:
             parameters = [p for c in CHOICES.values() if c.paper for p in Parameter.of(c, c.paper, paper=True)]
             return cls(tuple(parameters), True)
-        chosen = [choice for choice in CHOICES.values() if truth or not choice.truth]
-        return cls(tuple(p for choice in chosen if choice.tried for p in Parameter.of(choice, choice.tried)))
+        chosen = [choice for choice in CHOICES.values() if choice.tried and (truth or not choice.truth)]
+        left = {} if renderer is None else {c.name: c.default for c in chosen if not c.followed_by(renderer)}
+        kept = [choice for choice in chosen if choice.name not in left]
+        return cls(tuple(p for c in kept if c.tried for p in Parameter.of(c, c.tried)), fixed=left)
 
     @classmethod
     def of_cascade(cls, factors: Sequence[int], ranges: Mapping[str, tuple[float, float]]) -> "Space":

@@ -164,7 +164,7 @@ class Study:
 
 
 def _unwritable(error: OSError) -> InputError:
-    return InputError(f"{FILE_NAME}: cannot write ({error.strerror or error}); --resume goes on")
+    return InputError(f"{FILE_NAME}: cannot write ({error.strerror or error})")
 
 
 def _cut_to_lines(path: Path) -> None:

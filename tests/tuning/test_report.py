@@ -14,6 +14,7 @@ from hyjax.configuration import Configuration, GuideOptions, LightOptions
 from hyjax.core.schedule import Schedule
 from hyjax.tuning import report
 from hyjax.tuning.clock import FrameTime
+from hyjax.tuning.proof import best_within
 from hyjax.tuning.report_plots import draw_effects, draw_front_plot, trial_dots
 from hyjax.tuning.report_text import candidates, configuration_text, described
 from hyjax.tuning.request import Budget
@@ -161,8 +162,19 @@ def test_a_bargain_is_told() -> None:
     cheap = dataclasses.replace(tuned.front[0], tuning=tuned.best[0].tuning | {"relative": 0.905})
     cheap = dataclasses.replace(cheap, time=FrameTime(4.0, 4.2, 20.0, 0.2))
     assert not any("bargain" in line for line in report.summary(dataclasses.replace(tuned, front=tuned.front[-1:])))
-    said = report.summary(dataclasses.replace(tuned, front=[cheap]))[1]
+    said = report.summary(dataclasses.replace(tuned, front=[cheap]))[2]
     assert "takes 4.00 ms, 2.2 times less, for 0.6 % more loss" in said
+
+
+def test_the_result_is_far_faster_where_that_costs_next_to_nothing() -> None:
+    tuned = fake([FPS60], ms=14.0)
+    slow, cheap = tuned.front[1], dataclasses.replace(tuned.front[0], tuning=scores(0.903))
+    assert best_within(FPS60, [slow, cheap]) is cheap
+    dear = dataclasses.replace(cheap, tuning=scores(0.906))
+    assert best_within(FPS60, [slow, dear]) is slow, "more than half a per cent of the loss"
+    assert best_within(FPS60, [slow, dataclasses.replace(cheap, time=slow.time)]) is slow
+    said = report.summary(dataclasses.replace(tuned, best=[cheap], front=[cheap, slow]))
+    assert any("tuned-0.45 has 0.3 % less loss within the budget, for 2.3 times the time" in line for line in said)
 
 
 def test_the_diffusion_alone_leaves_schedules(tmp_path: Path) -> None:
@@ -176,7 +188,7 @@ def test_the_diffusion_alone_leaves_schedules(tmp_path: Path) -> None:
         Schedule.from_json(path.read_text(encoding="utf-8")).check()
     far = [dataclasses.replace(c, time=FrameTime(9.0, 9.9, 20.0, 0.45, predicted=True)) for c in tuned.best]
     said = report.summary(dataclasses.replace(tuned, best=far))
-    assert "for Phone predicted, not timed: median 9.00 ms" in said[0] and "in turns" not in said[0]
+    assert "takes, predicted for Phone, not timed, 9.00 ms (p95 9.90 ms)" in said[0]
 
 
 # ---- sentences ----
@@ -185,9 +197,9 @@ def test_the_diffusion_alone_leaves_schedules(tmp_path: Path) -> None:
 def test_the_first_sentence_says_it_all() -> None:
     said = report.summary(fake([FPS60]))
     assert said == [
-        "60 fps = 16.67 ms: tuned-60fps (guide none); median 9.00 ms, p95 9.90 ms, 0.45 of the default's time, "
-        "in turns with it; loss 10.0 % less than the default on tuning frames, 8.2 % less than the "
-        "default on held-out ones; PSNR 23.08 dB against 22.98 (held-out frames).",
+        "60 fps = 16.67 ms: tuned-60fps takes 9.00 ms (p95 9.90 ms), 0.45 of the default's time; loss 8.2 % less "
+        "than the default, PSNR 23.08 dB against 22.98 (held-out frames).",
+        "It differs from the default in: guide none.",
         "Times of 3 proposed configurations were predicted with an error of 6.0 % (median), 30.0 % at worst.",
     ]
 
@@ -203,10 +215,26 @@ def test_a_missed_budget_is_said(tmp_path: Path) -> None:
 
 
 def test_sentences_where_less_is_known() -> None:
-    (said,) = report.summary(fake([FPS60], held_out=False, references=[], record={}))
-    assert said.endswith(
-        "in turns with it; loss 10.0 % less than the default on tuning frames; PSNR 23.10 dB (tuning frames)."
-    )
+    said, choices = report.summary(fake([FPS60], held_out=False, references=[], record={}))
+    assert said.endswith("time; loss 10.0 % less than the default, PSNR 23.10 dB (tuning frames).")
+    assert choices == "It differs from the default in: guide none."
+
+
+def test_an_unfinished_search_and_further_budgets_are_told() -> None:
+    record = {"unfinished": True, "trials": 7, "further budgets": [0.5, 1.0]}
+    said = report.summary(fake([FPS60], record=record))
+    assert said[0].startswith("Unfinished, after 7 trials") and said[0].endswith("--resume goes on.")
+    assert any(line.startswith("Searched for 1 budget and, to draw the front, for 0.5, 1 of") for line in said)
+
+
+def test_a_disturbed_clock_is_told_once_with_both_times() -> None:
+    tuned = fake([FPS60, FPS100], record={"disturbed": [40.0, 22.0]})
+    busy = FrameTime(9.0, 19.0, 20.0, 0.45, quiet_p95=9.5, default_p95=40.0, default_quiet_p95=22.0)
+    said = report.summary(dataclasses.replace(tuned, best=[dataclasses.replace(c, time=busy) for c in tuned.best]))
+    assert "(p95 9.90 ms, of all rounds 19.00)" in said[0], "the ratio to the default says more than 9.50"
+    (once,) = [line for line in said if "disturbed" in line]
+    assert "the default's p95 was 40.00 ms, and 22.00 in the quieter half" in once
+    assert not any("could not be kept" in line for line in said)
 
 
 def test_choices_that_no_true_picture_could_judge_are_told() -> None:

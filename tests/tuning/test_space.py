@@ -165,3 +165,19 @@ def test_presets_are_in_the_space(name: str) -> None:
 def test_random_configurations_are_the_same_for_a_seed() -> None:
     made = [[c.to_json() for c in random_configurations(4, seed)] for seed in (3, 3, 4)]
     assert made[0] == made[1] != made[2] and len(set(made[0])) == 4
+
+
+def test_a_page_is_offered_what_it_follows() -> None:
+    page, tour = (Space.of(truth=True, renderer=renderer) for renderer in ("page", "tour"))
+    assert tour.parameters == SPACES[0].parameters, "a tour follows all that is searched"
+    left = SPACES[0].named.keys() - page.named.keys()
+    assert {"scale", "guide", "views", "least_share", "photo_light"} <= left and "kappa" in page.named
+    rng = np.random.default_rng(0)
+    for choices in (
+        page.default,
+        *(page.random(rng) for _ in range(20)),
+        page.choices_of(Configuration.preset("fast")),
+    ):
+        own = page.configuration(choices)
+        assert own.followed_by("page", say=False) == own and own.scale == 1
+    assert all(page.configuration(c).guide.name == "rgb" for c in page.changes(page.default))

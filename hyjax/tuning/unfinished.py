@@ -1,0 +1,48 @@
+"""Unfinished search as a result: candidates with what their trials tell, before they are proven."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hyjax.configuration import DEFAULT
+from hyjax.tuning.clock import FrameTime
+from hyjax.tuning.proof import effects
+from hyjax.tuning.report_text import UNFINISHED
+from hyjax.tuning.request import Budget
+from hyjax.tuning.result import Candidate, Tuned
+from hyjax.tuning.search import State
+from hyjax.tuning.space import key_of
+from hyjax.tuning.trial import Trial, front_of_trials
+
+
+def best_or_fastest(state: State, limit: float) -> Trial | None:
+    """The best trial within a limit, or else the fastest; None if none was timed."""
+    timed = [trial for trial in state.trials.values() if trial.time is not None and trial.losses]
+    return state.best(limit) or min(timed, key=lambda t: t.time or 0.0, default=None)
+
+
+def unfinished(
+    state: State, *, base: FrameTime, budgets: Sequence[Budget], limits: Sequence[float], record: Mapping[str, Any]
+) -> Tuned:
+    """Result of the trials so far.
+
+    Args:
+        state: with a timed trial at least.
+        base: time of the default.
+        budgets: of the run.
+        limits: of each of them, over the default's time.
+        record: of the run as far as it is known.
+    """
+
+    def candidate(trial: Trial, name: str) -> Candidate:
+        share = trial.time or 1.0
+        time = FrameTime(share * base.median, share * base.p95, base.median, share)
+        return Candidate(state.space.configuration(trial.choices, name), {"relative": trial.loss}, None, time)
+
+    trials = list(state.trials.values())
+    chosen = [best_or_fastest(state, limit) for limit in limits]
+    best = [candidate(t, f"tuned-{b.slug}") for t, b in zip(chosen, budgets, strict=True) if t is not None]
+    front = [candidate(trial, f"trial-{trial.time:.3f}") for trial in front_of_trials(trials)]
+    default = state.trials.get(key_of(state.space.default))
+    references = [] if default is None else [candidate(default, DEFAULT)]
+    told = dict(record) | {"trials": len(trials), UNFINISHED: True}
+    return Tuned(best[0].configuration, best, list(budgets), front, references, trials, effects(trials), [], told)
