@@ -121,9 +121,10 @@ def unfinished_search(tuned: Tuned) -> list[str]:
     """That the search is not at its end, if it is not."""
     if not tuned.record.get(UNFINISHED):
         return []
+    count = tuned.record["trials"]
     return [
-        f"Unfinished, after {tuned.record['trials']} trials: losses are of a part of the tuning frames, times are "
-        "shares of the default's. --resume goes on."
+        f"Unfinished, after {count} trial{'s' * (count != 1)}: losses are of a part of the tuning frames, times "
+        "are shares of the default's. --resume goes on."
     ]
 
 

@@ -166,6 +166,8 @@ class Run:
         self.monitor.enter("timing the default")
         base = self._base = self.stage.base_time(study)
         self.monitor.done()
+        if not study.trials:
+            self._write(self.stage.space.default)  # what there is before the first trial
         self.monitor.begin()
         limits = [self.stage.limit(budget, base) for budget in self.budgets]
         self._so_far = functools.partial(
@@ -261,18 +263,25 @@ class Run:
 
     def _keep(self, state: State, limit: float) -> None:
         """Write the best so far, or else the fastest, with a report of it, for runs that are stopped."""
-        self._state, out = state, self.settings.out
         best = best_or_fastest(state, limit)
-        if best is None or out is None:
+        if best is None:
+            return
+        self._state = state
+        if self.settings.out is None:
             return
         if best.choices != self._kept:
-            own = self.stage.space.configuration(best.choices, f"tuned-{self.budgets[0].slug}")
-            write_text(out / best_file(self.stage.name), text_of(own, self.stage.name))
-            self._kept = best.choices
+            self._write(best.choices)
         if self._since_report.seconds > REPORT_SHARE * self._report_seconds:
             watch = Stopwatch()
             self._report_so_far()
             self._since_report, self._report_seconds = Stopwatch(), watch.seconds
+
+    def _write(self, choices: Choices) -> None:
+        """Write choices as the best so far."""
+        if self.settings.out is not None:
+            own = self.stage.space.configuration(choices, f"tuned-{self.budgets[0].slug}")
+            write_text(self.settings.out / best_file(self.stage.name), text_of(own, self.stage.name))
+            self._kept = choices
 
     def _report_so_far(self) -> None:
         """Write a report of the trials so far, as far as the disk allows."""

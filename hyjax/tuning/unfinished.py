@@ -35,7 +35,7 @@ def unfinished(
 
     def candidate(trial: Trial, name: str) -> Candidate:
         share = trial.time or 1.0
-        time = FrameTime(share * base.median, share * base.p95, base.median, share)
+        time = FrameTime(share * base.median, share * base.judged, base.median, share)
         return Candidate(state.space.configuration(trial.choices, name), {"relative": trial.loss}, None, time)
 
     trials = list(state.trials.values())

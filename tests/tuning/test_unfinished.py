@@ -102,6 +102,17 @@ def test_a_run_that_ends_early_leaves_the_best_so_far(
     assert "Unfinished, after 3 trials" in words
 
 
+def test_the_default_is_there_before_the_first_trial(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    stage = Stage(KeyboardInterrupt())
+    stage.left = []
+    settings = TuneSettings(frame=FrameOptions(trials=20), fps=(60.0,), out=tmp_path, quiet=True)
+    with pytest.raises(KeyboardInterrupt):
+        Run(stage, settings, BUDGETS[:1], RunMonitor(None, False)).run()  # type: ignore[arg-type]
+    assert "configuration.json is the best so far" in capsys.readouterr().err
+    assert Configuration.open(str(tmp_path / "configuration.json")).scale == 1
+    assert not (tmp_path / "report.html").exists()
+
+
 def test_a_budget_is_refused_after_the_first_candidates(tmp_path: Path) -> None:
     stage, asked = Stage(KeyboardInterrupt()), list[object]()
 
