@@ -15,6 +15,7 @@ EXPERIMENTS = (
     "depth_sr",
     "guide_worth",
     "frame_tuning",
+    "number_search",
     "stage_times",
     "frame_rate",
     "first_picture",

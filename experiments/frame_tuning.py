@@ -37,7 +37,10 @@ from hyjax.tuning.bench import open_frame_bench
 from hyjax.tuning.proof import prove
 from hyjax.tuning.result import Candidate
 from hyjax.tuning.settings import SETUPS, FrameOptions, TuneScene, TuneSettings
+from hyjax.tuning.space import Choices, Space, structure
 from hyjax.tuning.stage import FrameStage
+from hyjax.tuning.time_model import errors_left_out
+from hyjax.tuning.trial import Trial
 from hyjax.tuning.tune import tune
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
@@ -81,7 +84,8 @@ def main(config: Config, start: Start) -> None:
             results.add(kind="candidate", front=candidate in tuned.front, **described(candidate))
         for effect in tuned.effects:
             results.add(kind="effect", **dataclasses.asdict(effect))
-        results.add(kind="search", **{k: v for k, v in tuned.record.items() if k in SEARCH})
+        told = {k: v for k, v in tuned.record.items() if k in SEARCH}
+        results.add(kind="search", **told, left_out=time_errors(tuned.trials))
         shutil.copy(results.out / "search" / "contact_sheet.png", results.out / "contact_sheet.png")
     if config.presets:
         write_presets(of_kind(results.rows, "candidate"))
@@ -90,6 +94,16 @@ def main(config: Config, start: Start) -> None:
 
 
 SEARCH = ("trials", "cases", "held-out cases", "timed under", "prediction errors", "seconds")
+
+
+def time_errors(trials: Sequence[Trial]) -> list[float]:
+    """Relative errors of the time model for each trial of other discrete choices, left out in turn."""
+    space, found = Space.of(truth=True), dict[str, tuple[Choices, float]]()
+    for trial in trials:
+        if trial.time is not None:
+            choices = space.complete(trial.choices)  # with the sampling that runs
+            found.setdefault(structure(choices, space), (choices, trial.time))
+    return errors_left_out(space, *zip(*found.values(), strict=True)) if len(found) > 1 else []
 
 
 def settings_of(
@@ -173,6 +187,11 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
             f"foretold to {100 * np.median(errors):.1f} % (median), {100 * errors.max():.1f} % (worst of "
             f"{len(errors)})."
         )
+        if left_out := search.get("left_out"):
+            made.append(
+                f"Left out one at a time, the times of {len(left_out)} trials are predicted to "
+                f"{100 * np.median(left_out):.1f} % (median), {100 * np.max(left_out):.1f} % (worst)."
+            )
     if effects := of_kind(rows, "effect"):
         shown = [
             [e["parameter"], f"{e['base']} → {e['value']}", percent(e["loss"]), percent(e["time"])]

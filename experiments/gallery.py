@@ -10,6 +10,7 @@ Expect: the picture under its name; look at it before it is committed.
 """
 
 import dataclasses
+import functools
 import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -68,9 +69,9 @@ class Committed:
     width: int = 1600
 
 
-def pareto() -> Pixels:
-    """The figure of `frame_tuning`, from the kept rows."""
-    rows = kept_rows(KEPT_FOLDER / "frame_tuning.jsonl")
+def kept_plot(name: str) -> Pixels:
+    """The figure of an experiment that has one, from its kept rows."""
+    rows = kept_rows(KEPT_FOLDER / f"{name}.jsonl")
     (plot,) = (block for block in experiment_of(rows).blocks(rows, KEPT_FOLDER) if isinstance(block, Plot))
     stream = io.BytesIO()
     plot.figure.savefig(stream, format="png", dpi=DPI)
@@ -89,7 +90,12 @@ PICTURES: dict[str, Committed] = {
         "hyjax relight --frames 0:24:8 --lights evening-lamps --out out", (Cells("contact_sheet.png"),), 1500
     ),
     "tour.jpg": Committed("python -m experiments.gallery tour", tour_picture, 1800),
-    "pareto.png": Committed("python -m experiments.gallery pareto", pareto, 900),
+    "pareto.png": Committed(
+        "python -m experiments.gallery pareto", functools.partial(kept_plot, "frame_tuning"), 900
+    ),
+    "number_search.png": Committed(
+        "python -m experiments.gallery number_search", functools.partial(kept_plot, "number_search"), 900
+    ),
     "conductances.jpg": Committed("python -m experiments.conductances", (Cells("conductances.png"),), 1300),
     "structure.jpg": Committed("python -m experiments.structure", (Cells("structure.png"),)),
     "shadow_pass.jpg": Committed(

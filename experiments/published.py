@@ -128,6 +128,8 @@ TABLES: dict[str, Published] = {
     "presets": Published("frame_tuning", 0),
     "preset-search": Published("frame_tuning", 1, lines=SEARCHED),
     "choices": Published("frame_tuning", 2),
+    "number-search": Published("number_search", 0),
+    "number-weights": Published("number_search", 1),
     "frame-rate-default": Published("frame_rate_default", 0),
     "frame-rate-balanced": Published("frame_rate_balanced", 0),
     "frame-rate-fast": Published("frame_rate_fast", 0),

@@ -15,21 +15,27 @@ from hyjax.metrics.losses import LossWeights, display_loss
 from hyjax.synthetic.tone_curve import encode
 from hyjax.tuning.scene import Target
 
+BRIGHTNESS_WEIGHT = 0.5
+"""Weight of display values as they are, beside those under fitted gains."""
+
 
 @dataclasses.dataclass(frozen=True)
 class PictureLoss:
     """Loss of a relit picture: display values, their slopes at four scales, and LPIPS if it is given a weight.
 
     Three gains, in linear light, may bring exposure and white balance nearest to the target first: a viewer's eye
-    does so, too, and no method can know them.
+    does so, too, and no method can know them. A further term compares display values without gains: what the gains
+    hide would get worse without it.
 
     Attributes:
         perceptual: weight of LPIPS.
         weights: of its network; None without.
+        brightness: weight of display values without gains.
     """
 
     perceptual: float = 0.0
     weights: LpipsWeights | None = None
+    brightness: float = BRIGHTNESS_WEIGHT
 
     @classmethod
     def of(cls, perceptual: float = 0.0) -> "PictureLoss":
@@ -51,7 +57,8 @@ class PictureLoss:
         """Loss and all metrics of the registry by name; `psnr_raw` is that of the picture as it is."""
         gains = self.gains(image, target)
         own = self._scores(image * gains, target.picture, target.valid)
-        raw = _psnr(*map(jnp.asarray, (image, target.picture, target.valid)))
+        brightness, raw = _raw_scores(*map(jnp.asarray, (image, target.picture, target.valid)))
+        own["loss"] += self.brightness * brightness
         return {name: float(value) for name, value in own.items()} | {"psnr_raw": float(raw)}
 
     def _scores(self, image: np.ndarray, picture: np.ndarray, valid: np.ndarray) -> dict[str, Array]:
@@ -77,7 +84,8 @@ class PictureLoss:
                 return lpips(a, b, weights)
 
         terms = LossWeights(perceptual=self.perceptual)
-        return display_loss(to_display(image * gains), picture, valid, weights=terms, perceptual=perceptual)
+        fitted = display_loss(to_display(image * gains), picture, valid, weights=terms, perceptual=perceptual)
+        return fitted + self.brightness * _brightness_term(image, picture, valid)
 
 
 @functools.partial(jax.jit, static_argnames="metrics")
@@ -92,8 +100,15 @@ def _plain_scores(
     return found | {name: metric.function(shown, picture, valid=valid) for name, metric in metrics}
 
 
-@jax.jit
-def _psnr(
+def _brightness_term(
     image: Float[Array, "h w 3"], picture: Float[Array, "h w 3"], valid: Bool[Array, "h w"]
 ) -> Float[Array, ""]:
-    return psnr(to_display(image), picture, valid=valid)
+    """Difference of display values as they are."""
+    return display_loss(to_display(image), picture, valid, weights=LossWeights(gradient=0.0))
+
+
+@jax.jit
+def _raw_scores(
+    image: Float[Array, "h w 3"], picture: Float[Array, "h w 3"], valid: Bool[Array, "h w"]
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    return _brightness_term(image, picture, valid), psnr(to_display(image), picture, valid=valid)

@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 from extras import need
 
-from experiments import frame_tuning
+from experiments import frame_tuning, number_search
 from hyjax.configuration import Configuration
 from hyjax.data.builtin_room import load_room
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.tuning.scene import TuningScene
+from hyjax.util.errors import InputError
 
 need("tune")
 
@@ -81,3 +82,29 @@ def test_presets_that_come_with_hyjax_differ() -> None:
     texts = {Configuration.preset(name).to_json() for name in ("quality", "balanced", "fast", "default", "paper")}
     assert len(texts) == 5
     assert Configuration.preset("fast").scale > Configuration.preset("quality").scale
+
+
+def test_searches_of_numbers_are_compared_with_the_gradients() -> None:
+    def room(name: str, ratio: float) -> dict:
+        return {"room": name, "scores": {"relative": [1.0, ratio]}}
+
+    shared = {"kind": "search", "settings": {"room": "a", "size": "160x120", "quality": 1.0}, "device": "cpu: cpu"}
+    shared |= {"cpu_count": 2, "versions": {"jax": "0"}}
+    rows = [
+        shared
+        | {"method": method, "sampler_seed": seed, "losses": losses, "seconds": [1.0, 0.5, 0.5], "rooms": rooms}
+        for method, seed, losses, rooms in (
+            ("gradients", 0, [1.0, 0.8, 0.82], [room("a", 0.8), room("b", 0.85)]),
+            ("TPE", 0, [1.0, 0.9, 0.79], [room("a", 0.79), room("b", 0.9)]),
+            ("TPE", 1, [1.0, 0.95, 0.97], [room("a", 0.95), room("b", 0.92)]),
+        )
+    ]
+    table, plot = number_search.blocks(rows, Path())
+    gradients, tpe = table.rows
+    assert gradients == ["gradients", "1", "3", "0.50", "-20.0 %", "2", "-15.0 %"]
+    assert tpe[4:] == ["-13.0 % (-21.0 to -5.0)", "3, never", "-9.0 % (-10.0 to -8.0)"]
+    (axes,) = plot.figure.axes
+    assert [line.get_label() for line in axes.lines][:2] == ["gradients", "TPE"]
+    config = number_search.Config(report=("builtin-0",))
+    with pytest.raises(InputError, match="searched on as well"):
+        number_search.main(config)

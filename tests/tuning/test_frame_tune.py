@@ -134,6 +134,17 @@ def test_losses_know_what_is_fitted() -> None:
     assert fitted["psnr"] > fitted["psnr_raw"] + 10
 
 
+def test_the_loss_sees_brightness_that_gains_hide() -> None:
+    picture, valid = np.full((48, 64, 3), 0.5, np.float32), np.ones((48, 64), bool)
+    linear, target = np.full_like(picture, 0.214), Target(picture, valid, True)
+    alone = PictureLoss(brightness=0.0)
+    assert alone.scores(0.5 * linear, target)["loss"] < 0.01
+    bright, dim = (PictureLoss().scores(gain * linear, target)["loss"] for gain in (1.0, 0.5))
+    assert bright < 0.01 and dim > 0.05
+    value = PictureLoss().value(0.5 * jnp.asarray(linear), jnp.full(3, 2.0), jnp.asarray(picture), valid)
+    assert float(value) == pytest.approx(dim, rel=0.05)
+
+
 def test_batches_have_many_scenes_and_setups() -> None:
     cases = spread_cases([[0, 4, 8], [1, 5, 9], [2, 6, 10]], ["a", "b", "c"], seed=3)
     assert len(cases) == len(set(cases)) == 27
