@@ -14,8 +14,8 @@ pictures under fitted gains alone, and with a term without gains. Loss, SSIM and
 
 Takes about fifteen minutes on two cores, and two minutes more for each room that is not in the cache.
 
-Expect: the gradients' thirteen evaluations reach what TPE needs some twenty trials for; with many trials TPE ends
-as good or a little better.
+Expect: after the gradients' thirteen evaluations a loss that fifty trials of TPE or NSGA-II come near to; on rooms
+that nothing was chosen on, no difference worth a word.
 """
 
 import dataclasses
