@@ -10,6 +10,7 @@ both on from its surroundings; so does the visibility of a light on surfaces tur
 well be lit or shadowed as their neighbours are.
 """
 
+import dataclasses
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, Literal
@@ -158,9 +159,12 @@ def relight_stages(
             raise InputError("relight: mode 'paper' works at full size; leave `full` out")
         yield from _paper_stages(view, shaded, guide, schedule, shadow_schedule, run)
         return
-    illuminance = run(refine_illuminance, shaded, guide, schedule)
+    # The cascades see no emission: frames with and without emitting pixels share a program.
+    surface = dataclasses.replace(shaded, emission=None)
+    illuminance = run(refine_illuminance, surface, guide, schedule)
     yield "cascade", illuminance
-    visibility = run(refine_visibility, shaded, guide, shadow_schedule)
+    lights = dataclasses.replace(surface, bounced=None, photo_light=None, refined_photo_light=None)
+    visibility = run(refine_visibility, lights, guide, shadow_schedule)
     yield "shadow pass", visibility
     if temporal_filter is not None:
         illuminance, visibility = temporal_filter(illuminance, visibility)

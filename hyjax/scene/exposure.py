@@ -5,19 +5,16 @@ import logging
 from collections.abc import Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from hyjax.data.frames import spread
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
-from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, RectLight
 from hyjax.light.setup import LightSetup
-from hyjax.light.shading import shade_each
+from hyjax.scene.point_lux import point_lux
 from hyjax.util.errors import InputError
-from hyjax.util.programs import run_kept
 
 LARGEST_FILTER, LARGEST_FILTER_IN_SUN = 1.6, 3.5
 """Largest filter on all but a twentieth of the surface, without the sun and with it."""
@@ -25,8 +22,6 @@ REFLECTED_SHARE = 0.3
 """Ratio of bounced light to the mean direct light."""
 DIMMINGS = 4
 """Number of times that sun and exposure are brought in line with each other."""
-POINTS_AT_ONCE = 2048
-"""Points are shaded in multiples of so many, so that there are few programs."""
 OFFSET = 0.02
 """Distance from the surface, in metres, where rays to lights start."""
 _log = logging.getLogger(__name__)
@@ -110,19 +105,8 @@ class SeenSurface:
 
     def lux(self, lights: Sequence[Light]) -> Float[np.ndarray, "n l"]:
         """Illuminance of lights on the points, with shadows; times the strongest channels of their colours."""
-        count = len(self.points)
-        padded = [(0, 0), (0, -count % POINTS_AT_ONCE), (0, 0)]
-        position, facing = (
-            np.pad(np.asarray(vectors[None], np.float32), padded, mode="edge")
-            for vectors in (self.points, self.normals)
-        )
-        every = np.ones(position.shape[:2], bool)
-        points = GBuffer(*map(jax.device_put, (position, facing, every.astype(np.float32), every)))
-        # One by one: lights of a kind share a program, however many there are.
-        lux = [np.asarray(run_kept(shade_each, points, (light,)))[0, :count, 0] for light in lights]
-        return np.stack(
-            [self._reached(light, strength) for light, strength in zip(lights, lux, strict=True)], axis=-1
-        )
+        lux = point_lux(self.points, self.normals, lights)
+        return np.stack([self._reached(light, lux[:, number]) for number, light in enumerate(lights)], axis=-1)
 
     def _reached(self, light: Light, lux: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         every = np.ones(len(self.points), bool)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -25,11 +24,11 @@ from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
-from hyjax.light.shading import shade_each
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.pipeline import TemporalFilter, relight_stages
 from hyjax.scene.place import Place, camera_view, view_of
+from hyjax.scene.point_lux import point_lux
 from hyjax.scene.settings import Occluders
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.clock import StageClock
@@ -311,9 +310,7 @@ def shares(place: Place, lights: Sequence[Light]) -> np.ndarray:
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(doubled, axis=1)
     normal = doubled / np.maximum(area, 1e-12)[:, None]
-    position = jnp.asarray(corners.mean(axis=1)[None], jnp.float32)
-    points = GBuffer(position, jnp.asarray(normal[None], jnp.float32), jnp.ones(area.shape)[None], area[None] > 0)
-    lux = np.asarray(run_kept(shade_each, points, tuple(lights)))[0]
+    lux = np.where(area[:, None] > 0, point_lux(corners.mean(axis=1), normal, lights), 0.0)
     given = area @ lux * [float(np.mean(np.asarray(light.color))) for light in lights]
     return given / max(float(given.sum()), 1e-12)
 
