@@ -76,8 +76,12 @@ def relit(settings: hyjax.RelightSettings, scene: hyjax.Scene) -> dict[str, np.n
     """Linear pictures of a run by frame and kind, before they are rounded to a file's half floats."""
     kept: dict[str, np.ndarray] = {}
 
-    def keep(clock: Any, out: Path, name: str, pictures: dict[str, Any], mode: str) -> None:
-        kept.update({f"{name}.{kind}": np.asarray(picture) for kind, picture in pictures.items()})
+    def keep(
+        clock: Any, out: Path, name: str, pictures: dict[str, Any], mode: str, *, exr: bool
+    ) -> dict[str, np.ndarray]:
+        arrays = {kind: np.asarray(picture) for kind, picture in pictures.items()}
+        kept.update({f"{name}.{kind}": array for kind, array in arrays.items()})
+        return arrays
 
     write, command.write_frame = command.write_frame, keep
     try:

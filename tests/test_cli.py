@@ -63,7 +63,7 @@ def closeness(a: Path, b: Path) -> float:
 def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two small frames of the built-in room with everything written."""
     out = tmp_path_factory.mktemp("first") / "out"
-    extras = ("--save-filters", "--save-visibility")
+    extras = ("--save-filters", "--save-visibility", "--exr")
     done = relight("--frames", "0:24:12", "--size", "160x120", "--lights", "two-colors", *extras, "--out", out)
     assert "2 frames relit" in done.stdout and str(out / "contact_sheet.png") in done.stdout and done.stderr == ""
     return out
@@ -157,7 +157,7 @@ def test_a_second_run_replaces_files_and_takes_the_lights_back(first: Path, tmp_
     for name in ("000.relit.exr", "000.relit.png", "run.json", "contact_sheet.png"):
         (out / name).write_text("old")
     (out / "mine.txt").write_text("mine")
-    relight("--frames", 0, "--size", "160x120", "--lights", first / "lights.json", "--out", out)
+    relight("--frames", 0, "--size", "160x120", "--lights", first / "lights.json", "--exr", "--out", out)
     assert opens(out) == 3 and (out / "mine.txt").read_text() == "mine"
     assert record(out)["frames"] == ["000"]
     assert closeness(first / "000.relit.exr", out / "000.relit.exr") < 0.01
@@ -172,10 +172,10 @@ def test_paper_mode_schedule_and_lights_from_files(first: Path, tmp_path: Path) 
     lights = {"reference_lux": 300, "lights": [POINT, {"kind": "ambient", "illuminance": 20}]}
     (tmp_path / "lights.yaml").write_text(yaml.safe_dump(lights))
     (tmp_path / "lights.json").write_text(json.dumps(lights))
-    options = ("--paper-mode", "--no-shadows", "--schedule", tmp_path / "mine.json", "--frames", "-1", "--size", 64)
+    options = ("--paper-mode", "--no-shadows", "--exr", "--schedule", tmp_path / "mine.json", "--frames", "-1")
     for kind in ("yaml", "json"):
         extra = ("--save-visibility", "--save-filters") if kind == "yaml" else ()
-        relight(*options, *extra, "--lights", tmp_path / f"lights.{kind}", "--out", tmp_path / kind)
+        relight(*options, *extra, "--size", 64, "--lights", tmp_path / f"lights.{kind}", "--out", tmp_path / kind)
     run = record(tmp_path / "yaml")
     assert run["mode"] == "paper" and run["size"] == [64, 64] and run["frames"] == ["023"]
     assert run["schedule"] == json.loads(schedule.to_json()) and run["reference_lux"] == 300
@@ -190,7 +190,7 @@ def test_interrupted_runs_leave_whole_files(tmp_path: Path) -> None:
     # A background job is started with SIGINT ignored, and so would be what it starts.
     code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     code += "from hyjax.cli import main; main()"
-    options = ["--size", "320x240", "--save-filters", "--lights", "center-point", "--out"]
+    options = ["--size", "320x240", "--save-filters", "--exr", "--lights", "center-point", "--out"]
     command = [sys.executable, "-c", code, "relight", *options]
     with subprocess.Popen([*command, str(tmp_path)], stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 240
@@ -207,7 +207,7 @@ def test_interrupted_runs_leave_whole_files(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_kitchen_is_its_photo_times_a_filter_that_follows_the_lamps(kitchen: Path, tmp_path: Path) -> None:
-    extras = ("--save-filters", "--save-visibility", "--lights", "evening-lamps")
+    extras = ("--save-filters", "--save-visibility", "--exr", "--lights", "evening-lamps")
     relight("--capture", kitchen, "--frames", "0:300:150", "--size", "160x120", *extras, "--out", tmp_path)
     assert opens(tmp_path) == 17 and record(tmp_path)["mesh_faces"] > 10_000
     assert record(tmp_path)["frames"] == ["frame-000000", "frame-000300"]

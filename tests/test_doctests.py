@@ -138,7 +138,7 @@ def test_parts_of_ones_own_are_in_the_command(tmp_path: Path) -> None:
         "bounce_tint=0.5",
     )
     run_script(tmp_path, text, "relight", "--capture", "scan", *options)
-    assert read_image(tmp_path / "out" / "0.relit.exr").mean() > 0.01
+    assert read_image(tmp_path / "out" / "0.relit.png").mean() > 0.01
     assert json.loads((tmp_path / "out" / "lights.json").read_text())["lights"][0]["kind"] == "lantern"
 
 

@@ -1,15 +1,18 @@
 """Relit frames of a run in their order: by a `Relighter` on every device that takes frames, or by WebGPU."""
 
 import contextlib
+import dataclasses
+import functools
 import itertools
 import logging
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from hyjax.configuration import Configuration
 from hyjax.data.capture import Frame
@@ -33,7 +36,33 @@ MOST_RAY_CAST = 3
 """Most frames whose G-buffers are cast by rays: fewer take less time than the rasteriser takes to load."""
 MOST_AT_ONCE = 4
 """Frames that one processor relights at a time: each takes memory."""
+MOST_PIXELS_AT_ONCE = 1_500_000
+"""Pixels of all frames that a processor relights at a time; a larger frame is alone."""
 _log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class RelitFrame:
+    """Relit frame of a run.
+
+    Attributes:
+        frame: as it was read.
+        image: relit picture, linear; None where the frame sees no surface.
+        compared: makes all stages, for one call.
+    """
+
+    frame: Frame
+    image: Float[Array, "h w 3"] | None
+    compared: Callable[[], Relit]
+
+    @classmethod
+    def without_surface(cls, frame: Frame) -> "RelitFrame":
+        """A frame that sees no surface."""
+        return cls(frame, None, _no_stages)
+
+
+def _no_stages() -> Relit:
+    raise AssertionError("a frame that sees no surface has no stages")
 
 
 def readable(scene: Scene, index: int) -> Frame | None:
@@ -67,15 +96,11 @@ def cycles(
 
 def relit_frames(
     scene: Scene, chosen: Sequence[int], relighter: Relighter, clock: StageClock, *, once: bool
-) -> Generator[tuple[Frame, Relit | None]]:
-    """Frames with their relit pictures, in order; None for one that sees no surface.
-
-    On each device in turns, unless frames must follow each other (`once`).
-    """
+) -> Generator[RelitFrame]:
+    """Relit frames in order, on each device in turns, unless frames must follow each other (`once`)."""
     devices = jax.local_devices()[: 1 if once else None]
     # Small stages run on one core each, so that frames share the cores of a processor best.
     several = not once and devices[0].platform == "cpu"
-    at_once = max(len(devices), min(cores(), MOST_AT_ONCE) if several else 1)
     relighters = [relighter.on(device) for device in devices] if len(devices) > 1 else [relighter]
 
     def cast(index: int) -> tuple[Frame, GBuffer] | None:
@@ -86,17 +111,23 @@ def relit_frames(
         with clock("g-buffer"):
             return frame, jax.block_until_ready(relighter.gbuffer(frame.camera, rays=len(chosen) <= MOST_RAY_CAST))
 
-    def relight_frame(numbered: tuple[int, tuple[Frame, GBuffer]]) -> tuple[Frame, Relit | None]:
+    def relight_frame(numbered: tuple[int, tuple[Frame, GBuffer]]) -> RelitFrame:
         number, (frame, gbuffer) = numbered
         if not np.asarray(gbuffer.hit).any():
-            return frame, None
-        return frame, clock.follow(relighters[number % len(relighters)].stages(frame, gbuffer=gbuffer))
+            return RelitFrame.without_surface(frame)
+        stages = relighters[number % len(relighters)].stages(frame, gbuffer=gbuffer)
+        image = clock.follow(stages, until="composite")
+        return RelitFrame(frame, image, functools.partial(clock.follow, stages))
 
     with ExitStack() as running:
         cast_ahead = enumerate(filter(None, running.enter_context(contextlib.closing(prefetch(cast, chosen)))))
         # The first alone: several at once would each compile what it compiles.
-        alone = 1 if at_once > 1 else None
-        yield from map(relight_frame, itertools.islice(cast_ahead, alone))
+        pixels = 1
+        for relit_frame in map(relight_frame, itertools.islice(cast_ahead, 1)):
+            pixels = relit_frame.frame.image[..., 0].size
+            yield relit_frame
+        most = min(cores(), MOST_AT_ONCE, max(1, MOST_PIXELS_AT_ONCE // pixels)) if several else 1
+        at_once = max(len(devices), most)
         relit = prefetch(relight_frame, cast_ahead, at_once, threads=at_once)
         yield from running.enter_context(contextlib.closing(relit))
 
@@ -110,8 +141,8 @@ def relit_on_device(
     guide: FrameGuide,
     clock: StageClock,
     device: Any,
-) -> Generator[tuple[Frame, Relit | None]]:
-    """Frames with their relit pictures by WebGPU, in order; None for one that sees no surface."""
+) -> Generator[RelitFrame]:
+    """Frames relit by WebGPU, in order."""
     from hyjax.device.renderer import DeviceRenderer
 
     renderer: DeviceRenderer | None = None
@@ -143,4 +174,12 @@ def relit_on_device(
                 )
         with clock("frame"):
             relit = renderer.relit(frame.image, frame.camera, features)
-        yield frame, relit if renderer.sees_surface else None
+        yield (
+            RelitFrame(frame, relit.image, functools.partial(_given, relit))
+            if renderer.sees_surface
+            else RelitFrame.without_surface(frame)
+        )
+
+
+def _given(relit: Relit) -> Relit:
+    return relit

@@ -18,9 +18,19 @@ from hyjax.util.programs import run_kept
 HEADINGS = ("frame", "raw filter", "refined filter", "visibility", "raw filter x frame", "relit")
 
 
-def written_pictures(relit: Relit, settings: RelightSettings) -> dict[str, Float[Array, "h w 3"]]:
-    """Pictures to write of a frame, by kind; nothing else is kept until then."""
-    pictures = {"relit": relit.image}
+def written_pictures(
+    image: Float[Array, "h w 3"], relit: Relit | None, settings: RelightSettings
+) -> dict[str, Float[Array, "h w 3"]]:
+    """Pictures to write of a frame, by kind; nothing else is kept until then.
+
+    Args:
+        image: relit picture.
+        relit: all stages; None where the settings ask for none.
+        settings: of the run.
+    """
+    pictures = {"relit": image}
+    if relit is None:
+        return pictures
     if settings.save_filters:
         pictures |= {"filter": relit.shading, "refined": relit.refined}
     if settings.save_visibility:
@@ -29,17 +39,25 @@ def written_pictures(relit: Relit, settings: RelightSettings) -> dict[str, Float
 
 
 def write_frame(
-    clock: StageClock, out: Path, name: str, pictures: dict[str, Float[Array, "h w 3"]], mode: Mode
-) -> None:
-    """A PNG to look at and an EXR with linear values of each picture."""
+    clock: StageClock,
+    out: Path,
+    name: str,
+    pictures: dict[str, Float[Array, "h w 3"]],
+    mode: Mode,
+    *,
+    exr: bool = False,
+) -> dict[str, Float[np.ndarray, "h w 3"]]:
+    """Write a PNG to look at of each picture, and an EXR with linear values if so; returns what the PNGs show."""
+    shown = {}
     with clock("write"):
         for kind, picture in pictures.items():
-            shown = _shown(picture, encoded=kind == "visibility" or (mode == "paper" and kind != "relit"))
-            write_png(out / f"{name}.{kind}.png", shown)
-            encoded_filter = mode == "paper" and kind in ("filter", "refined")
-            write_exr(
-                out / f"{name}.{kind}.exr", np.asarray(run_kept(to_linear, picture) if encoded_filter else picture)
-            )
+            shown[kind] = _shown(picture, encoded=kind == "visibility" or (mode == "paper" and kind != "relit"))
+            write_png(out / f"{name}.{kind}.png", shown[kind])
+            if exr:
+                encoded_filter = mode == "paper" and kind in ("filter", "refined")
+                linear = np.asarray(run_kept(to_linear, picture) if encoded_filter else picture)
+                write_exr(out / f"{name}.{kind}.exr", linear)
+    return shown
 
 
 def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, "h w 3"]]:

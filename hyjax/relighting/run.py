@@ -5,26 +5,25 @@ import dataclasses
 import functools
 import json
 import logging
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from hyjax.configuration import PRESETS, Configuration
 from hyjax.core.schedule import Schedule
-from hyjax.data.capture import Capture, Frame
+from hyjax.data.capture import Capture
 from hyjax.data.frames import select_frames
 from hyjax.data.light_file import write_lights
 from hyjax.guide.choose import FrameGuide, configured_guide
-from hyjax.light.color import to_display
 from hyjax.light.kinds import Light, kind_name
-from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
-from hyjax.relighting.frames import cycles, relit_frames, relit_on_device
+from hyjax.relighting.frames import RelitFrame, cycles, relit_frames, relit_on_device
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.fusion_settings import FusionSettings
@@ -34,7 +33,8 @@ from hyjax.scene.scene import Scene
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.claims import claimed
 from hyjax.util.clock import StageClock, Stopwatch
-from hyjax.util.contact_sheet import write_contact_sheet
+from hyjax.util.contact_sheet import fitted_row, write_contact_sheet
+from hyjax.util.cores import cores
 from hyjax.util.environment import environment, peak_memory_mib
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, remove, write_text
@@ -248,26 +248,38 @@ class _Summary:
 
 
 def _write_frames(
-    frames: Generator[tuple[Frame, Relit | None]], count: int, settings: RelightSettings, clock: StageClock
+    frames: Generator[RelitFrame], count: int, settings: RelightSettings, clock: StageClock
 ) -> _Summary:
-    """Write the pictures of all frames while the next ones are relit."""
-    summary, begun = _Summary(), Stopwatch()
+    """Write the pictures of all frames while the next ones are relit; the first before any other is."""
+    summary, begun, dark = _Summary(), Stopwatch(), set()
     sheet_every = max(1, -(-count // SHEET_ROWS))
-    with background_writer() as later, contextlib.closing(frames):
-        for frame, relit in tqdm(frames, "relighting", count, unit="frame", disable=settings.quiet):
+    every_stage = settings.save_filters or settings.save_visibility
+
+    def write(name: str, photo: Float[np.ndarray, "h w 3"], pictures: dict[str, Float[Array, "h w 3"]]) -> None:
+        shown = write_frame(clock, settings.out, name, pictures, settings.mode, exr=settings.exr)
+        if dark_share(photo, shown["relit"]).too_dark:
+            dark.add(name)
+
+    def now(call: Callable[[], object]) -> None:
+        call()
+
+    with background_writer(threads=cores()) as later, contextlib.closing(frames):
+        for done in tqdm(frames, "relighting", count, unit="frame", disable=settings.quiet):
+            frame = done.frame
             summary.size = list(frame.image.shape[:2])
-            if relit is None:
+            if done.image is None:
                 summary.skipped.append(frame.name)
                 continue
-            pictures = written_pictures(relit, settings)
-            later(functools.partial(write_frame, clock, settings.out, frame.name, pictures, settings.mode))
+            relit = done.compared() if every_stage else None
+            pictures = written_pictures(done.image, relit, settings)
+            (later if summary.written else now)(functools.partial(write, frame.name, frame.image, pictures))
+            if len(summary.written) % sheet_every == 0:
+                row = sheet_row(frame, relit or done.compared(), settings.mode)
+                summary.rows.append((frame.name, fitted_row(row)))
             summary.written.append(frame.name)
-            if dark_share(frame.image, np.asarray(to_display(relit.image))).too_dark:
-                summary.dark.append(frame.name)
             if len(summary.written) == WARM_UP:
                 begun = Stopwatch()
-            if (len(summary.written) - 1) % sheet_every == 0:
-                summary.rows.append((frame.name, sheet_row(frame, relit, settings.mode)))
+    summary.dark = [name for name in summary.written if name in dark]
     timed = len(summary.written) - WARM_UP
     summary.frames_per_second = round(timed / begun.seconds, 2) if timed > 0 else None
     return summary

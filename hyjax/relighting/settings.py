@@ -61,6 +61,8 @@ class RelightSettings(Settings):
     """Also write each frame's raw and refined filter."""
     save_visibility: bool = False
     """Also write each frame's refined visibility."""
+    exr: bool = False
+    """Also write each picture's linear values, in half precision."""
     out: Path = Path("out")
     """Folder for the results."""
     quiet: bool = False

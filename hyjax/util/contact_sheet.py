@@ -10,10 +10,12 @@ from hyjax.util.images import resize, write_png
 
 BACKGROUND, INK = 0.09, 0.92
 GAP, LABEL, FONT = 4, 20, 13
+WIDTH = 320
+"""Width of a picture on a sheet, in pixels."""
 
 
 def contact_sheet(
-    rows: Sequence[tuple[str, Sequence[Float[np.ndarray, "h w 3"]]]], headings: Sequence[str], width: int = 320
+    rows: Sequence[tuple[str, Sequence[Float[np.ndarray, "h w 3"]]]], headings: Sequence[str], width: int = WIDTH
 ) -> Float[np.ndarray, "h w 3"]:
     """Compose a sheet.
 
@@ -38,6 +40,14 @@ def contact_sheet(
             sheet[top : top + height, left : left + width] = np.clip(picture, 0, 1)
         texts.append((GAP, top - 6, label))
     return _write_texts(sheet, texts)
+
+
+def fitted_row(
+    pictures: Sequence[Float[np.ndarray, "h w 3"]], width: int = WIDTH
+) -> Sequence[Float[np.ndarray, "height width 3"]]:
+    """Pictures of a row at their size on the sheet, which take less memory until it is composed."""
+    first = pictures[0]
+    return _resized(pictures, round(width * first.shape[0] / first.shape[1]), width)
 
 
 def write_contact_sheet(

@@ -21,8 +21,9 @@ from hyjax.util.picture_header import check_packing, check_picture, check_size
 NO_DATE = "1970:01:01 00:00:00"
 """Date in an EXR, which otherwise has the time of writing: equal pictures are equal files."""
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
-PNG_LEVEL = 4
-"""Compression of PNG: a third of the time of the usual 6, for files 5 % larger."""
+PNG_LEVEL, PNG_FILTER = 1, 32
+"""Compression of PNG, and its filter, the row above: a seventh of the time of the usual 6 with the best filter of
+each row, for files 13 % larger."""
 
 
 def read_image(path: Path, where: str | None = None) -> Float[np.ndarray, "h w c"]:
@@ -116,7 +117,8 @@ def _read(path: Path, where: str | None, only: str | None = None) -> np.ndarray:
 def write_png(path: Path, display: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w c"]) -> None:
     """Write display-encoded values in [0, 1] as an 8-bit PNG."""
     pixels = np.round(np.clip(np.asarray(display, dtype=np.float32), 0.0, 1.0) * 255.0).astype(np.uint8)
-    _write(path, pixels, "uint8", {"oiio:ColorSpace": "srgb_rec709_scene", "png:compressionLevel": PNG_LEVEL})
+    how: dict[str, str | int] = {"png:compressionLevel": PNG_LEVEL, "png:filter": PNG_FILTER}
+    _write(path, pixels, "uint8", {"oiio:ColorSpace": "srgb_rec709_scene"} | how)
 
 
 def write_depth(path: Path, depth: Float[np.ndarray, "h w"], unit: float = 0.001) -> None:

@@ -38,14 +38,14 @@ def prefetch(
 
 
 @contextlib.contextmanager
-def background_writer(depth: int = DEPTH) -> Iterator[Callable[[Callable[[], object]], None]]:
-    """A function that has calls done by another thread, in order; at the end of the context all are.
+def background_writer(depth: int = DEPTH, threads: int = 1) -> Iterator[Callable[[Callable[[], object]], None]]:
+    """A function that has calls done by other threads; at the end of the context all are.
 
-    It waits while more than `depth` calls are still to be done. What a call raises is raised by one of the next
-    ones, or at the end; calls after it are not done. If the body raises an exception, what it has asked for is
-    still done; if it is interrupted, only what has begun.
+    They are begun in order. It waits while more than `depth` calls are still to be done. What a call raises is
+    raised by one of the next ones, or at the end; calls after it are not done. If the body raises an exception,
+    what it has asked for is still done; if it is interrupted, only what has begun.
     """
-    pool = ThreadPoolExecutor(1, thread_name_prefix="background-writer")
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="background-writer")
     waiting: collections.deque[Future[object]] = collections.deque()
     failed = threading.Event()
 

@@ -317,7 +317,7 @@ def test_the_command_takes_a_scan(room: RoomCapture, tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     made = {file.name for file in (tmp_path / "out").iterdir()}
-    assert {f"{FIRST}.relit.png", f"{SECOND}.relit.exr", "contact_sheet.png"} <= made
+    assert {f"{FIRST}.relit.png", f"{SECOND}.relit.png", "contact_sheet.png"} <= made
     record = json.loads((tmp_path / "out" / "run.json").read_text())
     assert record["settings"]["mesh"] == f"captured mesh {VIDEO}_3dod_mesh.ply"
 

@@ -201,7 +201,13 @@ def test_relight_by_webgpu(scene: Scene, device: Any, tmp_path: Path) -> None:
     images = {}
     for renderer in ("webgpu", "shadow_map"):
         out = tmp_path / renderer
-        options = {"lights": str(tmp_path / "lamp.json"), "frames": "0", "keep_photo_light": True, "quiet": True}
+        options = {
+            "lights": str(tmp_path / "lamp.json"),
+            "frames": "0",
+            "keep_photo_light": True,
+            "exr": True,
+            "quiet": True,
+        }
         settings = RelightSettings(SceneSettings(size=SIZE_TEXT), renderer=renderer, out=out, **options)
         run = relight_capture(settings, scene=scene)
         assert run["renderer"] == renderer and json.loads((out / "run.json").read_text())["frames"] == run["frames"]

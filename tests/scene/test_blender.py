@@ -195,6 +195,7 @@ def test_a_relit_capture_looks_the_same(tmp_path: Path) -> None:
             lights="two-colors",
             renderer=renderer,
             keep_photo_light=True,
+            exr=True,
             out=tmp_path / renderer,
             quiet=True,
         )

@@ -149,7 +149,7 @@ def test_a_visit(tour: Tour, room: RoomCapture, chromium: Any, tmp_path: Path) -
             until((tmp_path / file).is_file)
     setup = read_lights(tmp_path / "lights.json", room.up)
     again = tmp_path / "again"
-    settings = RelightSettings(frames="0", out=again, quiet=True)
+    settings = RelightSettings(frames="0", exr=True, out=again, quiet=True)
     relight_capture(settings, scene=scanned(room), lights=setup, schedule=SCHEDULES["hyjax"])
     ours, theirs = (read_image(folder / "000.relit.exr") for folder in (tmp_path, again))
     np.testing.assert_allclose(ours, theirs, rtol=0.02, atol=2e-3)
