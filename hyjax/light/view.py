@@ -155,7 +155,8 @@ class View:
         self, shaded: Shaded, light: SurfaceLight, lights: Sequence[Light], seen: GBuffer, run: Run
     ) -> Shaded:
         """`add_surface_light` with the surface at the samples."""
-        shaded = run(add_surface_light, shaded, light, seen, lights)
+        fields = dataclasses.replace(light, emitters=None)
+        shaded = run(add_surface_light, shaded, fields, seen, lights)
         if light.emitters is None or self.pose is None or self.intrinsics is None:
             return shaded
         h, w = self.gbuffer.hit.shape

@@ -4,6 +4,7 @@ import functools
 import hashlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ PANE_FRAMES, PANE_WIDTH = 12, 320
 VERSION = 14
 """Version of sources and estimate. Add one when either changes."""
 _log = logging.getLogger(__name__)
+_Stored = tuple[Estimate, Float[np.ndarray, "n 3"]]
 
 
 class ScenePhotoLight:
@@ -65,6 +67,7 @@ class ScenePhotoLight:
         self._capture, self._caster, self._frame = capture, caster, frame
         self._size, self._sources_file, self._progress = size, sources_file, progress
         self._last: tuple[LightSetup, Sequence[ShadowMap | None] | None, SurfaceLight] | None = None
+        self._begun: Future[_Stored] | None = None
 
     @functools.cached_property
     def sources(self) -> PhotoSources:
@@ -84,6 +87,18 @@ class ScenePhotoLight:
         return cached_arrays(
             cache_folder() / f"photo-sources-v{VERSION}-{self._key}.npz", sources_from_arrays, found
         )
+
+    def begin(self) -> bool:
+        """Begin the estimate on a thread of its own, unless it is kept or known; whether it was begun now.
+
+        Whoever asks for the light waits for it. The sources are found first.
+        """
+        if self._begun is not None or "_stored" in self.__dict__ or self._file.is_file():
+            return False
+        pool = ThreadPoolExecutor(1, thread_name_prefix="photo-light")
+        self._begun = pool.submit(self._read_or_made, self.sources)
+        pool.shutdown(wait=False)
+        return True
 
     @functools.cached_property
     def estimate(self) -> Estimate:
@@ -180,24 +195,28 @@ class ScenePhotoLight:
         known = [repr(np.asarray(capture.up).tolist()), repr(anchors), _content(self._sources_file)]
         return digest([capture.fingerprint, str(self._size), self._caster.arrays.key, *known])
 
+    @property
+    def _file(self) -> Path:
+        """Cache file of the estimate."""
+        return cache_folder() / f"photo-light-v{VERSION}-{self._key}.npz"
+
     @functools.cached_property
-    def _stored(self) -> tuple[Estimate, Float[np.ndarray, "n 3"]]:
+    def _stored(self) -> _Stored:
         """Estimate, and the means of panes."""
+        return self._read_or_made(self.sources) if self._begun is None else self._begun.result()
+
+    def _read_or_made(self, sources: PhotoSources) -> _Stored:
         caster, up = self._caster, np.asarray(self._capture.up, np.float64)
 
         def made() -> Arrays:
-            arrays = estimate_arrays(caster, self._frames, up, self.sources, self._progress)
-            return {**arrays, "pane_means": self._pane_means()}
+            arrays = estimate_arrays(caster, self._frames, up, sources, self._progress)
+            return {**arrays, "pane_means": self._pane_means(sources)}
 
-        return cached_arrays(
-            cache_folder() / f"photo-light-v{VERSION}-{self._key}.npz",
-            lambda arrays: (read_estimate(caster, arrays), arrays["pane_means"]),
-            made,
-        )
+        return cached_arrays(self._file, lambda arrays: (read_estimate(caster, arrays), arrays["pane_means"]), made)
 
-    def _pane_means(self) -> Float[np.ndarray, "n 3"]:
+    def _pane_means(self, sources: PhotoSources) -> Float[np.ndarray, "n 3"]:
         """Mean radiance of each pane in the frames, linear."""
-        windows = self.sources.windows
+        windows = sources.windows
         panes = jnp.asarray(np.array([(w.center, w.right, w.up) for w in windows]).reshape(-1, 3, 3), jnp.float32)
         total, weight = np.zeros((len(windows), 3)), np.full(len(windows), 1e-6)
         for frame in spread(self._frames, PANE_FRAMES) if windows else []:

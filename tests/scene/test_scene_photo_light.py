@@ -83,6 +83,15 @@ def test_the_next_start_reads_no_frame_and_finds_the_same(from_file: bool, named
         assert 0.05 < float(after.emitters.pane_means.min()) < float(after.emitters.pane_means.max()) < 0.9
 
 
+def test_a_light_begun_on_another_thread_is_the_same_and_begun_once(named: Path) -> None:
+    ahead, plain = (Scene(Room(), walls(), photo_sources=named) for _ in range(2))
+    assert ahead.photo_light.begin() and not ahead.photo_light.begin()
+    found = light(ahead)
+    assert not plain.photo_light.begin(), "it is kept"
+    np.testing.assert_array_equal(found.photo_light, light(plain).photo_light)
+    np.testing.assert_array_equal(found.emitters.pane_means, light(plain).emitters.pane_means)
+
+
 def test_whatever_decides_on_the_light_is_in_its_key(named: Path) -> None:
     light(Scene(Room(), walls(), photo_sources=named))
     lamp = {"lamp_0": {"position": np.array([0.0, 0.0, 1.0])}}
