@@ -10,7 +10,7 @@ import trimesh
 from jaxtyping import Float
 from tqdm import tqdm
 
-from hyjax.data.capture import Capture
+from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import spread
 from hyjax.geometry.coverage import Coverage
 from hyjax.geometry.depth_map import NEAR_LIMIT, READING_TOLERANCE
@@ -22,8 +22,34 @@ from hyjax.util.vectors import orthonormal_frame
 
 SAMPLE_COUNT = 12
 """Number of frames and depth maps to read."""
+SHOWN_COUNT, SHOWN_LENGTH = 4, 480
+"""Number of frames in the picture of an inspection, and the least longer side that they are kept at, in pixels."""
 LONGEST_STEP = 1.0
 """Largest distance, in metres, between neighbouring frames of a walk."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ShownFrame:
+    """Frame in the picture of an inspection.
+
+    Attributes:
+        title: name and time.
+        image: the picture, smaller.
+        depth: metres, 0 where unknown; None without any.
+    """
+
+    title: str
+    image: Float[np.ndarray, "h w 3"]
+    depth: Float[np.ndarray, "dh dw"] | None
+
+    @classmethod
+    def of(cls, frame: Frame) -> "ShownFrame":
+        """Frame with means of the cells of its picture."""
+        height, width = frame.image.shape[:2]
+        step = max(1, max(height, width) // SHOWN_LENGTH)
+        rows, columns = max(1, height // step), max(1, width // step)
+        cells = frame.image[: rows * step, : columns * step].reshape(rows, -1, columns, min(step, width), 3)
+        return cls(f"{frame.name}, {frame.time:.1f} s", cells.mean(axis=(1, 3)), frame.depth)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,6 +67,7 @@ class Inspection:
         quantiles: of depth in metres: least, median, most, but for a hundredth at both ends.
         mesh: that the device made; None without one.
         doubts: possible faults, a line each.
+        shown: a few of the frames that were read.
     """
 
     capture: Capture
@@ -53,6 +80,7 @@ class Inspection:
     quantiles: tuple[float, float, float] | None
     mesh: trimesh.Trimesh | None
     doubts: tuple[str, ...]
+    shown: tuple[ShownFrame, ...]
 
     @property
     def path_length(self) -> float:
@@ -108,8 +136,10 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
         progress: show a bar on stderr.
     """
     doubts = list(capture.faults)
-    sizes, exposures, times = [], [], []
-    for index in tqdm(spread(range(len(capture)), SAMPLE_COUNT), "reading", disable=not progress, unit="frame"):
+    sizes, exposures, times, shown = [], [], [], []
+    samples = spread(range(len(capture)), SAMPLE_COUNT)
+    pictured = spread(samples, SHOWN_COUNT)
+    for index in tqdm(samples, "reading", disable=not progress, unit="frame"):
         try:
             frame = capture[index]
         except InputError as error:
@@ -117,6 +147,8 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
             continue
         sizes.append((frame.camera.intrinsics.width, frame.camera.intrinsics.height))
         times.append(frame.time)
+        if index in pictured:
+            shown.append(ShownFrame.of(frame))
         if frame.exposure is not None:
             exposures.append(frame.exposure)
     if not sizes:
@@ -148,7 +180,17 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
     doubts += _doubts(capture, positions, mesh, coverage)
     seconds = max(times) - min(times)
     return Inspection(
-        capture, sizes, exposures, seconds, positions, depth_size, coverage, quantiles, mesh, tuple(doubts)
+        capture,
+        sizes,
+        exposures,
+        seconds,
+        positions,
+        depth_size,
+        coverage,
+        quantiles,
+        mesh,
+        tuple(doubts),
+        tuple(shown),
     )
 
 

@@ -4,34 +4,23 @@ from pathlib import Path
 
 import numpy as np
 
-from hyjax.data.frames import spread
-from hyjax.scene.inspection import Inspection, points_from_above
-from hyjax.util.errors import InputError
+from hyjax.scene.inspection import SHOWN_COUNT, Inspection, points_from_above
 from hyjax.util.files import atomic_write
-
-SHOWN_FRAMES = 4
-"""Number of frames in the picture."""
 
 
 def write_inspection(path: Path, inspection: Inspection) -> None:
     """Write the picture of an inspection as a PNG."""
     from matplotlib.figure import Figure
 
-    capture = inspection.capture
-    frames = []
-    for index in spread(range(len(capture)), SHOWN_FRAMES):
-        try:
-            frames.append(capture[index])
-        except InputError:
-            continue
-    figure = Figure(figsize=(4 * SHOWN_FRAMES, 9), layout="constrained")
+    frames = inspection.shown
+    figure = Figure(figsize=(4 * SHOWN_COUNT, 9), layout="constrained")
     with_depth = any(frame.depth is not None for frame in frames)
     farthest = 0.0 if inspection.quantiles is None else inspection.quantiles[2]
-    grid = figure.add_gridspec(3 if with_depth else 2, SHOWN_FRAMES)
+    grid = figure.add_gridspec(3 if with_depth else 2, SHOWN_COUNT)
     for column, frame in enumerate(frames):
         axes = figure.add_subplot(grid[0, column])
         axes.imshow(frame.image)
-        axes.set_title(f"{frame.name}, {frame.time:.1f} s", fontsize=9)
+        axes.set_title(frame.title, fontsize=9)
         axes.set_axis_off()
         if frame.depth is not None:
             axes = figure.add_subplot(grid[1, column])
