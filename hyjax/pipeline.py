@@ -159,12 +159,10 @@ def relight_stages(
             raise InputError("relight: mode 'paper' works at full size; leave `full` out")
         yield from _paper_stages(view, shaded, guide, schedule, shadow_schedule, run)
         return
-    # The cascades see no emission: frames with and without emitting pixels share a program.
-    surface = dataclasses.replace(shaded, emission=None)
-    illuminance = run(refine_illuminance, surface, guide, schedule)
+    cascade_call, shadow_call = cascade_calls(shaded, guide, schedule, shadow_schedule)
+    illuminance = run(*cascade_call)
     yield "cascade", illuminance
-    lights = dataclasses.replace(surface, bounced=None, photo_light=None, refined_photo_light=None)
-    visibility = run(refine_visibility, lights, guide, shadow_schedule)
+    visibility = run(*shadow_call)
     yield "shadow pass", visibility
     if temporal_filter is not None:
         illuminance, visibility = temporal_filter(illuminance, visibility)
@@ -180,6 +178,26 @@ def relight_stages(
     yield "composite", whole[1]
     small = run(compared, view.frame, shaded, illuminance, visibility, relight_filter, image)
     yield "comparison", run(upscaled_stages, small, full, view, *whole, kappa, factor=factor)
+
+
+def cascade_calls(
+    shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule, shadow_schedule: Schedule
+) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """Functions of the two cascades in mode `linear` with their arguments, the largest programs of a frame."""
+    return (
+        (refine_illuminance, _surface_alone(shaded), guide, schedule),
+        (refine_visibility, _lights_alone(shaded), guide, shadow_schedule),
+    )
+
+
+def _surface_alone(shaded: Shaded) -> Shaded:
+    """Light without emission: frames with and without emitting pixels share a program."""
+    return dataclasses.replace(shaded, emission=None)
+
+
+def _lights_alone(shaded: Shaded) -> Shaded:
+    """Light of the lights alone, whose visibility is refined."""
+    return dataclasses.replace(shaded, bounced=None, photo_light=None, emission=None, refined_photo_light=None)
 
 
 def _factor(full: tuple[int, ...], size: tuple[int, ...]) -> int:

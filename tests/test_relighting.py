@@ -334,6 +334,17 @@ def test_programs_compiled_ahead_fit_the_estimated_light(wall: RayCaster, setup:
         assert (one.shape, one.dtype) == (other.shape, other.dtype)
 
 
+@pytest.mark.slow
+def test_large_programs_are_compiled_once_from_their_shapes_alone(
+    wall: RayCaster, setup: LightSetup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hyjax.util.programs._folder", tmp_path / "kept")
+    relight(wall, setup, tmp_path / "out", frames="0")
+    kept = [file.name.split("-")[0] for file in (tmp_path / "kept").iterdir()]
+    for name in ("pipeline.refine_illuminance", "pipeline.refine_visibility", "light.shading.shade_each"):
+        assert kept.count(name) == 1, name
+
+
 def test_frames_size_and_mode_are_obeyed(wall: RayCaster, setup: LightSetup, tmp_path: Path) -> None:
     summary = relight(wall, setup, tmp_path, frames="2", size=(20, 20), paper_mode=True, shadows=False)
     assert summary["frames"] == ["f2"] and summary["size"] == [20, 20] and summary["mode"] == "paper"

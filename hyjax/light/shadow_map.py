@@ -90,6 +90,7 @@ def map_coordinates(local: Vector, projection: Projection) -> tuple[Array, Array
     return jnp.where(z < 0, folded_x, x), jnp.where(z < 0, folded_y, y), distance
 
 
+@functools.partial(jax.jit, static_argnames="projection")
 def map_rays(u: Array, v: Array, projection: Projection) -> tuple[Vector, Vector]:
     """Map coordinates → origin and direction of the ray in a view's axes; inverse of `map_coordinates`.
 

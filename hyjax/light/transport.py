@@ -45,6 +45,7 @@ class Transport:
         return len(self.faces) + len(self.position) - self.vertices
 
 
+@jax.jit
 def send(transport: Transport, sent: Float[Array, "p c"]) -> Float[Array, "q c"]:
     """Radiosity of each radiator from that of the points: the mean of a triangle's corners, patches, and 0."""
     corners = [sent[transport.faces[:, k]] for k in range(3)]
@@ -52,6 +53,7 @@ def send(transport: Transport, sent: Float[Array, "p c"]) -> Float[Array, "q c"]
     return jnp.concatenate([triangles, sent[transport.vertices :], jnp.zeros_like(sent[:1])])
 
 
+@jax.jit
 def gather(hits: Int[Array, "r p"], sent: Float[Array, "q c"]) -> Float[Array, "p c"]:
     """Illuminance of points by the radiators, T. Rays are added one by one, which needs no memory."""
 

@@ -1,21 +1,32 @@
 """Programs of a run, compiled while the light of its photos is still being estimated."""
 
 import contextlib
+import dataclasses
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
 import numpy as np
 
 from hyjax.configuration import Configuration
+from hyjax.core.pyramid import level_shape
 from hyjax.guide.choose import FrameGuide
+from hyjax.light.gbuffer import GBuffer
 from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.setup import LightSetup
+from hyjax.light.shaded import Shaded
+from hyjax.light.shading import shade_each
+from hyjax.pipeline import cascade_calls
 from hyjax.relighting.settings import RelightSettings
-from hyjax.scene.relighter import Relighter, refined_picture
+from hyjax.scene.relighter import Relighter, configured_light, refined_picture
 from hyjax.scene.scene import Scene
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
+from hyjax.util.programs import keeps_programs, make_ready
+
+THREADS = 2
+"""Number of threads that compile."""
 
 
 class EvenlyLitPlace:
@@ -33,6 +44,43 @@ class EvenlyLitPlace:
         even, none = (make((len(mesh.vertices), 3), np.float32) for make in (np.ones, np.zeros))
         parts = (even, none, np.asarray(mesh.faces, np.int32))
         return SurfaceLight(*map(jax.device_put, parts))
+
+
+def begin_programs(
+    scene: Scene, chosen: Sequence[int], setup: LightSetup, configuration: Configuration, guide: FrameGuide
+) -> None:
+    """Begin to read or compile the largest programs of a frame on other threads, where programs are kept.
+
+    Whoever runs them waits for them. They are known by the shapes of their arguments alone; those of a network's
+    guide, whose features are not counted here, and of the paper's mode are left to the first frame.
+    """
+    if configuration.mode != "linear" or guide.name != "rgb" or setup.existing or not keeps_programs():
+        return
+    try:
+        size = scene.size or scene.capture.camera(chosen[0]).intrinsics.shape
+    except InputError:  # of a damaged frame, told in its turn
+        return
+    height, width = level_shape(size, configuration.scale)
+    sampling, count = configuration.light.sampling, len(setup.lights)
+    samples = level_shape((height, width), sampling)
+
+    def array(*shape: int, dtype: type = np.float32) -> Any:
+        return jax.device_put(np.zeros(shape, dtype))
+
+    lights, picture = array(*samples, count), array(height, width, 3)
+    colors, known, reference, ambient = array(count, 3), array(*samples, 1), array(), array(3)
+    shaded = Shaded(lights, lights, colors, known, reference, ambient, sampling=sampling)
+    if configuration.light.photo_light == "divided":
+        light = configured_light(EvenlyLitPlace(scene).surface_light(setup), configuration)
+        field = array(*samples, 3)
+        shaded = dataclasses.replace(shaded, bounced=None if light.bounced is None else field, photo_light=field)
+    vectors, numbers = array(*samples, 3), array(*samples)
+    seen = GBuffer(vectors, vectors, numbers, array(*samples, dtype=bool), array(*samples, dtype=np.int32), vectors)
+    cascades = cascade_calls(shaded, picture, configuration.schedule, configuration.shadow_schedule)
+    pool = ThreadPoolExecutor(THREADS, thread_name_prefix="programs")
+    for call in (*cascades, (shade_each, seen, setup.lights)):
+        pool.submit(make_ready, *call)
+    pool.shutdown(wait=False)
 
 
 def compile_ahead(

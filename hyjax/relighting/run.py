@@ -23,7 +23,7 @@ from hyjax.guide.choose import FrameGuide, configured_guide
 from hyjax.light.kinds import Light, kind_name
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
-from hyjax.relighting.ahead import compile_ahead
+from hyjax.relighting.ahead import begin_programs, compile_ahead
 from hyjax.relighting.frames import RelitFrame, cycles, relit_frames, relit_on_device
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
@@ -141,6 +141,8 @@ def relight_capture(
         if settings.renderer == "webgpu":
             frames = relit_on_device(scene, chosen, setup, settings, configuration, guide, clock, device)
         else:
+            if settings.renderer == "shadow_map":
+                begin_programs(scene, chosen, setup, configuration, guide)
             if divides and settings.renderer == "shadow_map" and scene.photo_light.begin():
                 compile_ahead(scene, chosen, setup, settings, configuration, guide, clock)
             relighter = Relighter(

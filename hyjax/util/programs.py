@@ -53,6 +53,11 @@ def keep_programs(folder: Path | None) -> None:
     _folder = folder
 
 
+def keeps_programs() -> bool:
+    """Whether programs are kept."""
+    return _folder is not None
+
+
 class KeptFunction(Generic[P, T]):
     """A function as `jax.jit` makes it, whose compiled programs are kept.
 
@@ -70,22 +75,30 @@ class KeptFunction(Generic[P, T]):
         self._function, self._static = function, static
         self._jitted = jax.jit(function, static_argnames=static)
         self._ready: dict[Any, Callable[..., T]] = {}
-        self._making = threading.Lock()
+        self._making: dict[Any, threading.Lock] = {}
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
         if _folder is None:
             return self._jitted(*args, **kwargs)
         arrays = {name: value for name, value in kwargs.items() if name != self._static}
-        leaves, tree = jax.tree.flatten((args, arrays))
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, arrays))):
             return self._jitted(*args, **kwargs)
-        static = kwargs.get(self._static or "")
+        return self._made(args, arrays, kwargs.get(self._static or ""))(*args, **arrays)
+
+    def make_ready(self, *args: Any, **kwargs: Any) -> None:
+        """Read or compile the program for arguments of these shapes, without running it."""
+        if _folder is not None:
+            arrays = {name: value for name, value in kwargs.items() if name != self._static}
+            self._made(args, arrays, kwargs.get(self._static or ""))
+
+    def _made(self, args: Any, arrays: dict[str, Any], static: Any) -> Callable[..., T]:
+        leaves, tree = jax.tree.flatten((args, arrays))
         key = static, tree, *((np.shape(leaf), jax.numpy.result_type(leaf)) for leaf in leaves)
         if key not in self._ready:
-            with self._making:  # threads that ask for the same wait for it
+            with self._making.setdefault(key, threading.Lock()):  # threads that ask for the same wait for it
                 if key not in self._ready:
                     self._ready[key] = self._program(key, args, arrays)
-        return self._ready[key](*args, **arrays)
+        return self._ready[key]
 
     def lower(self, *args: P.args, **kwargs: P.kwargs) -> jax.stages.Lowered:
         """Lowered function, as of `jax.jit`."""
@@ -130,10 +143,21 @@ def run_kept(function: Callable[..., Any], *arrays: Any, **static: Any) -> Any:
     """
     if _folder is None or len(static) > 1:
         return function(*arrays, **static)
+    return _kept(function, static)(*arrays, **static)
+
+
+def make_ready(function: Callable[..., Any], *arrays: Any, **static: Any) -> None:
+    """Read or compile a function's kept program, if any are kept, without running it. Arguments: see `run_kept`."""
+    if _folder is not None and len(static) <= 1:
+        _kept(function, static).make_ready(*arrays, **static)
+
+
+def _kept(function: Callable[..., Any], static: dict[str, Any]) -> KeptFunction[..., Any]:
     with _lock:
         if function not in _functions:
             _functions[function] = KeptFunction(function, next(iter(static), None))
-    return _functions[function](*arrays, **static)
+        kept: KeptFunction[..., Any] = _functions[function]
+        return kept
 
 
 def _compile_anew(function: Callable[..., Any], name: str, args: Any, kwargs: Any) -> jax.stages.Compiled:
@@ -143,13 +167,31 @@ def _compile_anew(function: Callable[..., Any], name: str, args: Any, kwargs: An
         return function(*args, **kwargs)
 
     unknown.__name__ = f"{name}_{secrets.token_hex(8)}"  # in the key of JAX's cache
-    with _lock:
-        least = getattr(jax.config, LEAST_SECONDS)
-        jax.config.update(LEAST_SECONDS, math.inf)
-        try:
-            return jax.jit(unknown).lower(*args, **kwargs).compile()
-        finally:
-            jax.config.update(LEAST_SECONDS, least)
+    with _unwritten:
+        return jax.jit(unknown).lower(*args, **kwargs).compile()
+
+
+class _Unwritten:
+    """Context in which JAX's own cache is not written to, for several threads at a time."""
+
+    def __init__(self) -> None:
+        self._inside, self._least, self._lock = 0, 0.0, threading.Lock()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._least = getattr(jax.config, LEAST_SECONDS)
+                jax.config.update(LEAST_SECONDS, math.inf)
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                jax.config.update(LEAST_SECONDS, self._least)
+
+
+_unwritten = _Unwritten()
 
 
 def _read(file: Path, tree: Any) -> Callable[..., Any]:

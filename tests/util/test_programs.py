@@ -125,6 +125,15 @@ def test_programs_of_another_version_are_made_anew_with_one_line(
     assert len(list(folder.iterdir())) == 4
 
 
+def test_a_program_made_ready_is_the_one_that_runs(folder: Path) -> None:
+    kept = KeptFunction(scaled)
+    kept.make_ready(jnp.zeros(2), jnp.float32(0.0))
+    (file,) = folder.iterdir()
+    file.unlink()
+    np.testing.assert_array_equal(kept(jnp.ones(2), jnp.float32(2.0)), [2.0, 2.0])
+    assert not list(folder.iterdir())
+
+
 def test_the_folder_has_a_bound(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(programs, "MOST_BYTES", 0)
     np.testing.assert_array_equal(KeptFunction(scaled)(jnp.ones(2), 2.0), [2.0, 2.0])
