@@ -30,7 +30,7 @@ from hyjax.scene.scene import Scene
 from hyjax.util.clock import StageClock
 from hyjax.util.cores import cores
 from hyjax.util.errors import InputError
-from hyjax.util.prefetch import prefetch
+from hyjax.util.prefetch import DEPTH, prefetch
 
 MOST_RAY_CAST = 3
 """Most frames whose G-buffers are cast by rays: fewer take less time than the rasteriser takes to load."""
@@ -41,14 +41,14 @@ MOST_PIXELS_AT_ONCE = 1_500_000
 _log = logging.getLogger(__name__)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass
 class RelitFrame:
     """Relit frame of a run.
 
     Attributes:
         frame: as it was read.
         image: relit picture, linear; None where the frame sees no surface.
-        compared: makes all stages, for one call.
+        compared: makes all stages, for one call; what it needs is kept until `forget`.
     """
 
     frame: Frame
@@ -60,9 +60,13 @@ class RelitFrame:
         """A frame that sees no surface."""
         return cls(frame, None, _no_stages)
 
+    def forget(self) -> None:
+        """Let go of the picture and its stages: the next frame needs the memory."""
+        self.image, self.compared = None, _no_stages
+
 
 def _no_stages() -> Relit:
-    raise AssertionError("a frame that sees no surface has no stages")
+    raise AssertionError("no stages are kept of this frame")
 
 
 def readable(scene: Scene, index: int) -> Frame | None:
@@ -111,25 +115,30 @@ def relit_frames(
         with clock("g-buffer"):
             return frame, jax.block_until_ready(relighter.gbuffer(frame.camera, rays=len(chosen) <= MOST_RAY_CAST))
 
-    def relight_frame(numbered: tuple[int, tuple[Frame, GBuffer]]) -> RelitFrame:
-        number, (frame, gbuffer) = numbered
+    turns = itertools.count()
+
+    def relight_frame(seen: tuple[Frame, GBuffer]) -> RelitFrame:
+        frame, gbuffer = seen
         if not np.asarray(gbuffer.hit).any():
             return RelitFrame.without_surface(frame)
-        stages = relighters[number % len(relighters)].stages(frame, gbuffer=gbuffer)
+        stages = relighters[next(turns) % len(relighters)].stages(frame, gbuffer=gbuffer)
         image = clock.follow(stages, until="composite")
         return RelitFrame(frame, image, functools.partial(clock.follow, stages))
 
-    with ExitStack() as running:
-        cast_ahead = enumerate(filter(None, running.enter_context(contextlib.closing(prefetch(cast, chosen)))))
-        # The first alone: several at once would each compile what it compiles.
-        pixels = 1
-        for relit_frame in map(relight_frame, itertools.islice(cast_ahead, 1)):
-            pixels = relit_frame.frame.image[..., 0].size
-            yield relit_frame
-        most = min(cores(), MOST_AT_ONCE, max(1, MOST_PIXELS_AT_ONCE // pixels)) if several else 1
-        at_once = max(len(devices), most)
-        relit = prefetch(relight_frame, cast_ahead, at_once, threads=at_once)
-        yield from running.enter_context(contextlib.closing(relit))
+    # The first alone: several at once would each compile what it compiles.
+    remaining = iter(chosen)
+    first = list(itertools.islice(filter(None, map(cast, remaining)), 1))
+    alone = several and bool(first) and 2 * first[0][0].image[..., 0].size > MOST_PIXELS_AT_ONCE
+    if first:
+        yield relight_frame(first.pop())
+    at_once = max(len(devices), min(cores(), MOST_AT_ONCE) if several and not alone else 1)
+    with contextlib.closing(prefetch(cast, remaining, 1 if alone else DEPTH)) as casts:
+        cast_ahead = filter(None, casts)
+        if alone and at_once == 1:
+            yield from map(relight_frame, cast_ahead)
+        else:
+            with contextlib.closing(prefetch(relight_frame, cast_ahead, at_once, threads=at_once)) as relit:
+                yield from relit
 
 
 def relit_on_device(

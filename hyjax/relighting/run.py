@@ -281,6 +281,9 @@ def _write_frames(
             if len(summary.written) % sheet_every == 0:
                 row = sheet_row(frame, relit or done.compared(), settings.mode)
                 summary.rows.append((frame.name, fitted_row(row)))
+                del row
+            done.forget()
+            del relit, pictures
             summary.written.append(frame.name)
             if len(summary.written) == WARM_UP:
                 begun = Stopwatch()
