@@ -13,6 +13,7 @@ from hyjax.configuration import Configuration
 from hyjax.core.pyramid import level_shape
 from hyjax.guide.choose import FrameGuide
 from hyjax.light.gbuffer import GBuffer
+from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
@@ -21,6 +22,7 @@ from hyjax.pipeline import cascade_calls
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.relighter import Relighter, configured_light, refined_picture
 from hyjax.scene.scene import Scene
+from hyjax.scene.settings import Occluders
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
 from hyjax.util.programs import keeps_programs, make_ready
@@ -38,7 +40,9 @@ class EvenlyLitPlace:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._scene, name)
 
-    def surface_light(self, lights: LightSetup, **_: Any) -> SurfaceLight:
+    def surface_light(
+        self, lights: LightSetup | Sequence[Light], *, shadows: bool = True, occluders: Occluders = "completed"
+    ) -> SurfaceLight:
         """Light of the shapes that the estimate has."""
         mesh = self._scene.caster.arrays
         even, none = (make((len(mesh.vertices), 3), np.float32) for make in (np.ones, np.zeros))

@@ -44,10 +44,10 @@ def contact_sheet(
 
 def fitted_row(
     pictures: Sequence[Float[np.ndarray, "h w 3"]], width: int = WIDTH
-) -> Sequence[Float[np.ndarray, "height width 3"]]:
+) -> list[Float[np.ndarray, "height width 3"]]:
     """Pictures of a row at their size on the sheet, which take less memory until it is composed."""
     first = pictures[0]
-    return _resized(pictures, round(width * first.shape[0] / first.shape[1]), width)
+    return list(_resized(pictures, round(width * first.shape[0] / first.shape[1]), width))
 
 
 def write_contact_sheet(

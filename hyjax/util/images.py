@@ -117,8 +117,8 @@ def _read(path: Path, where: str | None, only: str | None = None) -> np.ndarray:
 def write_png(path: Path, display: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w c"]) -> None:
     """Write display-encoded values in [0, 1] as an 8-bit PNG."""
     pixels = np.round(np.clip(np.asarray(display, dtype=np.float32), 0.0, 1.0) * 255.0).astype(np.uint8)
-    how: dict[str, str | int] = {"png:compressionLevel": PNG_LEVEL, "png:filter": PNG_FILTER}
-    _write(path, pixels, "uint8", {"oiio:ColorSpace": "srgb_rec709_scene"} | how)
+    space = {"oiio:ColorSpace": "srgb_rec709_scene"}
+    _write(path, pixels, "uint8", {**space, "png:compressionLevel": PNG_LEVEL, "png:filter": PNG_FILTER})
 
 
 def write_depth(path: Path, depth: Float[np.ndarray, "h w"], unit: float = 0.001) -> None:
