@@ -14,11 +14,11 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.depth_map import DepthReading, clean_depth
 from hyjax.geometry.raycast import RayCaster
+from hyjax.util.progress import StepBar
 
 MATCHED_READINGS = 4000
 """Readings of a depth map that are matched."""
@@ -53,7 +53,7 @@ def register(
         progress: show a bar on stderr.
     """
     current = list(readings)
-    with tqdm(total=rounds * len(readings), desc="registering", disable=not progress, unit="frame") as bar:
+    with StepBar[None](desc="registering", total=rounds * len(readings), disable=not progress, unit="frame") as bar:
         for _ in range(rounds):
             caster, moved = RayCaster(fuse_readings(current)), []
             for now, first in zip(current, readings, strict=True):

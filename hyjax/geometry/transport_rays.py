@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from tqdm import tqdm
 
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture
+from hyjax.util.progress import StepBar
 from hyjax.util.vectors import orthonormal_frame
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def trace(
     count = len(mesh.faces)
     hits = np.empty((rays, len(position)), np.int32)
     step = max(1, CHUNK // rays)
-    for a in tqdm(range(0, len(position), step), "light transport", disable=not progress, unit="block"):
+    for a in StepBar(range(0, len(position), step), "light transport", disable=not progress, unit="block"):
         part = slice(a, min(a + step, len(position)))
         c, s = np.cos(turns[part]), np.sin(turns[part])
         x = lobe[:, 0, None] * c - lobe[:, 1, None] * s

@@ -24,7 +24,6 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 from scipy import ndimage
-from tqdm import tqdm
 
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.depth_map import NEAR_LIMIT, PosedDepth, clean_depth, posed_depths, view_cosine
@@ -32,6 +31,7 @@ from hyjax.geometry.surface import extract_surface
 from hyjax.geometry.voxels import voxel_coordinates, voxel_keys
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write, remove
+from hyjax.util.progress import StepBar
 
 _log = logging.getLogger(__name__)
 BLOCK_SIDE = 8
@@ -90,7 +90,7 @@ def fuse(
     total = len(frames) if isinstance(frames, Sized) else None
     left = frames.start(done) if isinstance(frames, Restartable) else itertools.islice(frames, done, None)
     saved = time.monotonic()
-    bar = tqdm(posed_depths(left), "fusing", total, initial=done, disable=not progress, unit="frame")
+    bar = StepBar(posed_depths(left), "fusing", total, initial=done, disable=not progress, unit="frame")
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for count, (depth, camera, confidence) in enumerate(bar, start=done + 1):
             volume.integrate(depth, camera, max_depth, pool, confidence)

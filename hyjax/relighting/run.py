@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float
-from tqdm import tqdm
 
 from hyjax.configuration import PRESETS, Configuration
 from hyjax.core.schedule import Schedule
@@ -40,6 +39,7 @@ from hyjax.util.environment import environment, peak_memory_mib
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, remove, write_text
 from hyjax.util.prefetch import DEPTH, background_writer
+from hyjax.util.progress import CommandBar, command_bar
 
 _log = logging.getLogger(__name__)
 SHEET_ROWS = 12
@@ -111,11 +111,12 @@ def relight_capture(
         with clock("capture"):
             return settings.scene.open_capture(progress=progress)
 
-    capture = None
-    if scene is None and settings.scene.capture is not None:
-        capture = open_capture()  # one that cannot be used makes no folder
-    make_writable(out)
-    with claimed(out), ExitStack() as stack:
+    with command_bar("relighting", "frame", disable=settings.quiet) as bar, ExitStack() as stack:
+        capture = None
+        if scene is None and settings.scene.capture is not None:
+            capture = open_capture()  # one that cannot be used makes no folder
+        make_writable(out)
+        stack.enter_context(claimed(out))
         if scene is None:
             if capture is None:
                 capture = open_capture()
@@ -161,7 +162,7 @@ def relight_capture(
             # Blender, and what frames leave to the next, there is once.
             once = settings.video or settings.renderer == "blender"
             frames = relit_frames(scene, chosen, relighter, clock, once=once)
-        summary = _write_frames(frames, len(chosen), settings, clock)
+        summary = _write_frames(frames, len(chosen), settings, clock, bar)
         if not summary.written:
             if not summary.skipped:
                 raise InputError(f"{scene.capture.name}: none of the chosen frames can be read")
@@ -253,7 +254,11 @@ class _Summary:
 
 
 def _write_frames(
-    frames: Generator[RelitFrame], count: int, settings: RelightSettings, clock: StageClock
+    frames: Generator[RelitFrame],
+    count: int,
+    settings: RelightSettings,
+    clock: StageClock,
+    bar: CommandBar | None,
 ) -> _Summary:
     """Write the pictures of all frames while the next ones are relit; the first before any other is."""
     summary, begun, dark = _Summary(), Stopwatch(), set()
@@ -269,7 +274,7 @@ def _write_frames(
         call()
 
     with background_writer(threads=cores()) as later, contextlib.closing(frames):
-        for done in tqdm(frames, "relighting", count, unit="frame", disable=settings.quiet):
+        for done in frames if bar is None else bar.count(frames, count):
             frame = done.frame
             summary.size = list(frame.image.shape[:2])
             if done.image is None:

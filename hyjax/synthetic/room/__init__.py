@@ -12,7 +12,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import trimesh
 from jaxtyping import Float
-from tqdm import tqdm
 
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
@@ -23,6 +22,7 @@ from hyjax.synthetic.room.materials import Textures
 from hyjax.synthetic.room.render import BakedRoom, photograph, white_level
 from hyjax.synthetic.surface import Surface
 from hyjax.util.errors import InputError
+from hyjax.util.progress import StepBar
 
 __all__ = ["Room", "camera_path", "make_room", "render_room"]
 
@@ -78,7 +78,7 @@ def render_room(
     """
     if not 0.1 <= quality <= 2:
         raise InputError(f"room: quality is {quality}, must lie in [0.1, 2]")
-    with tqdm(total=len(cameras), desc="built-in room: light", unit="frame", disable=not progress) as bar:
+    with StepBar[None](desc="built-in room: light", total=len(cameras), unit="frame", disable=not progress) as bar:
         baked = _bake(room, quality)
         bar.set_description("built-in room: frames")
 
