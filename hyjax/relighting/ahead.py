@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -11,6 +12,7 @@ import numpy as np
 
 from hyjax.configuration import Configuration
 from hyjax.core.pyramid import level_shape
+from hyjax.data.light_file import is_light_file
 from hyjax.guide.choose import FrameGuide
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
@@ -48,6 +50,13 @@ class EvenlyLitPlace:
         even, none = (make((len(mesh.vertices), 3), np.float32) for make in (np.ones, np.zeros))
         parts = (even, none, np.asarray(mesh.faces, np.int32))
         return SurfaceLight(*map(jax.device_put, parts))
+
+
+def knows_lights(scene: Scene, lights: Any, settings: RelightSettings) -> bool:
+    """Whether lights, given as to `Scene.lights`, have their places without an estimate of the photo's light."""
+    if not isinstance(lights, str | Path) or is_light_file(str(lights)):
+        return True
+    return bool(scene.capture.anchors) and settings.scene.photo_sources is None
 
 
 def begin_programs(
@@ -96,7 +105,11 @@ def compile_ahead(
     guide: FrameGuide,
     clock: StageClock,
 ) -> None:
-    """Cast the shadow maps, which the scene keeps, and compile the programs of a frame by relighting the first."""
+    """Cast the shadow maps, which the scene keeps, and compile the programs of a frame by relighting the first.
+
+    What the estimate of the photo's light says of the set-up must change strengths alone.
+    """
+    begin_programs(scene, chosen, setup, configuration, guide)
     relighter = Relighter(
         EvenlyLitPlace(scene),
         setup,

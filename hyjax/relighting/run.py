@@ -22,7 +22,7 @@ from hyjax.guide.choose import FrameGuide, configured_guide
 from hyjax.light.kinds import Light, kind_name
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
-from hyjax.relighting.ahead import begin_programs, compile_ahead
+from hyjax.relighting.ahead import begin_programs, compile_ahead, knows_lights
 from hyjax.relighting.frames import RelitFrame, cycles, relit_frames, relit_on_device
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
@@ -127,7 +127,13 @@ def relight_capture(
             record |= dict.fromkeys(SURFACE_OPTIONS)
             record["capture"] = scene.capture.name
         divides = settings.divides_photo_light
-        setup = scene.lights(settings.lights if lights is None else lights, at_photo_sources=divides)
+        asked = settings.lights if lights is None else lights
+        # The estimate of the photo's light runs on another thread. It may yet say how strong the lights are.
+        begun = divides and settings.renderer == "shadow_map" and scene.photo_light.begin()
+        ahead = begun and knows_lights(scene, asked, settings)
+        if ahead:
+            compile_ahead(scene, chosen, scene.lights(asked), settings, configuration, guide, clock)
+        setup = scene.lights(asked, at_photo_sources=divides)
         setup.check_existing(divided=divides)
         if setup.existing:
             scene.photo_light.kept(setup.existing)
@@ -142,10 +148,10 @@ def relight_capture(
         if settings.renderer == "webgpu":
             frames = relit_on_device(scene, chosen, setup, settings, configuration, guide, clock, device)
         else:
-            if settings.renderer == "shadow_map":
-                begin_programs(scene, chosen, setup, configuration, guide)
-            if divides and settings.renderer == "shadow_map" and scene.photo_light.begin():
+            if begun and not ahead and scene.photo_light.pending:
                 compile_ahead(scene, chosen, setup, settings, configuration, guide, clock)
+            elif settings.renderer == "shadow_map" and not ahead:
+                begin_programs(scene, chosen, setup, configuration, guide)
             relighter = Relighter(
                 scene,
                 setup,

@@ -100,6 +100,11 @@ class ScenePhotoLight:
         pool.shutdown(wait=False)
         return True
 
+    @property
+    def pending(self) -> bool:
+        """Whether the estimate was begun and is not finished."""
+        return self._begun is not None and not self._begun.done()
+
     @functools.cached_property
     def estimate(self) -> Estimate:
         """Estimate of the light.
