@@ -7,8 +7,8 @@ in pixels of the frame as captured. The new light is ambient alone. *Unevenness*
 logarithm of luminance in a patch; *robust* half the distance of its percentiles 16 and 84. A material has texture
 and gloss, too: unevenness cannot fall to nothing.
 
-`--folder` has the captures in layouts that hyjax reads. Of slambook's dining room the five poses in `pose.txt` must
-be written as Redwood's `trajectory.log` first, and its depth as PNG.
+`--folder` has the captures in layouts that hyjax reads. The dining room's lens, 518 519 325.5 253.5, is given in a
+`camera_primesense.json`; without one the PrimeSense's default is taken.
 
 Takes some minutes a capture on two free cores, most of it once: the fusion of its depth, and the photo's own light.
 

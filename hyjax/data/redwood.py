@@ -1,17 +1,19 @@
 """Redwood's scenes and recordings made with Open3D: pictures, depth maps and a `.log` of poses, all by order.
 
     color/, image/ or rgb/      pictures
-    depth/                      16-bit millimetres, registered to the pictures
+    depth/                      16-bit millimetres, registered to the pictures, PNG or PGM
     trajectory.log              five lines a frame: three numbers, then 4×4 camera-to-world, camera x right, y down,
                                 z forward; also scene/trajectory.log, or the only .log there is
     camera_primesense.json      `width`, `height` and `intrinsic_matrix`, nine numbers column by column; also
                                 camera_intrinsic.json, camera_intrinsics.json, intrinsic.json; optional
     scene/integrated.ply        mesh; optional
 
+SLAMBench's dining room has the same layout but for its poses: `pose.txt`, a line `tx ty tz qx qy qz qw` a picture.
+
 The number of a picture is its place among the files in order of the numbers in their names. Intrinsics count pixels
 from the centre of the first one, hence half a pixel is added. Up is the cameras' mean up direction.
 
-Tested on files written to the published layout, not on a real capture.
+Tested on files written to the published layout, and on SLAMBench's dining room.
 
 Sources: Choi, Zhou, Koltun, "Robust reconstruction of indoor scenes", CVPR 2015, and redwood-data.org's file
 format; Open3D's documentation, "Reconstruction system" and `open3d.io.read_pinhole_camera_trajectory`.
@@ -35,13 +37,16 @@ from hyjax.data.capture_files import (
 from hyjax.data.file_tree import FileTree
 from hyjax.data.json_fields import Fields
 from hyjax.data.posed_lists import floats, table_rows
-from hyjax.data.recording import Recording, Shot, depth_reader, rigid
+from hyjax.data.recording import Recording, Shot, depth_reader, pose_from_quaternion, rigid
 from hyjax.geometry.camera import Intrinsics
 from hyjax.geometry.depth_sensor import KINECT
 from hyjax.util.errors import InputError
 
 PICTURES = ("color", "image", "rgb")
 ENDINGS = (".jpg", ".jpeg", ".png")
+DEPTH_ENDINGS = (".png", ".pgm")
+QUATERNIONS = "pose.txt"
+"""File of positions and quaternions, in the place of a log."""
 INTRINSICS = ("camera_primesense.json", "camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json")
 MESHES = ("scene/integrated.ply", "integrated.ply", "mesh.ply")
 DEFAULT_INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)
@@ -49,8 +54,8 @@ DEFAULT_INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)
 
 
 def is_redwood(tree: FileTree) -> bool:
-    """Whether there are `depth/`, a folder of pictures and a `.log` of poses."""
-    return _log_name(tree) is not None and _folder(tree) is not None and bool(tree.below("depth", ".png"))
+    """Whether there are `depth/`, a folder of pictures and a `.log` of poses, or `pose.txt`."""
+    return _log_name(tree) is not None and _folder(tree) is not None and bool(_depth_names(tree))
 
 
 def open_redwood(tree: FileTree) -> Recording:
@@ -60,8 +65,8 @@ def open_redwood(tree: FileTree) -> Recording:
     faults = Tally()
     remarks: list[str] = []
     pictures = sorted((n for e in ENDINGS for n in tree.below(folder, e)), key=by_number)
-    depths = _by_picture(pictures, sorted(tree.below("depth", ".png"), key=by_number))
-    poses = _read_log(tree, log, len(pictures))
+    depths = _by_picture(pictures, sorted(_depth_names(tree), key=by_number))
+    poses = _read_rows(tree) if log == QUATERNIONS else _read_log(tree, log, len(pictures))
     if max(poses, default=0) >= len(pictures):
         missing = [number for number in poses if number >= len(pictures)]
         faults.add(f"poses of {log} are left out, there are {len(pictures)} pictures", f"pose {missing[0]}")
@@ -72,7 +77,8 @@ def open_redwood(tree: FileTree) -> Recording:
     intrinsics = _intrinsics(tree, pictures[0], remarks)
     shots = []
     for number, (name, short) in enumerate(zip(pictures, short_names(pictures))):
-        pose = rigid(poses[number]) if number in poses else None
+        given = poses.get(number)
+        pose = None if given is None else rigid(given)
         if number in poses and pose is None:
             faults.add(f"poses of {log} are left out, they are no rigid motions", f"pose {number}")
         elif pose is not None and not looks_whole(tree, name):
@@ -93,8 +99,12 @@ def open_redwood(tree: FileTree) -> Recording:
 
 def _log_name(tree: FileTree) -> str | None:
     known = [name for name in ("trajectory.log", "scene/trajectory.log") if name in tree]
-    logs = known[:1] or tree.below("", ".log")
+    logs = known[:1] or tree.below("", ".log") or [QUATERNIONS] * (QUATERNIONS in tree)
     return logs[0] if len(logs) == 1 else None
+
+
+def _depth_names(tree: FileTree) -> list[str]:
+    return next((names for ending in DEPTH_ENDINGS if (names := tree.below("depth", ending))), [])
 
 
 def _folder(tree: FileTree) -> str | None:
@@ -108,7 +118,7 @@ def _by_picture(pictures: list[str], depths: list[str]) -> dict[str, str]:
     return same if 2 * len(same) > len(pictures) else dict(zip(pictures, depths))
 
 
-def _read_log(tree: FileTree, name: str, count: int) -> dict[int, Float[np.ndarray, "4 4"]]:
+def _read_log(tree: FileTree, name: str, count: int) -> dict[int, Float[np.ndarray, "4 4"] | None]:
     """Pose by number of the picture: the one that the log gives if these ascend, the place in the log otherwise."""
     where = tree.where(name)
     rows = [floats(words, where, row) for row, words in enumerate(table_rows(tree, name), start=1)]
@@ -123,6 +133,17 @@ def _read_log(tree: FileTree, name: str, count: int) -> dict[int, Float[np.ndarr
     usable = bool(np.all(np.isfinite(given)) and np.all(given == np.round(given)) and np.all(np.diff(given) > 0))
     if len(given) and usable and given[0] >= 0 and given[-1] < count:
         return dict(zip(map(int, given), poses))
+    return dict(enumerate(poses))
+
+
+def _read_rows(tree: FileTree) -> dict[int, Float[np.ndarray, "4 4"] | None]:
+    """Pose of each picture in order, from positions and quaternions; None for a row that is none."""
+    where, poses = tree.where(QUATERNIONS), []
+    for row, words in enumerate(table_rows(tree, QUATERNIONS), start=1):
+        numbers = np.array(floats(words, where, row))
+        if len(numbers) != 7:
+            raise InputError(f"{where}: row {row} has {len(numbers)} numbers, need tx ty tz qx qy qz qw")
+        poses.append(pose_from_quaternion(numbers[3:], numbers[:3]))
     return dict(enumerate(poses))
 
 
@@ -151,4 +172,4 @@ def _intrinsics(tree: FileTree, picture: str, remarks: list[str]) -> Intrinsics:
         raise InputError(f"{fields.where}: {error}") from None
 
 
-FORMAT = CaptureFormat("Redwood", is_redwood, open_redwood, "color/, depth/, trajectory.log")
+FORMAT = CaptureFormat("Redwood", is_redwood, open_redwood, "color/, depth/, trajectory.log or pose.txt")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_capture as small
+from PIL import Image
 
 from hyjax.data.registry import open_capture
 from hyjax.geometry.depth_sensor import KINECT
@@ -47,6 +48,26 @@ def test_a_folder_and_an_archive_are_read_alike_in_order_of_number(tmp_path: Pat
         small.check_same(path)
     capture = open_capture(folder)
     assert [frame.name for frame in capture] == ["9", "10", "11"] and capture.sensor == KINECT
+
+
+def test_positions_and_quaternions_and_depth_in_pgm_are_read_alike(folder: Path) -> None:
+    """As SLAMBench's dining room has them."""
+    from scipy.spatial.transform import Rotation
+
+    rows = []
+    for index in range(small.COUNT):
+        pose, raw = small.pose(index), folder / f"depth/{index + 9}.png"
+        rows.append([*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()])
+        millimetres = np.asarray(Image.open(raw)).astype(">u2")
+        head = f"P5 {millimetres.shape[1]} {millimetres.shape[0]} 65535\n".encode()
+        raw.with_suffix(".pgm").write_bytes(head + millimetres.tobytes())
+        raw.unlink()
+    (folder / "trajectory.log").unlink()
+    (folder / "pose.txt").write_text("\n".join(" ".join(map(repr, map(float, row))) for row in rows))
+    small.check_same(folder)
+    (folder / "pose.txt").write_text("1 2 3\n")
+    with pytest.raises(InputError, match=r"pose.txt: row 1 has 3 numbers, need tx ty tz qx qy qz qw"):
+        open_capture(folder)
 
 
 def test_more_poses_than_pictures_are_cut_with_a_line(folder: Path) -> None:
