@@ -15,7 +15,7 @@ from hyjax.data.capture import Capture
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture, RectLight
-from hyjax.scene.exposure import SeenSurface
+from hyjax.scene.seen_surface import SeenSurface
 from hyjax.util.vectors import perpendicular, reject, unit
 
 Vector = Float[np.ndarray, "3"]

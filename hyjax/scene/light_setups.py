@@ -17,9 +17,11 @@ from hyjax.light.color import blackbody
 from hyjax.light.kinds import AmbientLight, DirectionalLight, PointLight, RectLight
 from hyjax.light.kinds.directional import SUN_DEGREES
 from hyjax.light.kinds.file_keys import direction
+from hyjax.light.photo_light import PhotoLight
 from hyjax.light.setup import LightSetup
 from hyjax.scene.exposure import LARGEST_FILTER, Exposure, exposed, warn_of_missing
 from hyjax.scene.light_places import LightAnchors, Vector, WindowPlace
+from hyjax.scene.light_response import assumed_response, measured_response
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.vectors import unit
 
@@ -38,9 +40,9 @@ NOON_SKY, EVENING_SKY, DUSK_SKY, NIGHT_SKY = 950.0, 300.0, 36.0, 2.1
 LOW_SUN, SUNSET_SKY = 3000.0, 4500.0
 """Colour temperatures of a low sun, and of the sky and ground around it in a window."""
 EXPOSURES = {
-    "noon-window": Exposure(0.6, 0.3, 2.5),
-    "golden-hour": Exposure(0.4, 0.16, 2.0),
-    "evening-lamps": Exposure(0.5, 0.14, 2.0),
+    "noon-window": Exposure(0.85, 0.3, 1.8, day=True),
+    "golden-hour": Exposure(0.6, 0.2, 1.8),
+    "evening-lamps": Exposure(0.6, 0.2, 2.0),
     "night-moon": Exposure(0.1, 0.035, 0.6),
 }
 """Exposures of the named set-ups, but for those of the paper."""
@@ -66,12 +68,12 @@ def golden_hour(anchors: LightAnchors) -> LightSetup:
 
 
 def evening_lamps(anchors: LightAnchors) -> LightSetup:
-    """Lit lamps, blue dusk outside. With the camera's white balance 2700 K looks like 3600 K."""
-    warm = blackbody(3600.0)
+    """Lit lamps, blue dusk outside. With the camera's white balance 2700 K looks like 4000 K."""
+    warm = blackbody(4000.0)
     lamps = [
         PointLight(place, LAMP_LUMENS, warm, radius=0.06, clearance=0.3) for place in anchors.lamps[:MOST_LAMPS]
     ]
-    return LightSetup((*lamps, *_sky(anchors, DUSK_SKY, blackbody(12000.0)), AmbientLight(8.0, blackbody(4000.0))))
+    return LightSetup((*lamps, *_sky(anchors, DUSK_SKY, blackbody(12000.0)), AmbientLight(8.0, blackbody(4300.0))))
 
 
 def night_moon(anchors: LightAnchors) -> LightSetup:
@@ -112,13 +114,21 @@ def check_setup_name(name: str) -> None:
         )
 
 
-def named_setup(name: str, anchors: LightAnchors) -> LightSetup:
-    """Place one of `SETUPS` in a room and expose it; a light that reaches no visible surface is logged."""
+def named_setup(name: str, anchors: LightAnchors, photo: PhotoLight | None = None) -> LightSetup:
+    """Place one of `SETUPS` in a room and expose it; a light that reaches no visible surface is logged.
+
+    Args:
+        name: of the set-up.
+        anchors: places for its lights.
+        photo: light of the photos where it is divided out; None where it is kept.
+    """
     check_setup_name(name)
     setup = SETUPS[name](anchors)
     lux = anchors.seen.lux(setup.lights)
     if name in EXPOSURES:
-        setup = exposed(setup, lux, anchors.seen, EXPOSURES[name])
+        seen, lights = anchors.seen, setup.lights
+        answer = assumed_response(lights, lux, seen) if photo is None else measured_response(lights, seen, photo)
+        setup = exposed(setup, lux, seen, EXPOSURES[name], answer)
     else:
         setup, lux = _not_dark(setup, lux, anchors)
     warn_of_missing(setup, lux, name)

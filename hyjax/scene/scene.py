@@ -207,8 +207,9 @@ class Scene:
 
         Args:
             lights: any of these.
-            at_photo_sources: whether a named set-up shines through the windows and from the lamps that lit the
-                frames, where a file names them or the capture knows none.
+            at_photo_sources: whether a named set-up is exposed for frames that are divided by their own light, and
+                shines through the windows and from the lamps that lit them, where a file names these or the capture
+                knows none.
 
         Raises:
             InputError: no such set-up, or the file cannot be used.
@@ -223,7 +224,8 @@ class Scene:
         if found not in self._anchors:
             anchors = self.photo_light.sources.anchors if found else None
             self._anchors[found] = survey_capture(self.caster, self.capture, anchors)
-        return named_setup(name, self._anchors[found])
+        photo = self.photo_light.estimate.light if at_photo_sources else None
+        return named_setup(name, self._anchors[found], photo)
 
     @property
     def occluders(self) -> RayCaster:

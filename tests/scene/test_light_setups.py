@@ -12,9 +12,10 @@ from hyjax.light.color import to_display
 from hyjax.light.kinds import DirectionalLight, PointLight, RectLight
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
-from hyjax.scene.exposure import warn_of_missing
+from hyjax.scene.exposure import exposed, warn_of_missing
 from hyjax.scene.light_places import LightAnchors, survey
-from hyjax.scene.light_setups import SETUPS, named_setup
+from hyjax.scene.light_response import Response, kinds_of, paleness
+from hyjax.scene.light_setups import EXPOSURES, SETUPS, named_setup
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.util.errors import InputError
@@ -183,6 +184,36 @@ def test_the_sun_turns_to_what_is_seen_and_lamps_do_not_burn_out(box: RayCaster)
     direct = [light for light in evening.lights if not light.UNIFORM]  # the others only fill bounces up
     lux = stage.seen.lux(direct).sum(axis=1)
     assert np.quantile(lux, 0.95) < 1.6 * float(evening.reference_lux)
+
+
+@pytest.mark.parametrize("name", EXPOSURES)
+def test_the_median_picture_keeps_its_share_of_the_light_that_the_place_answers_with(
+    name: str, box: RayCaster
+) -> None:
+    stage = survey(box, BOX_CAMERAS, UP)
+    raw, seen, exposure = SETUPS[name](stage), stage.seen, EXPOSURES[name]
+    lux, count = seen.lux(raw.lights), len(seen.points)
+    near, parallel = kinds_of(raw.lights)
+    strength = lux[:, near].sum(axis=1).mean()
+    references = {}
+    for bounced, photo_light in ((0.1, 1.0), (2.0, 1.0), (2.0, 4.0)):
+        bounces = np.full(count, bounced * strength), np.zeros(count)
+        answer = Response(np.full(count, photo_light), *bounces, 0.3)
+        setup = exposed(raw, lux, seen, exposure, answer)
+        references[bounced, photo_light] = setup.reference_lux
+        own = seen.lux(setup.lights) * paleness(setup.lights)
+        filled = 0.3 * own[:, ~(near | parallel)].sum(axis=1)
+        light = own[:, near | parallel].sum(axis=1) + np.maximum(answer.near, filled)
+        kept = np.median(seen.of_cameras(light / photo_light)) / setup.reference_lux
+        assert 0.8 * exposure.share < kept < 1.05 * exposure.share
+    assert references[0.1, 1.0] < references[2.0, 1.0]
+    assert references[2.0, 4.0] == pytest.approx(references[2.0, 1.0] / 4, rel=0.35)
+
+
+def test_dark_photos_are_lifted_by_day_alone() -> None:
+    shares = {name: exposure.lifted(0.04).share / exposure.share for name, exposure in EXPOSURES.items()}
+    assert shares == pytest.approx(dict.fromkeys(EXPOSURES, 1.0) | {"noon-window": 3**0.5})
+    assert EXPOSURES["noon-window"].lifted(0.3) == EXPOSURES["noon-window"]
 
 
 def test_the_papers_set_ups_keep_their_exposure(box: RayCaster) -> None:

@@ -1,0 +1,112 @@
+"""Points of the surface that the cameras of a capture see, and the illuminance of lights on them."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from hyjax.data.frames import spread
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.raycast import RayCaster
+from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, RectLight
+from hyjax.scene.point_lux import point_lux
+from hyjax.util.errors import InputError
+
+OFFSET = 0.02
+"""Distance from the surface, in metres, where rays to lights start."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SeenSurface:
+    """Points of the visible surface, evenly spread over the cameras' pictures.
+
+    Attributes:
+        caster: the surface.
+        points: in world coordinates.
+        normals: unit, towards the cameras.
+        camera: which camera sees each.
+        face: triangle that each lies on.
+    """
+
+    caster: RayCaster
+    points: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    camera: Int[np.ndarray, "n"]
+    face: Int[np.ndarray, "n"]
+
+    @classmethod
+    def of(
+        cls, caster: RayCaster, cameras: Sequence[Camera], most: int = 8
+    ) -> "tuple[SeenSurface, Float[np.ndarray, 'c 3']]":
+        """Surface seen by at most `most` of the cameras, and the positions of these cameras.
+
+        Raises:
+            InputError: no camera sees any surface.
+        """
+        chosen, points, normals, faces = spread(cameras, most), [], [], []
+        for camera in chosen:
+            small = camera.intrinsics.resize(24, 32)
+            rays = Camera(small, camera.pose).rays().reshape(-1, 3)
+            hits = caster.cast(camera.origin, rays)
+            points.append(camera.origin + rays[hits.hit] * hits.distance[hits.hit, None])
+            normal = caster.arrays.face_normals[hits.face[hits.hit]]
+            away = np.einsum("nk,nk->n", normal, rays[hits.hit]) > 0
+            normals.append(np.where(away[:, None], -normal, normal))
+            faces.append(hits.face[hits.hit])
+        surface = np.concatenate(points)
+        if not len(surface):
+            raise InputError(
+                "no camera sees the mesh; are the mesh and the poses in the same coordinates (metres)?"
+            )
+        numbers = np.repeat(np.arange(len(chosen)), [len(seen) for seen in points])
+        seen = cls(caster, surface, np.concatenate(normals), numbers, np.concatenate(faces))
+        return seen, np.stack([c.origin for c in chosen])
+
+    def chosen(self, which: Bool[np.ndarray, "n"]) -> "SeenSurface":
+        """Some of the points."""
+        parts = (array[which] for array in (self.points, self.normals, self.camera, self.face))
+        return SeenSurface(self.caster, *parts)
+
+    def of_vertices(self, values: Float[np.ndarray, "v c"]) -> Float[np.ndarray, "n c"]:
+        """Values of the vertices at the points: the mean of each triangle's corners."""
+        return values[self.caster.arrays.faces[self.face]].mean(axis=1)
+
+    def of_cameras(self, values: Float[np.ndarray, "n"], quantile: float = 0.5) -> Float[np.ndarray, "c"]:
+        """Quantile of values at the points that each camera sees, of the cameras that see any."""
+        return np.array([np.quantile(values[self.camera == c], quantile) for c in np.unique(self.camera)])
+
+    def reached_through(self, window: Aperture, travel: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "n"]:
+        """Points that parallel light along `travel` reaches through a window."""
+        center, right, up = (np.asarray(v, float) for v in (window.center, window.right, window.up))
+        normal = np.cross(right, up)
+        t = ((self.points - center) @ normal) / (travel @ normal)
+        offset = self.points - t[:, None] * travel - center
+        inside = (np.abs(offset @ right) <= right @ right) & (np.abs(offset @ up) <= up @ up)
+        lit = (t > 0) & inside & (self.normals @ travel < -0.05)
+        lit[lit] = ~self._blocked(lit, -travel[None] * np.maximum(t[lit] - OFFSET, 0.0)[:, None])
+        return lit
+
+    def lux(self, lights: Sequence[Light]) -> Float[np.ndarray, "n l"]:
+        """Illuminance of lights on the points, with shadows; times the strongest channels of their colours."""
+        lux = point_lux(self.points, self.normals, lights)
+        return np.stack([self._reached(light, lux[:, number]) for number, light in enumerate(lights)], axis=-1)
+
+    def _reached(self, light: Light, lux: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        every = np.ones(len(self.points), bool)
+        if isinstance(light, DirectionalLight) and light.aperture is not None:
+            free = self.reached_through(light.aperture, np.asarray(light.direction, float))
+        elif isinstance(light, PointLight):
+            to = np.asarray(light.position, float) - self.points
+            length = np.linalg.norm(to, axis=1, keepdims=True)
+            clear = float(light.clearance) + float(light.radius)
+            free = ~self._blocked(every, to * np.maximum(1.0 - clear / np.maximum(length, 1e-6), 0.0))
+        elif isinstance(light, RectLight):
+            free = ~self._blocked(every, 0.97 * (np.asarray(light.center, float) - self.points))
+        else:
+            free = every
+        return np.where(free, lux, 0.0) * float(np.asarray(light.color).max())
+
+    def _blocked(self, chosen: Bool[np.ndarray, "n"], to: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m"]:
+        start = self.points[chosen] + OFFSET * self.normals[chosen]
+        return self.caster.occluded(start, to, 1.0)
