@@ -30,12 +30,10 @@ LEAST_HEIGHT = 0.9
 HIDDEN_DEPTH = 0.3
 """Distance, in metres, behind the scan from which a place is hidden."""
 FEWEST_CELLS, MOST_LAMPS = 3, 3
-UNKNOWN_RADIUS = 0.03
-"""Radius, in metres, of a lamp of unknown form: too small to be drawn where its form would show."""
 
 
-def glowing_places(caster: RayCaster, sightings: Sequence[Sighting], up: Vector) -> list[tuple[Vector, float]]:
-    """Places and radii, the largest first, of lamps that burn out their surroundings in dark pictures.
+def glowing_places(caster: RayCaster, sightings: Sequence[Sighting], up: Vector) -> list[Vector]:
+    """Places, the largest first, of lamps of unknown form that burn out their surroundings in dark pictures.
 
     Args:
         caster: the scan.
@@ -65,11 +63,7 @@ def glowing_places(caster: RayCaster, sightings: Sequence[Sighting], up: Vector)
     labels, number = ndimage.label(glowing.reshape(shape), np.ones((3, 3, 3)))
     parts = [np.flatnonzero(labels.reshape(-1) == k) for k in range(1, number + 1)]
     parts = sorted((part for part in parts if len(part) >= FEWEST_CELLS), key=len, reverse=True)
-    return [
-        (np.median(places[part], axis=0), UNKNOWN_RADIUS)
-        for part in parts[:MOST_LAMPS]
-        if 2 * len(part) >= len(parts[0])
-    ]
+    return [np.median(places[part], axis=0) for part in parts[:MOST_LAMPS] if 2 * len(part) >= len(parts[0])]
 
 
 def _seen(s: Sighting, places: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:

@@ -63,8 +63,7 @@ def search_lamps(
         if all(np.linalg.norm(lamp.position - place) > LARGEST_RADIUS for lamp in lamps):
             lamps.append(PhotoLamp("", place, radius, _surface(sightings, place, radius)[1]))
     if not lamps and not windows:
-        glows = glowing_places(caster, sightings, up)
-        lamps = [PhotoLamp("", place, radius, np.zeros(0, int)) for place, radius in glows]
+        lamps = [PhotoLamp("", place, 0.0, np.zeros(0, int)) for place in glowing_places(caster, sightings, up)]
     return tuple(dataclasses.replace(lamp, name=f"lamp-{k + 1}") for k, lamp in enumerate(lamps[:MOST_LAMPS]))
 
 

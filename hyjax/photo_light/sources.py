@@ -91,7 +91,7 @@ class PhotoLamp:
     Attributes:
         name: unique among the sources.
         position: of its middle.
-        radius: of what glows, in metres.
+        radius: of what glows, in metres; 0 where its form is unknown, and it is not drawn.
         faces: triangles of the scan that glow; none where it was not scanned.
     """
 

@@ -178,14 +178,17 @@ class ScenePhotoLight:
 
     def emitters(self, setup: LightSetup) -> Emitters | None:
         """Panes and lamps with their radiance under new lights; None if there are none that are believed."""
-        windows, lamps = self.sources.windows, self.sources.lamps
+        windows = self.sources.windows
+        formed = [number for number, lamp in enumerate(self.sources.lamps) if lamp.radius > 0]
+        lamps = [self.sources.lamps[number] for number in formed]
         believed = self.estimate.exponent > 0 or self.sources.origin == "file"
         if not (windows or lamps) or not believed:
             return None
         panes = np.array([(w.center, w.right, w.up) for w in windows]).reshape(-1, 3, 3)
         bulbs = np.array([(*lamp.position, lamp.radius) for lamp in lamps]).reshape(-1, 4)
         sent = radiant_filter(setup.lights, panes, bulbs, float(setup.reference_lux))
-        kept = self.kept(setup.existing)[: len(sent)]  # windows, then lamps, as the sources are
+        rows = [*range(len(windows)), *(len(windows) + number for number in formed)]  # as the sources are
+        kept = self.kept(setup.existing)[rows]
         own, round_, light, left = (jax.device_put(np.asarray(a, np.float32)) for a in (panes, bulbs, sent, kept))
         return Emitters(own, round_, light, left, self.estimate.light.mean, jax.device_put(self._stored[1]))
 

@@ -141,6 +141,20 @@ def test_what_is_kept_of_uneven_light_follows_its_exponent() -> None:
     np.testing.assert_allclose(light.kept / light.photo_light, even, rtol=1e-5)
 
 
+def test_a_lamp_of_unknown_form_lights_and_is_not_drawn() -> None:
+    scene, places = Scene(Room(), walls()), (np.array([0.5, 0.2, 0.8]), np.array([-0.5, 0.3, 0.7]))
+    lamps = tuple(
+        PhotoLamp(f"lamp-{n}", p, r, np.zeros(0, int)) for n, (p, r) in enumerate(zip(places, (0.0, 0.1)))
+    )
+    photo_light = scene.photo_light
+    photo_light.__dict__["sources"] = PhotoSources((), lamps, "file")
+    assert photo_light.estimate.names[:2] == ("lamp-0", "lamp-1")
+    emitters = photo_light.emitters(LightSetup(SETUP.lights, existing={"lamp-1": (0.5, 0.5, 0.5)}))
+    assert emitters is not None
+    np.testing.assert_allclose(emitters.lamps, [[*places[1], 0.1]], rtol=1e-6)
+    np.testing.assert_allclose(emitters.kept, [[0.5] * 3])
+
+
 def test_sources_come_back_from_their_arrays() -> None:
     window = PhotoWindow.facing("balcony", np.array([0.0, 2.0, 0.1]), np.array([0.0, -1.0, 0.0]), UP, 1.0, 1.3)
     lamps = (
