@@ -23,6 +23,7 @@ from hyjax.light.kinds import Light
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels, shade_each
 from hyjax.light.shadow_map import ShadowMap, visibilities
+from hyjax.light.surface_outliers import without_outliers
 from hyjax.light.transport import Transport, bounce
 from hyjax.util.errors import InputError
 
@@ -121,7 +122,8 @@ def _bounced(
     )
     channels = shade_each(points, lights) * visibilities(points, lights, shadow_maps)
     direct = mix_channels(channels, [light.color for light in lights])[0]
-    return jnp.maximum(bounce(transport, photo.albedo, direct)[: transport.vertices], least)
+    bounced = without_outliers(bounce(transport, photo.albedo, direct)[: transport.vertices], transport.faces)
+    return jnp.maximum(bounced, least)
 
 
 @jax.tree_util.register_dataclass

@@ -64,7 +64,7 @@ def fit_and_judge(
     problem: Callable[[Int[np.ndarray, "m 2"]], FitProblem],
     pairs: Int[np.ndarray, "n 2"],
     position: Float[np.ndarray, "v 3"],
-) -> tuple[Float[np.ndarray, "k 3"], Belief] | None:
+) -> "tuple[Float[np.ndarray, 'k 3'], Belief, Float[np.ndarray, 'n e']] | None":
     """Strengths of the sources fitted to all pairs, and the belief from fits that leave one fold out each.
 
     Args:
@@ -73,7 +73,8 @@ def fit_and_judge(
         position: of the vertices.
 
     Returns:
-        Strengths and belief; None where there are too few pairs.
+        Strengths, belief, and for each pair the difference of log brightness that is left after the division by E
+        to each of `EXPONENTS`, from the fit that left it out; None where there are too few pairs.
     """
     fold = folds(position[pairs[:, 0]]) if len(pairs) else np.zeros(0, int)
     counts = np.bincount(fold, minlength=FOLD_COUNT)
@@ -81,17 +82,19 @@ def fit_and_judge(
         return None
     fewest = len(pairs) - counts.max()  # one size, one program
     bright, hue = np.zeros(len(EXPONENTS)), np.zeros(len(EXPONENTS))
+    left = np.zeros((len(pairs), len(EXPONENTS)))
     for number, share in enumerate(counts / len(pairs)):
         part = problem(pairs[fold != number][:fewest])
         light = np.log(
             np.asarray(illuminance(part, jnp.asarray(fit_sources(part, FOLD_ITERATIONS), jnp.float32)))
             + RADIANCE_FLOOR
         )
-        logs = zip(split(np.log(np.asarray(part.radiance))), split(light))
+        logs = list(zip(split(np.log(np.asarray(part.radiance))), split(light)))
         own = [flatness(radiance, e, pairs[fold == number]) for radiance, e in logs]
+        left[fold == number] = differences(*logs[0], pairs[fold == number])[..., 0]
         bright, hue = bright + share * np.array(own[0]), hue + share * np.array(own[1])
     belief = Belief(best(bright), best(hue), tuple(float(x) for x in bright))
-    return fit_sources(problem(pairs)), belief
+    return fit_sources(problem(pairs)), belief, left
 
 
 def split(log: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "v 1"], Float[np.ndarray, "v 3"]]:
@@ -100,12 +103,19 @@ def split(log: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "v 1"], Floa
     return mean, log - mean
 
 
+def differences(
+    log_radiance: Float[np.ndarray, "v c"], log_light: Float[np.ndarray, "v c"], pairs: Int[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "n e c"]:
+    """Absolute differences across pairs after dividing by E to each exponent."""
+    c, e = (v[pairs[:, 0]] - v[pairs[:, 1]] for v in (log_radiance, log_light))
+    return np.abs(c[:, None] - np.array(EXPONENTS)[:, None] * e[:, None])
+
+
 def flatness(
     log_radiance: Float[np.ndarray, "v c"], log_light: Float[np.ndarray, "v c"], pairs: Int[np.ndarray, "n 2"]
 ) -> tuple[float, ...]:
     """Mean absolute difference across pairs after dividing by E to each exponent, relative to the one before."""
-    c, e = (v[pairs[:, 0]] - v[pairs[:, 1]] for v in (log_radiance, log_light))
-    spread = [np.abs(c - k * e).mean() for k in EXPONENTS]
+    spread = differences(log_radiance, log_light, pairs).mean(axis=(0, 2))
     return tuple(float(s / max(spread[0], 1e-9)) for s in spread)
 
 

@@ -13,12 +13,15 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import enclose, trace
 from hyjax.light.photo_light import FILLED_SHARE, LEAST_PHOTO_LIGHT, PhotoLight
+from hyjax.light.surface_outliers import without_outliers
 from hyjax.light.transport import Transport, bounce, gather, send
 from hyjax.photo_light.basis import Basis, make_basis
 from hyjax.photo_light.belief import LEAST_GAIN, NO_BELIEF, Belief, fit_and_judge, split
 from hyjax.photo_light.fit import HIGHEST_ALBEDO, RADIANCE_FLOOR, FitProblem
+from hyjax.photo_light.local_belief import Evidence, local_divisor
 from hyjax.photo_light.pairs import coplanar_pairs
 from hyjax.photo_light.radiance import VertexRadiance, vertex_radiance
+from hyjax.photo_light.rim import held_at_rim
 from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.cache import Arrays
 
@@ -104,11 +107,13 @@ def estimate_arrays(
     basis = make_basis(caster, hits, position, normal, sources)
     sent = np.concatenate([shown.radiance, np.zeros((len(position) - count, 3))])
     gathered = np.asarray(gather(transport.hits, send(transport, jnp.asarray(sent, jnp.float32))))
-    theta, belief = _fitted(caster, normal[:count], shown, gathered[:count], basis)
+    theta, belief, evidence = _fitted(caster, normal[:count], shown, gathered[:count], basis)
     light = np.maximum(gathered + basis.light @ theta, RADIANCE_FLOOR)
+    even = without_outliers(jnp.asarray(light[:count], jnp.float32), transport.faces)
+    light[:count] = held_at_rim(np.asarray(even, np.float64), position[:count], caster.arrays.faces)
     exponent, log_light = belief.exponent, split(np.log(light[:count]))
     albedo, unscanned = _albedo(shown, light, believed=exponent > 0)
-    divisor = np.exp(exponent * log_light[0] + (belief.hue_exponent if exponent else 0.0) * log_light[1])
+    divisor = local_divisor(caster.arrays, normal[:count], log_light, belief, evidence)
     illuminance = np.maximum(divisor / _visible_mean(caster, cameras, divisor), LEAST_PHOTO_LIGHT)
     direct = _direct_by_source(basis, theta, light, unscanned, count)
     shares = _shares(transport, *(jnp.asarray(a, jnp.float32) for a in (albedo, direct, illuminance)))
@@ -194,13 +199,13 @@ def _fitted(
     shown: _Shown,
     gathered: Float[np.ndarray, "v 3"],
     basis: Basis,
-) -> tuple[Float[np.ndarray, "k 3"], Belief]:
-    """Fitted strength of each source of the basis, and the belief in it.
+) -> tuple[Float[np.ndarray, "k 3"], Belief, Evidence]:
+    """Fitted strength of each source of the basis, the belief in it, and the evidence for that.
 
     All are 1, and nothing is believed, where the scan and the frames tell too little.
     """
     vertices, count = np.asarray(caster.mesh.vertices), len(normal)
-    nothing = np.full((basis.light.shape[1], 3), 1.0), NO_BELIEF
+    nothing = np.full((basis.light.shape[1], 3), 1.0), NO_BELIEF, None
     if not shown.visible.any() or shown.contrast <= LEAST_CONTRAST:
         return nothing
     pairs = coplanar_pairs(vertices, normal, shown.visible, PAIR_COUNT)
@@ -212,7 +217,8 @@ def _fitted(
     def problem(fitted: Int[np.ndarray, "m 2"]) -> FitProblem:
         return FitProblem(gathered_here, light, radiance, seen, jnp.asarray(fitted, jnp.int32), alike)
 
-    return fit_and_judge(problem, pairs, vertices) or nothing
+    judged = fit_and_judge(problem, pairs, vertices)
+    return nothing if judged is None else (*judged[:2], (pairs, judged[2]))
 
 
 def _albedo(
