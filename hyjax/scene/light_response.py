@@ -58,7 +58,8 @@ def assumed_response(lights: Sequence[Light], lux: Float[np.ndarray, "n l"], see
         for camera in np.unique(seen.camera):
             mean[seen.camera == camera] = REFLECTED_SHARE * bright[seen.camera == camera].mean()
         bounced.append(mean)
-    return Response(np.ones(len(lux)), *bounced, FILLED_SHARE, measured=False)
+    near, parallel = bounced
+    return Response(np.ones(len(lux)), near, parallel, FILLED_SHARE, measured=False)
 
 
 def measured_response(lights: Sequence[Light], seen: SeenSurface, photo: PhotoLight) -> Response:
