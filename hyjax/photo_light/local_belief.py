@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hyjax.geometry.mesh_arrays import MeshArrays
-from hyjax.photo_light.belief import EXPONENTS, LEAST_GAIN, Belief
+from hyjax.photo_light.belief import EXPONENTS, Belief
 
 REACH = 0.4
 """Deviation, in metres, of the weight of a pair around each of its ends."""
@@ -24,6 +24,8 @@ NEAREST = 48
 """Most ends of pairs by which a vertex is judged."""
 PRIOR_ENDS = 12.0
 """Weight, in ends of pairs, of the exponent of the whole scan."""
+DOUBT = 0.5
+"""Least gain in flatness of a place by another exponent, over that of the whole scan by its own."""
 SCREEN = 2.0
 """Distance, in metres, over which the divisor returns to that of the whole scan."""
 CREASE_COSINE = 0.8
@@ -68,7 +70,7 @@ def local_exponents(
     errors: Float[np.ndarray, "n k"],
     exponent: float,
 ) -> Float[np.ndarray, "v"]:
-    """Exponent that flattens the surroundings of each vertex most.
+    """Exponent at each vertex: that of the whole scan unless another flattens its surroundings clearly more.
 
     Args:
         vertices, normals: of the scan.
@@ -83,9 +85,10 @@ def local_exponents(
     weight = np.where(np.isfinite(distance), np.exp(-0.5 * np.minimum(distance, 9.0) ** 2), 0.0)
     own = np.concatenate([errors, errors, np.zeros((1, errors.shape[1]))])[end]
     total = np.einsum("vn,vnk->vk", weight, own)
-    best = total.argmin(axis=1)
-    gain = 1.0 - total.min(axis=1) / np.maximum(total[:, 0], 1e-12)
-    found = np.where(gain >= LEAST_GAIN, np.array(EXPONENTS)[best], 0.0)
+    usual = EXPONENTS.index(exponent)
+    gain = 1.0 - total.min(axis=1) / np.maximum(total[:, usual], 1e-12)
+    whole = 1.0 - errors[:, usual].sum() / max(float(errors[:, 0].sum()), 1e-12)
+    found = np.where(gain > DOUBT * whole, np.array(EXPONENTS)[total.argmin(axis=1)], exponent)
     count = weight.sum(axis=1)
     return (count * found + PRIOR_ENDS * exponent) / (count + PRIOR_ENDS)
 
