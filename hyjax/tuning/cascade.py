@@ -22,11 +22,12 @@ from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.descent import Objective, polish, starts
 from hyjax.tuning.evaluation import Scores
 from hyjax.tuning.evaluator import POLISH_ITERATIONS, CascadeEvaluator
+from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.proposal import with_point
 from hyjax.tuning.relaxation import RANGES, RelaxedSchedule, prepare, relaxed_of
 from hyjax.tuning.request import Budget, split_frames
 from hyjax.tuning.result import Candidate, Tuned
-from hyjax.tuning.run import Run, RunMonitor
+from hyjax.tuning.run import Run
 from hyjax.tuning.schedule_clock import LatencySource, OwnTimes, ScheduleClock
 from hyjax.tuning.search import State
 from hyjax.tuning.settings import BudgetStage, TuneSettings

@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from hyjax.configuration import Configuration
 from hyjax.tuning.clock import FrameTime
+from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.proof import MOST_SECONDS, ROUNDS, best_within, effects, front_of, prove
 from hyjax.tuning.report import REPORT_FILE, best_file, text_of, write_results
 from hyjax.tuning.report_page import page
@@ -30,56 +31,6 @@ from hyjax.util.clock import Stopwatch
 from hyjax.util.environment import cores, environment, peak_memory_mib
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, write_text
-
-
-class RunMonitor:
-    """Time limit and progress bar of a run.
-
-    Args:
-        limit: seconds that it may take; None for no limit.
-        progress: show a bar on stderr.
-    """
-
-    def __init__(self, limit: float | None, progress: bool) -> None:
-        self.clock, self.limit, self.progress = Stopwatch(), limit, progress
-        self.best, self.bar = math.inf, tqdm(disable=True)
-
-    def begin(self) -> None:
-        """Count the time from now: opening and calibration before a search do not count."""
-        self.clock = Stopwatch()
-
-    def expired(self) -> bool:
-        return self.limit is not None and self.clock.seconds > self.limit
-
-    @contextlib.contextmanager
-    def watching(self, parts: int) -> Iterator[None]:
-        """One bar of the whole run, of about so many parts."""
-        with tqdm(desc="tuning", total=parts, unit="part", disable=not self.progress) as self.bar:
-            yield
-            self.bar.total = self.bar.n
-            self.bar.refresh()
-
-    def enter(self, phase: str) -> None:
-        """Say what is done now."""
-        self.best = math.inf
-        self.bar.set_description_str(f"tuning: {phase}")
-
-    def say(self, words: str) -> None:
-        """Say how far a long part has come."""
-        self.bar.set_postfix_str(words)
-
-    def done(self, parts: int = 1) -> None:
-        """Called after each part."""
-        if self.bar.total is not None and self.bar.n + parts > self.bar.total:
-            self.bar.total = self.bar.n + parts
-        self.bar.update(parts)
-
-    def note(self, phase: str, loss: float) -> None:
-        """Called after each trial with its loss over the default's."""
-        self.best = min(self.best, loss)
-        self.bar.set_postfix_str(f"{phase}, best loss {self.best:.4f} of the default's", refresh=False)
-        self.done()
-
 
 FIRST_PHASES = ("default", "start")
 """Phases of the first candidates, which are there before a budget is refused."""

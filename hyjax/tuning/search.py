@@ -258,9 +258,6 @@ def _screened(state: State) -> Choices | None:
     return next((choices for choices in ordered if key_of(choices) not in state.trials), None)
 
 
-# ---- combinations ----
-
-
 def loss_surrogate(state: State) -> Surrogate:
     """Surrogate of the logarithm of the loss."""
     trials = [t for t in state.trials.values() if t.losses]
@@ -331,9 +328,6 @@ def _climbed(state: State, choices: Choices, loss: Surrogate, time: Times, budge
             break
         choices, best = changes[int(values.argmin())], values.min()
     return choices
-
-
-# ---- more cases ----
 
 
 def _halved(state: State, budgets: Sequence[float]) -> Proposed | None:

@@ -10,10 +10,11 @@ from page_checks import parse
 
 from hyjax.configuration import Configuration
 from hyjax.tuning.clock import FrameTime
+from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.report_page import page
 from hyjax.tuning.report_text import summary
 from hyjax.tuning.request import Budget
-from hyjax.tuning.run import Run, RunMonitor
+from hyjax.tuning.run import Run
 from hyjax.tuning.search import State, init, propose, update
 from hyjax.tuning.settings import FrameOptions, TuneSettings
 from hyjax.tuning.space import Space

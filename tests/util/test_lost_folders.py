@@ -13,7 +13,7 @@ import pytest
 
 import hyjax
 from hyjax.sweep.rows import RowWriter
-from hyjax.tuning.run import RunMonitor
+from hyjax.tuning.monitor import RunMonitor
 from hyjax.util.cache import cached_arrays
 from hyjax.util.claims import claimed
 from hyjax.util.clock import Stopwatch, measure_each
