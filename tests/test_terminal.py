@@ -91,7 +91,11 @@ def test_help_beside_a_long_argument_comes_once(
             "Error parsing --seed: invalid literal for int() with base 10: 'x'",
         ),
         (["relight", "--size"], "Missing value for argument '--size'. Expected 1 values"),
-        (["relite"], "Unrecognized options: relite"),
+        (
+            ["relite"],
+            "Unrecognized options: relite; Available subcommands: relight, tune, sweep, train, tour, export, serve, "
+            "convert, info",
+        ),
         (["relight", "kitchen"], "kitchen: is no option; a capture is given as --capture kitchen"),
     ],
 )

@@ -71,6 +71,11 @@ def usage_error(box: str) -> str:
     said = " ".join(itertools.takewhile(lambda row: not _is_rule(row), texts))
     options = [row.split()[0] for row in rows if row.startswith("--") and not _is_rule(row)]
     perhaps = f"; perhaps {options[0]}" if "Perhaps you meant:" in rows else ""
+    there_are = itertools.dropwhile(lambda row: not row.startswith("Available subcommands"), rows)
+    perhaps += "".join(
+        f"; {row}" if row.startswith("A") else f" {row}"
+        for row in itertools.takewhile(lambda row: not _is_rule(row), there_are)
+    )
     return f"{one_line(said, LONGEST_USAGE_ERROR).rstrip('.')}{perhaps}; see hyjax --help"
 
 
