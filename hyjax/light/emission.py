@@ -1,8 +1,7 @@
 """Emitters in a frame: window panes and lamps, which show the new sky or bulb.
 
 Their pixels are not a surface that light falls on. A pane shows the sky that the new lights put there, bright at
-noon and dark at night, patterned as the photo's was; a lamp that is off is white in the light of the room. The
-scanned reveal and frame of a window are lit by the new light, however bright the old sky made them.
+noon and dark at night, patterned as the photo's was; a lamp that is off is white in the light of the room.
 """
 
 import dataclasses
@@ -11,12 +10,12 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from hyjax.core.finite import finite_or_zero
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
-from hyjax.light.panes import PANE_SLACK, lit_degree, pane_shares, pixel_rays, ramp, reveals
+from hyjax.light.panes import PANE_SLACK, lit_degree, pane_shares, pixel_rays, ramp
 from hyjax.util.geometry import dot
 from hyjax.util.tracing import concrete
 
@@ -27,10 +26,6 @@ above. Chosen on two of the rooms that `experiments.truth` chooses on."""
 PANE_WHITE = 0.75
 """Linear value that the mean of a pane stays below, unless it was brighter in the photos: exposed for the room,
 a view would burn out with all that is in it."""
-REVEAL_REFLECTANCE, MOST_REVEAL_REFLECTANCE = 0.35, 0.45
-"""Reflectance of a reveal that was as bright as its window in the photos, and the most of any. What the scan says
-of the old light in a reveal is too little: it lies outside the opening that lit the room. Chosen on one of the
-rooms that `experiments.truth` chooses on."""
 SOURCE_RADIUS = 0.1
 """Distance from a source, in metres, within which a new light makes it shine."""
 LAMP_DARK, LAMP_BRIGHT = 0.75, 0.95
@@ -86,13 +81,11 @@ class SourcePixels:
         weight: how far a pixel belongs to a source, in [0, 1].
         source: which one, panes first; -1 for none.
         pattern: of its light, relative to its mean.
-        reveal: whether it is the scanned reveal or frame of a window, which reflects light and sends none.
     """
 
     weight: Float[Array, "h w 1"]
     source: Int[Array, "h w"]
     pattern: Float[Array, "h w 3"]
-    reveal: Bool[Array, "h w 1"]
 
 
 def radiant_filter(
@@ -187,15 +180,12 @@ def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]
     shares = [PANE_REFLECTANCE] * len(emitters.panes) + [LAMP_REFLECTANCE] * len(emitters.lamps)
     count, light = len(emitters.panes), emitters.sent * emitters.mean
     light = jnp.concatenate([_view_light(light[:count], emitters.pane_means), light[count:]])
-    shown = jnp.where(pixels.reveal, 0.0, pixels.pattern)
-    surface = jnp.minimum(REVEAL_REFLECTANCE * pixels.pattern, MOST_REVEAL_REFLECTANCE)
     for k, share in enumerate(shares):  # a few; gathering from a table takes longer
         here = pixels.source[..., None] == k
-        radiance = light[k] * shown + emitters.kept[k] * frame
+        radiance = light[k] * pixels.pattern + emitters.kept[k] * frame
         sent = jnp.where(here, radiance, sent)
         # The kept part of the photo holds its reflections, too.
-        reflected = jnp.where(pixels.reveal, surface, share)
-        reflected *= emitters.mean * jnp.maximum(1.0 - emitters.kept[k], 0.0)
+        reflected = share * emitters.mean * jnp.maximum(1.0 - emitters.kept[k], 0.0)
         reflectance = jnp.where(here, reflected, reflectance)
     return Emission(pixels.weight, sent, reflectance)
 
@@ -219,8 +209,7 @@ def source_pixels(
     """
     ray, depth, pixel = pixel_rays(gbuffer, pose, intrinsics)
     weight, pattern = jnp.zeros(depth.shape), jnp.ones((*depth.shape, 3))
-    source, reveal = jnp.full(depth.shape, -1), jnp.zeros(depth.shape, bool)
-    frames = reveals(emitters.panes, gbuffer)
+    source = jnp.full(depth.shape, -1)
     shares = list(pane_shares(emitters.panes, emitters.pane_means, frame, gbuffer, pose, intrinsics))
     for *place, radius in emitters.lamps:
         toward = jnp.stack(place) - pose[:3, 3]
@@ -237,9 +226,8 @@ def source_pixels(
         largest = (share > 0) & (share >= weight)  # of equals the later one: lamps stand before panes
         weight = jnp.maximum(weight, share)
         source = jnp.where(largest, k, source)
-        reveal = jnp.where(largest, frames[k] if k < len(emitters.panes) else False, reveal)
         pattern = jnp.where(largest[..., None], shown, pattern)
-    return SourcePixels(weight[..., None], source, pattern, reveal[..., None])
+    return SourcePixels(weight[..., None], source, pattern)
 
 
 def _view_light(light: Float[Array, "n 3"], means: Float[Array, "n 3"]) -> Float[Array, "n 3"]:

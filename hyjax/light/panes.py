@@ -1,8 +1,8 @@
-"""Panes of windows in a frame: the pixels that show them, and those of their scanned reveals and frames."""
+"""Panes of windows in a frame: the pixels that show them."""
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from hyjax.light.gbuffer import GBuffer
 from hyjax.util.geometry import cross, dot, unit
@@ -12,9 +12,6 @@ PANE_UNLIT, PANE_LIT = 0.05, 0.1
 are open, to bright, where bright ones are; and values between which a pixel of a dark pane becomes a bar."""
 PANE_SLACK = 0.12
 """Distance before a pane, in metres, within which a scanned surface belongs to it: bars, blinds, noise."""
-REVEAL_DEPTH, REVEAL_WIDTH = 0.5, 0.1
-"""Largest depth of a window's reveal behind its plane, and distance inside the window's border within which a
-scanned surface is reveal or frame, in metres."""
 PANE_DARK, PANE_BRIGHT = 0.1, 0.3
 """Linear values of the photo between which a pixel of a pane begins to shine."""
 
@@ -38,7 +35,7 @@ def pane_shares(
     bright = ramp(brightness, PANE_DARK, PANE_BRIGHT)
     dark = jnp.where(gbuffer.hit, 0.0, 1.0 - ramp(brightness, PANE_UNLIT, PANE_LIT))
     lit = lit_degree(means)[:, None, None]
-    return pane_covers(panes, gbuffer, pose, intrinsics) * (lit * bright + (1.0 - lit) * dark)
+    return _covers(panes, gbuffer, pose, intrinsics) * (lit * bright + (1.0 - lit) * dark)
 
 
 @jax.jit
@@ -54,7 +51,7 @@ def open_shares(
     Args: see `pane_shares`.
     """
     shown = jnp.where(gbuffer.hit, ramp(jnp.min(frame, axis=-1), PANE_DARK, PANE_BRIGHT), 1.0)
-    return pane_covers(panes, gbuffer, pose, intrinsics) * shown
+    return _covers(panes, gbuffer, pose, intrinsics) * shown
 
 
 def lit_degree(means: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
@@ -62,7 +59,7 @@ def lit_degree(means: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
     return ramp(jnp.min(means, axis=-1), PANE_UNLIT, PANE_LIT)
 
 
-def pane_covers(
+def _covers(
     panes: Float[Array, "n 3 3"], gbuffer: GBuffer, pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
 ) -> Float[Array, "n h w"]:
     """Share of each pane in each pixel, with nothing before it."""
@@ -78,17 +75,6 @@ def pane_covers(
         cover = jnp.clip(jnp.minimum(*inside) / (pixel * jnp.maximum(distance, 1e-3)) + 0.5, 0.0, 1.0)
         shares.append(cover * ((distance > 0) & (slope < 0) & (depth > distance - PANE_SLACK)))
     return jnp.stack(shares) if shares else jnp.zeros((0, *depth.shape))
-
-
-def reveals(panes: Float[Array, "n 3 3"], gbuffer: GBuffer) -> Bool[Array, "n h w"]:
-    """Whether the surface at a pixel is the scanned reveal or frame of each pane."""
-    found = [jnp.zeros((0, *gbuffer.hit.shape), bool)]
-    for center, right, up in panes:
-        place = gbuffer.position - center
-        behind = -dot(place, unit(cross(right, up)))
-        inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
-        found.append((gbuffer.hit & (behind < REVEAL_DEPTH) & (jnp.minimum(*inside) < REVEAL_WIDTH))[None])
-    return jnp.concatenate(found)
 
 
 def pixel_rays(

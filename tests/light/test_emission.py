@@ -8,15 +8,7 @@ import pytest
 
 from hyjax.core.schedule import Schedule
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
-from hyjax.light.emission import (
-    PANE_REFLECTANCE,
-    PANE_SHARE,
-    PANE_WHITE,
-    REVEAL_REFLECTANCE,
-    Emitters,
-    emission,
-    radiant_filter,
-)
+from hyjax.light.emission import PANE_REFLECTANCE, PANE_SHARE, PANE_WHITE, Emitters, emission, radiant_filter
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import AmbientLight, Aperture, Light, PointLight, RectLight
 from hyjax.light.photo_light import SurfaceLight
@@ -128,29 +120,6 @@ def test_a_window_that_was_dark_in_the_photos_shines_as_the_new_sky() -> None:
     assert float(shining.weight[12, 16, 0]) == 1 and float(shining.weight[12, 18, 0]) == 0
     np.testing.assert_allclose(np.asarray(shining.sent)[12, 16:18], 0.5 * PANE_SHARE, rtol=1e-4)  # an even sky
     assert float(found(source, dark, wall(2.0)).weight.max()) == 0
-
-
-@pytest.mark.parametrize("behind", [0.02, 0.3])
-def test_a_scanned_reveal_or_frame_reflects_light_and_sends_none(behind: float) -> None:
-    """The border of an opening; what was scanned in its middle, and holes anywhere, are panes."""
-    bright, source = jnp.full((*LENS.shape, 3), 0.8), emitters(np.array([[1.0, 1.0, 1.0]]))
-    scanned, pane = found(source, bright, wall(2.0 + behind)), found(source, bright, wall(hit=False))
-    np.testing.assert_allclose(scanned.weight, pane.weight)
-    np.testing.assert_allclose(scanned.sent[12, 16], pane.sent[12, 16])
-    assert float(scanned.sent[12, 11].max()) == 0 < float(pane.sent[12, 11].min())
-    # As bright as the window in the photos: the reflectance of a reveal, in units of the picture's white of 0.5.
-    np.testing.assert_allclose(scanned.reflectance[12, 11], 0.5 * REVEAL_REFLECTANCE, rtol=1e-5)
-    darker = found(source, 0.5 * bright, wall(2.0 + behind)).reflectance
-    np.testing.assert_allclose(darker[12, 11], 0.25 * REVEAL_REFLECTANCE, rtol=1e-5)
-    # A scanned surface far behind the wall is what the window looks out on.
-    np.testing.assert_allclose(found(source, bright, wall(4.0)).sent, pane.sent)
-
-
-def test_a_reveal_whose_window_is_kept_stays_as_it_was() -> None:
-    bright = jnp.full((*LENS.shape, 3), 0.8)
-    kept = found(emitters(np.zeros((1, 3)), kept=1.0), bright, wall(2.1))
-    np.testing.assert_allclose(kept.sent[12, 11], 0.8, rtol=1e-5)
-    assert float(kept.reflectance.max()) == 0
 
 
 def test_a_view_does_not_burn_out_and_keeps_its_contrast() -> None:
