@@ -90,3 +90,16 @@ class MeshArrays:
     def key(self) -> str:
         """Key of vertices and triangles."""
         return hashlib.sha256(self.vertices.tobytes() + self.faces.tobytes()).hexdigest()
+
+
+def edges_of(faces: Int[np.ndarray, "m 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "e"]]:
+    """Edges of triangles, the lesser vertex first, and how many triangles have each.
+
+    Example:
+        >>> edges_of(np.array([[0, 1, 2], [2, 1, 3]]))[1].tolist()
+        [1, 1, 2, 1, 1]
+    """
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).astype(np.int64)
+    keys = edges[:, 0] * (int(edges.max(initial=0)) + 1) + edges[:, 1]
+    _, first, count = np.unique(keys, return_index=True, return_counts=True)
+    return edges[first], count

@@ -13,7 +13,7 @@ log D itself could not change its exponent without a step.
 import numpy as np
 from jaxtyping import Float, Int
 
-from hyjax.geometry.mesh_arrays import MeshArrays
+from hyjax.geometry.mesh_arrays import MeshArrays, edges_of
 from hyjax.photo_light.belief import EXPONENTS, Belief
 
 REACH = 0.4
@@ -113,7 +113,7 @@ def divisor_log(
     from scipy.sparse.linalg import cg
 
     count = len(vertices)
-    edges = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    edges, _ = edges_of(faces)
     edges = edges[edges[:, 0] != edges[:, 1]]
     i, j = edges.T
     ones = np.ones(len(edges))

@@ -7,6 +7,8 @@ centimetres away, so that the fitted light rises or falls along the rim by more 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from hyjax.geometry.mesh_arrays import edges_of
+
 RIM_WIDTH = 0.06
 """Distance from an open edge, in metres, up to which a vertex belongs to the rim."""
 NEAREST, FARTHEST = 4, 0.3
@@ -19,10 +21,9 @@ def rim_of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) ->
     """Vertices at open edges of the surface, and those near them."""
     from scipy.spatial import cKDTree  # SciPy is slow to load
 
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    _, first, count = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_index=True, return_counts=True)
+    edges, count = edges_of(faces)
     rim = np.zeros(len(vertices), bool)
-    rim[edges[first[count == 1]]] = True
+    rim[edges[count == 1]] = True
     if rim.any():
         rim |= cKDTree(vertices[rim]).query(vertices, distance_upper_bound=RIM_WIDTH)[0] <= RIM_WIDTH
     return rim

@@ -25,7 +25,7 @@ class Response:
 
     Attributes:
         photo_light: light of the photo over its mean.
-        near, parallel: bounced illuminance of parallel lights, and of all others but ambient ones, in lux.
+        near, parallel: bounced illuminance, in lux, of the lights near by and of the parallel ones, see `kinds_of`.
         filled_share: of ambient light that bounces are filled up to.
         brightness: median linear value of the photos; 1 where it is not known.
         measured: whether the light is that of the place's own estimate.
