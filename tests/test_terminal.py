@@ -93,7 +93,7 @@ def test_help_beside_a_long_argument_comes_once(
         (["relight", "--size"], "Missing value for argument '--size'. Expected 1 values"),
         (
             ["relite"],
-            "Unrecognized options: relite; Available subcommands: relight, tune, sweep, train, tour, export, "
+            "Unrecognized options: relite; available subcommands: relight, tune, sweep, train, tour, export, "
             "serve, convert, info",
         ),
         (["relight", "kitchen"], "kitchen: is no option; a capture is given as --capture kitchen"),

@@ -67,16 +67,15 @@ def usage_error(box: str) -> str:
         'Unrecognized options: --lihgt; perhaps --lights; see hyjax --help'
     """
     rows = [row.strip("│ ") for row in box.splitlines()]
-    texts = itertools.dropwhile(_is_rule, rows[1:])  # of a title without Unicode's box
-    said = " ".join(itertools.takewhile(lambda row: not _is_rule(row), texts))
-    options = [row.split()[0] for row in rows if row.startswith("--") and not _is_rule(row)]
-    perhaps = f"; perhaps {options[0]}" if "Perhaps you meant:" in rows else ""
-    there_are = itertools.dropwhile(lambda row: not row.startswith("Available subcommands"), rows)
-    perhaps += "".join(
-        f"; {row}" if row.startswith("A") else f" {row}"
-        for row in itertools.takewhile(lambda row: not _is_rule(row), there_are)
-    )
-    return f"{one_line(said, LONGEST_USAGE_ERROR).rstrip('.')}{perhaps}; see hyjax --help"
+    groups = itertools.groupby(rows[1:], key=_is_rule)  # below the title
+    said, *more = [" ".join(texts) for is_rule, texts in groups if not is_rule]
+    line = one_line(said, LONGEST_USAGE_ERROR).rstrip(".")
+    for text in more:
+        if text.startswith("Perhaps you meant"):
+            line += f"; perhaps {next(word for word in text.split() if word.startswith('--'))}"
+        elif text.startswith("Available subcommands"):
+            line += f"; {text[0].lower()}{text[1:]}"
+    return f"{line}; see hyjax --help"
 
 
 def _is_rule(row: str) -> bool:
