@@ -203,7 +203,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
 
 
 def search_table(searches: Sequence[Row]) -> Table:
-    """What each method ends with, and what it takes to reach the gradients' loss."""
+    """Least loss of each method, and its evaluations until it reaches the gradients' loss."""
     level = best_so_far(searches[0])[-1]
     held = [room["room"] for room in searches[0]["rooms"]][1:]
     lines = []

@@ -16,9 +16,9 @@ from hyjax.geometry.depth_map import READING_TOLERANCE, DepthReading, clean_dept
 COARSE_PIXELS = 4.0
 """Standard deviation of the Gaussian, in pixels of the picture, that is taken off it."""
 FEWEST_POINTS = 500
-"""Fewest common points of two pictures for their agreement to be told."""
+"""Fewest common points of two pictures for their agreement to be known."""
 LEAST_CONTRAST = 1e-3
-"""Least standard deviation of the fine structure of common points for their agreement to be told."""
+"""Least standard deviation of the fine structure of common points for their agreement to be known."""
 
 
 class PosedPicture(NamedTuple):

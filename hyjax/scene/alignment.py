@@ -50,7 +50,7 @@ FEWEST_PAIRS = 6
 SMOOTHING_WIDTHS = (2.0, 4.0, 8.0, 16.0)
 """Standard deviations, in depth maps of the fusion, of the Gaussian that smooths corrections along the walk."""
 DEFAULT_WIDTH = 4.0
-"""The one where no pictures can judge them."""
+"""Standard deviation where no pictures can judge the poses."""
 _log = logging.getLogger(__name__)
 
 

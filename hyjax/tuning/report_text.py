@@ -118,7 +118,7 @@ def summary(tuned: Tuned) -> list[str]:
 
 
 def unfinished_search(tuned: Tuned) -> list[str]:
-    """That the search is not at its end, if it is not."""
+    """Sentence on a search that is not at its end."""
     if not tuned.record.get(UNFINISHED):
         return []
     count = tuned.record["trials"]
@@ -129,7 +129,7 @@ def unfinished_search(tuned: Tuned) -> list[str]:
 
 
 def choices_of_best(tuned: Tuned) -> list[str]:
-    """What the best for each budget differ from the default in."""
+    """Sentences on the choices in which the best for each budget differ from the default."""
     words = {best.name: configuration_text(best.configuration) for best in tuned.best}
     if len(words) == 1:
         return [f"It differs from the default in: {text}." for text in words.values() if text != "the default"]
@@ -137,7 +137,7 @@ def choices_of_best(tuned: Tuned) -> list[str]:
 
 
 def disturbed(tuned: Tuned) -> list[str]:
-    """That other work disturbed the clock, if it did, and what follows."""
+    """Sentence on a clock that other work disturbed."""
     times = tuned.record.get("disturbed")
     if not times:
         return []
@@ -149,7 +149,7 @@ def disturbed(tuned: Tuned) -> list[str]:
 
 
 def further_budgets(tuned: Tuned) -> list[str]:
-    """Further times that were searched for, if there were any."""
+    """Sentence on further times that were searched for."""
     further = tuned.record.get("further budgets")
     if not further:
         return []

@@ -80,25 +80,30 @@ class KeptFunction(Generic[P, T]):
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
         if _folder is None:
             return self._jitted(*args, **kwargs)
-        arrays = {name: value for name, value in kwargs.items() if name != self._static}
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, arrays))):
-            return self._jitted(*args, **kwargs)
-        return self._made(args, arrays, kwargs.get(self._static or ""))(*args, **arrays)
+        program, arrays = self._made(args, kwargs)
+        return program(*args, **arrays)
 
     def make_ready(self, *args: Any, **kwargs: Any) -> None:
         """Read or compile the program for arguments of these shapes, without running it."""
         if _folder is not None:
-            arrays = {name: value for name, value in kwargs.items() if name != self._static}
-            self._made(args, arrays, kwargs.get(self._static or ""))
+            self._made(args, kwargs)
 
-    def _made(self, args: Any, arrays: dict[str, Any], static: Any) -> Callable[..., T]:
+    def _made(self, args: Any, kwargs: dict[str, Any]) -> tuple[Callable[..., T], dict[str, Any]]:
+        """Program for arguments, and the named ones that it takes."""
+        arrays = {name: value for name, value in kwargs.items() if name != self._static}
         leaves, tree = jax.tree.flatten((args, arrays))
-        key = static, tree, *((np.shape(leaf), jax.numpy.result_type(leaf)) for leaf in leaves)
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return self._jitted, kwargs
+        key = (
+            kwargs.get(self._static or ""),
+            tree,
+            *((np.shape(leaf), jax.numpy.result_type(leaf)) for leaf in leaves),
+        )
         if key not in self._ready:
             with self._making.setdefault(key, threading.Lock()):  # threads that ask for the same wait for it
                 if key not in self._ready:
                     self._ready[key] = self._program(key, args, arrays)
-        return self._ready[key]
+        return self._ready[key], arrays
 
     def lower(self, *args: P.args, **kwargs: P.kwargs) -> jax.stages.Lowered:
         """Lowered function, as of `jax.jit`."""
