@@ -206,7 +206,7 @@ def sentence(tuned: Tuned, budget: Budget, best: Candidate) -> str:
     p95 = f"p95 {milliseconds(best.time.judged)} ms"
     if best.time.judged < best.time.p95:
         p95 += f", of all rounds {milliseconds(best.time.p95)}"
-    how = f", predicted for {tuned.record.get('device', 'the device')}, not timed," if best.time.predicted else ""
+    how = f", for {tuned.record.get('device', 'the device')} predicted, not timed," if best.time.predicted else ""
     frames, scores, reference = "tuning", best.tuning, None if base is None else base.tuning
     if best.held_out is not None:
         frames, scores, reference = "held-out", best.held_out, None if base is None else base.held_out

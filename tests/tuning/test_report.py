@@ -188,7 +188,7 @@ def test_the_diffusion_alone_leaves_schedules(tmp_path: Path) -> None:
         Schedule.from_json(path.read_text(encoding="utf-8")).check()
     far = [dataclasses.replace(c, time=FrameTime(9.0, 9.9, 20.0, 0.45, predicted=True)) for c in tuned.best]
     said = report.summary(dataclasses.replace(tuned, best=far))
-    assert "takes, predicted for Phone, not timed, 9.00 ms (p95 9.90 ms)" in said[0]
+    assert "takes, for Phone predicted, not timed, 9.00 ms (p95 9.90 ms)" in said[0]
 
 
 # ---- sentences ----
