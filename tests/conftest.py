@@ -35,7 +35,7 @@ jax.block_until_ready(jax.jit(lambda x: x + 1)(0.0))  # XLA reads its flags with
 COMPILED = "HYJAX_TESTS_COMPILED"
 PASSED = "HYJAX_TESTS_PASSED"
 """Names of environment variables: folder of compiled programs, file of tests that passed in an earlier step."""
-MOST_RESIDENT_MIB = 650
+MOST_RESIDENT_MIB = 1000
 least_resident_mib = 0.0
 
 hypothesis.settings.register_profile("hyjax", derandomize=True, deadline=None, max_examples=15, database=None)

@@ -341,8 +341,12 @@ def test_a_batch_that_no_devices_can_share_is_refused() -> None:
 
 
 def devices(count: int) -> dict[str, str]:
-    """An environment in which the processor counts as several devices."""
-    return os.environ | {"XLA_FLAGS": f"{UNOPTIMISED} --xla_force_host_platform_device_count={count}"}
+    """An environment in which the processor counts as several devices, and which takes what was compiled in it."""
+    kept = {
+        "JAX_COMPILATION_CACHE_DIR": os.environ["HYJAX_TESTS_COMPILED"],
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
+    return os.environ | kept | {"XLA_FLAGS": f"{UNOPTIMISED} --xla_force_host_platform_device_count={count}"}
 
 
 def run_python(code: str, count: int) -> subprocess.CompletedProcess:
