@@ -84,6 +84,7 @@ def test_a_generated_room_through_an_s_curve(tmp_path: Path, monkeypatch: pytest
     assert {file.name for file in config.out.glob("*.png")} == {"builtin-0-true-ab.png", "builtin-0-true-ba.png"}
 
 
+@pytest.mark.slow
 def test_dark_and_burnt_shares_of_every_set_up(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
     monkeypatch.setattr(builtin_room, "load_room", lambda progress: small)
