@@ -130,8 +130,9 @@ class FrameClock:
             repeats: frames of each, after as many that warm up as there are frames.
             most_seconds: begin no further round after so long a time, if each has run ten times by then.
         """
-        calls = {str(number): self._call(each) for number, each in enumerate(configurations)}
-        calls[DEFAULT] = self._call(Configuration())
+        names = [DEFAULT if each == Configuration() else str(number) for number, each in enumerate(configurations)]
+        calls = {name: self._call(each) for name, each in zip(names, configurations, strict=True)}
+        calls.setdefault(DEFAULT, self._call(Configuration()))
         hidden, parts = not self.progress, len(calls) + repeats
         with tqdm(desc="timing", total=parts, delay=BAR_DELAY, leave=False, disable=hidden) as bar:
             for call in calls.values():
@@ -140,10 +141,7 @@ class FrameClock:
                 bar.update()
             rounds = rounds_of(calls, repeats, most_seconds, bar.update)
         quiet = quiet_rounds([own.wall for own in rounds.values()])
-        return [
-            FrameTime.of_rounds(rounds[str(number)], rounds[DEFAULT], quiet)
-            for number in range(len(configurations))
-        ]
+        return [FrameTime.of_rounds(rounds[name], rounds[DEFAULT], quiet) for name in names]
 
     def _call(self, configuration: Configuration) -> Callable[[], Any]:
         relighter, frames = self.scene.relighter(self.lights, configuration), itertools.cycle(self._frames)
@@ -188,7 +186,5 @@ def quiet_rounds(rounds: Sequence[Milliseconds]) -> Bool[np.ndarray, "r"]:
 
 
 def slowest_setup(scene: TuningScene, lights: Sequence[str]) -> str:
-    """The set-up under which the default configuration takes longest."""
-    if len(lights) == 1:
-        return lights[0]
-    return max(lights, key=lambda name: FrameClock(scene, name).times([Configuration()], 10)[0].default)
+    """The set-up of the most lights, under which a frame takes longest: timing all compiles programs for each."""
+    return max(lights, key=lambda name: len(scene.setup(name).lights))

@@ -133,10 +133,12 @@ def signed_percent(share: float, digits: int = 0) -> str:
     return f"{100 * share:+.{digits}f}%".replace("-", "−") if math.isfinite(share) else text.MISSING_MARK
 
 
-def score_forms() -> dict[str, tuple[str, str]]:
-    """Heading and number format of each score that the page shows."""
-    metrics = {name: (metric.label, f".{metric.digits}f") for name, metric in plain_metrics().items()}
-    return {"relative": ("loss over the default's", ".3f")} | metrics
+def score_forms(tuned: Tuned) -> dict[str, tuple[str, str]]:
+    """Heading and number format of each score that the page shows beside the loss."""
+    forms = {name: (metric.label, f".{metric.digits}f") for name, metric in plain_metrics().items()}
+    known = [c.tuning for _, c in text.candidates(tuned)]
+    more = {"psnr_raw": ("PSNR raw", ".2f"), "lpips": ("LPIPS", ".4f")}
+    return forms | {name: form for name, form in more.items() if any(name in own for own in known)}
 
 
 def page(tuned: Tuned, examples: Sequence[Example]) -> str:
@@ -161,7 +163,9 @@ def page(tuned: Tuned, examples: Sequence[Example]) -> str:
             trials=[(text.choices_text(trial.choices, default), trial) for trial in tuned.trials],
             examples=[(e, uris, pair_to_compare(list(uris))) for e, uris in zip(examples, data_uris(examples))],
             plots=plots,
-            scores=score_forms(),
+            scores=(scores := score_forms(tuned)),
+            columns=[label for label, _ in scores.values()],
+            judged="held-out" if all(c.held_out for _, _, c in rows) else "tuning",
             usual_choices=text.described(Configuration()),
             missing=text.MISSING_MARK,
             record=json.dumps(tuned.record, indent=2, ensure_ascii=False, default=str),

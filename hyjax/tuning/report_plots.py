@@ -1,5 +1,6 @@
 """Plots of a tuning run: the front of time against loss, and the effect of each choice."""
 
+import dataclasses
 from collections.abc import Callable
 
 from matplotlib.axes import Axes
@@ -36,6 +37,8 @@ STAGE_WORDS = {"frame": "a whole frame", "cascade": "the diffusion"}
 """Stages that budgets are for, in words."""
 LOSS_TICKS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
 CHANGE_TICKS = (-75, -50, -20, -10, -5, 0, 5, 10, 20, 50, 100, 200, 500, 1000)
+HIGHEST_LOSS = 1.25
+"""Loss, over the highest of the front and presets, at which all higher ones are drawn."""
 NAMED_EFFECTS = 12
 LINEAR_PERCENT = 40.0
 """Per cent beyond which an axis of changes is compressed."""
@@ -44,8 +47,9 @@ LINEAR_PERCENT = 40.0
 def draw_front_plot(tuned: Tuned) -> Figure:
     """Median time of a frame against loss relative to the default: tuning frames above, held-out ones below.
 
-    Nine inches wide. Small dots are trials, on the tuning frames that they were tried on; their times are those
-    relative to the default, in milliseconds of the default at the end.
+    Nine inches wide. What has far more loss than the front stands at the upper edge, with its loss. Small dots are
+    trials, on the tuning frames that they were tried on; their times are those relative to the default, in
+    milliseconds of the default at the end.
     """
     held_out = any(candidate.held_out is not None for _, candidate in candidates(tuned))
     figure = Figure(figsize=(9, 7.4 if held_out else 4.6), layout="constrained")
@@ -60,6 +64,10 @@ def draw_front_plot(tuned: Tuned) -> Figure:
     for axes, points, frames in shown:
         style(axes)
         axes.set_ylabel(f"loss over the default's,\n{frames} frames", color=INK, fontsize=FONT)
+        most = HIGHEST_LOSS * max([1.0, *(p.y for p in points if p.front or p.kind in ("tuned", "preset"))])
+        points[:] = [
+            dataclasses.replace(p, y=most, name=f"{p.name}: {p.y:.2f} \u2191") if p.y > most else p for p in points
+        ]
         axes.axhline(1.0, color=PALE_INK, linewidth=0.8, zorder=0)
         draw_budgets(axes, tuned.budgets)
         draw_front(axes, points)

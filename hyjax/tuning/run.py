@@ -17,6 +17,7 @@ from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.proof import MOST_SECONDS, ROUNDS, best_within, effects, front_of, prove
 from hyjax.tuning.report import REPORT_FILE, best_file, text_of, write_results
 from hyjax.tuning.report_page import page
+from hyjax.tuning.report_text import same
 from hyjax.tuning.request import Budget
 from hyjax.tuning.result import Candidate, Tuned
 from hyjax.tuning.search import State, init, search, update, within
@@ -114,11 +115,11 @@ class Run:
 
     def _run(self) -> Tuned:
         study = self._study(self.stage.name, resume=self.settings.resume)
+        if not study.trials:
+            self._write(self.stage.space.default)  # what there is before anything is timed
         self.monitor.enter("timing the default")
         base = self._base = self.stage.base_time(study)
         self.monitor.done()
-        if not study.trials:
-            self._write(self.stage.space.default)  # what there is before the first trial
         self.monitor.begin()
         limits = [self.stage.limit(budget, base) for budget in self.budgets]
         self._so_far = functools.partial(
@@ -282,12 +283,14 @@ class Run:
 
     def _result(self, state: State, tuned: list[Candidate], known: list[Candidate], base: FrameTime) -> Tuned:
         forms = [c for c in (*tuned, *known) if c.form == "hyjax"]
-        usable = [c for c in forms if self.stage.is_followed(c.configuration)]
+        usable = self._timed_again([c for c in forms if self.stage.is_followed(c.configuration)])
         best = []
         for budget in self.budgets:
-            chosen = self._timed_again(budget, usable)
+            chosen = best_within(budget, usable)
             best.append(dataclasses.replace(chosen, configuration=self.stage.named(chosen, budget)))
-        front = front_of(usable)
+        # One configuration has one name and one time, wherever it stands.
+        front = front_of([next((b for b in best if same(b, c)), c) for c in usable])
+        known = [next((c for c in usable if same(c, each)), each) for each in known]
         record: dict[str, Any] = self._record() | {
             "trials": len(state.trials),
             "prediction errors": self.stage.prediction_errors(state, tuned),
@@ -323,14 +326,15 @@ class Run:
         }
         return record | self._environment | self.stage.record()
 
-    def _timed_again(self, budget: Budget, usable: Sequence[Candidate]) -> Candidate:
-        """The best within a budget, timed once more: of several, one may have fitted by luck."""
-        left = list(usable)
-        for _ in range(ATTEMPTS):
-            chosen = best_within(budget, left)
-            (time,) = self.stage.clock.times([chosen.configuration], ROUNDS, most_seconds=MOST_SECONDS)
-            again = dataclasses.replace(chosen, time=time)
-            if len(left) == 1 or not time.judged > budget.milliseconds >= chosen.time.judged:
-                break
-            left = [c for c in left if c is not chosen]
-        return again
+    def _timed_again(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """Candidates, the best for each budget timed once more: of several, one may have fitted by luck."""
+        found, again = list(candidates), set[str]()
+        for budget in self.budgets:
+            for _ in range(ATTEMPTS):
+                chosen = best_within(budget, found)
+                if chosen.name in again:
+                    break
+                again.add(chosen.name)
+                (time,) = self.stage.clock.times([chosen.configuration], ROUNDS, most_seconds=MOST_SECONDS)
+                found = [dataclasses.replace(c, time=time) if c is chosen else c for c in found]
+        return found

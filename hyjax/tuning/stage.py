@@ -272,18 +272,21 @@ def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, cl
 def examples(bench: FrameBench, front: Sequence[Candidate]) -> list[tuple[str, dict[str, Any]]]:
     """Pictures of some cases, held out where there are any, at three points of the front, and the target.
 
+    They are shown with the gains that the loss fits.
+
     Returns:
         (name of the case, pictures by heading).
     """
     rows = []
     for place, lights, index in spread(bench.held_out or bench.cases, EXAMPLE_CASES):
         scene = bench.scenes[place]
-        frame = scene.scene.frame(index)
+        frame, target = scene.scene.frame(index), scene.target(lights, index)
         pictures: dict[str, Any] = {"photo": frame.image}
         for candidate in spread(list(front), 3):
             judged = scene.judged(candidate.configuration)
-            image = jnp.asarray(scene.relighter(lights, judged).picture(frame))
-            pictures[f"{candidate.name}, {candidate.time.median:.1f} ms"] = np.asarray(to_display(image))
-        pictures["target"] = scene.target(lights, index).picture
+            image = np.asarray(scene.relighter(lights, judged).picture(frame))
+            shown = to_display(jnp.asarray(image * PictureLoss().gains(image, target)))
+            pictures[f"{candidate.name}, {candidate.time.median:.1f} ms"] = np.asarray(shown)
+        pictures["target"] = target.picture
         rows.append((f"{scene.name}, {lights}, frame {index}", pictures))
     return rows

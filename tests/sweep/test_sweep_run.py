@@ -1,5 +1,6 @@
 import csv
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -152,3 +153,8 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == 2 and "add --resume" in capsys.readouterr().err
+    with next(out.glob("rows-*.jsonl")).open("a") as file:
+        file.write('{"key": "cut off')
+    monkeypatch.setattr("sys.argv", [*sys.argv, "--resume"])
+    cli.main()
+    assert "1 damaged line of rows left out" in capsys.readouterr().err

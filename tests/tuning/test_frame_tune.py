@@ -161,7 +161,8 @@ def test_frames_are_timed_in_turns(scene: TuningScene) -> None:
     own, fast = clock.times([Configuration(), small], 8)
     assert own.default == fast.default > 0 and own.ratio > 0
     assert 0 < fast.median <= fast.p95
-    assert slowest_setup(scene, ["two-colors"]) == "two-colors"
+    assert own.median == own.default and own.ratio == 1.0, "the default is timed once"
+    assert slowest_setup(scene, ["two-colors", "evening-lamps", "golden-hour"]) == "evening-lamps", "four lights"
 
 
 def test_budgets_are_judged_by_quiet_rounds_and_by_the_ratio() -> None:

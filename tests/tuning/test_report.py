@@ -262,7 +262,8 @@ def test_the_plot_shows_every_point_and_budget(held_out: bool) -> None:
     assert len(figure.axes) == 1 + held_out
     for axes in figure.axes:
         words = [text.get_text() for text in axes.texts]
-        assert {"default", "fast", "paper"} <= set(words) and "tuned-0.30" not in words
+        assert {"default", "fast"} <= set(words) and "tuned-0.30" not in words
+        assert any(word.startswith("paper: 2.4") for word in words) and axes.get_ylim()[1] < 2.0, "far off"
         dashed = [line.get_xdata()[0] for line in axes.lines if line.get_linestyle() == "--"]
         assert dashed == [budget.milliseconds for budget in tuned.budgets]
     assert len(trial_dots(tuned)) == 5 and trial_dots(tuned)[0] == (20.0, 1.0)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -11,9 +12,11 @@ from page_checks import parse
 from hyjax.configuration import Configuration
 from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.monitor import RunMonitor
+from hyjax.tuning.proof import best_within
 from hyjax.tuning.report_page import page
 from hyjax.tuning.report_text import summary
 from hyjax.tuning.request import Budget
+from hyjax.tuning.result import Candidate
 from hyjax.tuning.run import Run
 from hyjax.tuning.search import State, init, propose, update
 from hyjax.tuning.settings import FrameOptions, TuneSettings
@@ -103,9 +106,14 @@ def test_a_run_that_ends_early_leaves_the_best_so_far(
     assert "Unfinished, after 3 trials" in words
 
 
-def test_the_default_is_there_before_the_first_trial(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+@pytest.mark.parametrize("timed", [True, False])
+def test_the_default_is_there_before_the_first_trial(
+    timed: bool, tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     stage = Stage(KeyboardInterrupt())
     stage.left = []
+    if not timed:
+        monkeypatch.setattr(stage, "base_time", stage)
     settings = TuneSettings(frame=FrameOptions(trials=20), fps=(60.0,), out=tmp_path, quiet=True)
     with pytest.raises(KeyboardInterrupt):
         Run(stage, settings, BUDGETS[:1], RunMonitor(None, False)).run()  # type: ignore[arg-type]
@@ -132,3 +140,27 @@ def test_a_budget_is_refused_after_the_first_candidates(tmp_path: Path) -> None:
 def test_the_default_is_the_first_trial() -> None:
     state, trial = propose(init(SPACE, [2, 4], 20), [0.5]) or (None, None)
     assert state is not None and trial is not None and trial.choices == SPACE.default
+
+
+def test_a_configuration_has_one_time_for_all_budgets() -> None:
+    """The best for two budgets is timed once more once; one that no longer fits then is no best."""
+    stage, asked = Stage(KeyboardInterrupt()), list[str]()
+
+    class Clock:
+        def times(self, configurations: Sequence[Configuration], *_: object, **__: object) -> list[FrameTime]:
+            asked.extend(configuration.name for configuration in configurations)
+            return [FrameTime(30.0, 33.0, 40.0, 0.75) for _ in configurations]
+
+    stage.clock = Clock()  # type: ignore[attr-defined]
+    budgets = [Budget("25 fps", 40.0), Budget("20 fps", 50.0), Budget("50 fps", 20.0)]
+    run = Run(stage, TuneSettings(fps=(25.0,)), budgets, RunMonitor(None, False))  # type: ignore[arg-type]
+    slow, fast = (
+        Candidate(dataclasses.replace(Configuration(), name=name), {"relative": loss}, None, time)
+        for name, loss, time in (
+            ("slow", 0.9, FrameTime(28.0, 31.0, 40.0, 0.7)),
+            ("fast", 1.0, FrameTime(15.0, 16.0, 40.0, 0.4)),
+        )
+    )
+    found = run._timed_again([slow, fast])
+    assert asked == ["slow", "fast"] and [c.time.median for c in found] == [30.0, 30.0]
+    assert found[0].tuning is slow.tuning and best_within(budgets[0], found).name == "slow"
