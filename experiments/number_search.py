@@ -139,11 +139,6 @@ def sampled(method: str, seed: int, trials: int) -> Search:
 
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        samplers: dict[str, Any] = {
-            "TPE": lambda: optuna.samplers.TPESampler(seed=seed, multivariate=True, group=True),
-            "NSGA-II": lambda: optuna.samplers.NSGAIISampler(seed=seed, population_size=POPULATION),
-            "random": lambda: optuna.samplers.RandomSampler(seed=seed),
-        }
         base, usual = Configuration(), as_floats(Configuration())
         before = [row["loss"] for row in judge.scores(base, cases)]
         ranges = {name: Space.of(truth=True).named[name].values for name in usual}
@@ -155,13 +150,24 @@ def sampled(method: str, seed: int, trials: int) -> Search:
             clock.append(processor_seconds())
             return float(np.exp(np.mean(np.log([row["loss"] / b for row, b in zip(rows, before, strict=True)]))))
 
-        study = optuna.create_study(sampler=samplers[method]())
+        study = optuna.create_study(sampler=sampler_named(method, seed))
         study.enqueue_trial({n: float(np.clip(x, *ranges[n])) for n, x in usual.items()})
         study.optimize(objective, n_trials=trials)
         losses = [trial.value for trial in study.trials]
         return with_floats(study.best_params), losses, np.diff(clock).tolist()
 
     return search
+
+
+def sampler_named(method: str, seed: int, constraints: Callable[[Any], Sequence[float]] | None = None) -> Any:
+    """A sampler of Optuna, of trials that fit where the constraints are at most 0."""
+    from optuna.samplers import NSGAIISampler, RandomSampler, TPESampler
+
+    if method == "TPE":
+        return TPESampler(seed=seed, multivariate=True, group=True, constraints_func=constraints)
+    if method == "NSGA-II":
+        return NSGAIISampler(seed=seed, population_size=POPULATION, constraints_func=constraints)
+    return RandomSampler(seed=seed)
 
 
 def as_floats(configuration: Configuration) -> dict[str, float]:
