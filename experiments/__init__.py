@@ -16,11 +16,13 @@ EXPERIMENTS = (
     "guide_worth",
     "frame_tuning",
     "number_search",
+    "space_race",
     "stage_times",
     "frame_rate",
     "first_picture",
     "fusion_borders",
     "bench_peers",
     "live",
+    "sweep_overhead",
 )
 """Modules of experiments, in the report's order."""

@@ -156,7 +156,7 @@ TABLES: dict[str, Published] = {
     "tour-load": Published("tour_load"),
     "fusion-chair": Published("fusion_borders_chair", 0),
     "fusion-room": Published("fusion_borders_room", 0),
-    "sweep": Published("sweep"),
+    "sweep": Published("sweep_overhead"),
     "sweep-kills": Published("sweep_kills"),
     # what does not carry over
     "fidelity-short": Published("paper_table_kitchen", 5, ("LPIPS", "PSNR dB"), LIGHT),

@@ -12,11 +12,15 @@ from typing import Any
 
 import jax
 
-from hyjax.util.cache import cache_folder, tell_unkept
+from hyjax.util.cache import cache_folder, remove_oldest, tell_unkept
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable
 from hyjax.util.programs import keep_programs
 
+JAX_PATTERN = "*-cache"
+"""Names of JAX's files."""
+MOST_BYTES = 1 << 30
+"""Most bytes of JAX's own cache, from which the oldest programs are removed when a process begins."""
 DAMAGED = re.compile("Error reading persistent compilation cache entry for '(.+?)'")
 _log = logging.getLogger(__name__)
 
@@ -30,6 +34,7 @@ def keep_compiled() -> None:
         tell_unkept(folder, error)
     else:
         keep_programs(folder)
+        remove_oldest(folder, JAX_PATTERN, MOST_BYTES)
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         # Another process may be writing the same program just now.

@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 from extras import need
 
-from experiments import frame_tuning, number_search
+from experiments import frame_tuning, number_search, space_race, sweep_overhead
 from hyjax.configuration import Configuration
 from hyjax.data.builtin_room import load_room
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.tuning.scene import TuningScene
+from hyjax.tuning.space import Space
 from hyjax.util.errors import InputError
 
 need("tune")
@@ -108,3 +109,50 @@ def test_searches_of_numbers_are_compared_with_the_gradients() -> None:
     config = number_search.Config(report=("builtin-0",))
     with pytest.raises(InputError, match="searched on as well"):
         number_search.main(config)
+
+
+def test_races_count_what_keeps_the_default_s_time() -> None:
+    shared = {"kind": "race", "settings": {"room": "a", "size": "160x120", "quality": 0.3}, "device": "cpu: cpu"}
+    shared |= {"cpu_count": 2, "versions": {"jax": "0"}, "seconds": [2.0] * 20}
+    rows = [
+        shared
+        | {"method": method, "search_seed": 0, "losses": losses, "times": times}
+        | {
+            "rooms": [
+                {"room": name, "scores": {"relative": [1.0, held]}} for name, held in (("a", 0.8), ("b", 0.9))
+            ]
+        }
+        for method, losses, times, held in (
+            ("hyjax tune", [1.0, 0.8] + [0.7] * 18, [1.0] * 20, 0.85),
+            ("TPE", [1.0] * 9 + [0.75, 0.6] + [0.9] * 9, [1.0] * 10 + [1.2] + [0.9] * 9, 0.9),
+        )
+    ]
+    table, plot = space_race.blocks(rows, Path())
+    assert list(table.header[3:]) == ["4 trials", "10 trials", "20 trials", "trials to our tenth", "b"]
+    ours, tpe = table.rows
+    assert ours[:6] == ["hyjax tune", "1", "40", "-30.0 %", "-30.0 %", "-30.0 %"] and ours[6] == "2"
+    assert tpe[3:6] == ["+0.0 %", "-25.0 %", "-25.0 %"] and tpe[6] == "10", (
+        "one that takes longer counts for nothing"
+    )
+    assert len(plot.figure.axes) == 2
+    with pytest.raises(InputError, match="searched on as well"):
+        space_race.main(space_race.Config(report=("builtin-0",)))
+
+
+def test_samplers_begin_at_the_default() -> None:
+    optuna = pytest.importorskip("optuna")
+    space = Space.of(truth=True)
+    fixed = optuna.trial.FixedTrial({p.name: space_race.as_suggested(p) for p in space.parameters})
+    choices = {p.name: space_race.suggested(fixed, p) for p in space.parameters}
+    assert space.complete(choices) == space.default
+
+
+def test_the_overhead_is_over_the_tasks_and_over_the_ideal() -> None:
+    row = {
+        "kind": "overhead",
+        "settings": {"tasks": 1000, "milliseconds": 10.0, "workers": 2},
+        "device": "cpu: cpu",
+    }
+    row |= {"cpu_count": 2, "versions": {"jax": "0"}, "took": 5.2, "tasks": 10.2, "rows": 1000, "start": 1.0}
+    (table,) = sweep_overhead.blocks([row], Path())
+    assert table.rows == [["1000", "10", "2", "5.0", "5.2", "4.0", "2.0", "1.0"]]

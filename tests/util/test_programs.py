@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from fnmatch import fnmatch
 from pathlib import Path
 
 import jax
@@ -12,7 +13,8 @@ import pytest
 
 from hyjax.light.kinds import AmbientLight, PointLight, pytree
 from hyjax.light.setup import LightSetup
-from hyjax.util import programs
+from hyjax.util import compiled_cache, programs
+from hyjax.util.cache import remove_oldest
 from hyjax.util.programs import KeptFunction
 
 RUN = """
@@ -57,6 +59,17 @@ def test_a_second_process_reads_what_the_first_one_made(first: tuple[Path, str])
     assert any(name.startswith("light.shading.shade_each-") for name in before)
     again = run(cache)
     assert again.stdout == printed and again.stderr == "" and stored(cache) == before
+
+
+def test_the_oldest_of_too_many_programs_go(first: tuple[Path, str], tmp_path: Path) -> None:
+    files = [tmp_path / "compiled" / f"jit_{name}-cache" for name in "abc"]
+    files[0].parent.mkdir()
+    for age, file in enumerate(files):
+        file.write_bytes(bytes(1000))
+        os.utime(file, (1000.0 - age, 1000.0 - age))
+    remove_oldest(files[0].parent, compiled_cache.JAX_PATTERN, 2500)
+    assert [file.is_file() for file in files] == [True, True, False]
+    assert any(fnmatch(name, compiled_cache.JAX_PATTERN) for name in stored(first[0])), "JAX names them otherwise"
 
 
 @pytest.mark.slow
