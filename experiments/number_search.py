@@ -11,6 +11,8 @@ chosen on.
 
 `--weights` gives the gradients other weights of brightness (`hyjax.tuning.loss`): what the loss finds that compares
 pictures under fitted gains alone, and with a term without gains. Loss, SSIM and PSNR are then of the rooms.
+`--presets` judges presets by today's loss, as they come and with their numbers moved on the room; with `--seeds 0
+--weights` alone.
 
 Takes about fifteen minutes on two cores, and two minutes more for each room that is not in the cache.
 
@@ -69,6 +71,8 @@ class Config(RunConfig):
     seeds: int = 5
     weights: tuple[float, ...] = (0.0, 0.25, 0.5, 1.0)
     """Weights of brightness that the gradients are given."""
+    presets: tuple[str, ...] = ()
+    """Presets to judge as they come, and with numbers by gradients."""
     resume: bool = False
 
 
@@ -97,7 +101,15 @@ def main(config: Config, start: Start) -> None:
         for row in held_out(found):
             results.add(kind="weight", weight=weight, **row, numbers=as_floats(found))
     judge = Judge(scenes, PictureLoss())
-    methods: list[tuple[str, int]] = [(GRADIENTS, 0)]
+    for preset in config.presets:
+        if any(row["preset"] == preset for row in of_kind(results.rows, "preset")):
+            continue
+        usual = Configuration.preset(preset)
+        refined = refine_numbers(usual, judge, cases[0][:CASES], levels=True)
+        for name, configuration in (("as it comes", usual), ("numbers by gradients", refined)):
+            for row in held_out(configuration):
+                results.add(kind="preset", preset=preset, numbers=name, **row, text=configuration.to_json())
+    methods: list[tuple[str, int]] = [(GRADIENTS, 0)] if config.seeds else []
     methods += [(method, seed) for seed in range(config.seeds) for method in SAMPLERS]
     done = {(row["method"], row["sampler_seed"]) for row in of_kind(results.rows, "search")}
     for method, seed in methods:
@@ -200,8 +212,14 @@ def best_so_far(row: Row) -> list[float]:
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Tables and figure from the rows."""
-    searches, first = of_kind(rows, "search"), of_kind(rows, "search")[0]
-    made: list[Block] = [search_table(searches)]
+    made: list[Block] = []
+    if presets := of_kind(rows, "preset"):
+        made.append(preset_table(presets))
+    searches = of_kind(rows, "search")
+    if not searches:
+        return made
+    first = searches[0]
+    made.insert(0, search_table(searches))
     if weights := of_kind(rows, "weight"):
         made.append(weight_table(weights))
     caption = f"Least loss so far on {first['settings']['room']}: median and range over seeds; {machine(first)}."
@@ -249,10 +267,7 @@ def weight_table(weights: Sequence[Row]) -> Table:
     """Scores of what the gradients find with each weight of brightness."""
     lines = []
     for row in weights:
-        scores = row["scores"]
-        cells = [f"{row['weight']:g}", row["room"], f"{100 * (scores['relative'][1] - 1):+.1f} %"]
-        cells += [f"{scores['ssim'][1] - scores['ssim'][0]:+.4f}"]
-        cells += [f"{scores[name][1] - scores[name][0]:+.2f}" for name in ("psnr", "psnr_raw")]
+        cells = [f"{row['weight']:g}", row["room"], *changes(row["scores"])]
         lines.append(cells)
     settings = weights[0]["settings"]
     caption = (
@@ -260,6 +275,24 @@ def weight_table(weights: Sequence[Row]) -> Table:
         "default. The loss is that of `hyjax tune`."
     )
     return Table(caption, ["weight", "room", "loss", "SSIM", "PSNR fitted, dB", "PSNR raw, dB"], lines, names=2)
+
+
+def preset_table(presets: Sequence[Row]) -> Table:
+    """Scores of presets, as they come and with numbers by gradients."""
+    lines = [[row["preset"], row["numbers"], row["room"], *changes(row["scores"])] for row in presets]
+    settings = presets[0]["settings"]
+    caption = (
+        f"Presets by today's loss at {settings['size']}, quality {settings['quality']:g}: changes from the "
+        f"default. Numbers by gradients are of {settings['room']}, each level's own."
+    )
+    header = ["preset", "numbers", "room", "loss", "SSIM", "PSNR fitted, dB", "PSNR raw, dB"]
+    return Table(caption, header, lines, names=3)
+
+
+def changes(scores: Mapping[str, Sequence[float]]) -> list[str]:
+    """Changes of scores from the default's."""
+    cells = [f"{100 * (scores['relative'][1] - 1):+.1f} %", f"{scores['ssim'][1] - scores['ssim'][0]:+.4f}"]
+    return cells + [f"{scores[name][1] - scores[name][0]:+.2f}" for name in ("psnr", "psnr_raw")]
 
 
 def figure(searches: Sequence[Row]) -> Figure:

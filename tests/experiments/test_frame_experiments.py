@@ -106,6 +106,11 @@ def test_searches_of_numbers_are_compared_with_the_gradients() -> None:
     assert tpe[4:] == ["-13.0 % (-21.0 to -5.0)", "3, never", "-9.0 % (-10.0 to -8.0)"]
     (axes,) = plot.figure.axes
     assert [line.get_label() for line in axes.lines][:2] == ["gradients", "TPE"]
+    scores = {"relative": [1.0, 0.85], "ssim": [0.86, 0.87], "psnr": [25.0, 26.0], "psnr_raw": [24.0, 25.5]}
+    preset = shared | {"kind": "preset", "preset": "fast", "numbers": "as it comes", "room": "b", "scores": scores}
+    (only,) = number_search.blocks([preset], Path())
+    assert only.rows == [["fast", "as it comes", "b", "-15.0 %", "+0.0100", "+1.00", "+1.50"]]
+    assert len(number_search.blocks([*rows, preset], Path())) == 3
     config = number_search.Config(report=("builtin-0",))
     with pytest.raises(InputError, match="searched on as well"):
         number_search.main(config)
