@@ -136,9 +136,9 @@ def signed_percent(share: float, digits: int = 0) -> str:
 def score_forms(tuned: Tuned) -> dict[str, tuple[str, str]]:
     """Heading and number format of each score that the page shows beside the loss."""
     forms = {name: (metric.label, f".{metric.digits}f") for name, metric in plain_metrics().items()}
+    forms |= {"psnr_raw": ("PSNR raw", ".2f"), "lpips": ("LPIPS", ".4f")}
     known = [c.tuning for _, c in text.candidates(tuned)]
-    more = {"psnr_raw": ("PSNR raw", ".2f"), "lpips": ("LPIPS", ".4f")}
-    return forms | {name: form for name, form in more.items() if any(name in own for own in known)}
+    return {name: form for name, form in forms.items() if any(name in own for own in known)}
 
 
 def page(tuned: Tuned, examples: Sequence[Example]) -> str:

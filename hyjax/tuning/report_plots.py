@@ -36,6 +36,8 @@ KINDS = {
 STAGE_WORDS = {"frame": "a whole frame", "cascade": "the diffusion"}
 """Stages that budgets are for, in words."""
 LOSS_TICKS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
+FINE_TICKS = (0.75, 0.85, 0.95, 1.05, 1.1)
+"""Further ticks, where the highest loss is less than twice the lowest."""
 CHANGE_TICKS = (-75, -50, -20, -10, -5, 0, 5, 10, 20, 50, 100, 200, 500, 1000)
 HIGHEST_LOSS = 1.25
 """Loss, over the highest of the front and presets, at which all higher ones are drawn."""
@@ -78,7 +80,7 @@ def draw_front_plot(tuned: Tuned) -> Figure:
         low = min([*values, 1.0, *(y for _, y in dots if frames == "tuning")])
         axes.set_yscale("log")
         axes.set_ylim(low / 1.06, high * 1.06)
-        fixed_ticks(axes.yaxis, LOSS_TICKS)
+        fixed_ticks(axes.yaxis, (*LOSS_TICKS, *FINE_TICKS) if high < 2 * low else LOSS_TICKS)
     panels[0].plot(
         [x for x, _ in dots], [y for _, y in dots], ".", color=PALE_INK, markersize=4, alpha=0.6, zorder=1
     )

@@ -5,6 +5,7 @@ from typing import Any
 
 from hyjax.configuration import DEFAULT
 from hyjax.tuning.clock import FrameTime
+from hyjax.tuning.evaluation import Scores
 from hyjax.tuning.proof import effects
 from hyjax.tuning.report_text import UNFINISHED
 from hyjax.tuning.request import Budget
@@ -33,10 +34,13 @@ def unfinished(
         record: of the run as far as it is known.
     """
 
+    scores: dict[str, Scores] = {}
+
     def candidate(trial: Trial, name: str) -> Candidate:
         share = trial.time or 1.0
         time = FrameTime(share * base.median, share * base.judged, base.median, share)
-        return Candidate(state.space.configuration(trial.choices, name), {"relative": trial.loss}, None, time)
+        tuning = scores.setdefault(key_of(trial.choices), {"relative": trial.loss})
+        return Candidate(state.space.configuration(trial.choices, name), tuning, None, time)
 
     trials = list(state.trials.values())
     chosen = [best_or_fastest(state, limit) for limit in limits]
