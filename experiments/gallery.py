@@ -96,6 +96,9 @@ PICTURES: dict[str, Committed] = {
     "number_search.png": Committed(
         "python -m experiments.gallery number_search", functools.partial(kept_plot, "number_search"), 900
     ),
+    "space_race.png": Committed(
+        "python -m experiments.gallery space_race", functools.partial(kept_plot, "space_race"), 1100
+    ),
     "conductances.jpg": Committed("python -m experiments.conductances", (Cells("conductances.png"),), 1300),
     "structure.jpg": Committed("python -m experiments.structure", (Cells("structure.png"),)),
     "shadow_pass.jpg": Committed(

@@ -76,7 +76,7 @@ class Config(RunConfig):
     resume: bool = False
 
 
-@experiment("Numbers by gradients and by samplers", "search")
+@experiment("Numbers by gradients and by samplers")
 def main(config: Config, start: Start) -> None:
     if config.room in config.report:
         raise InputError("report: the room is searched on as well; leave it out")
@@ -217,7 +217,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         made.append(preset_table(presets))
     searches = of_kind(rows, "search")
     if not searches:
-        return made
+        return made or ["There is no search yet."]
     first = searches[0]
     made.insert(0, search_table(searches))
     if weights := of_kind(rows, "weight"):

@@ -130,6 +130,8 @@ TABLES: dict[str, Published] = {
     "choices": Published("frame_tuning", 2),
     "number-search": Published("number_search", 0),
     "number-weights": Published("number_search", 1),
+    "preset-numbers": Published("preset_numbers", 0),
+    "space-race": Published("space_race", 0),
     "frame-rate-default": Published("frame_rate_default", 0),
     "frame-rate-balanced": Published("frame_rate_balanced", 0),
     "frame-rate-fast": Published("frame_rate_fast", 0),
