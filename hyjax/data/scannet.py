@@ -40,6 +40,8 @@ FRAME = struct.Struct("<16f4Q")
 COLOUR = {0: "raw", 1: ".png", 2: ".jpg"}
 DEPTH = {0: "raw", 1: "zlib", 2: "occi"}
 LARGEST_SIDE = 16384
+MOST_PIXELS = 1 << 24
+"""Most pixels of a picture or depth map; real ones have at most 1.3 million. Zeros pack to nothing."""
 LONGEST_NAME = 4096
 MOST_STEPS = 1e9
 """Most steps of depth in a metre; a thousand in real files."""
@@ -152,6 +154,8 @@ def _unpack(file: BinaryIO, layout: str, where: str) -> tuple:
 def _lens(k: Matrix, width: int, height: int, where: str) -> Intrinsics:
     if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
         raise InputError(f"{where}: pictures of {width}x{height} pixels; a side has 1 to {LARGEST_SIDE}")
+    if width * height > MOST_PIXELS:
+        raise InputError(f"{where}: pictures of {width}x{height} pixels; at most {MOST_PIXELS} are read")
     try:
         return Intrinsics(width, height, *(float(v) for v in (k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)))
     except InputError as error:

@@ -15,14 +15,20 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from hyjax.data.file_tree import FileTree
+from hyjax.data.mp4_boxes import check_counts
 from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
+from hyjax.util.reading import open_regular
 
 if TYPE_CHECKING:
     import av
 
 UNTOLD, REC_709 = 2, 1
 """Colour matrices by FFmpeg's numbers."""
+MOST_PIXELS = 8192 * 4352
+"""Most pixels of a picture: those of H.265's highest level, a little over 8K."""
+FORMAT = "mov"
+"""FFmpeg's name of MP4 and QuickTime; others, such as lists of other files, are not read."""
 
 
 class VideoFrames:
@@ -43,18 +49,24 @@ class VideoFrames:
         self._lock = threading.Lock()
         with contextlib.ExitStack() as stack:
             path = stack.enter_context(tree.local(name))
+            with open_regular(path, self._where) as file:
+                check_counts(file, self._where)
             self._errors = (av.error.FFmpegError, OSError, ValueError, EOFError)
             try:
                 self._times, self._keys = _index(av, path)
-                self._container = stack.enter_context(av.open(str(path)))
+                self._container = stack.enter_context(_opened(av, path))
                 self._stream = self._container.streams.video[0]
                 self._stream.thread_type = "AUTO"
                 context = self._stream.codec_context
+                context.options = LIMITS
                 self.shape = (int(context.height), int(context.width))
             except (*self._errors, IndexError, AttributeError) as error:  # of a stream without a decoder
                 raise InputError(f"{self._where}: not a readable video ({_line(error)})") from None
             if not self._times or not self._keys or min(self.shape) < 1:
                 raise InputError(f"{self._where}: holds no video pictures")
+            if self.shape[0] * self.shape[1] > MOST_PIXELS:
+                sides = f"{self.shape[1]}x{self.shape[0]}"
+                raise InputError(f"{self._where}: pictures of {sides} pixels; at most {MOST_PIXELS} are read")
             weakref.finalize(self, stack.pop_all().close)
         self._decoded: Iterator[Any] | None = None
         self._next = 0
@@ -98,10 +110,19 @@ class VideoFrames:
         return None
 
 
+LIMITS = {"max_pixels": str(MOST_PIXELS)}
+"""Options of decoders, for pictures that are larger than the file says at first."""
+
+
+def _opened(av: Any, path: Path) -> Any:
+    """The file as PyAV's container. FFmpeg decodes some pictures to learn of what kind they are."""
+    return av.open(str(path), format=FORMAT, options=LIMITS)
+
+
 def _index(av: Any, path: Path) -> tuple[list[int], list[int]]:
     """Times of all pictures, and of the key frames among them, in the stream's own unit; nothing is decoded."""
     times, keys = set(), set()
-    with av.open(str(path)) as container:
+    with _opened(av, path) as container:
         if not container.streams.video:
             return [], []
         with contextlib.suppress(av.error.FFmpegError):  # a file that was cut off: what is there is used

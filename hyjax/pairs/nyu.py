@@ -32,6 +32,8 @@ MOST_PIXELS = 1 << 22
 """Most pixels of a picture; the published ones have 640 x 480. HDF5 may declare data that it lacks."""
 MOST_CHUNK_BYTES = 1 << 28
 """Largest chunk that is unpacked at once, bytes."""
+MOST_CHUNKS = 1 << 14
+"""Most chunks of a picture: HDF5 looks for each, those that the file lacks, too."""
 
 
 class NyuPairs:
@@ -103,6 +105,9 @@ def _check_stored(path: Path, file: Any, name: str) -> None:
         raise InputError(f"{path}: {name!r} must be numbers, got {array.dtype}")
     if array.chunks and math.prod(array.chunks) * array.dtype.itemsize > MOST_CHUNK_BYTES:
         raise InputError(f"{path}: {name!r} is packed in pieces of over {MOST_CHUNK_BYTES >> 20} MiB")
+    pieces = [-(-side // piece) for side, piece in zip(array.shape[1:], (array.chunks or array.shape)[1:]) if piece]
+    if math.prod(pieces) > MOST_CHUNKS:
+        raise InputError(f"{path}: {name!r} has over {MOST_CHUNKS} pieces a picture; give the file as published")
 
 
 KIND = PairsKind("nyu", lambda path, options: NyuPairs(path))

@@ -136,6 +136,10 @@ def test_clocks_that_go_back_are_told_and_numbers_take_their_place(tmp_path: Pat
     np.testing.assert_allclose([frame.time for frame in capture], [0, 1 / 30, 2 / 30])
 
 
+DEPTH_SIDES = struct.pack("<2I", DEPTH_LENS.width, DEPTH_LENS.height)
+"""Where 16384 are put, a MiB of packed zeros took 6 GiB."""
+
+
 @pytest.mark.parametrize(
     ("content", "told"),
     [
@@ -146,6 +150,7 @@ def test_clocks_that_go_back_are_told_and_numbers_take_their_place(tmp_path: Pat
         (b"", "ends within its header"),
         (sens()[:4] + b"\xff" * 8 + sens()[12:], "letters"),
         (sens([np.full((4, 4), -np.inf)]), "none of 1 frames"),
+        (sens().replace(DEPTH_SIDES, struct.pack("<2I", 16384, 16384)), "depth: pictures of 16384x16384 pixels; at"),
     ],
 )
 def test_what_cannot_be_read_is_refused_by_name(tmp_path: Path, content: bytes, told: str) -> None:

@@ -16,6 +16,7 @@ from hyjax.util.errors import InputError
     [
         ("giant", "pictures of 30000x30000 pixels; at most"),
         ("one piece", "'rawDepths' is packed in pieces of over 256 MiB"),
+        ("tiny pieces", "'images' has over 16384 pieces a picture"),
         ("link", "'rawDepths' lies in another place"),
         ("external", "'rawDepths' lies in another place"),
         ("text", "'rawDepths' must be numbers"),
@@ -32,6 +33,11 @@ def test_what_a_small_file_may_ask_for(tmp_path: Path, damage: str, message: str
             for name, shape in {"images": (1, 3), "depths": (1,), "rawDepths": (1,)}.items():
                 del stored[name]
                 stored.create_dataset(name, (*shape, 30_000, 30_000), np.uint8, chunks=True)
+        elif damage == "tiny pieces":
+            for name, shape in {"images": (1, 3), "depths": (1,), "rawDepths": (1,)}.items():
+                del stored[name]
+                size = (*shape, 1024, 1024)
+                stored.create_dataset(name, size, np.uint8, chunks=(1,) * len(size))
         else:
             del stored["rawDepths"]
         if damage == "one piece":
