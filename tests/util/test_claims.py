@@ -10,9 +10,12 @@ from pathlib import Path
 import pytest
 from extras import need
 
+from experiments.records import FILE, Results
 from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.settings import SceneSettings
+from hyjax.training.run import train
+from hyjax.training.settings import TrainSettings
 from hyjax.tuning.settings import TuneSettings
 from hyjax.tuning.study import FILE_NAME
 from hyjax.tuning.tune import tune_schedule
@@ -91,3 +94,22 @@ def test_a_tuning_of_a_folder_in_use_does_not_say_that_it_can_go_on(tmp_path: Pa
     (tmp_path / FILE_NAME).write_text("{}\n")
     with of_another(tmp_path), pytest.raises(InputError, match="another run writes there"):
         tune_schedule(settings=TuneSettings(fps=(30.0,), out=tmp_path, quiet=True))
+
+
+def test_a_training_that_is_refused_leaves_the_log_of_the_other(tmp_path: Path) -> None:
+    (tmp_path / "log.jsonl").write_text('{"iteration": 1, "loss": 0.5}\n{"iter')
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    settings = TrainSettings(pairs=("rooms",), size=32, batch=1, factors=(8,))
+    for resume in (False, True):
+        with of_another(tmp_path), pytest.raises(InputError, match="another run writes there"):
+            train(settings, tmp_path, resume=resume, progress=False)
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
+def test_an_experiment_that_is_refused_leaves_the_rows_of_the_other(tmp_path: Path) -> None:
+    before = b'{"experiment": "paper_table", "settings": {}, "kind": "frame"}\n{"kin'
+    (tmp_path / FILE).write_bytes(before)
+    for resume in (False, True):
+        with of_another(tmp_path), pytest.raises(InputError, match="another run writes there"):
+            Results(tmp_path, "paper_table", TuneSettings(), resume=resume)
+    assert (tmp_path / FILE).read_bytes() == before and len(list(tmp_path.iterdir())) == 1
