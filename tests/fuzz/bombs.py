@@ -19,7 +19,6 @@ MEMO = b"\x80\x02Nr" + struct.pack("<I", 0x7FFFFFF0) + b"."
 JSON_READERS = (
     "schedule",
     "configuration",
-    "latency table",
     "device latency",
     "tour plan",
     "lights",

@@ -17,6 +17,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.kills", description=__doc__)
     parser.add_argument("commands", nargs="*", metavar="COMMAND", help=", ".join(COMMANDS))
     parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--in-a-row", type=int, default=2, help="kills of one run before it is brought to its end")
     parser.add_argument("--out", type=Path, default=Path("results/kills"))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--together", action="store_true", help="run each twice at the same time instead")
@@ -32,7 +33,7 @@ def main() -> None:
             wrong = killer.fill(command, options.full) if options.full else killer.together(command)
             print(f"{name}: {len(wrong)} wrong", *wrong, sep="\n", flush=True)
             continue
-        outcomes.append(killer.kill(COMMANDS[name], options.kills))
+        outcomes.append(killer.kill(COMMANDS[name], options.kills, in_a_row=options.in_a_row))
         with (options.out / "kills.jsonl").open("a") as file:
             file.write(json.dumps(dataclasses.asdict(outcomes[-1])) + "\n")
         print(*outcomes[-1].wrong, sep="\n", flush=True)
