@@ -160,8 +160,8 @@ class Killer:
             lines = said.replace("\r", "\n").split("\n")  # with those of progress bars
             if status == 2 and ("Traceback" in said or sum(": /" in line for line in lines) != 1):
                 wrong.append(f"refused with something else than a line: {said[-500:]}")
-        if all(status for status, _ in ended):
-            wrong.append("both were refused")
+        if all(status for status, _ in ended):  # there is nothing to compare
+            return [*wrong, "neither came to its end"]
         return wrong + differences(command.result(out), command.result(model)) + damages(out) + leftovers(out)
 
     def fill(self, command: Command, count: int) -> list[str]:
