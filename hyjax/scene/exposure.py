@@ -13,6 +13,8 @@ from hyjax.scene.seen_surface import SeenSurface
 
 LARGEST_FILTER, LARGEST_FILTER_IN_SUN = 1.6, 3.5
 """Largest filter on all but a twentieth of the surface, without the sun and with it."""
+MOST_BURNT = 0.1
+"""Largest share of the surface in a picture that burns out, but for what the photo itself has that bright."""
 DIMMINGS = 8
 """Number of times that sun, least bounces and exposure are brought in line with each other."""
 MOST_FILLED, FILL_STEPS = 0.85, 16
@@ -76,6 +78,7 @@ def exposed(
         bright = (lux * sun * pale)[:, near | parallel].sum(axis=1) + indirect
         bounds = [(shade, lift * LARGEST_FILTER), (light, lift * LARGEST_FILTER_IN_SUN)]
         least = max(float(np.quantile(values / response.photo_light, 0.95)) / most for values, most in bounds)
+        least = max(least, _least_unburnt(shade, seen, response))
         median = float(np.median(seen.of_cameras(bright / response.photo_light)))
         reference = max(median / exposure.share, least, 1e-3)
         sun = np.where(parallel, np.minimum(1.0, lift * exposure.sun * reference / brightest), 1.0)
@@ -90,6 +93,21 @@ def exposed(
         strength = ambient * reference if light.UNIFORM else sun[number] * strengths[number]
         lights[number] = dataclasses.replace(light, **{light.STRENGTH: float(strength)})
     return LightSetup(tuple(lights), reference)
+
+
+def _least_unburnt(light: Float[np.ndarray, "n"], seen: SeenSurface, response: Response) -> float:
+    """Least reference by which no picture burns out beside the sun: white walls take less light than dark floors.
+
+    Args:
+        light: illuminance but for that of parallel lights.
+        seen: visible surface.
+        response: of the place.
+    """
+    if response.photo_value is None:
+        return 0.0
+    photo = seen.of_cameras(response.photo_value, 1.0 - MOST_BURNT)
+    relit = seen.of_cameras(response.photo_value * light / response.photo_light, 1.0 - MOST_BURNT)
+    return float((relit / np.maximum(photo, 1.0)).max())
 
 
 def _least_ambient(

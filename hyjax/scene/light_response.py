@@ -29,6 +29,7 @@ class Response:
         filled_share: of ambient light that bounces are filled up to.
         brightness: median linear value of the photos; 1 where it is not known.
         measured: whether the light is that of the place's own estimate.
+        photo_value: linear value of the photos' strongest channel; None where it is not known.
     """
 
     photo_light: Float[np.ndarray, "n"]
@@ -37,6 +38,7 @@ class Response:
     filled_share: float
     brightness: float = 1.0
     measured: bool = True
+    photo_value: Float[np.ndarray, "n"] | None = None
 
 
 def kinds_of(lights: Sequence[Light]) -> tuple[Bool[np.ndarray, "l"], Bool[np.ndarray, "l"]]:
@@ -82,4 +84,5 @@ def measured_response(lights: Sequence[Light], seen: SeenSurface, photo: PhotoLi
     pictured = seen.of_vertices(light * np.asarray(photo.albedo)[: whole.vertices] * np.asarray(photo.mean))
     even = np.exp(seen.of_vertices(np.log(light).mean(axis=1, keepdims=True))[:, 0])
     brightness = float(np.median(pictured.mean(axis=1)))
-    return Response(even, bounced[:, 0], bounced[:, 1], photo.filled_share, brightness)
+    value = pictured.max(axis=1)
+    return Response(even, bounced[:, 0], bounced[:, 1], photo.filled_share, brightness, photo_value=value)

@@ -210,6 +210,28 @@ def test_the_median_picture_keeps_its_share_of_the_light_that_the_place_answers_
     assert references[2.0, 4.0] == pytest.approx(references[2.0, 1.0] / 4, rel=0.35)
 
 
+@pytest.mark.parametrize("name", ["noon-window", "golden-hour", "evening-lamps"])
+def test_white_walls_take_less_light_than_dark_ones(name: str, box: RayCaster) -> None:
+    stage = survey(box, BOX_CAMERAS, UP)
+    raw, seen = SETUPS[name](stage), stage.seen
+    lux, count = seen.lux(raw.lights), len(seen.points)
+    near, parallel = kinds_of(raw.lights)
+
+    def relit(photo_value: float) -> tuple[float, float]:
+        value, dark = np.full(count, photo_value), np.zeros(count)
+        answer = Response(np.ones(count), dark, dark, 0.3, measured=False, photo_value=value)
+        setup = exposed(raw, lux, seen, EXPOSURES[name], answer)
+        own = seen.lux(setup.lights)
+        light = np.maximum(own[:, near].sum(axis=1), 0.3 * own[:, ~(near | parallel)].sum(axis=1))
+        burnt = seen.of_cameras(value * light / setup.reference_lux, 0.9) > 1.02 * max(1.0, photo_value)
+        return float(setup.reference_lux), float(burnt.max())
+
+    white, dark = relit(0.95), relit(0.1)
+    assert white[0] >= dark[0] and white[1] == dark[1] == 0
+    assert white[0] > dark[0] or name != "evening-lamps", "the sun bounds the others"
+    assert relit(20.0)[0] == pytest.approx(relit(1.0)[0]), "what the photo itself burns out may stay so"
+
+
 def test_dark_photos_are_lifted_by_day_alone() -> None:
     shares = {name: exposure.lifted(0.04).share / exposure.share for name, exposure in EXPOSURES.items()}
     assert shares == pytest.approx(dict.fromkeys(EXPOSURES, 1.0) | {"noon-window": 3**0.5})
