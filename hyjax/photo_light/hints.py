@@ -20,8 +20,8 @@ from hyjax.photo_light.sources import (
 
 HINT_RADIUS = 0.15
 """Radius around a hinted lamp, in metres, of the patch that decides whether it was lit."""
-LIT_SHARE = 0.2
-"""Share of burnt-out pixels from which the patch counts as lit."""
+LIT_SHARE = 0.25 * np.pi * (LAMP_RADIUS / HINT_RADIUS) ** 2
+"""Share of burnt-out pixels from which the patch counts as lit: that of a bulb in it."""
 PANE_POINTS, PANE_SHARE = 9, 0.1
 """Points along each side of a window that are looked at, and the share of them that must be open or bright."""
 BRIGHT_VALUE = 0.85

@@ -10,7 +10,7 @@ from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.geometry.raycast import RayCaster
 from hyjax.photo_light.hints import hinted_sources, is_lit, shows_light
 from hyjax.photo_light.source_search import find_photo_sources, search_sources
-from hyjax.photo_light.sources import PhotoSources, PhotoWindow
+from hyjax.photo_light.sources import LAMP_RADIUS, PhotoSources, PhotoWindow
 from hyjax.scene.scene import Scene
 from hyjax.util.errors import InputError
 
@@ -54,15 +54,21 @@ def test_hints_come_before_the_search_and_dark_lamps_are_left_out(scene: Scene) 
     assert not sources.lamps  # the room was photographed by day
 
 
-def test_a_hinted_lamp_counts_where_it_is_burnt_out(room: RoomCapture, scene: Scene) -> None:
+@pytest.mark.parametrize(("radius", "lit"), [(0.1, True), (LAMP_RADIUS, True), (0.0, False)])
+def test_a_hinted_lamp_counts_where_it_is_burnt_out(
+    radius: float, lit: bool, room: RoomCapture, scene: Scene
+) -> None:
+    """A bulb is enough; a single bright pixel is not."""
     position = np.asarray(room.anchors["lamp_1"]["position"], float)
     frames = [room[i] for i in range(len(room))]
     assert not is_lit(position, scene.caster, frames)
     for frame in frames:
         (x, y), depth = frame.camera.project(position)
         if depth > 0.2:
-            frame.image[max(int(y) - 12, 0) : max(int(y) + 12, 0), max(int(x) - 12, 0) : max(int(x) + 12, 0)] = 1.0
-    assert is_lit(position, scene.caster, frames)
+            reach = radius * frame.camera.intrinsics.fx / depth
+            (left, right), (top, bottom) = ((max(int(v - reach), 0), max(int(v + reach) + 1, 0)) for v in (x, y))
+            frame.image[top:bottom, left:right] = 1.0
+    assert is_lit(position, scene.caster, frames) == lit
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0])
