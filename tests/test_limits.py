@@ -9,7 +9,7 @@ from fuzz.bombs import MAKERS
 from fuzz.readers import READERS
 
 from hyjax.core import checks, pyramid, schedule
-from hyjax.data import archive, capture_files
+from hyjax.data import archive, capture_files, mp4_boxes, scannet, video_frames
 from hyjax.geometry import camera, gltf, mesh
 from hyjax.pairs import nyu
 from hyjax.tuning import request
@@ -35,6 +35,8 @@ LIMITS = {
     "poses": (camera, "numbers up to 10⁹"),
     "numbers in a capture's files": (capture_files, "up to 10¹⁹"),
     "a labelled file of NYU": (nyu, f"4 million pixels, pieces of {nyu.MOST_CHUNK_BYTES // MIB} MiB"),
+    "a video": (video_frames, f"8192 x 4352 pixels; tables of {mp4_boxes.LARGEST_TABLES // MIB} MiB"),
+    "a `.sens` file": (scannet, f"{scannet.MOST_PIXELS / 1e6:.1f} million pixels"),
     "a glTF": (gltf, f"nodes {gltf.DEEPEST_NODE} deep, {gltf.MOST_PARTS // 1000} 536 nodes"),
     "a file that a mesh names": (mesh, "of 1 GiB"),
     "weights": (tensors, "of 1 GiB, with a header of 1 MiB"),
@@ -56,6 +58,7 @@ POWERS = (
     (camera.LARGEST_DISTANCE, 1e9),
     (capture_files.LARGEST_NUMBER, 1e19),
     (nyu.MOST_PIXELS, 2**22),
+    (video_frames.MOST_PIXELS, 8192 * 4352),
     (gltf.MOST_PARTS, 65_536),
     (gltf.MOST_COPIES, 4_000_000),
     (gltf.MOST_READINGS, 4),
