@@ -5,25 +5,26 @@ import json
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
-HUGE = 2_000_000_000
-SIDE = 60_000
+from .picture_bombs import HUGE, Bombs, bmps, exrs, of_one_colour, pfms, pngs, pnms, tiffs, webps
+
 MEMO = b"\x80\x02Nr" + struct.pack("<I", 0x7FFFFFF0) + b"."
 """A pickle of nothing, whose memo has two thousand million entries."""
 JSON_READERS = (
     "schedule",
     "configuration",
+    "sweep spec",
     "device latency",
     "tour plan",
     "lights",
     "photo sources",
 )
+LINE_READERS = ("run log", "results", "training run", "study", "kept trials", "sweep rows")
 CAPTURES = ("3D Scanner App", "nerfstudio", "Record3D", "Polycam")
 
 
@@ -35,46 +36,6 @@ def bombs(reader: str) -> tuple[tuple[str, bytes], ...]:
 @cache
 def _made(make: "Callable[[], Bombs]") -> tuple[tuple[str, bytes], ...]:
     return tuple(make())
-
-
-Bombs = Iterator[tuple[str, bytes]]
-
-
-def _chunk(kind: bytes, value: bytes) -> bytes:
-    return struct.pack(">I", len(value)) + kind + value + struct.pack(">I", zlib.crc32(kind + value))
-
-
-def _png(width: int, height: int, rows: int) -> bytes:
-    """A grey picture of so many rows of zeros, whatever its header says."""
-    packer = zlib.compressobj(9)
-    packed = b"".join(packer.compress(bytes(width + 1)) for _ in range(rows)) + packer.flush()
-    header = _chunk(b"IHDR", struct.pack(">2I5B", width, height, 8, 0, 0, 0, 0))
-    return b"\x89PNG\r\n\x1a\n" + header + _chunk(b"IDAT", packed) + _chunk(b"IEND", b"")
-
-
-def _pngs() -> Bombs:
-    yield ".png", _png(20_000, 20_000, 2_000)
-    yield ".png", _png(SIDE, SIDE, 10)
-    yield ".png", _png(HUGE, HUGE, 0)
-    header = _chunk(b"IHDR", struct.pack(">2I5B", 4, 4, 8, 0, 0, 0, 0))
-    note = _chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(1 << 25), 9))
-    yield ".png", b"\x89PNG\r\n\x1a\n" + header + note * 20 + _png(4, 4, 4)[33:]
-
-
-def _pnms() -> Bombs:
-    yield ".ppm", b"P6\n60000 60000\n255\n"
-    yield ".ppm", b"P3\n2000000000 2000000000 65535\n0 0 0\n"
-
-
-def _picture(suffix: str, **options: Any) -> Callable[[], Bombs]:
-    """A picture of one colour, as large as the format packs into a few hundred KiB."""
-
-    def make() -> Bombs:
-        stream = io.BytesIO()
-        Image.new("L", (10_000, 10_000)).save(stream, **options)
-        yield suffix, stream.getvalue()
-
-    return make
 
 
 def _json() -> Bombs:
@@ -190,18 +151,112 @@ def _archives() -> Bombs:
     yield "", _zip({"scan/a.zip": _zip({"a": bytes(64 << 20)})})
 
 
+def _lines() -> Bombs:
+    yield ".jsonl", b'{"k": 1, "key": "1", "a": [' + b"[]," * 300_000 + b"[]]}\n"
+    yield ".jsonl", b'{"k": 1, "key": "1"}\n' * 40_000
+
+
+def _live() -> Bombs:
+    start = b'{"kind": "hyjax-live-1"'
+    yield ".bin", start + b" " * 1_000_000
+    yield ".bin", start + b', "picture_bytes": 67108864, "depth_bytes": 67108864}\n'
+    yield ".bin", start + b', "pose": ' + b"[" * 50 + b"[]," * 5000 + b"[]" + b"]" * 50 + b"}\n"
+
+
+def _device_messages() -> Bombs:
+    yield ".json", b'{"job": 1, "milliseconds": [' + b"1," * 500_000 + b'1], "last": false}'
+    yield from _json()
+
+
+def _colmap_maps() -> Bombs:
+    yield ".bin", b"65536&65536&1&"
+    yield ".bin", b"1&1&1&" + bytes(1 << 20)
+
+
+def _colmap_models() -> Bombs:
+    point = struct.pack("<3d3BdQ", 0.0, 0.0, 1.0, 1, 1, 1, 0.1, 0)
+    for count in 1 << 63, 1 << 32, 20_000:
+        points = b"".join(struct.pack("<Q", k) + point for k in range(20_000))
+        yield "points3D.bin", struct.pack("<Q", count) + points
+        yield "images.bin", struct.pack("<Q", count) + bytes(1 << 20)
+        yield "cameras.bin", struct.pack("<Q", count) + bytes(1 << 20)
+
+
+def _sens() -> Bombs:
+    """Packed depth maps of nothing, frames without pictures, and more of them than there are."""
+    camera = np.array([[50, 0, 32, 0], [0, 50, 24, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "<f4").tobytes()
+    pose = np.eye(4, dtype="<f4").tobytes()
+    packer = zlib.compressobj(9)
+    depth = b"".join(packer.compress(bytes(1 << 20)) for _ in range(512)) + packer.flush()
+    start = struct.pack("<IQ", 4, 0) + camera + pose + camera + pose
+    for side, count in (16_384, 1), (4096, 1), (64, 1 << 63):
+        head = start + struct.pack("<2i4IfQ", 2, 1, 64, 48, side, side, 1000.0, count)
+        yield ".sens", head + pose + struct.pack("<4Q", 0, 0, 0, len(depth)) + depth
+    frame = pose + struct.pack("<4Q", 0, 0, 0, 0)
+    yield ".sens", start + struct.pack("<2i4IfQ", 2, 1, 64, 48, 64, 48, 1000.0, HUGE) + frame * 5000
+
+
+def _boxes(*kinds: bytes, content: bytes) -> bytes:
+    for kind in reversed(kinds):
+        content = struct.pack(">I4s", 8 + len(content), kind) + content
+    return content
+
+
+def _videos() -> Bombs:
+    """Tables that count pictures which are not there."""
+    start = _boxes(b"ftyp", content=b"isom" + bytes(4))
+    handler = _boxes(b"hdlr", content=bytes(8) + b"vide" + bytes(13))
+    clock = _boxes(b"mdhd", content=bytes(12) + struct.pack(">2I", 30, 0) + bytes(4))
+    sides = struct.pack(">2H", 64, 48)
+    format_ = _boxes(b"avc1", content=bytes(6) + struct.pack(">H", 1) + bytes(16) + sides + bytes(50))
+    tables = _boxes(b"stsd", content=struct.pack(">2I", 0, 1) + format_)
+    for count in 60_000_000, 0x7FFFFFFF:
+        counted = tables + _boxes(b"stsz", content=struct.pack(">3I", 0, 1, count))
+        counted += _boxes(b"stts", content=struct.pack(">4I", 0, 1, count, 1))
+        counted += _boxes(b"stsc", content=struct.pack(">5I", 0, 1, 1, count, 1))
+        counted += _boxes(b"stco", content=struct.pack(">3I", 0, 1, 32))
+        media = clock + handler + _boxes(b"minf", b"stbl", content=counted)
+        yield ".mp4", start + _boxes(b"mdat", content=bytes(100)) + _boxes(b"moov", b"trak", b"mdia", content=media)
+
+
+def _nyu() -> Bombs:
+    import h5py
+
+    pieces = {"single": (1, 1), "whole": (1 << 11, 1 << 11)}
+    for piece in pieces.values():
+        stream = io.BytesIO()
+        with h5py.File(stream, "w") as file:
+            for name, more, kind in ("images", (3,), "u1"), ("depths", (), "f8"), ("rawDepths", (), "f8"):
+                shape = (1 << 40, *more, 1 << 11, 1 << 11)
+                file.create_dataset(name, shape, kind, chunks=(1, *([1] * len(more)), *piece), compression="gzip")
+        yield ".mat", stream.getvalue()
+
+
 MAKERS: dict[str, Callable[[], Bombs]] = {
-    "png": _pngs,
-    "depth map": _pngs,
-    "labels": _pngs,
-    "pnm": _pnms,
-    "jpeg": _picture(".jpg", format="JPEG"),
-    "tiff": _picture(".tif", format="TIFF", compression="tiff_lzw"),
+    "png": pngs,
+    "depth map": pngs,
+    "labels": pngs,
+    "pnm": pnms,
+    "jpeg": of_one_colour(".jpg", format="JPEG"),
+    "tiff": tiffs,
+    "exr": exrs,
+    "webp": webps,
+    "bmp": bmps,
+    "Middlebury 2014": pfms,
+    "COLMAP depth": _colmap_maps,
+    "COLMAP binary": _colmap_models,
+    "ScanNet": _sens,
+    "video": _videos,
+    "NYU": _nyu,
+    "live messages": _live,
+    "device message": _device_messages,
+    "web page": _json,
     "mesh": _meshes,
     "safetensors": _tensors,
     "ZIP archive": _archives,
     "Record3D archive": _archives,
     **dict.fromkeys(JSON_READERS, _yaml),
+    **dict.fromkeys(LINE_READERS, _lines),
     **dict.fromkeys(CAPTURES, _json),
 }
 """By reader; the others have no format of counts, or lie in one of these."""

@@ -234,6 +234,15 @@ def meshes(folder: Path) -> None:
     (folder / "e.gltf").write_bytes(_gltf(box))
 
 
+def meshes_with_files(folder: Path) -> None:
+    """Meshes that name other files."""
+    box = trimesh.creation.box()
+    (folder / "a.obj").write_text("mtllib a.mtl\n" + trimesh.exchange.obj.export_obj(box))
+    (folder / "a.mtl").write_text("newmtl a\nKd 1 1 1\n")
+    for name, content in trimesh.exchange.gltf.export_gltf(box, merge_buffers=True).items():
+        (folder / name).write_bytes(content)
+
+
 def _gltf(mesh: trimesh.Trimesh) -> bytes:
     files = trimesh.exchange.gltf.export_gltf(mesh, merge_buffers=True)
     tree = json.loads(files["model.gltf"])

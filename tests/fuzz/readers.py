@@ -251,6 +251,10 @@ def _mesh(path: Path) -> object:
     return load_mesh(path, repair=True)
 
 
+def _meshes(folder: Path) -> object:
+    return [_mesh(folder / name) for name in ("a.obj", "model.gltf")]
+
+
 READERS: dict[str, Reader] = {
     "png": Reader(corpus.pngs, _read_image),
     "jpeg": Reader(corpus.jpegs, _read_image),
@@ -302,6 +306,7 @@ READERS: dict[str, Reader] = {
     "NYU": Reader(captures.nyu, _pairs("nyu"), extra="nyu"),
     "safetensors": Reader(corpus.safetensors, _weights),
     "mesh": Reader(corpus.meshes, _mesh),
+    "mesh with its files": Reader(corpus.meshes_with_files, _meshes, True),
     "cached arrays": Reader(corpus.arrays, _cache, writes=True),
     "fusion checkpoint": Reader(corpus.volume, _volume, writes=True),
 }
