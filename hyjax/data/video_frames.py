@@ -84,11 +84,11 @@ class VideoFrames:
             for key in (last_key, last_key - 1, 0):
                 try:
                     frame = self._find(index, max(key, 0))
+                    pixels = None if frame is None else _colours(frame)
                 except self._errors as error:
                     self._decoded = None
                     raise InputError(f"{self._where}: picture {index} cannot be decoded ({_line(error)})") from None
-                if frame is not None:
-                    pixels = _colours(frame)
+                if pixels is not None:
                     return pixels.astype(np.float32) / np.float32(255.0)
         raise InputError(f"{self._where}: picture {index} cannot be decoded; the video is damaged there")
 

@@ -15,11 +15,18 @@ from hyjax.util.errors import InputError
 need("captures")
 import av
 
+YCGCO = 8
+"""Matrix of colours, by FFmpeg's numbers, that its scaler lacks."""
 
-def write(path: Path, width: int = 64, height: int = 48, form: str = "mp4", **options: str) -> bytes:
+
+def write(
+    path: Path, width: int = 64, height: int = 48, form: str = "mp4", color: int | None = None, **options: str
+) -> bytes:
     with av.open(str(path), "w", format=form, options=options) as container:
         stream = container.add_stream("libx264", rate=30, options={"preset": "ultrafast"})
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        if color is not None:
+            stream.codec_context.colorspace = color
         for _ in range(2):
             pixels = np.zeros((height, width, 3), np.uint8)
             container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
@@ -86,6 +93,14 @@ def test_pictures_that_are_too_large(tmp_path: Path, monkeypatch: pytest.MonkeyP
     write(path)
     monkeypatch.setattr(video_frames, "LIMITS", {"max_pixels": "100"})  # the decoder holds to it, too
     with pytest.raises(InputError, match=r"rgb.mp4: (picture 0 cannot be decoded|not a readable video)"):
+        opened(path).read(0)
+
+
+def test_colours_that_are_not_converted(tmp_path: Path) -> None:
+    path = tmp_path / "rgb.mp4"
+    write(path, color=YCGCO)
+    assert opened(path).shape == (48, 64)
+    with pytest.raises(InputError, match=r"rgb.mp4: picture 0 cannot be decoded \(.*not supported"):
         opened(path).read(0)
 
 
