@@ -97,6 +97,7 @@ def test_a_huge_value_under_a_small_kappa() -> None:
 def test_bright_light_in_half_precision(fidelity: float) -> None:
     """Sums over cells and λ α times the light are beyond half precision; neither becomes infinite."""
     light, guide = jnp.full((16, 16, 1), 300.0, jnp.float16), jnp.asarray(GUIDE[:16, :16], jnp.float16)
+    np.testing.assert_array_equal(hyjax.downsample(light, 16), 300.0)
     schedule = hyjax.Schedule.uniform([(16, 2), (4, 2)], fidelity=fidelity)
     for pooling in ("edges", "guide"):
         ours = dataclasses.replace(schedule, pooling=pooling)
