@@ -35,7 +35,7 @@ jax.block_until_ready(jax.jit(lambda x: x + 1)(0.0))  # XLA reads its flags with
 COMPILED = "HYJAX_TESTS_COMPILED"
 PASSED = "HYJAX_TESTS_PASSED"
 """Names of environment variables: folder of compiled programs, file of tests that passed in an earlier step."""
-MOST_RESIDENT_MIB = 800
+MOST_RESIDENT_MIB = 650
 least_resident_mib = 0.0
 
 hypothesis.settings.register_profile("hyjax", derandomize=True, deadline=None, max_examples=15, database=None)
@@ -43,8 +43,7 @@ hypothesis.settings.load_profile("hyjax")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What one worker has compiled the others take; memory that is freed goes back to the system."""
-    os.environ.setdefault("MALLOC_ARENA_MAX", "2")  # glibc of the workers, which are started later
+    """What one worker has compiled the others take."""
     if COMPILED not in os.environ:
         folder = tempfile.TemporaryDirectory()
         config.add_cleanup(folder.cleanup)
