@@ -265,10 +265,7 @@ def spread_text(ratios: Sequence[float]) -> str:
 
 def weight_table(weights: Sequence[Row]) -> Table:
     """Scores of what the gradients find with each weight of brightness."""
-    lines = []
-    for row in weights:
-        cells = [f"{row['weight']:g}", row["room"], *changes(row["scores"])]
-        lines.append(cells)
+    lines = [[f"{row['weight']:g}", row["room"], *changes(row["scores"])] for row in weights]
     settings = weights[0]["settings"]
     caption = (
         f"Numbers by gradients on {settings['room']}, with weights of the term without gains: changes from the "

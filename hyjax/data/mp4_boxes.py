@@ -19,8 +19,10 @@ PICTURES = b"mdat"
 """Kind of the box that holds pictures and sound, in which nothing is looked for."""
 COMPRESSED = b"cmov"
 """Kind of a box whose content is packed, as no camera writes it."""
-COUNTS = {b"stsz": 12, b"stz2": 12, b"trun": 8}
-"""Kinds of tables with one count, and how far behind the kind's first byte it lies."""
+COUNTS = {b"stsz": 12, b"stz2": 12}
+"""Kinds of tables with one count, and its distance in bytes from the kind's first."""
+FRAGMENT, FRAGMENT_COUNT = b"trun", 8
+"""Kind of a fragment's table, of which a video has many, and the same distance."""
 RUNS = (b"stts", b"ctts")
 """Kinds of tables of pairs: how many samples, and what they have in common."""
 
@@ -35,7 +37,8 @@ def check_counts(file: BinaryIO, where: str) -> None:
         raise InputError(f"{where}: not a readable video (over {MOST_TRACKS} tracks)")
     counts = [number for kind, at in COUNTS.items() for number in _numbers(tables, kind, at)]
     counts += [total for kind in RUNS for total in _totals(tables, kind)]
-    if max(counts, default=0) > size or sum(_numbers(tables, b"trun", COUNTS[b"trun"])) > size:
+    counts.append(sum(_numbers(tables, FRAGMENT, FRAGMENT_COUNT)))
+    if max(counts) > size:
         raise InputError(f"{where}: not a readable video (it counts more pictures than it has bytes)")
 
 

@@ -27,6 +27,8 @@ UNTOLD, REC_709 = 2, 1
 """Colour matrices by FFmpeg's numbers."""
 MOST_PIXELS = 8192 * 4352
 """Most pixels of a picture: those of H.265's highest level, a little over 8K."""
+LIMITS = {"max_pixels": str(MOST_PIXELS)}
+"""Options of decoders, for pictures that are larger than the file says at first."""
 FORMAT = "mov"
 """FFmpeg's name of MP4 and QuickTime; others, such as lists of other files, are not read."""
 
@@ -108,10 +110,6 @@ class VideoFrames:
                 break
         self._decoded = None
         return None
-
-
-LIMITS = {"max_pixels": str(MOST_PIXELS)}
-"""Options of decoders, for pictures that are larger than the file says at first."""
 
 
 def _opened(av: Any, path: Path) -> Any:
