@@ -200,11 +200,15 @@ def _first_line(text: str) -> str:
 
 
 def resize(pixels: Float[np.ndarray, "h w c"], height: int, width: int) -> Float[np.ndarray, "height width c"]:
-    """Resample with edges aligned to edges, as `Intrinsics.resize` assumes (OpenImageIO's default filter)."""
+    """Resample with edges aligned to edges, as `Intrinsics.resize` assumes, by Lanczos' filter.
+
+    Pillow takes an eighth of OpenImageIO's time.
+    """
     if pixels.shape[:2] == (height, width):
         return pixels
-    import OpenImageIO as oiio
+    from PIL import Image
 
-    source = oiio.ImageBuf(np.ascontiguousarray(pixels, dtype=np.float32))
-    target = oiio.ImageBufAlgo.resize(source, roi=oiio.ROI(0, width, 0, height, 0, 1, 0, pixels.shape[2]))
-    return np.asarray(target.get_pixels(oiio.FLOAT)).reshape(height, width, -1)
+    planes = [Image.fromarray(np.ascontiguousarray(plane, np.float32)) for plane in np.moveaxis(pixels, -1, 0)]
+    return np.stack(
+        [np.asarray(plane.resize((width, height), Image.Resampling.LANCZOS)) for plane in planes], axis=-1
+    )
