@@ -22,6 +22,7 @@ from xdist.scheduler import LoadScopeScheduling
 
 shape_checks.install()
 
+from hyjax import cli
 from hyjax.metrics import LpipsWeights, load_lpips
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
@@ -39,6 +40,7 @@ MOST_RESIDENT_MIB = (
     650 if "HYJAX_EXTRAS" not in os.environ else 1000
 )  # README's command stays below 1.5 GiB a worker
 least_resident_mib = 0.0
+cli._keep_for_later = lambda: None  # or what runs in a worker changes how it keeps memory and programs
 
 hypothesis.settings.register_profile("hyjax", derandomize=True, deadline=None, max_examples=15, database=None)
 hypothesis.settings.load_profile("hyjax")
@@ -67,7 +69,7 @@ def pytest_collection_finish() -> None:
     """Look through new objects only: looking through all, which stay, took a ninth of the tests' processor time."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(20_000, 20, 50)
+    gc.set_threshold(10_000, 10, 10)
 
 
 def pytest_sessionfinish() -> None:

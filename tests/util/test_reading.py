@@ -198,6 +198,7 @@ def test_a_json_of_too_many_values_is_refused_before_it_is_read(monkeypatch: pyt
             parse_json(text, "a.json")
 
 
+@pytest.mark.slow  # in a second, but a worker of README's command shall stay below 1.5 GiB
 def test_a_json_text_of_one_wide_letter_is_bounded() -> None:
     """It makes four bytes of each letter: in the text, in the value, and where its surrogates are looked at."""
     text, end = b'["\\ud83d\\ude00', b'"]'
