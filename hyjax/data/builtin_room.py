@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 VERSION = 6
 """Version of the room of `hyjax.synthetic.room`. Add one whenever its geometry or its pictures change."""
+SIZE = (480, 640)
+"""Height and width of its pictures where no other size is asked for."""
+SHORTEST_SIDE, MOST_PIXELS = 16, 1280 * 960
+"""Pixels: shortest side that is rendered, and most of a picture; others are resampled from there."""
 FRAME_RATE = 2.0
 """Pictures a second: the walk takes twelve seconds."""
 
@@ -95,11 +99,20 @@ def scan_config() -> "ScanConfig":
     )
 
 
+def rendered_size(size: tuple[int, int] | None) -> tuple[int, int]:
+    """Height and width to render the room at, for pictures of a size: the nearest ones of its shape."""
+    if size is None:
+        return SIZE
+    height, width = size
+    share = max(1.0, SHORTEST_SIDE / min(size)) * min(1.0, (MOST_PIXELS / (height * width)) ** 0.5)
+    return max(SHORTEST_SIDE, round(height * share)), max(SHORTEST_SIDE, round(width * share))
+
+
 def load_room(
     seed: int = 0,
     n_frames: int = 24,
-    width: int = 640,
-    height: int = 480,
+    width: int = SIZE[1],
+    height: int = SIZE[0],
     cache_dir: Path | None = None,
     progress: bool = True,
     quality: float = 1.0,
@@ -121,15 +134,22 @@ def load_room(
         raise InputError(f"room: seed is {seed}, must be 0 or more")
     folder = cache_folder() if cache_dir is None else Path(cache_dir)
     file = folder / f"room-v{VERSION}-seed{seed}-{n_frames}x{width}x{height}-q{quality:g}.npz"
-    return cached_arrays(file, _capture, lambda: _render(seed, n_frames, width, height, quality, progress))
+    return cached_arrays(file, _capture, lambda: _render(folder, seed, n_frames, width, height, quality, progress))
 
 
-def _render(seed: int, n_frames: int, width: int, height: int, quality: float, progress: bool) -> Arrays:
+def _render(
+    folder: Path, seed: int, n_frames: int, width: int, height: int, quality: float, progress: bool
+) -> Arrays:
     from hyjax.synthetic.room import camera_path, make_room, render_room
 
     room = make_room(seed)
     cameras = camera_path(room, n_frames, width, height)
-    frames = render_room(room, cameras, quality, progress)
+    light_file = folder / f"room-light-v{VERSION}-seed{seed}-q{quality:g}.npz"  # for pictures of every size
+
+    def kept(bake: Callable[[], np.ndarray]) -> np.ndarray:
+        return cached_arrays(light_file, lambda arrays: arrays["irradiance"], lambda: {"irradiance": bake()})
+
+    frames = render_room(room, cameras, quality, progress, keep=kept)
     k = cameras[0].intrinsics
     return {
         "images": np.stack([np.round(image * 255).astype(np.uint8) for image, _ in frames]),

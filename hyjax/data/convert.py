@@ -80,7 +80,8 @@ def convert(settings: ConvertSettings) -> int:
     from hyjax.data.frames import select_frames
     from hyjax.data.registry import open_capture
 
-    capture = open_capture(settings.capture, not settings.quiet, scale=settings.scale, strict=settings.strict)
+    quiet, scale, strict = settings.quiet, settings.scale, settings.strict
+    capture = open_capture(settings.capture, not quiet, size=size, scale=scale, strict=strict)
     if capture.depth_count > len(capture):
         _log.warning(
             "%s: depth maps without a picture have no place in a %s layout; left out", capture.name, settings.to

@@ -72,6 +72,7 @@ def open_capture(
     path: Path | str | None = None,
     progress: bool = True,
     *,
+    size: tuple[int, int] | None = None,
     scale: float | None = None,
     strict: bool = False,
 ) -> Capture:
@@ -80,6 +81,7 @@ def open_capture(
     Args:
         path: a folder, a ZIP archive, an `.r3d` or a `.sens` file; None for the built-in room.
         progress: show a bar on stderr while the built-in room is rendered for the first time.
+        size: (height, width) of the built-in room's pictures, up to `MOST_PIXELS`; others are as captured.
         scale: metres in one unit of the capture's poses, for those that do not know it.
         strict: refuse a capture of which anything is damaged, instead of leaving that out with a line.
 
@@ -89,11 +91,12 @@ def open_capture(
     if scale is not None and not 0 < scale < float("inf"):
         raise InputError(f"scale: must be > 0 metres, got {scale:g}")
     if path is None:
-        from hyjax.data.builtin_room import load_room
+        from hyjax.data.builtin_room import load_room, rendered_size
 
         if scale is not None:
             raise InputError("scale: the built-in room is in metres already")
-        return load_room(progress=progress)
+        height, width = rendered_size(size)
+        return load_room(width=width, height=height, progress=progress)
     tree = open_tree(Path(path))
     files, entry = detect_format(tree)
     capture = entry.open(files)

@@ -26,8 +26,8 @@ class SceneSettings(Settings):
     (simulated headset scan), 'fused' (from depth maps), 'true' (built-in room only). Default: scan for the built-in
     room; captured for a capture that has one, unless the fusion of its depth has clearly more; else fused."""
     size: str | None = None
-    """Working size: 512 (square) or 640x480 (width x height), of the largest centred part of that shape.
-    Default: as captured."""
+    """Working size: 512 (square) or 640x480 (width x height), of the largest centred part of that shape; the
+    built-in room is rendered at it. Default: as captured."""
     fusion: FusionSettings = dataclasses.field(default_factory=FusionSettings)
     seed: int = 0
     """Seed of a simulated scan."""
@@ -55,7 +55,8 @@ class SceneSettings(Settings):
         """
         from hyjax.data.registry import open_capture
 
-        return open_capture(self.capture, progress, scale=self.scale, strict=self.strict)
+        size = parse_size(self.size)
+        return open_capture(self.capture, progress, size=size, scale=self.scale, strict=self.strict)
 
     def check(self) -> "SceneSettings":
         """Return these settings if they are valid, as far as that is known before a scene is opened.

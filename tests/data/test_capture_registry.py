@@ -108,7 +108,7 @@ def test_without_a_folder_the_built_in_room_is_opened(monkeypatch: pytest.Monkey
     from hyjax.data import builtin_room
 
     small = builtin_room.load_room(n_frames=2, width=160, height=120, quality=0.25, progress=False)
-    monkeypatch.setattr(builtin_room, "load_room", lambda progress: small)
+    monkeypatch.setattr(builtin_room, "load_room", lambda **_: small)
     room = open_capture(progress=False)
     assert isinstance(room, RoomCapture) and room.reference() is not None and room.mesh() is None
     depths, scanner = room.scan_input()

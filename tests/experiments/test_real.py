@@ -87,7 +87,7 @@ def test_a_generated_room_through_an_s_curve(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.slow
 def test_dark_and_burnt_shares_of_every_set_up(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
-    monkeypatch.setattr(builtin_room, "load_room", lambda progress: small)
+    monkeypatch.setattr(builtin_room, "load_room", lambda **_: small)
     config = dark_frames.Config(
         captures=(scan,), setups=("evening-lamps",), frames=1, size="64", out=tmp_path / "out"
     )

@@ -1,13 +1,17 @@
 """The built-in room: a sound mesh, photographs that agree with it, and a cache that cannot lie."""
 
+import dataclasses
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.data.capture import Capture
+from hyjax.data.frames import fit
+from hyjax.data.registry import open_capture
 from hyjax.geometry.raycast import RayCaster
 from hyjax.synthetic.room import Room, camera_path, make_room, render_room
 from hyjax.util.cache import cache_folder
@@ -166,6 +170,36 @@ def test_cache_round_trip(capture: RoomCapture, folder: Path, monkeypatch: pytes
     assert capture.anchors == again.anchors
 
 
+def test_pictures_of_another_size_show_the_same_in_the_same_light(
+    capture: RoomCapture, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A square one shows the largest centred part, as `fit` takes it; no light is baked for it."""
+    import hyjax.synthetic.room as module
+
+    monkeypatch.delattr(module, "bake")
+    square = load_room(0, cache_dir=folder, **(TINY | {"width": 96, "height": 96}))[0]
+    part = fit(capture[0], (96, 96))
+    assert dataclasses.astuple(square.camera.intrinsics) == pytest.approx(
+        dataclasses.astuple(part.camera.intrinsics)
+    )
+    assert square.image.shape == (96, 96, 3)
+    assert np.abs(square.image - part.image).mean() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("size", "rendered"),
+    [(None, (480, 640)), ((512, 512), (512, 512)), ((8, 12), (16, 24)), ((1920, 2560), (960, 1280))],
+)
+def test_the_room_is_rendered_at_the_size_asked_for(
+    size: Any, rendered: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Within bounds; pictures beyond them are resampled."""
+    import hyjax.data.builtin_room as module
+
+    monkeypatch.setattr(module, "load_room", lambda width, height, **_: (height, width))
+    assert open_capture(size=size) == rendered
+
+
 @pytest.mark.parametrize("damage", ["truncate", "flip", "empty"])
 def test_damaged_cache_is_rebuilt(
     capture: RoomCapture,
@@ -178,7 +212,7 @@ def test_damaged_cache_is_rebuilt(
     """One line says so, the room is rendered once more (here: looked up, to save time), and the file is whole."""
     import hyjax.data.builtin_room as module
 
-    source = next(folder.glob("*.npz"))
+    source = next(folder.glob("room-v*.npz"))
     content = bytearray(source.read_bytes())
     if damage == "flip":
         content[len(content) // 3] ^= 0xFF
@@ -230,7 +264,7 @@ def test_unwritable_cache_is_no_obstacle(
     import hyjax.data.builtin_room as module
 
     (tmp_path / "file").write_text("in the way")
-    with np.load(next(folder.glob("*.npz"))) as stored:
+    with np.load(next(folder.glob("room-v*.npz"))) as stored:
         arrays = dict(stored)
     monkeypatch.setattr(module, "_render", lambda *_: arrays)
     with caplog.at_level(logging.WARNING):

@@ -6,7 +6,7 @@ and every frame is then albedo × light plus mirror reflections, seen through a 
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -17,7 +17,8 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.synthetic.room import path
 from hyjax.synthetic.room.layout import arrange
-from hyjax.synthetic.room.light import WORKERS, bake
+from hyjax.synthetic.room.light import WORKERS, BakedLight, bake
+from hyjax.synthetic.room.lightmap import Texels
 from hyjax.synthetic.room.materials import Textures
 from hyjax.synthetic.room.render import BakedRoom, photograph, white_level
 from hyjax.synthetic.surface import Surface
@@ -25,6 +26,8 @@ from hyjax.util.errors import InputError
 from hyjax.util.progress import StepBar
 
 __all__ = ["Room", "camera_path", "make_room", "render_room"]
+Irradiance = Float[np.ndarray, "t 3"]
+Keep = Callable[[Callable[[], Irradiance]], Irradiance]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,13 +59,17 @@ def make_room(seed: int = 0) -> Room:
 
 
 def camera_path(room: Room, n_frames: int = 24, width: int = 640, height: int = 480) -> list[Camera]:
-    """Cameras along a hand-held way round `room`, evenly spaced, 62 degrees wide."""
+    """Cameras along a hand-held way round `room`, evenly spaced, at most 62 degrees wide and 49 high."""
     del room  # Furniture stands in the same places for every seed.
     return path.camera_path(n_frames, width, height)
 
 
 def render_room(
-    room: Room, cameras: Sequence[Camera], quality: float = 1.0, progress: bool = False
+    room: Room,
+    cameras: Sequence[Camera],
+    quality: float = 1.0,
+    progress: bool = False,
+    keep: Keep = lambda bake: bake(),
 ) -> list[tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]]:
     """Photograph the room.
 
@@ -71,6 +78,7 @@ def render_room(
         cameras: one for each picture.
         quality: 1 for pictures to look at; 0.25 builds much sooner and shows it.
         progress: show a bar on stderr.
+        keep: returns the irradiance / π of all texels: one that was kept, or made by the function that it gets.
 
     Returns:
         For each camera the display-encoded (sRGB) picture in 8-bit steps, float32 in [0, 1], and the exact depth in
@@ -79,7 +87,7 @@ def render_room(
     if not 0.1 <= quality <= 2:
         raise InputError(f"room: quality is {quality}, must lie in [0.1, 2]")
     with StepBar[None](desc="built-in room: light", total=len(cameras), unit="frame", disable=not progress) as bar:
-        baked = _bake(room, quality)
+        baked = _bake(room, quality, keep)
         bar.set_description("built-in room: frames")
 
         def shoot(number: int) -> tuple[np.ndarray, np.ndarray]:
@@ -91,13 +99,12 @@ def render_room(
             return list(pool.map(shoot, range(len(cameras))))
 
 
-def _bake(room: Room, quality: float) -> BakedRoom:
-    surface = room.surface
-    caster = RayCaster(surface.mesh)
-    textures = Textures(room.seed, quality)
+def _bake(room: Room, quality: float, keep: Keep = lambda bake: bake()) -> BakedRoom:
+    surface, caster, textures = room.surface, RayCaster(room.mesh), Textures(room.seed, quality)
+    texels, side = Texels(surface, 1 / quality), max(2, round(7 * np.sqrt(quality)))
     albedo = np.zeros((len(surface.nodes), 3), np.float32)
     albedo[surface.chart] = textures.mean[surface.material] * surface.tint
-    side = max(2, round(7 * np.sqrt(quality)))
-    light = bake(surface, caster, albedo, 1 / quality, side, room.seed)
+    irradiance = keep(lambda: bake(surface, caster, texels, albedo, side, room.seed))
     corners = np.concatenate([surface.uv, surface.st], axis=-1)
-    return BakedRoom(surface, corners, caster, textures, white_level(light.irradiance), room.seed, light)
+    light, level = BakedLight(texels, irradiance), white_level(irradiance)
+    return BakedRoom(surface, corners, caster, textures, level, room.seed, light)

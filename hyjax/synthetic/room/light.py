@@ -50,19 +50,18 @@ class _Gathered:
 
 
 def bake(
-    surface: Surface, caster: RayCaster, albedo: Float[np.ndarray, "c 3"], scale: float, side: int, seed: int
-) -> BakedLight:
-    """Bake the light of all charts.
+    surface: Surface, caster: RayCaster, texels: Texels, albedo: Float[np.ndarray, "c 3"], side: int, seed: int
+) -> Float[np.ndarray, "t 3"]:
+    """Bake the light of all charts: irradiance / π of each texel.
 
     Args:
         surface: the room.
         caster: its rays.
+        texels: of its light maps.
         albedo: mean albedo of each chart.
-        scale: coarsens the texels.
         side: each texel casts side² rays for bounces and as many towards the window.
         seed: of the jitter.
     """
-    texels = Texels(surface, scale)
     step = max(1, CHUNK_RAYS // side**2)
     chunks = [slice(a, min(a + step, len(texels))) for a in range(0, len(texels), step)]
 
@@ -81,7 +80,7 @@ def bake(
             radiance = np.concatenate([reflectance * total, np.zeros((1, 3), np.float32)])
             indirect = np.concatenate(list(pool.map(lambda p: mean_of(radiance, p.hit_texels), parts)))  # noqa: B023
             total = direct + indirect
-    return BakedLight(texels, smooth(texels, direct, indirect, distance, valid))
+    return smooth(texels, direct, indirect, distance, valid)
 
 
 def mean_of(values: Float[np.ndarray, "t 3"], index: Int[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:

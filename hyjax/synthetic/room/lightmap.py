@@ -22,7 +22,8 @@ class Texels:
     """
 
     def __init__(self, surface: Surface, scale: float = 1.0) -> None:
-        size = np.array([_lengths(surface.mesh.vertices[n]) for n in surface.nodes])
+        vertices = np.asarray(surface.mesh.vertices)
+        size = np.array([_lengths(vertices[n]) for n in surface.nodes])
         count = np.clip(np.ceil(size / (surface.texel * scale)), 1, MAX_TEXELS).astype(np.int64)
         self.columns, self.rows = count.T
         self.pitch = (size / count).max(axis=1)

@@ -24,10 +24,10 @@ STATIONS = (
 
 
 def camera_path(n_frames: int, width: int, height: int) -> list[Camera]:
-    """Camera path of `n_frames` poses spread evenly over the way, 62 degrees wide."""
+    """Camera path of `n_frames` poses spread evenly over the way: the centred part of 640x480, 62 degrees wide."""
     if n_frames < 1 or width < 16 or height < 16:
         raise InputError(f"room: need at least 1 frame of 16x16 pixels, got {n_frames} of {width}x{height}")
-    focal = 525.0 * width / 640
+    focal = 525.0 * max(width / 640, height / 480)
     intrinsics = Intrinsics(width, height, focal, focal, width / 2, height / 2)
     knots = np.arange(len(STATIONS))
     stations = np.array(STATIONS)
