@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from hyjax.export.page_scene import setup_content
+from hyjax.device.page_scene import setup_content
 from hyjax.scene.scene import Scene
 
 BEARING = 240.0

@@ -4,22 +4,18 @@ import dataclasses
 import json
 import logging
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-import numpy as np
-from PIL import Image
 from tqdm import tqdm
 
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.data.frames import select_frames, spread
-from hyjax.device.frame_program import frame_program
-from hyjax.device.program import Precision, columns_rows, shader_text
+from hyjax.device.page_content import PAGE_FORMAT, frame_entry, frame_picture, page_programs, page_scripts
+from hyjax.device.page_scene import describe_scene, light_keys, pack_scene, setup_content
 from hyjax.device.scene_arrays import scene_arrays
-from hyjax.export.page_scene import describe_scene, light_keys, pack_scene, setup_content
 from hyjax.export.page_sun import sun_table
 from hyjax.light.setup import REFERENCE_LUX, LightSetup
 from hyjax.relighting.pictures import HEADINGS, sheet_row
@@ -30,18 +26,14 @@ from hyjax.util.errors import InputError
 from hyjax.util.files import new_folder
 from hyjax.util.reading import read_json
 
-PAGE_FORMAT = 1
-"""Version of page.json. Add one whenever older scripts could not read it."""
 RESOLUTIONS = 512, 256
 """Texels a side of shadow maps with one view, and of each of several: half of those of `relight`."""
 RAYS = 128
 """Rays of each point of the light transport, half of those of `relight`."""
-QUALITY = 95
 FRAMES = 24
 """Most frames of a page that names none."""
 SHEET_ROWS = 3
 _PAGE_FILE, _SCENE_FILE = "page.json", "scene.bin"
-_OF_TIMING = "measure.html", "measure.js", "timing.js"
 _log = logging.getLogger(__name__)
 
 
@@ -119,7 +111,7 @@ def write_page(
     if not frames:
         raise InputError("web: no frames; choose at least one")
     configuration = Configuration.of(configuration).followed_by("page", say=False)
-    schedule, exponent = configuration.schedule, configuration.light.photo_exponent
+    exponent = configuration.light.photo_exponent
     steps = tqdm(total=len(frames) + 4, desc="page", unit="step", disable=not progress)
     check_page_folder(out)
     with new_folder(out, replace=True) as folder, steps:
@@ -136,18 +128,7 @@ def write_page(
         if len(sizes) > 1:
             raise InputError("web: the frames are of several sizes; give one with --size")
         (size,) = sizes
-        programs = [
-            frame_program(
-                arrays.counts,
-                size,
-                schedule,
-                configuration.shadow_schedule,
-                map_texels=max(resolutions) + 2,
-                precision=precision,
-                stages=False,
-            ).to_json()
-            for precision in get_args(Precision)
-        ]
+        programs = page_programs(arrays.counts, size, configuration, resolutions)
         by_hour = sun_table(scene) if sun else None
         steps.update()
         content = {
@@ -155,8 +136,7 @@ def write_page(
             "made_by": "hyjax",
             "name": scene.capture.name,
             "size": list(size),
-            "programs": programs,
-            "displays": [_display_shader(size, precision) for precision in get_args(Precision)],
+            **programs,
             "scene": described,
             "file": {"name": _SCENE_FILE, "bytes": packed.bytes, "compression": "gzip"},
             "arrays": packed.entries,
@@ -164,9 +144,7 @@ def write_page(
             "setup": setup_content(setup),
             "default_reference_lux": REFERENCE_LUX,
             "light_keys": light_keys(),
-            "resolutions": list(resolutions),
             "sun": by_hour,
-            "schedule": json.loads(schedule.to_json()),
         }
         (folder / _PAGE_FILE).write_text(json.dumps(content), encoding="utf-8")
         _write_sheet(Relighter(scene, setup, configuration.with_choices({"sampling": 1})), frames, folder)
@@ -198,25 +176,8 @@ def _write_frame(frame: Frame, folder: Path, lossless: bool) -> dict[str, Any]:
     name = f"frames/{frame.name}.{'png' if lossless else 'jpg'}"
     path = folder / name
     path.parent.mkdir(exist_ok=True)
-    pixels = np.round(np.clip(frame.image, 0.0, 1.0) * 255.0).astype(np.uint8)
-    picture = Image.fromarray(pixels)
-    if lossless:
-        picture.save(path, optimize=True)
-    else:
-        picture.save(path, quality=QUALITY, subsampling=0, optimize=True)
-    k = frame.camera.intrinsics
-    return {
-        "name": frame.name,
-        "file": name,
-        "height": k.height,
-        "width": k.width,
-        "pose": np.asarray(frame.camera.pose, np.float64).round(9).tolist(),
-        "intrinsics": [k.fx, k.fy, k.cx, k.cy],
-    }
-
-
-def _display_shader(size: tuple[int, int], precision: Precision) -> str:
-    return shader_text(["color", "filled", "display"], precision, {"size": columns_rows(size)})
+    path.write_bytes(frame_picture(frame.image, lossless=lossless))
+    return frame_entry(frame, name)
 
 
 def _write_sheet(relighter: Relighter, frames: Sequence[int], folder: Path) -> None:
@@ -231,9 +192,8 @@ def _write_sheet(relighter: Relighter, frames: Sequence[int], folder: Path) -> N
 
 
 def _write_scripts(folder: Path) -> None:
-    for file in resources.files("hyjax.device").joinpath("page").iterdir():
-        if Path(file.name).suffix in (".html", ".css", ".js", ".svg") and file.name not in _OF_TIMING:
-            (folder / file.name).write_bytes(file.read_bytes())
+    for name, content in page_scripts():
+        (folder / name).write_bytes(content)
 
 
 def _readme(content: dict[str, Any]) -> str:

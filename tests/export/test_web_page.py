@@ -23,7 +23,7 @@ from experiments.browser import NAMES
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import load_room
 from hyjax.data.light_file import read_lights
-from hyjax.export.page_scene import pack_arrays
+from hyjax.device.page_scene import pack_arrays
 from hyjax.export.web import check_page_folder, write_page
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.kinds.point import PointLight
