@@ -14,6 +14,7 @@ from PIL import Image
 from hyjax.configuration import Configuration
 from hyjax.data.capture import Frame
 from hyjax.device.frame_program import SceneCounts, frame_program
+from hyjax.device.precision_check import precision_check
 from hyjax.device.program import Precision, columns_rows, shader_text
 
 PAGE_FORMAT = 1
@@ -49,7 +50,7 @@ def frame_picture(image: Float[np.ndarray, "h w 3"], *, lossless: bool = False) 
 def page_programs(
     counts: SceneCounts, size: tuple[int, int], configuration: Configuration, resolutions: tuple[int, int]
 ) -> dict[str, Any]:
-    """Programs of a scene's frames, and the shaders that show them, of each precision."""
+    """Programs of a scene's frames, the shaders that show them, and checks, of each precision."""
     return {
         "programs": [
             frame_program(
@@ -67,6 +68,7 @@ def page_programs(
             shader_text(["color", "filled", "display"], precision, {"size": columns_rows(size)})
             for precision in get_args(Precision)
         ],
+        "checks": [precision_check(precision).to_json() for precision in get_args(Precision)],
         "resolutions": list(resolutions),
         "schedule": json.loads(configuration.schedule.to_json()),
     }

@@ -14,6 +14,7 @@ from hyjax.core.refine import fill_visibility
 from hyjax.core.schedule import PRESETS, Schedule
 from hyjax.core.upsampling import guided_upsample
 from hyjax.device.cascade_program import CascadeWriter
+from hyjax.device.precision_check import precision_check
 from hyjax.device.program import Groups, Program
 from hyjax.device.renderer import channel_groups
 from hyjax.device.webgpu import ShaderEngine
@@ -159,3 +160,15 @@ def test_filling(device: Any) -> None:
     engine.run("frame")
     expected = np.asarray(fill_visibility(jnp.asarray(raw), jnp.asarray(known), jnp.asarray(guide)))
     assert np.abs(picture(engine, "result", shape, lights) - expected).max() < EXACT
+
+
+def test_the_check_of_precision_says_half_is_right(device: Any) -> None:
+    if "shader-f16" not in device.features:
+        pytest.skip("this adapter has no half precision")
+    results = []
+    for precision in ("f32", "f16"):
+        engine = ShaderEngine(precision_check(precision), 1, {}, device)
+        engine.run("check")
+        results.append(engine.download("result"))
+    assert results[0].std() > 0.1
+    assert np.abs(results[1] - results[0]).mean() < 2e-3 * np.abs(results[0]).mean()

@@ -3,6 +3,7 @@
 import base64
 import contextlib
 import functools
+import gzip
 import http.server
 import io
 import json
@@ -10,8 +11,9 @@ import re
 import shutil
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -35,6 +37,7 @@ from hyjax.util.errors import InputError
 SCHEDULE = Schedule.preset("hyjax")
 RESOLUTIONS = 128, 64
 WAIT = 60.0
+NO_ANSWERS: Mapping[str, bytes] = MappingProxyType({})
 WEBGPU = [
     "--headless=new",
     "--no-sandbox",
@@ -56,6 +59,18 @@ if (globalThis.GPUAdapter) {
   };
 }
 """
+
+
+HALF = """
+const { has } = GPUSupportedFeatures.prototype;
+GPUSupportedFeatures.prototype.has = function (name) { return name === "shader-f16" || has.call(this, name); };
+const { requestDevice } = GPUAdapter.prototype;
+GPUAdapter.prototype.requestDevice = function ({ requiredFeatures, ...rest }) {
+  const real = requiredFeatures.filter((name) => name !== "shader-f16");
+  return requestDevice.call(this, { ...rest, requiredFeatures: real });
+};
+"""
+"""A device that says it has half precision; its programs must be those of single precision all the same."""
 
 
 @pytest.fixture(scope="module")
@@ -112,8 +127,6 @@ def test_scripts_are_short_modules() -> None:
 
 
 def test_arrays_come_back_from_the_packed_file() -> None:
-    import gzip
-
     arrays = {"a": np.arange(5, dtype=np.uint16), "b": np.array([[7, 3], [9, 1]], np.uint32)}
     packed = pack_arrays(arrays, ("b",))
     content = gzip.decompress(packed.content)
@@ -140,15 +153,30 @@ def test_a_folder_with_something_else_in_it_is_refused(tmp_path: Path) -> None:
 # ---- in a browser ----
 
 
+def fulfil(body: bytes, route: Any) -> None:
+    """Answer a request."""
+    route.fulfill(body=body)
+
+
 class Visit:
     """The page in a browser."""
 
-    def __init__(self, browser: Any, url: str, size: tuple[int, int] = (1000, 700)) -> None:
+    def __init__(
+        self,
+        browser: Any,
+        url: str,
+        size: tuple[int, int] = (1000, 700),
+        *,
+        script: str = "",
+        answers: Mapping[str, bytes] = NO_ANSWERS,
+    ) -> None:
         self.page = browser.new_page(viewport={"width": size[0], "height": size[1]})
         self.page.set_default_timeout(1e3 * WAIT)
         self.asked: list[str] = []
-        self.page.add_init_script(DEVICES)
+        self.page.add_init_script(DEVICES + script)
         self.page.on("request", lambda request: self.asked.append(request.url))
+        for name, body in answers.items():
+            self.page.route(f"**/{name}", functools.partial(fulfil, body))
         self.page.goto(url)
 
     def state(self) -> str:
@@ -158,6 +186,12 @@ class Visit:
             assert time.monotonic() < end, "the page does not start"
             self.page.wait_for_timeout(100)
         return str(state)
+
+    @property
+    def failure(self) -> str:
+        """Why the page does not start."""
+        assert self.state() == "failed"
+        return str(self.page.inner_text("#failure-text"))
 
     def pixels(self) -> np.ndarray:
         values = self.page.evaluate("hyjax.pixels().then((p) => [...p])")
@@ -199,13 +233,25 @@ def launched(driver: Any, arguments: list[str]) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def visit(folder: Path, driver: Any) -> Iterator[Visit]:
+def browser(driver: Any) -> Iterator[Any]:
+    with launched(driver, WEBGPU) as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def url(folder: Path) -> Iterator[str]:
+    with served(folder) as url:
+        yield url
+
+
+@pytest.fixture(scope="module")
+def visit(browser: Any, url: str) -> Iterator[Visit]:
     """The page, opened once: its shaders take a while to compile without a GPU."""
-    with launched(driver, WEBGPU) as browser, served(folder) as url:
-        visit = Visit(browser, url)
-        assert visit.state() == "ready", visit.page.inner_text("#failure-text")
-        yield visit
-        assert all(asked.startswith((url, "blob:")) for asked in visit.asked), visit.asked
+    visit = Visit(browser, url)
+    assert visit.state() == "ready", visit.page.inner_text("#failure-text")
+    yield visit
+    assert all(asked.startswith((url, "blob:")) for asked in visit.asked), visit.asked
+    assert not any("contact_sheet" in asked for asked in visit.asked), "it is for browsers without WebGPU"
 
 
 def reference(scene: Scene, lights: LightSetup, frame: int) -> np.ndarray:
@@ -461,6 +507,69 @@ def test_a_hidden_page_draws_nothing(visit: Visit) -> None:
     assert apart(canvas(visit), before) > 5
     assert visit.page.evaluate("document.getElementById('canvas').toDataURL()") != url
     visit.page.locator("#scrub").fill("0")
+    np.testing.assert_array_equal(canvas(visit), before)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        ({"scene.bin": gzip.compress(bytes(10_000))}, "scene.bin came cut off or changed"),
+        ({"scene.bin": gzip.compress(np.random.default_rng(0).bytes(10_000))[:5000]}, "scene.bin came cut off"),
+        ({"scene.bin": b"<!doctype html>"}, "scene.bin came cut off or changed"),
+        ({"page.json": b"<!doctype html><title>Home</title>"}, "answers with a web page where it was asked for"),
+        ({"page.json": b'{"format": 1, "name'}, "page.json came cut off or changed"),
+    ],
+)
+def test_files_that_a_host_sends_otherwise_are_one_clear_line(
+    browser: Any, url: str, answers: dict[str, bytes], said: str
+) -> None:
+    visit = Visit(browser, url, answers=answers)
+    assert said in visit.failure
+    visit.page.close()
+
+
+@pytest.mark.slow
+def test_a_device_that_gets_half_precision_wrong_takes_single(browser: Any, url: str, folder: Path) -> None:
+    page = json.loads((folder / "page.json").read_text())
+    page["programs"][1] = page["programs"][0] | {"precision": "f16"}
+    page["displays"][1] = page["displays"][0]
+    page["checks"][1] = json.loads(json.dumps(page["checks"][0]))
+    right = json.dumps(page).encode()
+    shaders = page["checks"][1]["shaders"]
+    shaders.update({name: text.replace("store(y[q])", "store(0.9 * y[q])") for name, text in shaders.items()})
+    wrong = json.dumps(page).encode()
+    for content, address, precision in (
+        (right, url, "f16"),
+        (wrong, url, "f32"),
+        (right, f"{url}?precision=f32", "f32"),
+    ):
+        visit = Visit(browser, address, script=HALF, answers={"page.json": content})
+        assert visit.state() == "ready", visit.page.inner_text("#failure-text")
+        assert visit.page.evaluate("hyjax.stats().precision") == precision
+        visit.page.close()
+
+
+@pytest.mark.slow
+def test_keys_press_what_has_the_focus(visit: Visit) -> None:
+    """Space on a heading unfolds it and does not play; Enter chooses a lamp, arrows move it."""
+    page = visit.page
+    page.locator("#speed summary").focus()
+    page.keyboard.press("Space")
+    assert page.evaluate("document.getElementById('speed').open")
+    assert page.get_by_role("button", name="Play the frames").count() == 1, "it is not playing"
+    page.keyboard.press("Space")
+    before = canvas(visit)
+    marker = page.locator(".marker:visible").first
+    marker.focus()
+    page.keyboard.press("Enter")
+    assert page.locator(".marker.selected").count() == 1
+    assert page.get_by_role("button", name="Remove").is_visible()
+    for _ in range(6):
+        page.keyboard.press("ArrowLeft")
+    page.wait_for_timeout(600)
+    assert apart(canvas(visit), before) > 0.5 and page.locator("#land").is_hidden()
+    page.get_by_role("button", name="Start over").click()
     np.testing.assert_array_equal(canvas(visit), before)
 
 

@@ -199,9 +199,9 @@ function connectSpeed(viewer) {
   viewer.addEventListener("rendered", () => {
     if (performance.now() - shown < 300) return;
     shown = performance.now();
-    const { passes, adapter, fps, milliseconds } = viewer.stats();
+    const { passes, adapter, precision, fps, milliseconds } = viewer.stats();
     element("fps").textContent = `${milliseconds.toFixed(milliseconds < 10 ? 1 : 0)} ms, ${fps.toFixed(fps < 10 ? 1 : 0)} fps`;
-    element("adapter").textContent = adapter;
+    element("adapter").textContent = `${adapter}, pictures in ${precision === "f16" ? "half" : "single"} precision`;
     const rows = Object.entries(passes).map(([label, time]) => {
       const row = document.createElement("tr");
       row.insertCell().textContent = label;

@@ -10,7 +10,6 @@ function showFailure(error) {
   console.error(error);
   document.body.dataset.state = "failed";
   element("failure-text").textContent = error.message;
-  element("sheet").src = "contact_sheet.png";
 }
 
 function showProgress(share) {

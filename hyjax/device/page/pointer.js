@@ -1,10 +1,13 @@
 // Pointer and keys on the picture: look around, move, add lamps and drag them. Mouse, pen and fingers alike.
 import { isLamp } from "./light_list.js";
+import { add } from "./lights.js";
 
 const DRAG = 6; // CSS pixels from which a press is a drag
 const WHEEL = 0.0015; // metres a step of the wheel
 const PINCH = 3; // metres for fingers that part to twice their distance
 const PAN = 2.5; // metres across the picture
+const STEP = 0.1; // metres that an arrow key moves a lamp
+const ARROWS = { ArrowLeft: ["right", -STEP], ArrowRight: ["right", STEP], ArrowUp: ["down", -STEP], ArrowDown: ["down", STEP] };
 
 export function connectPointer(viewer) {
   const over = document.getElementById("over");
@@ -85,6 +88,7 @@ export function connectPointer(viewer) {
   // ---- keys ----
 
   const isText = (target) => target instanceof HTMLElement && target.matches("input, select, textarea");
+  const isPressed = (target) => target instanceof HTMLElement && target.matches("button, summary, a"); // by Space
   const FLIGHT = ["KeyW", "KeyA", "KeyS", "KeyD", "KeyQ", "KeyE"];
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || isText(event.target)) return;
@@ -98,7 +102,7 @@ export function connectPointer(viewer) {
       if (viewer.adding) viewer.adding = false;
       else if (viewer.flying) viewer.land();
       viewer.change("display");
-    } else if (event.code === "Space" && !(event.target instanceof HTMLButtonElement)) {
+    } else if (event.code === "Space" && !isPressed(event.target)) {
       viewer.flying = null;
       viewer.playing = !viewer.playing;
       viewer.change("camera");
@@ -155,6 +159,17 @@ export function connectPointer(viewer) {
       const { x, y } = pixel(event);
       const place = viewer.placeAt(drag.surface, x, y);
       if (place) viewer.moveLamp(item, place);
+    });
+    marker.addEventListener("click", () => { // by Enter or Space; a press has done so already
+      viewer.selected = item.id;
+      viewer.change("display");
+    });
+    marker.addEventListener("keydown", (event) => {
+      if (!ARROWS[event.code]) return;
+      event.preventDefault();
+      event.stopPropagation(); // arrows fly elsewhere
+      const [axis, metres] = ARROWS[event.code];
+      viewer.moveLamp(item, add(item.entry.position, viewer.camera[axis], metres));
     });
     const end = () => { drag = null; };
     marker.addEventListener("pointerup", end);

@@ -5,24 +5,29 @@ const TYPES = { uint16: Uint16Array, uint32: Uint32Array, float32: Float32Array 
 const KEPT_BYTES = 64e6; // of decoded frames
 
 async function read(name) {
-  const response = await fetch(name);
+  const response = await fetch(name).catch(() => {
+    throw new Error(`${name} could not be loaded: the connection or the server is gone.`);
+  });
   if (!response.ok) throw new Error(`${name} is missing on this server (${response.status}).`);
   return response;
 }
 
+const isCut = (name) => new Error(`${name} came cut off or changed: load the page again, or copy its folder to the server once more.`);
+
 /** Content of page.json. */
 export async function loadPage() {
-  const page = await (await read("page.json")).json();
+  const text = await (await read("page.json")).text().catch(() => { throw isCut("page.json"); });
+  if (/^\s*</.test(text)) {
+    throw new Error("This server answers with a web page where it was asked for page.json: copy the exported folder to it as a whole.");
+  }
+  let page;
+  try {
+    page = JSON.parse(text);
+  } catch {
+    throw isCut("page.json");
+  }
   if (page.format !== PAGE_FORMAT) throw new Error(`page.json has format ${page.format}; these scripts read ${PAGE_FORMAT}.`);
   return page;
-}
-
-/** Take the page's program of half precision where the device has it, else of single. */
-export function choosePrecision(page, device) {
-  const precision = device.features.has("shader-f16") ? "f16" : "f32";
-  const chosen = page.programs.findIndex((program) => program.precision === precision);
-  page.program = page.programs[chosen];
-  page.display = page.displays[chosen];
 }
 
 /**
@@ -32,8 +37,8 @@ export function choosePrecision(page, device) {
 export async function loadArrays(page, progress) {
   const response = await read(page.file.name);
   const unpacked = counted(response, progress).pipeThrough(new DecompressionStream(page.file.compression));
-  const bytes = await new Response(unpacked).arrayBuffer();
-  if (bytes.byteLength !== page.file.bytes) throw new Error(`${page.file.name} is cut off.`);
+  const bytes = await new Response(unpacked).arrayBuffer().catch(() => null);
+  if (bytes?.byteLength !== page.file.bytes) throw isCut(page.file.name);
   const arrays = {};
   for (const entry of page.arrays) {
     const count = entry.shape.reduce((product, side) => product * side, 1);

@@ -4,8 +4,8 @@ import { LightList } from "./light_list.js";
 import { add, dot } from "./lights.js";
 import { openDevice } from "./engine.js";
 import { Display } from "./display.js";
+import { choosePrecision } from "./precision.js";
 import { Renderer } from "./renderer.js";
-import { choosePrecision } from "./scene.js";
 
 const REFINE_AFTER = 200; // milliseconds that a lamp lies still before its shadows are cast in full
 const LOST_WITHIN = 300; // milliseconds
@@ -43,7 +43,7 @@ export class Viewer extends EventTarget {
     this.device = await openDevice();
     this.device.addEventListener("uncapturederror", ({ error }) => this.say(`The graphics driver reports: ${error.message}`));
     this.device.lost.then(() => this.lost());
-    choosePrecision(this.page, this.device);
+    await choosePrecision(this.page, this.device);
     this.renderer = await Renderer.create(this.device, this.page, this.arrays);
     if (this.display) { // a canvas keeps its first context
       const fresh = this.canvas.cloneNode();
@@ -266,6 +266,7 @@ export class Viewer extends EventTarget {
     const measured = Object.keys(times).length ? { ...times } : { "whole frame (wall clock)": this.milliseconds };
     return {
       adapter: this.device.hyjaxName,
+      precision: this.page.program.precision,
       size: [...this.page.size],
       lights: this.renderer.lights.length,
       passes: measured,
