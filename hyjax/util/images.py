@@ -29,6 +29,8 @@ for files that are somewhat larger."""
 def read_image(path: Path, where: str | None = None) -> Float[np.ndarray, "h w c"]:
     """Read a picture as float32 with its channels as stored; integer formats are scaled to [0, 1].
 
+    Colours of 8 bits that have a profile, such as Display P3, come back in sRGB.
+
     Args:
         path: of the file.
         where: what messages call it, if not by its path.
@@ -37,7 +39,7 @@ def read_image(path: Path, where: str | None = None) -> Float[np.ndarray, "h w c
         InputError: the file is missing, truncated, not a picture, or too large a one (see
             `hyjax.util.picture_header`).
     """
-    pixels = _read(path, where)
+    pixels = _read(path, where, in_srgb=True)
     if pixels.dtype.kind != "u":
         return pixels.astype(np.float32, copy=False)
     return pixels * np.float32(1.0 / np.iinfo(pixels.dtype).max)
@@ -98,7 +100,7 @@ def _opened(path: Path, where: str) -> Iterator[Any]:
             source.close()
 
 
-def _read(path: Path, where: str | None, only: str | None = None) -> np.ndarray:
+def _read(path: Path, where: str | None, only: str | None = None, *, in_srgb: bool = False) -> np.ndarray:
     """Values as they are stored: OpenImageIO takes five times as long to make numbers in [0, 1] of them."""
     where = where or str(path)
     with _opened(Path(path), where) as source:
@@ -107,10 +109,15 @@ def _read(path: Path, where: str | None, only: str | None = None) -> np.ndarray:
             raise InputError(f"{where}: stored as {stored}, must be {only}")
         pixels = source.read_image(stored if stored in ("uint8", "uint16", "half") else "float")
         error = _error(source)
+        profile = source.spec().get("ICCProfile") if in_srgb and stored == "uint8" else None
     # A truncated JPEG is padded with grey and only reported as an error, so the error decides, not the pixels.
     if pixels is None or error:
         raise InputError(f"{where}: damaged or truncated picture ({_first_line(error)})")
-    return pixels
+    if profile is None:
+        return pixels
+    from hyjax.util.color_profiles import to_srgb  # few pictures have one
+
+    return to_srgb(pixels, np.asarray(profile, np.uint8).tobytes())
 
 
 @checked_arguments
