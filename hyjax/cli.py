@@ -26,7 +26,7 @@ from hyjax.util.extras import optional_module
 from hyjax.util.interrupts import defer_interrupts, exit_now
 from hyjax.util.terminal import end_output, open_closed_streams, quiet_libraries, usage_error
 
-WITH_CAPTURE = ("relight", "tune", "tour", "export")
+WITH_CAPTURE = ("relight", "tune", "tour")
 """Commands that take a capture as an option."""
 RENAMED_VALUES = {("--renderer", "hyjax"): "shadow_map"}
 
@@ -285,7 +285,12 @@ def run_export(settings: ExportSettings) -> None:
     """`hyjax export`."""
     settings.check()
     _keep_for_later()
-    if settings.to == "web":
+    if settings.captures:
+        from hyjax.export.gallery import export_gallery
+
+        count = len(export_gallery(settings))
+        print(f"{settings.out} is a gallery of {count}; look at it with: hyjax serve {settings.out}")
+    elif settings.to == "web":
         from hyjax.export.web import export_web
 
         export_web(settings)

@@ -4,6 +4,8 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import tyro
+
 from hyjax.relighting.settings import open_schedule
 from hyjax.scene.settings import SceneSettings, check_lights_name, parse_size
 from hyjax.util.errors import InputError
@@ -25,6 +27,8 @@ SMALLEST_NETWORK = 32
 class ExportSettings(Settings):
     """Export a cascade or a guide network for another runtime, or a page that runs one."""
 
+    captures: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """Of --to web: several captures, for a page of each and an index of them. A single one: --capture."""
     to: Target
     """stablehlo, iree, onnx, litert or coreml: a file for that runtime, with a README.md; web and bench: a page for
     browsers with WebGPU."""
@@ -67,6 +71,10 @@ class ExportSettings(Settings):
         """
         self.open_schedule()
         self.scene.check()
+        if self.captures and self.to != "web":
+            raise InputError("captures: several go with --to web only; one is given as --capture")
+        if self.captures and self.scene.capture is not None:
+            raise InputError("captures: name all of them one after the other, without --capture")
         if self.to in ("web", "bench"):
             check_lights_name(self.lights)
             return self
@@ -110,4 +118,5 @@ class ExportSettings(Settings):
         options = dataclasses.asdict(self)
         options.pop("scene")
         scene = {name: None if value is None else str(value) for name, value in self.scene.options().items()}
-        return scene | options | {"out": str(self.out)}
+        texts = {"out": str(self.out), "captures": [str(capture) for capture in self.captures]}
+        return scene | options | texts

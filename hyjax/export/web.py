@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
 from tqdm import tqdm
 
 from hyjax.configuration import Configuration
@@ -24,6 +26,7 @@ from hyjax.scene.scene import Scene
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
 from hyjax.util.files import new_folder
+from hyjax.util.images import resize
 from hyjax.util.reading import read_json
 
 RESOLUTIONS = 512, 256
@@ -33,6 +36,7 @@ RAYS = 128
 FRAMES = 24
 """Most frames of a page that names none."""
 SHEET_ROWS = 3
+THUMBNAIL, THUMBNAIL_WIDTH = "thumbnail.jpg", 640
 _PAGE_FILE, _SCENE_FILE = "page.json", "scene.bin"
 _log = logging.getLogger(__name__)
 
@@ -188,7 +192,16 @@ def _write_sheet(relighter: Relighter, frames: Sequence[int], folder: Path) -> N
         frame = relighter.place.frame(index)
         pictures = sheet_row(frame, relighter.relit(frame), "linear")
         rows.append((frame.name, [pictures[column] for column in shown]))
+        if len(rows) == 1:
+            _write_thumbnail(pictures[HEADINGS.index("relit")], folder)
     write_contact_sheet(folder / "contact_sheet.png", rows, [HEADINGS[column] for column in shown])
+
+
+def _write_thumbnail(picture: Float[np.ndarray, "h w 3"], folder: Path) -> None:
+    height, width = picture.shape[:2]
+    small = min(width, THUMBNAIL_WIDTH)
+    pixels = resize(picture, max(1, round(height * small / width)), small)
+    (folder / THUMBNAIL).write_bytes(frame_picture(pixels))
 
 
 def _write_scripts(folder: Path) -> None:

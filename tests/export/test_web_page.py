@@ -26,7 +26,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import load_room
 from hyjax.data.light_file import read_lights
 from hyjax.device.page_scene import pack_arrays
-from hyjax.export.web import check_page_folder, write_page
+from hyjax.export.web import THUMBNAIL, check_page_folder, write_page
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.kinds.point import PointLight
 from hyjax.light.setup import LightSetup
@@ -106,6 +106,8 @@ def test_the_folder_is_complete(folder: Path) -> None:
     assert set(arrays) == {"vertices", "occluders", "faces", "fields", "hits", "sources"} <= set(buffers)
     assert len(page["setup"]["lights"]) == 4 and page["setup"]["reference_lux"] > 0
     assert set(page["light_keys"]) == {"ambient", "point", "spot", "rect", "directional", "sky"}
+    with Image.open(folder / THUMBNAIL) as thumbnail:
+        assert thumbnail.size == (96, 72) and thumbnail.convert("L").getextrema()[1] > 60
     assert not list(folder.parent.glob(".*")), "nothing temporary is left"
     if page["sun"]:
         assert [row["hour"] for row in page["sun"]["rows"]] == [0.5 * k for k in range(48)]
