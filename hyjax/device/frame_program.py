@@ -22,10 +22,10 @@ POINT_FIELDS = 4
 """Number of vectors of a point: position, normal, photo's light, albedo."""
 LIGHT_GROUPS = Groups(2, 1)
 """Channel groups of light: bounced light with the weight; photo's light; four lights a group."""
-MAP_GRID = 66
-"""Most workgroups along each side of a view of a shadow map; see `MOST_TEXELS`."""
-MOST_TEXELS = 8 * MAP_GRID
-"""Most texels along each side of a view of a shadow map."""
+VIEW_BYTES = 64
+"""Size of a view of a shadow map in bytes, see `wgsl/views.wgsl`."""
+MOST_VIEWS = 32
+"""Most views of a light."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,15 +63,14 @@ def frame_program(
     shadow_schedule: Schedule,
     *,
     features: int = 3,
-    map_texels: int = MOST_TEXELS,
     precision: Precision = "f32",
     stages: bool = True,
 ) -> Program:
     """Generate the program of a scene's frames.
 
     The host fills the buffers `vertices`, `occluders` (triangles in the order of their tree), `faces`, `fields`,
-    `hits`, `sources` once; `lights`, `kept`, `emitters` and `jobs` where lights change, whose shadow maps are in
-    `depths`, which it makes as large as they need; `frame` and the texture `photo` for each picture.
+    `hits`, `sources` once; `lights`, `views`, `kept`, `emitters` and `jobs` where lights change, whose shadow maps
+    are in `depths`, which it makes as large as they need; `frame` and the texture `photo` for each picture.
 
     Args:
         counts: of the scene.
@@ -79,13 +78,12 @@ def frame_program(
         schedule: cascade for the light.
         shadow_schedule: cascade for the visibility.
         features: channels of the guide; the RGB guide, which is the picture itself, has 3.
-        map_texels: side of the largest shadow map, with its gutter.
         precision: of pictures between passes.
         stages: whether there is a stage `stages`, whose pictures take four times the memory of the image.
     """
     program = Program(size, precision)
     _load(program, counts)
-    _shadows(program, counts, map_texels)
+    _shadows(program, counts)
     _bounces(program, counts)
     picture = program.picture("picture", size, Groups(1))
     grid = grid_of(size)
@@ -109,7 +107,7 @@ def frame_program(
     )
     shadows = writer.cascade("shadow pass", complete, shadow_schedule, Groups(0, 1))
     image = program.buffer("image", 16 * pixels)
-    bind = ["frame", "lights", "emitters", picture, "positions", refined, "cascade totals", shadows, image]
+    bind = ["frame", "lights", "emitters", picture, "surface", refined, "cascade totals", shadows, image]
     files = ["frame", "camera", "color", "filled", "lights", "composite"]
     program.launch("frame", "composite", files, bind, grid, constants=camera)
     if stages:
@@ -139,15 +137,16 @@ def _tree(counts: SceneCounts, access: str) -> dict[str, object]:
     return {"leaves": counts.leaves, "leaf": LEAF_TRIANGLES, "faces": counts.occluder_faces, "boxes_access": access}
 
 
-def _shadows(program: Program, counts: SceneCounts, map_texels: int) -> None:
+def _shadows(program: Program, counts: SceneCounts) -> None:
     program.buffer("lights", RECORD_BYTES * MOST_LIGHTS)
-    program.buffer("jobs", 16 * 32 * MOST_LIGHTS)
+    program.buffer("views", VIEW_BYTES * MOST_VIEWS * MOST_LIGHTS)
+    program.buffer("jobs", 16 * MOST_VIEWS * MOST_LIGHTS)
     program.launch(
         "shadows",
         "shadow maps",
-        ["trace", "cast", "lights", "shadow_map"],
-        ["vertices", "occluders", "boxes", "lights", "jobs", "depths"],
-        grid_of((map_texels, map_texels)),
+        ["trace", "cast", "lights", "views", "shadow_map"],
+        ["vertices", "occluders", "boxes", "lights", "jobs", "depths", "views"],
+        (1, 1),
         jobs=True,
         constants=_tree(counts, "read"),
     )
@@ -161,15 +160,14 @@ def _bounces(program: Program, counts: SceneCounts) -> None:
     radiators = counts.faces + counts.points - counts.vertices + 1
     sent, hits = program.buffer("sent", 16 * radiators), program.buffer("hits", 4 * counts.rays * counts.points)
     points: dict[str, object] = {"points": counts.points}
-    bind = ["frame", "lights", "depths", fields, direct, indirect]
+    bind = ["frame", "lights", "depths", fields, direct, indirect, "views"]
     line = line_of(counts.points)
-    program.launch(
-        "bounces", "direct light", ["frame", "lights", "visibility", "direct"], bind, line, constants=points
-    )
+    files = ["frame", "lights", "views", "visibility", "direct"]
+    program.launch("bounces", "direct light", files, bind, line, constants=points)
     for _ in range(BOUNCES):
-        files, bind = ["send"], ["faces", fields, direct, indirect, sent]
+        bind = ["faces", fields, direct, indirect, sent]
         constants: dict[str, object] = {"faces": counts.faces, "vertices": counts.vertices}
-        program.launch("bounces", "bounces", files, bind, line_of(radiators), constants=constants | points)
+        program.launch("bounces", "bounces", ["send"], bind, line_of(radiators), constants=constants | points)
         program.launch(
             "bounces", "bounces", ["gather"], [hits, sent, indirect], line, constants=points | {"rays": counts.rays}
         )
@@ -194,13 +192,13 @@ def _surface(program: Program, counts: SceneCounts) -> tuple[str, str]:
         (3 * counts.faces, 1),
         constants=camera,
     )
-    positions, normals = (program.buffer(name, 16 * pixels) for name in ("positions", "normals"))
+    surface = program.buffer("surface", 16 * pixels)
     light = program.picture("light", size, LIGHT_GROUPS)
     visibility = program.picture("visibility", size, Groups(0, 2))
-    bind = ["frame", "shown", "faces", "fields", "bounced", positions, normals, light, "picture"]
+    bind = ["frame", "shown", "faces", "fields", "bounced", surface, light, "picture"]
     program.launch("frame", "surface", ["frame", "camera", "color", "surface"], bind, grid, constants=camera)
-    bind = ["frame", "lights", "depths", positions, normals, light, visibility]
-    files = ["frame", "camera", "lights", "visibility", "shade"]
+    bind = ["frame", "lights", "depths", surface, light, visibility, "views"]
+    files = ["frame", "camera", "lights", "views", "visibility", "shade"]
     program.launch("frame", "shading and visibility", files, bind, grid, Groups(0, 1), constants=camera)
     program.buffer("emitters", 16 * 6 * MOST_EMITTERS)
     return light, visibility

@@ -8,6 +8,7 @@ import trimesh
 from jaxtyping import Float
 
 from hyjax.device.frame_program import MOST_LIGHTS, RECORD_BYTES
+from hyjax.geometry.shadow_caster import RESOLUTION, VIEW_RESOLUTION, MapLayout
 from hyjax.light.kinds import AmbientLight, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
 from hyjax.util import vectors
 from hyjax.util.errors import InputError
@@ -38,11 +39,13 @@ class LightRecords:
 
     Attributes:
         records: one for each light.
-        jobs: (light, view, 0, 0) of each view of a shadow map.
+        views: origin and axes of each view of a shadow map.
+        jobs: (light, view, 0, 0) of each.
         texels: of all shadow maps together.
     """
 
     records: np.ndarray
+    views: Float[np.ndarray, "v 4 4"]
     jobs: np.ndarray
     texels: int
 
@@ -69,6 +72,7 @@ def light_records(
     if len(lights) > MOST_LIGHTS:
         raise InputError(f"webgpu: {len(lights)} lights; the shaders take at most {MOST_LIGHTS}")
     records, jobs, start = np.zeros(len(lights), RECORD), [], 0
+    vectors4 = np.zeros((0, 4, 4), np.float32)
     bounds = np.append(occluders.bounds.mean(axis=0), 0.5 * np.linalg.norm(occluders.extents) * 1.01)
     for number, (light, record) in enumerate(zip(lights, records)):
         if type(light) not in KIND_NUMBERS:
@@ -83,10 +87,22 @@ def light_records(
         if views is None:
             continue
         record["views"], record["size"] = views.count, resolutions[views.count > 1]
+        scale = record["size"] / (VIEW_RESOLUTION if views.count > 1 else RESOLUTION)
+        layout = MapLayout.of(views, scale, occluders.bounds)
         record["start"] = start
+        record["shadow"][2:] = layout.texel, len(vectors4)
+        vectors4 = np.concatenate([vectors4, _views(layout)])
         jobs += [(number, view, 0, 0) for view in range(views.count)]
         start += views.count * (int(record["size"]) + 2) ** 2
-    return LightRecords(records, np.array(jobs, np.uint32).reshape(-1, 4), start)
+    return LightRecords(records, vectors4, np.array(jobs, np.uint32).reshape(-1, 4), start)
+
+
+def _views(layout: MapLayout) -> Float[np.ndarray, "v 4 4"]:
+    """Origin and unit axes of each view."""
+    result = np.zeros((layout.count, 4, 4), np.float32)
+    result[:, 0, :3] = layout.origins
+    result[:, 1:, :3] = layout.axes / np.linalg.norm(layout.axes, axis=-1, keepdims=True)
+    return result
 
 
 def _fill(record: np.void, light: Light) -> None:

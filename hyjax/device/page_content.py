@@ -58,7 +58,6 @@ def page_programs(
                 size,
                 configuration.schedule,
                 configuration.shadow_schedule,
-                map_texels=max(resolutions) + 2,
                 precision=precision,
                 stages=False,
             ).to_json()

@@ -69,7 +69,7 @@ class Launch:
         bind: buffers and textures, by binding number.
         width, height: workgroups.
         depth: layers of workgroups.
-        jobs: whether there is a layer for each view of a shadow map instead.
+        jobs: whether it covers shadow maps of a size instead, with a layer for each of their views.
     """
 
     stage: str

@@ -86,7 +86,6 @@ class DeviceRenderer:
             schedule,
             shadow_schedule,
             features=features,
-            map_texels=max([int(size) for size in self.records.records["size"]], default=0) + 2,
             precision=precision,
         )
         sizes = {"depths": max(16, 4 * self.records.texels)}
@@ -99,8 +98,7 @@ class DeviceRenderer:
     def _upload_lights(self, scene: Scene, records: LightRecords) -> None:
         engine = self.engine
         engine.upload("lights", records.records)
-        if len(records.jobs):
-            engine.upload("jobs", records.jobs)
+        engine.upload("views", records.views)
         if self._divides:
             kept = scene.photo_light.kept(self.setup.existing)
             least = least_bounced(self.setup.lights, scene.photo_light.estimate.light.filled_share)
@@ -109,7 +107,14 @@ class DeviceRenderer:
         if self.emitters is not None:
             engine.upload("emitters", emitter_vectors(self.emitters))
         engine.upload("frame", self._frame_record(None))
-        engine.run("load", "shadows", *(["bounces"] if self._divides else []), jobs=len(records.jobs))
+        engine.run("load")
+        sizes = records.records["size"][records.jobs[:, 0]]
+        for size in np.unique(sizes):
+            jobs = records.jobs[sizes == size]
+            engine.upload("jobs", jobs)
+            engine.run("shadows", jobs=len(jobs), side=int(size) + 2)
+        if self._divides:
+            engine.run("bounces")
 
     def _frame_record(self, camera: Camera | None) -> np.ndarray:
         panes, lamps = (0, 0) if self.emitters is None else (len(self.emitters.panes), len(self.emitters.lamps))

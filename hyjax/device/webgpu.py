@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hyjax.device.program import Buffer, Launch, Program
+from hyjax.device.program import Buffer, Launch, Program, grid_of
 from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
 
@@ -100,19 +100,20 @@ class ShaderEngine:
         """Content of a buffer."""
         return np.frombuffer(self.device.queue.read_buffer(self._buffers[name]), dtype)
 
-    def run(self, *stages: str, jobs: int = 0) -> None:
+    def run(self, *stages: str, jobs: int = 0, side: int = 0) -> None:
         """Run the launches of stages, one stage after the other.
 
         Args:
             stages: see `Program`.
             jobs: views of shadow maps, for the stage `shadows`.
+            side: texels a side of each of them, with the gutter.
         """
         encoder = self.device.create_command_encoder()
         for stage in stages:
-            self._encode(encoder, (launch for launch in self.program.launches if launch.stage == stage), jobs)
+            self._encode(encoder, (launch for launch in self.program.launches if launch.stage == stage), jobs, side)
         self.device.queue.submit([encoder.finish()])
 
-    def _encode(self, encoder: Any, launches: Iterable[Launch], jobs: int) -> None:
+    def _encode(self, encoder: Any, launches: Iterable[Launch], jobs: int, side: int) -> None:
         for launch in launches:
             if launch.shader.startswith("raster-"):
                 self._encode_raster(encoder, launch)
@@ -120,10 +121,11 @@ class ShaderEngine:
             depth = jobs if launch.jobs else launch.depth.count(self.lights)
             if depth == 0:
                 continue
+            width, height = grid_of((side, side)) if launch.jobs else (launch.width, launch.height)
             render = encoder.begin_compute_pass()
             render.set_pipeline(self._pipeline(launch.shader))
             render.set_bind_group(0, self._bind(launch))
-            render.dispatch_workgroups(launch.width, launch.height, depth)
+            render.dispatch_workgroups(width, height, depth)
             render.end()
 
     def _encode_raster(self, encoder: Any, launch: Launch) -> None:

@@ -19,6 +19,7 @@ from hyjax.device.page_content import PAGE_FORMAT, frame_entry, frame_picture, p
 from hyjax.device.page_scene import describe_scene, light_keys, pack_scene, setup_content
 from hyjax.device.scene_arrays import scene_arrays
 from hyjax.export.page_sun import sun_table
+from hyjax.geometry.shadow_caster import RESOLUTION, VIEW_RESOLUTION
 from hyjax.light.setup import REFERENCE_LUX, LightSetup
 from hyjax.relighting.pictures import HEADINGS, sheet_row
 from hyjax.scene.relighter import Relighter
@@ -29,8 +30,8 @@ from hyjax.util.files import new_folder
 from hyjax.util.images import resize
 from hyjax.util.reading import read_json
 
-RESOLUTIONS = 512, 256
-"""Texels a side of shadow maps with one view, and of each of several: half of those of `relight`."""
+RESOLUTIONS = RESOLUTION, VIEW_RESOLUTION
+"""Texels a side of shadow maps with one view, and of each of several, where lights lie still."""
 RAYS = 128
 """Rays of each point of the light transport, half of those of `relight`."""
 FRAMES = 24

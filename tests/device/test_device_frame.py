@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from scipy import ndimage
 
 import hyjax
 from hyjax.configuration import LightOptions
@@ -40,6 +41,8 @@ from hyjax.util.errors import InputError
 
 SIZE, TEXELS = (72, 96), (128, 64)
 SIZE_TEXT = "96x72"
+MARGIN = 0.15
+"""Metres before a surface at which something throws a shadow on it for certain."""
 
 
 @pytest.fixture(scope="module")
@@ -219,3 +222,34 @@ def test_relight_by_webgpu(scene: Scene, device: Any, tmp_path: Path) -> None:
 def test_webgpu_does_no_video() -> None:
     with pytest.raises(InputError, match="renderer: webgpu"):
         RelightSettings(renderer="webgpu", video=True).check()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radius", [0.0, 0.05])
+def test_light_does_not_leak(scene: Scene, device: Any, radius: float) -> None:
+    """Where rays say that something stands well before the surface, full shadow maps are dark, too."""
+    low, high = scene.mesh.bounds
+    up = np.asarray(scene.capture.up, np.float32)
+    place = ((low + high) / 2 + [0.3, 0.2, 0.0] - 0.25 * np.linalg.norm(high - low) * 0.5 * up).astype(np.float32)
+    lamp = PointLight(place, np.float32(800.0), np.ones(3, np.float32), np.float32(radius))
+    renderer = DeviceRenderer(
+        scene,
+        LightSetup((lamp,), 250.0),
+        SIZE,
+        Schedule.preset("hyjax"),
+        device=device,
+        light=LightOptions(photo_light="kept"),
+    )
+    leaks = shaded = 0
+    for index in range(4):
+        view = scene.view(index)
+        renderer.relight(np.asarray(view.display), scene.frame(index).camera)
+        seen, lit = renderer.engine.download("visibility").reshape(2, *SIZE, 4)[..., 0]
+        offset = np.asarray(view.gbuffer.position).reshape(-1, 3) - place
+        distance = np.linalg.norm(offset, axis=-1)
+        met = scene.occluders.cast(np.broadcast_to(place, offset.shape), offset / distance[:, None]).distance
+        dark = (np.asarray(met) < distance - MARGIN).reshape(SIZE) & np.asarray(view.gbuffer.hit)
+        core = ~ndimage.binary_dilation(~dark, iterations=2) & (lit > 0)
+        leaks, shaded = leaks + int((seen[core] > 0.5).sum()), shaded + int(core.sum())
+    print(f"{leaks} of {shaded} pixels")
+    assert shaded > 300 and leaks <= 0.01 * shaded

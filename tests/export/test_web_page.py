@@ -73,6 +73,21 @@ GPUAdapter.prototype.requestDevice = function ({ requiredFeatures, ...rest }) {
 """A device that says it has half precision; its programs must be those of single precision all the same."""
 
 
+BARE = """
+const { requestDevice: withNothing } = GPUAdapter.prototype;
+GPUAdapter.prototype.requestDevice = function () { return withNothing.call(this); };
+"""
+MAPPED = """
+globalThis.mapped = [];
+const { mapAsync } = GPUBuffer.prototype;
+GPUBuffer.prototype.mapAsync = function (...options) {
+  mapped.push(this.size);
+  return mapAsync.apply(this, options);
+};
+null;
+"""
+
+
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     room = load_room(n_frames=3, width=96, height=72, quality=0.25, progress=False)
@@ -553,6 +568,27 @@ def test_a_device_that_gets_half_precision_wrong_takes_single(browser: Any, url:
 
 
 @pytest.mark.slow
+def test_a_device_with_nothing_but_the_default_limits_will_do(browser: Any, url: str, visit: Visit) -> None:
+    bare = Visit(browser, url, script=BARE)
+    assert bare.state() == "ready", bare.page.inner_text("#failure-text")
+    limits = bare.page.evaluate("['maxBufferSize', 'maxStorageBufferBindingSize'].map((k) => devices[0].limits[k])")
+    assert limits == [1 << 28, 1 << 27]
+    np.testing.assert_array_equal(canvas(bare), canvas(visit))
+    bare.page.close()
+
+
+@pytest.mark.slow
+def test_a_look_at_the_surface_takes_sixteen_bytes(visit: Visit) -> None:
+    visit.page.evaluate(MAPPED)
+    visit.page.get_by_role("button", name="Add a lamp").click()
+    box = visit.page.locator("#over").bounding_box()
+    visit.page.mouse.click(box["x"] + 0.45 * box["width"], box["y"] + 0.3 * box["height"])
+    visit.page.get_by_role("button", name="Remove").click()
+    assert 16 in visit.page.evaluate("mapped")
+    assert max(visit.page.evaluate("mapped.filter((bytes) => bytes !== 256 * 2 * 72)")) <= 8192, "times, if any"
+
+
+@pytest.mark.slow
 def test_keys_press_what_has_the_focus(visit: Visit) -> None:
     """Space on a heading unfolds it and does not play; Enter chooses a lamp, arrows move it."""
     page = visit.page
@@ -576,7 +612,7 @@ def test_keys_press_what_has_the_focus(visit: Visit) -> None:
 
 
 @pytest.mark.slow
-def test_a_lost_device_is_opened_again_once(visit: Visit) -> None:
+def test_a_lost_device_is_opened_again_twice(visit: Visit) -> None:
     """The last test that has the page, and lost while it draws."""
     before = canvas(visit)
     visit.page.get_by_role("button", name="Play the frames").click()
@@ -591,7 +627,11 @@ def test_a_lost_device_is_opened_again_once(visit: Visit) -> None:
     np.testing.assert_array_equal(canvas(visit), before)
     visit.page.evaluate("devices.at(-1).destroy()")
     visit.page.wait_for_timeout(300)
-    assert visit.state() == "failed" and "lost twice" in visit.page.inner_text("#failure-text")
+    visit.page.evaluate("hyjax.goto(0)")
+    np.testing.assert_array_equal(canvas(visit), before)
+    visit.page.evaluate("devices.at(-1).destroy()")
+    visit.page.wait_for_timeout(300)
+    assert "lost three times" in visit.failure
 
 
 @pytest.mark.slow

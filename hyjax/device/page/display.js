@@ -55,7 +55,7 @@ export class Display {
     queue.writeBuffer(this.shown, 0, words);
     queue.writeBuffer(this.colors, 0, new Float32Array(lights.flatMap((light) => [...light.color, 0])));
     const { raw, refined, visibility, image } = this.names;
-    const buffers = [image, "picture", "positions", "normals", stage === "raw filter" ? raw : refined, "cascade totals", visibility];
+    const buffers = [image, "picture", "surface", stage === "raw filter" ? raw : refined, "cascade totals", visibility];
     const entries = [this.shown, ...buffers.map((name) => engine.buffers[name]), this.colors]
       .map((buffer, binding) => ({ binding, resource: { buffer } }));
     const encoder = this.device.createCommandEncoder();

@@ -14,11 +14,12 @@ export async function openDevice() {
   if (!adapter) throw new Error("This browser has WebGPU but found no graphics adapter for it: its driver may be blocked, or hardware acceleration be off.");
   const wanted = ["timestamp-query", "shader-f16"].filter((name) => adapter.features.has(name));
   const limits = {};
-  for (const name of ["maxStorageBufferBindingSize", "maxBufferSize", "maxStorageBuffersPerShaderStage"]) {
+  for (const name of ["maxStorageBufferBindingSize", "maxBufferSize"]) {
     limits[name] = adapter.limits[name];
   }
   const device = await adapter.requestDevice({ requiredFeatures: wanted, requiredLimits: limits });
   device.hyjaxName = adapterName(adapter);
+  device.isSoftware = adapter.info?.isFallbackAdapter ?? adapter.isFallbackAdapter ?? false;
   return device;
 }
 
@@ -137,15 +138,19 @@ export class Engine {
     return values;
   }
 
-  /** Encode the launches of stages. With `timed`, the GPU's time of each label can be read with `times`. */
-  encode(encoder, stages, { jobs = 0, timed = false } = {}) {
+  /**
+   * Encode the launches of stages.
+   * @param options jobs: views of shadow maps, for the stage `shadows`; side: texels a side of each, with the gutter;
+   *   timed: whether the GPU's time of each label can be read with `times`
+   */
+  encode(encoder, stages, { jobs = 0, side = 0, timed = false } = {}) {
     const timer = timed ? this.timer : null;
     timer?.begin();
     for (const stage of stages) {
       for (const launch of this.program.launches) {
         if (launch.stage !== stage) continue;
         if (launch.shader.startsWith("raster-")) this.encodeRaster(encoder, launch, timer);
-        else this.encodeLaunch(encoder, launch, jobs, timer);
+        else this.encodeLaunch(encoder, launch, jobs, side, timer);
       }
     }
     timer?.end(encoder);
@@ -163,13 +168,14 @@ export class Engine {
     return this.timer ? this.timer.read() : null;
   }
 
-  encodeLaunch(encoder, launch, jobs, timer) {
+  encodeLaunch(encoder, launch, jobs, side, timer) {
     const depth = launch.jobs ? jobs : groupCount(launch.depth, this.lights);
     if (!depth) return;
     const pass = encoder.beginComputePass({ timestampWrites: timer?.writes(launch.label) });
     pass.setPipeline(this.pipelines[launch.shader]);
     pass.setBindGroup(0, this.bind(launch));
-    pass.dispatchWorkgroups(launch.width, launch.height, depth);
+    const [width, height] = launch.jobs ? [Math.ceil(side / 8), Math.ceil(side / 8)] : [launch.width, launch.height];
+    pass.dispatchWorkgroups(width, height, depth);
     pass.end();
   }
 

@@ -146,20 +146,29 @@ export function connectPointer(viewer) {
     marker.addEventListener("pointerdown", (event) => {
       event.preventDefault();
       marker.setPointerCapture(event.pointerId);
-      const own = { x: event.clientX, y: event.clientY, surface: null, moved: false };
-      drag = own;
-      viewer.renderer.surface().then((surface) => { own.surface = surface; }, () => {});
+      drag = { x: event.clientX, y: event.clientY, at: null, moved: false, busy: false };
       viewer.selected = item.id;
       viewer.change("display");
     });
     marker.addEventListener("pointermove", (event) => {
-      if (!drag?.surface) return;
+      if (!drag) return;
       if (!drag.moved && Math.hypot(event.clientX - drag.x, event.clientY - drag.y) <= DRAG) return;
       drag.moved = true;
-      const { x, y } = pixel(event);
-      const place = viewer.placeAt(drag.surface, x, y);
-      if (place) viewer.moveLamp(item, place);
+      drag.at = pixel(event);
+      follow(drag);
     });
+    /** Move the lamp to where the pointer was last; one look at the surface at a time. */
+    async function follow(own) {
+      if (own.busy) return;
+      own.busy = true;
+      while (own.at) {
+        const { x, y } = own.at;
+        own.at = null;
+        const place = await viewer.placeAt(x, y).catch(() => null);
+        if (place) viewer.moveLamp(item, place);
+      }
+      own.busy = false;
+    }
     marker.addEventListener("click", () => { // by Enter or Space; a press has done so already
       viewer.selected = item.id;
       viewer.change("display");

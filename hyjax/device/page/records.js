@@ -1,56 +1,62 @@
 // Lights, camera, windows and lamps as records of the shaders: the twin of hyjax/device/light_records.py and renderer.py.
 import { add, cross, dot, norm } from "./lights.js";
+import { shadowViews } from "./views.js";
 
 const KINDS = { ambient: 0, point: 1, spot: 2, rect: 3, directional: 4, sky: 5 };
 const WITHIN = 0.1; // metres from a source within which a new light makes it shine
 export const RECORD_WORDS = 32;
-const COLOR = 20; // word of a record where colour and strength begin
-
-/** Views of a light's shadow map; 0 for none. */
-function viewCount(light) {
-  switch (light.kind) {
-    case "point": case "spot": return light.radius > 0 ? 8 : 1;
-    case "rect": return 16;
-    case "directional": return light.angular > 0 ? 4 : 1;
-    case "sky": return 32;
-    default: return 0;
-  }
-}
+const SIZE = 2; // words of a record: texels a side of the shadow map,
+const COLOR = 20; // where colour and strength begin,
+const TEXEL = 30; // and the width of a texel
 
 /**
- * Records of lights.
+ * Records of lights, with shadow maps in full size.
  * @param lights from parseSetup
  * @param scene of page.json
  * @param resolutions texels a side of a map with one view, and of each of several
- * @param coarse numbers of lights whose maps have a quarter of the texels a side
+ * @returns words; views: origin and axes of each view, four numbers a vector; of each light: jobs, the full size of its
+ *   map and the width of what it covers; texels of all maps
  */
-export function lightRecords(lights, scene, resolutions, coarse = new Set()) {
+export function lightRecords(lights, scene, resolutions) {
   const words = new Float32Array(RECORD_WORDS * lights.length);
   const heads = new Uint32Array(words.buffer);
   const [low, high] = scene.bounds;
-  const reach = 0.5 * norm(add(high, low, -1)) * 1.01;
+  const room = { center: [0, 1, 2].map((k) => 0.5 * (low[k] + high[k])), reach: 0.5 * norm(add(high, low, -1)) * 1.01 };
   // Light that falls on any surface alike is left out where bounces stand in for it.
   const uniform = lights.every((light) => light.kind === "ambient");
-  const jobs = [];
-  let start = 0;
+  const records = { words, heads, views: [], jobs: [], sizes: [], extents: [], texels: 0 };
   lights.forEach((light, number) => {
     const at = RECORD_WORDS * number;
     const put = (field, vector, w) => {
       if (vector) words.set(vector, at + 4 * field);
       if (w !== undefined) words[at + 4 * field + 3] = w;
     };
-    const views = viewCount(light);
-    const full = views ? resolutions[Number(views > 1)] : 0;
-    heads.set([KINDS[light.kind], views, coarse.has(number) ? Math.max(8, full >> 2) : full, views ? start : 0], at);
+    const views = shadowViews(light, room) ?? { origins: [], axes: [], extent: 0 };
+    const count = views.origins.length;
+    const size = count ? resolutions[Number(count > 1)] : 0;
+    heads.set([KINDS[light.kind], count, 0, count ? records.texels : 0], at);
     put(5, light.color, light.kind === "ambient" && !uniform ? 0 : light.strength);
-    put(6, [0, 1, 2].map((k) => 0.5 * (low[k] + high[k])), reach);
-    put(7, [scene.slack ?? -1, Number(Boolean(light.aperture)), 0]);
+    put(6, room.center, room.reach);
+    put(7, [scene.slack ?? -1, Number(Boolean(light.aperture)), 0], records.views.length / 16);
     SHAPES[light.kind]?.(put, light);
-    jobs.push(Array.from({ length: views }, (_, view) => [number, view, 0, 0]));
-    start += views * (full + 2) ** 2;
+    records.sizes.push(size);
+    records.extents.push(views.extent);
+    if (count) sizeMap(records, number, size);
+    records.jobs.push(Array.from({ length: count }, (_, view) => [number, view, 0, 0]));
+    views.origins.forEach((origin, k) => records.views.push(...[origin, ...views.axes[k]].flatMap((vector) => [...vector, 0])));
+    records.texels += count * (size + 2) ** 2;
   });
-  return { words, jobs, texels: start };
+  return records;
 }
+
+/** Make a light's shadow map of another size, no larger than its full one. */
+export function sizeMap({ words, heads, extents }, number, size) {
+  heads[RECORD_WORDS * number + SIZE] = size;
+  words[RECORD_WORDS * number + TEXEL] = extents[number] / size;
+}
+
+/** Texels a side of a light's shadow map. */
+export const mapSize = (records, number) => records.heads[RECORD_WORDS * number + SIZE];
 
 const putRectangle = (put, { center, right, up }) => {
   put(1, center);
@@ -79,14 +85,15 @@ const SHAPES = {
   sky: (put, light) => put(2, light.direction),
 };
 
-/** Numbers of lights whose shadow maps must be cast anew: all but colour and strength decide. */
+/** Numbers of lights whose shadow maps must be cast anew: all but colour, strength and the map's present size decide. */
 export function movedLights(records, last) {
+  const free = (k) => k === SIZE || k === TEXEL || (k >= COLOR && k < COLOR + 4);
   const moved = [];
   records.jobs.forEach((jobs, number) => {
     if (!jobs.length) return;
     const at = RECORD_WORDS * number;
-    const same = last && last.jobs.length > number && records.words.subarray(at, at + RECORD_WORDS)
-      .every((value, k) => (k >= COLOR && k < COLOR + 4) || Object.is(value, last.words[at + k]));
+    const same = last && last.jobs.length > number && last.sizes[number] === records.sizes[number]
+      && records.words.subarray(at, at + RECORD_WORDS).every((value, k) => free(k) || Object.is(value, last.words[at + k]));
     if (!same) moved.push(number);
   });
   return moved;

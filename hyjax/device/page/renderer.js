@@ -2,10 +2,12 @@
 import { Engine } from "./engine.js";
 import { darkness } from "./lights.js";
 import {
-  ambientFilter, emitterVectors, frameRecord, keptVectors, lightRecords, movedLights,
+  ambientFilter, emitterVectors, frameRecord, keptVectors, lightRecords, mapSize, movedLights, sizeMap,
 } from "./records.js";
 
-const MOST_JOBS = 16; // views of shadow maps in one go, so that no launch takes seconds on a slow GPU
+const BATCH_TEXELS = 1 << 20; // of shadow maps in one go, so that no launch takes seconds on a slow GPU
+const REFINED_TEXELS = 1 << 22; // of shadow maps between two pictures, where there is more than one
+const MOST_MAP_BYTES = 1 << 27; // of all shadow maps
 const NOWHERE = { right: [1, 0, 0], down: [0, 1, 0], forward: [0, 0, 1], origin: [0, 0, 0], intrinsics: [1, 1, 0, 0] };
 
 export class Renderer {
@@ -25,7 +27,8 @@ export class Renderer {
   constructor(engine, page) {
     Object.assign(this, { engine, page, records: null, lights: [], setup: null, camera: NOWHERE, albedo: false });
     this.pending = new Set(["load"]);
-    this.jobs = [];
+    this.coarse = new Set(); // numbers of lights whose shadow maps are not of full size yet
+    this.stale = new Set(); // numbers of lights whose shadow maps have to be cast
     this.times = {}; // milliseconds by label
   }
 
@@ -35,31 +38,55 @@ export class Renderer {
   }
 
   /**
-   * Take lights.
+   * Take lights. Shadow maps of those that have moved are coarse until `refine`.
    * @param setup from parseSetup
-   * @param coarse numbers of lights whose shadow maps may be coarse
+   * @returns whether any has moved
    */
-  async setLights(setup, coarse = new Set()) {
-    const { scene, resolutions } = this.page;
+  async setLights(setup) {
+    const { scene } = this.page;
     const lights = setup.lights.length ? setup.lights : [darkness()];
-    const records = lightRecords(lights, scene, resolutions, coarse);
     const { device } = this.engine;
+    let { resolutions } = this.page;
+    let records = lightRecords(lights, scene, resolutions);
+    const most = Math.min(MOST_MAP_BYTES, device.limits.maxStorageBufferBindingSize) / 4;
+    while (records.texels > most) {
+      resolutions = resolutions.map((size) => size >> 1);
+      records = lightRecords(lights, scene, resolutions);
+    }
     device.pushErrorScope("out-of-memory");
     const made = this.engine.resize(lights.length, { depths: Math.max(16, 4 * records.texels) });
     const memory = checkMemory(device, this.page.size);
     if (made.includes("depths")) this.records = null; // all maps are gone
     if (made.length) this.pending.add("photo");
     const moved = movedLights(records, this.records);
-    // Jobs that have not run yet count, too: their lights may not have moved since.
-    const numbers = new Set([...moved, ...(this.records ? this.jobs.map(([light]) => light) : [])]);
-    this.jobs = [...numbers].flatMap((number) => records.jobs[number] ?? []);
+    const kept = (numbers) => [...(this.records ? numbers : [])].filter((number) => records.jobs[number]?.length);
+    this.coarse = new Set([...kept(this.coarse), ...moved]);
+    this.stale = new Set([...kept(this.stale), ...moved]); // maps that have not been cast yet count, too
+    for (const number of this.coarse) sizeMap(records, number, Math.max(8, records.sizes[number] >> 2));
     Object.assign(this, { records, lights, setup });
     this.engine.upload("lights", records.words);
+    this.engine.upload("views", new Float32Array(records.views));
     this.engine.upload("kept", keptVectors(setup.existing, scene, lights, setup.reference_lux));
     this.engine.upload("emitters", emitterVectors(lights, setup.reference_lux, setup.existing, scene));
-    if (this.jobs.length) this.pending.add("shadows");
-    this.pending.add("bounces").add("frame");
+    this.pending.add("shadows").add("bounces").add("frame");
     await memory;
+    return moved.length > 0;
+  }
+
+  /** Have some of the coarse shadow maps cast in full. */
+  refine() {
+    const { records } = this;
+    let texels = 0;
+    for (const number of this.coarse) {
+      const own = records.jobs[number].length * records.sizes[number] ** 2;
+      if (texels && texels + own > REFINED_TEXELS) break;
+      texels += own;
+      this.coarse.delete(number);
+      this.stale.add(number);
+      sizeMap(records, number, records.sizes[number]);
+    }
+    this.engine.upload("lights", records.words);
+    this.pending.add("shadows").add("bounces").add("frame");
   }
 
   /**
@@ -88,28 +115,39 @@ export class Renderer {
       mean: scene.mean,
     }));
     const stages = ["load", "bounces", "photo", "frame"].filter((stage) => this.pending.has(stage));
-    let jobs = this.pending.has("shadows") ? this.jobs : [];
+    const batches = this.pending.has("shadows") ? this.mapBatches() : [];
     this.pending.clear();
-    this.jobs = [];
+    this.stale.clear();
     if (stages[0] === "load") engine.run([stages.shift()]);
-    while (jobs.length > MOST_JOBS) {
+    const last = batches.pop();
+    for (const { jobs, side } of batches) {
       const begun = performance.now();
-      this.cast(jobs.slice(0, MOST_JOBS));
+      engine.upload("jobs", new Uint32Array(jobs.flat()));
+      engine.run(["shadows"], { jobs: jobs.length, side });
       await engine.device.queue.onSubmittedWorkDone();
       this.times["shadow maps"] = performance.now() - begun;
-      jobs = jobs.slice(MOST_JOBS);
     }
-    if (jobs.length) {
-      engine.upload("jobs", new Uint32Array(jobs.flat()));
+    if (last) {
+      engine.upload("jobs", new Uint32Array(last.jobs.flat()));
       stages.unshift("shadows");
     }
     if (this.albedo) stages.splice(0, stages.length, ...stages.filter((stage) => stage !== "photo"));
-    engine.run(stages, { jobs: jobs.length, timed });
+    engine.run(stages, { jobs: last?.jobs.length, side: last?.side, timed });
   }
 
-  cast(jobs) {
-    this.engine.upload("jobs", new Uint32Array(jobs.flat()));
-    this.engine.run(["shadows"], { jobs: jobs.length });
+  /** Views of the shadow maps to be cast, those of a size together, in batches. */
+  mapBatches() {
+    const batches = [];
+    const bySize = [...this.stale].sort((a, b) => mapSize(this.records, a) - mapSize(this.records, b));
+    for (const number of bySize) {
+      const side = mapSize(this.records, number) + 2;
+      const most = Math.max(1, Math.floor(BATCH_TEXELS / side ** 2));
+      for (const job of this.records.jobs[number]) {
+        if (batches.at(-1)?.side !== side || batches.at(-1).jobs.length >= most) batches.push({ side, jobs: [] });
+        batches.at(-1).jobs.push(job);
+      }
+    }
+    return batches;
   }
 
   /** Take over the GPU's times of the last timed run. */
@@ -117,10 +155,11 @@ export class Renderer {
     Object.assign(this.times, (await this.engine.times()) ?? {});
   }
 
-  /** Position and normal of the surface at each pixel, four numbers each; the fourth are depth and whether there is any. */
-  async surface() {
-    const [positions, normals] = await Promise.all([this.engine.download("positions"), this.engine.download("normals")]);
-    return { positions, normals };
+  /** Normal and depth of the surface at a pixel; null where there is none. */
+  async surfaceAt(column, row) {
+    const offset = 16 * (row * this.page.size[1] + column);
+    const [x, y, z, depth] = await this.engine.download("surface", { offset, bytes: 16 });
+    return depth > 0 ? { normal: [x, y, z], depth } : null;
   }
 
   /** Linear RGB of the picture, row by row. */

@@ -7,11 +7,11 @@ import { Display } from "./display.js";
 import { choosePrecision } from "./precision.js";
 import { Renderer } from "./renderer.js";
 
-const REFINE_AFTER = 200; // milliseconds that a lamp lies still before its shadows are cast in full
+const REFINE_AFTER = 200; // milliseconds that lights lie still before their shadows are cast in full
+const IN_FLIGHT = 2; // pictures that the GPU is given before one is done
 const LOST_WITHIN = 300; // milliseconds
 const TIMED_EVERY = 500; // milliseconds
-const LOST_AGAIN = 60e3; // milliseconds within which a second loss of the device is one too many
-const SOFTWARE = /swiftshader|llvmpipe|basic render/i; // GPUs that are none
+const LOST_AGAIN = 60e3; // milliseconds within which a third loss of the device is one too many
 const OFF_SURFACE = 0.3; // metres from the surface that a lamp is put at
 
 export class Viewer extends EventTarget {
@@ -27,12 +27,13 @@ export class Viewer extends EventTarget {
     Object.assign(this, { frame: 0, flying: null, stage: "result", wipe: 0, stops: 0, playing: false, rate: 12 });
     this.lights = new LightList(page);
     this.height = null; // metres above the floor at which lamps are put; null: off the surface
-    this.coarse = new Set(); // ids of lamps that are being moved
     this.keys = new Set();
     this.dirty = { lights: true, camera: true, display: true };
     this.fps = 0;
     this.milliseconds = 0;
     this.waiting = [];
+    this.inFlight = []; // promises of pictures that are not done
+    this.losses = []; // times of losses of the device
     const { bounds, up } = page.scene;
     const corners = bounds[0].map((low, k) => (up[k] > 0 ? low : bounds[1][k]));
     this.floor = dot(corners, up);
@@ -50,7 +51,7 @@ export class Viewer extends EventTarget {
       this.canvas.replaceWith(fresh);
       this.canvas = fresh;
     }
-    const copied = Boolean(this.wasLost) || SOFTWARE.test(this.device.hyjaxName);
+    const copied = this.device.isSoftware || this.losses.length > 1;
     this.display = await Display.create(this.device, this.canvas, this.page, copied);
     this.dirty = { lights: true, camera: true, display: true };
     this.stopped = false;
@@ -60,13 +61,12 @@ export class Viewer extends EventTarget {
 
   async lost() {
     this.stopped = true;
-    const again = performance.now() - (this.lostAt ?? -Infinity) < LOST_AGAIN;
-    this.lostAt = performance.now();
-    if (this.wasLost && again) {
-      this.fail(new Error("The graphics device was lost twice. Reload the page to try again."));
+    const now = performance.now();
+    this.losses = [...this.losses.filter((time) => now - time < LOST_AGAIN), now];
+    if (this.losses.length > 2) {
+      this.fail(new Error("The graphics device was lost three times within a minute. Reload the page to try again."));
       return;
     }
-    this.wasLost = true;
     this.say("The graphics device was lost; it is being opened again.");
     await this.start().catch((error) => this.fail(error));
   }
@@ -114,6 +114,10 @@ export class Viewer extends EventTarget {
         this.change("camera");
       }
       try {
+        if (!this.isDirty && this.renderer.coarse.size && now - this.moved >= REFINE_AFTER) {
+          this.renderer.refine();
+          this.dirty.display = true;
+        }
         if (this.isDirty) await this.draw(now);
       } catch (error) {
         // What fails because the device is lost is for `lost` to mend, which may hear of it a little later.
@@ -122,7 +126,9 @@ export class Viewer extends EventTarget {
         this.fail(error);
         return;
       }
-      if (!this.isDirty) for (const { resolve } of this.waiting.splice(0)) resolve();
+      if (this.isDirty || this.renderer.coarse.size || !this.waiting.length) continue;
+      await Promise.all(this.inFlight);
+      for (const { resolve } of this.waiting.splice(0)) resolve();
     }
   }
 
@@ -136,23 +142,26 @@ export class Viewer extends EventTarget {
       if (this.playing) this.frames.picture((this.frame + 1) % this.frames.count).catch(() => {});
       renderer.setCamera(camera, bitmap);
     }
-    if (dirty.lights) {
-      const coarse = new Set([...this.coarse].map((id) => this.lights.numberOf(id)).filter((k) => k >= 0));
-      await renderer.setLights(this.lights.setup(), coarse);
-    }
+    if (dirty.lights && (await renderer.setLights(this.lights.setup()))) this.moved = now;
     const timed = renderer.busy && now - (this.timed ?? -1e9) > TIMED_EVERY;
     const rendered = renderer.busy;
     if (rendered) await renderer.run({ timed });
     const { stage, wipe, stops } = this;
     await this.display.draw(renderer.engine, { stage, wipe: this.flying ? 0 : wipe, stops, lights: renderer.lights });
+    if (timed) this.timed = now;
+    const done = this.finish({ rendered, timed, begun }).catch(() => {}); // a lost device is for `lost`
+    this.inFlight.push(done);
+    done.then(() => { this.inFlight = this.inFlight.filter((other) => other !== done); });
+    if (this.inFlight.length >= IN_FLIGHT) await this.inFlight[0];
+  }
+
+  /** Wait until the GPU is done with a picture. */
+  async finish({ rendered, timed, begun }) {
     await this.device.queue.onSubmittedWorkDone();
     if (!rendered) return;
     this.milliseconds = performance.now() - begun;
     this.count(performance.now());
-    if (timed) {
-      this.timed = now;
-      await renderer.readTimes();
-    }
+    if (timed) await this.renderer.readTimes();
     this.dispatchEvent(new Event("rendered"));
   }
 
@@ -211,14 +220,15 @@ export class Viewer extends EventTarget {
   // ---- lamps ----
 
   /** Where a lamp goes that is put at a pixel; null where there is no surface. */
-  placeAt({ positions, normals }, x, y) {
+  async placeAt(x, y) {
     const [height, width] = this.page.size;
     const column = Math.floor(x);
     const row = Math.floor(y);
     if (column < 0 || row < 0 || column >= width || row >= height) return null;
-    const k = 4 * (row * width + column);
-    if (!normals[k + 3]) return null;
-    const place = add([...positions.subarray(k, k + 3)], [...normals.subarray(k, k + 3)], OFF_SURFACE);
+    const surface = await this.renderer.surfaceAt(column, row);
+    if (!surface) return null;
+    const { camera } = this.renderer;
+    const place = add(add(camera.origin, rayThrough(camera, column + 0.5, row + 0.5), surface.depth), surface.normal, OFF_SURFACE);
     if (this.height === null) return place;
     const { up } = this.page.scene;
     return add(place, up, this.floor + this.height - dot(place, up));
@@ -226,7 +236,7 @@ export class Viewer extends EventTarget {
 
   async addLamp(x, y) {
     this.playing = false;
-    const place = this.placeAt(await this.renderer.surface(), x, y);
+    const place = await this.placeAt(x, y);
     if (!place) throw new Error("There is no surface here; click on a wall, the floor or a piece of furniture.");
     const item = this.lights.add(place);
     this.selected = item.id;
@@ -234,19 +244,13 @@ export class Viewer extends EventTarget {
     return item;
   }
 
-  /** Put a lamp somewhere, with coarse shadows until it lies still. */
+  /** Put a lamp somewhere. */
   moveLamp(item, position) {
     const { entry } = item;
     if (entry.target) { // it goes on pointing the same way
       entry.target = add(entry.target, add(position, entry.position, -1));
     }
     entry.position = position;
-    this.coarse.add(item.id);
-    clearTimeout(this.refine);
-    this.refine = setTimeout(() => {
-      this.coarse.clear();
-      this.change("lights");
-    }, REFINE_AFTER);
     this.change("lights");
   }
 

@@ -3,7 +3,7 @@
 @group(0) @binding(1) var<storage, read> lights: array<Light>;
 @group(0) @binding(2) var<storage, read> emitters: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> picture: array<Stored>;
-@group(0) @binding(4) var<storage, read> positions: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> surface: array<vec4<f32>>; // normal, depth
 @group(0) @binding(5) var<storage, read> light: array<Stored>; // after the cascade
 @group(0) @binding(6) var<storage, read> totals: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read> visibility: array<Stored>;
@@ -38,7 +38,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var relight_filter = shining / max(photo_light, vec3<f32>(LEAST_PHOTO_LIGHT));
     if (totals[0].w <= 0.0) { relight_filter = frame.ambient.xyz; }
     var result = relight_filter * photo;
-    let emission = emission_at(id.xy, photo, positions[pixel].w, shining);
+    let emission = emission_at(id.xy, photo, surface[pixel].w, shining);
     result += emission.w * (emission.xyz - result);
     image[pixel] = vec4<f32>(result, emission.w);
 }
@@ -52,12 +52,12 @@ fn view_light(sent: vec3<f32>, mean: vec3<f32>) -> vec3<f32> {
 
 // What panes and lamps send from a pixel, and how far it belongs to one: `hyjax.light.emission`. Of each pane there
 // are centre, right, up, sent, kept and mean; of each lamp position with radius, sent and kept.
-fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, surface: f32, shining: vec3<f32>) -> vec4<f32> {
+fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3<f32>) -> vec4<f32> {
     let ray = ray_of_pixel(frame, pixel);
-    let depth = select(1e30, surface, surface > 0.0);
+    let depth = select(1e30, own_depth, own_depth > 0.0);
     let width = 1.0 / frame.intrinsics.x;
     let darkest = min(photo.x, min(photo.y, photo.z));
-    let hole = frame.counts.w == 1u && surface <= 0.0; // of the mesh, which has no glass
+    let hole = frame.counts.w == 1u && own_depth <= 0.0; // of the mesh, which has no glass
     var weight = 0.0;
     var sent = vec3<f32>(0.0);
     for (var k = 0u; k < frame.counts.y; k++) {
@@ -71,7 +71,7 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, surface: f32, shining: vec3<f
         let inside = min(length(right) - abs(dot(place, normalize(right))), length(up) - abs(dot(place, normalize(up))));
         let mean = emitters[6u * k + 5u].xyz;
         let lit = smoothstep(PANE_UNLIT, PANE_LIT, min(mean.x, min(mean.y, mean.z)));
-        let dark = select(1.0 - smoothstep(PANE_UNLIT, PANE_LIT, darkest), 0.0, surface > 0.0);
+        let dark = select(1.0 - smoothstep(PANE_UNLIT, PANE_LIT, darkest), 0.0, own_depth > 0.0);
         var cover = clamp(inside / (width * max(distance, 1e-3)) + 0.5, 0.0, 1.0)
             * select(mix(dark, smoothstep(0.1, 0.3, darkest), lit), 1.0, hole);
         if (distance <= 0.0 || slope >= 0.0 || depth <= distance - SLACK) { cover = 0.0; }

@@ -5,6 +5,7 @@
 @group(0) @binding(3) var<storage, read> fields: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> direct: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> indirect: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> views: array<vec4<f32>>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {

@@ -11,12 +11,11 @@ struct Shown {
 @group(0) @binding(0) var<uniform> shown: Shown;
 @group(0) @binding(1) var<storage, read> image: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> picture: array<Stored>;
-@group(0) @binding(3) var<storage, read> positions: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> normals: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> light: array<Stored>; // raw, or after the cascade
-@group(0) @binding(6) var<storage, read> totals: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read> visibility: array<Stored>;
-@group(0) @binding(8) var<uniform> colors: array<vec4<f32>, 32>; // of the lights
+@group(0) @binding(3) var<storage, read> surface: array<vec4<f32>>; // normal, depth
+@group(0) @binding(4) var<storage, read> light: array<Stored>; // raw, or after the cascade
+@group(0) @binding(5) var<storage, read> totals: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> visibility: array<Stored>;
+@group(0) @binding(7) var<uniform> colors: array<vec4<f32>, 32>; // of the lights
 
 @vertex
 fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
@@ -29,9 +28,9 @@ fn fragment(@builtin(position) place: vec4<f32>) -> @location(0) vec4<f32> {
     let pixel = cell.y * SIZE.x + cell.x;
     if (shown.stage == 1u || place.x < shown.wipe) { return vec4<f32>(load(picture[pixel]).xyz, 1.0); }
     switch shown.stage {
-        case 2u: { return vec4<f32>(select(vec3<f32>(0.0), 0.5 + 0.5 * normals[pixel].xyz, normals[pixel].w > 0.0), 1.0); }
+        case 2u: { return vec4<f32>(select(vec3<f32>(0.0), 0.5 + 0.5 * surface[pixel].xyz, surface[pixel].w > 0.0), 1.0); }
         case 3u: {
-            let depth = positions[pixel].w;
+            let depth = surface[pixel].w;
             return vec4<f32>(vec3<f32>(select(0.0, exp(-0.3 * depth), depth > 0.0)), 1.0);
         }
         case 4u, 5u: {

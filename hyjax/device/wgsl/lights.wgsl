@@ -1,5 +1,5 @@
-// Lights: what they throw on a surface, and the views of their shadow maps. The mirror of `hyjax.light.kinds` and of
-// `hyjax.light.shadow_map`; `hyjax.device.light_records` fills the records.
+// Lights: what they throw on a surface. The mirror of `hyjax.light.kinds`; `hyjax.device.light_records` fills the
+// records.
 struct Light {
     kind: u32,        // 0 ambient, 1 point, 2 spot, 3 rect, 4 directional, 5 sky
     views: u32,       // of its shadow map; 0 for no shadows
@@ -11,11 +11,12 @@ struct Light {
     up: vec4<f32>,         // likewise; cosine of the outer angle
     color: vec4<f32>,      // linear; strength: lumen or lux
     bounds: vec4<f32>,     // centre of the mesh and half its diagonal, which parallel rays cover
-    shadow: vec4<f32>,     // slack, or -1; whether there is an aperture
+    // Slack, or -1; whether there is an aperture; width of a texel, metres for orthographic maps, else metres at one
+    // metre's distance; its first view in `views`.
+    shadow: vec4<f32>,
 }
 
 const PI = 3.14159265358979;
-const GOLDEN = 2.39996322972865; // angle of a Fibonacci spiral
 
 const POINT = 1u;
 const SPOT = 2u;
@@ -27,23 +28,6 @@ const OCTAHEDRAL = 0u;
 const HEMISPHERE = 1u;
 const PERSPECTIVE = 2u;
 const ORTHOGRAPHIC = 3u;
-
-// Rows x, y and z, with z along a unit direction: `hyjax.util.vectors.orthonormal_frame`.
-fn frame_of(z: vec3<f32>) -> mat3x3<f32> {
-    let a = abs(z);
-    var axis = vec3<f32>(0.0, 0.0, 1.0);
-    if (a.x <= a.y && a.x <= a.z) { axis = vec3<f32>(1.0, 0.0, 0.0); }
-    else if (a.y <= a.z) { axis = vec3<f32>(0.0, 1.0, 0.0); }
-    let x = normalize(-cross(z, axis));
-    return mat3x3<f32>(x, cross(z, x), z);
-}
-
-fn sphere_point(k: u32, count: u32) -> vec3<f32> {
-    let z = 1.0 - (2.0 * f32(k) + 1.0) / f32(count);
-    let ring = sqrt(1.0 - z * z);
-    let angle = f32(k) * GOLDEN;
-    return vec3<f32>(ring * cos(angle), ring * sin(angle), z);
-}
 
 fn projection_of(light: Light) -> u32 {
     switch light.kind {
@@ -64,54 +48,6 @@ fn spread_of(light: Light) -> f32 {
 fn reach_of(light: Light) -> f32 {
     if (light.shadow.y > 0.0) { return 1.02 * length(vec2<f32>(length(light.right.xyz), length(light.up.xyz))); }
     return light.bounds.w;
-}
-
-// Width of a texel: metres for orthographic maps, else metres at one metre's distance.
-fn texel_of(light: Light) -> f32 {
-    var extent = sqrt(4.0 * PI);
-    switch projection_of(light) {
-        case HEMISPHERE: { extent = sqrt(2.0 * PI); }
-        case PERSPECTIVE: { extent = 2.0 * spread_of(light); }
-        case ORTHOGRAPHIC: { extent = 2.0 * reach_of(light); }
-        default: {}
-    }
-    return extent / f32(light.size);
-}
-
-struct View {
-    origin: vec3<f32>,
-    axes: mat3x3<f32>, // columns are the view's axes, unit
-}
-
-fn view_of(light: Light, k: u32) -> View {
-    var origin = light.position.xyz;
-    switch light.kind {
-        case POINT, SPOT: {
-            if (light.position.w > 0.0) { origin += light.position.w * sphere_point(k, 8u); }
-            if (light.kind == POINT) {
-                return View(origin, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
-            }
-            return View(origin, frame_of(light.direction.xyz));
-        }
-        case RECT: {
-            let plastic = 1.32471795724474602596;
-            let s = fract(0.5 + f32(k) * vec2<f32>(1.0 / plastic, 1.0 / (plastic * plastic)));
-            origin += (2.0 * s.x - 1.0) * light.right.xyz + (2.0 * s.y - 1.0) * light.up.xyz;
-            return View(origin, frame_of(normalize(cross(light.right.xyz, light.up.xyz))));
-        }
-        default: {}
-    }
-    var axes = frame_of(light.direction.xyz);
-    if (light.kind == SKY) {
-        let dome = sphere_point(k, 64u);
-        axes = frame_of(-normalize(axes * dome));
-    } else if (light.position.w > 0.0) {
-        let radius = sqrt((f32(k) + 0.5) / 4.0) * light.position.w;
-        let offset = radius * vec2<f32>(cos(f32(k) * GOLDEN), sin(f32(k) * GOLDEN));
-        axes = frame_of(normalize(light.direction.xyz + offset.x * axes[0] + offset.y * axes[1]));
-    }
-    if (light.shadow.y > 0.0) { return View(light.position.xyz, axes); }
-    return View(light.bounds.xyz - light.bounds.w * axes[2], axes);
 }
 
 fn fold(p: vec2<f32>) -> vec2<f32> { return (1.0 - abs(p.yx)) * select(vec2<f32>(1.0), vec2<f32>(-1.0), p < vec2<f32>(0.0)); }

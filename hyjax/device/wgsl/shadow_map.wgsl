@@ -2,6 +2,7 @@
 @group(0) @binding(3) var<storage, read> lights: array<Light>;
 @group(0) @binding(4) var<storage, read> jobs: array<vec4<u32>>; // light, view
 @group(0) @binding(5) var<storage, read_write> depths: array<f32>;
+@group(0) @binding(6) var<storage, read> views: array<vec4<f32>>;
 
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {

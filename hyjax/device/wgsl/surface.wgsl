@@ -7,10 +7,9 @@ const HOLE = 0.35;
 @group(0) @binding(2) var<storage, read> faces: array<u32>;
 @group(0) @binding(3) var<storage, read> fields: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> bounced: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read_write> positions: array<vec4<f32>>; // depth is its w
-@group(0) @binding(6) var<storage, read_write> normals: array<vec4<f32>>;   // 1 where there is a surface
-@group(0) @binding(7) var<storage, read_write> light: array<Stored>; // bounced light, weight; photo's light
-@group(0) @binding(8) var<storage, read_write> picture: array<Stored>;
+@group(0) @binding(5) var<storage, read_write> surface: array<vec4<f32>>; // normal, depth; 0 where there is none
+@group(0) @binding(6) var<storage, read_write> light: array<Stored>; // bounced light, weight; photo's light
+@group(0) @binding(7) var<storage, read_write> picture: array<Stored>;
 
 fn mixed(field: u32, corners: vec3<u32>, weights: vec3<f32>) -> vec3<f32> {
     return weights.x * fields[4u * corners.x + field].xyz + weights.y * fields[4u * corners.y + field].xyz
@@ -24,8 +23,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let plane = SIZE.x * SIZE.y;
     let face = textureLoad(shown, id.xy, 0).x;
     if (face == 0u) {
-        positions[pixel] = vec4<f32>(0.0);
-        normals[pixel] = vec4<f32>(0.0);
+        surface[pixel] = vec4<f32>(0.0);
         light[pixel] = store(vec4<f32>(0.0));
         light[plane + pixel] = store(vec4<f32>(0.0));
         // Off the photos, holes of the mesh are grey, not black.
@@ -52,8 +50,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if ((dot(flat_normal, ray) > 0.0) != (dot(flat_normal, normal) < 0.0)) { normal = -normal; }
     let length = sqrt(dot(normal, normal));
     normal = select(vec3<f32>(0.0), normal / length, length > 0.0);
-    positions[pixel] = vec4<f32>(frame.origin.xyz + depth * ray, depth);
-    normals[pixel] = vec4<f32>(normal, 1.0);
+    surface[pixel] = vec4<f32>(normal, depth);
     let thrown = weights.x * bounced[corners.x].xyz + weights.y * bounced[corners.y].xyz + weights.z * bounced[corners.z].xyz;
     let photo = mixed(2u, corners, weights);
     light[pixel] = store(vec4<f32>(thrown, 1.0));

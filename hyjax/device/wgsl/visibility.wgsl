@@ -1,8 +1,8 @@
-// Share of a light that shadows leave: `hyjax.light.shadow_map.visibility`. Needs `depths`.
+// Share of a light that shadows leave: `hyjax.light.shadow_map.visibility`. Needs `depths` and `views`.
 fn visibility_at(light: Light, p: vec3<f32>, n: vec3<f32>) -> f32 {
     if (light.views == 0u) { return 1.0; }
     let projection = projection_of(light);
-    let texel_at_one = texel_of(light);
+    let texel_at_one = light.shadow.z;
     let across = cross(light.right.xyz, light.up.xyz);
     let side = light.size + 2u;
     var lit = 0.0;

@@ -1,0 +1,41 @@
+"""Programs by what they ask of a device, without one."""
+
+import re
+from typing import get_args
+
+import pytest
+
+from hyjax.configuration import Configuration
+from hyjax.core.schedule import PRESETS, Schedule
+from hyjax.device.frame_program import SceneCounts, frame_program
+from hyjax.device.precision_check import precision_check
+from hyjax.device.program import Precision, Program
+
+MOST_STORAGE_BUFFERS, MOST_WORKGROUP_BYTES, MOST_UNIFORM_BYTES, MOST_BINDING_BYTES = 8, 16384, 65536, 1 << 27
+"""Default limits of WebGPU."""
+COUNTS = SceneCounts(20_000, 10_500, 11_000, 128, 4, 20_000, 10_500)
+WGSL_BYTES = {"f32": 4, "u32": 4, "vec2<f32>": 8, "vec4<f32>": 16, "vec4<u32>": 16}
+
+
+def programs(precision: Precision) -> list[Program]:
+    configuration = Configuration()
+    schedules = [configuration.schedule, *(Schedule.preset(name) for name in PRESETS)]
+    frames = [
+        frame_program(COUNTS, (480, 640), schedule, configuration.shadow_schedule, precision=precision, features=n)
+        for schedule in schedules
+        for n in (3, 16)
+    ]
+    return [*frames, precision_check(precision)]
+
+
+@pytest.mark.parametrize("precision", get_args(Precision))
+def test_default_limits_are_kept(precision: Precision) -> None:
+    for program in programs(precision):
+        for name, text in program.shaders.items():
+            assert len(re.findall(r"var<storage", text)) <= MOST_STORAGE_BUFFERS, name
+            shared = re.findall(r"var<workgroup> \w+: array<([\w<>]+), (\d+)>", text)
+            assert len(shared) == text.count("var<workgroup>")
+            assert sum(WGSL_BYTES[kind] * int(count) for kind, count in shared) <= MOST_WORKGROUP_BYTES, name
+        for name, buffer in program.buffers.items():
+            most = MOST_UNIFORM_BYTES if buffer.uniform else MOST_BINDING_BYTES
+            assert buffer.bytes * buffer.groups.count(4) <= most, name
