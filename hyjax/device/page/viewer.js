@@ -114,7 +114,7 @@ export class Viewer extends EventTarget {
         this.change("camera");
       }
       try {
-        if (!this.isDirty && this.renderer.coarse.size && now - this.moved >= REFINE_AFTER) {
+        if (!this.dirty.lights && this.renderer.coarse.size && now - this.moved >= REFINE_AFTER) {
           this.renderer.refine();
           this.dirty.display = true;
         }
