@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import gc
 import io
 import sys
 import warnings
@@ -28,6 +29,8 @@ from hyjax.util.terminal import end_output, open_closed_streams, quiet_libraries
 
 WITH_CAPTURE = ("relight", "tune", "tour")
 """Commands that take a capture as an option."""
+GARBAGE_THRESHOLDS = (10_000, 10, 10)
+"""Python's thresholds of garbage collection: tracing makes many objects, and 700 took 3 % of a first start."""
 RENAMED_VALUES = {("--renderer", "hyjax"): "shadow_map"}
 
 
@@ -332,13 +335,14 @@ def run_convert(settings: ConvertSettings) -> None:
 
 
 def _keep_for_later() -> None:
-    """Keep memory for the next frame, and compiled programs for the next start."""
+    """Keep memory for the next frame, and compiled programs for the next start; look for garbage less often."""
     from hyjax.util.memory import keep_freed_memory
 
     keep_freed_memory()  # before the first thread
     from hyjax.util.compiled_cache import keep_compiled
 
     keep_compiled()
+    gc.set_threshold(*GARBAGE_THRESHOLDS)
     warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
 
 

@@ -108,7 +108,7 @@ RELIGHT = ["relight", "--size", SIZE, "--save-filters", "--quiet"]
 RELIGHT += ["--keep-photo-light"]  # its programs take as long to compile as all others
 TRAIN = ["--pairs", "rooms", "--size", "32", "--batch", "1", "--features", "4", "--factors", "8"]
 TRAIN += ["--iterations", str(ROUNDS), "--validate-every", "2", "--checkpoint-every", "2", "--quiet"]
-TUNE = ["--stage", "cascade", "--budget-ms", "5", "--size", "64", "--frames", "0:1", "--holdout", "1:2"]
+TUNE = ["--stage", "cascade", "--budget-ms", "200", "--size", "64", "--frames", "0:1", "--holdout", "1:2"]
 TUNE += ["--no-extra", "--lights", "two-colors", "--quiet"]
 
 
