@@ -2,8 +2,14 @@
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from hyjax.data.builtin_room import RoomCapture
 
 # Most of what tests compile runs once: optimising it takes longer than it saves, and so do fusion emitters.
 UNOPTIMISED = (
@@ -25,3 +31,8 @@ def without_gradients(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(CascadeEvaluator, "refined", lambda _, choices, batch: choices)
     patch.setattr(CascadeEvaluator, "relaxed", lambda _, choices, trial: choices)
     patch.setattr(CascadeStage, "polished", lambda _, configuration, expired: configuration)
+
+
+def coarse_surface(room: "RoomCapture") -> "trimesh.Trimesh":
+    """The room's surface by a tenth of its vertices, for each of which light transport is traced."""
+    return room.reference().simplify_quadric_decimation(face_count=24_000)

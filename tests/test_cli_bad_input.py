@@ -12,6 +12,7 @@ import OpenImageIO as oiio
 import pytest
 import trimesh
 import yaml
+from common import coarse_surface
 from reference.seven_scenes_export import export_seven_scenes
 
 from hyjax.cli import main, parse
@@ -47,7 +48,7 @@ def room() -> RoomCapture:
 @pytest.fixture(scope="session")
 def true_mesh(room: RoomCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("mesh") / "true.ply"
-    room.reference().export(path)
+    coarse_surface(room).export(path)
     return path
 
 

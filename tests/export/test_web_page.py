@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from common import coarse_surface
 from extras import need
 from PIL import Image
 
@@ -91,7 +92,7 @@ null;
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     room = load_room(n_frames=3, width=96, height=72, quality=0.25, progress=False)
-    return Scene(room, room.reference())
+    return Scene(room, coarse_surface(room))
 
 
 @pytest.fixture(scope="module")
