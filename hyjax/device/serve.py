@@ -41,9 +41,8 @@ def open_folder(settings: ServeSettings) -> "Server":
     folder = settings.folder
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
-    index = next((page for page in (INDEX, "measure.html") if (folder / page).is_file()), None)
-    if index is None:
+    if not (folder / INDEX).is_file():
         raise InputError(f"{folder}: no {INDEX} in it; give the folder that hyjax export has written")
     if not 0 <= settings.port <= 65535:
         raise InputError(f"port: must lie in 0..65535, got {settings.port}")
-    return Server(FolderSite(folder, index), settings.host, settings.port)
+    return Server(FolderSite(folder), settings.host, settings.port)

@@ -14,7 +14,8 @@ from hyjax.tuning.device_latency import DeviceWorkload
 from hyjax.tuning.device_request import calibration_schedules, job, latency_request, request_text
 from hyjax.util.files import make_writable, write_text
 
-PAGE = ("measure.html", "measure.js", "timing.js", "engine.js")
+PAGE = {"index.html": "measure.html"} | {name: name for name in ("measure.js", "timing.js", "engine.js")}
+"""Files of the page, by the name that they have in the folder."""
 FOLDER = "bench"
 PROBE = 64
 """Side in pixels of the picture by which a guide's channels are counted."""
@@ -48,14 +49,14 @@ def write_bench(folder: Path, workload: DeviceWorkload, *, quiet: bool = True) -
     schedules = calibration_schedules(workload)
     request = latency_request(workload, schedules)
     source = resources.files("hyjax.device").joinpath("page")
-    for name in PAGE:
-        write_text(folder / name, source.joinpath(name).read_text(encoding="utf-8"))
+    for name, own in PAGE.items():
+        write_text(folder / name, source.joinpath(own).read_text(encoding="utf-8"))
     write_text(folder / "request.json", request_text(request))
     write_text(folder / "bench.json", json.dumps(job(0, request, schedules)))
     if not quiet:
         print(
-            f"Put {folder} on any HTTPS host, or: hyjax serve {folder}. The page is {PAGE[0]}; what it saves is "
-            "for hyjax tune --latency",
+            f"Put {folder} on any HTTPS host, or: hyjax serve {folder}. What the page saves is for hyjax tune "
+            "--latency",
             file=sys.stderr,
         )
     return folder

@@ -102,7 +102,7 @@ def test_a_schedule_for_the_browser_keeps_its_budget(page: Any, tmp_path: Path) 
 @pytest.mark.slow
 def test_a_page_on_any_host_saves_what_tune_reads(page: Any, tmp_path: Path) -> None:
     folder = write_bench(tmp_path, DeviceWorkload(height=48, width=64, lights=2))
-    server = Server(FolderSite(folder, "measure.html"))
+    server = Server(FolderSite(folder))
     try:
         page.goto(server.address)
         page.get_by_label("Name of this device").fill("Test browser")
@@ -120,9 +120,7 @@ def test_a_page_on_any_host_saves_what_tune_reads(page: Any, tmp_path: Path) -> 
 
 
 def test_a_page_without_webgpu_says_so(page: Any, tmp_path: Path) -> None:
-    server = Server(
-        FolderSite(write_bench(tmp_path, DeviceWorkload(height=48, width=64, lights=2)), "measure.html")
-    )
+    server = Server(FolderSite(write_bench(tmp_path, DeviceWorkload(height=48, width=64, lights=2))))
     try:
         page.add_init_script("Object.defineProperty(Navigator.prototype, 'gpu', { value: undefined })")
         page.goto(server.address)

@@ -8,10 +8,13 @@ import pytest
 from page_checks import RUDE
 
 from hyjax import cli
+from hyjax.device.serve import ServeSettings, open_folder
 from hyjax.export import gallery
+from hyjax.export.bench import write_bench
 from hyjax.export.gallery import export_gallery, folder_names
 from hyjax.export.settings import ExportSettings
 from hyjax.export.web import THUMBNAIL
+from hyjax.tuning.device_latency import DeviceWorkload
 from hyjax.util.errors import InputError
 
 
@@ -73,3 +76,10 @@ def test_names_of_folders_are_addresses() -> None:
 def test_captures_go_with_pages_alone() -> None:
     with pytest.raises(InputError, match="go with --to web only"):
         ExportSettings(to="onnx", captures=(Path("a"),)).check()
+
+
+def test_the_folder_that_times_a_device_opens_by_itself(tmp_path: Path) -> None:
+    folder = write_bench(tmp_path / "bench", DeviceWorkload(height=48, width=64, lights=2))
+    assert "measure.js" in (folder / "index.html").read_text() and (folder / "measure.js").is_file()
+    server = open_folder(ServeSettings(folder, port=0))
+    server.stop()
