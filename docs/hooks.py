@@ -1,4 +1,5 @@
-"""Build hooks of the documentation site: equations as MathML, figures from the experiments, pages of a folder.
+"""Build hooks of the documentation site: equations as MathML, figures from the experiments, pages of a folder,
+README's beginning.
 
 Equations stay TeX in the pages and need no JavaScript in the browser. Figures lie beside the experiments that make
 them; a page links them as `../experiments/figures/NAME`, which also works where the page is read as a file.
@@ -15,6 +16,8 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).parents[1]
 FIGURES = ROOT / "experiments" / "figures"
 EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
+BEGINNING = "<!-- README.md, up to its first heading -->"
+"""Where README's title and introduction go, which are written there alone."""
 FIGURE_LINK = re.compile(r"\]\((\.\./)+experiments/figures/")
 
 
@@ -45,7 +48,9 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Turn links to the figures' files into links to the site's."""
+    """Put README's beginning where it is asked for; turn links to the figures' files into links to the site's."""
+    beginning = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## ")[0]
+    markdown = markdown.replace(BEGINNING, beginning.replace("](docs/", "]("))
     up = "../" * page.file.src_uri.count("/")
     return FIGURE_LINK.sub(f"]({up}figures/", markdown)
 

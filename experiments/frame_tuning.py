@@ -1,4 +1,4 @@
-"""Configurations of the whole frame: the front of quality against time on rooms that nothing was chosen on.
+"""Configurations of the whole frame: the front of quality against time on rooms that no setting was chosen with.
 
     pip install -e ".[tune]"
     python -m experiments.frame_tuning [--trials 48] [--out results/frame_tuning] [--resume]
@@ -13,8 +13,9 @@ loses no more than a twentieth. They are timed and judged once more, in turns, a
 
 Takes about forty minutes on two cores, and two minutes more for each room that is not in the cache.
 
-Expect: at the default's time a few percent less loss than the default on rooms that nothing was chosen on, most of
-it by the numbers (κ, α, the exponent of the photo's light); its quality in a little more than half of its time.
+Expect: at the default's time a few percent less loss than the default on rooms that no setting was chosen with,
+most of it by the numbers (κ, α, the exponent of the photo's light); its quality in a little more than half of its
+time.
 """
 
 import dataclasses

@@ -17,7 +17,7 @@ pictures under fitted gains alone, and with a term without gains. Loss, SSIM and
 Takes about fifteen minutes on two cores, and two minutes more for each room that is not in the cache.
 
 Expect: after the gradients' thirteen evaluations a loss that fifty trials of TPE or NSGA-II come near to; on rooms
-that nothing was chosen on, no difference worth a word.
+that no setting was chosen with, no difference worth a word.
 """
 
 import dataclasses

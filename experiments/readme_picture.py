@@ -2,8 +2,8 @@
 
     python -m experiments.readme_picture [--out results/readme_picture]
 
-Photo, relit picture and truth side by side, for two set-ups of lights, in a room that nothing was chosen on. It
-becomes `docs/examples/readme.jpg` by `--keep`. Takes some minutes the first time, when the room is rendered, and
+Photo, relit picture and truth side by side, for two set-ups of lights, in a room that no setting was chosen with.
+It becomes `docs/examples/readme.jpg` by `--keep`. Takes some minutes the first time, when the room is rendered, and
 about one after that.
 
 Expect: PSNR of 22 to 24 dB, as it comes.

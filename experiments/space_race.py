@@ -7,7 +7,7 @@ The search of `hyjax tune` without its presets, TPE (multivariate, in groups, wi
 NSGA-II (likewise) and random search have the same space, the same pictures of one room, and begin at the default.
 A trial counts where it takes no longer than the default, in turns with it; one of ours may be a descent by
 gradients, which takes longer: both trials and processor seconds, programs' compiling in them, are told. What each
-ends with is judged on rooms that nothing was chosen on.
+ends with is judged on rooms that no setting was chosen with.
 
 Rows are of one seed and method each, and seeds come one after the other: a run that is broken off has whole seeds,
 and `--resume` adds the others.

@@ -60,7 +60,7 @@ class FusionPlan:
     confidence: float
 
     def __str__(self) -> str:
-        return f"fused at {self.voxel:g} m to {self.far:g} m from {len(self.indices)} depth maps"
+        return f"fusion of {len(self.indices)} depth maps, voxels of {self.voxel:g} m, up to {self.far:g} m"
 
 
 class Readings:

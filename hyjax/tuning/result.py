@@ -19,7 +19,7 @@ class Candidate:
     Attributes:
         configuration: named after where it comes from.
         tuning: mean scores on the tuning frames; `relative` is the geometric mean of losses over the default's.
-        held_out: likewise, on scenes or frames that nothing was chosen on; None if there are none.
+        held_out: likewise, on scenes or frames that no setting was chosen with; None if there are none.
         time: of a whole frame, in turns with the default's.
         form: `hyjax`, or `paper` for the paper's own form.
     """

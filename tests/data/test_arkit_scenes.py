@@ -266,7 +266,7 @@ def test_a_captured_mesh_that_fits_is_the_default(
 ) -> None:
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
     own = f"captured mesh {VIDEO}_3dod_mesh.ply"
-    assert surface_of(open_capture(scan), progress=False)[0].startswith("fused at")  # the box is another's
+    assert surface_of(open_capture(scan), progress=False)[0].startswith("fusion of")  # the box is another's
     assert f"the {own} has" in caplog.text and "that is taken" in caplog.text
     save_mesh(scan / f"{VIDEO}_3dod_mesh.ply", room.reference())
     assert surface_of(open_capture(scan), progress=False)[0] == own
@@ -291,7 +291,7 @@ def test_without_a_mesh_the_asset_is_named(scan: Path, tmp_path: Path, monkeypat
     assert capture.mesh_file is None
     with pytest.raises(InputError, match=rf"{VIDEO}: no mesh .* asset 'mesh'.*'fused'"):
         surface_of(capture, "captured", progress=False)
-    assert surface_of(capture, progress=False)[0].startswith("fused at")
+    assert surface_of(capture, progress=False)[0].startswith("fusion of")
 
 
 def test_depth_maps_fuse_to_the_room(room: RoomCapture, caster: RayCaster, tmp_path: Path) -> None:

@@ -189,7 +189,7 @@ def test_a_devices_mesh_keeps_the_devices_poses(gain: float, monkeypatch: pytest
     monkeypatch.setattr(alignment, "_align", lambda *_: {"corrections": np.tile(shift, (4, 1, 1))})
     capture = WithMesh(0.0, count=8)
     scene = Scene.open(SceneSettings(fusion=FusionSettings(voxel=0.1)), capture=capture)
-    fused = scene.source.startswith("fused")
+    fused = scene.source.startswith("fusion")
     assert fused == (gain < 1)
     moved = np.linalg.norm(scene.frame(0).camera.origin - capture.camera(0).origin)
     assert moved == pytest.approx(0.05 if fused else 0.0)

@@ -182,7 +182,7 @@ def test_long_captures_are_fused_from_a_spread(cache: Path, made: Made) -> None:
 
 def test_the_default_fits_the_capture(cache: Path, made: Made, room: RoomCapture) -> None:
     assert surface_of(room, progress=False)[0] == "simulated scan, seed 0"
-    assert surface_of(Wall(), progress=False)[0] == "fused at 0.03 m to 2.5 m from 3 depth maps"
+    assert surface_of(Wall(), progress=False)[0] == "fusion of 3 depth maps, voxels of 0.03 m, up to 2.5 m"
     assert made == ["scan 0", "fuse 3 at 0.03"]
 
 
@@ -234,7 +234,7 @@ def test_a_device_mesh_in_other_units_is_replaced_by_the_fusion_but_not_when_str
             return trimesh.creation.box((5000, 4000, 3000))
 
     wall = Scaled()
-    assert surface_of(wall, progress=False)[0].startswith("fused") and "must be in metres" in caplog.text
+    assert surface_of(wall, progress=False)[0].startswith("fusion") and "must be in metres" in caplog.text
     wall.strict = True
     with pytest.raises(InputError, match=r"must be in metres.*--strict"):
         surface_of(wall, progress=False)
