@@ -110,7 +110,7 @@ def estimate_arrays(
     theta, belief, evidence = _fitted(caster, normal[:count], shown, gathered[:count], basis)
     light = np.maximum(gathered + basis.light @ theta, RADIANCE_FLOOR)
     even = without_outliers(jnp.asarray(light[:count], jnp.float32), transport.faces)
-    light[:count] = held_at_rim(np.asarray(even, np.float64), position[:count], caster.arrays.faces)
+    light[:count] = held_at_rim(np.asarray(even, np.float64), position[:count], normal[:count], caster.arrays.faces)
     exponent, log_light = belief.exponent, split(np.log(light[:count]))
     albedo, unscanned = _albedo(shown, light, believed=exponent > 0)
     divisor = local_divisor(caster.arrays, normal[:count], log_light, belief, evidence)

@@ -12,7 +12,8 @@ from hyjax.geometry.mesh_arrays import edges_of
 RIM_WIDTH = 0.06
 """Distance from an open edge, in metres, up to which a vertex belongs to the rim."""
 NEAREST, FARTHEST = 4, 0.3
-"""Number of vertices beyond the rim that hold one of it, and their largest distance in metres."""
+"""Number of vertices beyond the rim that hold one of it, and their largest distance in metres; a difference of 1
+between normals counts as much, since surfaces that face elsewhere have another light."""
 SLACK = 0.1
 """Difference of logarithms that is left to a vertex of the rim beyond their range."""
 
@@ -30,20 +31,24 @@ def rim_of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) ->
 
 
 def held_at_rim(
-    light: Float[np.ndarray, "v c"], vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+    light: Float[np.ndarray, "v c"],
+    vertices: Float[np.ndarray, "v 3"],
+    normals: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
 ) -> Float[np.ndarray, "v c"]:
-    """Light of the vertices, at the rim within the range of the nearest vertices beyond it.
+    """Light of the vertices, at the rim within the range of the nearest vertices beyond it that face the same way.
 
     Args:
         light: positive.
-        vertices, faces: of the scan; what hangs together by nothing but rim keeps its light.
+        vertices, normals, faces: of the scan; what hangs together by nothing but rim keeps its light.
     """
     from scipy.spatial import cKDTree
 
     rim = rim_of(vertices, faces)
     if not rim.any() or (~rim).sum() < NEAREST:
         return light
-    distance, nearest = cKDTree(vertices[~rim]).query(vertices[rim], k=NEAREST, distance_upper_bound=FARTHEST)
+    places = np.concatenate([vertices, FARTHEST * normals], axis=1)
+    distance, nearest = cKDTree(places[~rim]).query(places[rim], k=NEAREST, distance_upper_bound=FARTHEST)
     found = np.isfinite(distance)
     known = np.concatenate([np.log(light[~rim]), np.full((1, light.shape[1]), np.nan)])[nearest]
     low = np.where(found[..., None], known, np.inf).min(axis=1) - SLACK
