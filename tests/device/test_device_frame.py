@@ -231,7 +231,8 @@ def test_light_does_not_leak(scene: Scene, device: Any, radius: float) -> None:
     low, high = scene.mesh.bounds
     up = np.asarray(scene.capture.up, np.float32)
     place = ((low + high) / 2 + [0.3, 0.2, 0.0] - 0.25 * np.linalg.norm(high - low) * 0.5 * up).astype(np.float32)
-    lamp = PointLight(place, np.float32(800.0), np.ones(3, np.float32), np.float32(radius))
+    flux, size = np.asarray(800.0, np.float32), np.asarray(radius, np.float32)
+    lamp = PointLight(place, flux, np.ones(3, np.float32), size)
     renderer = DeviceRenderer(
         scene,
         LightSetup((lamp,), 250.0),
