@@ -1,5 +1,5 @@
 """Build hooks of the documentation site: equations as MathML, figures from the experiments, pages of a folder,
-README's beginning.
+README's beginning, the version, and which pages a search shows first.
 
 Equations stay TeX in the pages and need no JavaScript in the browser. Figures lie beside the experiments that make
 them; a page links them as `../experiments/figures/NAME`, which also works where the page is read as a file.
@@ -18,6 +18,16 @@ FIGURES = ROOT / "experiments" / "figures"
 EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 BEGINNING = "<!-- README.md, up to its first heading -->"
 """Where README's title and introduction go, which are written there alone."""
+VERSION = re.compile(r'^__version__ = "(.*)"', re.MULTILINE)
+BOOSTS = {
+    "start.md": 4,
+    "your_own_room.md": 4,
+    "method.md": 4,
+    "gallery.md": 0.1,
+    "results/": 0.01,
+    "reference/": 0.001,
+}
+"""Factors of a search's scores, of a page or a folder: a word in a title counts a thousand times."""
 FIGURE_LINK = re.compile(r"\]\((\.\./)+experiments/figures/")
 
 
@@ -25,6 +35,10 @@ def on_config(config: Any) -> Any:
     """Put the pages of a folder into the navigation where it names the folder, and leave out what is not there."""
     docs = Path(config["docs_dir"])
     config["nav"] = [entry for entry in (_expanded(entry, docs) for entry in config["nav"]) if entry]
+    config["copyright"] = f"hyjax {VERSION.search((ROOT / 'hyjax' / '__init__.py').read_text(encoding='utf-8'))[1]}"
+    if repository := config["repo_url"].rstrip("/"):
+        links = {"repository": repository, "issues": f"{repository}/issues"}
+        config["copyright"] += "".join(f' · <a href="{address}">{name}</a>' for name, address in links.items())
     return config
 
 
@@ -33,7 +47,9 @@ def _expanded(entry: Any, docs: Path) -> Any:
         return entry if (docs / entry).is_file() else None
     ((title, target),) = entry.items()
     if isinstance(target, str) and target.endswith("/"):
-        pages = sorted((docs / target).glob("*.md"), key=lambda page: (page.stem != "index", page.stem))
+        listed = re.findall(r"\]\(([\w-]+\.md)", (docs / target / "index.md").read_text(encoding="utf-8"))
+        order = ["index.md", *listed]
+        pages = sorted((docs / target).glob("*.md"), key=lambda page: (order.index(page.name), page.name))
         return {title: [page.relative_to(docs).as_posix() for page in pages]} if pages else None
     if isinstance(target, str):
         return entry if (docs / target).is_file() else None
@@ -49,6 +65,8 @@ def on_files(files: Files, config: Any) -> Files:
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Put README's beginning where it is asked for; turn links to the figures' files into links to the site's."""
+    folder, slash, _ = page.file.src_uri.partition("/")
+    page.meta["search"] = {"boost": BOOSTS.get(folder + slash, 1)}
     beginning = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## ")[0]
     markdown = markdown.replace(BEGINNING, beginning.replace("](docs/", "]("))
     up = "../" * page.file.src_uri.count("/")
