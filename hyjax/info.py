@@ -20,7 +20,7 @@ class InfoSettings(Settings):
     scale: float | None = None
     """Metres in one unit of its poses, for a capture that does not know it."""
     out: Path | None = None
-    """PNG file for a few frames, their depth and the path from above. Default: NAME-info.png here."""
+    """PNG file for a few frames, their depth and the path from above. Default: out/NAME-info.png."""
     choices: bool = False
     """List the choices of a configuration: name, default, values and meaning."""
     quiet: bool = False
@@ -42,6 +42,7 @@ def inspect_capture(settings: InfoSettings) -> None:
     from hyjax.data.registry import open_capture
     from hyjax.scene.inspection import inspect, relight_command
     from hyjax.scene.inspection_picture import write_inspection
+    from hyjax.util.files import make_writable
 
     assert settings.path is not None
     level = logging.getLogger("hyjax").level
@@ -49,7 +50,8 @@ def inspect_capture(settings: InfoSettings) -> None:
     try:
         capture = open_capture(settings.path, scale=settings.scale)
         inspection = inspect(capture, progress=not settings.quiet)
-        out = settings.out or Path(f"{capture.name}-info.png")
+        out = settings.out or Path("out") / f"{capture.name}-info.png"
+        make_writable(out.parent)
         write_inspection(out, inspection)
     finally:
         logging.getLogger("hyjax").setLevel(level)

@@ -119,7 +119,7 @@ def test_the_command_tells_of_a_real_scan(
     out, err = capsys.readouterr()
     assert "3D Scanner App" in out and "70 maps of 256x192 (phone LiDAR)" in out and "46 poses" in out
     assert f"hyjax relight --capture {scanner3d_chair} --lights evening-lamps" in out and not err
-    assert (tmp_path / "scanner3d_chair-info.png").is_file()
+    assert (tmp_path / "out" / "scanner3d_chair-info.png").is_file()
     monkeypatch.setattr("sys.argv", ["hyjax", "info", str(tmp_path / "none")])
     with pytest.raises(SystemExit) as ended:
         cli.main()
@@ -147,7 +147,7 @@ def test_places_and_dates_reach_no_output(
     monkeypatch.setattr("sys.argv", ["hyjax", "info", str(folder), "--quiet"])
     cli.main()
     written = b"".join(file.read_bytes() for file in (tmp_path / "out").rglob("*") if file.is_file())
-    written += (tmp_path / "scan-info.png").read_bytes() + "".join(capsys.readouterr()).encode()
+    written += (tmp_path / "out" / "scan-info.png").read_bytes() + "".join(capsys.readouterr()).encode()
     frames = "".join(f"{frame.name} {frame.time}" for frame in open_capture(folder))
     for secret in (b"48.858", b"2.2944", b"2024-05", b"402896"):
         assert secret not in written and secret not in frames.encode()

@@ -22,7 +22,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def told(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> str:
     monkeypatch.setattr(sys, "argv", ["hyjax", "info", str(folder), "--quiet"])
     main()
-    assert (folder.parent / "scan-info.png").is_file()
+    assert (folder.parent / "out" / "scan-info.png").is_file()
     return capsys.readouterr().out
 
 
