@@ -23,6 +23,7 @@ BOOSTS = {
     "start.md": 4,
     "your_own_room.md": 4,
     "method.md": 4,
+    "own_data.md": 4,
     "gallery.md": 0.1,
     "results/": 0.01,
     "reference/": 0.001,
@@ -48,8 +49,8 @@ def _expanded(entry: Any, docs: Path) -> Any:
     ((title, target),) = entry.items()
     if isinstance(target, str) and target.endswith("/"):
         listed = re.findall(r"\]\(([\w-]+\.md)", (docs / target / "index.md").read_text(encoding="utf-8"))
-        order = ["index.md", *listed]
-        pages = sorted((docs / target).glob("*.md"), key=lambda page: (order.index(page.name), page.name))
+        order = {name: number for number, name in enumerate(["index.md", *listed])}
+        pages = sorted((docs / target).glob("*.md"), key=lambda page: (order.get(page.name, len(order)), page.name))
         return {title: [page.relative_to(docs).as_posix() for page in pages]} if pages else None
     if isinstance(target, str):
         return entry if (docs / target).is_file() else None
