@@ -12,6 +12,7 @@ where q₉₅ is a quantile of the albedo: nearly every room has something white
 """
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -95,11 +96,17 @@ def _difference(values: Float[Array, "n c"], pairs: Int[Array, "m 2"]) -> Float[
     return values[pairs[:, 0]] - values[pairs[:, 1]]
 
 
+_value_and_gradient = jax.jit(jax.value_and_grad(loss))
+
+
 def fit_sources(problem: FitProblem, iterations: int = ITERATIONS) -> Float[np.ndarray, "k 3"]:
     """Strengths θ of the unknown sources, by L-BFGS-B within bounds (Byrd et al. 1995)."""
-    start = jnp.full((problem.basis.shape[1], 3), START_LOG, jnp.float32)
     import jaxopt
 
-    solver = jaxopt.ScipyBoundedMinimize(fun=loss, method="L-BFGS-B", maxiter=iterations, tol=1e-7)
-    bounds = jnp.full_like(start, LOWEST_LOG), jnp.full_like(start, HIGHEST_LOG)
-    return np.exp(np.asarray(solver.run(start, bounds, problem).params, np.float64))
+    # A solver that compiles would do so for every fit.
+    options: Any = {"value_and_grad": True, "jit": False, "maxiter": iterations, "tol": 1e-7}
+    solver = jaxopt.ScipyBoundedMinimize(fun=_value_and_gradient, method="L-BFGS-B", **options)
+    start, *bounds = (
+        np.full((problem.basis.shape[1], 3), log, np.float32) for log in (START_LOG, LOWEST_LOG, HIGHEST_LOG)
+    )
+    return np.exp(np.asarray(solver.run(start, tuple(bounds), problem).params, np.float64))
