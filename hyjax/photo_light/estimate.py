@@ -22,7 +22,7 @@ from hyjax.photo_light.local_belief import Evidence, local_divisor
 from hyjax.photo_light.pairs import coplanar_pairs
 from hyjax.photo_light.radiance import VertexRadiance, vertex_radiance
 from hyjax.photo_light.rim import held_at_rim
-from hyjax.photo_light.sources import PhotoSources
+from hyjax.photo_light.sources import PhotoSources, PhotoWindow
 from hyjax.util.cache import Arrays
 
 PAIR_COUNT = 20000
@@ -42,6 +42,10 @@ VIEW_SHAPE = (48, 64)
 """Rows and columns of rays of a view for the visible mean."""
 VIEW_COUNT = 12
 """Number of views for the visible mean."""
+
+
+Rays = tuple[Int[np.ndarray, "r p"], Float[np.ndarray, "p 3"], Float[np.ndarray, "p 3"]]
+"""Ends of the rays of all points, with positions and normals of these."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +85,7 @@ def estimate_arrays(
     sources: PhotoSources,
     progress: bool = False,
     closed: bool = True,
+    rays: Rays | None = None,
 ) -> Arrays:
     """Estimate the photo's light from the frames and the scan alone, as arrays for `read_estimate`.
 
@@ -93,6 +98,7 @@ def estimate_arrays(
         sources: windows that the photo's light may have come through, and lamps that may have been lit.
         progress: show a bar on stderr.
         closed: whether the box round the scan stands for the walls that were not scanned.
+        rays: of these windows and this box, where `trace_scan` cast them before.
     """
     cameras: list[Camera] = []
 
@@ -101,10 +107,11 @@ def estimate_arrays(
             cameras.append(frame.camera)
             yield frame
 
-    shown = _shown(vertex_radiance(caster, read()))
-    hits, position, normal = _trace(caster, up, sources, progress, closed)
-    transport, count = _transport(caster, hits, position, normal), len(shown.visible)
+    # All that needs no frame comes first: they may still be rendered.
+    hits, position, normal = rays or trace_scan(caster, up, sources.windows, progress, closed)
+    transport, count = _transport(caster, hits, position, normal), len(caster.arrays.vertices)
     basis = make_basis(caster, hits, position, normal, sources)
+    shown = _shown(vertex_radiance(caster, read()))
     sent = np.concatenate([shown.radiance, np.zeros((len(position) - count, 3))])
     gathered = np.asarray(gather(transport.hits, send(transport, jnp.asarray(sent, jnp.float32))))
     theta, belief, evidence = _fitted(caster, normal[:count], shown, gathered[:count], basis)
@@ -181,12 +188,16 @@ def _shown(seen: VertexRadiance) -> _Shown:
     return _Shown(visible, radiance, scale)
 
 
-def _trace(
-    caster: RayCaster, up: Float[np.ndarray, "3"], sources: PhotoSources, progress: bool, closed: bool
-) -> tuple[Int[np.ndarray, "r p"], Float[np.ndarray, "p 3"], Float[np.ndarray, "p 3"]]:
+def trace_scan(
+    caster: RayCaster,
+    up: Float[np.ndarray, "3"],
+    windows: Sequence[PhotoWindow],
+    progress: bool = False,
+    closed: bool = True,
+) -> Rays:
     """Ends of all rays, see `trace`; a ray that leaves a scan that is not `closed` has none."""
-    windows = [window.aperture for window in sources.windows]
-    hits, position, normal = trace(caster, enclose(caster, up), windows, progress=progress)
+    apertures = [window.aperture for window in windows]
+    hits, position, normal = trace(caster, enclose(caster, up), apertures, progress=progress)
     if not closed:
         nowhere = len(caster.mesh.faces) + len(position) - len(caster.mesh.vertices)
         hits = np.where(hits < len(caster.mesh.faces), hits, nowhere).astype(np.int32)

@@ -32,16 +32,23 @@ def hinted_sources(
     anchors: Mapping[str, Mapping[str, Any]], up: Vector, caster: RayCaster, frames: Sequence[Frame]
 ) -> PhotoSources:
     """Sources hinted by a capture: its windows, and its lamps that are burnt out in the pictures."""
-    windows, lamps = [], []
+    windows, lamps = hinted_windows(anchors, up), []
+    for name, place in sorted(anchors.items()):
+        if name.startswith("lamp_"):
+            position = np.asarray(place["position"], float)
+            if is_lit(position, caster, frames):
+                lamps.append(PhotoLamp(spoken(name), position, LAMP_RADIUS, np.zeros(0, int)))
+    return PhotoSources(windows, tuple(lamps), "capture" if windows or lamps else "none")
+
+
+def hinted_windows(anchors: Mapping[str, Mapping[str, Any]], up: Vector) -> tuple[PhotoWindow, ...]:
+    """Windows hinted by a capture, which need no picture."""
+    windows = []
     for name, place in sorted(anchors.items()):
         if name.startswith("window_"):
             center, normal = (np.asarray(place[key], float) for key in ("center", "normal"))
             windows.append(PhotoWindow.facing(spoken(name), center, normal, up, place["width"], place["height"]))
-        elif name.startswith("lamp_"):
-            position = np.asarray(place["position"], float)
-            if is_lit(position, caster, frames):
-                lamps.append(PhotoLamp(spoken(name), position, LAMP_RADIUS, np.zeros(0, int)))
-    return PhotoSources(tuple(windows), tuple(lamps), "capture" if windows or lamps else "none")
+    return tuple(windows)
 
 
 def is_lit(position: Vector, caster: RayCaster, frames: Sequence[Frame]) -> bool:

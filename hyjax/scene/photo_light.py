@@ -3,6 +3,7 @@
 import functools
 import hashlib
 import logging
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -22,7 +23,8 @@ from hyjax.light.panes import open_shares
 from hyjax.light.photo_light import SurfaceLight, bounced_light
 from hyjax.light.setup import LightSetup, same_setup
 from hyjax.light.shadow_map import ShadowMap
-from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate
+from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate, trace_scan
+from hyjax.photo_light.hints import hinted_windows
 from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
 from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
@@ -68,8 +70,10 @@ class ScenePhotoLight:
         self._size, self._sources_file, self._progress = size, sources_file, progress
         self._last: tuple[LightSetup, Sequence[ShadowMap | None] | None, SurfaceLight] | None = None
         self._begun: Future[_Stored] | None = None
+        self._lock = threading.Lock()
+        self._sources: PhotoSources | None = None
 
-    @functools.cached_property
+    @property
     def sources(self) -> PhotoSources:
         """Windows and lamps that lit the frames.
 
@@ -84,19 +88,21 @@ class ScenePhotoLight:
                 find_photo_sources(self._capture, self._caster, self._frames, file=self._sources_file)
             )
 
-        return cached_arrays(
-            cache_folder() / f"photo-sources-v{VERSION}-{self._key}.npz", sources_from_arrays, found
-        )
+        file = cache_folder() / f"photo-sources-v{VERSION}-{self._key}.npz"
+        with self._lock:  # asked for by several threads
+            if self._sources is None:
+                self._sources = cached_arrays(file, sources_from_arrays, found)
+            return self._sources
 
     def begin(self) -> bool:
         """Begin the estimate on a thread of its own, unless it is kept or known; whether it was begun now.
 
-        Whoever asks for the light waits for it. The sources are found first.
+        Whoever asks for the light, or for its sources, waits for them.
         """
         if self._begun is not None or "_stored" in self.__dict__ or self._file.is_file():
             return False
         pool = ThreadPoolExecutor(1, thread_name_prefix="photo-light")
-        self._begun = pool.submit(self._read_or_made, self.sources)
+        self._begun = pool.submit(self._read_or_made)
         pool.shutdown(wait=False)
         return True
 
@@ -211,13 +217,17 @@ class ScenePhotoLight:
     @functools.cached_property
     def _stored(self) -> _Stored:
         """Estimate, and the means of panes."""
-        return self._read_or_made(self.sources) if self._begun is None else self._begun.result()
+        return self._read_or_made() if self._begun is None else self._begun.result()
 
-    def _read_or_made(self, sources: PhotoSources) -> _Stored:
+    def _read_or_made(self) -> _Stored:
         caster, up = self._caster, np.asarray(self._capture.up, np.float64)
 
         def made() -> Arrays:
-            arrays = estimate_arrays(caster, self._frames, up, sources, self._progress)
+            # Rays through windows that are known need no frame: these may still be rendered.
+            known = hinted_windows(self._capture.anchors, up) if self._sources_file is None else ()
+            rays = trace_scan(caster, up, known, self._progress) if known else None
+            sources = self.sources
+            arrays = estimate_arrays(caster, self._frames, up, sources, self._progress, rays=rays)
             return {**arrays, "pane_means": self._pane_means(sources)}
 
         return cached_arrays(self._file, lambda arrays: (read_estimate(caster, arrays), arrays["pane_means"]), made)

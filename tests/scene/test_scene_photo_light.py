@@ -147,7 +147,7 @@ def test_a_lamp_of_unknown_form_lights_and_is_not_drawn() -> None:
         PhotoLamp(f"lamp-{n}", p, r, np.zeros(0, int)) for n, (p, r) in enumerate(zip(places, (0.0, 0.1)))
     )
     photo_light = scene.photo_light
-    photo_light.__dict__["sources"] = PhotoSources((), lamps, "file")
+    photo_light._sources = PhotoSources((), lamps, "file")
     assert photo_light.estimate.names[:2] == ("lamp-0", "lamp-1")
     emitters = photo_light.emitters(LightSetup(SETUP.lights, existing={"lamp-1": (0.5, 0.5, 0.5)}))
     assert emitters is not None
