@@ -37,7 +37,7 @@ def on_config(config: Any) -> Any:
     docs = Path(config["docs_dir"])
     config["nav"] = [entry for entry in (_expanded(entry, docs) for entry in config["nav"]) if entry]
     config["copyright"] = f"hyjax {VERSION.search((ROOT / 'hyjax' / '__init__.py').read_text(encoding='utf-8'))[1]}"
-    if repository := config["repo_url"].rstrip("/"):
+    if repository := (config["repo_url"] or "").rstrip("/"):
         links = {"repository": repository, "issues": f"{repository}/issues"}
         config["copyright"] += "".join(f' · <a href="{address}">{name}</a>' for name, address in links.items())
     return config
