@@ -110,13 +110,11 @@ TABLES: dict[str, Published] = {
     "kappa-kitchen": Published("kappa_kitchen"),
     "ablation-cascade-room": Published("ablation_cascade_room", 0, DISTANCES),
     "ablation-cascade-kitchen": Published("ablation_cascade_kitchen", 0, DISTANCES),
-    "ablation-cascade-times": Published("ablation_cascade_times"),
     "ablation-shadow-room": Published("ablation_shadow_room", 1),
     "ablation-shadow-rough-room": Published("ablation_shadow_room", 0),
     "ablation-shadow-kitchen": Published("ablation_shadow_kitchen", 1),
     "ablation-shadow-rough-kitchen": Published("ablation_shadow_kitchen", 0),
-    # beyond the paper
-    "beyond": Published("beyond"),
+    # from frame to frame
     "flicker-room": Published("flicker_room"),
     "flicker-kitchen": Published("flicker_kitchen"),
     # frames a second
@@ -147,7 +145,6 @@ TABLES: dict[str, Published] = {
     "frame-rate-default": Published("frame_rate_default", 0),
     "frame-rate-balanced": Published("frame_rate_balanced", 0),
     "frame-rate-fast": Published("frame_rate_fast", 0),
-    "tuning-gain": Published("tuning_gain"),
     # the learned guide
     "conductances": Published("conductances_kitchen"),
     "depth-middlebury": Published("depth_sr", 0),
@@ -155,13 +152,10 @@ TABLES: dict[str, Published] = {
     "depth-kitchen": Published("depth_sr", 2),
     "dada-mosd": Published("depth_sr_dada", 0),
     "dada-kitchen": Published("depth_sr_dada", 1),
-    "guide-difference": Published("guide_difference"),
     "guide-worth-room": Published("guide_worth_room"),
     "guide-worth-kitchen": Published("guide_worth_kitchen"),
     "guide-speed-16": Published("guide_speed_16"),
     "guide-speed-64": Published("guide_speed_64"),
-    # device and export
-    "exports": Published("export_formats"),
     # live, tour, sweeps
     "live": Published("live", 0),
     "live-parts": Published("live", 1),
