@@ -1,6 +1,8 @@
 """Shaders of a cascade, generated from its schedule: the mirror of `hyjax.core.cascade`."""
 
 import dataclasses
+import itertools
+import string
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,7 +11,7 @@ from jaxtyping import ArrayLike
 
 from hyjax.core.pyramid import level_shape
 from hyjax.core.schedule import Level, Schedule
-from hyjax.device.program import Groups, Program, columns_rows, grid_of
+from hyjax.device.program import GROUP_SIDE, Groups, Program, columns_rows, grid_of
 
 TILE_CELLS = 32
 """Number of cells along each side of a diffusion tile."""
@@ -22,6 +24,42 @@ _DISTANCES = {
     "l2": ("dot(d, d)", "total"),
     "mean_abs": ("dot(abs(d), vec4<f32>(1.0))", "total * total / f32({0} * {0})"),
 }
+
+
+_COARSER = string.Template("""
+    workgroupBarrier();
+    if (all(local.xy % ${step}u == vec2<u32>(0u)) && all(id.xy / ${step}u < vec2<u32>($size))) {
+        let cell = id.xy / ${step}u;
+        var total = vec4<f32>(0.0);
+        var count = 0.0;
+        for (var k = 0u; k < ${ratio}u * ${ratio}u; k++) {
+            let finer = ${ratio}u * cell + vec2<u32>(k % ${ratio}u, k / ${ratio}u);
+            if (any(finer >= vec2<u32>($size_before))) { continue; }
+            let n = pixels(finer, ${before}u);
+            total += n * means[place + ${step_before}u * ((k / ${ratio}u) * 8u + k % ${ratio}u)];
+            count += n;
+        }
+        means[place] = total / count;
+        coarser_$number[(id.z * vec2<u32>($size).y + cell.y) * vec2<u32>($size).x + cell.x] = store(total / count);
+    }""")
+"""Text of a coarser level in `wgsl/cells.wgsl`."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CoarsePicture:
+    """Picture of a level, to be interpolated.
+
+    Attributes:
+        buffer: of its cells.
+        factor: pixels along each side of a cell.
+        schedule: by which it is interpolated.
+        kappa: edge sensitivity of the level.
+    """
+
+    buffer: str
+    factor: int
+    schedule: Schedule
+    kappa: float
 
 
 @dataclasses.dataclass
@@ -43,7 +81,13 @@ class CascadeWriter:
     _edges: dict[Any, str] = dataclasses.field(default_factory=dict)
 
     def cascade(self, name: str, source: str, schedule: Schedule, groups: Groups, total: bool = False) -> str:
-        """Add a cascade.
+        """Add a cascade; the buffer of the repaired picture. See `levels`."""
+        return self.upsample(name, self.levels(name, source, schedule, groups, total), groups)
+
+    def levels(
+        self, name: str, source: str, schedule: Schedule, groups: Groups, total: bool = False
+    ) -> "CoarsePicture":
+        """Add the levels of a cascade.
 
         Args:
             name: of its buffers, and in timings.
@@ -53,62 +97,98 @@ class CascadeWriter:
             total: whether to sum the picture up, into the buffer `<name> totals`.
 
         Returns:
-            The buffer of the repaired picture.
+            What is repaired of the finest level, which is not interpolated yet.
         """
         schedule.check()
         factors = [level.factor for level in schedule.levels]
         means = self._means(name, source, factors, groups)
         if "guide" in (schedule.pooling, schedule.upsampling):
-            for factor in sorted(factors):  # coarse cells from fine ones
-                self._guide(factor)
+            self._guide_means(factors)
         if total:
             self._total(name, means[factors[0]], factors[0], groups)
         state, coarser, kappa = means[factors[0]], factors[0], _value(schedule.levels[0].kappa)
         for level in schedule.levels:
             if level.factor != coarser:
-                state = self._upsample(name, state, coarser, level.factor, schedule, kappa, groups)
+                coarse = CoarsePicture(state, coarser, schedule, kappa)
+                state = self.upsample(name, coarse, groups, level.factor)
             state = self._diffuse(name, state, means[level.factor], level, schedule, groups)
             coarser, kappa = level.factor, _value(level.kappa)
-        return self._upsample(name, state, coarser, 1, schedule, kappa, groups) if coarser > 1 else state
+        return CoarsePicture(state, coarser, schedule, kappa)
 
     def _shape(self, factor: int) -> tuple[int, int]:
         return level_shape(self.program.size, factor)
 
     def _means(self, name: str, source: str, factors: Sequence[int], groups: Groups) -> dict[int, str]:
         """Buffers of a picture's cell means by factor, each from the next finer one that divides it."""
-        means = {1: source}
-        for factor in sorted(set(factors) - {1}):
-            means[factor] = self._cells(name, f"{name} means {factor}", means, factor, groups)
-        return means
+        return self._cells(name, f"{name} means", {1: source}, sorted(set(factors) - {1}), groups)
 
     def _guide(self, factor: int) -> str:
         """Buffer of the guide's cell means."""
-        known = self._guides | {1: self.guide}
-        if factor not in known:
-            groups = Groups(-(-self.features // 4))
-            known[factor] = self._guides[factor] = self._cells("guide", f"guide {factor}", known, factor, groups)
-        return known[factor]
+        return self._guide_means([factor])[factor]
 
-    def _cells(self, label: str, name: str, finer_means: Mapping[int, str], factor: int, groups: Groups) -> str:
-        """Buffer of cell means, from the coarsest of finer ones that divides them."""
-        finer, shape = max(f for f in finer_means if factor % f == 0), self._shape(factor)
-        cells = self.program.picture(name, shape, groups)
+    def _guide_means(self, factors: Sequence[int]) -> dict[int, str]:
+        """Buffers of the guide's cell means by factor."""
+        known = self._guides | {1: self.guide}
+        new = sorted(set(factors) - set(known))
+        self._guides = self._cells("guide", "guide", known, new, Groups(-(-self.features // 4)))
+        return self._guides
+
+    def _cells(
+        self, label: str, name: str, known: Mapping[int, str], factors: Sequence[int], groups: Groups
+    ) -> dict[int, str]:
+        """Buffers of cell means by factor, with those that are known; rising factors come out of as few launches as
+        their cells fit into a workgroup."""
+        means = dict(known)
+        while factors:
+            finer = max(f for f in means if factors[0] % f == 0)
+            count = 1
+            while count < len(factors) and _is_chain(factors[: count + 1]):
+                count += 1
+            self._launch_cells(label, name, means, finer, factors[:count], groups)
+            factors = factors[count:]
+        return means
+
+    def _launch_cells(
+        self, label: str, name: str, means: dict[int, str], finer: int, factors: Sequence[int], groups: Groups
+    ) -> None:
+        shapes = [self._shape(factor) for factor in factors]
+        buffers = [
+            self.program.picture(f"{name} {factor}", shape, groups)
+            for factor, shape in zip(factors, shapes, strict=True)
+        ]
+        more = range(1, len(factors))
         self.program.launch(
             self.stage,
             label,
             ["cells"],
-            [finer_means[finer], cells],
-            grid_of(shape),
+            [means[finer], *buffers],
+            grid_of(shapes[0]),
             groups,
             constants={
                 "full": columns_rows(self.program.size),
                 "fine": columns_rows(self._shape(finer)),
-                "coarse": columns_rows(shape),
+                "coarse": columns_rows(shapes[0]),
                 "fine_factor": finer,
-                "ratio": factor // finer,
+                "ratio": factors[0] // finer,
+                "coarser_bindings": "\n".join(
+                    f"@group(0) @binding({k + 1}) var<storage, read_write> coarser_{k}: array<Stored>;"
+                    for k in more
+                ),
+                "coarser": "\n".join(
+                    _COARSER.substitute(
+                        number=k,
+                        before=factors[k - 1],
+                        size=columns_rows(shapes[k]),
+                        size_before=columns_rows(shapes[k - 1]),
+                        ratio=factors[k] // factors[k - 1],
+                        step=factors[k] // factors[0],
+                        step_before=factors[k - 1] // factors[0],
+                    )
+                    for k in more
+                ),
             },
         )
-        return cells
+        means.update(zip(factors, buffers))
 
     def _distance(self, schedule: Schedule) -> str:
         """Shader functions of the distance of two guides."""
@@ -186,21 +266,36 @@ class CascadeWriter:
             state = after
         return state
 
-    def _upsample(
-        self, name: str, state: str, coarser: int, factor: int, schedule: Schedule, kappa: float, groups: Groups
-    ) -> str:
-        """Buffer of a finer level before its steps."""
-        shape = self._shape(factor)
-        fine = self.program.picture(f"{name} state {factor} a", shape, groups)
-        bind, bindings = [state, fine], ""
+    def upsample(self, name: str, coarse: "CoarsePicture", groups: Groups, factor: int = 1, stage: str = "") -> str:
+        """Buffer of a picture at a finer level."""
+        if coarse.factor == factor:
+            return coarse.buffer
+        fine = self.program.picture(f"{name} state {factor} a", self._shape(factor), groups)
+        guides, constants = self.interpolation(coarse, 2, factor)
+        self.program.launch(
+            stage or self.stage,
+            name,
+            ["interpolate", "upsample"],
+            [coarse.buffer, fine, *guides],
+            grid_of(self._shape(factor)),
+            groups,
+            constants=constants,
+        )
+        return fine
+
+    def interpolation(
+        self, coarse: "CoarsePicture", binding: int, factor: int = 1
+    ) -> tuple[list[str], dict[str, object]]:
+        """Buffers that `wgsl/interpolate.wgsl` needs from a binding on, and its constants."""
+        shape, guides, bindings = self._shape(factor), [], ""
         likeness = "fn likeness(pixel: vec2<u32>, cell: vec2<u32>) -> f32 { return 1.0; }"
-        if schedule.upsampling == "guide":
-            bind += [self._guide(factor), self._guide(coarser)]
+        if coarse.schedule.upsampling == "guide" and coarse.factor > factor:
+            guides = [self._guide(factor), self._guide(coarse.factor)]
             bindings = (
-                "@group(0) @binding(2) var<storage, read> fine_guide: array<Stored>;\n"
-                "@group(0) @binding(3) var<storage, read> coarse_guide: array<Stored>;"
+                f"@group(0) @binding({binding}) var<storage, read> fine_guide: array<Stored>;\n"
+                f"@group(0) @binding({binding + 1}) var<storage, read> coarse_guide: array<Stored>;"
             )
-            likeness = f"""{self._distance(schedule)}
+            likeness = f"""{self._distance(coarse.schedule)}
 fn likeness(pixel: vec2<u32>, cell: vec2<u32>) -> f32 {{
     var total = 0.0;
     for (var group = 0u; group < {-(-self.features // 4)}u; group++) {{
@@ -208,24 +303,15 @@ fn likeness(pixel: vec2<u32>, cell: vec2<u32>) -> f32 {{
         let other = load(coarse_guide[(group * u32(COARSE.y) + cell.y) * u32(COARSE.x) + cell.x]);
         total += difference(own - other);
     }}
-    return 1.0 / (1.0 + distance_of(total) * f32({_scale(kappa)}));
+    return 1.0 / (1.0 + distance_of(total) * f32({_scale(coarse.kappa)}));
 }}"""
-        self.program.launch(
-            self.stage,
-            name,
-            ["upsample"],
-            bind,
-            grid_of(shape),
-            groups,
-            constants={
-                "fine": columns_rows(shape),
-                "coarse": columns_rows(self._shape(coarser)),
-                "factor": coarser // factor,
-                "guide_bindings": bindings,
-                "likeness": likeness,
-            },
-        )
-        return fine
+        return guides, {
+            "fine": columns_rows(shape),
+            "coarse": columns_rows(self._shape(coarse.factor)),
+            "factor": coarse.factor // factor,
+            "guide_bindings": bindings,
+            "likeness": likeness,
+        }
 
     def _total(self, name: str, means: str, factor: int, groups: Groups) -> None:
         """Sum of the picture, from the means of its coarsest cells."""
@@ -242,6 +328,12 @@ fn likeness(pixel: vec2<u32>, cell: vec2<u32>) -> f32 {{
                 "factor": factor,
             },
         )
+
+
+def _is_chain(factors: Sequence[int]) -> bool:
+    """Whether each level has whole cells of the one before in its own, and those of the last fit a workgroup."""
+    whole = all(coarse % fine == 0 for fine, coarse in itertools.pairwise(factors))
+    return whole and GROUP_SIDE % (factors[-1] // factors[0]) == 0
 
 
 def _value(leaf: ArrayLike) -> float:

@@ -22,6 +22,8 @@ POINT_FIELDS = 4
 """Number of vectors of a point: position, normal, photo's light, albedo."""
 LIGHT_GROUPS = Groups(2, 1)
 """Channel groups of light: bounced light with the weight; photo's light; four lights a group."""
+JOINED_GROUPS = Groups(2, 3)
+"""Channel groups of light, then of weighted visibility, then of its weights."""
 VIEW_BYTES = 64
 """Size of a view of a shadow map in bytes, see `wgsl/views.wgsl`."""
 MOST_VIEWS = 32
@@ -90,33 +92,52 @@ def frame_program(
     camera: dict[str, object] = {"size": columns_rows(size)}
     program.launch("photo", "picture", ["frame", "camera", "picture"], ["photo", picture], grid, constants=camera)
     guide = picture if features == 3 else program.picture("guide", size, Groups(-(-features // 4)))
-    light, visibility = _surface(program, counts)
+    # What is known of the light and of the visibility is repaired together where one schedule does for both.
+    filling = Schedule.preset("hyjax")
+    joined = schedule.to_json() == filling.to_json()
+    light, visibility = _surface(program, counts, joined)
     writer = CascadeWriter(program, guide, features)
-    refined = writer.cascade("cascade", light, schedule, LIGHT_GROUPS, total=True)
-    filled = writer.cascade("filling", visibility, Schedule.preset("hyjax"), Groups(0, 2), total=True)
+    if joined:
+        repaired = filled = writer.levels("cascade", light, schedule, JOINED_GROUPS, total=True)
+    else:
+        repaired = writer.levels("cascade", light, schedule, LIGHT_GROUPS, total=True)
+        filled = writer.levels("filling", visibility, filling, Groups(0, 2), total=True)
+    visible_totals = "cascade totals" if joined else "filling totals"
     complete = program.picture("visibility filled", size, Groups(0, 1))
-    pixels = size[0] * size[1]
+    guides, constants = writer.interpolation(filled, 4)
+    bind = [visibility, filled.buffer, visible_totals, complete, *guides]
+    constants["first"] = _first(joined, "count.z")
     program.launch(
-        "frame",
-        "filling",
-        ["filled", "fill"],
-        [visibility, filled, "filling totals", complete],
-        (256, -(-pixels // (256 * 64))),
-        Groups(0, 1),
-        constants={"pixels": pixels},
+        "frame", "filling", ["filled", "interpolate", "fill"], bind, grid, Groups(0, 1), constants=constants
     )
     shadows = writer.cascade("shadow pass", complete, shadow_schedule, Groups(0, 1))
-    image = program.buffer("image", 16 * pixels)
-    bind = ["frame", "lights", "emitters", picture, "surface", refined, "cascade totals", shadows, image]
-    files = ["frame", "camera", "color", "filled", "lights", "composite"]
-    program.launch("frame", "composite", files, bind, grid, constants=camera)
+    image = program.buffer("image", 16 * size[0] * size[1])
+    guides, constants = writer.interpolation(repaired, 9)
+    totals = "cascade totals"
+    bind = ["frame", "lights", "emitters", picture, "surface", repaired.buffer, totals, shadows, image, *guides]
+    files = ["frame", "camera", "color", "filled", "interpolate", "lights", "composite"]
+    constants |= camera | {"emitters": 6 * MOST_EMITTERS, "lights": MOST_LIGHTS}
+    program.launch("frame", "composite", files, bind, grid, constants=constants)
+    refined = writer.upsample("cascade", repaired, LIGHT_GROUPS, stage="refined")
     if stages:
-        filters = program.buffer("stages", 4 * 16 * pixels)
-        bind = ["frame", "lights", light, refined, "cascade totals", visibility, shadows, filters]
+        filters = program.buffer("stages", 4 * 16 * size[0] * size[1])
+        bind = ["frame", "lights", light, refined, totals, visibility, shadows, filters]
         files = ["frame", "camera", "filled", "lights", "stages"]
-        program.launch("stages", "stages", files, bind, grid, constants=camera)
-    program.names = {"raw": light, "refined": refined, "visibility": shadows, "image": image}
+        first = {"first": _first(joined, "groups")}
+        program.launch("stages", "stages", files, bind, grid, constants=camera | first)
+    program.names = {
+        "raw": light,
+        "refined": refined,
+        "visibility": shadows,
+        "image": image,
+        "visible totals": visible_totals,
+    }
     return program
+
+
+def _first(joined: bool, groups: str) -> str:
+    """Shader text of the plane at which visibility begins, beside the light or by itself."""
+    return f"2u + {groups}" if joined else "0u"
 
 
 def _load(program: Program, counts: SceneCounts) -> None:
@@ -138,7 +159,7 @@ def _tree(counts: SceneCounts, access: str) -> dict[str, object]:
 
 
 def _shadows(program: Program, counts: SceneCounts) -> None:
-    program.buffer("lights", RECORD_BYTES * MOST_LIGHTS)
+    program.buffer("lights", RECORD_BYTES * MOST_LIGHTS, uniform=True)
     program.buffer("views", VIEW_BYTES * MOST_VIEWS * MOST_LIGHTS)
     program.buffer("jobs", 16 * MOST_VIEWS * MOST_LIGHTS)
     program.launch(
@@ -179,8 +200,11 @@ def _bounces(program: Program, counts: SceneCounts) -> None:
     program.launch("bounces", "bounces", ["kept"], bind, line_of(counts.vertices), constants=constants)
 
 
-def _surface(program: Program, counts: SceneCounts) -> tuple[str, str]:
-    """Buffers of the light on the visible surface, and of its weighted visibility with the weights."""
+def _surface(program: Program, counts: SceneCounts, joined: bool) -> tuple[str, str]:
+    """Buffers of the light on the visible surface, and of its weighted visibility with the weights.
+
+    They are one if joined.
+    """
     size, grid = program.size, grid_of(program.size)
     pixels = size[0] * size[1]
     camera: dict[str, object] = {"size": columns_rows(size)}
@@ -193,12 +217,18 @@ def _surface(program: Program, counts: SceneCounts) -> tuple[str, str]:
         constants=camera,
     )
     surface = program.buffer("surface", 16 * pixels)
-    light = program.picture("light", size, LIGHT_GROUPS)
-    visibility = program.picture("visibility", size, Groups(0, 2))
+    light = program.picture("light", size, JOINED_GROUPS if joined else LIGHT_GROUPS)
+    visibility = light if joined else program.picture("visibility", size, Groups(0, 2))
     bind = ["frame", "shown", "faces", "fields", "bounced", surface, light, "picture"]
     program.launch("frame", "surface", ["frame", "camera", "color", "surface"], bind, grid, constants=camera)
-    bind = ["frame", "lights", "depths", surface, light, visibility, "views"]
+    bind = ["frame", "lights", "depths", surface, light, "views", *([] if joined else [visibility])]
     files = ["frame", "camera", "lights", "views", "visibility", "shade"]
-    program.launch("frame", "shading and visibility", files, bind, grid, Groups(0, 1), constants=camera)
-    program.buffer("emitters", 16 * 6 * MOST_EMITTERS)
+    apart = "@group(0) @binding(6) var<storage, read_write> visibility: array<Stored>;"
+    constants = camera | {
+        "visibility": "light" if joined else "visibility",
+        "visibility_binding": "" if joined else apart,
+        "first": _first(joined, "count.z"),
+    }
+    program.launch("frame", "shading and visibility", files, bind, grid, Groups(0, 1), constants=constants)
+    program.buffer("emitters", 16 * 6 * MOST_EMITTERS, uniform=True)
     return light, visibility

@@ -48,7 +48,7 @@ class Buffer:
     Attributes:
         bytes: of each channel group; of the whole where there are no groups.
         groups: number of channel groups.
-        uniform: whether it is a uniform buffer.
+        uniform: whether it is a uniform buffer, too.
         initial: its initial numbers.
     """
 
@@ -87,12 +87,12 @@ class Program:
     """Shaders with their buffers and launches.
 
     Stages: `load` once, `shadows` and `bounces` where lights change, `photo` where the picture changes, `frame`;
-    `stages` after it, for display.
+    `refined` and `stages` after it, for display.
 
     Attributes:
         size: (height, width) of pictures.
         precision: of stored pictures.
-        names: buffers of pictures for display: `raw`, `refined`, `visibility`, `image`.
+        names: buffers of pictures for display: `raw`, `refined`, `visibility`, `image`; of sums: `visible totals`.
     """
 
     size: tuple[int, int]

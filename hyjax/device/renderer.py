@@ -145,7 +145,7 @@ class DeviceRenderer:
         Emission of panes and lamps comes from the relit picture in `unrefined`, too.
         """
         image = self.relight(pixels, camera, guide)
-        self.engine.run("stages")
+        self.engine.run("refined", "stages")
         shading, refined, visibility, shadowed = self._download("stages")[..., :3]
         shining = self._download("image")[0, ..., 3:]
         plain = shadowed * np.asarray(to_linear(jnp.asarray(pixels)))

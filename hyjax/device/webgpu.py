@@ -80,7 +80,7 @@ class ShaderEngine:
 
     def _make(self, name: str, size: int, buffer: Buffer | None) -> Any:
         usage, uniform = self._wgpu.BufferUsage, buffer is not None and buffer.uniform
-        flags = usage.COPY_DST | usage.COPY_SRC | (usage.UNIFORM if uniform else usage.STORAGE)
+        flags = usage.COPY_DST | usage.COPY_SRC | usage.STORAGE | (usage.UNIFORM if uniform else 0)
         most = min(self.device.limits[key] for key in ("max-storage-buffer-binding-size", "max-buffer-size"))
         if size > most:
             raise InputError(

@@ -15,7 +15,7 @@ from hyjax.core.schedule import PRESETS, Schedule
 from hyjax.core.upsampling import guided_upsample
 from hyjax.device.cascade_program import CascadeWriter
 from hyjax.device.precision_check import precision_check
-from hyjax.device.program import Groups, Program
+from hyjax.device.program import Groups, Program, grid_of
 from hyjax.device.renderer import channel_groups
 from hyjax.device.webgpu import ShaderEngine
 
@@ -148,10 +148,12 @@ def test_filling(device: Any) -> None:
     source = program.picture("visibility", shape, Groups(0, 2))
     program.picture("guide", shape, Groups(1))
     writer = CascadeWriter(program, "guide", 3)
-    filled = writer.cascade("filling", source, Schedule.preset("hyjax"), Groups(0, 2), total=True)
+    filled = writer.levels("filling", source, Schedule.preset("hyjax"), Groups(0, 2), total=True)
     result = program.picture("result", shape, Groups(0, 1))
-    bind, pixels = [source, filled, "filling totals", result], {"pixels": shape[0] * shape[1]}
-    program.launch("frame", "filling", ["filled", "fill"], bind, (256, 1), Groups(0, 1), constants=pixels)
+    guides, constants = writer.interpolation(filled, 4)
+    bind, constants["first"] = [source, filled.buffer, "filling totals", result, *guides], "0u"
+    files = ["filled", "interpolate", "fill"]
+    program.launch("frame", "filling", files, bind, grid_of(shape), Groups(0, 1), constants=constants)
     engine = ShaderEngine(program, lights, {}, device)
     engine.upload(
         "visibility", np.concatenate([channel_groups(raw * known), channel_groups(known.astype(np.float32))])

@@ -105,6 +105,13 @@ def renderer_of(scene: Scene, setup: LightSetup, device: Any, keep: bool, **opti
     )
 
 
+def raw_visibility(renderer: DeviceRenderer, count: int) -> list[np.ndarray]:
+    """Visibility of each light before it is repaired, and its weights."""
+    groups = -(-count // 4)
+    planes = renderer.engine.download("light").reshape(-1, *SIZE, 4)[2 + groups :]
+    return [np.moveaxis(half, 0, 2).reshape(*SIZE, -1)[..., :count] for half in (planes[:groups], planes[groups:])]
+
+
 @pytest.mark.slow
 def test_lights_of_every_kind(scene: Scene, device: Any) -> None:
     """Illuminance and visibility of each light at each pixel; where a ray grazes an edge they may differ."""
@@ -116,11 +123,7 @@ def test_lights_of_every_kind(scene: Scene, device: Any) -> None:
     raw = renderer.picture("raw", 8 + count)[..., 8:] * setup.reference_lux
     expected = np.asarray(shade_each(view.gbuffer, setup.lights))
     assert np.quantile(np.abs(raw - expected) / (1.0 + expected), 0.99) < 1e-4
-    groups = -(-count // 4)
-    planes = renderer.engine.download("visibility").reshape(2 * groups, *SIZE, 4)
-    values, known = (
-        np.moveaxis(half, 0, 2).reshape(*SIZE, -1)[..., :count] for half in (planes[:groups], planes[groups:])
-    )
+    values, known = raw_visibility(renderer, count)
     maps = scene._maps[-1][2]
     seen = np.asarray(visibilities(view.gbuffer, setup.lights, maps))
     for k, light in enumerate(setup.lights):
@@ -245,7 +248,7 @@ def test_light_does_not_leak(scene: Scene, device: Any, radius: float) -> None:
     for index in range(4):
         view = scene.view(index)
         renderer.relight(np.asarray(view.display), scene.frame(index).camera)
-        seen, lit = renderer.engine.download("visibility").reshape(2, *SIZE, 4)[..., 0]
+        seen, lit = (values[..., 0] for values in raw_visibility(renderer, 1))
         offset = np.asarray(view.gbuffer.position).reshape(-1, 3) - place
         distance = np.linalg.norm(offset, axis=-1)
         met = scene.occluders.cast(np.broadcast_to(place, offset.shape), offset / distance[:, None]).distance

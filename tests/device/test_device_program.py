@@ -16,6 +16,9 @@ MOST_STORAGE_BUFFERS, MOST_WORKGROUP_BYTES, MOST_UNIFORM_BYTES, MOST_BINDING_BYT
 COUNTS = SceneCounts(20_000, 10_500, 11_000, 128, 4, 20_000, 10_500)
 WGSL_BYTES = {"f32": 4, "u32": 4, "vec2<f32>": 8, "vec4<f32>": 16, "vec4<u32>": 16}
 
+PLANES = {"surface": 2, "shade": 3, "fill": 2}
+"""Planes of the light that shaders take part of: there are five, for four lights."""
+
 
 def programs(precision: Precision) -> list[Program]:
     configuration = Configuration()
@@ -39,3 +42,23 @@ def test_default_limits_are_kept(precision: Precision) -> None:
         for name, buffer in program.buffers.items():
             most = MOST_UNIFORM_BYTES if buffer.uniform else MOST_BINDING_BYTES
             assert buffer.bytes * buffer.groups.count(4) <= most, name
+
+
+def test_a_picture_takes_few_passes_and_little_traffic() -> None:
+    """At 640x480 with four lights, in half precision: what launches read and write of pictures, each once."""
+    configuration = Configuration()
+    program = frame_program(
+        COUNTS, (480, 640), configuration.schedule, configuration.shadow_schedule, precision="f16", stages=False
+    )
+    launches = [launch for launch in program.launches if launch.stage == "frame"]
+    assert len(launches) <= 30
+    plane = 8 * 480 * 640
+    traffic = 0
+    for launch in launches:
+        shader = launch.shader.split("-")[0]
+        for name in set(launch.bind) & set(program.buffers):
+            buffer = program.buffers[name]
+            whole = buffer.bytes * buffer.groups.count(4)
+            traffic += PLANES[shader] * plane if name == "light" and shader in PLANES else whole
+    print(f"{len(launches)} passes, {traffic / 1e6:.0f} MB")
+    assert traffic <= 100e6

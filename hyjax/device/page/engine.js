@@ -94,7 +94,7 @@ export class Engine {
 
   makeBuffer(name, size, buffer) {
     const use = GPUBufferUsage;
-    const usage = use.COPY_DST | use.COPY_SRC | (buffer?.uniform ? use.UNIFORM : use.STORAGE);
+    const usage = use.COPY_DST | use.COPY_SRC | use.STORAGE | (buffer?.uniform ? use.UNIFORM : 0);
     this.buffers[name] = this.device.createBuffer({ size, usage, label: name });
     if (buffer?.initial.length) this.upload(name, new Uint32Array(buffer.initial));
   }

@@ -8,6 +8,7 @@ import { choosePrecision } from "./precision.js";
 import { Renderer } from "./renderer.js";
 
 const REFINE_AFTER = 200; // milliseconds that lights lie still before their shadows are cast in full
+const FILTERS = ["refined filter", "visibility"]; // stages that are interpolated to be shown
 const IN_FLIGHT = 2; // pictures that the GPU is given before one is done
 const LOST_WITHIN = 300; // milliseconds
 const TIMED_EVERY = 500; // milliseconds
@@ -147,6 +148,7 @@ export class Viewer extends EventTarget {
     const rendered = renderer.busy;
     if (rendered) await renderer.run({ timed });
     const { stage, wipe, stops } = this;
+    if (FILTERS.includes(stage)) renderer.engine.run(["refined"]);
     await this.display.draw(renderer.engine, { stage, wipe: this.flying ? 0 : wipe, stops, lights: renderer.lights });
     if (timed) this.timed = now;
     const done = this.finish({ rendered, timed, begun }).catch(() => {}); // a lost device is for `lost`

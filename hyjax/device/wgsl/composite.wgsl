@@ -1,13 +1,14 @@
 // The relit picture in linear light (Eq. 1): `hyjax.pipeline.composite_linear`, with what shines by itself.
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read> lights: array<Light>;
-@group(0) @binding(2) var<storage, read> emitters: array<vec4<f32>>;
+@group(0) @binding(1) var<uniform> lights: array<Light, ${lights}>;
+@group(0) @binding(2) var<uniform> emitters: array<vec4<f32>, ${emitters}>;
 @group(0) @binding(3) var<storage, read> picture: array<Stored>;
 @group(0) @binding(4) var<storage, read> surface: array<vec4<f32>>; // normal, depth
-@group(0) @binding(5) var<storage, read> light: array<Stored>; // after the cascade
+@group(0) @binding(5) var<storage, read> coarse: array<Stored>; // light after the cascade
 @group(0) @binding(6) var<storage, read> totals: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read> visibility: array<Stored>;
 @group(0) @binding(8) var<storage, read_write> image: array<vec4<f32>>; // linear; w: how far it shines by itself
+$guide_bindings
 
 const PANE_REFLECTANCE = 0.04;
 const LAMP_REFLECTANCE = 0.6;
@@ -23,18 +24,18 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let pixel = id.y * SIZE.x + id.x;
     let plane = SIZE.x * SIZE.y;
     let photo = to_linear(load(picture[pixel]).xyz);
-    let own = load(light[pixel]);
+    let corners = corners_of(id.xy);
+    let own = interpolated(corners, 0u);
     let weight = vec4<f32>(own.w);
     let total_weight = vec4<f32>(totals[0].w);
     var shining = completed(own, weight, totals[0], total_weight).xyz;
     for (var group = 0u; 4u * group < frame.counts.x; group++) {
-        let at = (2u + group) * plane + pixel;
-        let each = completed(load(light[at]), weight, totals[2u + group], total_weight) * load(visibility[group * plane + pixel]);
+        let each = completed(interpolated(corners, 2u + group), weight, totals[2u + group], total_weight) * load(visibility[group * plane + pixel]);
         for (var k = 0u; k < min(4u, frame.counts.x - 4u * group); k++) {
             shining += each[k] * lights[4u * group + k].color.xyz;
         }
     }
-    let photo_light = completed(load(light[plane + pixel]), weight, totals[1], total_weight).xyz;
+    let photo_light = completed(interpolated(corners, 1u), weight, totals[1], total_weight).xyz;
     var relight_filter = shining / max(photo_light, vec3<f32>(LEAST_PHOTO_LIGHT));
     if (totals[0].w <= 0.0) { relight_filter = frame.ambient.xyz; }
     var result = relight_filter * photo;

@@ -4,8 +4,8 @@
 @group(0) @binding(2) var<storage, read> depths: array<f32>;
 @group(0) @binding(3) var<storage, read> surface: array<vec4<f32>>; // normal, depth
 @group(0) @binding(4) var<storage, read_write> light: array<Stored>;      // after two groups of the surface's own
-@group(0) @binding(5) var<storage, read_write> visibility: array<Stored>; // weighted values, then weights
-@group(0) @binding(6) var<storage, read> views: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> views: array<vec4<f32>>;
+$visibility_binding
 
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) count: vec3<u32>) {
@@ -27,6 +27,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) c
     }
     let known = select(vec4<f32>(0.0), vec4<f32>(1.0), each > vec4<f32>(0.0));
     light[(2u + id.z) * plane + pixel] = store(each);
-    visibility[id.z * plane + pixel] = store(visible * known);
-    visibility[(id.z + count.z) * plane + pixel] = store(known);
+    // Weighted values, then weights.
+    let first = $first + id.z;
+    $visibility[first * plane + pixel] = store(visible * known);
+    $visibility[(first + count.z) * plane + pixel] = store(known);
 }

@@ -26,7 +26,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let before = load(raw[at]);
         let after = completed(load(refined[at]), weight, totals[2u + group], total_weight);
         let visible = load(visibility[group * plane + pixel]);
-        let seen = load(raw_visibility[group * plane + pixel]); // nothing where the light does not reach
+        let seen = load(raw_visibility[($first + group) * plane + pixel]); // nothing where the light does not reach
         for (var k = 0u; k < min(4u, frame.counts.x - 4u * group); k++) {
             let color = lights[4u * group + k].color.xyz;
             filters[0] += before[k] * color;
