@@ -205,6 +205,11 @@ class Visit:
             self.page.wait_for_timeout(100)
         return str(state)
 
+    def close_wipe(self) -> None:
+        """Show nothing of the photo."""
+        self.page.focus("#wipe")
+        self.page.keyboard.press("Home")
+
     @property
     def failure(self) -> str:
         """Why the page does not start."""
@@ -267,9 +272,11 @@ def visit(browser: Any, url: str) -> Iterator[Visit]:
     """The page, opened once: its shaders take a while to compile without a GPU."""
     visit = Visit(browser, url)
     assert visit.state() == "ready", visit.page.inner_text("#failure-text")
+    assert not any("contact_sheet" in asked for asked in visit.asked), "it is for browsers without WebGPU"
+    assert visit.page.get_attribute("#wipe", "aria-valuenow") == "50", "it opens with half of the photo"
+    visit.close_wipe()
     yield visit
     assert all(asked.startswith((url, "blob:")) for asked in visit.asked), visit.asked
-    assert not any("contact_sheet" in asked for asked in visit.asked), "it is for browsers without WebGPU"
 
 
 def reference(scene: Scene, lights: LightSetup, frame: int) -> np.ndarray:
@@ -332,6 +339,14 @@ def test_a_lights_file_gives_the_same_picture(
     np.testing.assert_array_equal(visit.pixels(), before)
 
 
+def wait_for_move(marker: Any, before: dict[str, float]) -> None:
+    """Wait until a marker is elsewhere: the surface under the pointer is asked for first."""
+    end = time.monotonic() + WAIT
+    while marker.bounding_box() == before:
+        assert time.monotonic() < end, "it does not move"
+        time.sleep(0.1)
+
+
 @pytest.mark.slow
 def test_a_lamp_is_added_by_a_click_and_dragged(visit: Visit) -> None:
     visit.page.get_by_role("button", name="Start over").click()
@@ -352,21 +367,33 @@ def test_a_lamp_is_added_by_a_click_and_dragged(visit: Visit) -> None:
     visit.page.wait_for_timeout(1000)
     visit.page.mouse.move(place[0] - 0.25 * box["width"], place[1], steps=3)
     visit.page.mouse.up()
-    visit.page.wait_for_timeout(600)
+    wait_for_move(visit.page.locator(".marker.selected"), marker)
     assert np.abs(visit.pixels() - lit).mean() > 5e-3, "it is elsewhere"
     visit.page.get_by_role("button", name="Remove").click()
     np.testing.assert_allclose(visit.pixels(), before, atol=1e-5)
 
 
 @pytest.mark.slow
-def test_dragging_flies_off_and_the_button_goes_back(visit: Visit) -> None:
+def test_dragging_stays_on_the_photos_and_buttons_leave_and_go_back(visit: Visit) -> None:
     before = visit.pixels()
     box = visit.page.locator("#over").bounding_box()
     middle = box["x"] + 0.5 * box["width"], box["y"] + 0.7 * box["height"]
-    visit.page.mouse.move(*middle)
-    visit.page.mouse.down()
-    visit.page.mouse.move(middle[0] + 150, middle[1], steps=4)
-    visit.page.mouse.up()
+
+    def drag(across: float) -> None:
+        visit.page.mouse.move(*middle)
+        visit.page.mouse.down()
+        visit.page.mouse.move(middle[0] + across, middle[1], steps=4)
+        visit.page.mouse.up()
+
+    drag(150)
+    visit.page.mouse.wheel(0, 200)
+    np.testing.assert_allclose(visit.pixels(), before, atol=1e-5)
+    drag(-150)
+    assert visit.page.inner_text("#frame-label") == "2 / 2" and visit.page.locator("#land").is_hidden()
+    drag(150)
+    assert visit.page.inner_text("#frame-label") == "1 / 2"
+    visit.page.get_by_role("button", name="Look around").click()
+    drag(150)
     away = visit.pixels()
     assert np.abs(away - before).mean() > 5e-3 and away.std() > 0.01
     visit.page.get_by_role("button", name="Back to the photos").click()
@@ -494,11 +521,12 @@ def test_fingers_drag_lamps_and_fly(visit: Visit) -> None:
     fingers("Move", (x - 40, y))
     fingers("Move", (x - 80, y))
     fingers("End")
-    page.wait_for_timeout(600)
+    wait_for_move(page.locator(".marker:visible").first, marker)
     moved = canvas(visit)
     assert apart(moved, before) > 1 and page.locator("#land").is_hidden()
     box = page.locator("#over").bounding_box()
     x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.7 * box["height"]
+    page.get_by_role("button", name="Look around").click()
     fingers("Start", (x, y))
     fingers("Move", (x + 30, y))
     fingers("End")
@@ -574,6 +602,7 @@ def test_a_device_with_nothing_but_the_default_limits_will_do(browser: Any, url:
     assert bare.state() == "ready", bare.page.inner_text("#failure-text")
     limits = bare.page.evaluate("['maxBufferSize', 'maxStorageBufferBindingSize'].map((k) => devices[0].limits[k])")
     assert limits == [1 << 28, 1 << 27]
+    bare.close_wipe()
     np.testing.assert_array_equal(canvas(bare), canvas(visit))
     bare.page.close()
 
@@ -587,6 +616,98 @@ def test_a_look_at_the_surface_takes_sixteen_bytes(visit: Visit) -> None:
     visit.page.get_by_role("button", name="Remove").click()
     assert 16 in visit.page.evaluate("mapped")
     assert max(visit.page.evaluate("mapped.filter((bytes) => bytes !== 256 * 2 * 72)")) <= 8192, "times, if any"
+
+
+CONTRASTS = """
+() => {
+  const numbers = (text) => text.match(/[\\d.]+/g).map(Number);
+  const linear = (v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+  const luminance = (rgb) => [0.2126, 0.7152, 0.0722].reduce((sum, w, k) => sum + w * linear(rgb[k] / 255), 0);
+  const over = (front, back, share) => front.map((v, k) => share * v + (1 - share) * back[k]);
+  const ground = (element) => {
+    if (!element) return [255, 255, 255];
+    const [r, g, b, alpha = 1] = numbers(getComputedStyle(element).backgroundColor);
+    return alpha === 1 ? [r, g, b] : over([r, g, b], ground(element.parentElement), alpha);
+  };
+  const found = [];
+  for (const element of document.querySelectorAll("#panel *, #transport *, #notice, #land, #fly, #hint")) {
+    const own = [...element.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim());
+    if (!own || !element.checkVisibility()) continue;
+    let opacity = 1;
+    for (let at = element; at; at = at.parentElement) opacity *= Number(getComputedStyle(at).opacity);
+    const back = ground(element);
+    const color = numbers(getComputedStyle(element).color).slice(0, 3);
+    const [ink, paper] = [luminance(over(color, back, opacity)), luminance(back)];
+    const contrast = (Math.max(ink, paper) + 0.05) / (Math.min(ink, paper) + 0.05);
+    if (contrast < 4.5) found.push(`${element.tagName}#${element.id}.${element.className}: ${contrast.toFixed(1)}`);
+  }
+  return found;
+}
+"""
+NAMELESS = """
+() => [...document.querySelectorAll("button, input, select, summary, [role=slider], [role=img], canvas")]
+  .filter((element) => !(element.ariaLabel ?? "").trim() && !element.labels?.length && !element.textContent.trim())
+  .map((element) => element.outerHTML.slice(0, 80))
+"""
+
+
+@pytest.mark.slow
+def test_everything_can_be_read_and_has_a_name(visit: Visit) -> None:
+    page = visit.page
+    page.locator(".light-head input").first.uncheck()
+    page.locator(".light-head .name").first.click()
+    page.evaluate("document.getElementById('speed').open = true")
+    visit.pixels()
+    assert page.evaluate(CONTRASTS) == []
+    assert page.evaluate(NAMELESS) == []
+    page.evaluate("document.getElementById('speed').open = false")
+    page.get_by_role("button", name="Start over").click()
+
+
+@pytest.mark.slow
+def test_a_lamp_that_changes_nothing_visible_says_why(visit: Visit) -> None:
+    page = visit.page
+    page.locator(".light-head .name").first.click()
+    visit.pixels()
+    page.wait_for_timeout(500)
+    assert page.locator(".why").is_hidden(), page.inner_text(".why")
+    page.get_by_label("Brightness").fill("0.02")
+    page.locator(".why", has_text="less than 1 %").wait_for()
+    page.get_by_label("Brightness").fill("0")
+    page.locator(".why", has_text="brightness is zero").wait_for()
+    page.get_by_role("button", name="Start over").click()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844), (844, 390)])
+def test_notices_lie_beside_the_picture_which_stays(visit: Visit, size: tuple[int, int]) -> None:
+    page = visit.page
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.locator(".light-head input").first.uncheck()
+    for light in page.locator(".light-head input").all():
+        light.uncheck()
+    page.get_by_role("button", name="Save the lights").click()
+    notice, picture = page.locator("#notice").bounding_box(), page.locator("#picture").bounding_box()
+    apart = notice["y"] >= picture["y"] + picture["height"] or notice["x"] >= picture["x"] + picture["width"]
+    assert apart, (notice, picture)
+    page.get_by_role("button", name="Start over").click()
+    page.locator("#save").scroll_into_view_if_needed()
+    assert page.locator("#picture").bounding_box()["y"] >= 0
+    if size[0] < size[1]:
+        scrolled = page.evaluate("scrollTo(0, 1e4), scrollY")
+        assert scrolled > 100 and page.locator("#picture").bounding_box()["y"] == 0, "the panel scrolls below it"
+        page.evaluate("scrollTo(0, 0)")
+    page.set_viewport_size({"width": 1000, "height": 700})
+
+
+@pytest.mark.slow
+def test_dark_gradients_have_no_bands(visit: Visit) -> None:
+    """What is shown differs from what was computed by rounding and noise, half a step each."""
+    linear = visit.pixels()
+    power = 1.055 * np.clip(linear, 0.0031308, 1.0) ** (1 / 2.4) - 0.055
+    exact = 255 * np.where(linear <= 0.0031308, 12.92 * np.maximum(linear, 0), power)
+    error = (canvas(visit) - exact)[exact.min(-1) > 2]
+    assert np.abs(error).max() < 1.05 and 0.35 < error.std() < 0.5
 
 
 @pytest.mark.slow

@@ -46,12 +46,16 @@ function connectTransport(viewer) {
     viewer.change("display");
   });
   element("land").addEventListener("click", () => viewer.land());
+  element("fly").addEventListener("click", () => viewer.fly());
   viewer.addEventListener("change", () => {
     scrub.value = viewer.frame;
     element("frame-label").textContent = `${viewer.frame + 1} / ${last + 1}`;
     element("play-shape").setAttribute("d", viewer.playing ? PAUSE : PLAY);
     element("play").setAttribute("aria-label", viewer.playing ? "Pause" : "Play the frames");
     element("land").hidden = !viewer.flying;
+    element("fly").hidden = Boolean(viewer.flying);
+    document.body.classList.toggle("flying", Boolean(viewer.flying));
+    scrub.setAttribute("aria-valuetext", `frame ${viewer.frame + 1} of ${last + 1}`);
     element("wipe").hidden = Boolean(viewer.flying) || viewer.stage === "photo";
     element("hint").hidden = !viewer.adding && !viewer.flying;
     const fine = matchMedia("(pointer: fine)").matches;
@@ -84,11 +88,13 @@ function connectWipe(viewer) {
   });
   wipe.addEventListener("keydown", ({ code }) => {
     if (code === "ArrowLeft" || code === "ArrowRight") set(viewer.wipe + (code === "ArrowLeft" ? -0.05 : 0.05));
+    if (code === "Home" || code === "End") set(Number(code === "End"));
   });
   viewer.addEventListener("change", () => {
     wipe.style.left = `${100 * viewer.wipe}%`;
     wipe.firstElementChild.style.left = `${5 + 18 * (1 - 2 * viewer.wipe)}px`; // inside at both edges
     wipe.setAttribute("aria-valuenow", Math.round(100 * viewer.wipe));
+    wipe.setAttribute("aria-valuetext", `${Math.round(100 * viewer.wipe)} % photo`);
   });
 }
 

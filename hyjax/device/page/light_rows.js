@@ -93,10 +93,16 @@ export function connectLightRows(viewer) {
       });
       body.append(remove);
     }
+    const why = made("p", { className: "why" });
+    why.setAttribute("role", "status");
+    body.append(why);
     body.update = () => {
+      why.textContent = (item.on && viewer.whyUnseen(item)) || "";
+      why.hidden = !why.textContent;
       brightness.input.value = Math.cbrt(item.entry[key] / item.most);
       const { temperature } = item.entry;
       warmth.input.value = temperature ?? 4000;
+      warmth.input.setAttribute("aria-valuetext", temperature ? `${Math.round(temperature)} kelvin` : "by colour");
       warmth.output.textContent = temperature ? `${Math.round(temperature)} K` : "";
       color.value = hex(lights.color(item));
     };

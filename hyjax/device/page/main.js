@@ -57,16 +57,16 @@ window.hyjax = {
     const shown = await started;
     shown.lights.reset(content);
     shown.change("lights");
-    await shown.drawn();
+    await shown.drawn(true);
   },
   async goto(frame) {
     const shown = await started;
     shown.goTo(frame);
-    await shown.drawn();
+    await shown.drawn(true);
   },
   async pixels() {
     const shown = await started;
-    await shown.drawn();
+    await shown.drawn(true);
     return shown.renderer.pixels();
   },
 };

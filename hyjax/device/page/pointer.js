@@ -3,6 +3,7 @@ import { isLamp } from "./light_list.js";
 import { add } from "./lights.js";
 
 const DRAG = 6; // CSS pixels from which a press is a drag
+const SWIPE = 8; // frames that a swipe across the picture goes through
 const WHEEL = 0.0015; // metres a step of the wheel
 const PINCH = 3; // metres for fingers that part to twice their distance
 const PAN = 2.5; // metres across the picture
@@ -26,18 +27,19 @@ export function connectPointer(viewer) {
     if (event.target !== over || event.button) return;
     over.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, event);
-    press = fingers.size === 1 ? { x: event.clientX, y: event.clientY, dragged: false } : { dragged: true };
+    press = fingers.size === 1 ? { x: event.clientX, y: event.clientY, frame: viewer.frame, dragged: false } : { dragged: true };
   });
 
   over.addEventListener("pointermove", (event) => {
     const before = fingers.get(event.pointerId);
     if (!before || !press) return;
     const [dx, dy] = [event.clientX - before.clientX, event.clientY - before.clientY];
-    if (fingers.size === 2) {
+    if (!viewer.flying) {
+      swipe(event); // never leaves the photos
+    } else if (fingers.size === 2) {
       moveByFingers(event, dx, dy);
     } else if (press.dragged || Math.hypot(event.clientX - press.x, event.clientY - press.y) > DRAG) {
       press.dragged = true;
-      viewer.fly();
       const { scale } = pixel(event);
       viewer.flying.look(dx * scale, dy * scale);
       viewer.change("camera");
@@ -47,8 +49,19 @@ export function connectPointer(viewer) {
     fingers.set(event.pointerId, event);
   });
 
+  /** Go through the frames by a swipe to the side. */
+  function swipe(event) {
+    const along = event.clientX - press.x;
+    if (press.frame === undefined || (!press.dragged && Math.abs(along) <= DRAG)) return;
+    press.dragged = true;
+    const frame = press.frame - Math.trunc((SWIPE * along) / over.clientWidth);
+    const shown = Math.max(0, Math.min(viewer.frames.count - 1, frame));
+    if (shown === viewer.frame) return;
+    viewer.playing = false;
+    viewer.goTo(shown);
+  }
+
   function moveByFingers(event, dx, dy) {
-    viewer.fly();
     const [other] = [...fingers].filter(([id]) => id !== event.pointerId).map(([, finger]) => finger);
     const apart = (finger) => Math.max(20, Math.hypot(finger.clientX - other.clientX, finger.clientY - other.clientY));
     const closer = Math.log2(apart(event) / apart(fingers.get(event.pointerId)));
@@ -67,8 +80,8 @@ export function connectPointer(viewer) {
   over.addEventListener("pointercancel", release);
 
   over.addEventListener("wheel", (event) => {
+    if (!viewer.flying) return;
     event.preventDefault();
-    viewer.fly();
     const lines = event.deltaMode === 1 ? 30 : 1;
     viewer.flying.move(0, 0, -WHEEL * lines * event.deltaY);
     viewer.change("camera");

@@ -1,6 +1,6 @@
 // Renderer: what to upload and which stages to run when lights, frame or camera change; the twin of renderer.py.
 import { Engine } from "./engine.js";
-import { darkness } from "./lights.js";
+import { darkness, luminance } from "./lights.js";
 import {
   ambientFilter, emitterVectors, frameRecord, keptVectors, lightRecords, mapSize, movedLights, sizeMap,
 } from "./records.js";
@@ -160,6 +160,24 @@ export class Renderer {
     const offset = 16 * (row * this.page.size[1] + column);
     const [x, y, z, depth] = await this.engine.download("surface", { offset, bytes: 16 });
     return depth > 0 ? { normal: [x, y, z], depth } : null;
+  }
+
+  /** Of each light: its share of the light in the picture without shadows, and the share of that which shadows leave. */
+  async reach() {
+    const groups = Math.ceil(this.lights.length / 4);
+    const visible = this.page.program.names["visible totals"];
+    const first = visible === "cascade totals" ? 2 + groups : 0;
+    const [totals, seen] = await Promise.all(["cascade totals", visible].map((name) => this.engine.download(name)));
+    const of = (values, first, k) => values[4 * first + k];
+    const sums = this.lights.map((light, k) => of(totals, 2, k) * luminance(light.color));
+    const all = sums.reduce((sum, value) => sum + value, luminance(totals));
+    return {
+      light: this.lights.map((light, k) => ({
+        strength: light.strength,
+        share: all > 0 ? sums[k] / all : 1,
+        visible: of(seen, first, k) / Math.max(of(seen, first + groups, k), 1e-9),
+      })),
+    };
   }
 
   /** Linear RGB of the picture, row by row. */

@@ -5,7 +5,9 @@ import { add, dot } from "./lights.js";
 import { openDevice } from "./engine.js";
 import { Display } from "./display.js";
 import { choosePrecision } from "./precision.js";
+import { whyUnseen } from "./reach.js";
 import { Renderer } from "./renderer.js";
+import { Waiting } from "./waiting.js";
 
 const REFINE_AFTER = 200; // milliseconds that lights lie still before their shadows are cast in full
 const FILTERS = ["refined filter", "visibility"]; // stages that are interpolated to be shown
@@ -25,14 +27,14 @@ export class Viewer extends EventTarget {
   constructor(page, arrays, frames, canvas) {
     super();
     Object.assign(this, { page, arrays, frames, canvas });
-    Object.assign(this, { frame: 0, flying: null, stage: "result", wipe: 0, stops: 0, playing: false, rate: 12 });
+    Object.assign(this, { frame: 0, flying: null, stage: "result", wipe: 0.5, stops: 0, playing: false, rate: 12 });
     this.lights = new LightList(page);
     this.height = null; // metres above the floor at which lamps are put; null: off the surface
     this.keys = new Set();
     this.dirty = { lights: true, camera: true, display: true };
     this.fps = 0;
     this.milliseconds = 0;
-    this.waiting = [];
+    this.waiting = new Waiting();
     this.inFlight = []; // promises of pictures that are not done
     this.losses = []; // times of losses of the device
     const { bounds, up } = page.scene;
@@ -80,7 +82,7 @@ export class Viewer extends EventTarget {
   fail(error) {
     this.stopped = true;
     this.failure = error;
-    for (const { reject } of this.waiting.splice(0)) reject(error);
+    for (const { reject } of this.waiting.take(true)) reject(error);
     this.dispatchEvent(new CustomEvent("failure", { detail: error }));
   }
 
@@ -90,15 +92,12 @@ export class Viewer extends EventTarget {
     this.dispatchEvent(new Event("change"));
   }
 
-  /** Resolves when everything that has changed is drawn. */
-  drawn() {
-    if (this.failure) return Promise.reject(this.failure);
-    return new Promise((resolve, reject) => this.waiting.push({ resolve, reject }));
+  /** Resolves when everything that has changed is drawn; with `rest`, when all shadows are, too. */
+  drawn(rest = false) {
+    return this.failure ? Promise.reject(this.failure) : this.waiting.promise(rest);
   }
 
-  get isDirty() {
-    return this.dirty.lights || this.dirty.camera || this.dirty.display;
-  }
+  get isDirty() { return this.dirty.lights || this.dirty.camera || this.dirty.display; }
 
   async loop() {
     let last = performance.now();
@@ -127,9 +126,12 @@ export class Viewer extends EventTarget {
         this.fail(error);
         return;
       }
-      if (this.isDirty || this.renderer.coarse.size || !this.waiting.length) continue;
-      await Promise.all(this.inFlight);
-      for (const { resolve } of this.waiting.splice(0)) resolve();
+      if (this.isDirty) continue;
+      const resting = !this.renderer.coarse.size;
+      if (resting && !this.reach && !this.playing && !this.flying) this.learnReach();
+      const due = this.waiting.take(resting);
+      if (due.length) await Promise.all(this.inFlight);
+      for (const { resolve } of due) resolve();
     }
   }
 
@@ -143,6 +145,7 @@ export class Viewer extends EventTarget {
       if (this.playing) this.frames.picture((this.frame + 1) % this.frames.count).catch(() => {});
       renderer.setCamera(camera, bitmap);
     }
+    if (dirty.lights || dirty.camera) this.reach = null;
     if (dirty.lights && (await renderer.setLights(this.lights.setup()))) this.moved = now;
     const timed = renderer.busy && now - (this.timed ?? -1e9) > TIMED_EVERY;
     const rendered = renderer.busy;
@@ -165,6 +168,20 @@ export class Viewer extends EventTarget {
     this.count(performance.now());
     if (timed) await this.renderer.readTimes();
     this.dispatchEvent(new Event("rendered"));
+  }
+
+  /** Find out which lights change something in the picture. */
+  async learnReach() {
+    const known = { light: [] };
+    this.reach = known;
+    const found = await this.renderer.reach().catch(() => null);
+    if (!found || this.reach !== known) return;
+    this.reach = found;
+    this.dispatchEvent(new Event("change"));
+  }
+
+  whyUnseen(item) {
+    return whyUnseen(this.reach?.light[this.lights.numberOf(item.id)]);
   }
 
   /** The camera with its photo; none where it flies. A frame that cannot be read leaves the one before it. */

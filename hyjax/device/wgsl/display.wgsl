@@ -42,8 +42,14 @@ fn fragment(@builtin(position) place: vec4<f32>) -> @location(0) vec4<f32> {
             let left = filter_at(pixel, true);
             return vec4<f32>(select(vec3<f32>(1.0), left / max(whole, vec3<f32>(1e-12)), whole > vec3<f32>(1e-9)), 1.0);
         }
-        default: { return vec4<f32>(to_display(shown.stops * image[pixel].xyz), 1.0); }
+        default: { return vec4<f32>(to_display(shown.stops * image[pixel].xyz) + dither(place.xy), 1.0); }
     }
+}
+
+// Noise of one step of eight bits, so that dark gradients have no bands (Jimenez, *Next generation post processing in
+// Call of Duty: Advanced Warfare*, 2014).
+fn dither(place: vec2<f32>) -> f32 {
+    return (fract(52.9829189 * fract(dot(place, vec2<f32>(0.06711056, 0.00583715)))) - 0.5) / 255.0;
 }
 
 // The relight filter; of the raw light where the surface is known, else black.
