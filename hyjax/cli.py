@@ -29,8 +29,6 @@ from hyjax.util.terminal import end_output, open_closed_streams, quiet_libraries
 
 WITH_CAPTURE = ("relight", "tune", "tour")
 """Commands that take a capture as an option."""
-GARBAGE_THRESHOLDS = (10_000, 10, 10)
-"""Python's thresholds of garbage collection: tracing makes many objects, and 700 took 3 % of a first start."""
 RENAMED_VALUES = {("--renderer", "hyjax"): "shadow_map"}
 
 
@@ -342,7 +340,7 @@ def _keep_for_later() -> None:
     from hyjax.util.compiled_cache import keep_compiled
 
     keep_compiled()
-    gc.set_threshold(*GARBAGE_THRESHOLDS)
+    gc.set_threshold(10_000)  # objects: tracing makes many, and Python's 700 took 3 % of a first start
     warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
 
 

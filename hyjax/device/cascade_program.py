@@ -25,7 +25,6 @@ _DISTANCES = {
     "mean_abs": ("dot(abs(d), vec4<f32>(1.0))", "total * total / f32({0} * {0})"),
 }
 
-
 _COARSER = string.Template("""
     workgroupBarrier();
     if (all(local.xy % ${step}u == vec2<u32>(0u)) && all(id.xy / ${step}u < vec2<u32>($size))) {

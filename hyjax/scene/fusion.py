@@ -16,7 +16,7 @@ from hyjax.geometry.depth_map import NEAR_LIMIT, DepthReading
 from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.tsdf import fuse
-from hyjax.scene.fusion_settings import FusionSettings
+from hyjax.scene.fusion_settings import FUSED, FusionSettings
 from hyjax.util.errors import InputError
 from hyjax.util.prefetch import prefetch
 
@@ -60,7 +60,7 @@ class FusionPlan:
     confidence: float
 
     def __str__(self) -> str:
-        return f"fusion of {len(self.indices)} depth maps, voxels of {self.voxel:g} m, up to {self.far:g} m"
+        return f"{FUSED} {len(self.indices)} depth maps, voxels of {self.voxel:g} m, up to {self.far:g} m"
 
 
 class Readings:

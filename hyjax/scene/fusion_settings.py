@@ -13,6 +13,10 @@ LEAST_RANGE = 0.1
 """Least range of readings, in metres."""
 
 
+FUSED = "fusion of"
+"""Beginning of the source of a surface that was fused, see `Scene.source`."""
+
+
 @dataclasses.dataclass(frozen=True)
 class FusionSettings(Settings):
     """Settings of the fusion of depth maps to a mesh. Defaults follow from the sensor and the place."""

@@ -25,6 +25,7 @@ from hyjax.light.setup import LightSetup, same_lights
 from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
+from hyjax.scene.fusion_settings import FUSED
 from hyjax.scene.light_places import LightAnchors, survey_capture
 from hyjax.scene.light_setups import check_setup_name, named_setup
 from hyjax.scene.occluders import SURFACE_ERROR, completed, fine_detail
@@ -133,13 +134,13 @@ class Scene:
                 progress=progress,
                 tracked=tracked,
             )
-            if fuses and not source.startswith("fused"):
+            if fuses and not source.startswith(FUSED):
                 capture = tracked
             if fuses and isinstance(capture, AlignedCapture):
                 source += f", poses aligned ({1000 * float(np.median(capture.moved)):.0f} mm, median)"
 
             def detail() -> MeshArrays | None:
-                made = "fused" if source.startswith("fused") else settings.mesh
+                made = "fused" if source.startswith(FUSED) else settings.mesh
                 return fine_detail(capture, made, settings.seed, progress)
 
             return cls(
