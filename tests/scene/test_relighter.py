@@ -87,3 +87,18 @@ def test_traced_lights_are_one_line() -> None:
     with pytest.raises(hyjax.InputError, match=r"cast them first .scene.shadow_maps.") as caught:
         jax.grad(lambda flux: relighter(flux).configuration.scale * flux)(800.0)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("choices", [{}, {"photo_light": "kept"}, {"bounces": False}])
+def test_pictures_of_single_lamps_add_up(choices: dict[str, Any], capture: Path) -> None:
+    """As the page about robot data promises: without ambient light, and without panes in the picture."""
+    scene = hyjax.Scene.open(hyjax.SceneSettings(capture=capture, size="128x96"))
+    lamps = [
+        hyjax.PointLight(np.array(position), 600.0, hyjax.blackbody(kelvin))
+        for position, kelvin in (([2.0, 2.5, 2.0], 2700.0), ([3.0, 1.0, 1.5], 6500.0))
+    ]
+    chosen = Configuration().with_choices(choices)
+    whole, *single = (np.asarray(scene.relit(0, lights, chosen).image) for lights in (lamps, *([x] for x in lamps)))
+    assert whole.max() > 0.05
+    np.testing.assert_allclose(sum(single), whole, atol=2e-5)
