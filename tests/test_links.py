@@ -68,5 +68,13 @@ def test_the_two_commands_are_readmes(name: str) -> None:
     assert COMMAND.findall((ROOT / name).read_text(encoding="utf-8")) == [main, tests]
 
 
+def test_the_sites_index_begins_as_readme_does() -> None:
+    """Its links, too, which the build leads from README's folder to that of the pages."""
+    (marker,) = re.findall(r'^BEGINNING = "(.*)"$', (ROOT / "docs" / "hooks.py").read_text(encoding="utf-8"), re.M)
+    assert (ROOT / "docs" / "index.md").read_text(encoding="utf-8").startswith(marker)
+    beginning = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## ")[0]
+    assert LINK.findall(beginning) and all(target.startswith("docs/") for target, _ in LINK.findall(beginning))
+
+
 def test_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= README_LINES
