@@ -1,8 +1,10 @@
 """The built-in room as a capture, kept in the cache folder once it has been rendered."""
 
+import functools
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,13 +14,14 @@ from jaxtyping import Float, UInt8
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.mesh_arrays import MeshArrays
-from hyjax.util.cache import Arrays, cache_folder, cached_arrays
+from hyjax.util.cache import Arrays, cache_folder, cached_arrays, keep_arrays, read_kept
 from hyjax.util.errors import InputError
 
 if TYPE_CHECKING:
     import trimesh
 
     from hyjax.geometry.scan import RenderedDepths, ScanConfig
+    from hyjax.synthetic.room import Room
 
 VERSION = 6
 """Version of the room of `hyjax.synthetic.room`. Add one whenever its geometry or its pictures change."""
@@ -30,34 +33,55 @@ FRAME_RATE = 2.0
 """Pictures a second: the walk takes twelve seconds."""
 
 UP = np.array([0.0, 0.0, 1.0])
+_Frame = tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]
 
 
 class RoomCapture(Capture):
-    """The built-in room: a capture whose true surface is known; z is up."""
+    """The built-in room: a capture whose true surface is known; z is up.
+
+    Args:
+        images, depth: of the frames, arrays or what gives them one by one.
+        cameras: of the frames.
+        mesh: the true surface.
+        anchors: places for lights.
+        key: of the pictures, where they are known without being looked at.
+    """
 
     name = "room"
 
     def __init__(
         self,
-        images: UInt8[np.ndarray, "n h w 3"],
-        depth: Float[np.ndarray, "n h w"],
+        images: "UInt8[np.ndarray, 'n h w 3'] | _Awaited",
+        depth: "Float[np.ndarray, 'n h w'] | _Awaited",
         cameras: list[Camera],
         mesh: "trimesh.Trimesh | MeshArrays",
         anchors: Mapping[str, Mapping[str, Any]],
+        key: str | None = None,
     ) -> None:
         self.up = UP
         self._surface = MeshArrays.of(mesh)
         self.anchors = anchors
-        self._images = images
-        self._depth = depth
-        self._cameras = cameras
+        self._images, self._depth = images, depth
+        self._cameras, self._key = cameras, key
 
-    @property
+    @functools.cached_property
     def fingerprint(self) -> str:
         """See `Capture`."""
         poses = np.stack([camera.pose for camera in self._cameras])
-        parts = (self._surface.vertices, self._images[:: max(1, len(self) // 4)], self._depth.shape, poses)
+        pictures: tuple[Any, ...] = (np.frombuffer((self._key or "").encode(), np.uint8),)
+        if isinstance(self._images, np.ndarray) and isinstance(self._depth, np.ndarray) and self._key is None:
+            pictures = self._images[:: max(1, len(self) // 4)], np.array(self._depth.shape)
+        parts = (self._surface.vertices, *pictures, poses)
         return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
+
+    def camera(self, index: int) -> Camera:
+        """See `Capture`."""
+        return self._cameras[index]
+
+    @property
+    def depth_count(self) -> int:
+        """See `Capture`."""
+        return len(self)
 
     def reference(self) -> "trimesh.Trimesh":
         """The true surface in metres."""
@@ -116,6 +140,7 @@ def load_room(
     cache_dir: Path | None = None,
     progress: bool = True,
     quality: float = 1.0,
+    wait: bool = True,
 ) -> RoomCapture:
     """The built-in room, rendered on first use and read from the cache after that.
 
@@ -126,6 +151,7 @@ def load_room(
         cache_dir: where to keep it; None for `hyjax.util.cache.cache_folder()`.
         progress: show a bar on stderr while rendering.
         quality: of the light, see `render_room`.
+        wait: whether to wait until it is rendered; else whoever asks for a frame waits for that one.
 
     Raises:
         InputError: a size or the quality is out of range.
@@ -134,35 +160,76 @@ def load_room(
         raise InputError(f"room: seed is {seed}, must be 0 or more")
     folder = cache_folder() if cache_dir is None else Path(cache_dir)
     file = folder / f"room-v{VERSION}-seed{seed}-{n_frames}x{width}x{height}-q{quality:g}.npz"
-    return cached_arrays(file, _capture, lambda: _render(folder, seed, n_frames, width, height, quality, progress))
-
-
-def _render(
-    folder: Path, seed: int, n_frames: int, width: int, height: int, quality: float, progress: bool
-) -> Arrays:
-    from hyjax.synthetic.room import camera_path, make_room, render_room
+    kept = read_kept(file, lambda arrays: _capture(arrays, file.stem))
+    if kept is not None:
+        return kept
+    from hyjax.synthetic.room import camera_path, make_room
 
     room = make_room(seed)
     cameras = camera_path(room, n_frames, width, height)
     light_file = folder / f"room-light-v{VERSION}-seed{seed}-q{quality:g}.npz"  # for pictures of every size
+    frames: list[Future[_Frame]] = [Future() for _ in cameras]
+    mesh = MeshArrays(np.asarray(room.mesh.vertices), np.asarray(room.mesh.faces))
+    anchors = json.loads(json.dumps(room.anchors))
+
+    def render() -> None:
+        try:
+            for number, frame in enumerate(_rendered(room, cameras, quality, progress, light_file)):
+                frames[number].set_result(frame)
+            images, depth = (np.stack(part) for part in zip(*(future.result() for future in frames)))
+            keep_arrays(file, _arrays(images, depth, cameras, mesh, anchors))
+        except BaseException as error:  # for those who wait
+            for future in frames:
+                if not future.done():
+                    future.set_exception(error)
+
+    pool = ThreadPoolExecutor(1, thread_name_prefix="room")
+    done = pool.submit(render)
+    pool.shutdown(wait=False)
+    if wait:
+        done.result()
+        frames[-1].result()
+    return RoomCapture(_Awaited(frames, 0), _Awaited(frames, 1), cameras, mesh, anchors, file.stem)
+
+
+class _Awaited:
+    """Pictures, or depth, of frames that are being rendered."""
+
+    def __init__(self, frames: "Sequence[Future[_Frame]]", part: int) -> None:
+        self._frames, self._part = frames, part
+
+    def __getitem__(self, number: int) -> np.ndarray:
+        return self._frames[number].result()[self._part]
+
+
+def _rendered(
+    room: "Room", cameras: list[Camera], quality: float, progress: bool, light_file: Path
+) -> "Iterator[_Frame]":
+    from hyjax.synthetic.room import photographs
 
     def kept(bake: Callable[[], np.ndarray]) -> np.ndarray:
         return cached_arrays(light_file, lambda arrays: arrays["irradiance"], lambda: {"irradiance": bake()})
 
-    frames = render_room(room, cameras, quality, progress, keep=kept)
+    for image, depth in photographs(room, cameras, quality, progress, kept):
+        yield np.round(image * 255).astype(np.uint8), depth
+
+
+def _arrays(
+    images: np.ndarray, depth: np.ndarray, cameras: Sequence[Camera], mesh: MeshArrays, anchors: Mapping[str, Any]
+) -> Arrays:
     k = cameras[0].intrinsics
     return {
-        "images": np.stack([np.round(image * 255).astype(np.uint8) for image, _ in frames]),
-        "depth": np.stack([depth for _, depth in frames]),
+        "images": images,
+        "depth": depth,
         "poses": np.stack([camera.pose for camera in cameras]),
         "intrinsics": np.array([k.fx, k.fy, k.cx, k.cy]),
-        "vertices": np.asarray(room.mesh.vertices),
-        "faces": np.asarray(room.mesh.faces),
-        "anchors": np.array(json.dumps(room.anchors)),
+        "vertices": mesh.vertices,
+        "faces": mesh.faces,
+        "anchors": np.array(json.dumps(anchors)),
     }
 
 
-def _capture(arrays: Arrays) -> RoomCapture:
+def _capture(arrays: Arrays, key: str) -> RoomCapture:
     height, width = arrays["images"].shape[1:3]
     intrinsics = Intrinsics(width, height, *(float(x) for x in arrays["intrinsics"]))
     return RoomCapture(
@@ -171,4 +238,5 @@ def _capture(arrays: Arrays) -> RoomCapture:
         [Camera(intrinsics, pose) for pose in arrays["poses"]],
         MeshArrays(arrays["vertices"], arrays["faces"]),
         json.loads(str(arrays["anchors"])),
+        key,
     )

@@ -96,7 +96,7 @@ def open_capture(
         if scale is not None:
             raise InputError("scale: the built-in room is in metres already")
         height, width = rendered_size(size)
-        return load_room(width=width, height=height, progress=progress)
+        return load_room(width=width, height=height, progress=progress, wait=False)
     tree = open_tree(Path(path))
     files, entry = detect_format(tree)
     capture = entry.open(files)

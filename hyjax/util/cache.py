@@ -39,6 +39,16 @@ def cached_arrays(
         make: makes the arrays.
         compressed: whether to store them compressed.
     """
+    kept = read_kept(file, parse)
+    if kept is not None:
+        return kept
+    arrays = make()
+    keep_arrays(file, arrays, compressed=compressed)
+    return parse(arrays)
+
+
+def read_kept(file: Path, parse: Callable[[Arrays], T]) -> T | None:
+    """Result of the arrays of a file; None if there is none, or a damaged one, with a warning."""
     if file.is_file():
         try:
             # Opened here, since np.load leaves a damaged file open.
@@ -46,7 +56,11 @@ def cached_arrays(
                 return parse({name: stored[name] for name in stored.files})
         except Exception as error:  # Damage shows itself in a dozen ways; all mean the same.
             _log.warning("%s: damaged (%s), it is made again", file, error)
-    arrays = make()
+    return None
+
+
+def keep_arrays(file: Path, arrays: Arrays, *, compressed: bool = False) -> None:
+    """Store arrays in a file of a cache folder; a folder that cannot be written is a warning."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         remove_stale(file.parent)
@@ -54,7 +68,6 @@ def cached_arrays(
             (np.savez_compressed if compressed else np.savez)(part, **arrays)  # type: ignore[arg-type]
     except (OSError, InputError) as error:
         tell_unkept(file.parent, error)
-    return parse(arrays)
 
 
 def tell_unkept(folder: Path, error: Exception) -> None:

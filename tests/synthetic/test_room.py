@@ -2,6 +2,7 @@
 
 import dataclasses
 import logging
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -162,7 +163,7 @@ def test_cache_round_trip(capture: RoomCapture, folder: Path, monkeypatch: pytes
     def refuse(*_: object) -> None:
         raise AssertionError("rendered again")
 
-    monkeypatch.setattr(module, "render_room", refuse)
+    monkeypatch.setattr(module, "photographs", refuse)
     again = load_room(0, cache_dir=folder, **TINY)
     assert same_frames(capture, again)
     np.testing.assert_array_equal(capture.reference().vertices, again.reference().vertices)
@@ -222,13 +223,44 @@ def test_damaged_cache_is_rebuilt(
     rendered = []
     with np.load(source) as stored:
         arrays = dict(stored)
-    monkeypatch.setattr(module, "_render", lambda *_: rendered.append(1) or arrays)
+
+    def render(*_: object) -> Any:
+        rendered.append(1)
+        return zip(arrays["images"], arrays["depth"])
+
+    monkeypatch.setattr(module, "_rendered", render)
     with caplog.at_level(logging.WARNING):
         for _ in range(2):
             assert same_frames(capture, load_room(0, cache_dir=tmp_path, **TINY))
     assert len(rendered) == 1
     assert len(caplog.records) == 1
     assert [p.name for p in tmp_path.iterdir()] == [source.name]
+
+
+def test_a_room_is_known_before_its_pictures(
+    capture: RoomCapture, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever asks for a picture waits for it, and gets what became of it."""
+    import hyjax.data.builtin_room as module
+
+    begin = threading.Event()
+    with np.load(next(folder.glob("room-v*.npz"))) as stored:
+        arrays = dict(stored)
+
+    def render(*_: object) -> Any:
+        begin.wait(60)
+        yield from zip(arrays["images"][:2], arrays["depth"])
+        raise InputError("room: out of paint")
+
+    monkeypatch.setattr(module, "_rendered", render)
+    room = load_room(0, cache_dir=tmp_path, wait=False, **TINY)
+    assert room.fingerprint == capture.fingerprint and room.depth_count == len(room) == 3
+    np.testing.assert_array_equal(room.camera(1).pose, capture.camera(1).pose)
+    begin.set()
+    np.testing.assert_array_equal(room[1].image, capture[1].image)
+    with pytest.raises(InputError, match="out of paint"):
+        room[2]
+    assert not list(tmp_path.iterdir())
 
 
 def test_cache_folder_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -266,7 +298,7 @@ def test_unwritable_cache_is_no_obstacle(
     (tmp_path / "file").write_text("in the way")
     with np.load(next(folder.glob("room-v*.npz"))) as stored:
         arrays = dict(stored)
-    monkeypatch.setattr(module, "_render", lambda *_: arrays)
+    monkeypatch.setattr(module, "_rendered", lambda *_: zip(arrays["images"], arrays["depth"]))
     with caplog.at_level(logging.WARNING):
         again = load_room(0, cache_dir=tmp_path / "file", **TINY)
     assert same_frames(capture, again)

@@ -6,7 +6,7 @@ and every frame is then albedo × light plus mirror reflections, seen through a 
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -25,7 +25,7 @@ from hyjax.synthetic.surface import Surface
 from hyjax.util.errors import InputError
 from hyjax.util.progress import StepBar
 
-__all__ = ["Room", "camera_path", "make_room", "render_room"]
+__all__ = ["Room", "camera_path", "make_room", "photographs", "render_room"]
 Irradiance = Float[np.ndarray, "t 3"]
 Keep = Callable[[Callable[[], Irradiance]], Irradiance]
 
@@ -65,11 +65,7 @@ def camera_path(room: Room, n_frames: int = 24, width: int = 640, height: int = 
 
 
 def render_room(
-    room: Room,
-    cameras: Sequence[Camera],
-    quality: float = 1.0,
-    progress: bool = False,
-    keep: Keep = lambda bake: bake(),
+    room: Room, cameras: Sequence[Camera], quality: float = 1.0, progress: bool = False
 ) -> list[tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]]:
     """Photograph the room.
 
@@ -78,11 +74,26 @@ def render_room(
         cameras: one for each picture.
         quality: 1 for pictures to look at; 0.25 builds much sooner and shows it.
         progress: show a bar on stderr.
-        keep: returns the irradiance / π of all texels: one that was kept, or made by the function that it gets.
 
     Returns:
         For each camera the display-encoded (sRGB) picture in 8-bit steps, float32 in [0, 1], and the exact depth in
         metres along the camera's axis, 0 outside the window.
+    """
+    return list(photographs(room, cameras, quality, progress))
+
+
+def photographs(
+    room: Room,
+    cameras: Sequence[Camera],
+    quality: float = 1.0,
+    progress: bool = False,
+    keep: Keep = lambda bake: bake(),
+) -> Iterator[tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]]:
+    """Photographs one by one.
+
+    Args:
+        room, cameras, quality, progress: see `render_room`.
+        keep: returns the irradiance / π of all texels: one that was kept, or made by the function that it gets.
     """
     if not 0.1 <= quality <= 2:
         raise InputError(f"room: quality is {quality}, must lie in [0.1, 2]")
@@ -96,7 +107,7 @@ def render_room(
             return frame
 
         with ThreadPoolExecutor(WORKERS) as pool:
-            return list(pool.map(shoot, range(len(cameras))))
+            yield from pool.map(shoot, range(len(cameras)))
 
 
 def _bake(room: Room, quality: float, keep: Keep = lambda bake: bake()) -> BakedRoom:
