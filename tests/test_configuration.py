@@ -210,6 +210,7 @@ def test_configurations_of_the_same_values_are_equal() -> None:
     assert Configuration() == Configuration() and hash(Configuration()) == hash(Configuration())
     assert Schedule.preset("hyjax") == Schedule.preset("hyjax")
     assert Schedule.preset("hyjax") != Schedule.preset("hyjax", kappa=0.3)
+    assert Schedule.preset("hyjax") != dataclasses.replace(Schedule.preset("hyjax"), norm="mean_abs")
     assert Configuration() != Configuration().with_choices({"bounces": False})
     assert Configuration.from_json(Configuration.preset("fast").to_json()) == Configuration.preset("fast")
 

@@ -24,8 +24,8 @@ def equal_by_value(kind: T) -> T:
     def equal(first: object, second: object) -> bool:
         if first is second or type(first) is not type(second):
             return first is second
-        leaves, others = jax.tree.leaves(first), jax.tree.leaves(second)
-        if hash_of(first) != hash_of(second) or any(isinstance(x, jax.core.Tracer) for x in (*leaves, *others)):
+        (leaves, structure), (others, other) = jax.tree.flatten(first), jax.tree.flatten(second)
+        if structure != other or any(isinstance(x, jax.core.Tracer) for x in (*leaves, *others)):
             return False
         return all(np.array_equal(x, y) for x, y in zip(leaves, others, strict=True))
 
