@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -21,11 +21,11 @@ from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.relit import Relit
-from hyjax.light.setup import LightSetup, same_lights
+from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
-from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.scene.fusion_settings import FUSED
+from hyjax.scene.kept_maps import KeptMaps, Maps
 from hyjax.scene.light_places import LightAnchors, survey_capture
 from hyjax.scene.light_setups import check_setup_name, named_setup
 from hyjax.scene.occluders import SURFACE_ERROR, completed, fine_detail
@@ -43,12 +43,16 @@ if TYPE_CHECKING:
     import trimesh
 
 UNIT_TOLERANCE = 1e-3
+AnyLights = LightSetup | Sequence[Light] | str | Path
+AnyConfiguration = Configuration | Schedule | str | Path | None
 MOST_MAPS = 2
 """Sets of shadow maps that a scene keeps: of the two kinds of occluders, say."""
 
 
 class Scene:
     """A capture with its surface: frames, their views, and the light in them.
+
+    `settings` are those that it was opened by; None if it was made otherwise.
 
     Example:
         scene = Scene.open(SceneSettings(capture=Path("my_scan"), size="640x480"))
@@ -90,8 +94,8 @@ class Scene:
         self.caster = RayCaster(mesh)
         self._anchors: dict[bool, LightAnchors] = {}
         self.exact, self._detail, self._completed = exact, detail, None if not exact else self.caster
-        self.most_maps = MOST_MAPS
-        self._maps: list[tuple[Any, tuple[Light, ...], tuple[ShadowMap | None, ...]]] = []
+        self.kept_maps = KeptMaps(MOST_MAPS)
+        self.settings: SceneSettings | None = None
         self._sources_file, self._progress = photo_sources, progress
 
     @classmethod
@@ -115,7 +119,7 @@ class Scene:
         Raises:
             InputError: any of these cannot be used.
         """
-        settings, clock = settings.check(), clock or StageClock()
+        settings, clock, given = settings.check(), clock or StageClock(), capture is not None
         if capture is None:
             with clock("capture"):
                 capture = settings.open_capture(progress=progress)
@@ -143,7 +147,7 @@ class Scene:
                 made = "fused" if source.startswith(FUSED) else settings.mesh
                 return fine_detail(capture, made, settings.seed, progress)
 
-            return cls(
+            scene = cls(
                 capture,
                 mesh,
                 size=parse_size(settings.size),
@@ -153,6 +157,8 @@ class Scene:
                 photo_sources=settings.photo_sources,
                 progress=progress,
             )
+            scene.settings = None if given else settings
+            return scene
 
     def __len__(self) -> int:
         return len(self.capture)
@@ -201,9 +207,7 @@ class Scene:
         return view_of(frame, self.gbuffer(frame.camera))
 
     @checked_arguments
-    def lights(
-        self, lights: LightSetup | Sequence[Light] | str | Path, *, at_photo_sources: bool = False
-    ) -> LightSetup:
+    def lights(self, lights: AnyLights, *, at_photo_sources: bool = False) -> LightSetup:
         """Light set-up by name, placed in this room, or from a YAML or JSON file; a set-up or lights as they are.
 
         Args:
@@ -233,9 +237,8 @@ class Scene:
         """The mesh that throws shadows: the surface, completed."""
         if self._completed is None:
             detail = self._detail()
-            self._completed = RayCaster(
-                completed(self.caster.arrays, None if detail is None else MeshArrays.of(detail))
-            )
+            finer = None if detail is None else MeshArrays.of(detail)
+            self._completed = RayCaster(completed(self.caster.arrays, finer))
         return self._completed
 
     @property
@@ -251,24 +254,21 @@ class Scene:
         occluders: Occluders = "completed",
         scale: float = 1.0,
         most_views: int | None = None,
-    ) -> tuple[ShadowMap | None, ...]:
-        """Shadow maps of lights; the last `most_maps` are kept. Arguments: see `Place`."""
-        key, cast_lights = (occluders, scale, most_views), LightSetup.of(lights).lights
-        for index, (earlier, before, maps) in enumerate(self._maps):
-            if earlier == key and same_lights(before, cast_lights):
-                self._maps.append(self._maps.pop(index))  # the last used are kept
-                return maps
-        caster, slack = (self.occluders, self.slack) if occluders == "completed" else (self.caster, None)
-        folder = cache_folder() / "shadow-maps"
-        maps = jax.block_until_ready(cast_shadow_maps(caster, cast_lights, scale, slack, most_views, folder=folder))
-        self._maps = [*self._maps, (key, cast_lights, maps)][-self.most_maps :]
-        return maps
+    ) -> Maps:
+        """Shadow maps of lights; those of the last are kept. Arguments: see `Place`."""
+
+        def cast(lights: Sequence[Light]) -> Maps:
+            caster, slack = (self.occluders, self.slack) if occluders == "completed" else (self.caster, None)
+            folder = cache_folder() / "shadow-maps"
+            return jax.block_until_ready(cast_shadow_maps(caster, lights, scale, slack, most_views, folder=folder))
+
+        return self.kept_maps.of((occluders, scale, most_views), LightSetup.of(lights).lights, cast)
 
     @checked_arguments
     def shade(
         self,
         view: View,
-        lights: LightSetup | Sequence[Light] | str | Path,
+        lights: AnyLights,
         *,
         shadows: bool = True,
         keep_photo_light: bool = False,
@@ -288,18 +288,12 @@ class Scene:
         Raises:
             InputError: no such set-up, or it keeps sources of a photo whose light is kept whole.
         """
-        options = LightOptions(photo_light="kept" if keep_photo_light else "divided")
-        configuration = Configuration(light=options)
+        configuration = Configuration(light=LightOptions(photo_light="kept" if keep_photo_light else "divided"))
         relighter = Relighter(self, lights, configuration, shadows=shadows, occluders=occluders)
         return relighter.shade(view, sampling=sampling)
 
     @checked_arguments
-    def relit(
-        self,
-        frame: int | Frame,
-        lights: LightSetup | Sequence[Light] | str | Path,
-        configuration: Configuration | Schedule | str | Path | None = None,
-    ) -> Relit:
+    def relit(self, frame: int | Frame, lights: AnyLights, configuration: AnyConfiguration = None) -> Relit:
         """Relit frame; for many of them keep a `Relighter`.
 
         Args:

@@ -57,7 +57,7 @@ class TuningScene:
 
     def __init__(self, name: str, scene: Scene, accurate: Scene | None = None) -> None:
         self.name, self.scene, self.accurate = name, scene, accurate
-        scene.most_maps = KEPT_MAPS
+        scene.kept_maps.most = KEPT_MAPS
         self._target = functools.lru_cache(maxsize=None)(self._make_target)
 
     def __len__(self) -> int:

@@ -35,6 +35,7 @@ from hyjax.light.shading import shade_each
 from hyjax.light.shadow_map import visibilities
 from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
+from hyjax.scene.kept_maps import KeptMaps
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.util.errors import InputError
@@ -86,7 +87,8 @@ def test_every_kind_has_a_shader(scene: Scene) -> None:
 def reference(scene: Scene, setup: LightSetup, index: int, keep: bool) -> tuple[hyjax.View, Any, hyjax.Relit]:
     """View, light and relit picture by JAX, with shadow maps of the size that the shaders fill."""
     maps = cast_shadow_maps(scene.occluders, setup.lights, scale=TEXELS[0] / 1024, slack=scene.slack)
-    scene._maps = [(("completed", 1.0, None), tuple(setup.lights), maps)]
+    scene.kept_maps = KeptMaps(2)
+    scene.kept_maps.of(("completed", 1.0, None), setup.lights, lambda _: maps)
     view = scene.view(index)
     shaded = scene.shade(view, setup, keep_photo_light=keep)
     return view, shaded, hyjax.relight(view, shaded, view.display, Schedule.preset("hyjax"))
@@ -124,7 +126,7 @@ def test_lights_of_every_kind(scene: Scene, device: Any) -> None:
     expected = np.asarray(shade_each(view.gbuffer, setup.lights))
     assert np.quantile(np.abs(raw - expected) / (1.0 + expected), 0.99) < 1e-4
     values, known = raw_visibility(renderer, count)
-    maps = scene._maps[-1][2]
+    maps = scene.shadow_maps(setup)
     seen = np.asarray(visibilities(view.gbuffer, setup.lights, maps))
     for k, light in enumerate(setup.lights):
         lit = known[..., k] > 0

@@ -1,0 +1,44 @@
+"""Shadow maps of the last lights, those of a light that only its strength or colour has changed included."""
+
+from collections.abc import Callable, Hashable, Sequence
+
+from hyjax.light.kinds import Light
+from hyjax.light.setup import geometry_key
+from hyjax.light.shadow_map import ShadowMap
+
+Maps = tuple[ShadowMap | None, ...]
+Cast = Callable[[Sequence[Light]], Maps]
+
+
+class KeptMaps:
+    """Shadow maps of the last sets of lights.
+
+    Args:
+        most: sets that are kept.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self._sets: list[tuple[Hashable, dict[Hashable, ShadowMap | None], Maps]] = []
+
+    def of(self, kind: Hashable, lights: Sequence[Light], cast: Cast) -> Maps:
+        """Maps of lights: those of the last sets by their geometry, the others cast.
+
+        Args:
+            kind: of the maps; those of other kinds are not taken.
+            lights: of which they are.
+            cast: makes maps of lights.
+        """
+        keys = [geometry_key(light) for light in lights]
+        for place, (own, known, maps) in enumerate(self._sets):
+            if own == kind and list(known) == keys:
+                self._sets.append(self._sets.pop(place))  # the last used are kept
+                return maps
+        known = {}
+        for own, earlier, _ in self._sets:
+            known |= earlier if own == kind else {}
+        new = [light for light, key in zip(lights, keys) if key not in known]
+        made = dict(zip([key for key in keys if key not in known], cast(new), strict=True)) if new else {}
+        maps = tuple((known | made)[key] for key in keys)
+        self._sets = [*self._sets, (kind, dict(zip(keys, maps)), maps)][-self.most :]
+        return maps
