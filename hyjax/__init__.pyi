@@ -20,6 +20,7 @@ from .core.schedule import Schedule as Schedule
 from .core.solver import solve as solve
 from .core.superresolution import super_resolve as super_resolve
 from .core.upsampling import guided_upsample as guided_upsample
+from .exploration.explore import explore as explore
 from .light.color import blackbody as blackbody
 from .light.color import luminance as luminance
 from .light.color import to_display as to_display

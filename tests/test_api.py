@@ -134,6 +134,7 @@ LAYERS: list[set[str]] = [
     {"tuning"},
     {"sweep"},
     {"live"},
+    {"exploration"},
     {"tour"},
     {"export"},
     {"info"},

@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -305,6 +305,15 @@ class Scene:
             InputError: any of these cannot be used.
         """
         return Relighter(self, lights, configuration).relit(frame, rays=True)  # a single picture
+
+    @checked_arguments
+    def explore(
+        self, *, frame: int = 0, lights: AnyLights = "evening-lamps", configuration: AnyConfiguration = None
+    ) -> Any:
+        """Widget of a notebook that relights the frames by hand; see `hyjax.explore`."""
+        from hyjax import explore
+
+        return explore(self, frame=frame, lights=lights, configuration=configuration)
 
     @functools.cached_property
     def photo_light(self) -> ScenePhotoLight:

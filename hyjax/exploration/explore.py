@@ -1,0 +1,43 @@
+"""Explore a scene in a notebook."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hyjax.scene.scene import AnyConfiguration, AnyLights, Scene
+from hyjax.scene.settings import SceneSettings
+from hyjax.util.arguments import checked_arguments
+from hyjax.util.extras import optional_module
+
+if TYPE_CHECKING:
+    from hyjax.exploration.widget import Explorer
+
+
+@checked_arguments
+def explore(
+    scene: Scene | Path | str,
+    *,
+    frame: int = 0,
+    lights: AnyLights = "evening-lamps",
+    configuration: AnyConfiguration = None,
+) -> "Explorer":
+    """Widget of a notebook that relights a scene's frames while lights and choices are changed by hand.
+
+    Args:
+        scene: a scene, or a capture's folder or archive.
+        frame: position of the first one that is shown.
+        lights: lights, a set-up, or its name or file.
+        configuration: see `Scene.relit`.
+
+    Raises:
+        InputError: the extra `notebooks` is not installed, or any of these cannot be used.
+
+    Example:
+        widget = hyjax.explore("my_scan", lights="golden-hour")
+        widget.configuration = "fast"
+        widget  # as the last line of a cell
+    """
+    optional_module("anywidget", "notebooks", "explore")
+    from hyjax.exploration.widget import Explorer
+
+    opened = scene if isinstance(scene, Scene) else Scene.open(SceneSettings(capture=Path(scene)))
+    return Explorer(opened, frame=frame, lights=lights, configuration=configuration)

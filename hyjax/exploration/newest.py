@@ -1,0 +1,53 @@
+"""Thread that makes the newest of what is asked for."""
+
+import threading
+from collections.abc import Callable
+
+REST_SECONDS = 0.25
+"""Seconds without a request after which a draft is followed by the whole."""
+
+
+class Newest:
+    """Work on the newest request, on a thread that lives while there is any; older requests are dropped.
+
+    Args:
+        work: called with whether a draft will do; returns whether the whole is still to come.
+    """
+
+    def __init__(self, work: Callable[[bool], bool]) -> None:
+        self._work = work
+        self._changed = threading.Condition()
+        self._draft: bool | None = None
+        self._running = False
+
+    @property
+    def superseded(self) -> bool:
+        """Whether there is a request that was not begun."""
+        return self._draft is not None
+
+    def request(self, *, draft: bool = False) -> None:
+        """Ask for the work on what is set now."""
+        with self._changed:
+            self._draft = draft
+            if not self._running:
+                self._running = True
+                threading.Thread(target=self._run, name="newest", daemon=True).start()
+            self._changed.notify_all()
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Wait until all is done; whether it was in time."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._running, seconds)
+
+    def _run(self) -> None:
+        unfinished = False
+        while True:
+            with self._changed:
+                if unfinished and self._draft is None:
+                    self._changed.wait_for(lambda: self._draft is not None, REST_SECONDS)
+                if self._draft is None and not unfinished:
+                    self._running = False
+                    self._changed.notify_all()
+                    return
+                draft, self._draft = bool(self._draft), None
+            unfinished = self._work(draft)

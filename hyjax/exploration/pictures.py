@@ -1,0 +1,204 @@
+"""Relit pictures of a scene, made anew only as far as a change reaches."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from hyjax.choices.table import CASCADES
+from hyjax.configuration import Configuration
+from hyjax.core.schedule import Level, Schedule
+from hyjax.light.relit import Relit
+from hyjax.light.setup import LightSetup, same_setup
+from hyjax.light.view import View
+from hyjax.pipeline import cascade_calls
+from hyjax.scene.relighter import LitFrame, Relighter, refine
+from hyjax.scene.scene import Scene
+from hyjax.util.clock import StageClock
+from hyjax.util.errors import InputError
+from hyjax.util.programs import run_kept
+
+STEPS_OF_A_PROGRAM = 8
+"""Multiple that step counts are filled up to, so that counts of one multiple share a program."""
+MOST_FILLED_STEPS = 64
+"""Most steps of a level that is filled up; longer ones cost more to run than to compile."""
+FILLING_LAM = np.float32(1e-30)
+"""λ of the steps that are filled up with: too small to change any value."""
+KEPT_FRAMES = 4
+"""Frames under lights that are kept: full and draft of two configurations."""
+DRAFT_FACTOR = 2
+"""Size of a frame over that of its draft."""
+DRAFT_VIEWS = 4
+"""Views of a soft light in the shadow map of a draft."""
+Lights = LightSetup | str
+Stages = Iterator[tuple[str, Any]]
+
+
+class Superseded(Exception):
+    """A newer picture was asked for."""
+
+
+class Pictures:
+    """Relit pictures of a scene; what the last changes left as it was is kept.
+
+    A change of the cascades refines a kept frame again, whatever its lights cost. A picture is that of
+    `Scene.relit`, to the pixel.
+
+    `fills` is whether counts of steps are filled up, see `filled`: their programs are others than those of single
+    pictures, and worth compiling only where counts are going to change.
+
+    Args:
+        scene: whose frames they are.
+        superseded: asked between stages: whether a newer picture is wanted.
+    """
+
+    def __init__(self, scene: Scene, superseded: Callable[[], bool] = lambda: False) -> None:
+        self.scene, self.fills, self._superseded = scene, False, superseded
+        self._views: dict[tuple[int, int], View] = {}
+        self._relighters: list[tuple[Lights, Any, Relighter]] = []
+        self._frames: list[tuple[Relighter, int, LitFrame]] = []
+
+    def relighter(self, lights: Lights, configuration: Configuration) -> Relighter:
+        """Relighter of lights; its configuration's cascades may be of an earlier change."""
+        key = light_key(configuration)
+        for place, (own, own_key, relighter) in enumerate(self._relighters):
+            if own_key == key and same(own, lights):
+                self._relighters.append(self._relighters.pop(place))
+                return relighter
+        made = Relighter(self.scene, lights, configuration)
+        self._relighters = [*self._relighters, (lights, key, made)][-KEPT_FRAMES:]
+        return made
+
+    def knows(self, frame: int, lights: Lights, configuration: Configuration) -> bool:
+        """Whether a frame under these lights is kept, so that its cascades alone are to be run."""
+        key = light_key(configuration)
+        known = [relighter for own, own_key, relighter in self._relighters if own_key == key and same(own, lights)]
+        return any(relighter in known and index == frame for relighter, index, _ in self._frames)
+
+    def lit(self, frame: int, lights: Lights, configuration: Configuration, clock: StageClock) -> LitFrame:
+        """Frame under lights, ready to be refined."""
+        with clock("lights"):
+            relighter = self.relighter(lights, configuration)
+        for place, (own, index, lit) in enumerate(self._frames):
+            if own is relighter and index == frame:
+                self._frames.append(self._frames.pop(place))
+                return lit
+        size = frame, configuration.scale
+        if size not in self._views:
+            with clock("g-buffer"):
+                opened = self.scene.frame(frame)
+                gbuffer = relighter.gbuffer(opened.camera, rays=True)  # as of a single picture
+            until_view = self._followed(relighter.stages(opened, gbuffer=gbuffer))
+            self._views = {k: v for k, v in self._views.items() if k[0] == frame}
+            self._views[size] = clock.follow(until_view, until="view")
+        lit = clock.follow(self._followed(relighter.stages(frame, view=self._views[size])), until="guide")
+        self._frames = [*self._frames, (relighter, frame, lit)][-KEPT_FRAMES:]
+        return lit
+
+    def relit(self, frame: int, lights: Lights, configuration: Configuration, clock: StageClock) -> Relit:
+        """Relit frame.
+
+        Raises:
+            Superseded: a newer picture was asked for meanwhile.
+            InputError: the lights or the configuration cannot be used.
+        """
+        lit = self.lit(frame, lights, configuration, clock)
+        relit: Relit = clock.follow(self._followed(refine(lit, self._as_run(configuration))))
+        return relit
+
+    def draft(
+        self, frame: int, lights: Lights, configuration: Configuration, clock: StageClock
+    ) -> Float[Array, "h w 3"]:
+        """Relit picture at half the size, linear, with coarser shadows."""
+        small = draft_of(configuration)
+        lit = dataclasses.replace(self.lit(frame, lights, small, clock), full=None)
+        picture: Float[Array, "h w 3"] = clock.follow(refine(lit, self._as_run(small)), until="composite")
+        return picture
+
+    def levels(
+        self, frame: int, lights: Lights, configuration: Configuration, clock: StageClock
+    ) -> list[tuple[str, Float[Array, "h w 3"]]]:
+        """Light after each level of the cascade, without shadows, over the reference.
+
+        Raises:
+            InputError: mode `paper`, whose cascade has the picture's channels.
+        """
+        if configuration.mode == "paper":
+            raise InputError("levels: mode 'paper' is shown by its stages only")
+        lit, found = self.lit(frame, lights, configuration, clock), []
+        schedule, weights = self._as_run(configuration).schedule, np.asarray(lit.shaded.colors)
+        for count, level in enumerate(schedule.levels, 1):
+            part = dataclasses.replace(schedule, levels=schedule.levels[:count])
+            (function, *arguments), _ = cascade_calls(lit.shaded, lit.features, part, configuration.shadow_schedule)
+            each = np.asarray(run_kept(function, *arguments))[..., : len(weights)]
+            found.append((f"after 1/{level.factor}", each @ weights / np.asarray(lit.shaded.reference_lux)))
+        return found
+
+    def _as_run(self, configuration: Configuration) -> Configuration:
+        """Configuration with the default's names of cascades, which programs depend on, too."""
+        usual = Configuration()
+        parts = ((part, getattr(configuration, part), getattr(usual, part).name) for part in CASCADES)
+        named = {part: dataclasses.replace(schedule, name=name) for part, schedule, name in parts}
+        renamed = dataclasses.replace(configuration, **named)
+        return filled(renamed) if self.fills else renamed
+
+    def _followed(self, stages: Stages) -> Stages:
+        for stage in stages:
+            if self._superseded():
+                raise Superseded
+            yield stage
+
+
+def light_key(configuration: Configuration) -> Any:
+    """Choices that the light of a frame depends on: all but those of the cascades."""
+    return tuple(getattr(configuration, part) for part in ("mode", "scale", "light", "shadows", "guide"))
+
+
+def same(a: Lights, b: Lights) -> bool:
+    """Whether two set-ups, or their names, are the same."""
+    if isinstance(a, str) or isinstance(b, str):
+        return a == b if isinstance(a, str) and isinstance(b, str) else False
+    return a is b or same_setup(a, b)
+
+
+def filled(configuration: Configuration) -> Configuration:
+    """Configuration whose levels are filled up with steps that change nothing: neighbouring counts share a program.
+
+    >>> [level.steps for level in filled(Configuration()).schedule.levels]
+    [8, 8, 8]
+    """
+    schedules = (_filled(s) for s in (configuration.schedule, configuration.shadow_schedule))
+    schedule, shadow_schedule = schedules
+    return dataclasses.replace(configuration, schedule=schedule, shadow_schedule=shadow_schedule)
+
+
+def _filled(schedule: Schedule) -> Schedule:
+    return dataclasses.replace(schedule, levels=tuple(_filled_level(level) for level in schedule.levels))
+
+
+def _filled_level(level: Level) -> Level:
+    sizes = np.asarray(level.step_sizes, np.float32)
+    if not 0 < len(sizes) <= MOST_FILLED_STEPS or sizes.max() >= 0.25:  # a cycle is stable only as it is
+        return level
+    filling = np.full(-len(sizes) % STEPS_OF_A_PROGRAM, FILLING_LAM)
+    return dataclasses.replace(level, step_sizes=np.concatenate([sizes, filling]))
+
+
+def draft_of(configuration: Configuration) -> Configuration:
+    """Configuration of a draft: half the size, with levels of the same cells, and coarser shadows."""
+    schedules = {}
+    for part in ("schedule", "shadow_schedule"):
+        schedule, levels = getattr(configuration, part), dict[int, Level]()
+        for level in schedule.levels:
+            factor = max(1, level.factor // DRAFT_FACTOR)
+            levels[factor] = dataclasses.replace(level, factor=factor)
+        schedules[part] = dataclasses.replace(schedule, levels=tuple(levels.values()))
+    views = configuration.shadows.views
+    shadows = configuration.shadows.replace(
+        map_scale=max(0.05, configuration.shadows.map_scale / DRAFT_FACTOR),
+        views=DRAFT_VIEWS if views is None else min(views, DRAFT_VIEWS),
+    )
+    scale = configuration.scale * DRAFT_FACTOR
+    return dataclasses.replace(configuration, scale=scale, shadows=shadows, **schedules)

@@ -1,0 +1,54 @@
+"""Sheets of pictures side by side: stages, levels of the cascade, two configurations."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from hyjax.light.color import to_display
+from hyjax.light.relit import Relit
+from hyjax.util.contact_sheet import BACKGROUND, contact_sheet
+
+DIFFERENCE_GAIN = 4.0
+"""Factor of the difference of two pictures."""
+FILTER_GAIN = 0.5
+"""Factor of filters, which are often above white."""
+WIDTH, MOST_IN_A_ROW = 360, 4
+"""Width of a picture in pixels, and pictures in a row."""
+Sheet = Float[np.ndarray, "h w 3"]
+
+
+def stages_sheet(photo: Float[np.ndarray, "h w 3"], relit: Relit) -> Sheet:
+    """Stages of a relit frame, display-encoded; `photo` is display-encoded, too."""
+    filters = {"raw filter": relit.shading, "refined": relit.refined, "with shadows": relit.relight_filter}
+    named: dict[str, Any] = {name: _display(FILTER_GAIN * each) for name, each in filters.items()}
+    named = {"photo": photo, **named, "visibility": np.asarray(relit.visibility)}
+    return _sheet(named | {"frame x raw filter": _display(relit.unrefined), "relit": _display(relit.image)})
+
+
+def levels_sheet(levels: Sequence[tuple[str, Float[Array, "h w 3"]]]) -> Sheet:
+    """Light after each level of a cascade, over the reference."""
+    return _sheet({name: _display(FILTER_GAIN * light) for name, light in levels})
+
+
+def compared_sheet(first: tuple[str, Relit], second: tuple[str, Relit]) -> Sheet:
+    """Two relit frames with their names, and how they differ."""
+    (name, a), (other, b) = ((name, _display(relit.image)) for name, relit in (first, second))
+    difference = np.abs(a - b)
+    said = f"difference x {DIFFERENCE_GAIN:g}, largest {difference.max():.3f}"
+    return _sheet({name: a, other if other != name else f"{other} ": b, said: DIFFERENCE_GAIN * difference})
+
+
+def _display(linear: Any) -> Float[np.ndarray, "h w 3"]:
+    return np.asarray(to_display(linear))
+
+
+def _sheet(named: Mapping[str, Any]) -> Sheet:
+    names = list(named)
+    count = min(MOST_IN_A_ROW, len(names))
+    parts = [names[k : k + count] for k in range(0, len(names), count)]
+    rows = [contact_sheet([("", [named[name] for name in part])], part, WIDTH) for part in parts]
+    width = max(row.shape[1] for row in rows)
+    pads = [((0, 0), (0, width - row.shape[1]), (0, 0)) for row in rows]
+    return np.concatenate([np.pad(row, pad, constant_values=BACKGROUND) for row, pad in zip(rows, pads)])

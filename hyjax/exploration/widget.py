@@ -1,0 +1,314 @@
+"""Widget that shows frames relit and changes how; its page is `widget.js`."""
+
+import base64
+import dataclasses
+import io
+import logging
+import math
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import anywidget
+import numpy as np
+import traitlets
+from PIL import Image
+
+from hyjax.configuration import PRESETS, Configuration
+from hyjax.exploration.controls import controls, ladders, script, values, with_choice, with_level
+from hyjax.exploration.newest import Newest
+from hyjax.exploration.pictures import Pictures, Superseded
+from hyjax.exploration.sheets import compared_sheet, levels_sheet, stages_sheet
+from hyjax.geometry.camera import Camera
+from hyjax.light.color import to_display
+from hyjax.light.kinds import Light, kind_name
+from hyjax.light.relit import Relit
+from hyjax.light.setup import LightSetup
+from hyjax.scene.light_setups import SETUPS
+from hyjax.scene.scene import AnyConfiguration, AnyLights, Scene
+from hyjax.util.clock import StageClock
+from hyjax.util.errors import InputError, one_line, shown
+
+QUALITY = 90
+"""Quality of the JPEG pictures."""
+DRAFT_MS = 60.0
+"""Milliseconds of a picture beyond which a draft is made of it while a control is moved."""
+VIEWS = {"wipe": "photo | relit", "stages": "stages", "levels": "levels of the cascade", "compare": "A | B"}
+"""What can be shown."""
+FOLDER = Path(__file__).parent
+_log = logging.getLogger(__name__)
+
+
+class Checked(traitlets.TraitType):  # type: ignore[type-arg]
+    """Trait whose values are checked, and brought into one form.
+
+    Args:
+        check: takes the widget and a value.
+        default: that it begins with.
+    """
+
+    def __init__(self, check: Callable[[Any, Any], Any], default: Any = None) -> None:
+        super().__init__(default)
+        self._check = check
+
+    def validate(self, obj: Any, value: Any) -> Any:
+        return self._check(obj, value)
+
+
+class Explorer(anywidget.AnyWidget):
+    """Widget of a scene's frames, relit while choices and lights are changed by hand, or from Python.
+
+    What is set here moves the controls, and they set it: `configuration`, `lights` (a set-up, lights, or a name),
+    `frame`, `view` (a key of `VIEWS`) and `other`, the configuration that it is compared with. `relit` follows.
+
+    Args:
+        scene: whose frames they are.
+        frame, lights, configuration: what is shown first.
+
+    Raises:
+        InputError: any of these cannot be used.
+    """
+
+    _esm = (FOLDER / "widget.js").read_text(encoding="utf-8")
+    _css = (FOLDER / "widget.css").read_text(encoding="utf-8")
+    configuration = Checked(lambda _, value: Configuration.of(value), Configuration())
+    other = Checked(lambda _, value: None if value is None else Configuration.of(value))
+    lights = Checked(lambda self, value: self._checked_lights(value), "evening-lamps")
+    frame = Checked(lambda self, value: self._checked_frame(value), 0)
+    view = Checked(lambda _, value: checked_view(value), "wipe")
+    relit = traitlets.Any(None, allow_none=True, read_only=True)
+    controls = traitlets.List().tag(sync=True)
+    state = traitlets.Dict().tag(sync=True)
+    photo = traitlets.Bytes().tag(sync=True)
+    picture = traitlets.Bytes().tag(sync=True)
+    sheet = traitlets.Bytes().tag(sync=True)
+    message = traitlets.Unicode().tag(sync=True)
+    times = traitlets.List().tag(sync=True)
+    code = traitlets.Unicode().tag(sync=True)
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        frame: int = 0,
+        lights: AnyLights = "evening-lamps",
+        configuration: AnyConfiguration = None,
+    ) -> None:
+        self._scene, self._draft, self._ready = scene, False, False
+        self._newest = Newest(self._work)
+        self._pictures = Pictures(scene, lambda: self._newest.superseded)
+        self._fastest: dict[bool, float] = {}
+        self._setup: LightSetup | None = None
+        self._camera: Camera | None = None
+        self._changing = threading.RLock()
+        self._photo: tuple[int, bytes] = (-1, b"")
+        super().__init__()
+        self.controls = controls()
+        self.configuration, self.lights, self.frame = Configuration.of(configuration), lights, frame
+        self._make(draft=False)
+        self._ready = True
+        self.on_msg(self._received)
+
+    def __repr__(self) -> str:
+        lights = self.lights if isinstance(self.lights, str) else "own lights"
+        return f"Explorer: frame {self.frame}, {lights}, configuration {self.configuration.name}"
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> tuple[dict[str, Any], dict[str, Any]] | None:
+        """Widget, and its last picture for where no kernel runs."""
+        self.wait()
+        found = super()._repr_mimebundle_(**kwargs)
+        if found is None:
+            return None
+        data, metadata = found if isinstance(found, tuple) else (found, {})
+        picture = self.sheet if self.view != "wipe" and self.sheet else self.picture
+        return {**data, "image/jpeg": base64.b64encode(picture).decode()}, metadata
+
+    def _checked_lights(self, value: Any) -> LightSetup | str:
+        return value if isinstance(value, str) and value in SETUPS else self._scene.lights(value)
+
+    def _checked_frame(self, value: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < len(self._scene):
+            raise InputError(f"frame {shown(value)}: the capture has frames 0 to {len(self._scene) - 1}")
+        return value
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Wait until the picture is that of what is set; whether it was in time."""
+        return self._newest.wait(seconds)
+
+    @traitlets.observe("configuration", "other", "lights", "frame", "view")
+    def _follow(self, _: Any) -> None:
+        if self._ready:
+            self._show_state()
+            self._newest.request(draft=self._draft)
+
+    def _received(self, _: Any, content: Any, buffers: Any = None) -> None:
+        """Change what a control of the page says; what it cannot be is said on the page."""
+        with self._changing:
+            try:
+                self._draft = bool(content.get("draft"))
+                self._change(content)
+                self.message = ""
+            except (InputError, traitlets.TraitError) as error:
+                self._tell(str(error))
+            except Exception as error:  # of a message that is none of ours
+                _log.debug("a message of the page could not be used", exc_info=True)
+                self._tell(f"{type(error).__name__}: {error}")
+            finally:
+                self._draft = False
+
+    def _tell(self, text: str) -> None:
+        """Show a line, and the controls as they are."""
+        self.message = one_line(text)
+        self._show_state(force=True)
+
+    def _change(self, content: dict[str, Any]) -> None:
+        kind, value = content.get("kind"), content.get("value")
+        if kind == "choice":
+            self.configuration = with_choice(self.configuration, str(content["name"]), value)
+        elif kind == "level":
+            place = content["cascade"], content["index"], content["key"]
+            self.configuration = with_level(self.configuration, *place, value)
+        elif kind == "preset":
+            self.configuration = Configuration.preset(str(value))
+        elif kind == "keep":
+            self.other = self.configuration
+            self.view = "compare"
+        elif kind == "swap":
+            self.configuration, self.other = self.other, self.configuration
+        elif kind in ("frame", "lights", "view"):
+            setattr(self, kind, value)
+        elif kind in ("strength", "place"):
+            self._change_lamp(content["index"], kind, value)
+        elif kind == "ready":  # a page is there: the programs of other counts are compiled before they are wanted
+            self._pictures.fills = True
+        else:
+            raise InputError(f"explore: no control {shown(kind)}")
+        if not content.get("draft"):
+            self._newest.request()  # the whole, also where the last draft had this value
+
+    def _change_lamp(self, index: int, kind: str, value: Any) -> None:
+        """Set a lamp's strength, or its place in the picture as shares of its width and height."""
+        setup, camera = self._setup, self._camera
+        if setup is None or camera is None or not 0 <= index < len(setup.lights):
+            raise InputError(f"lights: there is no light {shown(index)}")
+        if not np.all(np.isfinite(np.asarray(value, np.float64))):
+            raise InputError(f"lights[{index}]: must be numbers, got {shown(value)}")
+        light: Any = setup.lights[index]
+        if kind == "strength":
+            light = dataclasses.replace(light, **{light.STRENGTH: np.float32(value)})
+        else:
+            key = _place_key(light)
+            if key is None:
+                raise InputError(f"lights[{index}]: {kind_name(light)} has no place")
+            k, own = camera.intrinsics, np.asarray(getattr(light, key), np.float64)
+            depth = float(camera.project(own)[1])
+            x, y = value[0] * k.width, value[1] * k.height
+            ray = np.array([(x - k.cx) / k.fx, (y - k.cy) / k.fy, 1.0]) * depth
+            light = dataclasses.replace(
+                light, **{key: (camera.origin + camera.pose[:3, :3] @ ray).astype(np.float32)}
+            )
+        lights = (*setup.lights[:index], light, *setup.lights[index + 1 :])
+        self._setup = LightSetup.of(dataclasses.replace(setup, lights=lights))
+        self.lights = self._setup
+
+    def _work(self, draft: bool) -> bool:
+        """Make the picture of what is set now; whether it is a draft."""
+        try:
+            return self._make(draft=draft)
+        except Superseded:
+            return False
+        except Exception as error:
+            if not isinstance(error, InputError):
+                _log.exception("a picture could not be made")
+            self._tell(str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}")
+            return False
+
+    def _make(self, *, draft: bool) -> bool:
+        frame, lights, configuration, view = self.frame, self.lights, self.configuration, self.view
+        clock, kept = StageClock(), self._pictures.knows(frame, lights, configuration)
+        draft = draft and configuration.mode != "paper" and self._fastest.get(kept, 0.0) > DRAFT_MS
+        draft = draft and configuration.scale <= 4
+        if draft:
+            image = self._pictures.draft(frame, lights, configuration, clock)
+        else:
+            relit = self._pictures.relit(frame, lights, configuration, clock)
+            image = relit.image
+            total = 1e3 * sum(map(sum, clock.seconds.values()))
+            self._fastest[kept] = min(total, self._fastest.get(kept, math.inf))
+        opened = self._scene.frame(frame)
+        self._camera = opened.camera
+        if isinstance(lights, str) or self._setup is None or not draft:
+            self._setup = self._pictures.relighter(lights, configuration).setup
+        with clock("JPEG"):
+            picture = _jpeg(to_display(image))
+            if self._photo[0] != frame:
+                self._photo = frame, _jpeg(opened.image)
+        sheet = b"" if draft or view == "wipe" else _jpeg(self._sheet(view, frame, lights, configuration, relit))
+        with self.hold_sync():
+            self.picture, self.photo = picture, self._photo[1]
+            self.times = [[stage, round(1e3 * sum(taken), 1)] for stage, taken in clock.seconds.items()]
+            if not draft:
+                self.sheet = sheet
+                self.code = script(self._scene.settings, frame, lights, configuration)
+            self._show_state()
+        if not draft:
+            self.set_trait("relit", relit)
+        return draft
+
+    def _sheet(self, view: str, frame: int, lights: Any, configuration: Configuration, relit: Relit) -> Any:
+        if view == "stages":
+            return stages_sheet(self._scene.frame(frame).image, relit)
+        if view == "levels":
+            return levels_sheet(self._pictures.levels(frame, lights, configuration, StageClock()))
+        other = self.other or Configuration()
+        second = self._pictures.relit(frame, lights, other, StageClock())
+        return compared_sheet((f"A: {configuration.name}", relit), (f"B: {other.name}", second))
+
+    def _show_state(self, *, force: bool = False) -> None:
+        """Tell the page what its controls are to show."""
+        configuration = self.configuration
+        name = self.lights if isinstance(self.lights, str) else ""
+        state = {"frame": self.frame, "frames": len(self._scene), "lights": name, "setups": list(SETUPS)}
+        state |= {"values": values(configuration), "ladders": ladders(configuration), "view": self.view}
+        state |= {"views": VIEWS, "preset": configuration.name, "presets": ["default", "paper", *PRESETS]}
+        state |= {"lamps": self._lamps(), "other": self.other.name if self.other else ""}
+        state["told"] = self.state.get("told", 0) + force  # so that a refused value is set back
+        self.state = state
+
+    def _lamps(self) -> list[dict[str, Any]]:
+        found = []
+        for light in () if self._setup is None else self._setup.lights:
+            place = None
+            if self._camera is not None and (key := _place_key(light)) is not None:
+                k = self._camera.intrinsics
+                xy, depth = self._camera.project(np.asarray(getattr(light, key), np.float64))
+                place = [float(xy[0]) / k.width, float(xy[1]) / k.height] if depth > 0 else None
+            strength = float(np.asarray(getattr(light, light.STRENGTH)))
+            color = np.asarray(to_display(np.asarray(light.color) / max(float(np.max(light.color)), 1e-6)))
+            unit = "lx" if light.STRENGTH == "illuminance" else "lm"
+            found.append({"kind": kind_name(light), "strength": strength, "unit": unit, "place": place})
+            found[-1]["color"] = [round(255 * float(c)) for c in color]
+        return found
+
+
+def checked_view(value: Any) -> str:
+    """Key of `VIEWS`.
+
+    Raises:
+        InputError: it is none.
+    """
+    if value not in VIEWS:
+        raise InputError(f"view: must be one of {', '.join(VIEWS)}, got {shown(value)}")
+    return str(value)
+
+
+def _place_key(light: Light) -> str | None:
+    return next((key for key in ("position", "center") if hasattr(light, key)), None)
+
+
+def _jpeg(display: Any) -> bytes:
+    pixels = np.round(255 * np.clip(np.nan_to_num(np.asarray(display, np.float32)), 0, 1)).astype(np.uint8)
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "JPEG", quality=QUALITY)
+    return file.getvalue()

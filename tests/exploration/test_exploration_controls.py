@@ -1,0 +1,131 @@
+"""Changes of a configuration by hand, the script of a picture, and the thread of the newest request."""
+
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hyjax
+from hyjax.choices.table import CHOICES
+from hyjax.exploration.controls import (
+    LADDER,
+    configuration_code,
+    controls,
+    ladders,
+    script,
+    values,
+    with_choice,
+    with_level,
+)
+from hyjax.exploration.newest import Newest
+from hyjax.exploration.pictures import draft_of, filled
+from hyjax.light.setup import same_setup
+
+DEFAULT = hyjax.Configuration()
+
+
+def test_every_choice_has_a_control() -> None:
+    shown = {row["name"] for row in controls()}
+    in_ladders = {name for name, c in CHOICES.items() if "schedule" in c.part and c.key in LADDER[1:]}
+    assert shown | in_ladders == set(CHOICES) and not shown & in_ladders
+    for row in controls():
+        if row["kind"] == "slider":
+            assert row["low"] <= values(DEFAULT)[row["name"]] <= row["high"], row
+
+
+def test_a_level_changes_alone() -> None:
+    changed = with_level(DEFAULT, "schedule", 1, "steps", 7)
+    for key, value in (("kappa", 0.2), ("lam", 0.1), ("fidelity", 0.5)):
+        changed = with_level(changed, "schedule", 1, key, value)
+    before, after = ladders(DEFAULT)["schedule"], ladders(changed)["schedule"]
+    assert after[0] == before[0] and after[2] == before[2]
+    assert after[1] == pytest.approx({"factor": 8, "steps": 7, "kappa": 0.2, "lam": 0.1, "fidelity": 0.5})
+    assert changed.name == "custom" and changed.shadow_schedule == DEFAULT.shadow_schedule
+
+
+def test_a_choice_of_a_cascade() -> None:
+    changed = with_choice(DEFAULT, "cascade", "32:2 8:4")
+    assert changed.value("cascade") == "32:2 8:4"
+    assert with_choice(changed, "data_term", False).value("data_term") is False
+    assert with_choice(changed, "norm", "mean_abs").value("norm") == "mean_abs"
+    assert with_choice(DEFAULT, "shadow_pass", "none").value("shadow_pass") == "none"
+    assert with_choice(DEFAULT, "views", None) == DEFAULT
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda: with_level(DEFAULT, "schedule", 1, "steps", -1),
+        lambda: with_level(DEFAULT, "schedule", 1, "steps", float("nan")),
+        lambda: with_level(DEFAULT, "schedule", 1, "lam", 0.3),
+        lambda: with_level(DEFAULT, "schedule", 1, "kappa", "x"),
+        lambda: with_level(DEFAULT, "schedule", 9, "kappa", 0.1),
+        lambda: with_level(DEFAULT, "light", 0, "kappa", 0.1),
+        lambda: with_choice(DEFAULT, "cascade", "16:3 9:1"),
+        lambda: with_choice(DEFAULT, "cascade", "soft"),
+        lambda: with_choice(DEFAULT, "cascade", "0:1"),
+        lambda: with_choice(DEFAULT, "scale", 99),
+        lambda: with_choice(DEFAULT, "norm", "l7"),
+        lambda: with_choice(DEFAULT, "kapa", 1.0),
+    ],
+)
+def test_what_cannot_be_is_one_line(change: Any) -> None:
+    with pytest.raises(hyjax.InputError):
+        change()
+
+
+def test_a_configuration_is_written_as_code() -> None:
+    own = with_level(DEFAULT, "schedule", 0, "kappa", 0.123).with_choices({"bounces": False, "views": 8})
+    for configuration in (DEFAULT, own, *map(hyjax.Configuration.preset, ("paper", "fast"))):
+        again = eval(configuration_code(configuration), {"hyjax": hyjax})
+        for name in CHOICES:
+            assert again.value(name) == configuration.value(name), name
+
+
+def test_settings_and_lights_are_written_as_code() -> None:
+    opening = hyjax.Aperture(np.zeros(3), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    sun = hyjax.DirectionalLight(np.array([0.6, 0.0, -0.8]), 900.0, np.float32([1, 0.9, 0.7]), 0.01, opening)
+    setup = hyjax.LightSetup((sun, hyjax.AmbientLight(60.0, np.ones(3))), 123.4, {"window": (0.1, 0.2, 0.3)})
+    settings = hyjax.SceneSettings(size="64x48", seed=3)
+    text = script(settings, 2, setup, DEFAULT)
+    places: dict[str, Any] = {}
+    lines = [line for line in text.splitlines() if line.startswith(("import", "from", "lights"))]
+    exec("\n".join(lines), places)
+    assert same_setup(places["lights"], setup)
+    assert "SceneSettings(size='64x48', seed=3)" in text
+
+
+def test_drafts_have_the_cells_of_the_whole() -> None:
+    small = draft_of(DEFAULT).check()
+    assert [level.factor for level in small.schedule.levels] == [8, 4, 2] and small.scale == 2
+
+
+def test_neighbouring_counts_have_one_shape() -> None:
+    shapes = set()
+    for count in range(1, 9):
+        changed = with_level(DEFAULT, "schedule", 0, "steps", count)
+        shapes.add(tuple(level.steps for level in filled(changed).schedule.levels))
+        filled(changed).check()
+    assert len(shapes) == 1
+
+
+def test_the_newest_request_wins() -> None:
+    value, begun, go = [0], [], threading.Event()
+
+    def work(draft: bool) -> bool:
+        begun.append((value[0], draft))
+        go.wait(10.0)
+        return draft
+
+    newest = Newest(work)
+    newest.request(draft=True)
+    while not begun:
+        pass
+    for number in range(1, 20):
+        value[0] = number
+        newest.request(draft=True)
+    assert newest.superseded
+    go.set()
+    assert newest.wait(10.0)
+    assert begun == [(0, True), (19, True), (19, False)]  # the last draft at rest, whole

@@ -1,0 +1,237 @@
+"""The widget without a browser: traits, messages of its page, pictures."""
+
+import base64
+import io
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from extras import need
+from PIL import Image
+
+need("notebooks")
+
+import hyjax
+from hyjax.core.refine import _cascade_known
+from hyjax.data.builtin_room import UP
+from hyjax.data.capture import Capture, Frame
+from hyjax.exploration.widget import Explorer
+from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.util.clock import StageClock
+
+
+class Boxes(Capture):
+    """Three frames of grey pictures in a room with a cube."""
+
+    name, up, fingerprint = "boxes", UP, "boxes"
+
+    def __len__(self) -> int:
+        return 3
+
+    def __getitem__(self, index: int) -> Frame:
+        pose = look_at(np.array([-1.2 + 0.3 * index, -2.2, 1.5]), np.array([0.5, 0.4, 0.35]), UP)
+        image = np.random.default_rng(index).uniform(0.3, 0.7, (48, 64, 3)).astype(np.float32)
+        return Frame(f"{index}", image, Camera(Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0), pose), float(index))
+
+
+@pytest.fixture(scope="module")
+def scene() -> hyjax.Scene:
+    walls = trimesh.creation.box(bounds=[[-2, -2.5, 0], [2, 2.5, 2.5]])
+    walls.invert()
+    cube = trimesh.creation.box((0.7, 0.7, 0.7), trimesh.transformations.translation_matrix([0.5, 0.4, 0.35]))
+    return hyjax.Scene(Boxes(), trimesh.util.concatenate([walls, cube]), exact=True)
+
+
+@pytest.fixture(scope="module")
+def own() -> hyjax.Configuration:
+    return hyjax.Configuration().with_choices({"photo_light": "kept", "map_scale": 0.1})
+
+
+@pytest.fixture(scope="module")
+def shared(scene: hyjax.Scene, own: hyjax.Configuration) -> Explorer:
+    return scene.explore(lights="center-point", configuration=own)
+
+
+@pytest.fixture
+def widget(shared: Explorer, own: hyjax.Configuration) -> Iterator[Explorer]:
+    """The widget as it is opened."""
+    yield shared
+    shared.wait()
+    shared.configuration, shared.lights, shared.frame, shared.view, shared.other = (
+        own,
+        "center-point",
+        0,
+        "wipe",
+        None,
+    )
+    shared.message = ""
+    assert shared.wait(120.0)
+
+
+def hand(widget: Explorer, kind: str, **content: Any) -> None:
+    """Do what the page does when a control is moved."""
+    widget._handle_custom_msg({"kind": kind, **content}, [])
+
+
+def size(jpeg: bytes) -> tuple[int, int]:
+    return Image.open(io.BytesIO(jpeg)).size
+
+
+def test_the_hand_changes_the_configuration(widget: Explorer, own: hyjax.Configuration) -> None:
+    before, seen = widget.picture, []
+    widget.observe(lambda change: seen.append(change["new"]), "relit")
+    hand(widget, "level", cascade="schedule", index=2, key="kappa", value=0.4)
+    hand(widget, "choice", name="norm", value="mean_abs")
+    assert widget.wait(120.0)
+    assert float(widget.configuration.schedule.levels[2].kappa) == np.float32(0.4)
+    assert widget.configuration.schedule.norm == "mean_abs" and not widget.message
+    assert widget.picture != before and size(widget.picture) == size(widget.photo) == (64, 48)
+    assert seen and seen[-1] is widget.relit
+    expected = widget._scene.relit(0, "center-point", widget.configuration)
+    assert np.array_equal(widget.relit.image, expected.image)
+    assert {"cascade", "composite"} <= {stage for stage, _ in widget.times}
+
+
+def test_python_moves_the_controls(widget: Explorer) -> None:
+    widget.configuration, widget.frame, widget.lights = "paper", 1, "two-colors"
+    assert widget.configuration == hyjax.Configuration.paper()
+    state = widget.state
+    assert state["values"]["mode"] == "paper" and state["frame"] == 1 and state["lights"] == "two-colors"
+    assert [level["factor"] for level in state["ladders"]["schedule"]] == [16, 8, 4, 2]
+
+
+@pytest.mark.parametrize(
+    ("kind", "content"),
+    [
+        ("choice", {"name": "scale", "value": 99}),
+        ("choice", {"name": "photo_light", "value": "nonsense"}),
+        ("level", {"cascade": "schedule", "index": 0, "key": "lam", "value": 7}),
+        ("frame", {"value": 99}),
+        ("frame", {"value": "1\n2"}),
+        ("lights", {"value": "disco"}),
+        ("lights", {"value": [1]}),
+        ("view", {"value": "all"}),
+        ("preset", {"value": "best"}),
+        ("strength", {"index": 77, "value": 3}),
+        ("strength", {"index": 0, "value": -3}),
+        ("place", {"index": 0, "value": [float("nan"), 0]}),
+        ("place", {}),
+        ("no such", {}),
+    ],
+)
+def test_what_cannot_be_is_said_on_the_page(widget: Explorer, kind: str, content: dict[str, Any]) -> None:
+    before, told = widget.configuration, widget.state["told"]
+    hand(widget, kind, **content)
+    assert widget.message and "\n" not in widget.message and len(widget.message) < 700
+    assert widget.configuration == before and widget.state["told"] == told + 1  # controls are set back
+
+
+def test_python_is_refused_with_a_line(widget: Explorer) -> None:
+    for name, value in (
+        ("configuration", "best"),
+        ("frame", 3),
+        ("frame", None),
+        ("lights", "disco"),
+        ("view", ""),
+    ):
+        with pytest.raises(hyjax.InputError):
+            setattr(widget, name, value)
+
+
+def test_lamps_are_moved_and_dimmed(widget: Explorer) -> None:
+    place = widget.state["lamps"][0]["place"]
+    setup = widget._setup
+    assert setup is not None
+    hand(widget, "strength", index=0, value=123.0)
+    hand(widget, "place", index=0, value=[place[0] + 0.1, place[1]], draft=True)
+    hand(widget, "place", index=0, value=[place[0] + 0.2, place[1]])
+    assert widget.wait(120.0)
+    lamp, before = widget.lights.lights[0], setup.lights[0]
+    assert float(getattr(lamp, lamp.STRENGTH)) == 123.0
+    assert np.linalg.norm(np.asarray(lamp.position) - np.asarray(before.position)) > 0.1
+    assert widget.state["lamps"][0]["place"] == pytest.approx([place[0] + 0.2, place[1]], abs=1e-4)
+    assert widget.state["lights"] == ""
+
+
+def test_drafts_are_small_and_followed_by_the_whole(widget: Explorer) -> None:
+    sizes: list[tuple[int, int]] = []
+    widget.observe(lambda change: sizes.append(size(change["new"])), "picture")
+    widget._fastest = {True: 1e4, False: 1e4}
+    hand(widget, "level", cascade="schedule", index=2, key="kappa", value=0.3, draft=True)
+    assert widget.wait(120.0)
+    assert sizes == [(32, 24), (64, 48)]
+    widget.unobserve_all("picture")
+
+
+def test_older_changes_are_dropped(widget: Explorer, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[float] = []
+    go, relit = threading.Event(), widget._pictures.relit
+
+    def slow(frame: int, lights: Any, configuration: hyjax.Configuration, clock: Any) -> hyjax.Relit:
+        made.append(float(configuration.schedule.levels[0].kappa))
+        go.wait(30.0)
+        return relit(frame, lights, configuration, clock)
+
+    monkeypatch.setattr(widget._pictures, "relit", slow)
+    for kappa in (0.1, 0.11, 0.12, 0.13, 0.14):
+        hand(widget, "level", cascade="schedule", index=0, key="kappa", value=kappa)
+        end = time.monotonic() + 30.0
+        while not made and time.monotonic() < end:
+            time.sleep(0.01)
+    go.set()
+    assert widget.wait(120.0)
+    assert made == pytest.approx([0.1, 0.14])
+    expected = relit(0, "center-point", widget.configuration, StageClock())
+    assert np.array_equal(widget.relit.image, expected.image)
+
+
+def test_other_counts_of_steps_are_not_compiled(widget: Explorer) -> None:
+    before = _cascade_known._cache_size()
+    hand(widget, "level", cascade="schedule", index=1, key="kappa", value=0.2)
+    assert widget.wait(120.0) and _cascade_known._cache_size() == before
+    hand(widget, "ready")
+    assert widget.wait(120.0)
+    before = _cascade_known._cache_size()
+    for steps in (4, 5, 8):
+        hand(widget, "level", cascade="schedule", index=1, key="steps", value=steps)
+        assert widget.wait(120.0)
+    assert _cascade_known._cache_size() == before
+    expected = widget._scene.relit(0, "center-point", widget.configuration)
+    assert np.array_equal(widget.relit.image, expected.image)
+
+
+def test_side_by_side(widget: Explorer) -> None:
+    hand(widget, "keep")
+    hand(widget, "level", cascade="schedule", index=2, key="kappa", value=0.3)
+    widths = {}
+    for view in ("compare", "stages", "levels"):
+        hand(widget, "view", value=view)
+        assert widget.wait(120.0) and not widget.message
+        widths[view] = size(widget.sheet)[0]
+    assert widths == {"compare": 1096, "levels": 1096, "stages": 1460}
+
+
+def test_its_script_makes_the_same_picture(
+    widget: Explorer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hand(widget, "level", cascade="schedule", index=1, key="steps", value=7)
+    hand(widget, "strength", index=0, value=321.0)
+    hand(widget, "place", index=0, value=[0.4, 0.3])
+    hand(widget, "choice", name="bounces", value=False)
+    assert widget.wait(120.0)
+    monkeypatch.chdir(tmp_path)
+    exec(widget.code, places := {"scene": widget._scene})  # a scene without settings
+    assert np.array_equal(places["relit"].image, widget.relit.image)
+    assert (tmp_path / "relit.png").is_file()
+
+
+def test_the_last_picture_is_kept_beside_the_widget(widget: Explorer) -> None:
+    data, _ = widget._repr_mimebundle_()
+    assert size(base64.b64decode(data["image/jpeg"])) == (64, 48)
+    assert data["text/plain"].startswith("Explorer: frame 0, center-point")
+    assert "application/vnd.jupyter.widget-view+json" in data
