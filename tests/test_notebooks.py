@@ -81,7 +81,10 @@ def program(notebook: Any) -> ast.Module:
 def kinds(notebook: Any) -> list[list[Any]]:
     """What each code cell puts out, its content aside."""
     return [
-        [(out["output_type"], out.get("name"), sorted({*out.get("data", ())} - {WIDGET})) for out in cell["outputs"]]
+        [
+            (out["output_type"], out.get("name"), sorted({*out.get("data", ())} - {WIDGET}))
+            for out in cell["outputs"]
+        ]
         for cell in code_cells(notebook)
     ]
 
