@@ -65,6 +65,7 @@ def test_controls(browser_wanted: None) -> None:
             found: list[dict[str, Any]] = page.evaluate("() => window.sent.splice(0)")
             return found
 
+        assert sent() == [{"kind": "ready"}]
         page.get_by_label("1/8 steps").fill("9")
         assert sent() == [
             {"kind": "level", "cascade": "schedule", "index": 1, "key": "steps", "value": 9, "draft": draft}
