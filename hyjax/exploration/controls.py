@@ -160,7 +160,7 @@ def with_steps(schedule: Schedule, text: Any) -> Schedule:
 
 def _with_schedule(configuration: Configuration, part: str, schedule: Schedule) -> Configuration:
     name = "custom"
-    changed = dataclasses.replace(configuration, **{part: dataclasses.replace(schedule, name=name)})
+    changed: Configuration = dataclasses.replace(configuration, **{part: dataclasses.replace(schedule, name=name)})  # type: ignore[arg-type]
     if getattr(changed, part) == getattr(configuration, part):
         return configuration
     return dataclasses.replace(changed, name=name, measured=None).check()

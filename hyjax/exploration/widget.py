@@ -40,7 +40,7 @@ FOLDER = Path(__file__).parent
 _log = logging.getLogger(__name__)
 
 
-class Checked(traitlets.TraitType):  # type: ignore[type-arg]
+class Checked(traitlets.TraitType):
     """Trait whose values are checked, and brought into one form.
 
     Args:
@@ -78,13 +78,13 @@ class Explorer(anywidget.AnyWidget):
     frame = Checked(lambda self, value: self._checked_frame(value), 0)
     view = Checked(lambda _, value: checked_view(value), "wipe")
     relit = traitlets.Any(None, allow_none=True, read_only=True)
-    controls = traitlets.List().tag(sync=True)
+    controls: Any = traitlets.List().tag(sync=True)
     state = traitlets.Dict().tag(sync=True)
     photo = traitlets.Bytes().tag(sync=True)
     picture = traitlets.Bytes().tag(sync=True)
     sheet = traitlets.Bytes().tag(sync=True)
     message = traitlets.Unicode().tag(sync=True)
-    times = traitlets.List().tag(sync=True)
+    times: Any = traitlets.List().tag(sync=True)
     code = traitlets.Unicode().tag(sync=True)
 
     def __init__(

@@ -14,10 +14,10 @@ class KeptMaps:
     """Shadow maps of the last sets of lights.
 
     Args:
-        most: sets that are kept.
+        most: sets that are kept, of the two kinds of occluders, say.
     """
 
-    def __init__(self, most: int) -> None:
+    def __init__(self, most: int = 2) -> None:
         self.most = most
         self._sets: list[tuple[Hashable, dict[Hashable, ShadowMap | None], Maps]] = []
 

@@ -45,8 +45,6 @@ if TYPE_CHECKING:
 UNIT_TOLERANCE = 1e-3
 AnyLights = LightSetup | Sequence[Light] | str | Path
 AnyConfiguration = Configuration | Schedule | str | Path | None
-MOST_MAPS = 2
-"""Sets of shadow maps that a scene keeps: of the two kinds of occluders, say."""
 
 
 class Scene:
@@ -94,7 +92,7 @@ class Scene:
         self.caster = RayCaster(mesh)
         self._anchors: dict[bool, LightAnchors] = {}
         self.exact, self._detail, self._completed = exact, detail, None if not exact else self.caster
-        self.kept_maps = KeptMaps(MOST_MAPS)
+        self.kept_maps = KeptMaps()
         self.settings: SceneSettings | None = None
         self._sources_file, self._progress = photo_sources, progress
 

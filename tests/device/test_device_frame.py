@@ -87,7 +87,7 @@ def test_every_kind_has_a_shader(scene: Scene) -> None:
 def reference(scene: Scene, setup: LightSetup, index: int, keep: bool) -> tuple[hyjax.View, Any, hyjax.Relit]:
     """View, light and relit picture by JAX, with shadow maps of the size that the shaders fill."""
     maps = cast_shadow_maps(scene.occluders, setup.lights, scale=TEXELS[0] / 1024, slack=scene.slack)
-    scene.kept_maps = KeptMaps(2)
+    scene.kept_maps = KeptMaps()
     scene.kept_maps.of(("completed", 1.0, None), setup.lights, lambda _: maps)
     view = scene.view(index)
     shaded = scene.shade(view, setup, keep_photo_light=keep)

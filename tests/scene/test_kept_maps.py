@@ -22,7 +22,7 @@ def test_a_dimmed_light_keeps_its_map_and_a_moved_one_is_cast() -> None:
         cast.extend(places)
         return tuple(f"map of {place}" for place in places)
 
-    kept = KeptMaps(2)
+    kept = KeptMaps()
     first = kept.of("fine", [lamp(1.0), lamp(2.0)], maps)
     assert kept.of("fine", [lamp(1.0), lamp(2.0, 30.0)], maps) is first and cast == [1.0, 2.0]
     assert kept.of("fine", [lamp(1.0), lamp(3.0)], maps) == ("map of 1.0", "map of 3.0")
