@@ -22,7 +22,7 @@ from hyjax.util.errors import InputError
 SIZE = {"width": 1200, "height": 673}
 PIXELS = "640x480"
 WAIT = 120_000.0  # milliseconds
-AFTERNOON, EVENING = "16", "21.4"
+AFTERNOON, EVENING = "16", "21.5"
 TABLE = 0.5, 0.81
 """Place of the bulb, in shares of the scene."""
 GAP = 8
@@ -36,18 +36,18 @@ def tour_picture() -> UInt8[np.ndarray, "h w 3"]:
     Raises:
         InputError: there is no browser, or the tour does not start.
     """
-    with served(PIXELS) as (url, process), browser() as launched:
+    with served(PIXELS, "--engine", "server") as (url, process), browser() as launched:
         page = launched.new_page(viewport=SIZE)
         page.goto(url)
-        page.get_by_text("ms for this picture").wait_for(timeout=WAIT)
-        page.add_style_tag(content=".mantine-Notifications-root { opacity: 0; pointer-events: none }")
-        wait_until_still(process.pid)
+        page.wait_for_selector("body[data-state=ready]", timeout=WAIT)
+        for _ in range(10):
+            page.locator("#wipe").press("ArrowLeft")
         at_hour(page, AFTERNOON)
         wait_until_still(process.pid)
         afternoon = screenshot(page)
         at_hour(page, EVENING)
-        page.get_by_role("button", name="Bulb", exact=True).click()
-        box = page.locator("canvas").first.bounding_box()
+        page.get_by_role("button", name="Add a lamp").click()
+        box = page.locator("#over").bounding_box()
         page.mouse.click(box["x"] + TABLE[0] * box["width"], box["y"] + TABLE[1] * box["height"])
         wait_until_still(process.pid)
         evening = screenshot(page)
@@ -56,28 +56,25 @@ def tour_picture() -> UInt8[np.ndarray, "h w 3"]:
 
 
 def at_hour(page: Any, hour: str) -> None:
-    """Set the hour in its field."""
-    field = page.locator("input.mantine-NumberInput-input").nth(2)
-    field.fill(hour)
-    field.press("Enter")
+    """Set the hour."""
+    page.locator("#daylight").get_by_label("Hour").fill(hour)
 
 
 def screenshot(page: Any) -> UInt8[np.ndarray, "h w 3"]:
     """Picture that the page shows."""
-    page.get_by_text("View", exact=True).first.scroll_into_view_if_needed()
     page.wait_for_timeout(2000)
     return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
 
 
 @contextlib.contextmanager
-def served(size: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """A tour of the built-in room in a process of its own: its address and the process."""
+def served(size: str, *others: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """A tour of the built-in room in a process of its own, with other options: its address and the process."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "hyjax.cli", "tour", "--quiet"]
-        options = ["--size", size, "--port", str(port), "--out", folder]
+        options = ["--size", size, "--port", str(port), "--out", folder, *others]
         process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
         try:
             assert process.stdout is not None

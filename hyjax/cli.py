@@ -259,9 +259,9 @@ def run_tour(settings: TourSettings) -> None:
     """`hyjax tour`."""
     import threading
 
-    for module in ("astral", "av", "viser"):
+    for module in ("astral", "av", "websockets"):
         optional_module(module, "tour", "tour")
-    from hyjax.tour.page import Tour
+    from hyjax.tour.tour import Tour
 
     _keep_for_later()
     tour = Tour.open(settings)
@@ -269,7 +269,7 @@ def run_tour(settings: TourSettings) -> None:
     alone.enter_context(claimed(settings.out))
     if not settings.is_local:
         print(
-            f"hyjax: listening at {settings.host}: anybody who reaches it can see and change this tour",
+            f"hyjax: listening at {settings.host}: anybody who reaches it can use this tour",
             file=sys.stderr,
         )
     tour.warm_up()

@@ -1,16 +1,14 @@
 """The tour's page as a test uses it."""
 
-import io
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
-from hyjax.tour.page import Tour
+from hyjax.tour.tour import Tour
 
-SIZE = {"width": 1000, "height": 600}
+SIZE = {"width": 1000, "height": 640}
 WAIT = 60.0
 
 
@@ -26,75 +24,55 @@ def until(condition: Callable[[], Any], seconds: float = WAIT) -> Any:
 class Page:
     """The tour's page in a browser."""
 
-    def __init__(self, browser: Any, tour: Tour) -> None:
-        self.tour = tour
-        self.page = browser.new_page(viewport=SIZE)
+    def __init__(self, browser: Any, tour: Tour, size: dict[str, int] | None = None) -> None:
+        self.tour, self.errors = tour, list[str]()
+        self.page = browser.new_page(viewport=size or SIZE, accept_downloads=True)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(tour.url)
-        self.shown()
-
-    def shown(self) -> None:
-        """Wait for the first picture."""
-        self.page.get_by_text("ms for this picture").wait_for(timeout=1e3 * WAIT)
-        # They would be in the pictures, and in the way of clicks.
-        self.page.add_style_tag(content=".mantine-Notifications-root { opacity: 0; pointer-events: none }")
+        self.page.wait_for_selector("body[data-state=ready], body[data-state=failed]", timeout=1e3 * WAIT)
+        assert self.page.get_attribute("body", "data-state") == "ready", self.page.inner_text("#failure-text")
 
     def picture(self) -> np.ndarray:
-        """What the scene shows once it is still, (h, w, 3) in [0, 255]."""
-
-        def shot() -> np.ndarray:
-            content = self.page.locator("canvas").first.screenshot()
-            return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"), np.float32)
-
+        """Picture that is shown once it is fine, (h, w, 3) in [0, 1]."""
         until(lambda: not self.tour.queue.busy)
-        before, end = shot(), time.monotonic() + WAIT
-        still = 0
-        while still < 3:
-            assert time.monotonic() < end, "the picture never comes to rest"
-            time.sleep(0.25)
-            after = shot()
-            still = still + 1 if before.shape == after.shape and np.abs(before - after).mean() < 0.2 else 0
+        pixels = self.page.evaluate("hyjax.pixels().then((pixels) => [...pixels])")
+        height, width = self.tour.renderer.camera(0).intrinsics.shape
+        return np.array(pixels).reshape(height, width, 3)
+
+    def settled(self) -> np.ndarray:
+        """The same when two that follow each other are equal."""
+        before = self.picture()
+        while True:
+            time.sleep(0.4)
+            if np.array_equal(after := self.picture(), before):
+                return after
             before = after
-        return before
 
-    def box(self) -> dict[str, float]:
-        """Where the scene is on the page, in pixels."""
-        box: dict[str, float] = self.page.locator("canvas").first.bounding_box()
-        return box
-
-    def slide(self, number: int, share: float) -> None:
-        """Drag a slider, counted from the top, to a share of its length."""
-        self.page.locator(".mantine-Slider-thumb").nth(number).scroll_into_view_if_needed()
-        track = (
-            self.page.locator(".mantine-Slider-root").nth(number).locator(".mantine-Slider-track").bounding_box()
-        )
-        thumb = self.page.locator(".mantine-Slider-thumb").nth(number).bounding_box()
-        y = thumb["y"] + 0.5 * thumb["height"]
-        self.page.mouse.move(thumb["x"] + 0.5 * thumb["width"], y)
-        self.page.mouse.down()
-        self.page.mouse.move(track["x"] + share * track["width"], y, steps=8)
-        self.page.mouse.up()
+    def place(self, x: float, y: float) -> tuple[float, float]:
+        """Place in the window of a place in the picture, in shares of its sides."""
+        box = self.page.locator("#over").bounding_box()
+        return box["x"] + x * box["width"], box["y"] + y * box["height"]
 
     def press(self, name: str) -> None:
-        """Click a button."""
+        """Press a button."""
         self.page.get_by_role("button", name=name, exact=True).click()
 
-    def unfold(self, name: str) -> None:
-        """Click a folder's heading."""
-        self.page.get_by_text(name, exact=True).first.click()
-
-    def click(self, x: float, y: float) -> None:
-        """Click into the scene, at pixels of it."""
-        box = self.box()
-        self.page.mouse.click(box["x"] + x, box["y"] + y)
+    def slide(self, panel: str, name: str, value: float) -> None:
+        """Set a slider."""
+        self.page.locator(panel).get_by_label(name, exact=True).fill(str(value))
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Drag in the scene, from pixels to pixels of it."""
-        box = self.box()
+        """Drag on the picture, in shares of its sides."""
         mouse = self.page.mouse
-        mouse.move(box["x"] + start[0], box["y"] + start[1])
+        mouse.move(*self.place(*start))
         mouse.down()
-        for share in np.linspace(0.0, 1.0, 12):
-            x, y = (a + share * (b - a) for a, b in zip(start, end))
-            mouse.move(box["x"] + x, box["y"] + y)
-            time.sleep(0.03)
+        for share in np.linspace(0.2, 1.0, 5):
+            mouse.move(*self.place(*(a + share * (b - a) for a, b in zip(start, end))))
+            time.sleep(0.05)
         mouse.up()
+
+    @property
+    def plan(self) -> dict[str, Any]:
+        """Plan that the page holds."""
+        plan: dict[str, Any] = self.page.evaluate("hyjax.plan()")
+        return plan

@@ -45,13 +45,13 @@ def test_extras_are_asked_for_before_they_are_imported() -> None:
 
 def test_what_is_not_asked_for_is_found() -> None:
     tree = ast.parse(
-        "import numpy, viser\n"
+        "import numpy, websockets\n"
         "def f():\n    need('tour')\n    import av\n"
         "def g():\n    from av import open\n"
         "with x:\n    import iree.compiler\n"
         "need('tune')\nimport optuna\n"
     )
-    assert list(unannounced(tree.body)) == ["viser", "av", "iree.compiler"]
+    assert list(unannounced(tree.body)) == ["websockets", "av", "iree.compiler"]
 
 
 def test_what_is_missing_is_skipped_by_name(monkeypatch: pytest.MonkeyPatch) -> None:

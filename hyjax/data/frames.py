@@ -29,18 +29,30 @@ def fit(frame: Frame, size: tuple[int, int] | None) -> Frame:
     height, width = size
     if min(size) < 1:
         raise InputError(f"size: must be at least 1x1 pixels, got {width}x{height}")
-    h, w = frame.camera.intrinsics.shape
+    top, left, window_h, window_w = _window(frame.camera.intrinsics, size)
+    linear = np.asarray(to_linear(jnp.asarray(frame.image[top : top + window_h, left : left + window_w])))
+    image = np.asarray(to_display(jnp.asarray(resize(linear, height, width))))
+    camera = fit_camera(frame.camera, size)
+    depthless = dataclasses.replace(frame, depth=None, depth_intrinsics=None, confidence=None)
+    return dataclasses.replace(depthless, image=image, camera=camera)
+
+
+def fit_camera(camera: Camera, size: tuple[int, int] | None) -> Camera:
+    """Camera of a frame that `fit` brings to a size."""
+    if size is None or size == camera.intrinsics.shape:
+        return camera
+    intrinsics: Intrinsics = camera.intrinsics.crop(*_window(camera.intrinsics, size)).resize(*size)
+    return Camera(intrinsics, camera.pose)
+
+
+def _window(intrinsics: Intrinsics, size: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Top, left, height and width of a picture's largest centred window with the proportions of a size."""
+    (height, width), (h, w) = size, intrinsics.shape
     scale = min(h / height, w / width)
     window_h, window_w = min(h, round(height * scale)), min(w, round(width * scale))
     if min(window_h, window_w) < 1:
         raise InputError(f"size: {width}x{height} is no part of a {w}x{h} picture; its proportions are too far off")
-    top, left = (h - window_h) // 2, (w - window_w) // 2
-    linear = np.asarray(to_linear(jnp.asarray(frame.image[top : top + window_h, left : left + window_w])))
-    image = np.asarray(to_display(jnp.asarray(resize(linear, height, width))))
-    intrinsics: Intrinsics = frame.camera.intrinsics.crop(top, left, window_h, window_w).resize(height, width)
-    camera = Camera(intrinsics, frame.camera.pose)
-    depthless = dataclasses.replace(frame, depth=None, depth_intrinsics=None, confidence=None)
-    return dataclasses.replace(depthless, image=image, camera=camera)
+    return (h - window_h) // 2, (w - window_w) // 2, window_h, window_w
 
 
 def shrink(frame: Frame, longest: int) -> Frame:

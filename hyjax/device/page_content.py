@@ -12,10 +12,10 @@ from jaxtyping import Float
 from PIL import Image
 
 from hyjax.configuration import Configuration
-from hyjax.data.capture import Frame
 from hyjax.device.frame_program import SceneCounts, frame_program
 from hyjax.device.precision_check import precision_check
 from hyjax.device.program import Precision, columns_rows, shader_text
+from hyjax.geometry.camera import Camera
 
 PAGE_FORMAT = 1
 """Version of page.json. Add one whenever older scripts could not read it."""
@@ -23,15 +23,15 @@ QUALITY = 95
 _OF_TIMING = "measure.html", "measure.js", "timing.js"
 
 
-def frame_entry(frame: Frame, file: str) -> dict[str, Any]:
-    """Frame's entry in page.json: name, file of its picture, and camera."""
-    k = frame.camera.intrinsics
+def frame_entry(name: str, camera: Camera, file: str) -> dict[str, Any]:
+    """Frame's entry in page.json: name, camera, and file of its picture."""
+    k = camera.intrinsics
     return {
-        "name": frame.name,
+        "name": name,
         "file": file,
         "height": k.height,
         "width": k.width,
-        "pose": np.asarray(frame.camera.pose, np.float64).round(9).tolist(),
+        "pose": np.asarray(camera.pose, np.float64).round(9).tolist(),
         "intrinsics": [k.fx, k.fy, k.cx, k.cy],
     }
 

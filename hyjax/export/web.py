@@ -182,7 +182,7 @@ def _write_frame(frame: Frame, folder: Path, lossless: bool) -> dict[str, Any]:
     path = folder / name
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(frame_picture(frame.image, lossless=lossless))
-    return frame_entry(frame, name)
+    return frame_entry(frame.name, frame.camera, name)
 
 
 def _write_sheet(relighter: Relighter, frames: Sequence[int], folder: Path) -> None:

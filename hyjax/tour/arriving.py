@@ -25,7 +25,8 @@ class Arriving:
     """Frames on their way into a tour.
 
     Attributes:
-        on_frame: called after a frame has renewed the surface and joined the capture.
+        on_frame: called after a frame has renewed the surface and joined the capture, with whether others were
+            forgotten for it.
 
     Args:
         scene: that the frames join.
@@ -37,7 +38,7 @@ class Arriving:
     def __init__(
         self, scene: LiveScene, source: str | Iterable[Frame], *, size: tuple[int, int] | None, widest: int
     ) -> None:
-        self.on_frame: Callable[[], object] = lambda: None
+        self.on_frame: Callable[[bool], object] = lambda forgotten: None
         self._scene, self._size, self._widest = scene, size, widest
         self._up = known_up(source) if isinstance(source, str) else None
         self._early: list[Frame] = []
@@ -86,6 +87,6 @@ class Arriving:
             return
         assert isinstance(renderer.capture, LiveCapture)
         renderer.follow()
-        if renderer.capture.append(frame):
+        if forgotten := renderer.capture.append(frame):
             renderer.forget_frames()
-        self.on_frame()
+        self.on_frame(forgotten)

@@ -150,31 +150,6 @@ class Part:
         return numbers
 
 
-def vertex_gbuffer(parts: Sequence[Part], mesh: trimesh.Trimesh, multiple: int) -> GBuffer:
-    """The vertices of all parts as surface points, 1 × n, the last repeated up to a multiple.
-
-    Args:
-        parts: one after the other.
-        mesh: their surface, joined.
-        multiple: ≥ 1.
-    """
-    triangles, corners = [], []
-    for part in parts:
-        faces = part.caster.mesh.faces
-        corner = np.zeros(len(part.caster.mesh.vertices), int)
-        corner[faces.reshape(-1)] = np.arange(faces.size)
-        triangles.append(np.full(len(corner), -1) if part.scanned is None else part.scanned[corner // 3])
-        corners.append(np.eye(3, dtype=np.float32)[corner % 3])
-    more = -len(mesh.vertices) % multiple
-    fields = mesh.vertices, mesh.vertex_normals, np.concatenate(corners)
-    position, normal, barycentric = (
-        jnp.asarray(np.pad(x, ((0, more), (0, 0)), mode="edge"), jnp.float32)[None] for x in fields
-    )
-    face = jnp.asarray(np.pad(np.concatenate(triangles), (0, more), mode="edge"), jnp.int32)[None]
-    ones = jnp.ones(face.shape)
-    return GBuffer(position, normal, ones, ones > 0, face, barycentric)
-
-
 def cast_parts(
     parts: Sequence[Part], origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], Int[np.ndarray, "n"]]:

@@ -4,10 +4,11 @@ import functools
 import math
 from collections.abc import Mapping, Sequence
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from hyjax.light.color import blackbody
+from hyjax.light.color import blackbody, luminance
 from hyjax.light.kinds import (
     AmbientLight,
     Aperture,
@@ -68,10 +69,32 @@ def lights_of(
         surface_area: of the room's walls, floor and ceiling together, square metres.
         flicker: factors on the light of some lamps, by their number.
     """
+    lights, flux = lights_from_outside(plan, up)
+    for number, lamp in enumerate(plan.lamps):
+        if lamp.on and lamp.lumen > 0:
+            lumen = lamp.lumen * (flicker or {}).get(number, 1.0)
+            lights.append(_lamp_light(lamp, lumen, up))
+            flux.append((lumen, lamp.kelvin))
+    total, kelvin = mixed(flux)
+    bounced = WALL_REFLECTANCE * total / (surface_area * (1.0 - WALL_REFLECTANCE))
+    lights.append(AmbientLight(_float32(max(bounced, LEAST_AMBIENT)), _color(kelvin)))
+    return tuple(lights)
+
+
+def mixed(flux: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Lumens of several lights together, and their mean kelvin."""
+    total = sum(lumen for lumen, _ in flux)
+    return total, sum(lumen * kelvin for lumen, kelvin in flux) / total if total > 0 else 4000.0
+
+
+def lights_from_outside(
+    plan: TourPlan, up: Float[np.ndarray, "3"]
+) -> tuple[list[Light], list[tuple[float, float]]]:
+    """Sky and sun of each window, and the lumens with their kelvin that they let in."""
     sky = plan.sky()
     toward = sky.toward @ compass(plan.north, up)
     lights: list[Light] = []
-    flux: list[tuple[float, float]] = []  # lumens and their kelvin
+    flux: list[tuple[float, float]] = []
     for window in plan.windows:
         inward, area = unit(np.asarray(window.normal)), window.width * window.height
         center = as_point(np.asarray(window.center) + 0.01 * inward)
@@ -88,16 +111,7 @@ def lights_of(
             color = _color(sky.direct_kelvin)
             lights.append(DirectionalLight(direction, _float32(lux), color, SUN_RADIUS, opening))
             flux.append((lux * cosine * area, sky.direct_kelvin))
-    for number, lamp in enumerate(plan.lamps):
-        if lamp.on and lamp.lumen > 0:
-            lumen = lamp.lumen * (flicker or {}).get(number, 1.0)
-            lights.append(_lamp_light(lamp, lumen, up))
-            flux.append((lumen, lamp.kelvin))
-    total = sum(lumen for lumen, _ in flux)
-    kelvin = sum(lumen * k for lumen, k in flux) / total if total > 0 else 4000.0
-    bounced = WALL_REFLECTANCE * total / (surface_area * (1.0 - WALL_REFLECTANCE))
-    lights.append(AmbientLight(_float32(max(bounced, LEAST_AMBIENT)), _color(kelvin)))
-    return tuple(lights)
+    return lights, flux
 
 
 def reference_lux(lights: Sequence[Light], exposure: float) -> float:
@@ -118,6 +132,8 @@ def flicker(seconds: float, number: int) -> float:
 
 def _lamp_light(lamp: Lamp, lumen: float, up: Float[np.ndarray, "3"]) -> Light:
     flux, color = _float32(lumen), _color(lamp.kelvin)
+    if lamp.color is not None and (brightness := float(luminance(jnp.asarray(lamp.color)))) > 0:
+        color = _float32(np.asarray(lamp.color) / brightness)
     position, direction = _float32(lamp.position), unit(np.asarray(lamp.direction))
     radius, none = _float32(KINDS[lamp.kind].radius), _float32(0.0)
     if lamp.kind in ("bulb", "candle"):

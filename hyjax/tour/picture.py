@@ -1,16 +1,19 @@
 """Pictures of a tour: a stage of the relit frame as bytes."""
 
 import dataclasses
+import io
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, UInt8
+from PIL import Image
 
 from hyjax.core.diffusion import conductance
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.light.color import to_display, to_linear
+from hyjax.light.gbuffer import GBuffer
 from hyjax.light.relit import Relit
 from hyjax.scene.relighter import LitFrame
 from hyjax.tour.viewpoint import Shown
@@ -37,6 +40,7 @@ class RenderedFrame:
     draft: bool
 
 
+JPEG_QUALITY = 90
 COMPARED_STAGES: tuple[Shown, ...] = ("raw filter", "refined filter", "visibility")
 """Stages for which the unrefined light is needed, too."""
 
@@ -59,11 +63,23 @@ def shown_stage(
         return to_bytes(result.visibility) if shown == "visibility" else np.asarray(_encoded(result.relight_filter))
     if shown == "relit":
         return np.asarray(_encoded(result))
-    picture = _conductances(lit.features, schedule) if shown == "conductances" else _holes(lit)
+    if shown == "conductances":
+        picture = _conductances(lit.features, schedule)
+    elif shown == "holes":
+        picture = _holes(lit)
+    else:
+        picture = surface_stage(shown, lit.view.gbuffer)
     for axis, size in enumerate(frame.image.shape[:2]):  # of a view at a part of the frame's size
         times = -(-size // picture.shape[axis])
         picture = jnp.repeat(picture, times, axis=axis)[(slice(None),) * axis + (slice(size),)]
     return to_bytes(picture)
+
+
+def surface_stage(shown: Shown, seen: GBuffer) -> Float[Array, "h w 3"]:
+    """Normals or depth, as exported pages show them."""
+    normals = 0.5 + 0.5 * seen.normal
+    depth = jnp.broadcast_to(jnp.exp(-0.3 * seen.depth)[..., None], normals.shape)
+    return jnp.where(seen.hit[..., None], normals if shown == "normals" else depth, 0.0)
 
 
 @jax.jit
@@ -99,3 +115,10 @@ def _quantised(picture: Array) -> Array:
 def to_bytes(picture: Float[ArrayLike, "*s 3"]) -> UInt8[np.ndarray, "*s 3"]:
     """A display-encoded picture as bytes."""
     return np.asarray(_quantised(picture))
+
+
+def jpeg(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    """Picture as a JPEG file."""
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "JPEG", quality=JPEG_QUALITY, subsampling=0)
+    return file.getvalue()

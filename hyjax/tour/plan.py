@@ -23,6 +23,7 @@ YEARS = 1900, 2100
 LampKind = Literal["bulb", "spot", "candle", "strip"]
 Metres = Annotated[float, msgspec.Meta(gt=-1e4, lt=1e4)]
 Point = tuple[Metres, Metres, Metres]
+Intensity = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 LARGEST_FACTOR = 1.5
 """Largest factor of a source of the photo."""
 Factor = Annotated[float, msgspec.Meta(ge=0, le=LARGEST_FACTOR)]
@@ -58,7 +59,10 @@ KINDS: dict[str, Kind] = {
 
 
 class Lamp(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A lamp: kind, position, direction (of a bulb or a candle: any), brightness and colour."""
+    """A lamp: kind, position, direction (of a bulb or a candle: any), brightness and colour.
+
+    `color` is linear RGB of any brightness, in the place of `kelvin` where there is one.
+    """
 
     kind: LampKind
     position: Point
@@ -66,6 +70,7 @@ class Lamp(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lumen: Annotated[float, msgspec.Meta(ge=0, le=100_000)] = 800.0
     kelvin: Annotated[float, msgspec.Meta(ge=1700, le=20_000)] = 2700.0
     on: bool = True
+    color: tuple[Intensity, Intensity, Intensity] | None = None
 
 
 class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -84,6 +89,7 @@ class Piece(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         seed: a point on it, in the scan.
         pose: 4×4, of where it is now relative to where it was scanned; rows one after the other.
         removed: whether it is taken away.
+        centre: of it in the scan, where pages have its handle.
         file: name of a mesh file in the tour's folder, for a piece that no scan has.
     """
 
@@ -92,6 +98,7 @@ class Piece(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         np.eye(4).reshape(-1).tolist()
     )
     removed: bool = False
+    centre: Point | None = None
     file: Annotated[str, msgspec.Meta(max_length=255, pattern=FILE_NAME)] = ""
 
     @property
@@ -228,6 +235,7 @@ def _rule(kind: type[msgspec.Struct], name: str, value: Any) -> str:
     rules: dict[type, str] = {
         inspect.StrType: text,
         inspect.TupleType: "three numbers in metres",
+        inspect.UnionType: "three numbers",
         inspect.VarTupleType: "a list" if name in LISTS else "the 16 numbers of a 4x4 matrix",
         inspect.BoolType: "true or false",
         inspect.DictType: "names of the photo's sources with a number in 0..1.5 each",

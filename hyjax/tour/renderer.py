@@ -11,40 +11,42 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-import trimesh
+from jaxtyping import Array, ArrayLike, Float
 from msgspec.structs import replace
 
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import fit
+from hyjax.data.frames import fit, fit_camera
 from hyjax.geometry.camera import Camera
 from hyjax.guide.choose import configured_guide
 from hyjax.light.color import to_display
+from hyjax.light.photo_light import on_pixels
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
+from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
 from hyjax.scene.light_places import survey_capture
 from hyjax.scene.relighter import LitFrame, Relighter, configured_light
 from hyjax.scene.scene import Scene
 from hyjax.tour.arrangement import Arrangement
 from hyjax.tour.editable_scene import EditableScene
-from hyjax.tour.furniture import vertex_gbuffer
+from hyjax.tour.furniture import merge_gbuffers
 from hyjax.tour.layers import Caches, KeptGuide
 from hyjax.tour.lighting import flicker, setup_of
-from hyjax.tour.picture import COMPARED_STAGES, RenderedFrame, shown_stage, to_bytes
+from hyjax.tour.picture import COMPARED_STAGES, RenderedFrame, shown_stage, surface_stage, to_bytes
 from hyjax.tour.placement import as_point, north_for_bearing, place_lamp
 from hyjax.tour.plan import LampKind, TourPlan, Window
-from hyjax.tour.viewpoint import Viewpoint
+from hyjax.tour.viewpoint import Shown, Viewpoint
 from hyjax.util.clock import StageClock
 
 if TYPE_CHECKING:
     from hyjax.live.scene import LiveScene
 
-ALBEDO = 0.6  # of the mesh in the free view, whose true colours are unknown
-VERTEX_MULTIPLE = 1 << 14
-"""Number that the vertices of a live mesh are padded to a multiple of."""
+ALBEDO = 0.6
+"""Of a mesh whose true colours are unknown."""
 AFTERNOON, BEARING = 16.0, 240.0
 
 
@@ -133,6 +135,10 @@ class Renderer:
         """Camera of a frame at the size that is worked at."""
         return self.frame(index).camera
 
+    def view_camera(self, index: int) -> Camera:
+        """Camera of a frame at the size that is worked at; a picture is read for it only where the capture must."""
+        return fit_camera(self.captured_camera(index), self.place.size)
+
     def captured_camera(self, index: int) -> Camera:
         """Camera of a frame as it was captured; its picture is read for it only once."""
         if index not in self._cameras:
@@ -161,6 +167,8 @@ class Renderer:
             InputError: a frame or mesh file cannot be read.
             RenderCancelled: it was cancelled. What has been cast so far is kept.
         """
+        if viewpoint.camera is not None:
+            return self._free(plan, viewpoint.camera, viewpoint.shown, draft, cancelled)
         clock, index, keep = StageClock(), viewpoint.frame, self._caches.frames
         flames = {k: flicker(seconds, k) for k, lamp in enumerate(plan.lamps) if lamp.kind == "candle"}
         setup = self._setup(plan, flames if seconds else None)
@@ -190,8 +198,34 @@ class Renderer:
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
         return RenderedFrame(picture, photo, linear, frame, times, own.coarse)
 
+    def _free(
+        self, plan: TourPlan, camera: Camera, shown: Shown, draft: bool, cancelled: Callable[[], bool]
+    ) -> RenderedFrame:
+        """The lit mesh as a camera sees it that has no photo: albedo times light, which needs no repair."""
+        clock, setup = StageClock(), self._setup(plan)
+        configuration = self._configured(self.configuration.schedule, fully=True)
+        own = Arrangement(
+            self.scene, plan, self._caches, self.photo_light, configuration, draft=draft, cancelled=cancelled
+        )
+        with clock("g-buffer"):
+            seen = merge_gbuffers([part.gbuffer(camera) for part in own.parts.parts])
+        light, albedo = None, jnp.float32(ALBEDO)
+        with clock("photo light"):
+            if self.photo_light is not None:
+                light = configured_light(own.surface_light(setup), configuration)
+                photo = self.photo_light.estimate.light
+                albedo = photo.mean * on_pixels(photo.albedo[: photo.transport.vertices], light.faces, seen)
+        with clock("shaded"):
+            shaded = own.shade_samples(seen, setup, light)
+            linear = np.asarray(_lit(shaded, albedo, setup.reference_lux))
+        with clock("show"):
+            image = np.asarray(to_display(linear))
+            picture = to_bytes(surface_stage(shown, seen) if shown in ("normals", "depth") else image)
+        times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
+        return RenderedFrame(picture, picture, linear, Frame("free", image, camera, 0.0), times, own.coarse)
+
     def warm_up(self, plan: TourPlan, viewpoint: Viewpoint) -> Generator[None]:
-        """Compile viewers' likely requests, a little each step: lamps, the moon, the mesh."""
+        """Compile visitors' likely requests, a little each step: lamps and the moon."""
         origin = self.camera(viewpoint.frame).origin
         lamps = tuple(place_lamp(kind, origin, self.up) for kind in get_args(LampKind))
         changes: list[dict[str, Any]] = [{"lamps": (lamp,)} for lamp in lamps]
@@ -199,22 +233,8 @@ class Renderer:
             for draft in (True, False):
                 self.render(replace(plan, **change), viewpoint, draft=draft)
                 yield
-        self.lit_mesh(plan)
-
-    def lit_mesh(self, plan: TourPlan) -> trimesh.Trimesh:
-        """The surface as the plan arranges it, its vertices coloured by the light that falls on them."""
-        mesh, setup = self.scene.apply_to_mesh(plan), self._setup(plan)
-        configuration = self._configured(self.configuration.schedule, fully=True)
-        own = Arrangement(self.scene, plan, self._caches, self.photo_light, configuration, draft=True)
-        # A mesh that changes has another number of vertices each time, which would compile all again.
-        points = vertex_gbuffer(own.parts.parts, mesh, VERTEX_MULTIPLE if self.live else 1)
-        light = None if self.photo_light is None else configured_light(own.surface_light(setup), configuration)
-        shaded = own.shade_samples(points, setup, light)
-        lux = mix_channels(shaded.illuminance * shaded.visibility, shaded.colors)
-        shades = (lux if shaded.bounced is None else lux + shaded.bounced) / setup.reference_lux
-        colors = to_bytes(to_display(ALBEDO * shades))[0, : len(mesh.vertices)]
-        mesh.visual.vertex_colors = colors  # type: ignore[union-attr]
-        return mesh
+        free = dataclasses.replace(viewpoint, camera=self.camera(viewpoint.frame))
+        self.render(replace(plan, lamps=lamps[:1]), free)
 
     def _setup(self, plan: TourPlan, flames: dict[int, float] | None = None) -> LightSetup:
         """Lights of a plan; nothing is left of sources that were not divided out."""
@@ -227,3 +247,14 @@ class Renderer:
         return dataclasses.replace(
             self.configuration, schedule=schedule, light=light.replace(sampling=1) if fully else light
         )
+
+
+@jax.jit
+def _lit(
+    shaded: Shaded, albedo: Float[ArrayLike, "*a"], reference_lux: Float[ArrayLike, ""]
+) -> Float[Array, "h w 3"]:
+    """Linear picture of a surface by its albedo; black where there is none."""
+    lux = mix_channels(shaded.illuminance * shaded.visibility, shaded.colors)
+    if shaded.bounced is not None:
+        lux += shaded.bounced
+    return jnp.where(shaded.confidence > 0, albedo * lux / reference_lux, 0.0)

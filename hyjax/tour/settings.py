@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from hyjax.relighting.settings import read_schedule
 from hyjax.scene.settings import SceneSettings
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from hyjax.choices.choice import Renderer
     from hyjax.configuration import Configuration
     from hyjax.core.schedule import Schedule
+
+Engine = Literal["auto", "visitor", "server"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,10 +37,13 @@ class TourSettings(Settings):
     """Follow frames that arrive: a folder in the 7-Scenes layout that grows, '-' for messages on stdin (see
     docs/live_frames.md), or 'record3d' for a phone with that app on USB (never tried). The photo's own light then
     stays in the pictures."""
+    engine: Engine = "auto"
+    """Who draws the pictures: visitor (their own GPU), server, or auto: the GPU where there is one, else the
+    server. Moved furniture and frames that arrive are drawn by the server."""
     port: int = 8080
     """Where the page is served."""
     host: str = LOCAL
-    """Address to listen at. Anybody who reaches another address than the default can see and change the tour."""
+    """Address to listen at. Anybody who reaches another address than the default can use the tour."""
     out: Path = Path("tour")
     """Folder for saved files, and for the set-up, with which the tour goes on next time."""
     quiet: bool = False

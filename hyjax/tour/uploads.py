@@ -1,80 +1,91 @@
-"""Uploads to a tour that are refused while they are announced, and kept no longer than they are used."""
+"""Meshes that visitors bring in as furniture: they arrive in parts, and stand on the floor before the camera."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+import secrets
+import threading
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
 
-import viser
-from viser import _messages
-from viser._threadpool_exceptions import print_threadpool_errors
+import numpy as np
+from msgspec.structs import replace
 
-NO_FILE = viser.UploadedFile("", b"")
+from hyjax.tour.messages import Message
+from hyjax.tour.placement import as_point
+from hyjax.tour.plan import Piece
+from hyjax.tour.renderer import Renderer
+from hyjax.tour.tasks import camera_of
+from hyjax.util.errors import InputError
+from hyjax.util.files import atomic_write
 
-
-class Upload(NamedTuple):
-    """A file that was uploaded.
-
-    Attributes:
-        client_id: number of the browser.
-        name: of the file, as the browser says.
-        content: of the file.
-    """
-
-    client_id: int
-    name: str
-    content: bytes
+MOST_UPLOADED = 64 * 2**20
+"""Bytes of a file; four times as many are on their way at most."""
+MOST_FILES = 64
+"""In a tour's folder."""
+FORMATS = (".ply", ".obj", ".glb")
 
 
-def take_uploads(
-    button: viser.GuiUploadButtonHandle,
-    most: int,
-    take: Callable[[Upload], None],
-    refuse: Callable[[int, str, int], None],
-) -> None:
-    """Take the files that are uploaded with a button; viser alone keeps all of any file in memory.
+class Uploads:
+    """Files on their way, by visitor, and those that have arrived, in the tour's folder."""
 
-    A file that says it is larger is refused, as is one with which all that are on their way would be larger than
-    four of the largest; one that is larger than it says is dropped.
+    def __init__(self, renderer: Renderer, out: Path) -> None:
+        self._renderer, self._out, self._lock = renderer, out, threading.Lock()
+        self._parts: dict[Hashable, bytearray] = {}
 
-    Args:
-        button: the only one of its server.
-        most: bytes of a file.
-        take: called with each file, on a thread of its own.
-        refuse: called with the browser's number, the file's name and the bytes that it was to have.
-    """
-    gui = button._impl.gui_api
-    wire, states = gui._websock_interface, gui._current_file_upload_states
-    begin, go_on = gui._handle_file_transfer_start, gui._handle_file_transfer_part
+    def take(self, visitor: Hashable, message: Message) -> dict[str, Any]:
+        """Take one more part; with the last, the piece of furniture that the file is.
 
-    def begin_small(client: Any, message: Any) -> None:
-        size, parts = message.size_bytes, message.part_count
-        on_the_way = sum(state["total_bytes"] for state in states.values())
-        if 0 <= size <= most and 0 <= parts <= max(size, 1) and on_the_way + size <= 4 * most:
-            begin(client, message)
-            hand_over(client)
-            return
-        ids = {"source_component_uuid": message.source_component_uuid, "transfer_uuid": message.transfer_uuid}
-        # The page shows the transfer until all of it has arrived.
-        wire.queue_message(_messages.FileTransferPartAck(**ids, transferred_bytes=size, total_bytes=size))
-        refuse(client, message.filename, size)
+        Raises:
+            InputError: it is too large, or no mesh in metres. What had arrived of it is dropped.
+        """
+        with self._lock:
+            parts = self._parts.pop(visitor, bytearray())
+            size = len(parts) + len(message.part) + message.rest
+            if not 0 < size <= MOST_UPLOADED or sum(map(len, self._parts.values())) + size > 4 * MOST_UPLOADED:
+                most = MOST_UPLOADED >> 20
+                raise InputError(f"{message.name}: {size} bytes; give a mesh of at most {most} MiB, one at a time")
+            parts += message.part
+            if message.rest:
+                self._parts[visitor] = parts
+                return {"got": len(parts)}
+        return {"new": self._place(message, bytes(parts))}
 
-    def go_on_small(client: Any, message: Any) -> None:
-        state = states.get(message.transfer_uuid)
-        if state is not None and state["transferred_bytes"] + len(message.content) > state["total_bytes"]:
-            del states[message.transfer_uuid]
-            return
-        go_on(client, message)
-        hand_over(client)
+    def drop(self, visitor: Hashable) -> None:
+        """Drop what a visitor has not sent to the end."""
+        with self._lock:
+            self._parts.pop(visitor, None)
 
-    def hand_over(client: int) -> None:
-        """Take a file that has arrived out of the button, which holds one, before the next message is handled."""
-        file = button.value
-        if file is not NO_FILE:
-            button._impl.value = NO_FILE
-            upload = Upload(client, file.name, file.content)
-            gui._thread_executor.submit(take, upload).add_done_callback(print_threadpool_errors)
+    def _place(self, message: Message, content: bytes) -> Piece:
+        suffix = Path(message.name).suffix.lower()
+        if suffix not in FORMATS:
+            raise InputError(f"{message.name}: give a mesh as {', '.join(FORMATS)}, in metres")
+        if sum(1 for _ in self._out.glob("mesh-*")) >= MOST_FILES:
+            raise InputError(f"{self._out}: has {MOST_FILES} meshes; remove some first")
+        path = self._out / f"mesh-{secrets.token_hex(6)}{suffix}"
+        with atomic_write(path) as temporary:
+            temporary.write_bytes(content)
+        try:
+            return self._standing(message, path.name)
+        except Exception as error:
+            path.unlink(missing_ok=True)
+            if isinstance(error, InputError):
+                raise InputError(str(error).replace(str(path), message.name)) from None
+            raise
 
-    button._impl.value = NO_FILE
-    wire.unregister_handler(_messages.FileTransferStartUpload, begin)
-    wire.register_handler(_messages.FileTransferStartUpload, begin_small)
-    wire.unregister_handler(_messages.FileTransferPart, go_on)
-    wire.register_handler(_messages.FileTransferPart, go_on_small)
+    def _standing(self, message: Message, file: str) -> Piece:
+        """Piece on the floor before the camera."""
+        scene, up, piece = self._renderer.scene, self._renderer.up, Piece((0.0, 0.0, 0.0), file=file)
+        mesh = scene.piece_mesh(piece)
+        assert mesh is not None
+        if not 0.02 < max(mesh.extents) < 10:
+            raise InputError(f"{message.name}: spans {max(mesh.extents):.3g} m; furniture must be in metres")
+        camera = camera_of(self._renderer, message)
+        height, width = camera.intrinsics.shape
+        hit = scene.pick(message.plan, camera.origin, camera.rays()[height * 2 // 3, width // 2])
+        target = camera.origin + camera.pose[:3, 2] if hit is None else hit.point
+        centre = mesh.bounds.mean(axis=0)
+        foot = centre + (float((mesh.vertices @ up).min()) - centre @ up) * up
+        pose = np.eye(4)
+        pose[:3, 3] = target - foot
+        piece = replace(piece, pose=tuple(pose.reshape(-1).tolist()), centre=as_point(centre))
+        replace(message.plan, pieces=(*message.plan.pieces, piece)).check()
+        return piece

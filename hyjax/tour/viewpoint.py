@@ -1,4 +1,4 @@
-"""Viewpoint of a viewer: frame of the capture, stage to show, and schedule that refines the light."""
+"""Viewpoint of a visitor: frame, or a camera beside it, stage to show, and schedule of the diffusion."""
 
 import dataclasses
 from typing import Literal
@@ -7,17 +7,23 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.core.schedule import Level, Schedule
+from hyjax.geometry.camera import Camera
 
-Shown = Literal["relit", "photo", "raw filter", "refined filter", "visibility", "conductances", "holes"]
+KAPPA_RANGE, MOST_STEPS = 1.5, 4.0
+"""Largest power of ten of the factor on κ, and largest factor on the number of steps."""
+Shown = Literal[
+    "relit", "photo", "normals", "depth", "raw filter", "refined filter", "visibility", "conductances", "holes"
+]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """Frame number, stage to show, and schedule of the diffusion."""
+    """Frame number, stage to show, schedule of the diffusion, and a camera that has left the frame's."""
 
     frame: int
     shown: Shown
     schedule: Schedule
+    camera: Camera | None = None
 
 
 def scale_schedule(schedule: Schedule, steps: float, kappa: float) -> Schedule:

@@ -4,8 +4,6 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +15,7 @@ need("tour")
 sys.path.append(str(Path(__file__).parents[1] / "live"))
 
 from boxes import UP, frames, looking, room
+from visits import visiting
 
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
@@ -28,7 +27,7 @@ from hyjax.tour.live import LiveCapture, LiveRenderer
 from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import TourPlan
 from hyjax.tour.settings import TourSettings
-from hyjax.tour.viewer import Viewer
+from hyjax.tour.tour import Tour
 from hyjax.tour.viewpoint import Viewpoint
 from hyjax.util.errors import InputError
 
@@ -78,44 +77,8 @@ def test_pictures_follow_the_surface(tmp_path: Path) -> None:
     assert np.abs(second.picture.astype(int) - fine.picture).max() > 50, "the box has gone"
     newest = renderer.render(replace(PLAN, exposure=1.0), Viewpoint(1, "relit", PAPER))
     assert newest.frame.name == after[-1].name
-    assert len(renderer.lit_mesh(PLAN).faces) > 1000
     renderer.forget_frames()
     assert renderer.render(PLAN, view).picture.shape == second.picture.shape
-
-
-class FakeQueue:
-    def __init__(self) -> None:
-        self.requests: list[Any] = []
-
-    def request(self, *viewers: Any, interactive: bool = True) -> None:
-        self.requests.append((viewers, interactive))
-
-
-def viewer_of(queue: FakeQueue, count: int, *, follow: bool, in_picture: bool = True) -> Any:
-    """A viewer without its browser."""
-    viewer: Any = Viewer.__new__(Viewer)
-    capture = [None] * count
-    viewer.session = SimpleNamespace(renderer=SimpleNamespace(capture=capture), queue=queue)
-    viewer.client = SimpleNamespace(client_id=7)
-    viewer.controls = SimpleNamespace(follow=follow, frame=0, set_frames=lambda n: viewer.counts.append(n))
-    viewer.counts, viewer._closed, viewer._in_picture, viewer._redrawn_at = [], False, in_picture, 0.0
-    viewer.outdated = []
-    viewer._free_view = SimpleNamespace(outdate=lambda: viewer.outdated.append(True))
-    viewer._enter, viewer.redraw_soon = lambda: None, lambda: None
-    return viewer
-
-
-def test_viewers_follow_or_stay_where_they_are() -> None:
-    queue = FakeQueue()
-    following, staying = viewer_of(queue, 5, follow=True), viewer_of(queue, 5, follow=False)
-    flying = viewer_of(queue, 5, follow=True, in_picture=False)
-    for viewer in (following, staying, flying):
-        viewer.frame_arrived()
-        assert viewer.counts == [5]
-    assert following.controls.frame == 4 and staying.controls.frame == 0
-    assert queue.requests == [((7,), True)] * 2
-    flying.frame_arrived()
-    assert flying.outdated == [True], "not drawn again at once"
 
 
 def slowly(seen: list[Frame]) -> Iterator[Frame]:
@@ -129,7 +92,7 @@ def test_frames_arrive_in_the_renderer() -> None:
     arriving = Arriving(LiveScene(voxel=0.05), slowly(seen), size=None, widest=80)
     told: list[int] = []
     renderer = arriving.first_renderer(Path(), Configuration())
-    arriving.on_frame = lambda: told.append(len(renderer.capture))
+    arriving.on_frame = lambda forgotten: told.append(len(renderer.capture))
     assert renderer.frame(0).image.shape == (60, 80, 3)
     assert arriving._follower.wait(60.0)
     assert told and told[-1] == len(renderer.capture) > 1
@@ -144,3 +107,31 @@ def test_a_tour_of_nothing_is_refused(tmp_path: Path) -> None:
         arriving.first_renderer(tmp_path, Configuration())
     with pytest.raises(InputError, match="leave --capture and --mesh out"):
         TourSettings(SceneSettings(capture=tmp_path), live="-").check()
+
+
+@pytest.mark.slow
+def test_visitors_are_told_of_frames_that_arrive(tmp_path: Path) -> None:
+    """Pictures are of the newest frame that a visitor asks for, on the surface that it has renewed."""
+    scene, seen = LiveScene(voxel=0.05), frames(room(), looking(MIDDLE, 6))
+    for frame in seen[:4]:
+        scene.add(frame)
+    scene.update()
+    capture = LiveCapture(UP, most=4)
+    for frame in seen[:3]:
+        capture.append(frame)
+    renderer = LiveRenderer(scene, capture)
+    tour = Tour(renderer, {"paper-50": PAPER}, tmp_path, port=0)
+    try:
+        with visiting(tour) as visit:
+            first = visit.picture(PLAN, frame=2)
+            for number, forgotten in ((3, False), (4, True)):
+                assert capture.append(seen[number]) == forgotten
+                if forgotten:
+                    renderer.forget_frames()
+                tour._frame_arrived(forgotten)
+                news = visit.receive()[0]
+                assert news["frames"] == len(capture) and len(news["entries"]) == (3 if forgotten else 1)
+            newest = visit.picture(PLAN, frame=len(capture) - 1)
+            assert newest.shape == first.shape and np.abs(newest.astype(float) - first).mean() > 1
+    finally:
+        tour.stop()

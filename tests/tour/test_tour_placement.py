@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 need("tour")
 
-from hyjax.tour.checks import check_rays
 from hyjax.tour.placement import compass, draw_window, north_for_bearing, place_window, unit, upright
 from hyjax.tour.plan import Window
 from hyjax.util.errors import InputError
@@ -80,17 +79,6 @@ def test_a_camera_may_be_held_sideways(turn: int) -> None:
     found = draw_window(EYE, corners, *surface(WALL), UP)
     assert (found.width, found.height) == pytest.approx((WALL.width, WALL.height), abs=0.02)
     assert found.center == pytest.approx(WALL.center, abs=0.03)
-
-
-def test_rays_of_a_browser_are_looked_at() -> None:
-    start, rays = check_rays((0, 0, 1), [[0, 0, 2], [3, 0, 4]])
-    assert start.tolist() == [0, 0, 1] and rays.tolist() == [[0, 0, 1], [0.6, 0, 0.8]]
-    nonsense = ("text", None, [1, 2], [0, 0, 0], [1, 2, float("nan")], [[1, 2], [3]], float("inf"))
-    for directions in nonsense:
-        with pytest.raises(InputError, match="a ray must"):
-            check_rays((0, 0, 0), directions)
-    with pytest.raises(InputError, match="a ray must"):
-        check_rays((0, float("inf"), 0), (0, 0, 1))
 
 
 def test_a_hole_in_the_wall_and_a_chair_before_it_do_not_matter() -> None:

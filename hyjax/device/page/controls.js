@@ -1,5 +1,6 @@
 // The panel and the bar below the picture: controls that change what the viewer shows.
 import { STAGES } from "./display.js";
+import { connectHistory } from "./history.js";
 import { connectLightRows } from "./light_rows.js";
 
 const element = (id) => document.getElementById(id);
@@ -22,14 +23,11 @@ export function connectControls(viewer) {
   connectSpeed(viewer);
   connectLightRows(viewer);
   connectNotices(viewer);
+  connectHistory(viewer);
 }
 
 function connectTransport(viewer) {
   const scrub = element("scrub");
-  const last = viewer.frames.count - 1;
-  scrub.max = last;
-  scrub.disabled = last === 0;
-  element("play").disabled = last === 0;
   scrub.addEventListener("input", () => {
     viewer.playing = false;
     viewer.goTo(Number(scrub.value));
@@ -48,6 +46,10 @@ function connectTransport(viewer) {
   element("land").addEventListener("click", () => viewer.land());
   element("fly").addEventListener("click", () => viewer.fly());
   viewer.addEventListener("change", () => {
+    const last = viewer.frames.count - 1; // frames of a live tour arrive
+    scrub.max = last;
+    scrub.disabled = last === 0;
+    element("play").disabled = last === 0;
     scrub.value = viewer.frame;
     element("frame-label").textContent = `${viewer.frame + 1} / ${last + 1}`;
     element("play-shape").setAttribute("d", viewer.playing ? PAUSE : PLAY);
@@ -100,7 +102,7 @@ function connectWipe(viewer) {
 
 function connectSun(viewer) {
   const { sun } = viewer.page;
-  if (!sun) return;
+  if (!sun || viewer.page.server) return;
   element("sun").hidden = false;
   const hour = element("hour");
   const on = element("sun-on");
@@ -129,8 +131,13 @@ function connectAdding(viewer) {
   const height = element("height");
   height.max = Math.max(0.5, room).toFixed(2);
   height.value = Math.min(1.6, 0.7 * room);
-  element("add").addEventListener("click", () => {
+  element("add").addEventListener("click", ({ detail }) => {
+    if (!detail) { // by keyboard: in the middle of the picture
+      viewer.addLamp(viewer.page.size[1] / 2, viewer.page.size[0] / 2).catch((error) => viewer.say(error.message));
+      return;
+    }
     viewer.adding = !viewer.adding;
+    viewer.tool = null;
     viewer.change("display");
   });
   const set = () => {

@@ -7,7 +7,9 @@ const NEW_LAMP = { kind: "point", luminous_flux: 800, temperature: 2700, radius:
 /** Key of an entry that its brightness is proportional to. */
 export const strengthKey = (entry) => ("luminous_flux" in entry ? "luminous_flux" : "illuminance");
 /** Whether a light hangs in the room, where it can be moved. */
-export const isLamp = (entry) => entry.kind === "point" || entry.kind === "spot";
+export const isLamp = (entry) => entry.kind === "point" || entry.kind === "spot" || "lamp" in entry;
+/** Where a lamp is. */
+export const placeOf = (entry) => entry.position ?? entry.center;
 
 export class LightList {
   constructor(page) {
@@ -24,6 +26,16 @@ export class LightList {
     this.reference = setup.reference_lux;
     this.existing = setup.existing;
     this.hour = null;
+  }
+
+  /** All that can be set up, as text; see `restore`. */
+  snapshot() {
+    const { items, reference, existing, hour } = this;
+    return JSON.stringify({ items, reference, existing, hour });
+  }
+
+  restore(text) {
+    Object.assign(this, JSON.parse(text));
   }
 
   item(entry) {

@@ -16,27 +16,32 @@ function showProgress(share) {
   element("loading-bar").style.width = `${Math.round(100 * share)}%`;
 }
 
-async function start() {
-  document.body.dataset.state = "loading";
+function checkBrowser() {
   if (!globalThis.isSecureContext) {
     throw new Error("This page needs WebGPU, which browsers have on https pages only, or on http://localhost.");
   }
   if (!navigator.gpu) {
     throw new Error("This browser has no WebGPU. Chrome and Edge have it from version 121, Safari from 26, Firefox from 141 on.");
   }
+}
+
+async function start() {
+  document.body.dataset.state = "loading";
   const page = await loadPage();
+  if (!page.server) checkBrowser();
   document.title = `${page.name} – relit`;
   element("title").textContent = page.name;
   element("stage").style.setProperty("--aspect", page.size[1] / page.size[0]);
   const frames = new Frames(page);
   frames.picture(0).catch(() => {});
-  const arrays = await loadArrays(page, showProgress);
-  element("loading-text").textContent = "Preparing the graphics …";
+  const tour = page.server ? await import("./tour.js") : null;
+  const arrays = tour ? null : await loadArrays(page, showProgress);
+  element("loading-text").textContent = "Preparing the picture …";
   const viewer = new Viewer(page, arrays, frames, element("canvas"));
   viewer.addEventListener("failure", ({ detail }) => showFailure(detail));
   connectControls(viewer);
   connectPointer(viewer);
-  await viewer.start();
+  await (tour ? tour.startTour(viewer, showProgress) : viewer.start());
   document.body.dataset.state = "ready";
   viewer.change("display");
   return viewer;
@@ -52,6 +57,7 @@ window.hyjax = {
   get fps() {
     return viewer?.fps ?? 0;
   },
+  plan: () => viewer?.lights.plan?.(viewer.stops) ?? null,
   stats: () => viewer?.stats() ?? null,
   async setLights(content) {
     const shown = await started;
@@ -67,7 +73,7 @@ window.hyjax = {
   async pixels() {
     const shown = await started;
     await shown.drawn(true);
-    return shown.renderer.pixels();
+    return shown.usesServer ? shown.remote.pixels() : shown.renderer.pixels();
   },
 };
 

@@ -1,5 +1,5 @@
 // Pointer and keys on the picture: look around, move, add lamps and drag them. Mouse, pen and fingers alike.
-import { isLamp } from "./light_list.js";
+import { isLamp, placeOf } from "./light_list.js";
 import { add } from "./lights.js";
 
 const DRAG = 6; // CSS pixels from which a press is a drag
@@ -24,7 +24,7 @@ export function connectPointer(viewer) {
   }
 
   over.addEventListener("pointerdown", (event) => {
-    if (event.target !== over || event.button) return;
+    if (event.target !== over || event.button || viewer.tool) return;
     over.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, event);
     press = fingers.size === 1 ? { x: event.clientX, y: event.clientY, frame: viewer.frame, dragged: false } : { dragged: true };
@@ -138,7 +138,7 @@ export function connectPointer(viewer) {
     for (const item of lamps) {
       if (!markers.has(item.id)) markers.set(item.id, makeMarker(item));
       const marker = markers.get(item.id);
-      const at = viewer.pixelOf(item.entry.position);
+      const at = viewer.pixelOf(placeOf(item.entry));
       marker.hidden = !at || viewer.stage === "photo";
       marker.classList.toggle("off", !item.on);
       marker.classList.toggle("selected", viewer.selected === item.id);
@@ -177,7 +177,7 @@ export function connectPointer(viewer) {
       while (own.at) {
         const { x, y } = own.at;
         own.at = null;
-        const place = await viewer.placeAt(x, y).catch(() => null);
+        const place = await viewer.placeAt(x, y, item).catch(() => null);
         if (place) viewer.moveLamp(item, place);
       }
       own.busy = false;
@@ -191,7 +191,7 @@ export function connectPointer(viewer) {
       event.preventDefault();
       event.stopPropagation(); // arrows fly elsewhere
       const [axis, metres] = ARROWS[event.code];
-      viewer.moveLamp(item, add(item.entry.position, viewer.camera[axis], metres));
+      viewer.moveLamp(item, add(placeOf(item.entry), viewer.camera[axis], metres));
     });
     const end = () => { drag = null; };
     marker.addEventListener("pointerup", end);

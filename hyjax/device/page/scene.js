@@ -83,6 +83,12 @@ export class Frames {
     return this.entries.length;
   }
 
+  /** Forget all pictures: frames have other numbers now. */
+  forget() {
+    for (const bitmap of this.decoded.values()) bitmap.then((picture) => picture.close(), () => {});
+    this.decoded.clear();
+  }
+
   /** Picture of a frame as an ImageBitmap. */
   picture(index) {
     let found = this.decoded.get(index);

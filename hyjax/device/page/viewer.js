@@ -1,12 +1,14 @@
 // Viewer: what is shown, and the loop that draws it when something has changed.
 import { FlyingCamera, frameCamera, project, rayThrough } from "./camera.js";
 import { LightList } from "./light_list.js";
-import { add, dot } from "./lights.js";
+import { dot } from "./lights.js";
 import { openDevice } from "./engine.js";
-import { Display } from "./display.js";
+import { Display, STAGES } from "./display.js";
+import { moveEntry, placeAt } from "./placing.js";
 import { choosePrecision } from "./precision.js";
 import { whyUnseen } from "./reach.js";
 import { Renderer } from "./renderer.js";
+import { TourLights } from "./tour_lights.js";
 import { Waiting } from "./waiting.js";
 
 const REFINE_AFTER = 200; // milliseconds that lights lie still before their shadows are cast in full
@@ -15,7 +17,6 @@ const IN_FLIGHT = 2; // pictures that the GPU is given before one is done
 const LOST_WITHIN = 300; // milliseconds
 const TIMED_EVERY = 500; // milliseconds
 const LOST_AGAIN = 60e3; // milliseconds within which a third loss of the device is one too many
-const OFF_SURFACE = 0.3; // metres from the surface that a lamp is put at
 
 export class Viewer extends EventTarget {
   /**
@@ -28,7 +29,8 @@ export class Viewer extends EventTarget {
     super();
     Object.assign(this, { page, arrays, frames, canvas });
     Object.assign(this, { frame: 0, flying: null, stage: "result", wipe: 0.5, stops: 0, playing: false, rate: 12 });
-    this.lights = new LightList(page);
+    this.lights = page.server ? new TourLights(page) : new LightList(page);
+    this.remote = null; // RemoteEngine of a tour
     this.height = null; // metres above the floor at which lamps are put; null: off the surface
     this.keys = new Set();
     this.dirty = { lights: true, camera: true, display: true };
@@ -81,6 +83,7 @@ export class Viewer extends EventTarget {
 
   fail(error) {
     this.stopped = true;
+    if (this.fallBack?.(error)) return;
     this.failure = error;
     for (const { reject } of this.waiting.take(true)) reject(error);
     this.dispatchEvent(new CustomEvent("failure", { detail: error }));
@@ -114,21 +117,21 @@ export class Viewer extends EventTarget {
         this.change("camera");
       }
       try {
-        if (!this.dirty.lights && this.renderer.coarse.size && now - this.moved >= REFINE_AFTER) {
+        if (!this.dirty.lights && this.renderer?.coarse.size && now - this.moved >= REFINE_AFTER) {
           this.renderer.refine();
           this.dirty.display = true;
         }
         if (this.isDirty) await this.draw(now);
       } catch (error) {
         // What fails because the device is lost is for `lost` to mend, which may hear of it a little later.
-        await Promise.race([device.lost, new Promise((done) => { setTimeout(done, LOST_WITHIN); })]);
+        await Promise.race([device?.lost, new Promise((done) => { setTimeout(done, LOST_WITHIN); })]);
         if (this.stopped || device !== this.device) return;
         this.fail(error);
         return;
       }
       if (this.isDirty) continue;
-      const resting = !this.renderer.coarse.size;
-      if (resting && !this.reach && !this.playing && !this.flying) this.learnReach();
+      const resting = this.usesServer ? !this.remote.draft : !this.renderer.coarse.size;
+      if (resting && !this.usesServer && !this.reach && !this.playing && !this.flying) this.learnReach();
       const due = this.waiting.take(resting);
       if (due.length) await Promise.all(this.inFlight);
       for (const { resolve } of due) resolve();
@@ -136,6 +139,11 @@ export class Viewer extends EventTarget {
   }
 
   async draw(now) {
+    if (this.usesServer) {
+      await this.remote.show(this);
+      return;
+    }
+    this.remote?.leave(this);
     const begun = performance.now();
     const dirty = this.dirty;
     this.dirty = { lights: false, camera: false, display: false };
@@ -168,6 +176,11 @@ export class Viewer extends EventTarget {
     this.count(performance.now());
     if (timed) await this.renderer.readTimes();
     this.dispatchEvent(new Event("rendered"));
+  }
+
+  /** Whether the server of a tour makes the picture. */
+  get usesServer() {
+    return Boolean(this.remote) && (!this.renderer || this.lights.needsServer || !STAGES.includes(this.stage));
   }
 
   /** Find out which lights change something in the picture. */
@@ -239,25 +252,15 @@ export class Viewer extends EventTarget {
   // ---- lamps ----
 
   /** Where a lamp goes that is put at a pixel; null where there is no surface. */
-  async placeAt(x, y) {
-    const [height, width] = this.page.size;
-    const column = Math.floor(x);
-    const row = Math.floor(y);
-    if (column < 0 || row < 0 || column >= width || row >= height) return null;
-    const surface = await this.renderer.surfaceAt(column, row);
-    if (!surface) return null;
-    const { camera } = this.renderer;
-    const place = add(add(camera.origin, rayThrough(camera, column + 0.5, row + 0.5), surface.depth), surface.normal, OFF_SURFACE);
-    if (this.height === null) return place;
-    const { up } = this.page.scene;
-    return add(place, up, this.floor + this.height - dot(place, up));
+  placeAt(x, y, item = null) {
+    return placeAt(this, x, y, item);
   }
 
   async addLamp(x, y) {
     this.playing = false;
     const place = await this.placeAt(x, y);
     if (!place) throw new Error("There is no surface here; click on a wall, the floor or a piece of furniture.");
-    const item = this.lights.add(place);
+    const item = this.lights.add([...place], place.normal);
     this.selected = item.id;
     this.change("lights");
     return item;
@@ -265,11 +268,7 @@ export class Viewer extends EventTarget {
 
   /** Put a lamp somewhere. */
   moveLamp(item, position) {
-    const { entry } = item;
-    if (entry.target) { // it goes on pointing the same way
-      entry.target = add(entry.target, add(position, entry.position, -1));
-    }
-    entry.position = position;
+    moveEntry(this.lights, item, position);
     this.change("lights");
   }
 
@@ -285,6 +284,7 @@ export class Viewer extends EventTarget {
   }
 
   stats() {
+    if (this.usesServer) return this.remote.stats(this);
     const { times } = this.renderer;
     const measured = Object.keys(times).length ? { ...times } : { "whole frame (wall clock)": this.milliseconds };
     return {

@@ -1,0 +1,123 @@
+// Tour: a page with a server (hyjax/tour/), which draws what the visitor's GPU does not, and keeps the set-up.
+import { Connection } from "./connection.js";
+import { openDevice } from "./engine.js";
+import { connectHandles } from "./handles.js";
+import { RemoteEngine } from "./remote_engine.js";
+import { loadArrays } from "./scene.js";
+import { connectTourPanels } from "./tour_panels.js";
+
+const FLICKER = 170; // milliseconds
+const KEEP_AFTER = 800; // milliseconds without a change after which the set-up is kept
+const SOFTWARE = /swiftshader|llvmpipe|basic render/i;
+const SHOWN = { result: "relit" }; // stages by the server's names
+
+/** Connect a viewer to the server, choose who draws, and show the first picture. */
+export async function startTour(viewer, showProgress) {
+  const { page } = viewer;
+  const { engine } = page.server;
+  const address = new URL("socket", location.href);
+  address.protocol = address.protocol.replace("http", "ws");
+  const connection = new Connection(address);
+  viewer.connection = connection;
+  viewer.state = () => state(viewer);
+  const canvas = Object.assign(document.createElement("canvas"), { id: "remote", hidden: true });
+  viewer.canvas.after(canvas);
+  viewer.remote = new RemoteEngine(connection, viewer.state, canvas, page, () => viewer.change("display"));
+  connectTourPanels(viewer);
+  connectHandles(viewer);
+  await connection.opened;
+  await followOutside(viewer);
+  setInterval(() => flicker(viewer), FLICKER);
+  connection.addEventListener("open", () => viewer.change("display"));
+  if (engine !== "server" && await openGpu(viewer, engine === "visitor", showProgress)) {
+    if (engine === "auto") viewer.fallBack = (error) => fallBack(viewer, error);
+    await viewer.start().catch((error) => viewer.fail(error));
+    if (viewer.renderer) return;
+  } else {
+    viewer.loop();
+  }
+  viewer.change("display");
+  await viewer.drawn();
+}
+
+/** Let the server draw in the place of a GPU that failed. */
+function fallBack(viewer, error) {
+  if (!viewer.device && !viewer.renderer) return false; // it does already
+  console.info(error.message);
+  viewer.say("This device's graphics failed; the server draws now.");
+  Object.assign(viewer, { renderer: null, device: undefined, stopped: false });
+  viewer.change("lights", "camera", "display");
+  viewer.loop();
+  return true;
+}
+
+/** Let candles flicker where the server draws. */
+function flicker(viewer) {
+  const { lights } = viewer;
+  const burning = lights.items.some(({ entry, on }) => entry.lamp === "candle" && on);
+  if (!burning || !viewer.usesServer || document.hidden || matchMedia("(prefers-reduced-motion)").matches) return;
+  viewer.seconds = performance.now() / 1e3;
+  viewer.dirty.display = true;
+}
+
+/** All that the server draws from. */
+function state(viewer) {
+  const { lights, frame, flying, stage, stops } = viewer;
+  const view = { frame, shown: SHOWN[stage] ?? stage, ...lights.refinement, seconds: viewer.seconds ?? 0 };
+  if (flying) {
+    const { right, down, forward, origin } = flying.camera;
+    view.camera = [right, down, forward, origin];
+  }
+  return { plan: lights.plan(stops), view };
+}
+
+/** Load what the visitor's GPU takes; whether it can draw. */
+async function openGpu(viewer, must, showProgress) {
+  const { page } = viewer;
+  try {
+    const device = await openDevice();
+    const software = SOFTWARE.test(device.hyjaxName);
+    device.destroy();
+    if (software && !must) return false;
+    Object.assign(page, await (await fetch("gpu.json")).json());
+    viewer.arrays = await loadArrays(page, showProgress);
+    return true;
+  } catch (error) {
+    if (must) throw error;
+    console.info(error.message);
+    return false;
+  }
+}
+
+/** Ask for the light from outside whenever what it depends on has changed; resolves when it is there at first. */
+async function followOutside(viewer) {
+  const { lights, connection } = viewer;
+  let asked = "";
+  let busy = false;
+  const follow = async () => {
+    if (busy || asked === lights.outsideKey || !connection.ready) return;
+    busy = true;
+    asked = lights.outsideKey;
+    try {
+      lights.outside = await connection.ask("daylight", viewer.state());
+      viewer.change(...(viewer.usesServer ? [] : ["lights"]));
+    } catch (error) {
+      viewer.say(error.message);
+    } finally {
+      busy = false;
+    }
+    follow();
+  };
+  let keep = 0;
+  let kept = JSON.stringify(lights.plan(viewer.stops));
+  viewer.addEventListener("change", () => {
+    follow();
+    clearTimeout(keep);
+    keep = setTimeout(() => {
+      const plan = JSON.stringify(lights.plan(viewer.stops));
+      if (plan !== kept && !viewer.usesServer) connection.send("keep", viewer.state());
+      kept = plan;
+    }, KEEP_AFTER);
+  });
+  await follow();
+}

@@ -1,0 +1,109 @@
+"""Downloads of a tour: picture, lights, mesh and video, written to its folder and sent to the page that asks.
+
+Files appear whole or not at all.
+"""
+
+import threading
+from collections.abc import Callable, Generator
+from pathlib import Path
+
+import av
+import numpy as np
+
+from hyjax.data.light_file import write_lights
+from hyjax.data.video_frames import new_video
+from hyjax.geometry.mesh import save_mesh
+from hyjax.tour.lighting import setup_of
+from hyjax.tour.messages import Message, packed
+from hyjax.tour.plan import TourPlan
+from hyjax.tour.render_queue import RenderQueue
+from hyjax.tour.renderer import Renderer
+from hyjax.tour.viewpoint import Viewpoint
+from hyjax.tour.visitor import Answer, refusal
+from hyjax.util.errors import InputError
+from hyjax.util.files import atomic_write
+from hyjax.util.images import write_exr, write_png
+
+FRAME_RATE = 12
+DOWNLOADS = ("png", "exr", "lights", "mesh", "video")
+"""Tasks whose answer is a file."""
+
+
+class Downloads:
+    """Files of a tour.
+
+    Args:
+        renderer: renders the pictures.
+        out: folder that they are written to.
+        queue: renders videos while nothing else needs the machine.
+    """
+
+    def __init__(self, renderer: Renderer, out: Path, queue: RenderQueue) -> None:
+        self._renderer, self._out, self._queue = renderer, out, queue
+        self._lock = threading.Lock()
+        self._making_video = False
+
+    def answer(self, message: Message, viewpoint: Viewpoint, send: Callable[[Answer], None]) -> Answer | None:
+        """File that a message asks for; None for a video, which is sent when it is made."""
+        plan, out, renderer = message.plan, self._out, self._renderer
+        if message.task == "video":
+            with self._lock:
+                if self._making_video:
+                    raise InputError("a video is being made; ask for the next one when it is there")
+                self._making_video = True
+            self._queue.add_job(self._video(message, viewpoint, send))
+            return None
+        if message.task in ("png", "exr"):
+            rendered = renderer.render(plan, viewpoint)
+            file = out / f"{rendered.frame.name}.relit.{message.task}"
+            if message.task == "png":
+                write_png(file, rendered.picture.astype(np.float32) / 255.0)
+            else:
+                write_exr(file, rendered.linear)
+        elif message.task == "lights":
+            file = out / "lights.json"
+            write_lights(file, setup_of(plan, renderer.up, renderer.surface_area))
+        else:
+            file = out / "mesh.ply"
+            save_mesh(file, renderer.scene.apply_to_mesh(plan))
+        return sent(message, file)
+
+    def _video(self, message: Message, viewpoint: Viewpoint, send: Callable[[Answer], None]) -> Generator[None]:
+        file = self._out / "relit.mp4"
+        try:
+            yield from write_video(self._renderer, message.plan, viewpoint, file)
+            send(sent(message, file))
+        except InputError as error:
+            send(refusal(error, message.number))
+        except Exception:
+            send(refusal(InputError("the video was not made; see the terminal"), message.number))
+            raise
+        finally:
+            self._making_video = False
+
+
+def sent(message: Message, file: Path) -> bytes:
+    """Answer with a file."""
+    return packed({"number": message.number, "file": file.name, "written": str(file)}, file.read_bytes())
+
+
+def write_video(renderer: Renderer, plan: TourPlan, viewpoint: Viewpoint, file: Path) -> Generator[None]:
+    """Relight the whole capture into an MP4 file, one frame a step.
+
+    Args:
+        renderer, plan, viewpoint: as for `Renderer.render`; of the viewpoint, all but its frame and camera.
+        file: to write.
+    """
+    with atomic_write(file) as temporary, new_video(temporary) as container:
+        height, width = renderer.frame(0).camera.intrinsics.shape
+        stream = container.add_stream("libx264", rate=FRAME_RATE)
+        stream.width, stream.height = width - width % 2, height - height % 2  # as the colour format wants
+        stream.pix_fmt = "yuv420p"
+        stream.options = {"crf": "18"}
+        for index in range(len(renderer.capture)):
+            each = Viewpoint(index, viewpoint.shown, viewpoint.schedule)
+            rendered = renderer.render(plan, each, seconds=index / FRAME_RATE)
+            picture = np.ascontiguousarray(rendered.picture[: stream.height, : stream.width])
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            yield
+        container.mux(stream.encode())
