@@ -90,8 +90,8 @@ TABLES: dict[str, Published] = {
     "real": Published("real", 0, lines=REAL_LINES),
     "real-scores": Published("real", 1, lines=REAL_LINES),
     "real-light": Published("real", 2),
-    "real-best": Published("real_best", 0, lines=BEST_LINES, caption=f"PSNR dB, {BEST_CAPTION}"),
-    "real-best-scores": Published("real_best", 1, lines=BEST_LINES, caption=f"SSIM / SIE / LFE, {BEST_CAPTION}"),
+    "real-best": Published("real", 0, lines=BEST_LINES, caption=f"PSNR dB, {BEST_CAPTION}"),
+    "real-best-scores": Published("real", 1, lines=BEST_LINES, caption=f"SSIM / SIE / LFE, {BEST_CAPTION}"),
     "dark-frames": Published("dark_frames"),
     "patches": Published("patches"),
     # the paper's tables
