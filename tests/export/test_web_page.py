@@ -632,7 +632,7 @@ CONTRASTS = """
   const found = [];
   for (const element of document.querySelectorAll("#panel *, #transport *, #notice, #land, #fly, #hint")) {
     const own = [...element.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim());
-    if (!own || !element.checkVisibility()) continue;
+    if (!own || !element.checkVisibility() || element.matches(":disabled")) continue;
     let opacity = 1;
     for (let at = element; at; at = at.parentElement) opacity *= Number(getComputedStyle(at).opacity);
     const back = ground(element);
