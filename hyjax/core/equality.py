@@ -26,7 +26,8 @@ def equal_by_value(kind: T) -> T:
             return first is second
         structure: Any
         (leaves, structure), (others, other) = jax.tree.flatten(first), jax.tree.flatten(second)
-        if structure != other or any(isinstance(x, jax.core.Tracer) for x in (*leaves, *others)):
+        alike: bool = structure == other  # type: ignore[operator]
+        if not alike or any(isinstance(x, jax.core.Tracer) for x in (*leaves, *others)):
             return False
         return all(np.array_equal(x, y) for x, y in zip(leaves, others, strict=True))
 

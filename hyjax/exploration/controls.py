@@ -75,7 +75,7 @@ def ladders(configuration: Configuration) -> dict[str, list[dict[str, float | in
     def row(level: Level) -> dict[str, float | int | None]:
         sizes = np.asarray(level.step_sizes, np.float64)
         alpha = None if level.fidelity is None else float(np.asarray(level.fidelity))
-        lam = float(sizes.mean()) if len(sizes) else DEFAULT_LAM
+        lam = float(np.median(sizes)) if len(sizes) else DEFAULT_LAM
         kappa = float(np.asarray(level.kappa))
         return {"factor": level.factor, "steps": level.steps, "kappa": kappa, "lam": lam, "fidelity": alpha}
 
@@ -125,7 +125,7 @@ def with_level(configuration: Configuration, part: str, index: int, key: str, va
         raise InputError(f"{part}, factor {levels[index].factor}, {key}: must be a number, got {shown(value)}")
     level = levels[index]
     lam = np.asarray(level.step_sizes, np.float32)
-    usual = lam.mean() if len(lam) else np.float32(DEFAULT_LAM)
+    usual = np.median(lam) if len(lam) else np.float32(DEFAULT_LAM)
     if key == "steps":
         if not 0 <= value <= 1000 or value != int(value):
             raise InputError(f"{part}, factor {level.factor}, steps: must be 0 to 1000, got {shown(value)}")
@@ -151,7 +151,7 @@ def with_steps(schedule: Schedule, text: Any) -> Schedule:
         for factor, steps in pairs:
             near = min(schedule.levels, key=lambda level: abs(np.log(level.factor / factor)))
             lam = np.asarray(near.step_sizes, np.float32)
-            size = lam.mean() if len(lam) else np.float32(DEFAULT_LAM)
+            size = np.median(lam) if len(lam) else np.float32(DEFAULT_LAM)
             levels.append(dataclasses.replace(near, factor=factor, step_sizes=np.full(steps, size, np.float32)))
     except (ValueError, ZeroDivisionError, MemoryError):
         raise InputError(f"cascade: levels must be as '16:3 8:4' (factor:steps), got {shown(text)}") from None
@@ -160,7 +160,8 @@ def with_steps(schedule: Schedule, text: Any) -> Schedule:
 
 def _with_schedule(configuration: Configuration, part: str, schedule: Schedule) -> Configuration:
     name = "custom"
-    changed: Configuration = dataclasses.replace(configuration, **{part: dataclasses.replace(schedule, name=name)})  # type: ignore[arg-type]
+    change: Any = {part: dataclasses.replace(schedule, name=name)}
+    changed = dataclasses.replace(configuration, **change)
     if getattr(changed, part) == getattr(configuration, part):
         return configuration
     return dataclasses.replace(changed, name=name, measured=None).check()

@@ -12,8 +12,8 @@ from hyjax.util.contact_sheet import BACKGROUND, contact_sheet
 
 DIFFERENCE_GAIN = 4.0
 """Factor of the difference of two pictures."""
-FILTER_GAIN = 0.5
-"""Factor of filters, which are often above white."""
+BRIGHT_VALUE, BRIGHT_QUANTILE = 0.7, 0.98
+"""Linear value that a filter's bright quantile is brought to: filters are often above white."""
 WIDTH, MOST_IN_A_ROW = 360, 4
 """Width of a picture in pixels, and pictures in a row."""
 Sheet = Float[np.ndarray, "h w 3"]
@@ -22,14 +22,16 @@ Sheet = Float[np.ndarray, "h w 3"]
 def stages_sheet(photo: Float[np.ndarray, "h w 3"], relit: Relit) -> Sheet:
     """Stages of a relit frame, display-encoded; `photo` is display-encoded, too."""
     filters = {"raw filter": relit.shading, "refined": relit.refined, "with shadows": relit.relight_filter}
-    named: dict[str, Any] = {name: _display(FILTER_GAIN * each) for name, each in filters.items()}
+    gain = _gain(relit.refined)
+    named: dict[str, Any] = {name: _display(gain * each) for name, each in filters.items()}
     named = {"photo": photo, **named, "visibility": np.asarray(relit.visibility)}
     return _sheet(named | {"frame x raw filter": _display(relit.unrefined), "relit": _display(relit.image)})
 
 
 def levels_sheet(levels: Sequence[tuple[str, Float[Array, "h w 3"]]]) -> Sheet:
     """Light after each level of a cascade, over the reference."""
-    return _sheet({name: _display(FILTER_GAIN * light) for name, light in levels})
+    gain = _gain(levels[-1][1])
+    return _sheet({name: _display(gain * light) for name, light in levels})
 
 
 def compared_sheet(first: tuple[str, Relit], second: tuple[str, Relit]) -> Sheet:
@@ -38,6 +40,10 @@ def compared_sheet(first: tuple[str, Relit], second: tuple[str, Relit]) -> Sheet
     difference = np.abs(a - b)
     said = f"difference x {DIFFERENCE_GAIN:g}, largest {difference.max():.3f}"
     return _sheet({name: a, other if other != name else f"{other} ": b, said: DIFFERENCE_GAIN * difference})
+
+
+def _gain(light: Any) -> float:
+    return BRIGHT_VALUE / max(float(np.quantile(np.asarray(light), BRIGHT_QUANTILE)), 1e-6)
 
 
 def _display(linear: Any) -> Float[np.ndarray, "h w 3"]:

@@ -139,6 +139,7 @@ class Explorer(anywidget.AnyWidget):
     @traitlets.observe("configuration", "other", "lights", "frame", "view")
     def _follow(self, _: Any) -> None:
         if self._ready:
+            self.message = ""
             self._show_state()
             self._newest.request(draft=self._draft)
 

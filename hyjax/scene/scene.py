@@ -304,7 +304,6 @@ class Scene:
         """
         return Relighter(self, lights, configuration).relit(frame, rays=True)  # a single picture
 
-    @checked_arguments
     def explore(
         self, *, frame: int = 0, lights: AnyLights = "evening-lamps", configuration: AnyConfiguration = None
     ) -> Any:
