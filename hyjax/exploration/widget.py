@@ -34,6 +34,8 @@ QUALITY = 90
 """Quality of the JPEG pictures."""
 DRAFT_MS = 60.0
 """Milliseconds of a picture beyond which a draft is made of it while a control is moved."""
+LARGEST_DRAFT_SCALE = 4
+"""Largest scale of a configuration that is halved."""
 VIEWS = {"wipe": "photo | relit", "stages": "stages", "levels": "levels of the cascade", "compare": "A | B"}
 """What can be shown."""
 FOLDER = Path(__file__).parent
@@ -95,7 +97,7 @@ class Explorer(anywidget.AnyWidget):
         lights: AnyLights = "evening-lamps",
         configuration: AnyConfiguration = None,
     ) -> None:
-        self._scene, self._draft, self._ready = scene, False, False
+        self._scene, self._draft, self._ready, self._warms = scene, False, False, False
         self._newest = Newest(self._work)
         self._pictures = Pictures(scene, lambda: self._newest.superseded)
         self._fastest: dict[bool, float] = {}
@@ -181,8 +183,8 @@ class Explorer(anywidget.AnyWidget):
             setattr(self, kind, value)
         elif kind in ("strength", "place"):
             self._change_lamp(content["index"], kind, value)
-        elif kind == "ready":  # a page is there: the programs of other counts are compiled before they are wanted
-            self._pictures.fills = True
+        elif kind == "ready":  # a page is there: what its controls need is compiled before it is wanted
+            self._pictures.fills = self._warms = True
         else:
             raise InputError(f"explore: no control {shown(kind)}")
         if not content.get("draft"):
@@ -228,8 +230,7 @@ class Explorer(anywidget.AnyWidget):
     def _make(self, *, draft: bool) -> bool:
         frame, lights, configuration, view = self.frame, self.lights, self.configuration, self.view
         clock, kept = StageClock(), self._pictures.knows(frame, lights, configuration)
-        draft = draft and configuration.mode != "paper" and self._fastest.get(kept, 0.0) > DRAFT_MS
-        draft = draft and configuration.scale <= 4
+        draft = draft and self._has_drafts(configuration) and self._fastest.get(kept, 0.0) > DRAFT_MS
         if draft:
             image = self._pictures.draft(frame, lights, configuration, clock)
         else:
@@ -255,7 +256,13 @@ class Explorer(anywidget.AnyWidget):
             self._show_state()
         if not draft:
             self.set_trait("relit", relit)
+        if self._warms and not draft and self._has_drafts(configuration):
+            self._warms = False
+            self._pictures.draft(frame, lights, configuration, StageClock())
         return draft
+
+    def _has_drafts(self, configuration: Configuration) -> bool:
+        return configuration.mode != "paper" and configuration.scale <= LARGEST_DRAFT_SCALE
 
     def _sheet(self, view: str, frame: int, lights: Any, configuration: Configuration, relit: Relit) -> Any:
         if view == "stages":
