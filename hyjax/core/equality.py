@@ -1,6 +1,6 @@
 """Equality of pytrees by their values."""
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -24,7 +24,6 @@ def equal_by_value(kind: T) -> T:
     def equal(first: object, second: object) -> bool:
         if first is second or type(first) is not type(second):
             return first is second
-        structure: Any
         (leaves, structure), (others, other) = jax.tree.flatten(first), jax.tree.flatten(second)
         alike: bool = structure == other  # type: ignore[operator]
         if not alike or any(isinstance(x, jax.core.Tracer) for x in (*leaves, *others)):
