@@ -23,6 +23,7 @@ EXPERIMENTS = (
     "fusion_borders",
     "bench_peers",
     "live",
+    "tour_visits",
     "sweep_overhead",
 )
 """Modules of experiments, in the report's order."""

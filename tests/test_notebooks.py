@@ -149,6 +149,7 @@ def executed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     What is kept is executed in a kernel for each; else they share one, which is emptied between them.
     """
     need("notebooks")
+    import nbclient
     import nbformat
 
     folder, notebooks = tmp_path_factory.mktemp("notebooks"), {}
@@ -170,7 +171,9 @@ def executed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
             patch.setenv("JAX_COMPILATION_CACHE_DIR", os.environ["HYJAX_TESTS_COMPILED"])
             patch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
         for names in [[name] for name in notebooks] if WRITE else [list(notebooks)]:
-            execute(nbformat.v4.new_notebook(cells=[cell for name in names for cell in notebooks[name].cells]))
+            together = nbformat.v4.new_notebook(cells=[cell for name in names for cell in notebooks[name].cells])
+            options = {"timeout": SECONDS_A_CELL, "record_timing": False, "coalesce_streams": True}
+            nbclient.NotebookClient(together, **options, allow_errors=True).execute()
     for name, notebook in notebooks.items():
         del notebook.cells[0]
         for number, cell in enumerate(code_cells(notebook), start=1):
@@ -183,15 +186,6 @@ def is_run(item: pytest.Item) -> bool:
     return isinstance(item, pytest.Function) and item.function is test_runs
 
 
-def execute(notebook: Any) -> None:
-    import nbclient
-
-    client = nbclient.NotebookClient(
-        notebook, timeout=SECONDS_A_CELL, record_timing=False, coalesce_streams=True, allow_errors=True
-    )
-    client.execute()
-
-
 @pytest.mark.slow
 @each_notebook
 def test_runs(name: str, executed: dict[str, Any]) -> None:
@@ -199,6 +193,7 @@ def test_runs(name: str, executed: dict[str, Any]) -> None:
     notebook = executed[name]
     assert not complaints(notebook)
     if WRITE:
+        need("notebooks")
         import nbformat
 
         notebook.metadata = METADATA
