@@ -1,10 +1,13 @@
 """The built-in room as a capture, kept in the cache folder once it has been rendered."""
 
+import dataclasses
 import functools
 import hashlib
 import json
+import logging
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +26,7 @@ if TYPE_CHECKING:
     from hyjax.geometry.scan import RenderedDepths, ScanConfig
     from hyjax.synthetic.room import Room
 
-VERSION = 6
+VERSION = 7
 """Version of the room of `hyjax.synthetic.room`. Add one whenever its geometry or its pictures change."""
 SIZE = (480, 640)
 """Height and width of its pictures where no other size is asked for."""
@@ -33,6 +36,7 @@ FRAME_RATE = 2.0
 """Pictures a second: the walk takes twelve seconds."""
 
 UP = np.array([0.0, 0.0, 1.0])
+_log = logging.getLogger(__name__)
 _Frame = tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]
 
 
@@ -71,7 +75,8 @@ class RoomCapture(Capture):
         pictures: tuple[Any, ...] = (np.frombuffer((self._key or "").encode(), np.uint8),)
         if isinstance(self._images, np.ndarray) and isinstance(self._depth, np.ndarray) and self._key is None:
             pictures = self._images[:: max(1, len(self) // 4)], np.array(self._depth.shape)
-        parts = (self._surface.vertices, *pictures, poses)
+        lenses = np.array([dataclasses.astuple(camera.intrinsics) for camera in self._cameras])
+        parts = (self._surface.vertices, *pictures, poses, lenses)
         return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
 
     def camera(self, index: int) -> Camera:
@@ -160,36 +165,74 @@ def load_room(
         raise InputError(f"room: seed is {seed}, must be 0 or more")
     folder = cache_folder() if cache_dir is None else Path(cache_dir)
     file = folder / f"room-v{VERSION}-seed{seed}-{n_frames}x{width}x{height}-q{quality:g}.npz"
-    kept = read_kept(file, lambda arrays: _capture(arrays, file.stem))
-    if kept is not None:
-        return kept
-    from hyjax.synthetic.room import camera_path, make_room
-
-    room = make_room(seed)
-    cameras = camera_path(room, n_frames, width, height)
-    light_file = folder / f"room-light-v{VERSION}-seed{seed}-q{quality:g}.npz"  # for pictures of every size
-    frames: list[Future[_Frame]] = [Future() for _ in cameras]
-    mesh = MeshArrays(np.asarray(room.mesh.vertices), np.asarray(room.mesh.faces))
-    anchors = json.loads(json.dumps(room.anchors))
-
-    def render() -> None:
-        try:
-            for number, frame in enumerate(_rendered(room, cameras, quality, progress, light_file)):
-                frames[number].set_result(frame)
-            images, depth = (np.stack(part) for part in zip(*(future.result() for future in frames)))
-            keep_arrays(file, _arrays(images, depth, cameras, mesh, anchors))
-        except BaseException as error:  # for those who wait
-            for future in frames:
-                if not future.done():
-                    future.set_exception(error)
-
-    pool = ThreadPoolExecutor(1, thread_name_prefix="room")
-    done = pool.submit(render)
-    pool.shutdown(wait=False)
+    with _rendering:
+        kept = read_kept(file, lambda arrays: _capture(arrays, file.stem))
+        if kept is not None:
+            return kept
+        if file not in _rooms or _rooms[file].is_broken_off:
+            _rooms[file] = _Rendering(file, seed, n_frames, width, height, quality, progress)
+        rendering = _rooms[file]
     if wait:
-        done.result()
-        frames[-1].result()
-    return RoomCapture(_Awaited(frames, 0), _Awaited(frames, 1), cameras, mesh, anchors, file.stem)
+        rendering.wait()
+    return rendering.capture
+
+
+class _Rendering:
+    """The room while it is rendered on a thread of its own, which ends with the process."""
+
+    def __init__(
+        self, file: Path, seed: int, n_frames: int, width: int, height: int, quality: float, progress: bool
+    ) -> None:
+        from hyjax.synthetic.room import camera_path, make_room
+
+        self._room = make_room(seed)
+        cameras = camera_path(self._room, n_frames, width, height)
+        mesh = MeshArrays(np.asarray(self._room.mesh.vertices), np.asarray(self._room.mesh.faces))
+        anchors = json.loads(json.dumps(self._room.anchors))
+        self._frames: list[Future[_Frame]] = [Future() for _ in cameras]
+        self._file, self._quality, self._progress = file, quality, progress
+        self._light_file = file.parent / f"room-light-v{VERSION}-seed{seed}-q{quality:g}.npz"  # of all sizes
+        self._ended = threading.Event()
+        self.is_broken_off = False
+        images, depth = _Awaited(self._frames, 0), _Awaited(self._frames, 1)
+        self.capture = RoomCapture(images, depth, cameras, mesh, anchors, file.stem)
+        self._thread = threading.Thread(target=self._run, args=(cameras, mesh, anchors), name="room", daemon=True)
+        self._thread.start()
+
+    def wait(self) -> None:
+        """Wait until the room is kept; an interrupt breaks the rendering off."""
+        try:
+            self._ended.wait()
+        except BaseException:
+            self.is_broken_off = True
+            raise
+        self._frames[-1].result()
+
+    def _run(self, cameras: list[Camera], mesh: MeshArrays, anchors: Mapping[str, Any]) -> None:
+        try:
+            shot = _rendered(self._room, cameras, self._quality, self._progress, self._light_file)
+            for number, frame in enumerate(shot):
+                if self.is_broken_off:
+                    raise CancelledError
+                self._frames[number].set_result(frame)
+            images, depth = (np.stack(part) for part in zip(*(future.result() for future in self._frames)))
+            keep_arrays(self._file, _arrays(images, depth, cameras, mesh, anchors))
+        except BaseException as error:
+            self.is_broken_off = True
+            waited_for = [future for future in self._frames if not future.done()]
+            for future in waited_for:
+                future.set_exception(error)
+            if not waited_for:
+                _log.warning("%s: not kept: %s", self._file, error)
+        finally:
+            self._ended.set()
+            with _rendering:
+                if _rooms.get(self._file) is self:
+                    del _rooms[self._file]
+
+
+_rooms: dict[Path, _Rendering] = {}
+_rendering = threading.Lock()
 
 
 class _Awaited:

@@ -40,4 +40,5 @@ def explore(
     from hyjax.exploration.widget import Explorer
 
     opened = scene if isinstance(scene, Scene) else Scene.open(SceneSettings(capture=Path(scene)))
+    opened.maps_on_disk = False  # or a lamp that is dragged would fill the cache folder
     return Explorer(opened, frame=frame, lights=lights, configuration=configuration)

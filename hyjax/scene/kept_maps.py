@@ -1,5 +1,6 @@
 """Shadow maps of the last lights, those of a light that only its strength or colour has changed included."""
 
+import threading
 from collections.abc import Callable, Hashable, Sequence
 
 from hyjax.light.kinds import Light
@@ -19,7 +20,8 @@ class KeptMaps:
 
     def __init__(self, most: int = 2) -> None:
         self.most = most
-        self._sets: list[tuple[Hashable, dict[Hashable, ShadowMap | None], Maps]] = []
+        self._sets: list[tuple[Hashable, tuple[Hashable, ...], Maps]] = []
+        self._lock = threading.Lock()
 
     def of(self, kind: Hashable, lights: Sequence[Light], cast: Cast) -> Maps:
         """Maps of lights: those of the last sets by their geometry, the others cast.
@@ -29,16 +31,17 @@ class KeptMaps:
             lights: of which they are.
             cast: makes maps of lights.
         """
-        keys = [geometry_key(light) for light in lights]
-        for place, (own, known, maps) in enumerate(self._sets):
-            if own == kind and list(known) == keys:
-                self._sets.append(self._sets.pop(place))  # the last used are kept
-                return maps
-        known = {}
-        for own, earlier, _ in self._sets:
-            known |= earlier if own == kind else {}
-        new = [light for light, key in zip(lights, keys) if key not in known]
-        made = dict(zip([key for key in keys if key not in known], cast(new), strict=True)) if new else {}
+        keys = tuple(geometry_key(light) for light in lights)
+        with self._lock:
+            for place, (own, earlier, maps) in enumerate(self._sets):
+                if (own, earlier) == (kind, keys):
+                    self._sets.append(self._sets.pop(place))  # the last used are kept
+                    return maps
+            sets = [zip(earlier, maps) for own, earlier, maps in self._sets if own == kind]
+        known = dict(pair for pairs in sets for pair in pairs)
+        new = {key: light for light, key in zip(lights, keys) if key not in known}
+        made = dict(zip(new, cast(list(new.values())), strict=True)) if new else {}
         maps = tuple((known | made)[key] for key in keys)
-        self._sets = [*self._sets, (kind, dict(zip(keys, maps)), maps)][-self.most :]
+        with self._lock:
+            self._sets = [*self._sets, (kind, keys, maps)][-self.most :]
         return maps

@@ -92,7 +92,7 @@ class Scene:
         self.caster = RayCaster(mesh)
         self._anchors: dict[bool, LightAnchors] = {}
         self.exact, self._detail, self._completed = exact, detail, None if not exact else self.caster
-        self.kept_maps = KeptMaps()
+        self.kept_maps, self.maps_on_disk = KeptMaps(), True
         self.settings: SceneSettings | None = None
         self._sources_file, self._progress = photo_sources, progress
 
@@ -257,7 +257,7 @@ class Scene:
 
         def cast(lights: Sequence[Light]) -> Maps:
             caster, slack = (self.occluders, self.slack) if occluders == "completed" else (self.caster, None)
-            folder = cache_folder() / "shadow-maps"
+            folder = cache_folder() / "shadow-maps" if self.maps_on_disk else None
             return jax.block_until_ready(cast_shadow_maps(caster, lights, scale, slack, most_views, folder=folder))
 
         return self.kept_maps.of((occluders, scale, most_views), LightSetup.of(lights).lights, cast)

@@ -7,7 +7,7 @@ and every frame is then albedo × light plus mirror reflections, seen through a 
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.pool import ThreadPool
 
 import numpy as np
 import trimesh
@@ -106,8 +106,8 @@ def photographs(
             bar.update()
             return frame
 
-        with ThreadPoolExecutor(WORKERS) as pool:
-            yield from pool.map(shoot, range(len(cameras)))
+        with ThreadPool(WORKERS) as pool:  # whose threads end with the process
+            yield from pool.imap(shoot, range(len(cameras)))
 
 
 def _bake(room: Room, quality: float, keep: Keep = lambda bake: bake()) -> BakedRoom:
