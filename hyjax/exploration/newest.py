@@ -18,12 +18,16 @@ class Newest:
         self._work = work
         self._changed = threading.Condition()
         self._draft: bool | None = None
+        self._drafting = False
         self._running = False
 
     @property
     def superseded(self) -> bool:
-        """Whether there is a request that was not begun."""
-        return self._draft is not None
+        """Whether the work on hand is to be dropped for a request that was not begun.
+
+        Work that a draft's request began never is: while a control is moved, requests come faster than it is done.
+        """
+        return self._draft is not None and not self._drafting
 
     def request(self, *, draft: bool = False) -> None:
         """Ask for the work on what is set now."""
@@ -50,4 +54,5 @@ class Newest:
                     self._changed.notify_all()
                     return
                 draft, self._draft = bool(self._draft), None
+                self._drafting = draft
             unfinished = self._work(draft)

@@ -1,6 +1,7 @@
 """Changes of a configuration by hand, the script of a picture, and the thread of the newest request."""
 
 import threading
+import time
 from typing import Any
 
 import numpy as np
@@ -125,7 +126,44 @@ def test_the_newest_request_wins() -> None:
     for number in range(1, 20):
         value[0] = number
         newest.request(draft=True)
-    assert newest.superseded
+    assert not newest.superseded  # what a draft's request began is finished
     go.set()
     assert newest.wait(10.0)
     assert begun == [(0, True), (19, True), (19, False)]  # the last draft at rest, whole
+
+
+def test_pictures_appear_while_a_control_is_moved() -> None:
+    finished = []
+
+    def work(draft: bool) -> bool:
+        for _ in range(3):  # stages, each slower than the requests come
+            time.sleep(0.01)
+            if newest.superseded:
+                return False
+        finished.append(draft)
+        return draft
+
+    newest = Newest(work)
+    end = time.monotonic() + 0.5
+    while time.monotonic() < end:
+        newest.request(draft=True)
+        time.sleep(0.002)
+    assert finished.count(True) >= 2
+    assert newest.wait(10.0) and finished[-1] is False
+
+
+def test_a_whole_is_dropped_for_a_newer_request() -> None:
+    begun, go, seen = threading.Event(), threading.Event(), []
+
+    def work(draft: bool) -> bool:
+        begun.set()
+        go.wait(10.0)
+        seen.append(newest.superseded)
+        return False
+
+    newest = Newest(work)
+    newest.request()
+    assert begun.wait(10.0)
+    newest.request(draft=True)
+    go.set()
+    assert newest.wait(10.0) and seen == [True, False]
