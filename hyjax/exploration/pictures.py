@@ -187,7 +187,10 @@ def _filled_level(level: Level) -> Level:
 
 
 def draft_of(configuration: Configuration) -> Configuration:
-    """Configuration of a draft: half the size, with levels of the same cells, and coarser shadows."""
+    """Configuration of a draft: half the size, with levels of the same cells, and coarser shadows.
+
+    Where the frame is divided by the photo's light, shadows stay: that light needs the whole shadow maps anyway.
+    """
     schedules = {}
     for part in ("schedule", "shadow_schedule"):
         schedule, levels = getattr(configuration, part), dict[int, Level]()
@@ -195,10 +198,11 @@ def draft_of(configuration: Configuration) -> Configuration:
             factor = max(1, level.factor // DRAFT_FACTOR)
             levels[factor] = dataclasses.replace(level, factor=factor)
         schedules[part] = dataclasses.replace(schedule, levels=tuple(levels.values()))
-    views = configuration.shadows.views
-    shadows = configuration.shadows.replace(
-        map_scale=max(0.05, configuration.shadows.map_scale / DRAFT_FACTOR),
-        views=DRAFT_VIEWS if views is None else min(views, DRAFT_VIEWS),
-    )
+    shadows = configuration.shadows
+    if configuration.light.photo_light != "divided":
+        shadows = shadows.replace(
+            map_scale=max(0.05, shadows.map_scale / DRAFT_FACTOR),
+            views=DRAFT_VIEWS if shadows.views is None else min(shadows.views, DRAFT_VIEWS),
+        )
     scale = configuration.scale * DRAFT_FACTOR
     return dataclasses.replace(configuration, scale=scale, shadows=shadows, **schedules)

@@ -20,8 +20,10 @@ import hyjax
 from hyjax.core.refine import _cascade_known
 from hyjax.data.builtin_room import UP
 from hyjax.data.capture import Capture, Frame
+from hyjax.exploration.pictures import Pictures
 from hyjax.exploration.widget import Explorer
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
+from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.util.clock import StageClock
 
 
@@ -166,6 +168,21 @@ def test_drafts_are_small_and_followed_by_the_whole(widget: Explorer) -> None:
     assert widget.wait(120.0)
     assert sizes == [(32, 24), (64, 48)]
     widget.unobserve_all("picture")
+
+
+def test_a_draft_casts_the_shadow_maps_of_divided_light_once(
+    scene: hyjax.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    casts: list[float] = []
+
+    def counted(caster: Any, lights: Any, scale: float, *rest: Any, **options: Any) -> Any:
+        casts.append(scale)
+        return cast_shadow_maps(caster, lights, scale, *rest, **options)
+
+    monkeypatch.setattr("hyjax.scene.scene.cast_shadow_maps", counted)
+    lights = hyjax.LightSetup.of(hyjax.PointLight(np.array([0.1, -0.4, 2.0]), 777.0, np.ones(3)))
+    Pictures(scene).draft(0, lights, hyjax.Configuration(), StageClock())
+    assert casts == [1.0]
 
 
 def test_older_changes_are_dropped(widget: Explorer, monkeypatch: pytest.MonkeyPatch) -> None:
