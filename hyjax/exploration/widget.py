@@ -101,7 +101,7 @@ class Explorer(anywidget.AnyWidget):
         self._newest = Newest(self._work)
         self._pictures = Pictures(scene, lambda: self._newest.superseded)
         self._fastest: dict[bool, float] = {}
-        self._setup: LightSetup | None = None
+        self._made: tuple[LightSetup | str, str, LightSetup] | None = None
         self._camera: Camera | None = None
         self._changing = threading.RLock()
         self._photo: tuple[int, bytes] = (-1, b"")
@@ -192,8 +192,10 @@ class Explorer(anywidget.AnyWidget):
 
     def _change_lamp(self, index: int, kind: str, value: Any) -> None:
         """Set a lamp's strength, or its place in the picture as shares of its width and height."""
-        setup, camera = self._setup, self._camera
-        if setup is None or camera is None or not 0 <= index < len(setup.lights):
+        setup, camera = self._setup(), self._camera
+        if setup is None:
+            raise InputError("lights: they are not there yet; wait for their picture")
+        if camera is None or not 0 <= index < len(setup.lights):
             raise InputError(f"lights: there is no light {shown(index)}")
         if not np.all(np.isfinite(np.asarray(value, np.float64))):
             raise InputError(f"lights[{index}]: must be numbers, got {shown(value)}")
@@ -212,8 +214,15 @@ class Explorer(anywidget.AnyWidget):
                 light, **{key: (camera.origin + camera.pose[:3, :3] @ ray).astype(np.float32)}
             )
         lights = (*setup.lights[:index], light, *setup.lights[index + 1 :])
-        self._setup = LightSetup.of(dataclasses.replace(setup, lights=lights))
-        self.lights = self._setup
+        self.lights = LightSetup.of(dataclasses.replace(setup, lights=lights))
+
+    def _setup(self) -> LightSetup | None:
+        """Lights that are set; None for those of a name until a picture of it is made."""
+        lights, made = self.lights, self._made
+        if isinstance(lights, LightSetup):
+            return lights
+        key = lights, self.configuration.light.photo_light
+        return made[2] if made is not None and made[:2] == key else None
 
     def _work(self, draft: bool) -> bool:
         """Make the picture of what is set now; whether it is a draft."""
@@ -240,8 +249,11 @@ class Explorer(anywidget.AnyWidget):
             self._fastest[kept] = min(total, self._fastest.get(kept, math.inf))
         opened = self._scene.frame(frame)
         self._camera = opened.camera
-        if isinstance(lights, str) or self._setup is None or not draft:
-            self._setup = self._pictures.relighter(lights, configuration).setup
+        key = lights, configuration.light.photo_light
+        if isinstance(lights, LightSetup):
+            self._made = *key, lights
+        elif self._made is None or self._made[:2] != key:
+            self._made = *key, self._pictures.relighter(lights, configuration).setup
         with clock("JPEG"):
             picture = _jpeg(to_display(image))
             if self._photo[0] != frame:
@@ -285,8 +297,9 @@ class Explorer(anywidget.AnyWidget):
         self.state = state
 
     def _lamps(self) -> list[dict[str, Any]]:
-        found = []
-        for light in () if self._setup is None else self._setup.lights:
+        found, made, setup = [], self._made, self._setup()
+        setup = made[2] if setup is None and made is not None else setup
+        for light in () if setup is None else setup.lights:
             place = None
             if self._camera is not None and (key := _place_key(light)) is not None:
                 k = self._camera.intrinsics

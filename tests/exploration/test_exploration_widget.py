@@ -147,7 +147,7 @@ def test_python_is_refused_with_a_line(widget: Explorer) -> None:
 
 def test_lamps_are_moved_and_dimmed(widget: Explorer) -> None:
     place = widget.state["lamps"][0]["place"]
-    setup = widget._setup
+    setup = widget._setup()
     assert setup is not None
     hand(widget, "strength", index=0, value=123.0)
     hand(widget, "place", index=0, value=[place[0] + 0.1, place[1]], draft=True)
@@ -158,6 +158,28 @@ def test_lamps_are_moved_and_dimmed(widget: Explorer) -> None:
     assert np.linalg.norm(np.asarray(lamp.position) - np.asarray(before.position)) > 0.1
     assert widget.state["lamps"][0]["place"] == pytest.approx([place[0] + 0.2, place[1]], abs=1e-4)
     assert widget.state["lights"] == ""
+
+
+def test_no_change_of_lights_is_lost(widget: Explorer, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, go, relit = threading.Event(), threading.Event(), widget._pictures.relit
+
+    def slow(*arguments: Any) -> hyjax.Relit:
+        begun.set()
+        go.wait(30.0)
+        return relit(*arguments)
+
+    monkeypatch.setattr(widget._pictures, "relit", slow)
+    hand(widget, "lights", value="two-colors")
+    hand(widget, "strength", index=0, value=5.0)  # of a lamp of the old lights, which are still shown
+    assert widget.lights == "two-colors" and "not there yet" in widget.message
+    assert begun.wait(30.0)
+    own = hyjax.LightSetup.of(hyjax.PointLight(np.array([0.1, -0.4, 2.0]), 700.0, np.ones(3)))
+    widget.lights = own  # while the picture of the older ones is made
+    hand(widget, "strength", index=0, value=123.0)
+    go.set()
+    assert widget.wait(120.0)
+    hand(widget, "place", index=0, value=[0.5, 0.5])
+    assert len(widget.lights.lights) == 1 and float(widget.lights.lights[0].luminous_flux) == 123.0
 
 
 def test_drafts_are_small_and_followed_by_the_whole(widget: Explorer) -> None:
