@@ -98,6 +98,7 @@ class Explorer(anywidget.AnyWidget):
         configuration: AnyConfiguration = None,
     ) -> None:
         self._scene, self._draft, self._ready, self._warms = scene, False, False, False
+        self._failed = False
         self._newest = Newest(self._work)
         self._pictures = Pictures(scene, lambda: self._newest.superseded)
         self._fastest: dict[bool, float] = {}
@@ -135,8 +136,11 @@ class Explorer(anywidget.AnyWidget):
         return value
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Wait until the picture is that of what is set; whether it was in time."""
-        return self._newest.wait(seconds)
+        """Wait until the picture is that of what is set; whether it was in time and could be made.
+
+        False, too, where a picture's own thread asks, as in an observer of `relit`.
+        """
+        return self._newest.wait(seconds) and not self._failed
 
     @traitlets.observe("configuration", "other", "lights", "frame", "view")
     def _follow(self, _: Any) -> None:
@@ -226,15 +230,21 @@ class Explorer(anywidget.AnyWidget):
 
     def _work(self, draft: bool) -> bool:
         """Make the picture of what is set now; whether it is a draft."""
+        self._failed = False
         try:
             return self._make(draft=draft)
         except Superseded:
             return False
         except Exception as error:
-            if not isinstance(error, InputError):
-                _log.exception("a picture could not be made")
-            self._tell(str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}")
+            self._fail(error)
             return False
+
+    def _fail(self, error: Exception) -> None:
+        """Say on the page why what is set could not be made."""
+        self._failed = True
+        if not isinstance(error, InputError):
+            _log.exception("a picture could not be made")
+        self._tell(str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}")
 
     def _make(self, *, draft: bool) -> bool:
         frame, lights, configuration, view = self.frame, self.lights, self.configuration, self.view
@@ -258,16 +268,15 @@ class Explorer(anywidget.AnyWidget):
             picture = _jpeg(to_display(image))
             if self._photo[0] != frame:
                 self._photo = frame, _jpeg(opened.image)
-        sheet = b"" if draft or view == "wipe" else _jpeg(self._sheet(view, frame, lights, configuration, relit))
         with self.hold_sync():
             self.picture, self.photo = picture, self._photo[1]
             self.times = [[stage, round(1e3 * sum(taken), 1)] for stage, taken in clock.seconds.items()]
             if not draft:
-                self.sheet = sheet
                 self.code = script(self._scene.settings, frame, lights, configuration)
             self._show_state()
         if not draft:
             self.set_trait("relit", relit)
+            self._show_sheet(view, frame, lights, configuration, relit)
         if self._warms and not draft and self._has_drafts(configuration):
             self._warms = False
             self._pictures.draft(frame, lights, configuration, StageClock())
@@ -275,6 +284,16 @@ class Explorer(anywidget.AnyWidget):
 
     def _has_drafts(self, configuration: Configuration) -> bool:
         return configuration.mode != "paper" and configuration.scale <= LARGEST_DRAFT_SCALE
+
+    def _show_sheet(self, view: str, *made: Any) -> None:
+        """Show the sheet of a view; one that cannot be made leaves the picture as it is."""
+        try:
+            self.sheet = b"" if view == "wipe" else _jpeg(self._sheet(view, *made))
+        except Superseded:
+            raise
+        except Exception as error:
+            self.sheet = b""
+            self._fail(error)
 
     def _sheet(self, view: str, frame: int, lights: Any, configuration: Configuration, relit: Relit) -> Any:
         if view == "stages":

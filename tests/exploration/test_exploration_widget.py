@@ -255,6 +255,19 @@ def test_side_by_side(widget: Explorer) -> None:
     assert widths == {"compare": 1096, "levels": 1096, "stages": 1460}
 
 
+def test_a_sheet_that_cannot_be_made_leaves_the_picture(widget: Explorer) -> None:
+    before = widget.relit
+    hand(widget, "view", value="levels")
+    widget.configuration = "paper"
+    assert not widget.wait(120.0)
+    assert "paper" in widget.message and widget.sheet == b""
+    assert widget.relit is not before and 'preset("paper")' in widget.code
+    data, _ = widget._repr_mimebundle_()
+    assert base64.b64decode(data["image/jpeg"]) == widget.picture
+    hand(widget, "view", value="wipe")
+    assert widget.wait(120.0) and not widget.message
+
+
 def test_its_script_makes_the_same_picture(
     widget: Explorer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
