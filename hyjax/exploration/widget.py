@@ -4,7 +4,6 @@ import base64
 import dataclasses
 import io
 import logging
-import math
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -101,7 +100,7 @@ class Explorer(anywidget.AnyWidget):
         self._failed = False
         self._newest = Newest(self._work)
         self._pictures = Pictures(scene, lambda: self._newest.superseded)
-        self._fastest: dict[bool, float] = {}
+        self._last_ms: dict[bool, float] = {}  # of a whole picture, by whether its frame was kept
         self._made: tuple[LightSetup | str, str, LightSetup] | None = None
         self._camera: Camera | None = None
         self._changing = threading.RLock()
@@ -249,14 +248,13 @@ class Explorer(anywidget.AnyWidget):
     def _make(self, *, draft: bool) -> bool:
         frame, lights, configuration, view = self.frame, self.lights, self.configuration, self.view
         clock, kept = StageClock(), self._pictures.knows(frame, lights, configuration)
-        draft = draft and self._has_drafts(configuration) and self._fastest.get(kept, 0.0) > DRAFT_MS
+        draft = draft and self._has_drafts(configuration) and self._last_ms.get(kept, 0.0) > DRAFT_MS
         if draft:
             image = self._pictures.draft(frame, lights, configuration, clock)
         else:
             relit = self._pictures.relit(frame, lights, configuration, clock)
             image = relit.image
-            total = 1e3 * sum(map(sum, clock.seconds.values()))
-            self._fastest[kept] = min(total, self._fastest.get(kept, math.inf))
+            self._last_ms[kept] = 1e3 * sum(map(sum, clock.seconds.values()))
         opened = self._scene.frame(frame)
         self._camera = opened.camera
         key = lights, configuration.light.photo_light

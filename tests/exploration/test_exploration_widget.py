@@ -21,7 +21,7 @@ from hyjax.core.refine import _cascade_known
 from hyjax.data.builtin_room import UP
 from hyjax.data.capture import Capture, Frame
 from hyjax.exploration.pictures import Pictures
-from hyjax.exploration.widget import Explorer
+from hyjax.exploration.widget import DRAFT_MS, Explorer
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.util.clock import StageClock
@@ -185,10 +185,29 @@ def test_no_change_of_lights_is_lost(widget: Explorer, monkeypatch: pytest.Monke
 def test_drafts_are_small_and_followed_by_the_whole(widget: Explorer) -> None:
     sizes: list[tuple[int, int]] = []
     widget.observe(lambda change: sizes.append(size(change["new"])), "picture")
-    widget._fastest = {True: 1e4, False: 1e4}
+    widget._last_ms = {True: 1e4, False: 1e4}
     hand(widget, "level", cascade="schedule", index=2, key="kappa", value=0.3, draft=True)
     assert widget.wait(120.0)
     assert sizes == [(32, 24), (64, 48)]
+    widget.unobserve_all("picture")
+
+
+def test_drafts_come_back_when_pictures_are_slow_again(widget: Explorer, monkeypatch: pytest.MonkeyPatch) -> None:
+    widget._last_ms = {True: 1.0, False: 1.0}
+    relit = widget._pictures.relit
+
+    def slow(frame: int, lights: Any, configuration: hyjax.Configuration, clock: StageClock) -> hyjax.Relit:
+        with clock("slow"):
+            time.sleep(0.1)
+        return relit(frame, lights, configuration, clock)
+
+    monkeypatch.setattr(widget._pictures, "relit", slow)
+    hand(widget, "level", cascade="schedule", index=2, key="kappa", value=0.31)
+    assert widget.wait(120.0) and widget._last_ms[True] > DRAFT_MS
+    sizes: list[tuple[int, int]] = []
+    widget.observe(lambda change: sizes.append(size(change["new"])), "picture")
+    hand(widget, "level", cascade="schedule", index=2, key="kappa", value=0.32, draft=True)
+    assert widget.wait(120.0) and sizes == [(32, 24), (64, 48)]
     widget.unobserve_all("picture")
 
 
