@@ -1,10 +1,12 @@
 """Thread that makes the newest of what is asked for."""
 
+import logging
 import threading
 from collections.abc import Callable
 
 REST_SECONDS = 0.25
 """Seconds without a request after which a draft is followed by the whole."""
+_log = logging.getLogger(__name__)
 
 
 class Newest:
@@ -20,6 +22,7 @@ class Newest:
         self._draft: bool | None = None
         self._drafting = False
         self._running = False
+        self._thread: threading.Thread | None = None
 
     @property
     def superseded(self) -> bool:
@@ -35,12 +38,15 @@ class Newest:
             self._draft = draft
             if not self._running:
                 self._running = True
-                threading.Thread(target=self._run, name="newest", daemon=True).start()
+                self._thread = threading.Thread(target=self._run, name="newest", daemon=True)
+                self._thread.start()
             self._changed.notify_all()
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Wait until all is done; whether it was in time."""
+        """Wait until all is done; whether it was in time. The work's own thread is not waited for by itself."""
         with self._changed:
+            if self._thread is threading.current_thread():
+                return False
             return self._changed.wait_for(lambda: not self._running, seconds)
 
     def _run(self) -> None:
@@ -55,4 +61,8 @@ class Newest:
                     return
                 draft, self._draft = bool(self._draft), None
                 self._drafting = draft
-            unfinished = self._work(draft)
+            try:
+                unfinished = self._work(draft)
+            except Exception:  # later requests are worked on all the same
+                _log.exception("the work on a request failed")
+                unfinished = False

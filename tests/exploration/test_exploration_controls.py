@@ -170,3 +170,19 @@ def test_a_whole_is_dropped_for_a_newer_request() -> None:
     newest.request(draft=True)
     go.set()
     assert newest.wait(10.0) and seen == [True, False]
+
+
+def test_work_that_fails_is_done_and_its_thread_waits_not_for_itself() -> None:
+    waited: list[bool] = []
+
+    def work(draft: bool) -> bool:
+        if draft:
+            raise RuntimeError("of a test")
+        waited.append(newest.wait())
+        return False
+
+    newest = Newest(work)
+    newest.request(draft=True)
+    assert newest.wait(10.0)
+    newest.request()
+    assert newest.wait(10.0) and waited == [False]
