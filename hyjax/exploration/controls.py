@@ -159,12 +159,25 @@ def with_steps(schedule: Schedule, text: Any) -> Schedule:
 
 
 def _with_schedule(configuration: Configuration, part: str, schedule: Schedule) -> Configuration:
+    if _alike(schedule, getattr(configuration, part)):
+        return configuration
     name = "custom"
     change: Any = {part: dataclasses.replace(schedule, name=name)}
     changed = dataclasses.replace(configuration, **change)
-    if getattr(changed, part) == getattr(configuration, part):
-        return configuration
     return dataclasses.replace(changed, name=name, measured=None).check()
+
+
+def _alike(a: Schedule, b: Schedule) -> bool:
+    """Whether two schedules differ in nothing but their names, which are of tables only."""
+    return dataclasses.replace(a, name=b.name) == b
+
+
+def _is_preset(configuration: Configuration, preset: Configuration) -> bool:
+    """Whether a configuration makes a preset's pictures, whatever it and its cascades are called."""
+    parts = {part: getattr(preset, part) for part in CASCADES}
+    same = all(_alike(getattr(configuration, part), schedule) for part, schedule in parts.items())
+    names: Any = parts | {"name": preset.name, "measured": preset.measured}
+    return same and dataclasses.replace(configuration, **names) == preset
 
 
 def script(
@@ -193,14 +206,12 @@ def script(
 def configuration_code(configuration: Configuration) -> str:
     """Expression of a configuration: a preset's name, or what differs from the default."""
     for name in ("default", "paper", *PRESETS):
-        if dataclasses.replace(configuration, name=name, measured=None) == dataclasses.replace(
-            Configuration.preset(name), measured=None
-        ):
+        if _is_preset(configuration, Configuration.preset(name)):
             return f'hyjax.Configuration.preset("{name}")'
     default, parts = Configuration(), []
     for part in CASCADES:
         schedule = getattr(configuration, part)
-        if schedule != getattr(default, part):
+        if not _alike(schedule, getattr(default, part)):
             parts.append(f"    {part}=hyjax.Schedule.from_json({_text(_compact(schedule))}),\n")
     code = f"hyjax.Configuration(\n{''.join(parts)})" if parts else "hyjax.Configuration()"
     own = {

@@ -66,13 +66,17 @@ function switchOf({ label, title = "", change }) {
 function field({ label, title = "", number = false, none = false, values = [], change }) {
   const input = element("input", { type: number ? "number" : "text", ariaLabel: label });
   if (values.length) input.placeholder = values.join(", ");
+  let typing = false; // until it is said, what is typed is not overwritten
+  input.addEventListener("input", () => { typing = true; });
+  input.addEventListener("blur", () => { typing = false; });
   input.addEventListener("change", () => {
+    typing = false;
     const text = input.value.trim();
     change(none && !text ? null : number ? Number(text) : text);
   });
   return {
     node: element("label", { title }, element("span", {}, label), input),
-    set: (value) => { if (document.activeElement !== input) input.value = value === null ? "" : value; },
+    set: (value) => { if (!typing) input.value = value === null ? "" : value; },
   };
 }
 
@@ -166,7 +170,7 @@ function render({ model, el }) {
   }
 
   // Lamps: a row and, where it is in the picture, a handle for each.
-  let lamps = { key: "", rows: [], handles: [] };
+  let lamps = { key: "", kinds: "", rows: [], handles: [] };
   let dragged = -1;
   function makeLamps(found) {
     const rows = found.map((lamp, index) => slider({
@@ -199,9 +203,10 @@ function render({ model, el }) {
   }
   function showLamps() {
     const found = state().lamps;
-    const key = JSON.stringify([state().lights, found.map((lamp) => lamp.kind)]);
-    const own = !state().lights && lamps.rows.length === found.length;
-    if (key !== lamps.key && !own) lamps = { key, ...makeLamps(found) };
+    const kinds = JSON.stringify(found.map((lamp) => lamp.kind));
+    const key = JSON.stringify([state().lights, kinds]);
+    const own = !state().lights && lamps.kinds === kinds;
+    if (key !== lamps.key && !own) lamps = { key, kinds, ...makeLamps(found) };
     found.forEach((lamp, index) => {
       const handle = lamps.handles[index];
       lamps.rows[index].set(lamp.strength);

@@ -45,6 +45,16 @@ def test_a_level_changes_alone() -> None:
     assert changed.name == "custom" and changed.shadow_schedule == DEFAULT.shadow_schedule
 
 
+@pytest.mark.parametrize("name", ["default", "fast"])
+def test_the_value_that_it_has_changes_nothing(name: str) -> None:
+    preset = hyjax.Configuration.preset(name)
+    row = ladders(preset)["schedule"][0]
+    assert with_level(preset, "schedule", 0, "kappa", row["kappa"]) is preset
+    assert with_choice(preset, "norm", preset.schedule.norm) is preset
+    back = with_level(with_level(preset, "schedule", 0, "kappa", 0.4), "schedule", 0, "kappa", row["kappa"])
+    assert configuration_code(back) == f'hyjax.Configuration.preset("{name}")'
+
+
 def test_a_choice_of_a_cascade() -> None:
     changed = with_choice(DEFAULT, "cascade", "32:2 8:4")
     assert changed.value("cascade") == "32:2 8:4"

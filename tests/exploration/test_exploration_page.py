@@ -75,6 +75,14 @@ def test_controls(browser_wanted: None) -> None:
         page.get_by_label("norm").blur()
         page.get_by_label("lights", exact=True).select_option("noon-window")
         assert [message["value"] for message in sent()] == ["mean_abs", "noon-window"]
+        norm = page.get_by_label("norm")
+        norm.fill("l7")
+        page.evaluate("() => model.set('state', { ...model.get('state') })")  # of another change
+        assert norm.input_value() == "l7"
+        norm.press("Enter")
+        assert [message["value"] for message in sent()] == ["l7"]
+        page.evaluate("() => model.set('state', { ...model.get('state'), told: 1 })")
+        assert norm.input_value() == "l2"  # what is refused goes back, though it has the focus
         page.get_by_text("Light of the photo, bounces").click()
         page.get_by_label("bounces", exact=True).uncheck()
         assert sent() == [{"kind": "choice", "name": "bounces", "value": False, "draft": False}]
@@ -100,5 +108,10 @@ def test_controls(browser_wanted: None) -> None:
         assert page.get_by_label("1/16 κ").evaluate("input => input.nextSibling.textContent") == "0.25"
         assert page.get_by_label("1/4 steps").count() == 1  # the shadow pass has one, too
         assert not page.locator(".hyjax-stage").is_visible()
+        page.evaluate(
+            "() => { const state = structuredClone(model.get('state')); state.lights = '';"
+            " state.lamps[0].kind = 'spot'; model.set('state', state); }"
+        )
+        assert page.get_by_label("0 spot, lm").count() == 1
         page.evaluate("() => window.close_()")
         assert not errors
