@@ -96,11 +96,10 @@ class Explorer(anywidget.AnyWidget):
         lights: AnyLights = "evening-lamps",
         configuration: AnyConfiguration = None,
     ) -> None:
-        self._scene, self._draft, self._ready, self._warms = scene, False, False, False
-        self._failed = False
+        self._scene, self._draft, self._ready, self._warms, self._failed = scene, False, False, False, False
         self._newest = Newest(self._work)
         self._pictures = Pictures(scene, lambda: self._newest.superseded)
-        self._last_ms: dict[bool, float] = {}  # of a whole picture, by whether its frame was kept
+        self._last_ms: dict[bool, float] = {}  # of a whole, by whether its frame was kept
         self._made: tuple[LightSetup | str, str, LightSetup] | None = None
         self._camera: Camera | None = None
         self._changing = threading.RLock()
@@ -314,8 +313,7 @@ class Explorer(anywidget.AnyWidget):
         self.state = state
 
     def _lamps(self) -> list[dict[str, Any]]:
-        found, made, setup = [], self._made, self._setup()
-        setup = made[2] if setup is None and made is not None else setup
+        found, setup = [], self._setup() or (self._made and self._made[2])
         for light in () if setup is None else setup.lights:
             place = None
             if self._camera is not None and (key := _place_key(light)) is not None:
