@@ -92,6 +92,20 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.view.seconds != other.view.seconds and same_view and self.plan == other.plan
 
 
+class _Numbered(msgspec.Struct):
+    """What of a message names it; anything else may be wrong."""
+
+    number: Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+
+
+def number_of(text: str | bytes) -> int | None:
+    """Number of a message that may be invalid otherwise; None if it has none."""
+    try:
+        return msgspec.json.decode(text, type=_Numbered).number
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return None
+
+
 def read_message(text: str | bytes) -> Message:
     """A message, checked.
 

@@ -21,7 +21,7 @@ from hyjax.geometry.shadow_caster import RESOLUTION, VIEW_RESOLUTION
 from hyjax.light.setup import REFERENCE_LUX
 from hyjax.scene.scene import Scene
 from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALL_REFLECTANCE, setup_of
-from hyjax.tour.plan import KINDS, LARGEST_FACTOR, TourPlan
+from hyjax.tour.plan import KINDS, LARGEST_FACTOR, MOST_LAMPS, TourPlan
 from hyjax.tour.renderer import Renderer
 from hyjax.tour.sky import Weather
 from hyjax.tour.viewpoint import Shown
@@ -122,6 +122,7 @@ class PageFiles:
                 "plan": plan,
                 "first": renderer.first_plan(),
                 "lamps": KINDS,
+                "most_lamps": MOST_LAMPS,
                 "weather": get_args(Weather),
                 "shown": get_args(Shown),
                 "schedules": list(self._schedules),

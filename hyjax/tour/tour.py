@@ -154,9 +154,12 @@ class Tour:
             self.queue.remove(id(visitor))
             self._uploads.drop(id(visitor))
 
-    def _requested(self, visitor: Visitor, changed: bool) -> None:
-        assert visitor.message is not None
-        self.kept.keep(visitor.message.plan)
+    def _requested(self, visitor: Visitor, last: Message | None) -> None:
+        message = visitor.message
+        assert message is not None
+        if last is None or message.plan != last.plan:  # candles and frames alone set nothing up
+            self.kept.keep(message.plan)
+        changed = last is None or not message.differs_in_time_only(last)
         self.queue.request(id(visitor), interactive=changed)
 
     def _answer(self, visitor: Visitor, message: Message) -> str | bytes | None:

@@ -10,7 +10,7 @@ import msgspec
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from hyjax.tour.messages import Message, read_message
+from hyjax.tour.messages import Message, number_of, read_message
 from hyjax.util.errors import InputError
 
 WAITING = 8
@@ -27,15 +27,15 @@ class Visitor:
 
     Args:
         wire: the connection.
-        requested: called when there is a new message that asks for a picture, with whether more than time has
-            changed.
+        requested: called when there is a new message that asks for a picture, with the one before it; None if
+            there was none.
         answer: makes the answer to any other message, on another thread; None for none.
     """
 
     def __init__(
         self,
         wire: ServerConnection,
-        requested: Callable[["Visitor", bool], None],
+        requested: Callable[["Visitor", Message | None], None],
         answer: Callable[["Visitor", Message], Answer | None],
     ) -> None:
         self.message: Message | None = None
@@ -89,20 +89,18 @@ class Visitor:
             self._loop.call_soon_threadsafe(put)
 
     async def _take(self, text: str | bytes) -> Answer | None:
-        number = None
         try:
             message = read_message(text)
-            number = message.number
             if message.task == "picture":
                 last, self.message = self.message, message
-                self._requested(self, last is None or not message.differs_in_time_only(last))
+                self._requested(self, last)
                 return None
             return await self._loop.run_in_executor(None, self._answer, self, message)
         except InputError as error:
-            return refusal(error, number)
+            return refusal(error, number_of(text))
         except Exception:
             _log.exception("a request to the tour failed")
-            return refusal(InputError("something went wrong; see the terminal for what it was"), number)
+            return refusal(InputError("something went wrong; see the terminal for what it was"), number_of(text))
 
     async def _read(self) -> None:
         with contextlib.suppress(ConnectionClosed):

@@ -2,6 +2,7 @@
 import { MOST_LIGHTS, blackbody, luminance, parseLight, parseSetup } from "./lights.js";
 
 const NAMES = { point: "Lamp", spot: "Spot", rect: "Window light", directional: "Sun", ambient: "Ambient light", sky: "Sky" };
+const BRIGHTEST = 100_000; // lumens that a lamp's brightness can be set to, as in hyjax/tour/plan.py
 const NEW_LAMP = { kind: "point", luminous_flux: 800, temperature: 2700, radius: 0.05 };
 
 /** Key of an entry that its brightness is proportional to. */
@@ -36,12 +37,14 @@ export class LightList {
 
   restore(text) {
     Object.assign(this, JSON.parse(text));
+    this.restored = (this.restored ?? 0) + 1; // items are other objects now
   }
 
   item(entry) {
     this.number += 1;
     const strength = entry[strengthKey(entry)];
-    return { id: this.number, entry, on: true, most: isLamp(entry) ? Math.max(3000, 3 * strength) : Math.max(3 * strength, 10) };
+    const lamp = Math.max(strength, Math.min(BRIGHTEST, Math.max(3000, 3 * strength)));
+    return { id: this.number, entry, on: true, most: isLamp(entry) ? lamp : Math.max(3 * strength, 10) };
   }
 
   find(id) {
@@ -99,9 +102,14 @@ export class LightList {
     return [...this.active.map((item) => item.entry), ...outside];
   }
 
-  /** Items that are on, no more than the shaders take beside the light from outside. */
+  /** Lights beside the items. */
+  get taken() {
+    return this.row?.lights.length ?? 0;
+  }
+
+  /** Items that are on, no more than the shaders take beside the other lights. */
   get active() {
-    return this.shown.filter((item) => item.on).slice(0, MOST_LIGHTS - (this.row?.lights.length ?? 0));
+    return this.shown.filter((item) => item.on).slice(0, MOST_LIGHTS - this.taken);
   }
 
   /** Illuminance that the camera exposes for: by the hour it follows what lamps add, as in `hyjax.tour.lighting`. */

@@ -49,6 +49,8 @@ export class TourLights extends LightList {
   }
 
   add(position, normal) {
+    const { most_lamps: most } = this.page.server;
+    if (this.items.length >= most) throw new Error(`There can be at most ${most} lamps, with those that are off.`);
     if (this.activeEntries().length >= MOST_LIGHTS) throw new Error(`There can be at most ${MOST_LIGHTS} lights.`);
     const { lumen, kelvin } = this.page.server.lamps[this.kind];
     const item = this.item(lampEntry({ kind: this.kind, position, direction: normal, lumen, kelvin }, this.page.server.lamps));
@@ -69,6 +71,11 @@ export class TourLights extends LightList {
   /** What the light from outside depends on. */
   get outsideKey() {
     return JSON.stringify(OUTSIDE.map((name) => this.plain[name]));
+  }
+
+  /** The ambient light takes a place, too. */
+  get taken() {
+    return super.taken + 1;
   }
 
   activeEntries() {
