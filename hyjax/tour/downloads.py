@@ -40,12 +40,12 @@ class Downloads:
 
     def __init__(self, renderer: Renderer, out: Path, queue: RenderQueue) -> None:
         self._renderer, self._out, self._queue = renderer, out, queue
-        self._lock = threading.Lock()
+        self._lock, self._writing = threading.Lock(), threading.Lock()
         self._making_video = False
 
     def answer(self, message: Message, viewpoint: Viewpoint, send: Callable[[Answer], None]) -> Answer | None:
         """File that a message asks for; None for a video, which is sent when it is made."""
-        plan, out, renderer = message.plan, self._out, self._renderer
+        plan, renderer = message.plan, self._renderer
         if message.task == "video":
             with self._lock:
                 if self._making_video:
@@ -55,18 +55,23 @@ class Downloads:
             return None
         if message.task in ("png", "exr"):
             rendered = renderer.render(plan, viewpoint)
-            file = out / f"{rendered.frame.name}.relit.{message.task}"
+            name = f"{rendered.frame.name}.relit.{message.task}"
             if message.task == "png":
-                write_png(file, rendered.picture.astype(np.float32) / 255.0)
-            else:
-                write_exr(file, rendered.linear)
-        elif message.task == "lights":
-            file = out / "lights.json"
-            write_lights(file, setup_of(plan, renderer.up, renderer.surface_area))
-        else:
-            file = out / "mesh.ply"
-            save_mesh(file, renderer.scene.apply_to_mesh(plan))
-        return sent(message, file)
+                picture = rendered.picture.astype(np.float32) / 255.0
+                return self._written(message, name, lambda file: write_png(file, picture))
+            return self._written(message, name, lambda file: write_exr(file, rendered.linear))
+        if message.task == "lights":
+            setup = setup_of(plan, renderer.up, renderer.surface_area)
+            return self._written(message, "lights.json", lambda file: write_lights(file, setup))
+        mesh = renderer.scene.apply_to_mesh(plan)
+        return self._written(message, "mesh.ply", lambda file: save_mesh(file, mesh))
+
+    def _written(self, message: Message, name: str, write: Callable[[Path], object]) -> bytes:
+        """Write a file and read it back before another visitor's takes its place."""
+        file = self._out / name
+        with self._writing:
+            write(file)
+            return sent(message, file)
 
     def _video(self, message: Message, viewpoint: Viewpoint, send: Callable[[Answer], None]) -> Generator[None]:
         file = self._out / "relit.mp4"

@@ -11,10 +11,10 @@ export class Connection extends EventTarget {
     this.open();
   }
 
-  /** Resolves when the connection is open for the first time. */
+  /** Resolves when the connection is open; after it was lost, when it is open again. */
   get opened() {
-    this.first ??= new Promise((resolve) => { this.addEventListener("open", resolve, { once: true }); });
-    return this.ready ? Promise.resolve() : this.first;
+    if (this.ready) return Promise.resolve();
+    return new Promise((resolve) => { this.addEventListener("open", resolve, { once: true }); });
   }
 
   open() {

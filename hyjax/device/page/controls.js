@@ -180,6 +180,7 @@ function connectSources(viewer) {
 
 function connectPicture(viewer) {
   const exposure = element("exposure");
+  exposure.value = viewer.stops;
   const show = () => {
     const { stops } = viewer;
     element("exposure-label").textContent = `${stops > 0 ? "+" : ""}${stops.toFixed(1)} EV`;

@@ -22,20 +22,21 @@ export function connectHistory(viewer) {
     show();
   };
 
-  function restore(text) {
-    const [lights, stops] = JSON.parse(text);
+  function restore() {
+    const [lights, stops] = JSON.parse(done.at(-1));
     viewer.lights.restore(lights);
     viewer.stops = stops;
     document.getElementById("exposure").value = stops;
     if (!viewer.lights.find(viewer.selected)) viewer.selected = null;
     viewer.change("lights", "display");
+    done[done.length - 1] = take(); // directions and colours are scaled anew: no step of its own
   }
 
   function undo() {
     note();
     if (done.length < 2) return;
     undone.push(done.pop());
-    restore(done.at(-1));
+    restore();
     show();
   }
 
@@ -43,7 +44,7 @@ export function connectHistory(viewer) {
     note();
     if (!undone.length) return;
     done.push(undone.pop());
-    restore(done.at(-1));
+    restore();
     show();
   }
 

@@ -23,7 +23,7 @@ export function connectLightRows(viewer) {
 
   function draw() {
     const { lights } = viewer;
-    const key = JSON.stringify([lights.shown.map((item) => item.id), viewer.selected, lights.hour === null]);
+    const key = JSON.stringify([lights.shown.map((item) => item.id), viewer.selected, lights.hour === null, lights.restored]);
     if (key !== shown) {
       shown = key;
       list.replaceChildren(...lights.shown.map(makeRow));

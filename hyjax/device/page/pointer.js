@@ -136,7 +136,7 @@ export function connectPointer(viewer) {
     }
     const [height, width] = viewer.page.size;
     for (const item of lamps) {
-      if (!markers.has(item.id)) markers.set(item.id, makeMarker(item));
+      if (!markers.has(item.id)) markers.set(item.id, makeMarker(item.id));
       const marker = markers.get(item.id);
       const at = viewer.pixelOf(placeOf(item.entry));
       marker.hidden = !at || viewer.stage === "photo";
@@ -150,7 +150,8 @@ export function connectPointer(viewer) {
     }
   }
 
-  function makeMarker(item) {
+  function makeMarker(id) {
+    const lamp = () => viewer.lights.find(id); // another object after each undo
     const marker = document.createElement("button");
     marker.className = "marker";
     marker.type = "button";
@@ -160,7 +161,7 @@ export function connectPointer(viewer) {
       event.preventDefault();
       marker.setPointerCapture(event.pointerId);
       drag = { x: event.clientX, y: event.clientY, at: null, moved: false, busy: false };
-      viewer.selected = item.id;
+      viewer.selected = id;
       viewer.change("display");
     });
     marker.addEventListener("pointermove", (event) => {
@@ -177,13 +178,13 @@ export function connectPointer(viewer) {
       while (own.at) {
         const { x, y } = own.at;
         own.at = null;
-        const place = await viewer.placeAt(x, y, item).catch(() => null);
-        if (place) viewer.moveLamp(item, place);
+        const place = await viewer.placeAt(x, y, lamp()).catch(() => null);
+        if (place && lamp()) viewer.moveLamp(lamp(), place);
       }
       own.busy = false;
     }
     marker.addEventListener("click", () => { // by Enter or Space; a press has done so already
-      viewer.selected = item.id;
+      viewer.selected = id;
       viewer.change("display");
     });
     marker.addEventListener("keydown", (event) => {
@@ -191,7 +192,7 @@ export function connectPointer(viewer) {
       event.preventDefault();
       event.stopPropagation(); // arrows fly elsewhere
       const [axis, metres] = ARROWS[event.code];
-      viewer.moveLamp(item, add(placeOf(item.entry), viewer.camera[axis], metres));
+      if (lamp()) viewer.moveLamp(lamp(), add(placeOf(lamp().entry), viewer.camera[axis], metres));
     });
     const end = () => { drag = null; };
     marker.addEventListener("pointerup", end);

@@ -108,12 +108,14 @@ async function followOutside(viewer) {
     }
     follow();
   };
+  connection.addEventListener("lost", () => { asked = ""; }); // its answer will not come
   let keep = 0;
   let kept = JSON.stringify(lights.plan(viewer.stops));
   viewer.addEventListener("change", () => {
     follow();
     clearTimeout(keep);
     keep = setTimeout(() => {
+      if (!connection.ready) return; // it is compared when the connection is open again
       const plan = JSON.stringify(lights.plan(viewer.stops));
       if (plan !== kept && !viewer.usesServer) connection.send("keep", viewer.state());
       kept = plan;

@@ -160,8 +160,9 @@ function bringing(viewer) {
     if (!file) return;
     bring.disabled = true;
     try {
-      const { pieces } = viewer.lights.plain;
-      pieces.push((await send(viewer, file)).new);
+      const { new: piece } = await send(viewer, file);
+      const { pieces } = viewer.lights.plain; // undo may have replaced them meanwhile
+      pieces.push(piece);
       viewer.thing = { field: "pieces", index: pieces.length - 1 };
       viewer.change("lights");
     } catch (error) {

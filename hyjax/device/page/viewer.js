@@ -27,8 +27,8 @@ export class Viewer extends EventTarget {
    */
   constructor(page, arrays, frames, canvas) {
     super();
-    Object.assign(this, { page, arrays, frames, canvas });
-    Object.assign(this, { frame: 0, flying: null, stage: "result", wipe: 0.5, stops: 0, playing: false, rate: 12 });
+    Object.assign(this, { page, arrays, frames, canvas, stops: page.server?.plan.exposure ?? 0 });
+    Object.assign(this, { frame: 0, flying: null, stage: "result", wipe: 0.5, playing: false, rate: 12 });
     this.lights = page.server ? new TourLights(page) : new LightList(page);
     this.remote = null; // RemoteEngine of a tour
     this.height = null; // metres above the floor at which lamps are put; null: off the surface
