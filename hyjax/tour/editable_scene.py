@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from hyjax.tour.furniture import Part, cast_parts, piece_at
 from hyjax.tour.plan import Piece, TourPlan
 from hyjax.util.errors import InputError
 from hyjax.util.lru_cache import LruCache
-from hyjax.util.vectors import fibonacci_sphere, perpendicular, unit
+from hyjax.util.vectors import perpendicular, unit
 
 PARTS_MIB = 256
 """Memory of parts that were moved lately; where the room is large, that of four rooms."""
@@ -175,14 +175,6 @@ class EditableScene:
         pose, point = scene.parts[numbers[0]].pose, start + distances[0] * direction
         scanned = (point - pose[:3, 3]) @ pose[:3, :3]
         return SurfaceHit(point, face_toward(normals[0], direction), scene.pieces[numbers[0]], scanned)
-
-    def encloses(self, plan: TourPlan, point: Sequence[float]) -> bool:
-        """Whether a point is inside something, or outside the room: most surfaces around show it their backs."""
-        directions = fibonacci_sphere(64)
-        origins = np.broadcast_to(np.asarray(point, float), directions.shape)
-        distances, normals, _ = cast_parts(self.apply(plan).parts, origins, directions)
-        back = np.einsum("nk,nk->n", normals, directions) > 0
-        return bool(back.sum() > 0.5 * np.isfinite(distances).sum())
 
     def piece_mesh(self, piece: Piece) -> trimesh.Trimesh | None:
         """The surface of a piece where it was scanned; None if there is nothing at its seed but the room itself."""

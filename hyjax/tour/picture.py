@@ -25,7 +25,6 @@ class RenderedFrame:
 
     Attributes:
         picture: display-encoded, the stage that is shown.
-        photo: display-encoded, the frame as it was taken.
         linear: the relit picture in linear light.
         frame: the frame of the capture.
         milliseconds: by stage.
@@ -33,7 +32,6 @@ class RenderedFrame:
     """
 
     picture: UInt8[np.ndarray, "h w 3"]
-    photo: UInt8[np.ndarray, "h w 3"]
     linear: Float[np.ndarray, "h w 3"]
     frame: Frame
     milliseconds: dict[str, float]

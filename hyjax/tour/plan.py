@@ -152,16 +152,6 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             if not _is_rigid(piece.pose):
                 raise InputError(f"pieces[{number}].pose: must move and turn only")
 
-    @property
-    def files(self) -> set[str]:
-        """Names of the mesh files that were brought in."""
-        return {piece.file for piece in self.pieces if piece.file}
-
-    @property
-    def flickers(self) -> bool:
-        """Whether the picture changes by itself."""
-        return any(lamp.kind == "candle" and lamp.on for lamp in self.lamps)
-
     def date(self) -> datetime.date:
         """`day` as a date."""
         try:

@@ -60,6 +60,7 @@ class Renderer:
         surface_area: of floor, walls and ceiling of a box around it, square metres.
         photo_light: that the frames were taken under; None if it stays in the pictures.
         live: whether frames arrive, see `hyjax.tour.live`.
+        numbering: number of the times that frames were numbered anew.
 
     Args:
         place: surface, and frames unless they are given.
@@ -71,6 +72,7 @@ class Renderer:
     """
 
     live = False
+    numbering = 0
 
     def __init__(
         self,
@@ -107,6 +109,7 @@ class Renderer:
     def forget_frames(self) -> None:
         """Forget all that is known of frames by their numbers, which are other ones now."""
         self._caches, self._cameras = Caches(), dict[int, Camera]()
+        self.numbering += 1
 
     def _editable(self) -> EditableScene:
         place: Any = self.place
@@ -189,14 +192,14 @@ class Renderer:
         stages = relighter.stages(frame, view=view)
         lit: LitFrame = clock.follow(stages, until="guide")
         result = clock.follow(stages, until=None if viewpoint.shown in COMPARED_STAGES else "composite")
-        photo = keep(("photo", index), lambda: to_bytes(frame.image))
         with clock("show"):
             linear = np.asarray(result.image if isinstance(result, Relit) else result)
-            picture = photo
-            if viewpoint.shown != "photo":
+            if viewpoint.shown == "photo":
+                picture = keep(("photo", index), lambda: to_bytes(frame.image))
+            else:
                 picture = shown_stage(viewpoint.shown, frame, lit, result, viewpoint.schedule)
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
-        return RenderedFrame(picture, photo, linear, frame, times, own.coarse)
+        return RenderedFrame(picture, linear, frame, times, own.coarse)
 
     def _free(
         self, plan: TourPlan, camera: Camera, shown: Shown, draft: bool, cancelled: Callable[[], bool]
@@ -222,7 +225,7 @@ class Renderer:
             image = np.asarray(to_display(linear))
             picture = to_bytes(surface_stage(shown, seen) if shown in ("normals", "depth") else image)
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
-        return RenderedFrame(picture, picture, linear, Frame("free", image, camera, 0.0), times, own.coarse)
+        return RenderedFrame(picture, linear, Frame("free", image, camera, 0.0), times, own.coarse)
 
     def warm_up(self, plan: TourPlan, viewpoint: Viewpoint) -> Generator[None]:
         """Compile visitors' likely requests, a little each step: lamps and the moon."""

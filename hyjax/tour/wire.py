@@ -55,10 +55,13 @@ class Wire:
         self._host, self._files, self._visit, self._visitors = host, files, visit, 0
         self.loop = asyncio.new_event_loop()
         self._ended = asyncio.Event()
+        self._refused: OSError | None = None
         started = threading.Event()
         self._thread = threading.Thread(target=self._run, args=(port, started), name="tour's server", daemon=True)
         self._thread.start()
         started.wait()
+        if self._refused is not None:
+            raise _no_port(host, port, self._refused)
         shown = "localhost" if host in (LOCAL, "0.0.0.0") else f"[{host}]" if ":" in host else host
         self.url = f"http://{shown}:{self.port}"
 
@@ -69,8 +72,13 @@ class Wire:
 
     def _run(self, port: int, started: threading.Event) -> None:
         asyncio.set_event_loop(self.loop)
-        self.loop.run_until_complete(self._serve(port, started))
-        self.loop.close()
+        try:
+            self.loop.run_until_complete(self._serve(port, started))
+        except OSError as error:  # another program has taken the port since it was checked
+            self._refused = error
+        finally:
+            self.loop.close()
+            started.set()
 
     async def _serve(self, port: int, started: threading.Event) -> None:
         quiet = logging.getLogger(f"{__name__}.websockets")
@@ -150,9 +158,11 @@ def check_port(host: str, port: int) -> None:
             test.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             test.bind((host, port))
     except OSError as error:
-        raise InputError(
-            f"port {port} on {host}: {error.strerror or error}; choose another --port or --host"
-        ) from None
+        raise _no_port(host, port, error) from None
+
+
+def _no_port(host: str, port: int, error: OSError) -> InputError:
+    return InputError(f"port {port} on {host}: {error.strerror or error}; choose another --port or --host")
 
 
 def _one_line(record: logging.LogRecord) -> bool:

@@ -18,8 +18,9 @@ from visits import box_tour, visiting
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from hyjax.tour import tasks
 from hyjax.tour import wire as wire_module
-from hyjax.tour.messages import MOST_BYTES, read_message
+from hyjax.tour.messages import MOST_BYTES, Message, read_message
 from hyjax.tour.tour import Tour
 from hyjax.tour.visitor import WAITING
 from hyjax.util.errors import InputError
@@ -108,8 +109,15 @@ def test_what_is_for_gpus_is_not_made_where_the_server_draws(tour: Tour) -> None
     assert answered(tour, "/gpu.json") == 404
 
 
-def test_slow_visitors_hold_up_nobody(tour: Tour) -> None:
+def test_slow_visitors_hold_up_nobody(tour: Tour, monkeypatch: pytest.MonkeyPatch) -> None:
     """One reads nothing of many answers, others say half a request: the next picture comes at once."""
+    made: list[int] = []
+
+    def long_answer(renderer: Any, message: Message) -> str:
+        made.append(message.number)
+        return "x" * 1_000_000
+
+    monkeypatch.setattr(tasks, "answer", long_answer)
     held: list[Any] = []
     for _ in range(60):
         wire = socket.create_connection(("127.0.0.1", port(tour)))
@@ -125,11 +133,26 @@ def test_slow_visitors_hold_up_nobody(tour: Tour) -> None:
             begun = time.monotonic()
             visit.picture(DIM)
             assert time.monotonic() - begun < 5
-            assert all(visitor._waiting.qsize() <= WAITING for visitor in tour.visitors.values())
+        before = 0
+        while before < len(made):
+            before = len(made)
+            time.sleep(0.5)
+        assert WAITING < len(made) < 100, "no more is made than can be sent"
     finally:
         for wire in held:
             wire.close()
         slow.socket.shutdown(socket.SHUT_RDWR)
+
+
+def test_a_port_that_is_taken_after_it_was_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wire_module, "check_port", lambda host, port: None)
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        with pytest.raises(InputError, match="choose another --port"):
+            wire_module.Wire(
+                "127.0.0.1", other.getsockname()[1], lambda path: None, lambda visitor: visitor.close()
+            )
 
 
 def test_a_connection_without_a_request_is_closed(tour: Tour, monkeypatch: pytest.MonkeyPatch) -> None:
