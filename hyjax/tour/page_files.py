@@ -94,7 +94,7 @@ class PageFiles:
 
     def _page(self, plan: TourPlan) -> dict[str, Any]:
         renderer = self._renderer
-        photo = renderer.photo_light
+        photo, numbering = renderer.photo_light, renderer.numbering  # read before the frames that it numbers
         height, width = renderer.camera(0).intrinsics.shape
         return {
             "format": PAGE_FORMAT,
@@ -128,6 +128,7 @@ class PageFiles:
                 "schedules": list(self._schedules),
                 "largest_factor": LARGEST_FACTOR,
                 "live": renderer.live,
+                "numbering": numbering,
                 "notices": self._notices,
             },
         }

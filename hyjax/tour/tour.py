@@ -217,4 +217,4 @@ class Tour:
         first = 0 if forgotten else count - 1
         entries = [self._files.entry(index) for index in range(first, count)]
         for visitor in list(self.visitors.values()):
-            visitor.tell(frames=count, entries=entries, revision=self.renderer.scene.revision)
+            visitor.tell(frames=count, entries=entries, numbering=self.renderer.numbering)

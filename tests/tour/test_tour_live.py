@@ -131,6 +131,7 @@ def test_visitors_are_told_of_frames_that_arrive(tmp_path: Path) -> None:
                 tour._frame_arrived(forgotten)
                 news = visit.receive()[0]
                 assert news["frames"] == len(capture) and len(news["entries"]) == (3 if forgotten else 1)
+                assert news["numbering"] == (2 if forgotten else 1)
             newest = visit.picture(PLAN, frame=len(capture) - 1)
             assert newest.shape == first.shape and np.abs(newest.astype(float) - first).mean() > 1
     finally:

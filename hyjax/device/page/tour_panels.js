@@ -233,15 +233,17 @@ function arriving(viewer) {
   });
   follow.show(true);
   viewer.frame = frames.count - 1;
-  const take = async ({ frames: count, entries }) => {
-    const from = count - entries.length;
-    if (from > page.frames.length) ({ frames: entries } = await (await fetch("page.json")).json());
-    if (!from || from > page.frames.length) {
-      page.frames.length = 0;
-      frames.forget();
+  const take = async ({ frames: count, entries, numbering }) => {
+    let from = count - entries.length;
+    if (from && (numbering !== page.server.numbering || from > page.frames.length)) { // news in between was overtaken
+      const fresh = await (await fetch("page.json")).json();
+      from = 0;
+      entries = fresh.frames;
+      numbering = fresh.server.numbering;
     }
-    page.frames.length = Math.min(page.frames.length, Math.max(0, count - entries.length));
-    page.frames.push(...entries);
+    if (!from) frames.forget();
+    page.frames.splice(from, page.frames.length, ...entries);
+    page.server.numbering = numbering;
     element("subtitle").textContent = `${page.frames.length} frames, ${page.size[1]} × ${page.size[0]}`;
     viewer.frame = Math.min(viewer.frame, page.frames.length - 1);
     viewer.remote.asked = null; // the surface is another one
