@@ -142,6 +142,7 @@ def test_slow_visitors_hold_up_nobody(tour: Tour, monkeypatch: pytest.MonkeyPatc
         for wire in held:
             wire.close()
         slow.socket.shutdown(socket.SHUT_RDWR)
+        slow.socket.close()  # with what it has not read: the server's sends fail
 
 
 def test_a_port_that_is_taken_after_it_was_checked(monkeypatch: pytest.MonkeyPatch) -> None:
