@@ -340,7 +340,7 @@ def _keep_for_later() -> None:
     from hyjax.util.compiled_cache import keep_compiled
 
     keep_compiled()
-    gc.set_threshold(10_000)  # objects: tracing makes many, and Python's 700 took 3 % of a first start
+    gc.set_threshold(10_000)  # objects: tracing makes many
     warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
 
 

@@ -72,9 +72,12 @@ class RoomCapture(Capture):
     def fingerprint(self) -> str:
         """See `Capture`."""
         poses = np.stack([camera.pose for camera in self._cameras])
-        pictures: tuple[Any, ...] = (np.frombuffer((self._key or "").encode(), np.uint8),)
-        if isinstance(self._images, np.ndarray) and isinstance(self._depth, np.ndarray) and self._key is None:
-            pictures = self._images[:: max(1, len(self) // 4)], np.array(self._depth.shape)
+        images: Any = self._images
+        depth: Any = self._depth
+        if self._key is None:
+            pictures = [images[:: max(1, len(self) // 4)], np.array(depth.shape)]
+        else:
+            pictures = [np.frombuffer(self._key.encode(), np.uint8)]
         lenses = np.array([dataclasses.astuple(camera.intrinsics) for camera in self._cameras])
         parts = (self._surface.vertices, *pictures, poses, lenses)
         return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
@@ -196,8 +199,7 @@ class _Rendering:
         self.is_broken_off = False
         images, depth = _Awaited(self._frames, 0), _Awaited(self._frames, 1)
         self.capture = RoomCapture(images, depth, cameras, mesh, anchors, file.stem)
-        self._thread = threading.Thread(target=self._run, args=(cameras, mesh, anchors), name="room", daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._run, args=(cameras, mesh, anchors), name="room", daemon=True).start()
 
     def wait(self) -> None:
         """Wait until the room is kept; an interrupt breaks the rendering off."""

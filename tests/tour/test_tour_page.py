@@ -12,6 +12,7 @@ from extras import need
 need("tour")
 
 from browser import Page, until
+from common import coarse_surface
 from visits import SCHEDULES
 
 from experiments.browser import browser
@@ -38,7 +39,7 @@ PHONE = {"width": 390, "height": 844}
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     room = load_room(n_frames=3, width=96, height=72, quality=0.25, progress=False)
-    return Scene(room, room.reference())
+    return Scene(room, coarse_surface(room))
 
 
 def opened(scene: Scene, out: Path, engine: Any) -> Tour:
