@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from hyjax.export.settings import ExportSettings
 from hyjax.export.web import THUMBNAIL, check_page_folder, export_web
+from hyjax.tuning.report_page import templates
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
 
@@ -40,8 +39,9 @@ def export_gallery(settings: ExportSettings) -> list[str]:
         scene = dataclasses.replace(settings.scene, capture=capture)
         page = export_web(dataclasses.replace(settings, captures=(), scene=scene, out=settings.out / folder))
         rooms.append(_room(page, folder))
-    write_text(settings.out / INDEX, _index(rooms))
     write_text(settings.out / "gallery.css", (_TEMPLATES / "gallery.css").read_text(encoding="utf-8"))
+    page_of = templates(_TEMPLATES).get_template("gallery.html.jinja")
+    write_text(settings.out / INDEX, page_of.render(rooms=rooms, thumbnail=THUMBNAIL))
     return folders
 
 
@@ -74,10 +74,3 @@ def check_gallery_folder(out: Path, folders: Sequence[str]) -> None:
 def _room(page: dict[str, Any], folder: str) -> dict[str, Any]:
     height, width = page["size"]
     return {"folder": folder, "name": page["name"], "frames": len(page["frames"]), "width": width, "height": height}
-
-
-def _index(rooms: Sequence[dict[str, Any]]) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    return environment.get_template("gallery.html.jinja").render(rooms=rooms, thumbnail=THUMBNAIL)
