@@ -14,6 +14,7 @@ EXPERIMENTS = (
     "conductances",
     "depth_sr",
     "guide_worth",
+    "light_edges",
     "frame_tuning",
     "number_search",
     "space_race",

@@ -17,8 +17,10 @@ from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.relit_pairs import RelitPair
 from hyjax.geometry.transport_rays import CELLS
+from hyjax.guide.edge_weights import edge_weights
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import AmbientLight, DirectionalLight, Light, PointLight
+from hyjax.light.light_edges import edge_correction
 from hyjax.light.photo_light import LEAST_PHOTO_LIGHT, on_pixels
 from hyjax.light.setup import LightSetup
 from hyjax.light.shading import shade_each
@@ -230,10 +232,16 @@ class RealPlace:
         return np.asarray(cascade_known(channels, known, self.view.display, Configuration().schedule))
 
     @functools.cached_property
-    def own(self) -> Float[np.ndarray, "h w 3"]:
-        """Photo's own light by the default, at the pixels."""
+    def estimated(self) -> Float[np.ndarray, "h w 3"]:
+        """Photo's own light as it was estimated, at the pixels."""
         field = np.asarray(self.scene.photo_light.estimate.light.illuminance)
         return np.maximum(self.on_pixels(field), LEAST_PHOTO_LIGHT)
+
+    @functools.cached_property
+    def own(self) -> Float[np.ndarray, "h w 3"]:
+        """The same by the default, with light edges."""
+        correction = edge_correction(self.view, jnp.asarray(self.estimated, jnp.float32), edge_weights())
+        return self.estimated * np.exp(np.asarray(correction))
 
     def _shades_at(self, position: np.ndarray) -> Float[np.ndarray, "*s k"]:
         lamps = np.stack([np.asarray(self.lights[k].position) for k in self.lamps])  # type: ignore[attr-defined]

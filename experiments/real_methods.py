@@ -23,12 +23,13 @@ from hyjax.synthetic.tone_curve import encode
 PHOTO, GAINS, SMOOTH, SMOOTHER = "untouched photo", "three gains", "exp(polynomial 4)", "exp(polynomial 7)"
 SMOOTH_BEST = "exp(polynomial 7), best 15 terms"
 PAPER, KEPT, NEW = "paper's method", "hyjax 0.1", "default"
+BLURRED = "default without light edges"
 KEPT_BEST, BEST = "hyjax 0.1, best 15 lights", "default, best 15 lights"
 KEPT_GLOW, GLOW = "hyjax 0.1 + glow", "default + glow"
 ORACLE, BLUR_8, BLUR_4 = "oracle: both lights fitted", "true ratio, blurred 8 px", "true ratio, blurred 4 px"
 METHODS = (
     *(PHOTO, GAINS, SMOOTH, SMOOTH_BEST, SMOOTHER, PAPER),
-    *(KEPT, NEW, KEPT_BEST, BEST, KEPT_GLOW, GLOW, ORACLE, BLUR_8, BLUR_4),
+    *(KEPT, BLURRED, NEW, KEPT_BEST, BEST, KEPT_GLOW, GLOW, ORACLE, BLUR_8, BLUR_4),
 )
 LAMPS = 2
 """Lamps of the grid that a method may choose."""
@@ -62,7 +63,8 @@ def pictures(place: RealPlace) -> Iterator[tuple[str, Made]]:
     glow = np.repeat(place.glow[..., None], 3, axis=-1)
     kept = np.repeat(place.before[..., None], 3, axis=-1)
     divided, light = photo / place.own, place.direct[..., None] + place.bounced
-    for name, image, family in ((KEPT, photo, kept), (NEW, divided, light)):
+    plain = ((KEPT, photo, kept), (BLURRED, photo / place.estimated, light), (NEW, divided, light))
+    for name, image, family in plain:
         yield name, _fitted(image[:, :, None] * family, place, target)
     kept_shaded = np.repeat(place.shaded_lamps(place.before)[..., None], 3, axis=-1)
     shaded = place.shaded_lamps(place.direct)[..., None] + place.bounced_shaded

@@ -13,6 +13,7 @@ from experiments.truth_bench import TruthBench
 from experiments.truth_camera import Exposed, camera_response, exposed_light
 from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
+from hyjax.guide.edge_weights import edge_weights
 from hyjax.light.photo_light import LEAST_PHOTO_LIGHT, SurfaceLight
 from hyjax.light.relit import Relit, composite_linear
 from hyjax.light.shaded import Shaded
@@ -25,18 +26,22 @@ OPENCV, TODAY = "OpenCV's global smoother", "hyjax 0.1"
 SHADOWS, SHINING, BOUNCES, DIVIDED = "0.1 + completed shadows", "0.1 + what shines", "0.1 + bounces", "0.1 / E_old"
 BOTH, NEW = "0.1 / E_old + bounces", "hyjax, all together"
 UNCLOSED, UNNAMED = "all, scan not closed by a box", "all, sources not told"
+BLURRED = "all but light edges"
 TRUE_LIGHT, TRUE_BOUNCES = "all, true E_old", "all, true bounces"
 TRUE_BOTH, TRUE_SHADOWS, RESPONSE = "all, true E_old and bounces", "all, true visibility", "all, true response"
 TRUE_MESH = "0.1, true mesh"
 TRUE_ALL, TRUE_ALL_RESPONSE = "true mesh, E_old and light", "true mesh, E_old, light and response"
 METHODS = (
-    PHOTO, BARE, MEAN, PAPER, OPENCV, TODAY, SHADOWS, SHINING, BOUNCES, DIVIDED, BOTH, NEW, UNCLOSED, UNNAMED,
-    TRUE_LIGHT, TRUE_BOUNCES, TRUE_BOTH, TRUE_SHADOWS, RESPONSE, TRUE_MESH, TRUE_ALL, TRUE_ALL_RESPONSE,
+    PHOTO, BARE, MEAN, PAPER, OPENCV, TODAY, SHADOWS, SHINING, BOUNCES, DIVIDED, BOTH, BLURRED, NEW, UNCLOSED,
+    UNNAMED, TRUE_LIGHT, TRUE_BOUNCES, TRUE_BOTH, TRUE_SHADOWS, RESPONSE, TRUE_MESH, TRUE_ALL,
+    TRUE_ALL_RESPONSE,
 )  # fmt: skip
 ORACLES = METHODS[METHODS.index(TRUE_LIGHT) :]
 """Oracles: methods that are given a part of the truth."""
-COMPLETED = {SHADOWS, NEW, UNCLOSED, UNNAMED, TRUE_LIGHT, TRUE_BOUNCES, TRUE_BOTH, RESPONSE}
+COMPLETED = {SHADOWS, BLURRED, NEW, UNCLOSED, UNNAMED, TRUE_LIGHT, TRUE_BOUNCES, TRUE_BOTH, RESPONSE}
 """Methods whose shadows the completed scan throws, and that soften them as `Scene` does; others keep them sharp."""
+EDGED = {NEW, UNCLOSED, UNNAMED, TRUE_BOUNCES, TRUE_SHADOWS, RESPONSE}
+"""Methods whose estimate of E_old follows the light edges of the photo."""
 OURS, THEIRS = Schedule.preset("hyjax"), with_kappa(Schedule.preset("paper-80"), PAPER_KAPPA)
 SHARP = Schedule.preset("hyjax-shadow")
 SMOOTHER_OPTION = (0.2, 1000.0)
@@ -88,6 +93,7 @@ class LitBench:
             BOUNCES: dataclasses.replace(both, photo_light=None),
             DIVIDED: dataclasses.replace(today, photo_light=both.photo_light),
             BOTH: both,
+            BLURRED: new,
             NEW: new,
             UNCLOSED: self._shade(view, self.unclosed),
             UNNAMED: self._shade(view, self.unnamed),
@@ -174,7 +180,8 @@ class TrueView:
 
 def _relight(view: View, shaded: Shaded, method: str) -> Relit:
     shadows = None if method in COMPLETED else SHARP
-    return relight(view, shaded, view.display, OURS, shadow_schedule=shadows)
+    edges = edge_weights() if method in EDGED else None
+    return relight(view, shaded, view.display, OURS, shadow_schedule=shadows, light_edges=edges)
 
 
 def _mean_filter(shaded: Shaded, view: View) -> Float[np.ndarray, "3"]:

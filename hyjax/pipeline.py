@@ -25,6 +25,7 @@ from hyjax.core.pyramid import level_shape
 from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.core.schedule import Schedule
 from hyjax.light.color import to_display
+from hyjax.light.light_edges import Weights, with_light_edges
 from hyjax.light.relit import Relit, compared, composite_display, ratio, relit_picture
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
@@ -51,6 +52,7 @@ def relight(
     temporal_filter: TemporalFilter | None = None,
     mode: Mode = "linear",
     full: Float[Array, "fh fw 3"] | None = None,
+    light_edges: Weights | None = None,
 ) -> Relit:
     """Relit picture of one view.
 
@@ -67,6 +69,8 @@ def relight(
             display-encodes the filter, leaves holes black, trusts all else, and multiplies display values.
         full: the frame at full size, display-encoded, where the view is at a whole part of it: the filter is
             brought to that size, see `hyjax.light.upscaled`. Bytes are divided by 255. Not in mode `"paper"`.
+        light_edges: weights of the network that makes the photo's own light, where `shaded` has it, as sharp as the
+            frame shows it, see `hyjax.light.light_edges`; None to leave it as it is.
 
     Returns:
         All stages; `image` and `unrefined` are linear in both modes. Pixels of the frame that are not finite are
@@ -94,6 +98,7 @@ def relight(
         temporal_filter=temporal_filter,
         mode=mode,
         full=full,
+        light_edges=light_edges,
     )
     return relit
 
@@ -109,6 +114,7 @@ def relight_stages(
     temporal_filter: TemporalFilter | None = None,
     mode: Mode = "linear",
     full: Float[Array, "fh fw 3"] | None = None,
+    light_edges: Weights | None = None,
     run: Run = call,
 ) -> Iterator[tuple[str, Any]]:
     """`relight` stage by stage: each stage's name with its result.
@@ -167,6 +173,9 @@ def relight_stages(
     if temporal_filter is not None:
         illuminance, visibility = temporal_filter(illuminance, visibility)
         yield "temporal filter", (illuminance, visibility)
+    if light_edges is not None and shaded.photo_light is not None and shaded.refined_photo_light is None:
+        illuminance = run(with_light_edges, illuminance, view, light_edges)
+        yield "light edges", illuminance
     relight_filter, image = run(relit_picture, view.frame, shaded, illuminance, visibility)
     if full is None or factor == 1:
         yield "composite", image

@@ -311,6 +311,17 @@ for _row in (
         use=_raised,
     ),
     Choice(
+        "light_edges",
+        "light.edges",
+        bool,
+        True,
+        "Whether the photo's own light is made as sharp as the frame shows it, by a small network.",
+        tried=Tried((True, False)),
+        truth=True,
+        active=_divided,
+        said=("webgpu", "page", "live tour"),
+    ),
+    Choice(
         "bounces",
         "light.bounces",
         bool,

@@ -10,6 +10,7 @@ share the mesh's errors, which a sharper denominator would show.
 """
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import jax
@@ -30,6 +31,8 @@ from hyjax.util.errors import InputError
 LEAST_PHOTO_LIGHT = 0.05
 """Least share of the photo's mean light; below it noise would be amplified more than twentyfold."""
 
+EVEN_RANGE = 1e-3
+"""Range of the photo's own light below which it is even."""
 FILLED_SHARE = 0.25
 """Share of ambient light that is left where bounces give less: about the mean reflectance of a room."""
 
@@ -144,6 +147,11 @@ class SurfaceLight:
     faces: Int[Array, "f 3"]
     emitters: Emitters | None = None
     kept: Float[Array, "v 3"] | None = None
+
+    @functools.cached_property
+    def is_even(self) -> bool:
+        """Whether the photo's own light is the same everywhere, as where its estimate is not believed."""
+        return bool(jnp.ptp(self.photo_light) < EVEN_RANGE)
 
     def raised(self, exponent: float) -> "SurfaceLight":
         """Light with the photo's own to a power, and the kept part in proportion: all of it is still the photo."""

@@ -18,8 +18,10 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.guide.choose import FrameGuide, configured_guide
+from hyjax.guide.edge_weights import configured_edges
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
+from hyjax.light.light_edges import Weights
 from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
@@ -60,12 +62,14 @@ class LitFrame:
         shaded: light on it.
         features: of the guide.
         full: the frame at full size, where the view is smaller.
+        light_edges: weights of the network that sharpens the photo's own light; None to leave it as it is.
     """
 
     view: View
     shaded: Shaded
     features: Float[Array, "h w f"]
     full: Float[Array, "fh fw 3"] | None = None
+    light_edges: Weights | None = None
 
 
 def refine(lit: LitFrame, configuration: Configuration, *, temporal_filter: TemporalFilter | None = None) -> Stages:
@@ -79,6 +83,7 @@ def refine(lit: LitFrame, configuration: Configuration, *, temporal_filter: Temp
         temporal_filter=temporal_filter,
         mode=configuration.mode,
         full=lit.full,
+        light_edges=lit.light_edges,
         run=run_kept,
     )
 
@@ -236,7 +241,8 @@ class Relighter:
         make = self.guide.features
         carried = self._carried
         features = make(view.display) if carried is None else carried.features(view, lambda: make(view.display))
-        yield "guide", LitFrame(view, shaded, features, full)
+        edges = configured_edges(self.configuration.light, self._light()[-1])
+        yield "guide", LitFrame(view, shaded, features, full, self._on_device(edges))
 
     def _view(self, frame: Frame, gbuffer: GBuffer) -> View:
         """View at the configuration's scale."""

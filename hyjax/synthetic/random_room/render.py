@@ -27,11 +27,13 @@ class RenderedView:
         image: display-encoded, float32 in 8-bit steps.
         depth: metres along the camera's axis, 0 where there is nothing.
         normal: unit vectors in the camera's axes, towards the camera; 0 where there is nothing.
+        light: irradiance / π.
     """
 
     image: Float[np.ndarray, "h w 3"]
     depth: Float[np.ndarray, "h w"]
     normal: Float[np.ndarray, "h w 3"]
+    light: Float[np.ndarray, "h w 3"]
 
 
 def shoot(
@@ -54,7 +56,8 @@ def shoot(
     picture[edge] = _antialias(room, caster, camera, edge, picture, points, irradiance, rng)
     normal = np.where(hit[:, None], points.normal @ camera.pose[:3, :3].astype(np.float32), 0)
     depth = np.where(hit, hits.distance, 0).astype(np.float32)
-    return RenderedView(develop(picture, rng), depth.reshape(h, w), normal.reshape(h, w, 3).astype(np.float32))
+    normal, light = (x.reshape(h, w, 3).astype(np.float32) for x in (normal, irradiance))
+    return RenderedView(develop(picture, rng), depth.reshape(h, w), normal, light)
 
 
 def _points(caster: RayCaster, origin: np.ndarray, rays: np.ndarray, hits: Hits) -> Points:

@@ -1,0 +1,156 @@
+"""Light edges of a photo: shares of light in its differences, and the estimate that follows them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hyjax.configuration import Configuration
+from hyjax.core.stencil import gradient
+from hyjax.data.builtin_room import load_room
+from hyjax.guide.edge_weights import edge_weights
+from hyjax.light.light_edges import (
+    FEATURES,
+    LONGEST_SIDE,
+    _blocks,
+    _pixels,
+    corrected,
+    edge_correction,
+    edge_features,
+    light_shares,
+)
+from hyjax.scene.relighter import Relighter
+from hyjax.scene.scene import Scene
+from hyjax.scene.settings import SceneSettings
+from hyjax.synthetic.random_room import make_random_room, photograph
+
+UNSEEN_SEED = 77
+"""Seed of rooms that the network was not trained on."""
+
+
+def fields(height: int, width: int, seed: int = 0) -> tuple[jax.Array, jax.Array]:
+    rng = np.random.default_rng(seed)
+    return tuple(jnp.asarray(rng.normal(size=(height, width)), jnp.float32) for _ in range(2))  # type: ignore[return-value]
+
+
+def even(height: int, width: int, value: float) -> tuple[jax.Array, jax.Array]:
+    return jnp.full((height - 1, width), value), jnp.full((height, width - 1), value)
+
+
+def test_where_all_is_paint_the_estimate_stays() -> None:
+    photo, estimate = fields(9, 12)
+    assert not corrected(photo, estimate, even(9, 12, 0.0)).any()
+
+
+def test_where_all_is_light_the_estimate_has_the_differences_of_the_photo() -> None:
+    photo, estimate = fields(9, 12)
+    sharp = estimate + corrected(photo, estimate, even(9, 12, 1.0), 1e-6)
+    for found, wanted in zip(gradient(sharp), gradient(photo), strict=True):
+        np.testing.assert_allclose(np.asarray(found), np.asarray(wanted), atol=1e-3)
+    assert float(jnp.mean(sharp - estimate)) == pytest.approx(0.0, abs=1e-3), "its mean stays"
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (7, 10), (5, 9)])
+def test_shares_belong_to_edges_and_lie_between_nothing_and_all(shape: tuple[int, int]) -> None:
+    down, right = light_shares(edge_weights(), jnp.zeros((*shape, FEATURES)))
+    assert down.shape == (shape[0] - 1, shape[1]) and right.shape == (shape[0], shape[1] - 1)
+    assert 0 <= float(min(down.min(), right.min())) <= float(max(down.max(), right.max())) <= 1
+
+
+@given(st.integers(1, 4), st.integers(1, 4), st.integers(1, 3))
+def test_blocks_come_back_as_pixels(height: int, width: int, channels: int) -> None:
+    x = jnp.arange(4 * height * width * channels, dtype=jnp.float32).reshape(1, 2 * height, 2 * width, channels)
+    np.testing.assert_array_equal(np.asarray(_pixels(_blocks(x))), np.asarray(x))
+
+
+def test_weights_fit_the_features() -> None:
+    weights = edge_weights()
+    assert weights["stem.kernel"].shape[2] == 4 * FEATURES
+    assert all(np.isfinite(array).all() for array in weights.values())
+    assert 4 * sum(array.size for array in weights.values()) < 2_000_000
+
+
+def test_brightness_of_photo_and_estimate_alone_change_nothing() -> None:
+    photo, estimate = fields(16, 12)
+    colors = jnp.stack([photo, photo - 0.3, photo + 0.1], axis=-1)
+    normal, depth = jnp.zeros((16, 12, 3)), jnp.ones((16, 12))
+    one = edge_features(colors, estimate, normal, depth)
+    other = edge_features(colors + 0.7, estimate - 0.4, normal, depth)
+    np.testing.assert_allclose(np.asarray(one), np.asarray(other), atol=1e-5)
+
+
+def test_the_light_of_rooms_never_seen_comes_nearer() -> None:
+    """Estimates that are blurred by a twentieth of the picture, on the true surface."""
+    from scipy.ndimage import gaussian_filter
+
+    after, before = [], []
+    for number in range(2):
+        room = make_random_room(UNSEEN_SEED, number)
+        for view in range(3):
+            shot = photograph(room, view, 160)
+            hit = shot.depth > 0
+            light = np.log(np.maximum(shot.light, 1e-6)).mean(axis=-1)
+            light = np.where(hit, np.maximum(light, np.percentile(light, 2)), light[hit].mean())
+            estimate = gaussian_filter(light, 8.0)
+            linear = np.where(shot.image <= 0.04045, shot.image / 12.92, ((shot.image + 0.055) / 1.055) ** 2.4)
+            photo = np.log(np.maximum(linear, 2e-3)).astype(np.float32)
+            depth = np.where(hit, shot.depth, 1.0).astype(np.float32)
+            arrays = (jnp.asarray(x, jnp.float32) for x in (photo, estimate, shot.normal, depth))
+            shares = light_shares(edge_weights(), edge_features(*arrays))
+            change = corrected(jnp.asarray(photo.mean(axis=-1)), jnp.asarray(estimate, jnp.float32), shares)
+            valid = hit & (shot.image.max(axis=-1) < 0.98)
+            after.append(np.sqrt(((estimate + np.asarray(change) - light)[valid] ** 2).mean()))
+            before.append(np.sqrt(((estimate - light)[valid] ** 2).mean()))
+    assert np.mean(after) < 0.95 * np.mean(before)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene.open(
+        SceneSettings(), capture=load_room(n_frames=6, width=96, height=72, quality=0.25, progress=False)
+    )
+
+
+def test_the_default_follows_light_edges_and_the_choice_leaves_them_out(scene: Scene) -> None:
+    plain = Configuration().with_choices({"light_edges": False})
+    sharp, blurred = (Relighter(scene, "center-point", c).relit(0) for c in (None, plain))
+    change = np.asarray(sharp.relight_filter) / np.maximum(np.asarray(blurred.relight_filter), 1e-6)
+    assert np.abs(np.log(np.maximum(change, 1e-3))).max() > 0.02
+    np.testing.assert_allclose(change, change[..., :1].repeat(3, -1), rtol=2e-3), "the hue stays"
+
+
+def test_a_photo_whose_own_sources_stay_on_is_left_alone(scene: Scene) -> None:
+    name = scene.photo_light.estimate.names[0]
+    kept = scene.lights("center-point")
+    kept = type(kept)(kept.lights, kept.reference_lux, existing={name: (1.0, 1.0, 1.0)})
+    assert Relighter(scene, kept).lit(0).light_edges is None
+    assert Relighter(scene, "center-point").lit(0).light_edges is not None
+
+
+def test_a_frame_larger_than_the_network_sees_is_pooled(scene: Scene) -> None:
+    view = scene.view(0)
+    light = jnp.ones((*view.frame.shape[:2], 3))
+    small = edge_correction(view, light, edge_weights())
+    assert small.shape == (*view.frame.shape[:2], 1) and max(view.frame.shape) < LONGEST_SIDE
+    large = jax.tree.map(
+        lambda x: jnp.repeat(jnp.repeat(x, 4, 0), 4, 1) if x.ndim > 1 and x.shape[0] == 72 else x, view
+    )
+    found = edge_correction(large, jnp.ones((288, 384, 3)), edge_weights())
+    assert found.shape == (288, 384, 1) and bool(jnp.isfinite(found).all())
+
+
+def test_the_gradient_is_that_of_finite_differences() -> None:
+    with jax.enable_x64(True):
+        photo, estimate = (jnp.asarray(np.asarray(x, np.float64)) for x in fields(6, 5))
+        shares = tuple(
+            jnp.asarray(np.random.default_rng(k).uniform(size=s)) for k, s in enumerate([(5, 5), (6, 4)])
+        )
+
+        def loss(e: jax.Array) -> jax.Array:
+            return jnp.sum(jnp.sin(e + corrected(photo, e, shares)))  # type: ignore[arg-type]
+
+        slope, step = jax.grad(loss)(estimate), 1e-6
+        change = (loss(estimate.at[2, 3].add(step)) - loss(estimate.at[2, 3].add(-step))) / (2 * step)
+    assert float(slope[2, 3]) == pytest.approx(float(change), rel=1e-6)
