@@ -22,7 +22,7 @@ from common import coarse_surface
 from extras import need
 from PIL import Image
 
-from experiments.browser import NAMES
+from experiments.browser import NAMES, SOFTWARE_GPU
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import load_room
 from hyjax.data.light_file import read_lights
@@ -44,10 +44,7 @@ WEBGPU = [
     "--no-sandbox",
     "--no-first-run",
     "--disable-background-networking",
-    "--disable-gpu-watchdog",
-    "--enable-unsafe-webgpu",
-    "--use-webgpu-adapter=swiftshader",
-    "--enable-features=Vulkan",
+    *SOFTWARE_GPU,
 ]
 
 DEVICES = """
