@@ -19,6 +19,16 @@ ARGUMENTS = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 ]
+SOFTWARE_GPU = (
+    "--disable-gpu-watchdog",
+    "--enable-unsafe-webgpu",
+    "--use-webgpu-adapter=swiftshader",
+    "--enable-features=Vulkan",
+    "--enable-dawn-features=disable_workgroup_init",
+)
+"""Options for WebGPU on the processor. Zeros in workgroups' memory, which each shader of ours fills first, would be
+compiled for seconds a shader.
+"""
 
 
 @contextlib.contextmanager

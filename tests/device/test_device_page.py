@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from common import without_gradients
 
-from experiments.browser import browser
+from experiments.browser import SOFTWARE_GPU, browser
 from hyjax import Schedule
 from hyjax.data.builtin_room import load_room
 from hyjax.device.server import FolderSite, Server
@@ -23,11 +23,6 @@ from hyjax.tuning.device_measuring import ConnectedDevice
 from hyjax.tuning.schedule_clock import ConnectedTimes
 from hyjax.tuning.settings import FrameOptions, OtherDevice, TuneScene, TuneSettings
 
-WEBGPU = (
-    "--enable-unsafe-webgpu",
-    "--use-webgpu-adapter=swiftshader",
-    "--enable-features=Vulkan",
-)
 AMPLE = 2000.0
 
 
@@ -38,7 +33,7 @@ def page(browser_wanted: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]
     monkeypatch.setattr(device_request, "ROUNDS", 10)
     monkeypatch.setattr(device_request, "WARM_UP_SECONDS", 0.0)
     monkeypatch.setattr(device_request, "SAMPLE_MS", 1.0)
-    with browser(WEBGPU) as launched:  # asked for: one that is missing fails
+    with browser(SOFTWARE_GPU) as launched:  # asked for: one that is missing fails
         yield launched.new_page()
 
 

@@ -22,7 +22,7 @@ from common import coarse_surface
 from extras import need
 from PIL import Image
 
-from experiments.browser import NAMES
+from experiments.browser import NAMES, SOFTWARE_GPU
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import load_room
 from hyjax.data.light_file import read_lights
@@ -44,10 +44,7 @@ WEBGPU = [
     "--no-sandbox",
     "--no-first-run",
     "--disable-background-networking",
-    "--disable-gpu-watchdog",
-    "--enable-unsafe-webgpu",
-    "--use-webgpu-adapter=swiftshader",
-    "--enable-features=Vulkan",
+    *SOFTWARE_GPU,
 ]
 
 DEVICES = """
@@ -65,15 +62,8 @@ if (globalThis.GPUAdapter) {
 HALF = """
 const { has } = GPUSupportedFeatures.prototype;
 GPUSupportedFeatures.prototype.has = function (name) { return name === "shader-f16" || has.call(this, name); };
-const { requestDevice } = GPUAdapter.prototype;
-GPUAdapter.prototype.requestDevice = function ({ requiredFeatures, ...rest }) {
-  const real = requiredFeatures.filter((name) => name !== "shader-f16");
-  return requestDevice.call(this, { ...rest, requiredFeatures: real });
-};
 """
 """A device that says it has half precision; its programs must be those of single precision all the same."""
-
-
 BARE = """
 const { requestDevice: withNothing } = GPUAdapter.prototype;
 GPUAdapter.prototype.requestDevice = function () { return withNothing.call(this); };
@@ -575,31 +565,49 @@ def test_files_that_a_host_sends_otherwise_are_one_clear_line(
     visit.page.close()
 
 
-@pytest.mark.slow
-def test_a_device_that_gets_half_precision_wrong_takes_single(browser: Any, url: str, folder: Path) -> None:
+CHOOSE = """
+async ([page, query]) => {
+  const device = devices.at(-1);
+  const { choosePrecision } = await import("./precision.js");
+  Object.defineProperty(device, "features", { value: new Set(["shader-f16"]), configurable: true });
+  history.replaceState(null, "", query);
+  await choosePrecision(page, device);
+  history.replaceState(null, "", location.pathname);
+  delete device.features;
+  return page.program.precision;
+}
+"""
+
+
+def with_half(folder: Path) -> Any:
+    """Content of a page whose programs of half precision are those of single."""
     page = json.loads((folder / "page.json").read_text())
     page["programs"][1] = page["programs"][0] | {"precision": "f16"}
     page["displays"][1] = page["displays"][0]
     page["checks"][1] = json.loads(json.dumps(page["checks"][0]))
-    right = json.dumps(page).encode()
-    shaders = page["checks"][1]["shaders"]
-    shaders.update({name: text.replace("store(y[q])", "store(0.9 * y[q])") for name, text in shaders.items()})
-    wrong = json.dumps(page).encode()
-    for content, address, precision in (
-        (right, url, "f16"),
-        (wrong, url, "f32"),
-        (right, f"{url}?precision=f32", "f32"),
-    ):
-        visit = Visit(browser, address, script=HALF, answers={"page.json": content})
-        assert visit.state() == "ready", visit.page.inner_text("#failure-text")
-        assert visit.page.evaluate("hyjax.stats().precision") == precision
-        visit.page.close()
+    return page
 
 
 @pytest.mark.slow
-def test_a_device_with_nothing_but_the_default_limits_will_do(browser: Any, url: str, visit: Visit) -> None:
-    bare = Visit(browser, url, script=BARE)
+def test_a_device_that_gets_half_precision_wrong_takes_single(visit: Visit, folder: Path) -> None:
+    assert visit.page.evaluate("hyjax.stats().precision") == "f32", "it has no other"
+    page = with_half(folder)
+    assert visit.page.evaluate(CHOOSE, [page, "?precision=f32"]) == "f32"
+    shaders = page["checks"][1]["shaders"]
+    shaders.update({name: text.replace("store(y[q])", "store(0.9 * y[q])") for name, text in shaders.items()})
+    assert visit.page.evaluate(CHOOSE, [page, "?"]) == "f32"
+    assert visit.page.evaluate(CHOOSE, [page, "?precision=f16"]) == "f16"
+
+
+@pytest.mark.slow
+def test_half_precision_and_nothing_but_the_default_limits_will_do(
+    browser: Any, url: str, visit: Visit, folder: Path
+) -> None:
+    """A page of its own takes half precision, which it finds right."""
+    answers = {"page.json": json.dumps(with_half(folder)).encode()}
+    bare = Visit(browser, url, script=HALF + BARE, answers=answers)
     assert bare.state() == "ready", bare.page.inner_text("#failure-text")
+    assert bare.page.evaluate("hyjax.stats().precision") == "f16"
     limits = bare.page.evaluate("['maxBufferSize', 'maxStorageBufferBindingSize'].map((k) => devices[0].limits[k])")
     assert limits == [1 << 28, 1 << 27]
     bare.close_wipe()

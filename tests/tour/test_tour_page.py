@@ -15,7 +15,7 @@ from browser import Page, until
 from common import coarse_surface
 from visits import SCHEDULES
 
-from experiments.browser import browser
+from experiments.browser import SOFTWARE_GPU, browser
 from hyjax.data.builtin_room import UP, load_room
 from hyjax.data.light_file import read_lights
 from hyjax.scene.scene import Scene
@@ -26,13 +26,6 @@ from hyjax.tour.renderer import Renderer
 from hyjax.tour.tour import Tour
 from hyjax.tour.viewpoint import Viewpoint
 
-SWIFTSHADER = (
-    "--headless=new",
-    "--disable-gpu-watchdog",
-    "--enable-unsafe-webgpu",
-    "--use-webgpu-adapter=swiftshader",
-    "--enable-features=Vulkan",
-)
 PHONE = {"width": 390, "height": 844}
 
 
@@ -56,7 +49,7 @@ def tour(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tou
 @pytest.fixture(scope="module")
 def chromium(browser_wanted: None) -> Iterator[Any]:
     """With a GPU made of software, which the page takes for none unless it must."""
-    with browser(SWIFTSHADER) as launched:
+    with browser(["--headless=new", *SOFTWARE_GPU]) as launched:
         yield launched
 
 
