@@ -17,11 +17,11 @@ from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.relit_pairs import RelitPair
 from hyjax.geometry.transport_rays import CELLS
-from hyjax.guide.edge_weights import edge_weights
+from hyjax.guide.edge_weights import configured_edges
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import AmbientLight, DirectionalLight, Light, PointLight
 from hyjax.light.light_edges import edge_correction
-from hyjax.light.photo_light import LEAST_PHOTO_LIGHT, on_pixels
+from hyjax.light.photo_light import LEAST_PHOTO_LIGHT, SurfaceLight, on_pixels
 from hyjax.light.setup import LightSetup
 from hyjax.light.shading import shade_each
 from hyjax.light.shadow_map import visibilities
@@ -240,7 +240,12 @@ class RealPlace:
     @functools.cached_property
     def own(self) -> Float[np.ndarray, "h w 3"]:
         """The same by the default, with light edges."""
-        correction = edge_correction(self.view, jnp.asarray(self.estimated, jnp.float32), edge_weights())
+        estimate = self.scene.photo_light.estimate.light
+        light = SurfaceLight(estimate.illuminance, None, self.scene.caster.arrays.faces)
+        weights = configured_edges(Configuration().light, light)
+        if weights is None:
+            return self.estimated
+        correction = edge_correction(self.view, jnp.asarray(self.estimated, jnp.float32), weights)
         return self.estimated * np.exp(np.asarray(correction))
 
     def _shades_at(self, position: np.ndarray) -> Float[np.ndarray, "*s k"]:

@@ -20,11 +20,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from hyjax.core.finite import finite_or_zero
 from hyjax.core.pyramid import downsample, upsample
 from hyjax.core.screened import screened_poisson
 from hyjax.core.stencil import Edges, gradient
 from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
 from hyjax.light.view import View
+from hyjax.util.errors import InputError
 
 Weights = Mapping[str, Float[Array, "..."]]
 """Kernels (k, k, inputs, outputs) and biases of the layers, as `stem.kernel` and `stem.bias`."""
@@ -44,6 +46,7 @@ FEATURES = 12
 """Number of features of a pixel, see `edge_features`."""
 
 
+@jax.jit
 def with_light_edges(illuminance: Float[Array, "h w c"], view: View, weights: Weights) -> Float[Array, "h w c"]:
     """Refined light whose last three channels, the photo's own light, follow the photo's light edges.
 
@@ -57,22 +60,30 @@ def with_light_edges(illuminance: Float[Array, "h w c"], view: View, weights: We
     return jnp.concatenate([illuminance[..., :-3], before * jnp.exp(correction)], axis=-1)
 
 
+@jax.jit
 def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) -> Float[Array, "h w 1"]:
     """Logarithm c of what the photo's own light is multiplied by.
 
     Args:
-        view: of the frame, with a pose.
+        view: of the frame, with a pose; its pixels that are not finite are black.
         light: of the photo, refined.
         weights: of the network.
+
+    Raises:
+        InputError: the view has no pose, or the weights are of another network.
     """
-    assert view.pose is not None
+    if view.pose is None:
+        raise InputError("light_edges: need the view's pose, as the network sees normals in the camera's axes")
+    stem = weights.get("stem.kernel")
+    if stem is None or stem.shape[2:3] != (4 * FEATURES,):
+        raise InputError("light_edges: not the weights of this network; hyjax.guide.edge_weights has them")
     shape = view.frame.shape[:2]
     factor = -(-max(shape) // LONGEST_SIDE)
     buffer = view.gbuffer
     normal, depth, hit = (x[::factor, ::factor] for x in (buffer.normal, buffer.depth, buffer.hit))
     normal = jnp.where(hit[..., None], normal @ jnp.asarray(view.pose)[:3, :3], 0.0)
     depth = jnp.where(hit, depth, 1.0)
-    frame, light = (downsample(x, factor) for x in (view.frame, light))
+    frame, light = (downsample(x, factor) for x in (finite_or_zero(view.frame), light))
     log_frame = jnp.log(jnp.maximum(frame, LEAST_LIGHT))
     log_light = jnp.mean(jnp.log(light), axis=-1)
     shares = light_shares(weights, edge_features(log_frame, log_light, normal, depth))

@@ -1,5 +1,7 @@
 """Light edges of a photo: shares of light in its differences, and the estimate that follows them."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +27,7 @@ from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.synthetic.random_room import make_random_room, photograph
+from hyjax.util.errors import InputError
 
 UNSEEN_SEED = 77
 """Seed of rooms that the network was not trained on."""
@@ -118,7 +121,7 @@ def test_the_default_follows_light_edges_and_the_choice_leaves_them_out(scene: S
     sharp, blurred = (Relighter(scene, "center-point", c).relit(0) for c in (None, plain))
     change = np.asarray(sharp.relight_filter) / np.maximum(np.asarray(blurred.relight_filter), 1e-6)
     assert np.abs(np.log(np.maximum(change, 1e-3))).max() > 0.02
-    np.testing.assert_allclose(change, change[..., :1].repeat(3, -1), rtol=2e-3), "the hue stays"
+    np.testing.assert_allclose(change, change[..., :1].repeat(3, -1), rtol=2e-3)
 
 
 def test_a_photo_whose_own_sources_stay_on_is_left_alone(scene: Scene) -> None:
@@ -154,3 +157,18 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
         slope, step = jax.grad(loss)(estimate), 1e-6
         change = (loss(estimate.at[2, 3].add(step)) - loss(estimate.at[2, 3].add(-step))) / (2 * step)
     assert float(slope[2, 3]) == pytest.approx(float(change), rel=1e-6)
+
+
+def test_pixels_that_are_not_finite_are_black_and_spoil_no_other(scene: Scene) -> None:
+    view, light = scene.view(0), jnp.ones((72, 96, 3))
+    broken, black = (dataclasses.replace(view, frame=view.frame.at[5, 7].set(x)) for x in (jnp.nan, 0.0))
+    found, wanted = (np.asarray(edge_correction(v, light, edge_weights())) for v in (broken, black))
+    np.testing.assert_array_equal(found, wanted)
+
+
+def test_a_view_without_a_pose_and_other_weights_are_refused(scene: Scene) -> None:
+    view, light = scene.view(0), jnp.ones((72, 96, 3))
+    with pytest.raises(InputError, match="need the view's pose"):
+        edge_correction(dataclasses.replace(view, pose=None), light, edge_weights())
+    with pytest.raises(InputError, match="not the weights of this network"):
+        edge_correction(view, light, {"stem.kernel": jnp.zeros((3, 3, 4, 8))})
