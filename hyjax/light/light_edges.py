@@ -18,7 +18,7 @@ from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.finite import finite_or_zero
 from hyjax.core.pyramid import downsample, upsample
@@ -92,7 +92,10 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
 
 
 def corrected(
-    log_frame: Float[Array, "*b h w"], log_light: Float[Array, "*b h w"], shares: Edges, fidelity: float = FIDELITY
+    log_frame: Float[Array, "*b h w"],
+    log_light: Float[Array, "*b h w"],
+    shares: Edges,
+    fidelity: Float[ArrayLike, ""] = FIDELITY,
 ) -> Float[Array, "*b h w"]:
     """Correction c of the estimate's logarithm.
 
