@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jax._src.config import persistent_cache_min_compile_time_secs
 from reference.differences import assert_gradients
 from reference.torch_lpips import torch_lpips
 from safetensors.numpy import save_file
@@ -171,7 +172,8 @@ def test_vmap_and_jit(random_alex: LpipsWeights) -> None:
 
 def test_gradient(random_alex: LpipsWeights) -> None:
     """Through the network, and from there to the mean and to the upsampled map."""
-    with jax.enable_x64(True):
+    # Programs with all weights in them are not kept: that takes longer than the test.
+    with jax.enable_x64(True), persistent_cache_min_compile_time_secs(1e6):
         weights = jax.tree.map(lambda w: jnp.asarray(w, jnp.float64), random_alex)
         image, reference = pair(3, (31, 33)).astype(np.float64)
         known = lpips_features(reference, weights)
