@@ -8,10 +8,10 @@ is slow over the picture and another contrast; its surface is displaced, blurred
 the root mean square error of log E after `hyjax.light.light_edges.corrected`, and that of its differences.
 
 Writes `light_edges.safetensors`, which is `hyjax.guide.edge_weights.WEIGHTS_FILE`. Rooms are kept in the cache.
-Takes some 2.5 s a room and 0.17 s a step on two cores: three quarters of an hour.
+Takes some 2.5 s a room and 0.17 s a step on two cores: half an hour and more.
 
-Expect: on rooms held out, an error of log E a tenth below the estimate's; judge it on real pairs by
-`experiments.real`.
+Expect: on rooms held out, an error of log E a tenth below the estimate's where the whole correction is taken; the
+default takes half. Judge it on real pairs by `experiments.real`.
 """
 
 import dataclasses
@@ -32,7 +32,7 @@ from experiments.plotting import panels
 from experiments.records import Row, of_kind
 from hyjax.core.stencil import Edges, gradient
 from hyjax.light.color import to_display, to_linear
-from hyjax.light.light_edges import FEATURES, LEAST_LIGHT, corrected, edge_features, light_shares
+from hyjax.light.light_edges import FEATURES, FIDELITY, LEAST_LIGHT, corrected, edge_features, light_shares
 from hyjax.synthetic.random_room import make_random_room, photograph
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.contact_sheet import write_contact_sheet
@@ -98,7 +98,7 @@ def main(config: Config, start: Start) -> None:
         temporary.write_bytes(safetensors.numpy.save({k: np.asarray(v, np.float16) for k, v in weights.items()}))
     judge, rng = jax.jit(_errors), np.random.default_rng(1)
     for room in tqdm(others, unit="room"):
-        errors = np.array([judge(weights, _batch(rng, [room]), np.float32(4e-3))[1] for _ in range(VIEWS)])
+        errors = np.array([judge(weights, _batch(rng, [room]), np.float32(FIDELITY))[1] for _ in range(VIEWS)])
         names = ("difference", "difference_before", "log_light", "log_light_before")
         results.add(kind="held out", **dict(zip(names, errors.mean(axis=0).tolist())))
     write_contact_sheet(results.out / "held_out.png", _sheet(weights, others), SHEET)
@@ -253,7 +253,7 @@ def _sheet(weights: Any, rooms: list[Arrays]) -> list[tuple[str, list[np.ndarray
     rng, lines = np.random.default_rng(2), []
     for number, room in enumerate(rooms[:6]):
         batch = tuple(part[:1] for part in _batch(rng, [room]))
-        sharp, shares = _sharpened(weights, batch, 4e-3)
+        sharp, shares = _sharpened(weights, batch, FIDELITY)
         light = np.asarray(batch[4][0])
         low, high = np.percentile(light, (1, 99))
         fields = [np.asarray(x[0]) for x in (batch[1], sharp, batch[4])]

@@ -14,7 +14,7 @@ from experiments.truth_camera import Exposed, camera_response, exposed_light
 from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.guide.edge_weights import edge_weights
-from hyjax.light.photo_light import LEAST_PHOTO_LIGHT, SurfaceLight
+from hyjax.light.photo_light import EVEN_RANGE, LEAST_PHOTO_LIGHT, SurfaceLight
 from hyjax.light.relit import Relit, composite_linear
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
@@ -180,7 +180,8 @@ class TrueView:
 
 def _relight(view: View, shaded: Shaded, method: str) -> Relit:
     shadows = None if method in COMPLETED else SHARP
-    edges = edge_weights() if method in EDGED else None
+    even = shaded.photo_light is None or float(jnp.ptp(shaded.photo_light)) < EVEN_RANGE
+    edges = edge_weights() if method in EDGED and not even else None
     return relight(view, shaded, view.display, OURS, shadow_schedule=shadows, light_edges=edges)
 
 

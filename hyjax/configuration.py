@@ -218,7 +218,7 @@ class Configuration:
 
     @checked_arguments
     def followed_by(self, renderer: Renderer, *, say: bool = True) -> "Configuration":
-        """The configuration as a renderer follows it: with the default of each choice that it does not know.
+        """The configuration as a renderer follows it: with what it draws for each choice that it does not know.
 
         Args:
             renderer: whose picture it is.
@@ -228,19 +228,22 @@ class Configuration:
             InputError: it asks for what the renderer refuses.
         """
         default, unknown = Configuration(), list[str]()
+        usual: dict[str, Any] = {}
         for name, choice in CHOICES.items():
-            if self.value(name) == default.value(name):
+            if choice.ignored_by(renderer) and choice.unfollowed is not None:
+                usual[name] = choice.unfollowed
+            elif self.value(name) == default.value(name):
                 continue
-            if renderer in choice.refused:
+            elif renderer in choice.refused:
                 said = f"{name} {self.value(name)} is not for {RENDERERS[renderer]}"
                 raise InputError(f"configuration {self.name}: {said}; leave one of the two out")
-            if choice.ignored_by(renderer):
+            elif choice.ignored_by(renderer):
                 unknown.append(name)
         if unknown and say:
             words = self.name, RENDERERS[renderer], ", ".join(unknown)
             _log.warning("configuration %s: not followed by %s: %s", *words)
         cascades = {CHOICES[name].part for name in unknown} & set(CASCADES)
-        usual = {name: default.value(name) for name in unknown if CHOICES[name].part not in CASCADES}
+        usual |= {name: default.value(name) for name in unknown if CHOICES[name].part not in CASCADES}
         known = self.with_choices(usual) if usual else self
         return dataclasses.replace(
             known, name=self.name, measured=self.measured, **{part: getattr(default, part) for part in cascades}

@@ -69,8 +69,9 @@ def relight(
             display-encodes the filter, leaves holes black, trusts all else, and multiplies display values.
         full: the frame at full size, display-encoded, where the view is at a whole part of it: the filter is
             brought to that size, see `hyjax.light.upscaled`. Bytes are divided by 255. Not in mode `"paper"`.
-        light_edges: weights of the network that makes the photo's own light, where `shaded` has it, as sharp as the
-            frame shows it, see `hyjax.light.light_edges`; None to leave it as it is.
+        light_edges: weights of the network that sharpens the photo's own light, where `shaded` has it, see
+            `hyjax.light.light_edges`; those that come with hyjax are `hyjax.guide.edge_weights.edge_weights()`. None
+            to leave it as it is. Not in mode `"paper"`.
 
     Returns:
         All stages; `image` and `unrefined` are linear in both modes. Pixels of the frame that are not finite are
@@ -78,7 +79,7 @@ def relight(
         picture but for the nearest cells.
 
     Raises:
-        InputError: sizes differ, unknown mode, or a schedule that cannot be run.
+        InputError: sizes differ, unknown mode, a schedule that cannot be run, or weights of another network.
 
     Warns:
         UserWarning: nothing of the frame is known. The relit frame is then what the ambient lights make of it; the
@@ -129,6 +130,8 @@ def relight_stages(
     if shadow_schedule is None:
         shadow_schedule = default_shadow_schedule(mode)
     shadow_schedule = Schedule.of(shadow_schedule, where="shadow_schedule")
+    if light_edges is not None and mode == "paper":
+        raise InputError("relight: mode 'paper' keeps the photo's own light; leave light_edges out")
     if temporal_filter is not None and mode == "paper":
         raise InputError("relight: temporal_filter works on channels of lights, which mode 'paper' does not have")
     if mode == "paper" and (shaded.surface_fields or shaded.emission is not None):
@@ -170,12 +173,12 @@ def relight_stages(
     yield "cascade", illuminance
     visibility = run(*shadow_call)
     yield "shadow pass", visibility
-    if temporal_filter is not None:
-        illuminance, visibility = temporal_filter(illuminance, visibility)
-        yield "temporal filter", (illuminance, visibility)
     if light_edges is not None and shaded.photo_light is not None and shaded.refined_photo_light is None:
         illuminance = run(with_light_edges, illuminance, view, light_edges)
         yield "light edges", illuminance
+    if temporal_filter is not None:
+        illuminance, visibility = temporal_filter(illuminance, visibility)
+        yield "temporal filter", (illuminance, visibility)
     relight_filter, image = run(relit_picture, view.frame, shaded, illuminance, visibility)
     if full is None or factor == 1:
         yield "composite", image

@@ -35,7 +35,7 @@ os.environ.setdefault("NPROC", "1")  # threads of XLA: there is a worker for eac
 jax.block_until_ready(jax.jit(lambda x: x + 1)(0.0))  # XLA reads its flags with the first program
 COMPILED = "HYJAX_TESTS_COMPILED"
 PASSED = "HYJAX_TESTS_PASSED"
-"""Names of environment variables: folder of compiled programs, file of the outcomes of an earlier step's tests."""
+"""Names of environment variables: folder of compiled programs, file of tests that passed in an earlier step."""
 MOST_RESIDENT_MIB = (
     650 if "HYJAX_EXTRAS" not in os.environ else 1000
 )  # README's command stays below 1.5 GiB a worker
@@ -57,31 +57,12 @@ def pytest_configure(config: pytest.Config) -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
-def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave unread a file of which all tests passed in an earlier step, unless it has slow ones."""
-    file = collection_path.relative_to(config.rootpath).as_posix()
-    return True if file in whole_files() and "slow" not in collection_path.read_text(encoding="utf-8") else None
-
-
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Leave out what passed in an earlier step; slow tests first, so that no worker waits at the end."""
-    items[:] = [item for item in items if outcomes().get(item.nodeid) != "passed"]
+    passed = Path(os.environ.get(PASSED, os.devnull))
+    done = set(passed.read_text(encoding="utf-8").splitlines()) if passed.exists() else set()
+    items[:] = [item for item in items if item.nodeid not in done]
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
-
-
-@functools.cache
-def outcomes() -> dict[str, str]:
-    """Outcomes of earlier steps' tests."""
-    noted = Path(os.environ.get(PASSED, os.devnull))
-    lines = noted.read_text(encoding="utf-8").splitlines() if noted.exists() else []
-    return {node: outcome for outcome, _, node in (line.partition(" ") for line in lines)}
-
-
-@functools.cache
-def whole_files() -> set[str]:
-    """Files with no other outcome than that a test passed."""
-    left = {node.partition("::")[0] for node, outcome in outcomes().items() if outcome != "passed"}
-    return {node.partition("::")[0] for node in outcomes()} - left
 
 
 def pytest_collection_finish() -> None:
@@ -121,12 +102,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Note how a test ended."""
-    if PASSED not in os.environ or "PYTEST_XDIST_WORKER" in os.environ:
-        return
-    if report.when == "call" or report.outcome != "passed":
+    """Note a test that passed."""
+    if PASSED in os.environ and "PYTEST_XDIST_WORKER" not in os.environ and report.when == "call" and report.passed:
         with Path(os.environ[PASSED]).open("a", encoding="utf-8") as file:
-            file.write(f"{report.outcome} {report.nodeid}\n")
+            file.write(report.nodeid + "\n")
 
 
 @pytest.hookimpl(trylast=True)

@@ -58,7 +58,8 @@ class Choice:
         paper: likewise in the paper's form.
         truth: whether only true pictures can judge it.
         active: whether it means anything beside the others.
-        said: renderers that do not follow it, and say so where it is not the default.
+        said: renderers that do not follow it, and say so where another value than the default is given.
+        unfollowed: value that these draw with; None for the default.
         refused: renderers that refuse another value than the default.
         use: the light on the surface as a value makes it, for choices of that light.
     """
@@ -75,6 +76,7 @@ class Choice:
     truth: bool = False
     active: Callable[[Values], bool] = lambda values: True
     said: tuple[Renderer, ...] = OTHER_RENDERERS
+    unfollowed: Any = None
     refused: tuple[Renderer, ...] = ()
     use: "Callable[[SurfaceLight, Any], SurfaceLight] | None" = None
 
@@ -87,6 +89,11 @@ class Choice:
     def key(self) -> str:
         """Name in its part."""
         return self.field.rpartition(".")[2]
+
+    @property
+    def usual_value(self) -> Any:
+        """Value that renderers draw with that do not follow it."""
+        return self.default if self.unfollowed is None else self.unfollowed
 
     def followed_by(self, renderer: Renderer) -> bool:
         """Whether a renderer follows every value."""

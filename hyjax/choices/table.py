@@ -315,11 +315,11 @@ for _row in (
         "light.edges",
         bool,
         True,
-        "Whether the photo's own light is made as sharp as the frame shows it, by a small network.",
+        "Whether the photo's own light is sharpened along light edges of the frame, by a small network.",
         tried=Tried((True, False)),
         truth=True,
         active=_divided,
-        said=("webgpu", "page", "live tour"),
+        unfollowed=False,
     ),
     Choice(
         "bounces",

@@ -46,8 +46,9 @@ def _solved(wanted: Edges, fidelity: Float[Array, ""]) -> Float[Array, "*c h w"]
     rows, columns = (jnp.asarray(_cosines(n), source.dtype) for n in source.shape[-2:])
     down, right = (2 - 2 * np.cos(np.pi * np.arange(n) / n) for n in source.shape[-2:])
     inverse = 1 / (fidelity + jnp.asarray(down[:, None] + right, source.dtype))
-    spectrum = rows @ source @ columns.T
-    return rows.T @ (spectrum * jnp.broadcast_to(inverse, spectrum.shape)) @ columns
+    with jax.default_matmul_precision("highest"):
+        spectrum = rows @ source @ columns.T
+        return rows.T @ (spectrum * jnp.broadcast_to(inverse, spectrum.shape)) @ columns
 
 
 def _cosines(count: int) -> Float[np.ndarray, "n n"]:

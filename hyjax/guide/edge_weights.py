@@ -4,7 +4,7 @@ import functools
 from pathlib import Path
 
 import jax
-import numpy as np
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from hyjax.configuration import LightOptions
@@ -19,8 +19,8 @@ WEIGHTS_FILE = Path(__file__).with_name("trained") / "light_edges.safetensors"
 def edge_weights() -> dict[str, Array]:
     """Weights for `hyjax.light.light_edges`, read once; `experiments.light_edges` writes the file."""
     arrays, _ = read_tensors(WEIGHTS_FILE)
-    weights: dict[str, Array] = jax.device_put({name: array.astype(np.float32) for name, array in arrays.items()})
-    return weights
+    with jax.ensure_compile_time_eval():  # also where a function is being traced
+        return {name: jnp.asarray(array, jnp.float32) for name, array in arrays.items()}
 
 
 def configured_edges(options: LightOptions, light: SurfaceLight | None) -> Weights | None:

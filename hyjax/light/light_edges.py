@@ -1,4 +1,4 @@
-"""Light edges: the photo's own light as sharp as the photo shows it.
+"""Light edges: the photo's own light, sharpened along those that a small picture of the photo shows.
 
 The estimate of E_old lives on the scan's vertices, where borders of shadows and creases are blurred. A small
 network tells for each difference between neighbouring pixels which share s of it is light and not paint; the sharp
@@ -34,12 +34,13 @@ Weights = Mapping[str, Float[Array, "..."]]
 FIDELITY = 4e-3
 """α: differences of the photo count over some 16 pixels, beyond which the estimate does."""
 LONGEST_SIDE = 180
-"""Longest side, in pixels, of the pictures that the network sees; larger ones are pooled."""
+"""Longest side, in pixels, of the pictures that the network sees, or up to half more; larger ones are pooled."""
 STRENGTH = 0.5
 """Share of the correction that is taken: the best of 0.5 and 1 on the real pair Piano, as the two above are."""
 LEAST_LIGHT = 2e-3
 """Linear light of the photo that darker pixels are taken to have."""
 LEAST_DEPTH = 0.05
+"""Depth in metres that nearer points are taken to have."""
 AXES = ("NHWC", "HWIO", "NHWC")
 """Axes of pictures, kernels and results."""
 FEATURES = 12
@@ -74,11 +75,14 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
     """
     if view.pose is None:
         raise InputError("light_edges: need the view's pose, as the network sees normals in the camera's axes")
-    stem = weights.get("stem.kernel")
-    if stem is None or stem.shape[2:3] != (4 * FEATURES,):
+    scales = sum(name.startswith("block") for name in weights) // 2
+    inner = [f"{part}{k}" for part in ("down", "up", "merge") for k in range(scales - 1)]
+    layers = ["stem", "head", *(f"block{k}" for k in range(scales)), *inner]
+    wanted = {f"{layer}.{part}" for layer in layers for part in ("kernel", "bias")}
+    if wanted != {*weights} or weights["stem.kernel"].shape[2:3] != (4 * FEATURES,):
         raise InputError("light_edges: not the weights of this network; hyjax.guide.edge_weights has them")
     shape = view.frame.shape[:2]
-    factor = -(-max(shape) // LONGEST_SIDE)
+    factor = max(1, round(max(shape) / LONGEST_SIDE))
     buffer = view.gbuffer
     normal, depth, hit = (x[::factor, ::factor] for x in (buffer.normal, buffer.depth, buffer.hit))
     normal = jnp.where(hit[..., None], normal @ jnp.asarray(view.pose)[:3, :3], 0.0)
@@ -158,6 +162,7 @@ def _network(weights: Weights, x: Float[Array, "b h w c"]) -> Float[Array, "b h 
 
     def layer(name: str, x: Array, stride: int = 1) -> Array:
         kernel, bias = weights[f"{name}.kernel"], weights[f"{name}.bias"]
+        x = x.astype(kernel.dtype)
         return jax.lax.conv_general_dilated(x, kernel, (stride, stride), "SAME", dimension_numbers=AXES) + bias
 
     scales = sum(name.startswith("block") for name in weights) // 2

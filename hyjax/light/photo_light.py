@@ -27,6 +27,7 @@ from hyjax.light.shadow_map import ShadowMap, visibilities
 from hyjax.light.surface_outliers import without_outliers
 from hyjax.light.transport import Transport, bounce
 from hyjax.util.errors import InputError
+from hyjax.util.tracing import concrete
 
 LEAST_PHOTO_LIGHT = 0.05
 """Least share of the photo's mean light; below it noise would be amplified more than twentyfold."""
@@ -151,7 +152,8 @@ class SurfaceLight:
     @functools.cached_property
     def is_even(self) -> bool:
         """Whether the photo's own light is the same everywhere, as where its estimate is not believed."""
-        return bool(jnp.ptp(self.photo_light) < EVEN_RANGE)
+        known = concrete(self.photo_light)
+        return known is not None and bool(np.ptp(known) < EVEN_RANGE)
 
     def raised(self, exponent: float) -> "SurfaceLight":
         """Light with the photo's own to a power, and the kept part in proportion: all of it is still the photo."""

@@ -14,6 +14,7 @@ from hyjax.configuration import Configuration
 from hyjax.core.pyramid import level_shape
 from hyjax.data.light_file import is_light_file
 from hyjax.guide.choose import FrameGuide
+from hyjax.guide.edge_weights import edge_weights
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight
@@ -123,4 +124,7 @@ def compile_ahead(
         frame = scene.frame(chosen[0])
         gbuffer = relighter.gbuffer(frame.camera, rays=True)
         if np.asarray(gbuffer.hit).any():
-            jax.block_until_ready(refined_picture(relighter.lit(frame, gbuffer=gbuffer), configuration))
+            lit = relighter.lit(frame, gbuffer=gbuffer)
+            if configuration.light.edges and lit.shaded.photo_light is not None:  # even here, but not in the scene
+                lit = dataclasses.replace(lit, light_edges=edge_weights())
+            jax.block_until_ready(refined_picture(lit, configuration))

@@ -241,7 +241,7 @@ class Relighter:
         make = self.guide.features
         carried = self._carried
         features = make(view.display) if carried is None else carried.features(view, lambda: make(view.display))
-        edges = configured_edges(self.configuration.light, self._light()[-1])
+        edges = configured_edges(self.configuration.light, self._light()[-1]) if self._divides else None
         yield "guide", LitFrame(view, shaded, features, full, self._on_device(edges))
 
     def _view(self, frame: Frame, gbuffer: GBuffer) -> View:

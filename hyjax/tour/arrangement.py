@@ -21,11 +21,9 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.guide.choose import FrameGuide
-from hyjax.guide.edge_weights import configured_edges
 from hyjax.light.emission import shine, source_pixels
 from hyjax.light.gbuffer import GBuffer, sample_pixels
 from hyjax.light.kinds import Light
-from hyjax.light.light_edges import Weights, with_light_edges
 from hyjax.light.photo_light import (
     PhotoLight,
     SurfaceLight,
@@ -194,9 +192,8 @@ class Arrangement:
         shaded = self.shade_samples(samples, setup, light, key)
         if light is None:
             return view, shaded
-        edges = configured_edges(self._configuration.light, light)
-        kept = "photographed", key, self._configuration.schedule.to_json(), edges is None
-        photographed = self._caches.frames(kept, lambda: self._photographed(view, camera, light, guide, edges))
+        kept = "photographed", key, self._configuration.schedule.to_json()
+        photographed = self._caches.frames(kept, lambda: self._photographed(view, camera, light, guide))
         emission = None
         if light.emitters is not None and photographed.sources is not None:
             emission = shine(light.emitters, photographed.sources, view.frame)
@@ -302,7 +299,7 @@ class Arrangement:
         return self._caches.points((self.parts.keys, coarse), make) if coarse or moved else light
 
     def _photographed(
-        self, view: View, camera: Camera, light: SurfaceLight, guide: FrameGuide, edges: Weights | None
+        self, view: View, camera: Camera, light: SurfaceLight, guide: FrameGuide
     ) -> PhotographedFrame:
         """Light of a frame when it was photographed."""
         sampling = self._sampling
@@ -315,8 +312,6 @@ class Arrangement:
             photo_light, jnp.ones_like(photo_light), jnp.eye(3), hit_weight, np.float32(1.0), one, sampling=sampling
         )
         refined = run_kept(refine_illuminance, fields, guide.features(view.display), self._configuration.schedule)
-        if edges is not None:
-            refined = run_kept(with_light_edges, refined, dataclasses.replace(view, gbuffer=gbuffer), edges)
         sources = None
         if light.emitters is not None and view.pose is not None and view.intrinsics is not None:
             matrices = (jnp.asarray(matrix, jnp.float32) for matrix in (view.pose, view.intrinsics))

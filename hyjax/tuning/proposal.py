@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.configuration import Configuration
+from hyjax.light.light_edges import with_light_edges
 from hyjax.scene.relighter import LitFrame, refine
 from hyjax.tuning.budget import fits, moves, neighbours, project
 from hyjax.tuning.cost_model import CostModel
@@ -68,7 +69,10 @@ class FrameObjective(Objective):
 
     def _picture(self, point: RelaxedSchedule, prepared: Prepared, lit: LitFrame) -> Float[Array, "h w 3"]:
         def relaxed(_: Array, visibility: Array) -> tuple[Array, Array]:
-            return relaxed_channels(prepared, point, self.factors), visibility
+            illuminance = relaxed_channels(prepared, point, self.factors)
+            if lit.light_edges is not None and lit.shaded.photo_light is not None:
+                illuminance = with_light_edges(illuminance, lit.view, lit.light_edges)
+            return illuminance, visibility
 
         stages = refine(lit, self.configuration, temporal_filter=relaxed)
         picture: Array = next(result for stage, result in stages if stage == "composite")

@@ -137,7 +137,7 @@ class Space:
             parameters = [p for c in CHOICES.values() if c.paper for p in Parameter.of(c, c.paper, paper=True)]
             return cls(tuple(parameters), True)
         chosen = [choice for choice in CHOICES.values() if choice.tried and (truth or not choice.truth)]
-        left = {} if renderer is None else {c.name: c.default for c in chosen if not c.followed_by(renderer)}
+        left = {} if renderer is None else {c.name: c.usual_value for c in chosen if not c.followed_by(renderer)}
         kept = [choice for choice in chosen if choice.name not in left]
         return cls(tuple(p for c in kept if c.tried for p in Parameter.of(c, c.tried)), fixed=left)
 

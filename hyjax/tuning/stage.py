@@ -160,7 +160,9 @@ class FrameStage(Stage):
         renderer, values = self.settings.renderer, configuration.values()
         if renderer is None:
             return True
-        return all(CHOICES[n].followed_by(renderer) or value == CHOICES[n].default for n, value in values.items())
+        return all(
+            CHOICES[n].followed_by(renderer) or value == CHOICES[n].usual_value for n, value in values.items()
+        )
 
     def references(self) -> list[Configuration]:
         paper = [Configuration.paper()] if self.settings.frame.paper_form else []

@@ -23,6 +23,8 @@ from hyjax.light.light_edges import (
     edge_features,
     light_shares,
 )
+from hyjax.light.view import View
+from hyjax.pipeline import relight
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
@@ -133,15 +135,23 @@ def test_a_photo_whose_own_sources_stay_on_is_left_alone(scene: Scene) -> None:
 
 
 def test_a_frame_larger_than_the_network_sees_is_pooled(scene: Scene) -> None:
-    view = scene.view(0)
-    light = jnp.ones((*view.frame.shape[:2], 3))
-    small = edge_correction(view, light, edge_weights())
-    assert small.shape == (*view.frame.shape[:2], 1) and max(view.frame.shape) < LONGEST_SIDE
-    large = jax.tree.map(
-        lambda x: jnp.repeat(jnp.repeat(x, 4, 0), 4, 1) if x.ndim > 1 and x.shape[0] == 72 else x, view
-    )
-    found = edge_correction(large, jnp.ones((288, 384, 3)), edge_weights())
-    assert found.shape == (288, 384, 1) and bool(jnp.isfinite(found).all())
+    """Where each pixel is repeated, the network sees the picture as it was, and its cells keep the correction."""
+
+    def repeated(x: jax.Array) -> jax.Array:
+        return x.repeat(2, axis=0).repeat(2, axis=1)
+
+    def twice(view: View) -> View:
+        parts = jax.tree.map(repeated, (view.frame, view.display, view.gbuffer))
+        return View(*parts, view.pose, view.intrinsics)
+
+    def correction(view: View) -> np.ndarray:
+        return np.asarray(edge_correction(view, jnp.ones(view.frame.shape), edge_weights()))
+
+    small = twice(scene.view(0))
+    large = twice(small)
+    assert max(small.frame.shape) < 1.5 * LONGEST_SIDE < max(large.frame.shape) < 2.5 * LONGEST_SIDE
+    cells = correction(large).reshape(144, 2, 192, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(cells, correction(small)[..., 0], atol=0.05)
 
 
 def test_the_gradient_is_that_of_finite_differences() -> None:
@@ -172,3 +182,18 @@ def test_a_view_without_a_pose_and_other_weights_are_refused(scene: Scene) -> No
         edge_correction(dataclasses.replace(view, pose=None), light, edge_weights())
     with pytest.raises(InputError, match="not the weights of this network"):
         edge_correction(view, light, {"stem.kernel": jnp.zeros((3, 3, 4, 8))})
+
+
+def test_pages_and_tours_draw_without_and_do_not_say_so(caplog: pytest.LogCaptureFixture) -> None:
+    for renderer in ("page", "tour", "webgpu"):
+        assert not Configuration().followed_by(renderer).light.edges
+        assert not Configuration.preset("fast").followed_by(renderer).light.edges
+    assert not caplog.records
+    assert Configuration().followed_by("frames").light.edges
+
+
+def test_the_papers_form_takes_none(scene: Scene) -> None:
+    view = scene.view(0)
+    shaded = scene.shade(view, "center-point", keep_photo_light=True)
+    with pytest.raises(InputError, match="leave light_edges out"):
+        relight(view, shaded, view.display, "hyjax", mode="paper", light_edges=edge_weights())
