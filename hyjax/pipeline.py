@@ -70,8 +70,8 @@ def relight(
         full: the frame at full size, display-encoded, where the view is at a whole part of it: the filter is
             brought to that size, see `hyjax.light.upscaled`. Bytes are divided by 255. Not in mode `"paper"`.
         light_edges: weights of the network that sharpens the photo's own light, where `shaded` has it, see
-            `hyjax.light.light_edges`; those that come with hyjax are `hyjax.guide.edge_weights.edge_weights()`.
-            None to leave it as it is. Not in mode `"paper"`.
+            `hyjax.light.light_edges`; `from hyjax.guide.edge_weights import edge_weights` has those that come with
+            hyjax, `edge_weights()`. None to leave it as it is. Not in mode `"paper"`.
 
     Returns:
         All stages; `image` and `unrefined` are linear in both modes. Pixels of the frame that are not finite are

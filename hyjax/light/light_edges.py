@@ -21,9 +21,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.finite import finite_or_zero
-from hyjax.core.pyramid import downsample, upsample
+from hyjax.core.presets import GUIDED_KAPPA
+from hyjax.core.pyramid import downsample
 from hyjax.core.screened import screened_poisson
 from hyjax.core.stencil import Edges, gradient
+from hyjax.core.upsampling import guided_upsample
 from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
 from hyjax.light.view import View
 from hyjax.util.errors import InputError
@@ -79,8 +81,11 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
     inner = [f"{part}{k}" for part in ("down", "up", "merge") for k in range(scales - 1)]
     layers = ["stem", "head", *(f"block{k}" for k in range(scales)), *inner]
     wanted = {f"{layer}.{part}" for layer in layers for part in ("kernel", "bias")}
-    if wanted != {*weights} or weights["stem.kernel"].shape[2:3] != (4 * FEATURES,):
-        raise InputError("light_edges: not the weights of this network; hyjax.guide.edge_weights has them")
+    fit = wanted == {*weights} and weights["stem.kernel"].shape[2:3] == (4 * FEATURES,)
+    if not fit or any(weights[f"{x}.bias"].shape != weights[f"{x}.kernel"].shape[-1:] for x in layers):
+        raise InputError(
+            "light_edges: not the weights of this network; hyjax.guide.edge_weights.edge_weights() are"
+        )
     shape = view.frame.shape[:2]
     factor = max(1, round(max(shape) / LONGEST_SIDE))
     buffer = view.gbuffer
@@ -92,7 +97,8 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
     log_light = jnp.mean(jnp.log(light), axis=-1)
     shares = light_shares(weights, edge_features(log_frame, log_light, normal, depth))
     correction = STRENGTH * corrected(jnp.mean(log_frame, axis=-1), log_light, shares)
-    return upsample(correction[..., None], factor, (shape[0], shape[1]))
+    # Under the frame, as a cascade's last level is: a blur of it across a border would be a halo.
+    return guided_upsample(correction[..., None], factor, view.display, GUIDED_KAPPA)
 
 
 def corrected(

@@ -81,7 +81,8 @@ class PageFiles:
 
     @property
     def _configuration(self) -> Configuration:
-        return dataclasses.replace(self._renderer.configuration, schedule=next(iter(self._schedules.values())))
+        own = self._renderer.configuration.followed_by("tour", say=False)
+        return dataclasses.replace(own, schedule=next(iter(self._schedules.values())))
 
     @property
     def _followed(self) -> Configuration:
