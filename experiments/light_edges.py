@@ -8,13 +8,14 @@ is slow over the picture and another contrast; its surface is displaced, blurred
 the root mean square error of log E after `hyjax.light.light_edges.corrected`, and that of its differences.
 
 Writes `light_edges.safetensors`, which is `hyjax.guide.edge_weights.WEIGHTS_FILE`. Rooms are kept in the cache.
-Takes some 2.5 s a room and 0.17 s a step on two cores: half an hour and more.
+Takes half an hour and more on two cores.
 
 Expect: on rooms held out, an error of log E a tenth below the estimate's where the whole correction is taken; the
 default takes half. Judge it on real pairs by `experiments.real`.
 """
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from experiments.records import Row, of_kind
 from hyjax.core.stencil import Edges, gradient
 from hyjax.light.color import to_display, to_linear
 from hyjax.light.light_edges import FEATURES, FIDELITY, LEAST_LIGHT, corrected, edge_features, light_shares
+from hyjax.pairs.generated_rooms import VERSION
 from hyjax.synthetic.random_room import make_random_room, photograph
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.contact_sheet import write_contact_sheet
@@ -54,7 +56,6 @@ FIDELITIES = (1e-3, 1.6e-2)
 BURNT = 250
 """Value of a byte from which the photo tells nothing."""
 Batch = tuple[Float[Array, "b h w ..."], ...]
-_LINEAR = np.asarray(to_linear(np.arange(256) / 255), np.float32)
 SHEET = ("photo", "estimate", "with light edges", "true light", "share of light")
 
 
@@ -70,6 +71,7 @@ class Config(RunConfig):
 def main(config: Config, start: Start) -> None:
     if config.rooms < 1 or config.steps <= WARM_UP:
         raise InputError(f"rooms, steps: need a room and more than {WARM_UP} steps")
+    _cv2()  # which is missed before the rooms are made, not after
     results = start()
     held = max(1, config.rooms // 10)
     rooms = [_room(number) for number in tqdm(range(config.rooms + held), unit="room")]
@@ -117,7 +119,9 @@ def _room(number: int) -> Arrays:
             "depth": np.stack([s.depth for s in shots]).astype(np.float16),
         }
 
-    return cached_arrays(cache_folder() / f"lit-rooms-v1-{SEED}-{SIZE}x{VIEWS}" / f"{number:05d}.npz", dict, make)
+    return cached_arrays(
+        cache_folder() / f"lit-rooms-v{VERSION}-{SEED}-{SIZE}x{VIEWS}" / f"{number:05d}.npz", dict, make
+    )
 
 
 def _log_light(light: Float[np.ndarray, "h w 3"], hit: np.ndarray) -> Float[np.ndarray, "h w"]:
@@ -140,7 +144,7 @@ def _crop(rng: np.random.Generator, room: Arrays) -> tuple[Float[np.ndarray, "h 
     estimate = _estimate(rng, light, room["normal"][view].astype(np.float32) / 127)[part] + _slow(rng)
     normal, seen = _scanned(rng, room["normal"][view], depth, part)
     valid = (depth[part] > 0) & (image.max(axis=-1) < BURNT)
-    bright = _LINEAR[image] * np.float32(rng.uniform(0.6, 1.0))
+    bright = _linear()[image] * np.float32(rng.uniform(0.6, 1.0))
     parts = [np.log(np.maximum(bright, LEAST_LIGHT)), estimate, normal, seen, light[part], valid]
     if rng.random() < 0.5:
         parts = [p[:, ::-1] for p in parts]
@@ -195,6 +199,12 @@ def _blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
         return np.asarray(cv2.GaussianBlur(picture, (0, 0), float(sigma)))
     small = cv2.GaussianBlur(cv2.resize(picture, quarter, interpolation=cv2.INTER_AREA), (0, 0), float(sigma) / 4)
     return np.asarray(cv2.resize(small, picture.shape[1::-1], interpolation=cv2.INTER_LINEAR))
+
+
+@functools.cache
+def _linear() -> Float[np.ndarray, "256"]:
+    """Linear light of each value of a byte."""
+    return np.asarray(to_linear(np.arange(256) / 255), np.float32)
 
 
 def _cv2() -> Any:

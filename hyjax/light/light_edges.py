@@ -36,15 +36,17 @@ Weights = Mapping[str, Float[Array, "..."]]
 FIDELITY = 4e-3
 """α: differences of the photo count over some 16 pixels, beyond which the estimate does."""
 LONGEST_SIDE = 180
-"""Longest side, in pixels, of the pictures that the network sees, or up to half more; larger ones are pooled."""
+"""Usual longest side, in pixels, of what the network sees: pictures are pooled by the nearest whole factor."""
 STRENGTH = 0.5
-"""Share of the correction that is taken: the best of 0.5 and 1 on the real pair Piano, as the two above are."""
+"""Share of the correction that is taken: the better of 0.5 and 1 on the real pair Piano."""
 LEAST_LIGHT = 2e-3
 """Linear light of the photo that darker pixels are taken to have."""
 LEAST_DEPTH = 0.05
 """Depth in metres that nearer points are taken to have."""
 AXES = ("NHWC", "HWIO", "NHWC")
 """Axes of pictures, kernels and results."""
+OTHER_WEIGHTS = "light_edges: not the weights of this network; hyjax.guide.edge_weights.edge_weights() are"
+"""Message about weights that do not fit."""
 FEATURES = 12
 """Number of features of a pixel, see `edge_features`."""
 
@@ -77,15 +79,13 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
     """
     if view.pose is None:
         raise InputError("light_edges: need the view's pose, as the network sees normals in the camera's axes")
-    scales = sum(name.startswith("block") for name in weights) // 2
+    scales = _scales(weights)
     inner = [f"{part}{k}" for part in ("down", "up", "merge") for k in range(scales - 1)]
     layers = ["stem", "head", *(f"block{k}" for k in range(scales)), *inner]
     wanted = {f"{layer}.{part}" for layer in layers for part in ("kernel", "bias")}
     fit = wanted == {*weights} and weights["stem.kernel"].shape[2:3] == (4 * FEATURES,)
     if not fit or any(weights[f"{x}.bias"].shape != weights[f"{x}.kernel"].shape[-1:] for x in layers):
-        raise InputError(
-            "light_edges: not the weights of this network; hyjax.guide.edge_weights.edge_weights() are"
-        )
+        raise InputError(OTHER_WEIGHTS)
     shape = view.frame.shape[:2]
     factor = max(1, round(max(shape) / LONGEST_SIDE))
     buffer = view.gbuffer
@@ -95,7 +95,10 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
     frame, light = (downsample(x, factor) for x in (finite_or_zero(view.frame), light))
     log_frame = jnp.log(jnp.maximum(frame, LEAST_LIGHT))
     log_light = jnp.mean(jnp.log(light), axis=-1)
-    shares = light_shares(weights, edge_features(log_frame, log_light, normal, depth))
+    try:
+        shares = light_shares(weights, edge_features(log_frame, log_light, normal, depth))
+    except (TypeError, ValueError):
+        raise InputError(OTHER_WEIGHTS) from None
     correction = STRENGTH * corrected(jnp.mean(log_frame, axis=-1), log_light, shares)
     # Under the frame, as a cascade's last level is: a blur of it across a border would be a halo.
     return guided_upsample(correction[..., None], factor, view.display, GUIDED_KAPPA)
@@ -163,6 +166,11 @@ def light_shares(weights: Weights, features: Float[Array, "*b h w f"]) -> Edges:
     return shares[..., :-1, :, 1], shares[..., :-1, 0]
 
 
+def _scales(weights: Weights) -> int:
+    """Number of the network's scales."""
+    return sum(name.startswith("block") for name in weights) // 2
+
+
 def _network(weights: Weights, x: Float[Array, "b h w c"]) -> Float[Array, "b h w o"]:
     """U-Net: each scale adds to what it gets, and the finer ones to what the coarser ones make of it."""
 
@@ -171,7 +179,7 @@ def _network(weights: Weights, x: Float[Array, "b h w c"]) -> Float[Array, "b h 
         x = x.astype(kernel.dtype)
         return jax.lax.conv_general_dilated(x, kernel, (stride, stride), "SAME", dimension_numbers=AXES) + bias
 
-    scales = sum(name.startswith("block") for name in weights) // 2
+    scales = _scales(weights)
     x, finer = jax.nn.silu(layer("stem", x)), []
     for k in range(scales):
         x = x + jax.nn.silu(layer(f"block{k}", x))

@@ -13,8 +13,10 @@ from hyjax.configuration import Configuration
 from hyjax.core.stencil import gradient
 from hyjax.data.builtin_room import load_room
 from hyjax.guide.edge_weights import edge_weights
+from hyjax.light.color import to_linear
 from hyjax.light.light_edges import (
     FEATURES,
+    LEAST_LIGHT,
     LONGEST_SIDE,
     _blocks,
     _pixels,
@@ -99,8 +101,7 @@ def test_the_light_of_rooms_never_seen_comes_nearer() -> None:
             light = np.log(np.maximum(shot.light, 1e-6)).mean(axis=-1)
             light = np.where(hit, np.maximum(light, np.percentile(light, 2)), light[hit].mean())
             estimate = gaussian_filter(light, 8.0)
-            linear = np.where(shot.image <= 0.04045, shot.image / 12.92, ((shot.image + 0.055) / 1.055) ** 2.4)
-            photo = np.log(np.maximum(linear, 2e-3)).astype(np.float32)
+            photo = np.log(np.maximum(np.asarray(to_linear(jnp.asarray(shot.image))), LEAST_LIGHT))
             depth = np.where(hit, shot.depth, 1.0).astype(np.float32)
             arrays = (jnp.asarray(x, jnp.float32) for x in (photo, estimate, shot.normal, depth))
             shares = light_shares(edge_weights(), edge_features(*arrays))
@@ -176,6 +177,8 @@ def test_pixels_that_are_not_finite_are_black_and_spoil_no_other(scene: Scene) -
     broken, black = (dataclasses.replace(view, frame=view.frame.at[5, 7].set(x)) for x in (jnp.nan, 0.0))
     found, wanted = (np.asarray(edge_correction(v, light, edge_weights())) for v in (broken, black))
     np.testing.assert_array_equal(found, wanted)
+    broken = dataclasses.replace(broken, display=view.display.at[5, 7].set(jnp.nan))
+    assert np.isfinite(edge_correction(broken, light, edge_weights())).all()
 
 
 def test_a_view_without_a_pose_and_other_weights_are_refused(scene: Scene) -> None:
@@ -184,6 +187,10 @@ def test_a_view_without_a_pose_and_other_weights_are_refused(scene: Scene) -> No
         edge_correction(dataclasses.replace(view, pose=None), light, edge_weights())
     with pytest.raises(InputError, match="not the weights of this network"):
         edge_correction(view, light, {"stem.kernel": jnp.zeros((3, 3, 4, 8))})
+    for name, axis in (("block0.bias", 0), ("block1.kernel", 2)):
+        with pytest.raises(InputError, match="not the weights of this network"):
+            other = {name: edge_weights()[name].take(jnp.arange(3), axis)}
+            edge_correction(view, light, edge_weights() | other)
 
 
 def test_pages_and_tours_draw_without_and_do_not_say_so(caplog: pytest.LogCaptureFixture) -> None:
