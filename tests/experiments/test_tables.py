@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from experiments import tables
 from experiments.blocks import Table
 from experiments.command import RunConfig
 from experiments.gallery import FIGURES, PICTURES, Cells, cut, stacked
+from experiments.packing import packed, unpacked
 from experiments.published import TABLES, Published
 from experiments.records import ROOT, Results
 from hyjax.util.contact_sheet import contact_sheet
@@ -96,6 +98,21 @@ def test_kept_rows_are_those_of_the_run(tmp_path: Path, monkeypatch: pytest.Monk
     found = tables.kept_rows(tables.keep(results.path, "name", "idle", ("tried",)))
     assert found == [row | {"load_told": "idle"} for row in results.rows[:1]]
     assert tables.load(found) == "idle"
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(0, 2) | st.text("ab", max_size=2) | st.lists(st.none()),
+    lambda inner: st.dictionaries(st.sampled_from("abc"), inner),
+)
+
+
+@given(st.lists(st.dictionaries(st.sampled_from("kxy"), VALUES)))
+def test_rows_come_back_as_they_were_packed(rows: list[dict[str, Any]]) -> None:
+    assert json.dumps(list(unpacked(json.loads(json.dumps(packed(rows)))))) == json.dumps(rows)
+
+
+def test_evidence_is_small() -> None:
+    assert sum(path.stat().st_size for path in tables.KEPT_FOLDER.iterdir()) <= 1_000_000
 
 
 @given(st.floats(-1e300, 1e300))
