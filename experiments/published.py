@@ -167,6 +167,7 @@ TABLES: dict[str, Published] = {
     "fusion-room": Published("fusion_borders_room", 0),
     "sweep": Published("sweep_overhead"),
     "sweep-kills": Published("sweep_kills"),
+    "install": Published("install_size"),
     # what does not carry over
     "fidelity-short": Published("paper_table_kitchen", 5, ("LPIPS", "PSNR dB"), LIGHT),
     "peers-room": Published("peers_room", 0, FILTERS),

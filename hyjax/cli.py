@@ -179,6 +179,7 @@ def run_relight(settings: RelightSettings) -> None:
 
 def run_tune(settings: TuneSettings) -> None:
     """`hyjax tune`."""
+    optional_module("matplotlib", "tune", "tune")
     from hyjax.tuning.tune import tune, tune_schedule, write_request
 
     _keep_for_later()
@@ -203,6 +204,7 @@ def run_tune(settings: TuneSettings) -> None:
 
 def run_swept(settings: SweepSettings) -> None:
     """`hyjax sweep`."""
+    optional_module("matplotlib", "tune", "sweep")
     from hyjax.sweep.run import run_sweep
 
     try:
@@ -231,7 +233,8 @@ def run_train(command: Train) -> None:
         if command.coordinator is None:
             raise InputError("coordinator: give --coordinator ADDRESS:PORT of host 0, the same on every host")
         jax.distributed.initialize(command.coordinator, command.hosts, command.host)
-    optional_module("grain", "train", "train")
+    for module in ("grain", "matplotlib"):
+        optional_module(module, "train", "train")
     from hyjax.training.run import train
 
     _keep_for_later()
