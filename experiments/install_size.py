@@ -2,8 +2,8 @@
 
     python -m experiments.install_size [--out results/install_size]
 
-Makes an environment of its own, installs this checkout there as README's first command does, and adds up the files of each
-package, with the bytecode that pip leaves.
+Makes an environment of its own, installs this checkout there as README's first command does, and adds up the files
+of each package, with the bytecode that pip leaves.
 
 Takes half a minute of a processor, and the network.
 
@@ -90,8 +90,8 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         )
     lines.append(["**all**", f"**{sum(row['megabytes'] for row in packages):.0f}**"])
     caption = (
-        f"Megabytes of an installation, by package; it took {took['cpu']:.0f} s of a processor, {took['seconds']:.0f} s by the clock. "
-        f"*Frameworks*: {', '.join(FRAMEWORKS)}."
+        f"Megabytes of an installation, by package; it took {took['cpu']:.0f} s of a processor, "
+        f"{took['seconds']:.0f} s by the clock. *Frameworks*: {', '.join(FRAMEWORKS)}."
     )
     return [Table(caption, ["package", "MB"], lines)]
 

@@ -134,7 +134,6 @@ TABLES: dict[str, Published] = {
     "stage-times": Published("stage_times", 0),
     "first-picture": Published("first_picture", 0),
     "first-picture-stages": Published("first_picture", 1),
-    "peers": Published("bench_peers"),
     # tuning
     "presets": Published("frame_tuning", 0),
     "preset-search": Published("frame_tuning", 1, lines=SEARCHED),

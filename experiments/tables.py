@@ -9,8 +9,8 @@ which of an experiment's tables a name stands for. Rows are kept in `evidence/`,
 has what all its rows share (experiment, settings, commit, date, device, versions), the others what each has
 besides (`experiments.packing`). Numbers are rounded to five digits. `--keep` puts a finished run's rows there.
 
-A file whose first line says `"source": "transcribed"` holds the cells of a table that was in an earlier README and
-whose rows were not kept; `"removed"`, those of a table whose experiment has been removed. Its text says so.
+A file whose first line says `"source": "removed"` holds the cells of a table whose experiment has been removed. Its
+text says so.
 
 Takes seconds.
 """
@@ -162,13 +162,8 @@ def selected(tables: Sequence[Table], published: Published) -> Table:
 def provenance(rows: Sequence[Row]) -> str:
     """Command, date, commit, device and load of rows, in a sentence."""
     first = rows[0]
-    if first.get("source") == "removed":
+    if "source" in first:
         return f"{first['origin']} That commit has the experiment, which was removed since."
-    if first.get("source") == "transcribed":
-        return (
-            f"Transcribed from the README of commit {short(first['commit'])} ({first['date']}); its rows were not "
-            f"kept. {first['origin']}"
-        )
     commits = ", ".join(dict.fromkeys(short(row["commit"]) for row in rows))
     finished = "" if is_finished(list(rows)) else " Interrupted before its end."
     return f"`{command(first)}`; {first['date']}, commit {commits}; {machine(first)}; {load(rows)}.{finished}"

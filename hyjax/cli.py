@@ -169,6 +169,12 @@ def run_relight(settings: RelightSettings) -> None:
     from hyjax.relighting.run import relight_capture
 
     _keep_for_later()
+    if settings.each_light:
+        from hyjax.relighting.each_light import relight_each
+
+        folders = relight_each(settings)
+        print(f"{len(folders)} lights, each by itself; look at {folders[0] / 'contact_sheet.png'}")
+        return
     run = relight_capture(settings)
     if run["frames_without_surface"]:
         names = ", ".join(run["frames_without_surface"])
