@@ -44,6 +44,8 @@ class Config(RunConfig):
     """Of real places, see `hyjax.data.relit_pairs`."""
     pair: str = "Piano"
     """The real place."""
+    flipped: bool = True
+    """Whether its second picture is the photo."""
     room: str = "builtin-3"
     """See `hyjax.synthetic.truth.lit_room`."""
     shown: tuple[str, ...] = ("evening-lamps:4", "golden-hour:9")
@@ -63,7 +65,7 @@ def main(config: Config, start: Start) -> None:
     results, rows = start(), list[Pictures]()
     if config.folder.is_dir():
         pairs = {pair.name: pair for pair in open_relit_pairs(config.folder)}
-        place = RealPlace(pairs[config.pair], False, "true")
+        place = RealPlace(pairs[config.pair], config.flipped, "true")
         picture = default_picture(place)
         decibels = scores(place, {"relit": picture}, None)["relit"]["psnr"]
         results.add(kind="picture", room=config.pair, setup="fitted", frame=0, psnr_db=decibels)
