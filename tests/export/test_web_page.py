@@ -356,6 +356,10 @@ def test_a_preset_is_chosen_on_the_page(visit: Visit, scene: Scene, setup: Light
     visit.page.get_by_label("Preset").select_option("default")
     visit.page.locator("#preset:enabled").wait_for()
     np.testing.assert_array_equal(visit.pixels(), before)
+    assert visit.page.evaluate("devices.splice(0, 2).length") == 2, (
+        "each preset has its own device, and one is left"
+    )
+    assert visit.page.evaluate("devices.length") == 1 and visit.page.locator("#notice").is_hidden()
 
 
 def wait_for_move(marker: Any, before: dict[str, float]) -> None:
