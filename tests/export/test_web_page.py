@@ -347,6 +347,7 @@ def test_a_lights_file_gives_the_same_picture(
 @pytest.mark.slow
 def test_a_preset_is_chosen_on_the_page(visit: Visit, scene: Scene, setup: LightSetup) -> None:
     """Frame, lights and the page's own configuration stay."""
+    visit.page.get_by_role("button", name="Start over").click()
     before = visit.pixels()
     wanted = reference(scene, setup, 0, PRESET)
     assert np.abs(wanted - reference(scene, setup, 0)).mean() > 5e-3
