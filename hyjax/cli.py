@@ -13,7 +13,7 @@ import tyro
 
 import hyjax
 from hyjax.data.convert_settings import ConvertSettings
-from hyjax.device.serve import ServeSettings
+from hyjax.device.serve import ServeSettings, run_serve
 from hyjax.export.settings import ExportSettings
 from hyjax.info import InfoSettings
 from hyjax.relighting.settings import RelightSettings
@@ -314,23 +314,6 @@ def run_export(settings: ExportSettings) -> None:
         from hyjax.export.run import export_file
 
         print(f"Look at {export_file(settings) / 'README.md'}")
-
-
-def run_serve(settings: ServeSettings) -> None:
-    """`hyjax serve`."""
-    import threading
-
-    from hyjax.device.serve import open_folder
-
-    server = open_folder(settings)
-    if not settings.is_local:
-        print(f"hyjax: listening at {settings.host}: everybody who reaches it sees this folder", file=sys.stderr)
-    print(server.invitation(), flush=True)
-    try:
-        threading.Event().wait()
-    except KeyboardInterrupt:
-        server.stop()
-        exit_now(0)
 
 
 def run_convert(settings: ConvertSettings) -> None:
