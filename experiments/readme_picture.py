@@ -7,7 +7,7 @@ as in `experiments.real`; and a generated room, by two set-ups, that no setting 
 place's pictures its row is left out, with a line. It becomes `docs/examples/readme.jpg` by `--keep`. Takes some
 minutes the first time, when the room is rendered, and about one after that.
 
-Expect: PSNR of 21 to 24 dB, as it comes; of the real place on blocks that no light was fitted to.
+Expect: PSNR of 21 to 28 dB, as it comes; of the real place on blocks that no light was fitted to.
 """
 
 import dataclasses
