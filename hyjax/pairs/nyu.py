@@ -59,7 +59,9 @@ class NyuPairs:
             if images[1] != 3 or depths != raw or depths != (images[0], *images[2:]) or 0 in images:
                 raise InputError(f"{path}: arrays do not belong together: {shapes}")
             if images[2] * images[3] > MOST_PIXELS:
-                raise InputError(f"{path}: pictures of {images[2]}x{images[3]} pixels; at most {MOST_PIXELS} are read")
+                raise InputError(
+                    f"{path}: pictures of {images[2]}x{images[3]} pixels; at most {MOST_PIXELS} are read"
+                )
             for name in ARRAYS:
                 _check_packing(path, file[name], name)
         self._count = int(images[0])
@@ -119,7 +121,7 @@ def _check_stored(path: Path, file: Any, name: str) -> None:
 
 
 def _check_packing(path: Path, array: Any, name: str) -> None:
-    """Raise `InputError` for an array of whose pieces a picture needs too much, or that is packed more than once."""
+    """Raise `InputError` for an array of which a picture needs too much, or that is packed more than once."""
     pieces = [-(-side // piece) for side, piece in zip(array.shape[1:], (array.chunks or array.shape)[1:])]
     if array.chunks and math.prod(pieces) * math.prod(array.chunks) * array.dtype.itemsize > MOST_CHUNK_BYTES:
         raise InputError(f"{path}: pieces of {name!r} unpack to over {MOST_CHUNK_BYTES >> 20} MiB a picture")

@@ -76,7 +76,9 @@ def test_coefficients_must_be_finite_and_few() -> None:
 
 
 @pytest.mark.parametrize("nearest", [False, True])
-def test_rows_that_are_looked_up_in_turn_are_those_of_the_whole(nearest: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_that_are_looked_up_in_turn_are_those_of_the_whole(
+    nearest: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """At once, a picture of 64 million pixels took 5 GiB."""
     image = np.random.default_rng(0).random((23, 31, 3)).astype(np.float32)
     intrinsics, bent = Intrinsics(31, 23, 20.0, 21.0, 15.0, 11.0), Distortion(radial=(0.1, -0.02))

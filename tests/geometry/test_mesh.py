@@ -257,7 +257,9 @@ def test_files_that_a_mesh_names_are_regular_ones_beside_it(tmp_path: Path, uri:
 def test_a_file_that_a_mesh_names_by_many_names_is_read_once(tmp_path: Path) -> None:
     """A thousand names of a small file took as much memory as a thousand files."""
     tree = json.loads(gltf([{"mesh": 0}], [0]))
-    (tmp_path / "a.bin").write_bytes(base64.b64decode(tree["buffers"][0]["uri"].partition("base64,")[2]) + bytes(1 << 20))
+    (tmp_path / "a.bin").write_bytes(
+        base64.b64decode(tree["buffers"][0]["uri"].partition("base64,")[2]) + bytes(1 << 20)
+    )
     more = [{"uri": f"{k}/../a.bin", "byteLength": 1 << 20} for k in range(200)]
     tree["buffers"] = [tree["buffers"][0] | {"uri": "a.bin"}, *more]
     (tmp_path / "room.gltf").write_text(json.dumps(tree))
