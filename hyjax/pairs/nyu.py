@@ -34,7 +34,7 @@ MOST_PIXELS = 1 << 22
 """Most pixels of a picture; the published ones have 640 x 480. HDF5 may declare data that it lacks."""
 MOST_CHUNK_BYTES = 1 << 28
 """Most bytes of an array that are unpacked for a picture: all chunks that hold a part of it."""
-PACKINGS = ([], [1], [2, 1], [3], [1, 3], [2, 1, 3])
+PACKINGS: tuple[list[int], ...] = ([], [1], [2, 1], [3], [1, 3], [2, 1, 3])
 """Filters of HDF5 in turn: deflate (1) once at most, shuffled (2) before and a checksum (3) after it."""
 MOST_CHUNKS = 1 << 14
 """Most chunks of a picture: HDF5 looks for each, those that the file lacks, too."""
