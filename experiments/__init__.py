@@ -1,15 +1,13 @@
 """Experiments, one a file, whose docstring gives the command, its duration and the expected results."""
 
 EXPERIMENTS = (
-    "paper_table",
+    "paper",
     "truth",
     "real",
     "dark_frames",
     "patches",
     "readme_picture",
     "flicker",
-    "ablation_cascade",
-    "ablation_shadow",
     "structure",
     "conductances",
     "depth_sr",
