@@ -19,6 +19,7 @@ EXPERIMENTS = (
     "stage_times",
     "frame_rate",
     "first_picture",
+    "explore_latency",
     "fusion_borders",
     "bench_peers",
     "live",

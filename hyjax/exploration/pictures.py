@@ -20,8 +20,8 @@ from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
 from hyjax.util.programs import run_kept
 
-STEPS_OF_A_PROGRAM = 8
-"""Multiple that step counts are filled up to, so that counts of one multiple share a program."""
+MOST_STEPS, MOST_FINE_STEPS = 32, 8
+"""Steps that levels are filled up to, so that counts up to them share a program; steps at full size are dear."""
 MOST_FILLED_STEPS = 64
 """Most steps of a level that is filled up; longer ones cost more to run than to compile."""
 FILLING_LAM = np.float32(1e-30)
@@ -164,25 +164,33 @@ def same(a: Lights, b: Lights) -> bool:
 
 
 def filled(configuration: Configuration) -> Configuration:
-    """Configuration whose levels are filled up with steps that change nothing: neighbouring counts share a program.
+    """Configuration with levels filled up by steps that change nothing: counts up to a bound share a program.
 
     >>> [level.steps for level in filled(Configuration()).schedule.levels]
-    [8, 8, 8]
+    [32, 32, 32]
     """
     schedules = (_filled(s) for s in (configuration.schedule, configuration.shadow_schedule))
     schedule, shadow_schedule = schedules
     return dataclasses.replace(configuration, schedule=schedule, shadow_schedule=shadow_schedule)
 
 
+def most_steps(factor: int) -> int:
+    """Bound up to which counts of a level share a program."""
+    return MOST_FINE_STEPS if factor == 1 else MOST_STEPS
+
+
 def _filled(schedule: Schedule) -> Schedule:
+    if not any(level.steps for level in schedule.levels):
+        return schedule  # no cascade at all
     return dataclasses.replace(schedule, levels=tuple(_filled_level(level) for level in schedule.levels))
 
 
 def _filled_level(level: Level) -> Level:
     sizes = np.asarray(level.step_sizes, np.float32)
-    if not 0 < len(sizes) <= MOST_FILLED_STEPS or sizes.max() >= 0.25:  # a cycle is stable only as it is
+    if len(sizes) > MOST_FILLED_STEPS or sizes.max(initial=0.0) >= 0.25:  # a cycle is stable only as it is
         return level
-    filling = np.full(-len(sizes) % STEPS_OF_A_PROGRAM, FILLING_LAM)
+    most = most_steps(level.factor)
+    filling = np.full(most if not len(sizes) else -len(sizes) % most, FILLING_LAM)
     return dataclasses.replace(level, step_sizes=np.concatenate([sizes, filling]))
 
 

@@ -305,12 +305,17 @@ class Scene:
         return Relighter(self, lights, configuration).relit(frame, rays=True)  # a single picture
 
     def explore(
-        self, *, frame: int = 0, lights: AnyLights = "evening-lamps", configuration: AnyConfiguration = None
+        self,
+        *,
+        frame: int = 0,
+        lights: AnyLights = "evening-lamps",
+        configuration: AnyConfiguration = None,
+        truth: Callable[[int, LightSetup], Any] | None = None,
     ) -> Any:
         """Widget of a notebook that relights the frames by hand; see `hyjax.explore`."""
         from hyjax import explore
 
-        return explore(self, frame=frame, lights=lights, configuration=configuration)
+        return explore(self, frame=frame, lights=lights, configuration=configuration, truth=truth)
 
     @functools.cached_property
     def photo_light(self) -> ScenePhotoLight:

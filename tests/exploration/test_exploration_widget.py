@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,9 @@ import hyjax
 from hyjax.core.refine import _cascade_known
 from hyjax.data.builtin_room import UP
 from hyjax.data.capture import Capture, Frame
+from hyjax.data.truth_room import TruthCapture
 from hyjax.exploration.pictures import Pictures
+from hyjax.exploration.truth import KnownTruth
 from hyjax.exploration.widget import DRAFT_MS, Explorer
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.shadow_caster import cast_shadow_maps
@@ -259,8 +262,15 @@ def test_other_counts_of_steps_are_not_compiled(widget: Explorer) -> None:
         hand(widget, "level", cascade="schedule", index=1, key="steps", value=steps)
         assert widget.wait(120.0)
     assert _cascade_known._cache_size() == before
-    expected = widget._scene.relit(0, "center-point", widget.configuration)
-    assert np.array_equal(widget.relit.image, expected.image)
+    images = {}
+    for steps in (1, 31, 32, 7, 0):
+        hand(widget, "level", cascade="schedule", index=1, key="steps", value=steps)
+        assert widget.wait(120.0)
+        images[steps] = widget.configuration, widget.relit.image
+    assert _cascade_known._cache_size() == before  # whatever the slider says
+    for steps in (7, 0):
+        configuration, image = images[steps]
+        assert np.array_equal(image, widget._scene.relit(0, "center-point", configuration).image)
 
 
 def test_side_by_side(widget: Explorer) -> None:
@@ -272,6 +282,61 @@ def test_side_by_side(widget: Explorer) -> None:
         assert widget.wait(120.0) and not widget.message
         widths[view] = size(widget.sheet)[0]
     assert widths == {"compare": 1096, "levels": 1096, "stages": 1460}
+
+
+def test_scores_against_the_truth(scene: hyjax.Scene, own: hyjax.Configuration) -> None:
+    asked: list[tuple[int, int]] = []
+
+    def truth(frame: int, setup: hyjax.LightSetup) -> Any:
+        asked.append((frame, len(setup.lights)))
+        return None if frame == 2 else hyjax.to_display(scene.relit(frame, setup, own).image)
+
+    widget = scene.explore(lights="center-point", configuration=own, truth=truth)
+    assert widget.wait(120.0) and asked == [(0, 1)]
+    (perfect,) = widget.scores
+    assert perfect["name"] == own.name and perfect["loss"] < 1e-3 and perfect["ssim"] > 0.999
+    assert widget.judged[0].startswith(f"{own.name}: loss 0.000") and "SSIM 1.0000" in widget.judged[0]
+    widget.other, widget.configuration = own, own.with_choices({"bounces": False, "sampling": 1})
+    widget.view = "compare"
+    assert widget.wait(120.0)
+    first, second = widget.scores
+    assert first["name"] == f"A: {widget.configuration.name}" and second["name"] == f"B: {own.name}"
+    assert second["loss"] < 0.5 * first["loss"] and first["psnr_raw"] < second["psnr_raw"]
+    widget.view = "truth"
+    assert widget.wait(120.0) and size(widget.sheet)[0] == 1096
+    widget.frame = 2
+    assert not widget.wait(120.0)  # there is nothing to show beside it
+    assert widget.scores == [] and "no truth is known" in widget.judged[0]
+
+
+def test_a_truth_of_another_size_is_said(scene: hyjax.Scene, own: hyjax.Configuration) -> None:
+    widget = scene.explore(lights="center-point", configuration=own, truth=lambda *_: np.zeros((4, 4, 3)))
+    assert not widget.wait(120.0)
+    assert "truth: must be a picture of (48, 64, 3), got (4, 4, 3)" in widget.message
+
+
+def test_the_truth_of_a_room_is_that_of_named_lights(scene: hyjax.Scene) -> None:
+    class Room(TruthCapture):
+        def __init__(self) -> None: ...
+
+        def __getitem__(self, index: int) -> Frame:
+            return scene.capture[index]
+
+        def truth(self, setup: Any, frames: Any, light: Any = None) -> Any:
+            return [np.full((48, 64, 3), 0.25 * (1 + n), np.float32) for n in frames]
+
+    room: Any = SimpleNamespace(capture=Room(), size=(24, 32))
+    known, setup = KnownTruth(room), scene.lights("center-point")
+    assert known.known and not KnownTruth(scene).known
+    picture = known.picture(1, "center-point", setup, (24, 32, 3))
+    assert picture is not None and picture == pytest.approx(np.full((24, 32, 3), 0.5), abs=0.01)
+    assert known.picture(1, setup, setup, (24, 32, 3)) is None
+
+
+def test_there_is_no_view_of_a_truth_that_is_not_known(widget: Explorer) -> None:
+    with pytest.raises(hyjax.InputError, match="view: must be one of wipe"):
+        widget.view = "truth"
+    assert "truth" not in widget.state["views"] and widget.scores == [] == widget.judged
 
 
 def test_a_sheet_that_cannot_be_made_leaves_the_picture(widget: Explorer) -> None:
