@@ -10,6 +10,8 @@ from jaxtyping import Array, Float
 from hyjax.choices.table import CASCADES
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Level, Schedule
+from hyjax.exploration.kept_stages import KeptStages
+from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup, same_setup
 from hyjax.light.view import View
@@ -36,6 +38,29 @@ Lights = LightSetup | str
 Stages = Iterator[tuple[str, Any]]
 
 
+class DraftRelighter(Relighter):
+    """Relighter that may take the light on the surface from another, so that no bounces are followed.
+
+    Args:
+        place, lights, configuration: see `Relighter`.
+        surface: light on the surface; None for that of the lights.
+    """
+
+    def __init__(
+        self, place: Scene, lights: Lights, configuration: Configuration, surface: SurfaceLight | None
+    ) -> None:
+        self._given = surface
+        super().__init__(place, lights, configuration)
+
+    @property
+    def surface_light(self) -> SurfaceLight | None:
+        """Light on the surface, as far as the frames are divided by it."""
+        return self._light()[-1]
+
+    def _surface_light(self) -> SurfaceLight:
+        return super()._surface_light() if self._given is None else self._given
+
+
 class Superseded(Exception):
     """A newer picture was asked for."""
 
@@ -57,30 +82,47 @@ class Pictures:
     def __init__(self, scene: Scene, superseded: Callable[[], bool] = lambda: False) -> None:
         self.scene, self.fills, self._superseded = scene, False, superseded
         self._views: dict[tuple[int, int], View] = {}
-        self._relighters: list[tuple[Lights, Any, Relighter]] = []
+        self._relighters: list[tuple[Lights, Any, DraftRelighter]] = []
+        self._surface: tuple[Any, SurfaceLight] | None = None  # of the last whole picture, and the choices of it
         self._frames: list[tuple[Relighter, int, LitFrame]] = []
+        self._run, self._run_draft = KeptStages(), KeptStages(draft=True)
 
-    def relighter(self, lights: Lights, configuration: Configuration) -> Relighter:
-        """Relighter of lights; its configuration's cascades may be of an earlier change."""
-        key = light_key(configuration)
+    def relighter(
+        self, lights: Lights, configuration: Configuration, surface: SurfaceLight | None = None
+    ) -> DraftRelighter:
+        """Relighter of lights; its configuration's cascades may be of an earlier change.
+
+        Args:
+            lights: a set-up or its name.
+            configuration: any.
+            surface: light on the surface that is taken in the place of their own, for a draft.
+        """
+        key = light_key(configuration), id(surface)
         for place, (own, own_key, relighter) in enumerate(self._relighters):
             if own_key == key and same(own, lights):
                 self._relighters.append(self._relighters.pop(place))
                 return relighter
-        made = Relighter(self.scene, lights, configuration)
+        made = DraftRelighter(self.scene, lights, configuration, surface)
         self._relighters = [*self._relighters, (lights, key, made)][-KEPT_FRAMES:]
         return made
 
     def knows(self, frame: int, lights: Lights, configuration: Configuration) -> bool:
         """Whether a frame under these lights is kept, so that its cascades alone are to be run."""
-        key = light_key(configuration)
+        key = light_key(configuration), id(None)
         known = [relighter for own, own_key, relighter in self._relighters if own_key == key and same(own, lights)]
         return any(relighter in known and index == frame for relighter, index, _ in self._frames)
 
-    def lit(self, frame: int, lights: Lights, configuration: Configuration, clock: StageClock) -> LitFrame:
-        """Frame under lights, ready to be refined."""
+    def lit(
+        self,
+        frame: int,
+        lights: Lights,
+        configuration: Configuration,
+        clock: StageClock,
+        surface: SurfaceLight | None = None,
+    ) -> LitFrame:
+        """Frame under lights, ready to be refined; arguments as of `relighter`."""
         with clock("lights"):
-            relighter = self.relighter(lights, configuration)
+            relighter = self.relighter(lights, configuration, surface)
         for place, (own, index, lit) in enumerate(self._frames):
             if own is relighter and index == frame:
                 self._frames.append(self._frames.pop(place))
@@ -105,16 +147,21 @@ class Pictures:
             InputError: the lights or the configuration cannot be used.
         """
         lit = self.lit(frame, lights, configuration, clock)
-        relit: Relit = clock.follow(self._followed(refine(lit, self._as_run(configuration))))
+        surface = self.relighter(lights, configuration).surface_light
+        self._surface = None if surface is None else (configuration.light, surface)
+        relit: Relit = clock.follow(self._followed(refine(lit, self._as_run(configuration), run=self._run)))
         return relit
 
     def draft(
         self, frame: int, lights: Lights, configuration: Configuration, clock: StageClock
     ) -> Float[Array, "h w 3"]:
-        """Relit picture at half the size, linear, with coarser shadows."""
-        small = draft_of(configuration)
-        lit = dataclasses.replace(self.lit(frame, lights, small, clock), full=None)
-        picture: Float[Array, "h w 3"] = clock.follow(refine(lit, self._as_run(small)), until="composite")
+        """Relit picture at half the size, linear, with coarser shadows, and bounces of the last whole picture."""
+        kept = self._surface
+        surface = kept[1] if kept is not None and kept[0] == configuration.light else None
+        small = draft_of(configuration, bounces=surface is None)
+        lit = dataclasses.replace(self.lit(frame, lights, small, clock, surface), full=None)
+        stages = refine(lit, self._as_run(small), run=self._run_draft)
+        picture: Float[Array, "h w 3"] = clock.follow(stages, until="composite")
         return picture
 
     def levels(
@@ -194,10 +241,10 @@ def _filled_level(level: Level) -> Level:
     return dataclasses.replace(level, step_sizes=np.concatenate([sizes, filling]))
 
 
-def draft_of(configuration: Configuration) -> Configuration:
+def draft_of(configuration: Configuration, *, bounces: bool = True) -> Configuration:
     """Configuration of a draft: half the size, with levels of the same cells, and coarser shadows.
 
-    Where the frame is divided by the photo's light, shadows stay: that light needs the whole shadow maps anyway.
+    Where bounces are followed with the photo's light, shadows stay: they need the whole shadow maps anyway.
     """
     schedules = {}
     for part in ("schedule", "shadow_schedule"):
@@ -207,7 +254,7 @@ def draft_of(configuration: Configuration) -> Configuration:
             levels[factor] = dataclasses.replace(level, factor=factor)
         schedules[part] = dataclasses.replace(schedule, levels=tuple(levels.values()))
     shadows = configuration.shadows
-    if configuration.light.photo_light != "divided":
+    if configuration.light.photo_light != "divided" or not bounces:
         shadows = shadows.replace(
             map_scale=max(0.05, shadows.map_scale / DRAFT_FACTOR),
             views=DRAFT_VIEWS if shadows.views is None else min(shadows.views, DRAFT_VIEWS),

@@ -2,6 +2,8 @@
 
 import base64
 import io
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -14,20 +16,24 @@ import pytest
 import trimesh
 from extras import need
 from PIL import Image
+from reference.arkit_export import export_arkit_scan
 
 need("notebooks")
 
 import hyjax
 from hyjax.core.refine import _cascade_known
-from hyjax.data.builtin_room import UP
+from hyjax.data.builtin_room import UP, load_room
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.truth_room import TruthCapture
+from hyjax.exploration.controls import with_level
 from hyjax.exploration.pictures import Pictures
 from hyjax.exploration.truth import KnownTruth
 from hyjax.exploration.widget import DRAFT_MS, Explorer
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.util.clock import StageClock
+from hyjax.util.images import read_image
+from hyjax.util.programs import run_kept
 
 
 class Boxes(Capture):
@@ -229,6 +235,48 @@ def test_a_draft_casts_the_shadow_maps_of_divided_light_once(
     assert casts == [1.0]
 
 
+def test_a_draft_of_other_lights_follows_no_bounces(scene: hyjax.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    pictures, clock = Pictures(scene), StageClock()
+    first, second = (
+        hyjax.LightSetup.of(hyjax.PointLight(np.array([0.1, y, 2.0]), 777.0, np.ones(3))) for y in (-0.4, 0.4)
+    )
+    whole = pictures.relit(0, first, hyjax.Configuration(), clock).image
+    casts: list[float] = []
+
+    def counted(caster: Any, lights: Any, scale: float, *rest: Any, **options: Any) -> Any:
+        casts.append(scale)
+        return cast_shadow_maps(caster, lights, scale, *rest, **options)
+
+    monkeypatch.setattr("hyjax.scene.scene.cast_shadow_maps", counted)
+    monkeypatch.setattr(hyjax.Scene, "surface_light", None)
+    draft = np.asarray(pictures.draft(0, second, hyjax.Configuration(), clock))
+    assert casts == [0.5] and draft.shape == (24, 32, 3)
+    again = np.asarray(pictures.draft(0, first, hyjax.Configuration(), clock))
+    small = np.asarray(whole).reshape(24, 2, 32, 2, 3).mean(axis=(1, 3))
+    assert np.abs(again - small).mean() < 0.5 * np.abs(draft - small).mean()
+
+
+def test_a_change_of_the_cascade_leaves_the_shadow_pass(
+    scene: hyjax.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: list[str] = []
+
+    def counted(function: Any, *arrays: Any, **static: Any) -> Any:
+        ran.append(function.__name__)
+        return run_kept(function, *arrays, **static)
+
+    monkeypatch.setattr("hyjax.exploration.kept_stages.run_kept", counted)
+    pictures = Pictures(scene)
+    configuration = hyjax.Configuration()
+    for kappa in (0.1, 0.2):
+        changed = with_level(configuration, "schedule", 1, "kappa", kappa)
+        relit = pictures.relit(0, "center-point", changed, StageClock())
+    assert ran.count("refine_visibility") == 1 and ran.count("refine_illuminance") == 2
+    assert np.array_equal(relit.image, scene.relit(0, "center-point", changed).image)
+    pictures.relit(0, "center-point", with_level(changed, "shadow_schedule", 0, "kappa", 0.3), StageClock())
+    assert ran.count("refine_visibility") == 2
+
+
 def test_older_changes_are_dropped(widget: Explorer, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[float] = []
     go, relit = threading.Event(), widget._pictures.relit
@@ -364,6 +412,23 @@ def test_its_script_makes_the_same_picture(
     exec(widget.code, places := {"scene": widget._scene})  # a scene without settings
     assert np.array_equal(places["relit"].image, widget.relit.image)
     assert (tmp_path / "relit.png").is_file()
+
+
+@pytest.mark.slow
+def test_its_script_runs_by_itself(own: hyjax.Configuration, tmp_path: Path) -> None:
+    """In a process of its own, on a capture that is opened there."""
+    room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
+    scan = export_arkit_scan(tmp_path / "arkit", room, room.reference())
+    scene = hyjax.Scene.open(hyjax.SceneSettings(capture=scan, size="64x48"))
+    widget = scene.explore(frame=1, lights="center-point", configuration=own)
+    hand(widget, "ready")
+    hand(widget, "level", cascade="schedule", index=0, key="steps", value=6)
+    hand(widget, "strength", index=0, value=654.0)
+    assert widget.wait(120.0)
+    (tmp_path / "script.py").write_text(widget.code)
+    subprocess.run([sys.executable, "script.py"], cwd=tmp_path, check=True, timeout=600)
+    relit = np.asarray(hyjax.to_display(widget.relit.image))
+    assert np.array_equal(np.round(255 * read_image(tmp_path / "relit.png")), np.round(255 * relit.clip(0, 1)))
 
 
 def test_the_last_picture_is_kept_beside_the_widget(widget: Explorer) -> None:
