@@ -113,8 +113,8 @@ def directions(frames: Sequence[Row]) -> Table:
     header = ["change against the bare mesh", "the paper's table", "paper's method", "ours", "same direction"]
     caption = (
         f"Does the paper's comparison reproduce? Refined minus bare at {size_of(frames)}, median over "
-        f"{len(frames)} frames (95 % interval). {better_text()}. The last column is of the paper's method; open: the "
-        "interval holds 0, or there are too few frames."
+        f"{len(frames)} frames (95 % interval). {better_text()}. The last column is of the paper's method; open: "
+        "the interval holds 0, or there are too few frames."
     )
     return Table(caption, header, rows)
 
