@@ -13,7 +13,7 @@ from hyjax.core.schedule import Level, Schedule
 from hyjax.exploration.kept_stages import KeptStages
 from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.relit import Relit
-from hyjax.light.setup import LightSetup, same_setup
+from hyjax.light.setup import LightSetup, geometry_key, same_setup
 from hyjax.light.view import View
 from hyjax.pipeline import cascade_calls
 from hyjax.scene.relighter import LitFrame, Relighter, refine
@@ -32,6 +32,8 @@ KEPT_FRAMES = 4
 """Frames under lights that are kept: full and draft of two configurations."""
 DRAFT_FACTOR = 2
 """Size of a frame over that of its draft."""
+DRAFT_MAP_FACTOR = 4
+"""Size of a shadow map over that of a draft's."""
 DRAFT_VIEWS = 4
 """Views of a soft light in the shadow map of a draft."""
 Lights = LightSetup | str
@@ -83,7 +85,7 @@ class Pictures:
         self.scene, self.fills, self._superseded = scene, False, superseded
         self._views: dict[tuple[int, int], View] = {}
         self._relighters: list[tuple[Lights, Any, DraftRelighter]] = []
-        self._surface: tuple[Any, SurfaceLight] | None = None  # of the last whole picture, and the choices of it
+        self._whole: tuple[Any, LightSetup, SurfaceLight] | None = None  # choices, lights, surface
         self._frames: list[tuple[Relighter, int, LitFrame]] = []
         self._run, self._run_draft = KeptStages(), KeptStages(draft=True)
 
@@ -147,18 +149,24 @@ class Pictures:
             InputError: the lights or the configuration cannot be used.
         """
         lit = self.lit(frame, lights, configuration, clock)
-        surface = self.relighter(lights, configuration).surface_light
-        self._surface = None if surface is None else (configuration.light, surface)
+        own = self.relighter(lights, configuration)
+        surface = own.surface_light
+        self._whole = None if surface is None else (configuration.light, own.setup, surface)
         relit: Relit = clock.follow(self._followed(refine(lit, self._as_run(configuration), run=self._run)))
         return relit
 
     def draft(
         self, frame: int, lights: Lights, configuration: Configuration, clock: StageClock
     ) -> Float[Array, "h w 3"]:
-        """Relit picture at half the size, linear, with coarser shadows, and bounces of the last whole picture."""
-        kept = self._surface
-        surface = kept[1] if kept is not None and kept[0] == configuration.light else None
-        small = draft_of(configuration, bounces=surface is None)
+        """Relit picture at half the size, linear, with bounces of the last whole picture.
+
+        Lights that have other places than there throw coarser shadows; of the others shadow maps are kept.
+        """
+        surface, moved = None, False
+        if self._whole is not None and self._whole[0] == configuration.light:
+            _, setup, surface = self._whole
+            moved = isinstance(lights, LightSetup) and _places(lights) != _places(setup)
+        small = draft_of(configuration, bounces=not moved)
         lit = dataclasses.replace(self.lit(frame, lights, small, clock, surface), full=None)
         stages = refine(lit, self._as_run(small), run=self._run_draft)
         picture: Float[Array, "h w 3"] = clock.follow(stages, until="composite")
@@ -203,6 +211,11 @@ def light_key(configuration: Configuration) -> Any:
     return tuple(getattr(configuration, part) for part in ("mode", "scale", "light", "shadows", "guide"))
 
 
+def _places(setup: LightSetup) -> list[Any]:
+    """All that shadow maps depend on, of each light."""
+    return [geometry_key(light) for light in setup.lights]
+
+
 def same(a: Lights, b: Lights) -> bool:
     """Whether two set-ups, or their names, are the same."""
     if isinstance(a, str) or isinstance(b, str):
@@ -244,7 +257,7 @@ def _filled_level(level: Level) -> Level:
 def draft_of(configuration: Configuration, *, bounces: bool = True) -> Configuration:
     """Configuration of a draft: half the size, with levels of the same cells, and coarser shadows.
 
-    Where bounces are followed with the photo's light, shadows stay: they need the whole shadow maps anyway.
+    Where bounces are followed with the photo's light, shadows stay: that needs the whole shadow maps anyway.
     """
     schedules = {}
     for part in ("schedule", "shadow_schedule"):
@@ -256,7 +269,7 @@ def draft_of(configuration: Configuration, *, bounces: bool = True) -> Configura
     shadows = configuration.shadows
     if configuration.light.photo_light != "divided" or not bounces:
         shadows = shadows.replace(
-            map_scale=max(0.05, shadows.map_scale / DRAFT_FACTOR),
+            map_scale=max(0.05, shadows.map_scale / DRAFT_MAP_FACTOR),
             views=DRAFT_VIEWS if shadows.views is None else min(shadows.views, DRAFT_VIEWS),
         )
     scale = configuration.scale * DRAFT_FACTOR

@@ -250,8 +250,11 @@ def test_a_draft_of_other_lights_follows_no_bounces(scene: hyjax.Scene, monkeypa
     monkeypatch.setattr("hyjax.scene.scene.cast_shadow_maps", counted)
     monkeypatch.setattr(hyjax.Scene, "surface_light", None)
     draft = np.asarray(pictures.draft(0, second, hyjax.Configuration(), clock))
-    assert casts == [0.5] and draft.shape == (24, 32, 3)
+    assert casts == [0.25] and draft.shape == (24, 32, 3)
+    brighter = hyjax.LightSetup.of(hyjax.PointLight(np.array([0.1, -0.4, 2.0]), 999.0, np.ones(3)))
+    pictures.draft(0, brighter, hyjax.Configuration(), clock)
     again = np.asarray(pictures.draft(0, first, hyjax.Configuration(), clock))
+    assert casts == [0.25]  # those of lights that stand where they stood are kept
     small = np.asarray(whole).reshape(24, 2, 32, 2, 3).mean(axis=(1, 3))
     assert np.abs(again - small).mean() < 0.5 * np.abs(draft - small).mean()
 
