@@ -2,8 +2,8 @@
 
     python -m experiments.explore_latency [--size 512x512] [--rounds 15] [--out results/explore_latency]
 
-A widget of the built-in room is sent what its page sends, all changes in turns, while a control moves (a draft will
-do) and when it rests. Measured: milliseconds from the message to the JPEG that goes to the page, without the time
+A widget of the built-in room is sent what its page sends, all movements in turns: while a control moves, when a draft
+will do, and when it rests. Measured: milliseconds from the message to the JPEG that goes to the page, without the time
 that the process waited for other work; how much of it are the stages of the relighting; and the rest, which is the
 widget's own. The first round, which compiles, is left out.
 
@@ -33,6 +33,8 @@ from hyjax.exploration.widget import Explorer
 GOALS = {"κ of a level": 15, "steps of a level": 30, "strength of a lamp": 25, "place of a lamp": 80}
 """Change → milliseconds that it should take while a control moves."""
 MOVES = {True: "moves", False: "rests"}
+MOVE = (True, True, False)
+"""Messages of one movement: whether a draft will do. The first, which comes upon another change, is not counted."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,10 +55,11 @@ def main(config: Config, start: Start) -> None:
     widget.wait()
     lamp = next(n for n, lamp in enumerate(widget.state["lamps"]) if lamp["place"])
     for number in tqdm(range(config.rounds + 1), "changing", unit="round"):
-        for place, draft in enumerate(MOVES):
-            for name, content in messages(widget, lamp, 2 * number + place).items():
-                taken = changed(widget, content | {"draft": draft})
-                if number:
+        for name in GOALS:
+            for step, draft in enumerate(MOVE):
+                content = messages(widget, lamp, len(MOVE) * number + step)[name]
+                taken = changed(widget, content | {"draft": draft}, wait=not draft)
+                if number and step:
                     results.add(kind="change", name=name, draft=draft, round=number, **taken)
 
 
@@ -74,8 +77,11 @@ def messages(widget: Explorer, lamp: int, number: int) -> dict[str, dict[str, An
     return dict(zip(GOALS, values, strict=True))
 
 
-def changed(widget: Any, content: dict[str, Any]) -> dict[str, float]:
-    """Milliseconds to the picture of a change: by the clock, of them the stages', and those of the processor."""
+def changed(widget: Any, content: dict[str, Any], *, wait: bool) -> dict[str, float]:
+    """Milliseconds to the picture of a change: by the clock, of them the stages', and those of the processor.
+
+    `wait` is for all that follows it, as after the last of a movement.
+    """
     arrived, times = threading.Event(), dict[str, float]()
 
     def shown(_: Any) -> None:
@@ -92,7 +98,8 @@ def changed(widget: Any, content: dict[str, Any]) -> dict[str, float]:
         stages = {name: ms for name, ms in widget.times if name != "JPEG"}
     finally:
         widget.unobserve(shown, "picture")
-        widget.wait()
+        if wait:
+            widget.wait()
     found = {key: 1e3 * seconds for key, seconds in times.items()}
     return found | {"stages": sum(stages.values())}
 

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from hyjax.exploration.widget import Explorer
 
 
+KEPT_MAPS = 6
+"""Sets of shadow maps that are kept: of wholes and drafts, before and after a lamp was moved."""
+
+
 @checked_arguments
 def explore(
     scene: Scene | Path | str,
@@ -46,4 +50,5 @@ def explore(
 
     opened = scene if isinstance(scene, Scene) else Scene.open(SceneSettings(capture=Path(scene)))
     opened.maps_on_disk = False  # or a lamp that is dragged would fill the cache folder
+    opened.kept_maps.most = max(KEPT_MAPS, opened.kept_maps.most)
     return Explorer(opened, frame=frame, lights=lights, configuration=configuration, truth=truth)
