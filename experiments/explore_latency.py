@@ -2,10 +2,10 @@
 
     python -m experiments.explore_latency [--size 512x512] [--rounds 15] [--out results/explore_latency]
 
-A widget of the built-in room is sent what its page sends, all movements in turns: while a control moves, when a draft
-will do, and when it rests. Measured: milliseconds from the message to the JPEG that goes to the page, without the time
-that the process waited for other work; how much of it are the stages of the relighting; and the rest, which is the
-widget's own. The first round, which compiles, is left out.
+A widget of the built-in room is sent what its page sends, all movements in turns: while a control moves, when a
+draft will do, and when it rests. Measured: milliseconds from the message to the JPEG that goes to the page, without
+the time that the process waited for other work; how much of it are the stages of the relighting; and the rest,
+which is the widget's own. The first round, which compiles, is left out.
 
 Takes about three minutes on two cores.
 

@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import shlex
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -36,11 +37,13 @@ def load(rows: Sequence[Row]) -> str:
 
 
 def command(row: Row) -> str:
-    """Command line that makes such rows: all settings that are not the default."""
+    """Command line that makes such rows: all settings that are not the default; an own experiment's is its file."""
     name = row["experiment"]
-    module: Any = importlib.import_module(f"experiments.{name}")
-    parts = [f"python -m experiments.{name}"]
-    for field in dataclasses.fields(module.Config):
+    try:
+        config, parts = importlib.import_module(f"experiments.{name}").Config, [f"python -m experiments.{name}"]
+    except ModuleNotFoundError:
+        config, parts = vars(sys.modules["__main__"]).get("Config"), [f"python {name}.py"]
+    for field in dataclasses.fields(config) if config else ():
         value, usual = row["settings"].get(field.name), default_of(field)
         if field.name in UNSETTLED_OPTIONS or value is None or value == usual:
             continue

@@ -134,6 +134,7 @@ TABLES: dict[str, Published] = {
     "first-picture": Published("first_picture", 0),
     "first-picture-stages": Published("first_picture", 1),
     "peers": Published("bench_peers"),
+    "explore-latency": Published("explore_latency"),
     # tuning
     "presets": Published("frame_tuning", 0),
     "preset-search": Published("frame_tuning", 1, lines=SEARCHED),
