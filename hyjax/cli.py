@@ -126,11 +126,11 @@ def main() -> None:
     """Entry point of the `hyjax` command. Bad input: one line on stderr and exit status 2."""
     open_closed_streams()
     quiet_libraries()
-    if sys.argv[1:] == ["--version"]:
-        print(f"hyjax {hyjax.__version__}")
-        return
-    defer_interrupts()
     try:
+        if sys.argv[1:] == ["--version"]:
+            print(f"hyjax {hyjax.__version__}", flush=True)
+            return
+        defer_interrupts()
         command = parse()
         if isinstance(command, RelightSettings):
             run_relight(command)

@@ -185,7 +185,8 @@ class Configuration:
             try:
                 value = msgspec.convert(value, annotated(choice), strict=not isinstance(value, str))
             except msgspec.ValidationError as error:
-                raise InputError(f"choices: {name} {value!r}: {error}") from None
+                wrong = str(error).replace("`bool`", "true or false")
+                raise InputError(f"choices: {name} {value!r}: {wrong}") from None
             if choice.part:
                 own = found.get(choice.part, getattr(self, choice.part))
                 found[choice.part] = own.replace(**{choice.key: value})

@@ -308,6 +308,7 @@ def raw_answers(name: str, call: Call) -> Iterator[tuple[str, str, Exception | N
 
 def main() -> int:
     """Count the raw answers."""
+    sys.path.append(str(Path(__file__).parent))  # where helpers of other tests are
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # a text may be taken for a path
         calls, count, raw = CALLS | more_calls(Path(folder)), 0, 0
         for name in sys.argv[1:] or calls:

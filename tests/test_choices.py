@@ -150,6 +150,7 @@ def test_defaults_are_those_of_the_default() -> None:
         ({"bounce": False}, "did you mean"),
         ({"scale": 9}, "scale"),
         ({"sampling": 0}, "sampling"),
+        ({"light_edges": "maybe"}, "true or false"),
         ({"photo_light": "left"}, "photo_light"),
         ({"kappa": 0.1}, "give another schedule"),
     ],

@@ -4,6 +4,8 @@ import dataclasses
 import json
 import logging
 import re
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -224,3 +226,12 @@ def test_text_and_truth_values_are_no_numbers_of_a_schedule(level: dict[str, Any
 def test_settings_are_checked_before_any_work(settings: Callable[[], Any]) -> None:
     with pytest.raises(hyjax.InputError):
         settings()
+
+
+@pytest.mark.slow
+def test_the_command_that_counts_raw_answers_runs() -> None:
+    root = Path(__file__).parents[1]
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.hostile", "blackbody"], cwd=root, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0 and done.stdout.startswith("0 of "), done.stderr[-500:]

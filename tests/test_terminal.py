@@ -36,6 +36,7 @@ def test_an_interrupt_while_modules_load_is_one_line(handler: str, status: int, 
     assert (done.returncode, done.stderr) == (status, said)
 
 
+@pytest.mark.parametrize("command", ["info", "--version"])
 @pytest.mark.parametrize(
     ("redirection", "status", "said"),
     [
@@ -44,9 +45,9 @@ def test_an_interrupt_while_modules_load_is_one_line(handler: str, status: int, 
         (">/dev/full", 2, "hyjax: stdout: cannot be written to: No space"),
     ],
 )
-def test_output_that_goes_nowhere(redirection: str, status: int, said: str) -> None:
-    command = f"exec {sys.executable} -m hyjax info {redirection}"
-    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60)
+def test_output_that_goes_nowhere(redirection: str, status: int, said: str, command: str) -> None:
+    line = f"exec {sys.executable} -m hyjax {command} {redirection}"
+    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, timeout=60)
     assert done.returncode == status and done.stderr.startswith(said) and done.stderr.count("\n") == bool(said)
 
 

@@ -15,6 +15,9 @@ from jaxtyping import Float
 from hyjax.geometry.camera import Intrinsics
 from hyjax.util.errors import InputError
 
+BAND_PIXELS = 1 << 20
+"""Pixels that are looked up at a time: their places take a hundred bytes each."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Distortion:
@@ -76,9 +79,19 @@ def undistorted(
     """
     if distortion.is_none:
         return image
-    k = intrinsics
+    out = np.empty((intrinsics.height, intrinsics.width, *image.shape[2:]), image.dtype)
+    rows = max(1, BAND_PIXELS // intrinsics.width)
+    for top in range(0, intrinsics.height, rows):
+        band = slice(top, min(top + rows, intrinsics.height))
+        out[band] = _undistorted_rows(image, intrinsics, distortion, band, nearest)
+    return out
+
+
+def _undistorted_rows(
+    image: Float[np.ndarray, "h w *c"], k: Intrinsics, distortion: Distortion, band: slice, nearest: bool
+) -> Float[np.ndarray, "rows w *c"]:
     x = (np.arange(k.width) + 0.5 - k.cx) / k.fx
-    y = (np.arange(k.height) + 0.5 - k.cy) / k.fy
+    y = (np.arange(band.start, band.stop) + 0.5 - k.cy) / k.fy
     column, row = distortion.distort(*np.broadcast_arrays(x[None, :], y[:, None]))
     where = np.stack([row * k.fy + k.cy - 0.5, column * k.fx + k.cx - 0.5])
     if nearest:

@@ -3,6 +3,7 @@
 import functools
 import io
 import logging
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from trimesh.resolvers import FilePathResolver
 from hyjax.geometry.gltf import counted_gltf
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
-from hyjax.util.reading import check_regular, read_bytes
+from hyjax.util.reading import check_regular, open_regular, read_bytes
 from hyjax.util.vectors import SHORTEST_LENGTH, unit
 
 READABLE = (".ply", ".obj", ".glb", ".gltf")
@@ -26,6 +27,9 @@ WRITABLE = (".ply", ".glb")
 FLATNESS_TOLERANCE = 1e-10
 LARGEST_BUFFER = 1 << 30
 """Bytes of a file that a mesh names."""
+CONTINUED_LINE = re.compile(r"\\\r*\n")
+MATERIAL = re.compile(r"usemtl [^\n]*")
+"""Choice of a material in an OBJ."""
 _log = logging.getLogger(__name__)
 
 
@@ -111,6 +115,10 @@ def _parts(path: Path, content: bytes | None) -> Iterator[Part]:
             beside = _FilesBeside(str(path)).get if content is None else functools.partial(_nothing_beside, path)
             slim, buffers = counted_gltf(path, content, beside)
             scene = trimesh.load_scene(slim, "gltf", resolver=buffers, **options)
+        elif kind == "obj":
+            with open_regular(path) if content is None else io.BytesIO(content) as file:
+                slim = _in_one_part(file.read())
+            scene = trimesh.load_scene(slim, kind, **options)
         elif content is None:
             with path.open("rb") as file:
                 scene = trimesh.load_scene(file, kind, resolver=_FilesBeside(str(path)), **options)
@@ -131,10 +139,23 @@ def _parts(path: Path, content: bytes | None) -> Iterator[Part]:
 
 
 class _FilesBeside(FilePathResolver):
-    """Files that a mesh names: regular ones in its own folder, of bounded size."""
+    """Files that a mesh names: regular ones in its own folder, of bounded size; each is read once."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__(source)
+        self._read: dict[Path, bytes] = {}
 
     def get(self, name: str) -> bytes:
-        return read_bytes(self.absolute(name), most=LARGEST_BUFFER)
+        path = self.absolute(name)  # `a.bin`, `./a.bin` and `x/../a.bin` are one
+        if path not in self._read:
+            self._read[path] = read_bytes(path, most=LARGEST_BUFFER)
+        return self._read[path]
+
+
+def _in_one_part(content: bytes) -> io.BytesIO:
+    """An OBJ without its materials: trimesh goes through all vertices for each of them."""
+    text = CONTINUED_LINE.sub("", content.decode(errors="replace"))
+    return io.BytesIO(MATERIAL.sub("#", text).encode())
 
 
 def _nothing_beside(path: Path, name: str) -> bytes:

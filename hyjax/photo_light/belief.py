@@ -16,7 +16,10 @@ FOLD_ITERATIONS = 60
 EXPONENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Candidate exponents of E_old."""
 LEAST_GAIN = 0.04
-"""Least relative gain in flatness of planes on held-out pairs; below it nothing is divided out."""
+"""Least relative gain in flatness of planes on held-out pairs, less its standard error; below it nothing is divided
+out."""
+ERROR_SIDE = 0.3
+"""Side, in metres, of the blocks of space whose pairs tell the standard error."""
 LEAST_PAIRS = 100
 """Fewest pairs of vertices in a fold; with fewer there is no estimate of the light."""
 LARGEST_SIDE, SMALLEST_SIDE = 0.9, 0.15
@@ -49,14 +52,14 @@ def folds(position: Float[np.ndarray, "n 3"], seed: int = 0) -> Int[np.ndarray, 
     """Fold of each point: whole blocks of space, as large as leaves every fold enough of them."""
     rng, side = np.random.default_rng(seed), LARGEST_SIDE
     while True:
-        _, block = np.unique(np.floor(position / side).astype(np.int64), axis=0, return_inverse=True)
-        sizes = np.bincount(block.reshape(-1), minlength=1)
+        block = blocks(position, side)
+        sizes = np.bincount(block, minlength=1)
         fold, total = np.zeros(len(sizes), int), np.zeros(FOLD_COUNT)
         for number in np.argsort(rng.random(len(sizes)) - sizes):
             fold[number] = np.argmin(total)
             total[fold[number]] += sizes[number]
         if total.min() >= LEAST_SHARE * total.sum() or side / 2 < SMALLEST_SIDE:
-            return fold[block.reshape(-1)]
+            return fold[block]
         side /= 2
 
 
@@ -81,20 +84,26 @@ def fit_and_judge(
     if counts.min() < LEAST_PAIRS:
         return None
     fewest = len(pairs) - counts.max()  # one size, one program
-    bright, hue = np.zeros(len(EXPONENTS)), np.zeros(len(EXPONENTS))
-    left = np.zeros((len(pairs), len(EXPONENTS)))
-    for number, share in enumerate(counts / len(pairs)):
+    bright, hue = np.zeros((2, len(pairs), len(EXPONENTS)))
+    for number in range(FOLD_COUNT):
         part = problem(pairs[fold != number][:fewest])
         light = np.log(
             np.asarray(illuminance(part, jnp.asarray(fit_sources(part, FOLD_ITERATIONS), jnp.float32)))
             + RADIANCE_FLOOR
         )
-        logs = list(zip(split(np.log(np.asarray(part.radiance))), split(light)))
-        own = [flatness(radiance, e, pairs[fold == number]) for radiance, e in logs]
-        left[fold == number] = differences(*logs[0], pairs[fold == number])[..., 0]
-        bright, hue = bright + share * np.array(own[0]), hue + share * np.array(own[1])
-    belief = Belief(best(bright), best(hue), tuple(float(x) for x in bright))
-    return fit_sources(problem(pairs)), belief, left
+        logs = zip(split(np.log(np.asarray(part.radiance))), split(light))
+        for left, (radiance, e) in zip((bright, hue), logs):
+            left[fold == number] = differences(radiance, e, pairs[fold == number]).mean(axis=2)
+    block = blocks(position[pairs[:, 0]], ERROR_SIDE)
+    found, error = flatness(bright, block)
+    belief = Belief(best(found, error), best(*flatness(hue, block)), tuple(float(x) for x in found))
+    return fit_sources(problem(pairs)), belief, bright
+
+
+def blocks(position: Float[np.ndarray, "n 3"], side: float) -> Int[np.ndarray, "n"]:
+    """Number of the block of space that each point is in."""
+    _, block = np.unique(np.floor(position / side).astype(np.int64), axis=0, return_inverse=True)
+    return block.reshape(-1)
 
 
 def split(log: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "v 1"], Float[np.ndarray, "v 3"]]:
@@ -112,14 +121,28 @@ def differences(
 
 
 def flatness(
-    log_radiance: Float[np.ndarray, "v c"], log_light: Float[np.ndarray, "v c"], pairs: Int[np.ndarray, "n 2"]
-) -> tuple[float, ...]:
-    """Mean absolute difference across pairs after dividing by E to each exponent, relative to the one before."""
-    spread = differences(log_radiance, log_light, pairs).mean(axis=(0, 2))
-    return tuple(float(s / max(spread[0], 1e-9)) for s in spread)
+    left: Float[np.ndarray, "n e"], block: Int[np.ndarray, "n"]
+) -> tuple[Float[np.ndarray, "e"], Float[np.ndarray, "e"]]:
+    """Mean difference after dividing by E to each exponent over the one before, and its standard error.
+
+    Pairs of one block are alike, so the error is by leaving out one block at a time (jackknife). Source: Efron and
+    Stein, "The jackknife estimate of variance", 1981.
+
+    Args:
+        left: of each pair's difference.
+        block: that a pair is in.
+    """
+    sums = np.stack([np.bincount(block, column) for column in left.T], axis=1)
+    total, count = sums.sum(axis=0), len(sums)
+    found = total / max(total[0], 1e-9)
+    if count < 2:
+        return found, np.full_like(found, np.inf)
+    others = total - sums
+    others = others / np.maximum(others[:, :1], 1e-9)
+    return found, np.sqrt((count - 1) * others.var(axis=0))
 
 
-def best(found: Float[np.ndarray, "e"]) -> float:
-    """Exponent that flattens most; 0 where none gains enough."""
+def best(found: Float[np.ndarray, "e"], error: Float[np.ndarray, "e"]) -> float:
+    """Exponent that flattens most; 0 where it does not surely gain enough."""
     number = int(np.argmin(found))
-    return EXPONENTS[number] if found[number] < 1 - LEAST_GAIN else 0.0
+    return EXPONENTS[number] if found[number] + error[number] < 1 - LEAST_GAIN else 0.0

@@ -75,7 +75,7 @@ class Estimate:
         if all(f == 1 for f in self.flatness):
             return "frames and scan tell too little of it"
         change = 100 * (1 - min(self.flatness))
-        return f"divided by it, planes come out {change:.0f} % flatter, less than {100 * LEAST_GAIN:.0f} %"
+        return f"divided by it, planes come out {change:.0f} % flatter, not surely by {100 * LEAST_GAIN:.0f} %"
 
 
 def estimate_arrays(

@@ -304,11 +304,13 @@ class Scene:
         """
         return Relighter(self, lights, configuration).relit(frame, rays=True)  # a single picture
 
-    def explore(self, **options: Any) -> Any:
-        """Widget of a notebook that relights the frames by hand; options: see `hyjax.explore`."""
+    def explore(
+        self, *, frame: int = 0, lights: AnyLights = "evening-lamps", configuration: AnyConfiguration = None
+    ) -> Any:
+        """Widget of a notebook that relights the frames by hand; see `hyjax.explore`."""
         from hyjax import explore
 
-        return explore(self, **options)
+        return explore(self, frame=frame, lights=lights, configuration=configuration)
 
     @functools.cached_property
     def photo_light(self) -> ScenePhotoLight:

@@ -342,7 +342,7 @@ def test_scores_against_the_truth(scene: hyjax.Scene, own: hyjax.Configuration) 
         asked.append((frame, len(setup.lights)))
         return None if frame == 2 else hyjax.to_display(scene.relit(frame, setup, own).image)
 
-    widget = scene.explore(lights="center-point", configuration=own, truth=truth)
+    widget = hyjax.explore(scene, lights="center-point", configuration=own, truth=truth)
     assert widget.wait(120.0) and asked == [(0, 1)]
     (perfect,) = widget.scores
     assert perfect["name"] == own.name and perfect["loss"] < 1e-3 and perfect["ssim"] > 0.999
@@ -361,7 +361,7 @@ def test_scores_against_the_truth(scene: hyjax.Scene, own: hyjax.Configuration) 
 
 
 def test_a_truth_of_another_size_is_said(scene: hyjax.Scene, own: hyjax.Configuration) -> None:
-    widget = scene.explore(lights="center-point", configuration=own, truth=lambda *_: np.zeros((4, 4, 3)))
+    widget = hyjax.explore(scene, lights="center-point", configuration=own, truth=lambda *_: np.zeros((4, 4, 3)))
     assert not widget.wait(120.0)
     assert "truth: must be a picture of (48, 64, 3), got (4, 4, 3)" in widget.message
 

@@ -252,3 +252,29 @@ def test_files_that_a_mesh_names_are_regular_ones_beside_it(tmp_path: Path, uri:
         load_mesh(folder / "room.gltf")
     with pytest.raises(InputError, match=r"room\.gltf: names a file, .* which is not read from an archive"):
         load_mesh(folder / "room.gltf", content=(folder / "room.gltf").read_bytes())
+
+
+def test_a_file_that_a_mesh_names_by_many_names_is_read_once(tmp_path: Path) -> None:
+    """A thousand names of a small file took as much memory as a thousand files."""
+    tree = json.loads(gltf([{"mesh": 0}], [0]))
+    (tmp_path / "a.bin").write_bytes(
+        base64.b64decode(tree["buffers"][0]["uri"].partition("base64,")[2]) + bytes(1 << 20)
+    )
+    more = [{"uri": f"{k}/../a.bin", "byteLength": 1 << 20} for k in range(200)]
+    tree["buffers"] = [tree["buffers"][0] | {"uri": "a.bin"}, *more]
+    (tmp_path / "room.gltf").write_text(json.dumps(tree))
+    tracemalloc.start()
+    try:
+        assert len(load_mesh(tmp_path / "room.gltf").faces) == 2
+        assert tracemalloc.get_traced_memory()[1] < 1 << 25
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("choice", ["usemtl {}\n", "usemtl {}\r\n", "use\\\nmtl {}\n", "use\\\r\r\nmtl {}\n"])
+def test_an_obj_of_many_materials_is_one_part(tmp_path: Path, choice: str) -> None:
+    """trimesh went through all vertices for each material."""
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    (tmp_path / "a.obj").write_bytes((corners + "".join(choice.format(k) + "f 1 2 3\n" for k in range(9))).encode())
+    mesh = load_mesh(tmp_path / "a.obj")
+    assert len(mesh.faces) == 9 and len(mesh.vertices) == 3

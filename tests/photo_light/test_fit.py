@@ -16,7 +16,7 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import enclose, trace
 from hyjax.light.transport import Transport, bounce, gather, send
 from hyjax.photo_light.basis import BINS, make_basis, window_light
-from hyjax.photo_light.belief import FOLD_COUNT, LARGEST_SIDE, LEAST_SHARE, folds
+from hyjax.photo_light.belief import EXPONENTS, FOLD_COUNT, LARGEST_SIDE, LEAST_SHARE, best, flatness, folds
 from hyjax.photo_light.estimate import estimate_arrays, read_estimate
 from hyjax.photo_light.fit import FitProblem, fit_sources, high_quantile, illuminance, loss
 from hyjax.photo_light.pairs import coplanar_pairs
@@ -221,3 +221,29 @@ def test_a_scan_of_three_triangles_leaves_the_light_even(lit: Lit) -> None:
     found = read_estimate(caster, estimate_arrays(caster, frames_of(lit), UP, SOURCES))
     assert found.exponent == 0 and np.isfinite(np.asarray(found.light.illuminance)).all()
     assert "too little" in found.reason
+
+
+def scans(count: int, gain: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Flatness and its error of scans of so many blocks with ten pairs each, alike within a block."""
+    rng, block, found = np.random.default_rng(0), np.repeat(np.arange(count), 10), []
+    for _ in range(200):
+        before = rng.gamma(4.0, size=10 * count)
+        alike = rng.normal(1 - gain, 0.3, count)[block]
+        after = before * np.maximum(alike + 0.1 * rng.normal(size=10 * count), 0.0)
+        weight = np.array(EXPONENTS)
+        found.append(flatness(before[:, None] * (1 - weight) + after[:, None] * weight, block))
+    return found
+
+
+def test_the_error_of_flatness_is_its_spread_over_scans() -> None:
+    drawn = scans(40, gain=0.2)
+    spread_of = np.std([found for found, _ in drawn], axis=0)
+    told = np.mean([error for _, error in drawn], axis=0)
+    np.testing.assert_allclose(told[1:], spread_of[1:], rtol=0.15)
+    assert told[0] == 0 and spread_of[-1] > 0.04  # ten times more pairs than blocks would tell a third of that
+
+
+def test_little_evidence_is_not_believed_where_much_is() -> None:
+    few, many = (np.mean([best(*one) > 0 for one in scans(count, gain=0.1)]) for count in (8, 400))
+    assert few < 0.4 and many == 1.0
+    assert best(np.array([1.0, 0.9, 0.8, 0.7, 0.6]), np.full(5, np.inf)) == 0.0
