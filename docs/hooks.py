@@ -1,5 +1,5 @@
 """Build hooks of the documentation site: equations as MathML, figures from the experiments, pages of a folder,
-README's beginning, the version, and which pages a search shows first.
+README's beginning, the version, an exported page to try, and which pages a search shows first.
 
 Equations stay TeX in the pages and need no JavaScript in the browser. Figures lie beside the experiments that make
 them; a page links them as `../experiments/figures/NAME`, which also works where the page is read as a file.
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import latex2mathml.converter
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
@@ -18,6 +19,11 @@ FIGURES = ROOT / "experiments" / "figures"
 EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 BEGINNING = "<!-- README.md, up to its first heading -->"
 """Where README's title and introduction go, which are written there alone."""
+EXPORTED = "<!-- the exported page, where it was made -->"
+"""Where the page goes that `hyjax export --to web` has left in the folder `demo` of the settings."""
+FRAME = '<template id="exported"><iframe title="The room, relit" src="demo/index.html"></iframe></template>'
+MOST_BYTES = 10_000_000
+"""Of the exported page in all."""
 VERSION = re.compile(r'^__version__ = "(.*)"', re.MULTILINE)
 BOOSTS = {
     "start.md": 4,
@@ -58,18 +64,30 @@ def _expanded(entry: Any, docs: Path) -> Any:
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the experiments' figures to the site."""
-    for path in sorted(FIGURES.glob("*.*")):
-        files.append(File.generated(config, f"figures/{path.name}", abs_src_path=str(path)))
+    """Add the experiments' figures and the exported page to the site.
+
+    Raises:
+        PluginError: the exported page is larger than a site takes.
+    """
+    demo = ROOT / config["extra"]["demo"]
+    exported = [path for path in sorted(demo.rglob("*.*")) if path.suffix != ".md"]
+    if (size := sum(path.stat().st_size for path in exported)) > MOST_BYTES:
+        raise PluginError(f"{demo}: {size / 1e6:.1f} MB; a site takes {MOST_BYTES / 1e6:g}: export fewer frames")
+    added = {f"figures/{path.name}": path for path in sorted(FIGURES.glob("*.*"))}
+    added |= {f"demo/{path.relative_to(demo).as_posix()}": path for path in exported}
+    for name, path in added.items():
+        files.append(File.generated(config, name, abs_src_path=str(path)))
     return files
 
 
-def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Put README's beginning where it is asked for; turn links to the figures' files into links to the site's."""
+def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
+    """Put in README's beginning and the exported page; links to the figures' files become links to the site's."""
     folder, slash, _ = page.file.src_uri.partition("/")
     page.meta["search"] = {"boost": BOOSTS.get(folder + slash, 1)}
     beginning = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## ")[0]
     markdown = markdown.replace(BEGINNING, beginning.replace("](docs/", "]("))
+    exported = (ROOT / config["extra"]["demo"] / "index.html").is_file()
+    markdown = markdown.replace(EXPORTED, FRAME * exported)
     up = "../" * page.file.src_uri.count("/")
     return FIGURE_LINK.sub(f"]({up}figures/", markdown)
 

@@ -25,5 +25,6 @@ EXPERIMENTS = (
     "live",
     "tour_visits",
     "sweep_overhead",
+    "install_size",
 )
 """Modules of experiments, in the report's order."""

@@ -10,10 +10,11 @@ from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from hyjax.tuning.report_page import data_uri, templates
+from hyjax.tuning.report_page import data_uri
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write, write_text
 from hyjax.util.images import read_image
+from hyjax.util.templates import templates
 
 DPI = 120
 SVG = {"Date": None, "Creator": None, "Format": None, "Type": None}

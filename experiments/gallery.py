@@ -4,7 +4,8 @@
     python -m experiments.gallery contact_sheet --source out    # from what the picture's command has written there
 
 `PICTURES` has the command of each. What is committed is cut out of it and made smaller, in `experiments/figures`.
-Takes seconds, and the tour's a minute; it needs chromium and playwright.
+Takes seconds, and the tour's a minute, which needs chromium and playwright; the real captures' takes some minutes
+and needs their data.
 
 Expect: the picture under its name; look at it before it is committed.
 """
@@ -22,6 +23,7 @@ from PIL import Image
 
 from experiments.blocks import DPI, Plot
 from experiments.command import run
+from experiments.real_captures import real_captures
 from experiments.records import ROOT
 from experiments.tables import KEPT_FOLDER, experiment_of, kept_rows
 from experiments.tour_picture import tour_picture
@@ -90,6 +92,7 @@ PICTURES: dict[str, Committed] = {
         "hyjax relight --frames 0:24:8 --lights evening-lamps --out out", (Cells("contact_sheet.png"),), 1500
     ),
     "tour.jpg": Committed("python -m experiments.gallery tour", tour_picture, 1800),
+    "real_captures.jpg": Committed("python -m experiments.gallery real_captures", real_captures, 1600),
     "pareto.png": Committed(
         "python -m experiments.gallery pareto", functools.partial(kept_plot, "frame_tuning"), 900
     ),

@@ -13,13 +13,8 @@ from experiments.records import UNSETTLED_OPTIONS, Row, is_finished, machine
 def provenance(rows: Sequence[Row]) -> str:
     """Command, date, commit, device and load of rows, in a sentence."""
     first = rows[0]
-    if first.get("source") == "removed":
+    if "source" in first:
         return f"{first['origin']} That commit has the experiment, which was removed since."
-    if first.get("source") == "transcribed":
-        return (
-            f"Transcribed from the README of commit {short(first['commit'])} ({first['date']}); its rows were not "
-            f"kept. {first['origin']}"
-        )
     commits = ", ".join(dict.fromkeys(short(row["commit"]) for row in rows))
     finished = "" if is_finished(list(rows)) else " Interrupted before its end."
     return f"`{command(first)}`; {first['date']}, commit {commits}; {machine(first)}; {load(rows)}.{finished}"

@@ -133,7 +133,6 @@ TABLES: dict[str, Published] = {
     "stage-times": Published("stage_times", 0),
     "first-picture": Published("first_picture", 0),
     "first-picture-stages": Published("first_picture", 1),
-    "peers": Published("bench_peers"),
     "explore-latency": Published("explore_latency"),
     # tuning
     "presets": Published("frame_tuning", 0),
@@ -167,6 +166,7 @@ TABLES: dict[str, Published] = {
     "fusion-room": Published("fusion_borders_room", 0),
     "sweep": Published("sweep_overhead"),
     "sweep-kills": Published("sweep_kills"),
+    "install": Published("install_size"),
     # what does not carry over
     "fidelity-short": Published("paper_kitchen", 5, ("LPIPS", "PSNR dB"), LIGHT),
     "peers-room": Published("peers_room", 0, FILTERS),

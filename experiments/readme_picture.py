@@ -1,35 +1,51 @@
-"""README's picture: photos of a room of known truth, relit, and the true pictures under the new lights.
+"""README's picture: photos of places of known truth, relit, and the true pictures under the new lights.
 
     python -m experiments.readme_picture [--out results/readme_picture]
 
-Photo, relit picture and truth side by side, for two set-ups of lights, in a room that no setting was chosen with.
-It becomes `docs/examples/readme.jpg` by `--keep`. Takes some minutes the first time, when the room is rendered, and
-about one after that.
+Photo, relit picture and truth side by side: a real place, relit by lights that are fitted to half of the true photo
+as in `experiments.real`; and a generated room, by two set-ups, that no setting was chosen with. Without the real
+place's pictures its row is left out, with a line. It becomes `docs/examples/readme.jpg` by `--keep`. Takes some
+minutes the first time, when the room is rendered, and about one after that.
 
-Expect: PSNR of 22 to 24 dB, as it comes.
+Expect: PSNR of 21 to 28 dB, as it comes; of the real place on blocks that no light was fitted to.
 """
 
 import dataclasses
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from PIL import Image
 
 import hyjax
 from experiments.blocks import Block, Picture, Table
 from experiments.command import RunConfig, Start, experiment, run
+from experiments.real_bench import RealPlace
+from experiments.real_methods import default_picture
+from experiments.real_scores import scores
 from experiments.records import Row, of_kind
+from hyjax.data.relit_pairs import open_relit_pairs
 from hyjax.data.truth_room import load_truth_room
 from hyjax.metrics import psnr
+from hyjax.util.images import resize
 
 KEPT_PICTURE = Path(__file__).parents[1] / "docs" / "examples" / "readme.jpg"
 GAP, WIDEST = 6, 1200
+Pictures = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Photo, relit picture and truth: display values."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Config(RunConfig):
+    folder: Path = Path("../shared/data/middlebury_relit")
+    """Of real places, see `hyjax.data.relit_pairs`."""
+    pair: str = "Piano"
+    """The real place."""
+    flipped: bool = True
+    """Whether its second picture is the photo."""
     room: str = "builtin-3"
     """See `hyjax.synthetic.truth.lit_room`."""
     shown: tuple[str, ...] = ("evening-lamps:4", "golden-hour:9")
@@ -46,7 +62,16 @@ class Config(RunConfig):
 
 @experiment("README's picture")
 def main(config: Config, start: Start) -> None:
-    results, rows = start(), []
+    results, rows = start(), list[Pictures]()
+    if config.folder.is_dir():
+        pairs = {pair.name: pair for pair in open_relit_pairs(config.folder)}
+        place = RealPlace(pairs[config.pair], config.flipped, "true")
+        picture = default_picture(place)
+        decibels = scores(place, {"relit": picture}, None)["relit"]["psnr"]
+        results.add(kind="picture", room=config.pair, setup="fitted", frame=0, psnr_db=decibels)
+        rows.append((place.photo, picture.display, place.target))
+    else:
+        print(f"readme_picture: {config.folder} is not there: without the real place", file=sys.stderr)
     capture = load_truth_room(config.room, config.photos, *config.size, quality=config.quality)
     scene = hyjax.Scene.open(hyjax.SceneSettings(), capture=capture)
     for text in config.shown:
@@ -57,22 +82,32 @@ def main(config: Config, start: Start) -> None:
         photo = scene.frame(index).image
         decibels = float(psnr(jnp.asarray(relit), jnp.asarray(truth)))
         results.add(kind="picture", room=config.room, setup=name, frame=index, psnr_db=decibels)
-        white = np.ones((photo.shape[0], GAP, 3), np.float32)
-        rows.append(np.concatenate([photo, white, relit, white, truth], axis=1))
-    between = np.ones((GAP, rows[0].shape[1], 3), np.float32)
-    whole = np.concatenate([part for row in rows for part in (row, between)][:-1], axis=0)
+        rows.append((photo, relit, truth))
+    whole = beside_each_other(rows, config.size[0])
     hyjax.write_png(results.out / "readme.png", whole)
     if config.keep:
-        picture = Image.fromarray(np.asarray(np.clip(whole, 0, 1) * 255 + 0.5, np.uint8))
-        picture.thumbnail((WIDEST, WIDEST))
-        picture.save(KEPT_PICTURE, quality=85, optimize=True)
+        kept = Image.fromarray(np.asarray(np.clip(whole, 0, 1) * 255 + 0.5, np.uint8))
+        kept.thumbnail((WIDEST, WIDEST))
+        kept.save(KEPT_PICTURE, quality=85, optimize=True)
+
+
+def beside_each_other(rows: Sequence[Pictures], width: int) -> Float[np.ndarray, "h w 3"]:
+    """Rows of pictures, each so wide, with white between them."""
+    lines = []
+    for pictures in rows:
+        height = round(width * pictures[0].shape[0] / pictures[0].shape[1])
+        white = np.ones((height, GAP, 3))
+        parts = [part for picture in pictures for part in (resize(picture, height, width), white)]
+        lines += [np.concatenate(parts[:-1], axis=1)]
+        lines += [np.ones((GAP, lines[-1].shape[1], 3))]
+    return np.concatenate(lines[:-1], axis=0)
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """PSNR of each picture, and the pictures."""
-    lines = [[r["setup"], str(r["frame"]), f"{r['psnr_db']:.1f}"] for r in of_kind(rows, "picture")]
+    lines = [[r["room"], r["setup"], str(r["frame"]), f"{r['psnr_db']:.1f}"] for r in of_kind(rows, "picture")]
     return [
-        Table("Relit pictures against the truth.", ["set-up", "frame", "PSNR dB"], lines),
+        Table("Relit pictures against the truth.", ["room", "set-up", "frame", "PSNR dB"], lines),
         Picture(folder / "readme.png", "The photo; relit; what the camera would see."),
     ]
 

@@ -85,6 +85,13 @@ def pictures(place: RealPlace) -> Iterator[tuple[str, Made]]:
         yield name, _shown(blurred_ratio(photo, linear(place.target), place.valid, sigma), 0)
 
 
+def default_picture(place: RealPlace) -> Made:
+    """The default's picture alone, as `pictures` makes it."""
+    target = Target(place.target, checkerboard(place.photo.shape[:2]) & place.valid)
+    light = place.direct[..., None] + place.bounced
+    return _fitted((linear(place.photo) / place.own)[:, :, None] * light, place, target)
+
+
 def _shown(light: Picture, unknowns: int) -> Made:
     return Made(encode(light), unknowns)
 

@@ -25,9 +25,9 @@ from experiments import EXPERIMENTS
 from experiments.blocks import html
 from experiments.command import run
 from experiments.records import FILE, Row, is_finished, machine, read_rows
-from hyjax.tuning.report_page import templates
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, write_text
+from hyjax.util.templates import templates
 
 PARAGRAPHS = re.compile(r"\n\n|\n(?=- |[0-9]\. )")
 """Separator of paragraphs and items of lists in docstrings."""

@@ -7,10 +7,10 @@
 A page has a table between `<!-- table: NAME -->` and `<!-- end -->`; `experiments.published` says which rows and
 which of an experiment's tables a name stands for. Rows are kept in `evidence/`, a file for each run: its first line
 has what all its rows share (experiment, settings, commit, date, device, versions), the others what each has
-besides. Numbers are rounded to five digits. With `--keep` a finished run's rows are put there.
+besides (`experiments.packing`). Numbers are rounded to five digits. `--keep` puts a finished run's rows there.
 
-A file whose first line says `"source": "transcribed"` holds the cells of a table that was in an earlier README and
-whose rows were not kept; `"removed"`, those of a table whose experiment has been removed. Its text says so.
+A file whose first line says `"source": "removed"` holds the cells of a table whose experiment has been removed. Its
+text says so.
 
 Takes seconds.
 """
@@ -29,6 +29,7 @@ from typing import Any
 
 from experiments.blocks import Table, markdown
 from experiments.command import Experiment, run
+from experiments.packing import packed, unpacked
 from experiments.provenance import provenance
 from experiments.published import TABLES, Published
 from experiments.records import ROOT, Row, read_rows
@@ -172,11 +173,9 @@ def keep(path: Path, name: str | None = None, told: str | None = None, drop: Seq
     written = datetime.date.fromtimestamp(path.stat().st_mtime).isoformat()
     shared = {"date": written} | {key: rows[0][key] for key in SHARED_FIELDS if key in rows[0]}
     shared |= {"load_told": told} if told else {}
-    lines = [
-        shared,
-        *({key: row[key] for key in row if key not in shared or shared[key] != row[key]} for row in rows),
-    ]
-    text = "".join(json.dumps(rounded(line), ensure_ascii=False, separators=(",", ":")) + "\n" for line in lines)
+    own = [{key: row[key] for key in row if key not in shared or shared[key] != row[key]} for row in rows]
+    lines = [rounded(shared), *packed([rounded(row) for row in own])]
+    text = "".join(json.dumps(line, ensure_ascii=False, separators=(",", ":")) + "\n" for line in lines)
     KEPT_FOLDER.mkdir(exist_ok=True)
     out = KEPT_FOLDER / f"{name or rows[0]['experiment']}.jsonl"
     folder = os.environ.get("HYJAX_DATA")
@@ -194,7 +193,7 @@ def kept_rows(path: Path) -> list[Row]:
         shared, *rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: no kept rows ({error}); keep a run's with --keep") from None
-    return [shared | row for row in rows]
+    return [shared | row for row in unpacked(rows)]
 
 
 def rounded(value: Any) -> Any:

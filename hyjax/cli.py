@@ -13,7 +13,7 @@ import tyro
 
 import hyjax
 from hyjax.data.convert_settings import ConvertSettings
-from hyjax.device.serve import ServeSettings
+from hyjax.device.serve import ServeSettings, run_serve
 from hyjax.export.settings import ExportSettings
 from hyjax.info import InfoSettings
 from hyjax.relighting.settings import RelightSettings
@@ -169,6 +169,12 @@ def run_relight(settings: RelightSettings) -> None:
     from hyjax.relighting.run import relight_capture
 
     _keep_for_later()
+    if settings.each_light:
+        from hyjax.relighting.each_light import relight_each
+
+        folders = relight_each(settings)
+        print(f"{len(folders)} lights, each by itself; look at {folders[0] / 'contact_sheet.png'}")
+        return
     run = relight_capture(settings)
     if run["frames_without_surface"]:
         names = ", ".join(run["frames_without_surface"])
@@ -179,6 +185,7 @@ def run_relight(settings: RelightSettings) -> None:
 
 def run_tune(settings: TuneSettings) -> None:
     """`hyjax tune`."""
+    optional_module("matplotlib", "tune", "tune")
     from hyjax.tuning.tune import tune, tune_schedule, write_request
 
     _keep_for_later()
@@ -203,6 +210,7 @@ def run_tune(settings: TuneSettings) -> None:
 
 def run_swept(settings: SweepSettings) -> None:
     """`hyjax sweep`."""
+    optional_module("matplotlib", "tune", "sweep")
     from hyjax.sweep.run import run_sweep
 
     try:
@@ -231,7 +239,8 @@ def run_train(command: Train) -> None:
         if command.coordinator is None:
             raise InputError("coordinator: give --coordinator ADDRESS:PORT of host 0, the same on every host")
         jax.distributed.initialize(command.coordinator, command.hosts, command.host)
-    optional_module("grain", "train", "train")
+    for module in ("grain", "matplotlib"):
+        optional_module(module, "train", "train")
     from hyjax.training.run import train
 
     _keep_for_later()
@@ -305,23 +314,6 @@ def run_export(settings: ExportSettings) -> None:
         from hyjax.export.run import export_file
 
         print(f"Look at {export_file(settings) / 'README.md'}")
-
-
-def run_serve(settings: ServeSettings) -> None:
-    """`hyjax serve`."""
-    import threading
-
-    from hyjax.device.serve import open_folder
-
-    server = open_folder(settings)
-    if not settings.is_local:
-        print(f"hyjax: listening at {settings.host}: everybody who reaches it sees this folder", file=sys.stderr)
-    print(server.invitation(), flush=True)
-    try:
-        threading.Event().wait()
-    except KeyboardInterrupt:
-        server.stop()
-        exit_now(0)
 
 
 def run_convert(settings: ConvertSettings) -> None:

@@ -17,7 +17,7 @@ from hyjax.device.precision_check import precision_check
 from hyjax.device.program import Precision, columns_rows, shader_text
 from hyjax.geometry.camera import Camera
 
-PAGE_FORMAT = 1
+PAGE_FORMAT = 2
 """Version of page.json. Add one whenever older scripts could not read it."""
 QUALITY = 95
 _OF_TIMING = "measure.html", "measure.js", "timing.js"

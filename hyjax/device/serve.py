@@ -1,6 +1,7 @@
 """Server of a folder with a page, such as an exported one: `hyjax serve`."""
 
 import dataclasses
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +9,7 @@ import tyro
 
 from hyjax.util.errors import InputError
 from hyjax.util.hosts import LOCAL, LOCAL_NAMES
+from hyjax.util.interrupts import exit_now
 from hyjax.util.settings import Settings
 
 if TYPE_CHECKING:
@@ -46,3 +48,18 @@ def open_folder(settings: ServeSettings) -> "Server":
     if not 0 <= settings.port <= 65535:
         raise InputError(f"port: must lie in 0..65535, got {settings.port}")
     return Server(FolderSite(folder), settings.host, settings.port)
+
+
+def run_serve(settings: ServeSettings) -> None:
+    """`hyjax serve`."""
+    import threading
+
+    server = open_folder(settings)
+    if not settings.is_local:
+        print(f"hyjax: listening at {settings.host}: everybody who reaches it sees this folder", file=sys.stderr)
+    print(server.invitation(), flush=True)
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        server.stop()
+        exit_now(0)

@@ -9,9 +9,9 @@ from typing import Any
 
 from hyjax.export.settings import ExportSettings
 from hyjax.export.web import THUMBNAIL, check_page_folder, export_web
-from hyjax.tuning.report_page import templates
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
+from hyjax.util.templates import templates
 
 INDEX = "index.html"
 _TEMPLATES = Path(__file__).parent / "templates"

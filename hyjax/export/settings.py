@@ -45,6 +45,8 @@ class ExportSettings(Settings):
     configuration: str | None = None
     """quality, balanced, fast, or a JSON file that tune wrote; see relight. The log names the choices that a
     page does not follow. A file for a runtime takes the schedule from it."""
+    presets: bool = False
+    """Of a page: its visitor may change to quality, balanced or fast."""
     schedule: str | None = None
     """hyjax (the default), paper-50, paper-80, naive-50, naive-1000, or a JSON file of one, such as tune writes."""
     kappa: float | None = None

@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
 
-from hyjax.configuration import Configuration
+from hyjax.configuration import PRESETS, Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.data.frames import select_frames, spread
+from hyjax.device.frame_program import SceneCounts
 from hyjax.device.page_content import PAGE_FORMAT, frame_entry, frame_picture, page_programs, page_scripts
 from hyjax.device.page_scene import describe_scene, light_keys, pack_scene, setup_content
 from hyjax.device.scene_arrays import scene_arrays
@@ -38,6 +39,7 @@ FRAMES = 24
 """Most frames of a page that names none."""
 SHEET_ROWS = 3
 THUMBNAIL, THUMBNAIL_WIDTH = "thumbnail.jpg", 640
+_OF_PRESETS = "programs", "resolutions", "exponent"
 _PAGE_FILE, _SCENE_FILE = "page.json", "scene.bin"
 _log = logging.getLogger(__name__)
 
@@ -60,21 +62,10 @@ def export_web(settings: Any) -> dict[str, Any]:
     every = range(len(scene))
     frames = spread(every, FRAMES) if settings.frames is None else select_frames(settings.frames, len(scene))
     setup = scene.lights(settings.lights, at_photo_sources=True)
+    presets = [Configuration.preset(name) for name in PRESETS if settings.presets and name != configuration.name]
     return write_page(
-        scene,
-        setup,
-        configuration,
-        frames,
-        settings.out,
-        resolutions=scaled_resolutions(RESOLUTIONS, configuration.shadows.map_scale),
-        progress=not settings.quiet,
+        scene, setup, configuration, frames, settings.out, presets=presets, progress=not settings.quiet
     )
-
-
-def scaled_resolutions(resolutions: tuple[int, int], scale: float) -> tuple[int, int]:
-    """Texels a side of shadow maps at a scale."""
-    single, several = (max(16, round(side * scale)) for side in resolutions)
-    return single, several
 
 
 def write_page(
@@ -84,6 +75,7 @@ def write_page(
     frames: Sequence[int],
     out: Path,
     *,
+    presets: Sequence[Configuration] = (),
     rays: int = RAYS,
     resolutions: tuple[int, int] = RESOLUTIONS,
     lossless: bool = False,
@@ -100,8 +92,9 @@ def write_page(
         configuration: how frames are relit, as far as pages follow it, or a schedule for the default one.
         frames: positions in the capture.
         out: folder.
+        presets: configurations that may be chosen on the page in the place of its own.
         rays: of each point of the light transport.
-        resolutions: texels a side of shadow maps with one view, and of each of several.
+        resolutions: texels a side of shadow maps with one view, and of each of several, at a scale of 1.
         lossless: whether frames are PNG and not JPEG files.
         sun: whether to add the sun by the hour.
         progress: show a bar on stderr.
@@ -116,11 +109,10 @@ def write_page(
     if not frames:
         raise InputError("web: no frames; choose at least one")
     configuration = Configuration.of(configuration).followed_by("page", say=False)
-    exponent = configuration.light.photo_exponent
     steps = tqdm(total=len(frames) + 4, desc="page", unit="step", disable=not progress)
     check_page_folder(out)
     with new_folder(out, replace=True) as folder, steps:
-        arrays = scene_arrays(scene, rays=rays, photo_exponent=exponent)
+        arrays = scene_arrays(scene, rays=rays)
         packed = pack_scene(arrays)
         (folder / _SCENE_FILE).write_bytes(packed.content)
         described = describe_scene(scene, setup, arrays)
@@ -133,7 +125,9 @@ def write_page(
         if len(sizes) > 1:
             raise InputError("web: the frames are of several sizes; give one with --size")
         (size,) = sizes
-        programs = page_programs(arrays.counts, size, configuration, resolutions)
+        programs, *others = (
+            _programs(arrays.counts, size, chosen, resolutions) for chosen in (configuration, *presets)
+        )
         by_hour = sun_table(scene) if sun else None
         steps.update()
         content = {
@@ -142,6 +136,7 @@ def write_page(
             "name": scene.capture.name,
             "size": list(size),
             **programs,
+            "presets": {other["configuration"]: {key: other[key] for key in _OF_PRESETS} for other in others},
             "scene": described,
             "file": {"name": _SCENE_FILE, "bytes": packed.bytes, "compression": "gzip"},
             "arrays": packed.entries,
@@ -158,6 +153,16 @@ def write_page(
         (folder / "README.md").write_text(_readme(content), encoding="utf-8")
         steps.update()
     return content
+
+
+def _programs(
+    counts: SceneCounts, size: tuple[int, int], configuration: Configuration, resolutions: tuple[int, int]
+) -> dict[str, Any]:
+    """Programs of a configuration, as far as pages follow it, and the exponent of the photo's light."""
+    followed = configuration.followed_by("page", say=False)
+    single, several = (max(16, round(side * followed.shadows.map_scale)) for side in resolutions)
+    programs = page_programs(counts, size, followed, (single, several))
+    return programs | {"configuration": configuration.name, "exponent": followed.light.photo_exponent}
 
 
 def check_page_folder(out: Path) -> None:

@@ -182,7 +182,7 @@ def relight_capture(
             and scene.photo_light.estimate.exponent
         ):
             _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary(scene.photo_light.estimate))
-        if str(settings.lights if lights is None else lights) not in DARK_SETUPS:
+        if not settings.each_light and str(settings.lights if lights is None else lights) not in DARK_SETUPS:
             tell_of_darkness(summary, setup)
         write_contact_sheet(out / "contact_sheet.png", summary.rows, HEADINGS)
         write_lights(out / "lights.json", setup)

@@ -63,6 +63,8 @@ class RelightSettings(Settings):
     """Also write each frame's refined visibility."""
     exr: bool = False
     """Also write each picture's linear values, in half precision."""
+    each_light: bool = False
+    """Relight by each light alone, with --exr, into a folder of its own: any mix is a sum of these pictures."""
     out: Path = Path("out")
     """Folder for the results."""
     quiet: bool = False
@@ -81,6 +83,8 @@ class RelightSettings(Settings):
             raise InputError("kappa: the configuration brings its own; give --kappa with a named --schedule only")
         if (self.schedule, self.configuration) == (None, None):
             self.open_schedule()
+        if self.each_light and self.mode == "paper":
+            raise InputError("each_light: pictures of paper mode do not add up; leave one of the two out")
         if self.renderer == "webgpu" and self.video:
             raise InputError("renderer: webgpu makes no videos; leave one of the two out")
         for renderer in self.renderers:

@@ -3,39 +3,66 @@
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
-from hyjax.scene.inspection import SHOWN_COUNT, Inspection, points_from_above
-from hyjax.util.files import atomic_write
+from hyjax.scene.inspection import Inspection, points_from_above
+from hyjax.util.contact_sheet import BACKGROUND, GAP, contact_sheet
+from hyjax.util.images import write_png
+
+PLAN_HEIGHT, MARGIN = 420, 12
+"""Of the plan from above, in pixels."""
+GRID, SURFACE, PATH = 0.2, 0.6, (1.0, 0.25, 0.2)
+UNKNOWN = (0.15, 0.15, 0.4)
+"""Colour of pixels without depth."""
 
 
 def write_inspection(path: Path, inspection: Inspection) -> None:
     """Write the picture of an inspection as a PNG."""
-    from matplotlib.figure import Figure
-
     frames = inspection.shown
-    figure = Figure(figsize=(4 * SHOWN_COUNT, 9), layout="constrained")
-    with_depth = any(frame.depth is not None for frame in frames)
-    farthest = 0.0 if inspection.quantiles is None else inspection.quantiles[2]
-    grid = figure.add_gridspec(3 if with_depth else 2, SHOWN_COUNT)
-    for column, frame in enumerate(frames):
-        axes = figure.add_subplot(grid[0, column])
-        axes.imshow(frame.image)
-        axes.set_title(frame.title, fontsize=9)
-        axes.set_axis_off()
-        if frame.depth is not None:
-            axes = figure.add_subplot(grid[1, column])
-            depth = np.where(frame.depth > 0, frame.depth, np.nan)
-            shown = axes.imshow(depth, cmap="viridis", vmin=0, vmax=farthest)
-            axes.set_axis_off()
-            if column == len(frames) - 1:
-                figure.colorbar(shown, ax=axes, shrink=0.8, label="depth (m)")
-    axes = figure.add_subplot(grid[-1, :])
-    surface, path_points = points_from_above(inspection)
-    axes.plot(*surface.T, ".", markersize=0.7, color="0.6", label="surface")
-    axes.plot(*path_points.T, color="tab:red", linewidth=1.5, label="camera")
-    axes.plot(*path_points[0], "o", color="tab:red", label="start")
-    axes.set_aspect("equal")
-    axes.set_xlabel("metres, seen from above")
-    axes.legend(loc="upper right", fontsize=8)
-    with atomic_write(path) as temporary:
-        figure.savefig(temporary, dpi=80, format="png")
+    rows = [("pictures", [frame.image for frame in frames])]
+    if depths := [frame.depth for frame in frames if frame.depth is not None]:
+        farthest = depths[0].max() if inspection.quantiles is None else inspection.quantiles[2]
+        shown = [np.zeros((*depths[0].shape,)) if frame.depth is None else frame.depth for frame in frames]
+        label = f"depth: white 0 m, black {farthest:.1f} m and beyond, blue unknown"
+        rows.append((label, [_shades(depth, farthest) for depth in shown]))
+    sheet = contact_sheet(rows, [frame.title for frame in frames])
+    plan = _plan(*points_from_above(inspection), sheet.shape[1] - 2 * GAP)
+    label = "from above, with lines a metre apart: the surface grey, the camera's path red from its square on"
+    below = contact_sheet([(label, [plan])], [""], plan.shape[1])
+    write_png(path, np.concatenate([sheet, below], axis=0))
+
+
+def _shades(depth: Float[np.ndarray, "h w"], farthest: float) -> Float[np.ndarray, "h w 3"]:
+    grey = np.clip(1.0 - depth / max(farthest, 1e-6), 0.0, 1.0)[..., None]
+    return np.where(depth[..., None] > 0, grey, UNKNOWN)
+
+
+def _plan(
+    surface: Float[np.ndarray, "n 2"], path: Float[np.ndarray, "m 2"], width: int
+) -> Float[np.ndarray, "h w 3"]:
+    """Points of a surface and a path on it, seen from above."""
+    everything = np.concatenate([surface, path])
+    low, high = np.quantile(everything, (0.002, 0.998), axis=0)
+    low, high = np.minimum(low, path.min(axis=0)), np.maximum(high, path.max(axis=0))
+    room = np.array([width, PLAN_HEIGHT]) - 2 * MARGIN
+    pixels = (room / np.maximum(high - low, 1e-3)).min()  # a metre
+    origin = np.array([width, PLAN_HEIGHT]) / 2 - pixels * (low + high) / 2
+    plan = np.full((PLAN_HEIGHT, width, 3), BACKGROUND)
+
+    def put(points: Float[np.ndarray, "k 2"], color: object, size: int = 1) -> None:
+        column, row = np.round(origin + pixels * points).astype(int).T
+        for down in range(-(size // 2), (size + 1) // 2):
+            for right in range(-(size // 2), (size + 1) // 2):
+                r, c = PLAN_HEIGHT - 1 - row + down, column + right
+                inside = (r >= 0) & (r < PLAN_HEIGHT) & (c >= 0) & (c < width)
+                plan[r[inside], c[inside]] = color
+
+    columns, rows = (
+        np.arange(start % pixels, count, pixels).astype(int) for start, count in zip(origin, (width, PLAN_HEIGHT))
+    )
+    plan[:, columns] = plan[PLAN_HEIGHT - 1 - rows] = GRID
+    put(surface, SURFACE)
+    steps = np.linspace(0, len(path) - 1, max(2, 64 * len(path)))
+    put(np.stack([np.interp(steps, np.arange(len(path)), side) for side in path.T], axis=-1), PATH, 2)
+    put(path[:1], PATH, 9)
+    return plan

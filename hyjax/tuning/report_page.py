@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from jaxtyping import Float
 
@@ -22,6 +21,7 @@ from hyjax.tuning.report_points import svg
 from hyjax.tuning.result import Tuned
 from hyjax.util.errors import InputError
 from hyjax.util.images import resize, write_png
+from hyjax.util.templates import templates
 
 MOST_BYTES = 5_500_000  # of pictures in one report; as text they take a third more
 # What is tried until it fits: lossless first, then ever smaller.
@@ -106,14 +106,6 @@ def contact_sheet_rows(
         yield from (example.pictures.get(heading, blank) for heading in headings)
 
     return [(example.name, list(pictures(example))) for example in examples], headings
-
-
-def templates(*folders: Path) -> jinja2.Environment:
-    """Templates of folders, which escape everything that is not markup already."""
-    loader = jinja2.FileSystemLoader(folders)
-    return jinja2.Environment(
-        loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
 
 
 def machine(record: Mapping[str, Any]) -> str:

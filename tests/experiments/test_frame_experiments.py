@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from extras import need
 
-from experiments import frame_tuning, number_search, space_race, sweep_overhead
+from experiments import frame_tuning, install_size, number_search, space_race, sweep_overhead
 from hyjax.configuration import Configuration
 from hyjax.data.builtin_room import load_room
 from hyjax.scene.scene import Scene
@@ -161,3 +161,23 @@ def test_the_overhead_is_over_the_tasks_and_over_the_ideal() -> None:
     row |= {"cpu_count": 2, "versions": {"jax": "0"}, "took": 5.2, "tasks": 10.2, "rows": 1000, "start": 1.0}
     (table,) = sweep_overhead.blocks([row], Path())
     assert table.rows == [["1000", "10", "2", "5.0", "5.2", "4.0", "2.0", "1.0"]]
+
+
+def test_an_installation_is_parted_by_what_frameworks_need() -> None:
+    needs = {
+        "jax": ["jaxlib"],
+        "jaxlib": ["numpy", "absent"],
+        "numpy": [],
+        "numba": ["numpy", "llvmlite"],
+        "llvmlite": [],
+    }
+    found = install_size.closure({name: {"needs": wanted} for name, wanted in needs.items()})
+    assert found == {"jax", "jaxlib", "numpy"}
+    settings = {"settings": {"least": 10.0}}
+    rows = [{"kind": "install", "cpu": 30.0} | settings]
+    for name, megabytes in {"jax": 40.0, "numpy": 5.0, "numba": 33.0}.items():
+        rows.append(
+            {"kind": "package", "name": name, "megabytes": megabytes, "framework": name in found} | settings
+        )
+    (table,) = install_size.blocks(rows, Path())
+    assert [cells[1].strip("*") for cells in table.rows] == ["45", "40", "5", "33", "33", "0", "78"]

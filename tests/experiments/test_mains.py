@@ -17,17 +17,20 @@ from experiments import (
     guide_worth,
     live,
     readme_picture,
+    real_bench,
     same_pictures,
     stage_times,
     truth,
 )
 from experiments.command import Experiment
 from experiments.paper_bench import METHODS
+from experiments.real_room import room_pair
 from experiments.records import FILE, Row, of_kind, read_rows
 from experiments.truth_methods import METHODS as METHODS_OF_TRUTH
 from experiments.truth_methods import OPENCV, PHOTO, TRUE_ALL
 from hyjax.relighting.settings import RelightSettings
 from hyjax.util.errors import InputError
+from hyjax.util.images import picture_shape
 
 SIZE = 64
 AMPLE = 1000.0  # milliseconds, in which every schedule fits
@@ -158,13 +161,31 @@ def test_truth(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.slow
-def test_readme_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readme_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(readme_picture, "KEPT_PICTURE", tmp_path / "readme.jpg")
+    monkeypatch.setattr(real_bench, "LAMP_GRID", (2, 1, 1))
     config = readme_picture.Config(
-        room="builtin-0", shown=("evening-lamps:1",), photos=2, size=(96, 72), quality=0.25, keep=True, out=tmp_path
+        folder=tmp_path / "none",
+        room="builtin-0",
+        shown=("evening-lamps:1",),
+        photos=2,
+        size=(96, 72),
+        quality=0.25,
+        keep=True,
+        out=tmp_path,
     )
     (picture,) = of_kind(rows_of(readme_picture.main, config, "readme.png", "readme.jpg"), "picture")
     assert 10 < picture["psnr_db"] < 40
+    assert "without the real place" in capsys.readouterr().err
+    heights = [picture_shape(tmp_path / "readme.png")[0]]
+    monkeypatch.setattr(readme_picture, "open_relit_pairs", lambda _: [room_pair("builtin-0", "96x72", 0.25)])
+    config = dataclasses.replace(config, folder=tmp_path, pair="builtin-0")
+    real, _ = of_kind(rows_of(readme_picture.main, config, "readme.png"), "picture")
+    assert real["setup"] == "fitted" and 10 < real["psnr_db"] < 40
+    heights.append(picture_shape(tmp_path / "readme.png")[0])
+    assert heights[1] == 2 * heights[0] + readme_picture.GAP
 
 
 @pytest.mark.slow

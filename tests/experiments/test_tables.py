@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,15 +14,16 @@ from experiments import tables
 from experiments.blocks import Table
 from experiments.command import RunConfig
 from experiments.gallery import FIGURES, PICTURES, Cells, cut, stacked
+from experiments.packing import packed, unpacked
 from experiments.provenance import command, load
 from experiments.published import TABLES, Published
 from experiments.records import ROOT, Results
 from hyjax.util.contact_sheet import contact_sheet
 from hyjax.util.errors import InputError
 
-TRANSCRIBED = {
+REMOVED = {
     "experiment": "earlier",
-    "source": "transcribed",
+    "source": "removed",
     "commit": "0123456789" * 4,
     "date": "2026-01-02",
     "origin": "Made on a Tuesday.",
@@ -36,7 +38,7 @@ def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A documentation of one page, with an empty table `scores`, and its rows."""
     kept = tmp_path / "evidence"
     kept.mkdir()
-    lines = [TRANSCRIBED, {"cells": ["ours", "30.1", "3"]}, {"cells": ["theirs", "29.0", "9"]}]
+    lines = [REMOVED, {"cells": ["ours", "30.1", "3"]}, {"cells": ["theirs", "29.0", "9"]}]
     (kept / "scores.jsonl").write_text("\n".join(map(json.dumps, lines)))
     (tmp_path / "README.md").write_text("Before.\n\n<!-- table: scores -->\n<!-- end -->\n\nAfter.\n")
     (tmp_path / "docs").mkdir()
@@ -51,18 +53,10 @@ def test_a_table_is_written_between_its_marks_with_where_it_comes_from(page: Pat
     tables.main(tables.Config())
     text = page.read_text()
     assert "| ours | 30.1 | 3 |\n| theirs | 29.0 | 9 |" in text
-    assert "Transcribed from the README of commit 0123456789 (2026-01-02); its rows were not kept." in text
+    assert "Made on a Tuesday. That commit has the experiment, which was" in text
     assert text.startswith("Before.\n\n<!-- table: scores -->\n") and text.endswith("<!-- end -->\n\nAfter.\n")
     tables.main(tables.Config())
     assert page.read_text() == text
-
-
-def test_a_table_of_a_removed_experiment_says_where_it_is(page: Path) -> None:
-    rows = (page.parent / "evidence" / "scores.jsonl").read_text().replace("transcribed", "removed")
-    (page.parent / "evidence" / "scores.jsonl").write_text(rows)
-    tables.main(tables.Config())
-    text = page.read_text()
-    assert "| ours | 30.1 | 3 |" in text and "Made on a Tuesday. That commit has the experiment, which was" in text
 
 
 def test_a_table_that_was_edited_by_hand_is_named(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -97,6 +91,21 @@ def test_kept_rows_are_those_of_the_run(tmp_path: Path, monkeypatch: pytest.Monk
     found = tables.kept_rows(tables.keep(results.path, "name", "idle", ("tried",)))
     assert found == [row | {"load_told": "idle"} for row in results.rows[:1]]
     assert load(found) == "idle"
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(0, 2) | st.text("ab", max_size=2) | st.lists(st.none()),
+    lambda inner: st.dictionaries(st.sampled_from("abc"), inner),
+)
+
+
+@given(st.lists(st.dictionaries(st.sampled_from("kxy"), VALUES)))
+def test_rows_come_back_as_they_were_packed(rows: list[dict[str, Any]]) -> None:
+    assert json.dumps(list(unpacked(json.loads(json.dumps(packed(rows)))))) == json.dumps(rows)
+
+
+def test_evidence_is_small() -> None:
+    assert sum(path.stat().st_size for path in tables.KEPT_FOLDER.iterdir()) <= 1_000_000
 
 
 @given(st.floats(-1e300, 1e300))

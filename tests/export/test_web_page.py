@@ -2,15 +2,18 @@
 
 import base64
 import contextlib
+import dataclasses
 import functools
 import gzip
 import http.server
 import io
 import json
 import re
+import runpy
 import shutil
 import threading
 import time
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -23,6 +26,7 @@ from extras import need
 from PIL import Image
 
 from experiments.browser import NAMES, SOFTWARE_GPU
+from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import load_room
 from hyjax.data.light_file import read_lights
@@ -36,6 +40,9 @@ from hyjax.scene.scene import Scene
 from hyjax.util.errors import InputError
 
 SCHEDULE = Schedule.preset("hyjax")
+PRESET = dataclasses.replace(
+    Configuration().with_choices({"photo_exponent": 1.4, "sampling": 1}), schedule=Schedule.preset("paper-50")
+)
 RESOLUTIONS = 128, 64
 WAIT = 60.0
 NO_ANSWERS: Mapping[str, bytes] = MappingProxyType({})
@@ -93,7 +100,8 @@ def setup(scene: Scene) -> LightSetup:
 @pytest.fixture(scope="module")
 def folder(scene: Scene, setup: LightSetup, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("web") / "page"
-    write_page(scene, setup, SCHEDULE, [0, 2], out, rays=256, resolutions=RESOLUTIONS, lossless=True)
+    how = {"rays": 256, "resolutions": RESOLUTIONS, "lossless": True}
+    write_page(scene, setup, SCHEDULE, [0, 2], out, presets=[PRESET], **how)
     return out
 
 
@@ -269,13 +277,20 @@ def visit(browser: Any, url: str) -> Iterator[Visit]:
     assert all(asked.startswith((url, "blob:")) for asked in visit.asked), visit.asked
 
 
-def reference(scene: Scene, lights: LightSetup, frame: int) -> np.ndarray:
-    """What `relight` makes of a frame with the page's shadow maps."""
+def reference(
+    scene: Scene, lights: LightSetup, frame: int, configuration: Configuration | None = None
+) -> np.ndarray:
+    """What `relight` makes of a frame with the page's shadow maps, by the page's schedule or a configuration."""
     maps = cast_shadow_maps(scene.occluders, lights.lights, scale=RESOLUTIONS[0] / 1024, slack=scene.slack)
     view = scene.view(frame)
     light = scene.photo_light.surface_light(lights, maps)
+    schedule = shadow_schedule = None
+    if configuration:
+        light = light.raised(configuration.light.photo_exponent)
+        schedule, shadow_schedule = configuration.schedule, configuration.shadow_schedule
     shaded = view.shade(lights, shadow_maps=maps, surface_light=light)
-    return np.asarray(relight(view, shaded, view.display, SCHEDULE).image)
+    made = relight(view, shaded, view.display, schedule or SCHEDULE, shadow_schedule=shadow_schedule)
+    return np.asarray(made.image)
 
 
 def difference(visit: Visit, wanted: np.ndarray) -> float:
@@ -327,6 +342,25 @@ def test_a_lights_file_gives_the_same_picture(
         said = visit.page.evaluate("(c) => hyjax.setLights(c).then(() => '', (error) => error.message)", wrong)
         assert message in said
     np.testing.assert_array_equal(visit.pixels(), before)
+
+
+@pytest.mark.slow
+def test_a_preset_is_chosen_on_the_page(visit: Visit, scene: Scene, setup: LightSetup) -> None:
+    """Frame, lights and the page's own configuration stay."""
+    visit.page.get_by_role("button", name="Start over").click()
+    before = visit.pixels()
+    wanted = reference(scene, setup, 0, PRESET)
+    assert np.abs(wanted - reference(scene, setup, 0)).mean() > 5e-3
+    visit.page.get_by_label("Preset").select_option(PRESET.name)
+    visit.page.locator("#preset:enabled").wait_for()
+    assert difference(visit, wanted) < 2e-3
+    visit.page.get_by_label("Preset").select_option("default")
+    visit.page.locator("#preset:enabled").wait_for()
+    np.testing.assert_array_equal(visit.pixels(), before)
+    assert visit.page.evaluate("devices.splice(0, 2).length") == 2, (
+        "each preset has its own device, and one is left"
+    )
+    assert visit.page.evaluate("devices.length") == 1 and visit.page.locator("#notice").is_hidden()
 
 
 def wait_for_move(marker: Any, before: dict[str, float]) -> None:
@@ -772,3 +806,66 @@ def test_without_webgpu_the_page_says_so_and_shows_its_frames(folder: Path, driv
         assert "WebGPU" in visit.page.inner_text("#failure-text")
         visit.page.wait_for_timeout(500)
         assert visit.page.evaluate("document.getElementById('sheet').naturalWidth") > 0
+
+
+# ---- in the documentation ----
+
+
+@pytest.fixture(scope="module")
+def site(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site's page to try, with the exported page."""
+    need("docs")
+    from mkdocs.commands.build import build
+    from mkdocs.config import load_config
+
+    root = Path(__file__).parents[2]
+    docs, site = tmp_path_factory.mktemp("docs"), tmp_path_factory.mktemp("site")
+    for name in ("try.md", "try.js", "style.css"):
+        shutil.copy(root / "docs" / name, docs)
+    shutil.copytree(root / "docs" / "examples", docs / "examples")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of mkdocs' own packages
+        settings = {"docs_dir": str(docs), "site_dir": str(site), "plugins": [], "nav": [{"Try": "try.md"}]}
+        build(load_config(str(root / "mkdocs.yml"), extra={"demo": str(folder)}, **settings))
+    return site
+
+
+@pytest.mark.slow
+def test_the_documentation_shows_the_exported_page(site: Path, browser: Any) -> None:
+    with served(site) as url:
+        page = browser.new_page()
+        page.goto(f"{url}try.html")
+        frame = page.frame_locator("iframe")
+        frame.locator("body[data-state=ready]").wait_for(timeout=1e3 * WAIT)
+        assert frame.get_by_label("Preset").locator("option").all_inner_texts() == ["default", PRESET.name]
+        assert page.locator(".wipe").count() == page.locator("#stills").count() == 0
+        page.close()
+
+
+@pytest.mark.slow
+def test_the_documentation_wipes_stills_without_webgpu(site: Path, driver: Any) -> None:
+    with launched(driver, ["--headless=new", "--no-sandbox"]) as plain, served(site) as url:
+        page, asked = plain.new_page(viewport={"width": 390, "height": 844}), list[str]()
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(f"{url}try.html")
+
+        def photo(at: int) -> np.ndarray:
+            page.get_by_label("Photo wiped").fill(str(at))
+            shot = page.locator(".wipe").screenshot()
+            return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB"), float)[:200]
+
+        whole, half, none = photo(100), photo(50), photo(0)
+        middle = whole.shape[1] // 2
+        assert np.abs(whole - none).mean() > 5
+        assert np.abs(half - whole)[:, : middle - 5].max() == 0 == np.abs(half - none)[:, middle + 5 :].max()
+        assert not any("demo/" in address for address in asked), "it is for browsers with WebGPU"
+
+
+def test_an_exported_page_that_is_too_large_stops_the_build(tmp_path: Path) -> None:
+    need("docs")
+    from mkdocs.exceptions import PluginError
+
+    hooks = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "hooks.py"))
+    (tmp_path / "scene.bin").write_bytes(bytes(hooks["MOST_BYTES"] + 1))
+    with pytest.raises(PluginError, match="export fewer frames"):
+        hooks["on_files"](None, {"extra": {"demo": str(tmp_path)}})

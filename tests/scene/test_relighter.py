@@ -1,5 +1,7 @@
 """Relighter: the command, Python's lines and a scene's parts make one picture."""
 
+import dataclasses
+import json
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,6 +14,9 @@ from reference.arkit_export import export_arkit_scan
 import hyjax
 from hyjax.configuration import Configuration
 from hyjax.data.builtin_room import load_room
+from hyjax.relighting.each_light import relight_each
+from hyjax.relighting.run import relight_capture
+from hyjax.relighting.settings import RelightSettings
 from hyjax.util.images import read_image
 
 OWN = {
@@ -102,3 +107,26 @@ def test_pictures_of_single_lamps_add_up(choices: dict[str, Any], capture: Path)
     whole, *single = (np.asarray(scene.relit(0, lights, chosen).image) for lights in (lamps, *([x] for x in lamps)))
     assert whole.max() > 0.05
     np.testing.assert_allclose(sum(single), whole, atol=2e-5)
+
+
+@pytest.mark.slow
+def test_each_light_by_itself_leaves_pictures_that_add_up(capture: Path, tmp_path: Path) -> None:
+    lamps: list[dict[str, Any]] = [
+        {"kind": "point", "position": [2.0, 2.5, 2.0], "luminous_flux": 600},
+        {"kind": "spot", "position": [3.0, 1.0, 2.0], "target": [2.0, 2.0, 0.0], "luminous_flux": 400},
+    ]
+    (tmp_path / "lamps.json").write_text(json.dumps({"lights": lamps}))
+    (tmp_path / "more.json").write_text(json.dumps({"lights": [*lamps, {"kind": "ambient", "illuminance": 20}]}))
+    how = {"scene": hyjax.SceneSettings(capture=capture, size="128x96"), "frames": "0", "exr": True, "quiet": True}
+    settings = RelightSettings(lights=str(tmp_path / "more.json"), each_light=True, out=tmp_path / "each", **how)
+    folders = relight_each(settings)
+    assert [folder.name for folder in folders] == ["0-point", "1-spot"]
+    together = RelightSettings(lights=str(tmp_path / "lamps.json"), out=tmp_path / "together", **how)
+    relight_capture(together)
+    (whole,) = (read_image(file) for file in together.out.glob("*.exr"))
+    single = [read_image(file) for folder in folders for file in folder.glob("*.exr")]
+    assert min(picture.max() for picture in single) > 0.01
+    np.testing.assert_allclose(sum(single), whole, rtol=2e-3, atol=1e-4)
+    paper = dataclasses.replace(settings, paper_mode=True)
+    with pytest.raises(hyjax.InputError, match="each_light: pictures of paper mode do not add up"):
+        relight_each(paper)

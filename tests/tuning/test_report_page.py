@@ -9,10 +9,11 @@ import pytest
 from markupsafe import Markup
 from page_checks import RUDE
 
-from hyjax.tuning.report_page import Example, contact_sheet_rows, data_uris, pair_to_compare, templates
+from hyjax.tuning.report_page import Example, contact_sheet_rows, data_uris, pair_to_compare
 from hyjax.util.contact_sheet import contact_sheet, write_contact_sheet
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
+from hyjax.util.templates import templates
 
 
 def examples(count: int = 2, height: int = 24, width: int = 32, seed: int = 0) -> list[Example]:

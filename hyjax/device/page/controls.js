@@ -2,6 +2,7 @@
 import { STAGES } from "./display.js";
 import { connectHistory } from "./history.js";
 import { connectLightRows } from "./light_rows.js";
+import { connectPresets } from "./presets.js";
 
 const element = (id) => document.getElementById(id);
 const PLAY = "M4 2.5v11l9-5.5z";
@@ -20,6 +21,7 @@ export function connectControls(viewer) {
   connectAdding(viewer);
   connectSources(viewer);
   connectPicture(viewer);
+  connectPresets(viewer);
   connectSpeed(viewer);
   connectLightRows(viewer);
   connectNotices(viewer);

@@ -4,6 +4,7 @@ import { darkness, luminance } from "./lights.js";
 import {
   ambientFilter, emitterVectors, frameRecord, keptVectors, lightRecords, mapSize, movedLights, sizeMap,
 } from "./records.js";
+import { raised } from "./scene.js";
 
 const BATCH_TEXELS = 1 << 20; // of shadow maps in one go, so that no launch takes seconds on a slow GPU
 const REFINED_TEXELS = 1 << 22; // of shadow maps between two pictures, where there is more than one
@@ -19,7 +20,8 @@ export class Renderer {
   static async create(device, page, arrays) {
     device.pushErrorScope("out-of-memory");
     const engine = await Engine.create(device, page.program, 4, { depths: 16 });
-    for (const [name, values] of Object.entries(arrays)) engine.upload(name, values);
+    const lit = raised(arrays, page.scene.sources.length, page.exponent);
+    for (const [name, values] of Object.entries(lit)) engine.upload(name, values);
     await checkMemory(device, page.size);
     return new Renderer(engine, page);
   }

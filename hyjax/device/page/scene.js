@@ -1,8 +1,9 @@
 // Content of an exported page: page.json, the arrays of scene.bin, and the frames.
 
-export const PAGE_FORMAT = 1;
+export const PAGE_FORMAT = 2;
 const TYPES = { uint16: Uint16Array, uint32: Uint32Array, float32: Float32Array };
 const KEPT_BYTES = 64e6; // of decoded frames
+const LEAST_LIGHT = 0.05; // of the photos, of its mean
 
 async function read(name) {
   const response = await fetch(name).catch(() => {
@@ -67,6 +68,22 @@ function fourthNumbers(values) {
   const result = new Float32Array((values.length / 3) * 4);
   for (let k = 0; 3 * k < values.length; k++) result.set(values.subarray(3 * k, 3 * k + 3), 4 * k);
   return result;
+}
+
+/**
+ * Arrays with the light of the photos to a power, and its sources in proportion, as `SurfaceLight.raised` has them.
+ * @param count of sources
+ */
+export function raised(arrays, count, exponent = 1) {
+  if (exponent === 1) return arrays;
+  const [fields, sources] = [arrays.fields.slice(), arrays.sources.slice()];
+  const lightAt = (number) => 16 * Math.floor(number / 3) + 8 + (number % 3); // in fields, of four vectors a vertex
+  const numbers = sources.length / count; // of a source
+  for (let k = 0; k < sources.length; k++) {
+    sources[k] *= Math.max(fields[lightAt(k % numbers)], LEAST_LIGHT) ** (exponent - 1);
+  }
+  for (let k = 0; k < (3 * fields.length) / 16; k++) fields[lightAt(k)] **= exponent;
+  return { ...arrays, fields, sources };
 }
 
 /** Pictures of the frames, decoded when they are needed; the last ones are kept. */

@@ -46,10 +46,10 @@ export class Viewer extends EventTarget {
 
   /** Open the GPU and draw the first picture. */
   async start() {
-    this.device = await openDevice();
-    this.device.addEventListener("uncapturederror", ({ error }) => this.say(`The graphics driver reports: ${error.message}`));
-    this.device.lost.then(() => this.lost());
-    await choosePrecision(this.page, this.device);
+    const device = (this.device = await openDevice());
+    device.addEventListener("uncapturederror", ({ error }) => this.say(`The graphics driver reports: ${error.message}`));
+    device.lost.then(() => device === this.device && this.lost());
+    await choosePrecision(this.page, device);
     this.renderer = await Renderer.create(this.device, this.page, this.arrays);
     if (this.display) { // a canvas keeps its first context
       const fresh = this.canvas.cloneNode();

@@ -1,0 +1,55 @@
+"""Picture of real captures for the documentation: photos, and the same frames relit by the evening lamps below.
+
+Of those in `$HYJAX_DATA` whose licences let their pictures be shown: three scans by a phone, and two of
+Middlebury's stereo pairs.
+"""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+import hyjax
+from experiments.real_bench import RealPlace
+from experiments.records import ROOT
+from hyjax.data.relit_pairs import open_relit_pairs
+from hyjax.util.errors import InputError
+from hyjax.util.images import resize
+
+DATA = Path(os.environ.get("HYJAX_DATA", ROOT.parent / "shared" / "data"))
+SCANS = {"scanner3d_chair": 8, "scanner3d_corridor": 12, "scanner3d_board": 10}
+"""Folder → frame."""
+PAIRS = ("Piano", "Djembe")
+SIZE = 240, 320
+GAP = 6
+
+
+def real_captures() -> UInt8[np.ndarray, "h w 3"]:
+    """Photos in one row, and relit pictures in the next.
+
+    Raises:
+        InputError: the captures are not there.
+    """
+    if not DATA.is_dir():
+        raise InputError(f"{DATA}: no such folder; set HYJAX_DATA to that of the captures")
+    pairs = {pair.name: pair for pair in open_relit_pairs(DATA / "middlebury_relit")}
+    settings = {name: hyjax.SceneSettings(capture=DATA / name, size=f"{SIZE[1]}x{SIZE[0]}") for name in SCANS}
+    scenes = [(hyjax.Scene.open(one), SCANS[name]) for name, one in settings.items()]
+    scenes += [(RealPlace(pairs[name], False, "true").scene, 0) for name in PAIRS]
+    columns = []
+    for scene, frame in scenes:
+        relit = hyjax.to_display(scene.relit(frame, "evening-lamps").image)
+        shown = [cut(np.asarray(picture)) for picture in (scene.frame(frame).image, relit)]
+        white = np.ones((GAP, SIZE[1], 3))
+        columns += [np.concatenate([shown[0], white, shown[1]]), np.ones((2 * SIZE[0] + GAP, GAP, 3))]
+    return np.round(np.clip(np.concatenate(columns[:-1], axis=1), 0, 1) * 255).astype(np.uint8)
+
+
+def cut(picture: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "height width 3"]:
+    """The largest centred part of the shape, at the size."""
+    height, width = picture.shape[:2]
+    across = min(width, round(height * SIZE[1] / SIZE[0]))
+    down = min(height, round(width * SIZE[0] / SIZE[1]))
+    top, left = (height - down) // 2, (width - across) // 2
+    return resize(picture[top : top + down, left : left + across], *SIZE)
