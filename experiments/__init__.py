@@ -1,15 +1,13 @@
 """Experiments, one a file, whose docstring gives the command, its duration and the expected results."""
 
 EXPERIMENTS = (
-    "paper_table",
+    "paper",
     "truth",
     "real",
     "dark_frames",
     "patches",
     "readme_picture",
     "flicker",
-    "ablation_cascade",
-    "ablation_shadow",
     "structure",
     "conductances",
     "depth_sr",
@@ -21,6 +19,7 @@ EXPERIMENTS = (
     "stage_times",
     "frame_rate",
     "first_picture",
+    "explore_latency",
     "fusion_borders",
     "bench_peers",
     "live",

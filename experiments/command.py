@@ -25,6 +25,7 @@ from typing import Any
 import tyro
 
 from experiments.blocks import Block, write_blocks
+from experiments.provenance import provenance
 from experiments.records import Results, Row, of_kind
 from hyjax.util.errors import InputError
 from hyjax.util.interrupts import defer_interrupts, exit_now
@@ -85,7 +86,7 @@ class Experiment:
         failure = self._main(config, start)
         (results,) = opened
         rows = results.finish()
-        write_blocks(results.out, self.name, self.blocks(rows, results.out))
+        write_blocks(results.out, self.name, [*self.blocks(rows, results.out), provenance(rows)])
         if failure:
             print(f"{self.name}: {failure}", file=sys.stderr)
             sys.exit(1)

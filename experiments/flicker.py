@@ -56,7 +56,7 @@ class Config(KappaConfig):
     """Named schedule of the paper's mode."""
     frames: str | None = None
     """Which, see `hyjax relight --frames`; each must follow the one before. Default: the first 40 of those that
-    `paper_table` reports on."""
+    `paper` reports on."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -105,7 +105,7 @@ PICTURES: dict[str, Committed] = {
     "conductances.jpg": Committed("python -m experiments.conductances", (Cells("conductances.png"),), 1300),
     "structure.jpg": Committed("python -m experiments.structure", (Cells("structure.png"),)),
     "shadow_pass.jpg": Committed(
-        "python -m experiments.ablation_shadow", (Cells("side_by_side.png", (4, 5)),), 1700
+        "python -m experiments.paper --parts shadow", (Cells("shadow.png", (4, 5)),), 1700
     ),
 }
 """File → how it is made."""

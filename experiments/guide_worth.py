@@ -2,7 +2,7 @@
 
     python -m experiments.guide_worth [--capture PATH] [--guide small] [--out results/guide_worth/room]
 
-It is the third benchmark of `paper_table`, relighting fidelity, with κ chosen for each guide and mode on tuning
+It is the third benchmark of `paper`, relighting fidelity, with κ chosen for each guide and mode on tuning
 frames; the last quarter of the capture is held out. The RGB guide is also tried with conductances of the pooled
 guide, as the paper's equation has them and not its text, and with the norm of Metzger et al.'s code. *None* lets
 light flow everywhere; *the surface* has the normals and the logarithm of the depth of the accurate surface for

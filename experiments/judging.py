@@ -141,8 +141,8 @@ def beside_jump(depth: Float[np.ndarray, "h w"], reach: int | None = None) -> Bo
     return ndimage.binary_dilation(jump, iterations=reach) if reach else jump
 
 
-FEWEST_VALUES = 3
-"""Values below which no interval is told."""
+FEWEST_VALUES = 6
+"""Values below which no interval is told: the range of five holds the median with less than 95 %."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -199,10 +199,11 @@ class Middle:
     low: float | None
     high: float | None
 
-    def text(self, digits: int) -> str:
-        """Such as `0.123 (0.119 to 0.131)`."""
-        bounds = "" if self.low is None else f" ({self.low:.{digits}f} to {self.high:.{digits}f})"
-        return f"{self.median:.{digits}f}{bounds}"
+    def text(self, digits: int, sign: str = "") -> str:
+        """Such as `0.123 (0.119 to 0.131)`; with `sign` "+" also positive numbers have one."""
+        number = f"{sign}.{digits}f"
+        bounds = "" if self.low is None else f" ({self.low:{number}} to {self.high:{number}})"
+        return f"{self.median:{number}}{bounds}"
 
 
 def middle(values: Sequence[float | None]) -> Middle | None:

@@ -42,7 +42,6 @@ TRUTH_CAPTION = (
 )
 
 LIGHT = ("paper's method, times light", "ours, times light")
-DISTANCES = ("to converged", "to accurate surface", "relit PSNR dB")
 FILTERS = ("strength / reach", "PSNR dB", "loss")
 
 SEARCHED = ("tuned-0.34", "tuned-0.49", "tuned-0.93", "tuned-10000ms", "default", "paper-tuned", "paper")
@@ -96,25 +95,25 @@ TABLES: dict[str, Published] = {
     "dark-frames": Published("dark_frames"),
     "patches": Published("patches"),
     # the paper's tables
-    "directions-room": Published("paper_table_room", 0),
-    "directions-kitchen": Published("paper_table_kitchen", 0),
-    "correction-room": Published("paper_table_room", 1),
-    "correction-kitchen": Published("paper_table_kitchen", 1),
-    "consistency-room": Published("paper_table_room", 3),
-    "consistency-kitchen": Published("paper_table_kitchen", 3),
-    "fidelity-room": Published("paper_table_room", 5),
-    "fidelity-kitchen": Published("paper_table_kitchen", 5),
-    "fidelity-regions-room": Published("paper_table_room", 6),
-    "fidelity-regions-kitchen": Published("paper_table_kitchen", 6),
+    "directions-room": Published("paper_room", 0),
+    "directions-kitchen": Published("paper_kitchen", 0),
+    "correction-room": Published("paper_room", 1),
+    "correction-kitchen": Published("paper_kitchen", 1),
+    "consistency-room": Published("paper_room", 3),
+    "consistency-kitchen": Published("paper_kitchen", 3),
+    "fidelity-room": Published("paper_room", 5),
+    "fidelity-kitchen": Published("paper_kitchen", 5),
+    "fidelity-regions-room": Published("paper_room", 6),
+    "fidelity-regions-kitchen": Published("paper_kitchen", 6),
     "reference-quality": Published("reference_quality"),
     "kappa-room": Published("kappa_room"),
     "kappa-kitchen": Published("kappa_kitchen"),
-    "ablation-cascade-room": Published("ablation_cascade_room", 0, DISTANCES),
-    "ablation-cascade-kitchen": Published("ablation_cascade_kitchen", 0, DISTANCES),
-    "ablation-shadow-room": Published("ablation_shadow_room", 1),
-    "ablation-shadow-rough-room": Published("ablation_shadow_room", 0),
-    "ablation-shadow-kitchen": Published("ablation_shadow_kitchen", 1),
-    "ablation-shadow-rough-kitchen": Published("ablation_shadow_kitchen", 0),
+    "ablation-cascade-room": Published("paper_room", 7),
+    "ablation-cascade-kitchen": Published("paper_kitchen", 7),
+    "ablation-shadow-room": Published("paper_room", 9),
+    "ablation-shadow-rough-room": Published("paper_room", 8),
+    "ablation-shadow-kitchen": Published("paper_kitchen", 9),
+    "ablation-shadow-rough-kitchen": Published("paper_kitchen", 8),
     # from frame to frame
     "flicker-room": Published("flicker_room"),
     "flicker-kitchen": Published("flicker_kitchen"),
@@ -134,6 +133,7 @@ TABLES: dict[str, Published] = {
     "stage-times": Published("stage_times", 0),
     "first-picture": Published("first_picture", 0),
     "first-picture-stages": Published("first_picture", 1),
+    "explore-latency": Published("explore_latency"),
     # tuning
     "presets": Published("frame_tuning", 0),
     "preset-search": Published("frame_tuning", 1, lines=SEARCHED),
@@ -168,7 +168,7 @@ TABLES: dict[str, Published] = {
     "sweep-kills": Published("sweep_kills"),
     "install": Published("install_size"),
     # what does not carry over
-    "fidelity-short": Published("paper_table_kitchen", 5, ("LPIPS", "PSNR dB"), LIGHT),
+    "fidelity-short": Published("paper_kitchen", 5, ("LPIPS", "PSNR dB"), LIGHT),
     "peers-room": Published("peers_room", 0, FILTERS),
     "peers-room-by-kitchen": Published("peers_room_by_kitchen", 0, FILTERS),
     "peers-kitchen": Published("peers_kitchen", 0, FILTERS, caption=KITCHEN_PEERS.format("its earlier frames")),

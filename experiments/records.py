@@ -10,7 +10,7 @@ import datetime
 import math
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -132,6 +132,11 @@ def is_finished(rows: list[Row]) -> bool:
 def machine(row: Row) -> str:
     """Machine that a row was made on, in words."""
     return f"{row['device']}, {row['cpu_count']} cores, jax {row['versions']['jax']}"
+
+
+def size_of(rows: Sequence[Row]) -> str:
+    """Size of the pictures of a run whose option is pixels a side, such as `512 x 512`."""
+    return "{0} x {0}".format(rows[0]["settings"]["size"])
 
 
 def of_kind(rows: Iterable[Row], kind: str) -> list[Row]:

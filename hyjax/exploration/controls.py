@@ -1,6 +1,7 @@
 """Controls of the choices and the cascades, changes by them, and the script that makes the same picture."""
 
 import dataclasses
+import functools
 import json
 from collections.abc import Mapping
 from typing import Any, get_args
@@ -12,6 +13,7 @@ from hyjax.choices.table import CASCADES, CHOICES, NO_STEPS
 from hyjax.configuration import PRESETS, Configuration
 from hyjax.core.schedule import GUIDED_FIDELITY, Level, Schedule
 from hyjax.core.step_size import DEFAULT_LAM
+from hyjax.exploration.pictures import most_steps
 from hyjax.light.setup import LightSetup
 from hyjax.scene.settings import SceneSettings
 from hyjax.util.errors import InputError, shown
@@ -27,8 +29,6 @@ GROUPS = {
 """Headings of the parts of a configuration."""
 LADDER = "steps", "kappa", "lam", "fidelity"
 """What each level of a cascade has, in the order of its controls."""
-MOST_SHOWN_STEPS = 32
-"""Steps at the end of a slider."""
 WIDEST_SLIDER = 64
 """Whole numbers with more values than this are typed."""
 
@@ -77,7 +77,9 @@ def ladders(configuration: Configuration) -> dict[str, list[dict[str, float | in
         alpha = None if level.fidelity is None else float(np.asarray(level.fidelity))
         lam = float(np.median(sizes)) if len(sizes) else DEFAULT_LAM
         kappa = float(np.asarray(level.kappa))
-        return {"factor": level.factor, "steps": level.steps, "kappa": kappa, "lam": lam, "fidelity": alpha}
+        most = max(most_steps(level.factor), level.steps)
+        found = {"factor": level.factor, "steps": level.steps, "kappa": kappa, "lam": lam, "fidelity": alpha}
+        return found | {"most_steps": most}
 
     return {part: [row(level) for level in getattr(configuration, part).levels] for part in CASCADES}
 
@@ -205,8 +207,8 @@ def script(
 
 def configuration_code(configuration: Configuration) -> str:
     """Expression of a configuration: a preset's name, or what differs from the default."""
-    for name in ("default", "paper", *PRESETS):
-        if _is_preset(configuration, Configuration.preset(name)):
+    for name, preset in _presets().items():
+        if _is_preset(configuration, preset):
             return f'hyjax.Configuration.preset("{name}")'
     default, parts = Configuration(), []
     for part in CASCADES:
@@ -220,6 +222,12 @@ def configuration_code(configuration: Configuration) -> str:
         if choice.part not in CASCADES and configuration.value(name) != default.value(name)
     }
     return f"{code}.with_choices({own!r})" if own else code
+
+
+@functools.cache
+def _presets() -> dict[str, Configuration]:
+    """Presets by name, read once: a program is written with every picture."""
+    return {name: Configuration.preset(name) for name in ("default", "paper", *PRESETS)}
 
 
 def _compact(schedule: Schedule) -> str:

@@ -10,8 +10,10 @@ from jaxtyping import Array, Float
 from hyjax.choices.table import CASCADES
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Level, Schedule
+from hyjax.exploration.kept_stages import KeptStages
+from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.relit import Relit
-from hyjax.light.setup import LightSetup, same_setup
+from hyjax.light.setup import LightSetup, geometry_key, same_setup
 from hyjax.light.view import View
 from hyjax.pipeline import cascade_calls
 from hyjax.scene.relighter import LitFrame, Relighter, refine
@@ -20,8 +22,8 @@ from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
 from hyjax.util.programs import run_kept
 
-STEPS_OF_A_PROGRAM = 8
-"""Multiple that step counts are filled up to, so that counts of one multiple share a program."""
+MOST_STEPS, MOST_FINE_STEPS = 32, 8
+"""Steps that levels are filled up to, so that counts up to them share a program; steps at full size are dear."""
 MOST_FILLED_STEPS = 64
 """Most steps of a level that is filled up; longer ones cost more to run than to compile."""
 FILLING_LAM = np.float32(1e-30)
@@ -30,10 +32,35 @@ KEPT_FRAMES = 4
 """Frames under lights that are kept: full and draft of two configurations."""
 DRAFT_FACTOR = 2
 """Size of a frame over that of its draft."""
+DRAFT_MAP_FACTOR = 4
+"""Size of a shadow map over that of a draft's."""
 DRAFT_VIEWS = 4
 """Views of a soft light in the shadow map of a draft."""
 Lights = LightSetup | str
 Stages = Iterator[tuple[str, Any]]
+
+
+class DraftRelighter(Relighter):
+    """Relighter that may take the light on the surface from another, so that no bounces are followed.
+
+    Args:
+        place, lights, configuration: see `Relighter`.
+        surface: light on the surface; None for that of the lights.
+    """
+
+    def __init__(
+        self, place: Scene, lights: Lights, configuration: Configuration, surface: SurfaceLight | None
+    ) -> None:
+        self._given = surface
+        super().__init__(place, lights, configuration)
+
+    @property
+    def surface_light(self) -> SurfaceLight | None:
+        """Light on the surface, as far as the frames are divided by it."""
+        return self._light()[-1]
+
+    def _surface_light(self) -> SurfaceLight:
+        return super()._surface_light() if self._given is None else self._given
 
 
 class Superseded(Exception):
@@ -57,30 +84,47 @@ class Pictures:
     def __init__(self, scene: Scene, superseded: Callable[[], bool] = lambda: False) -> None:
         self.scene, self.fills, self._superseded = scene, False, superseded
         self._views: dict[tuple[int, int], View] = {}
-        self._relighters: list[tuple[Lights, Any, Relighter]] = []
+        self._relighters: list[tuple[Lights, Any, DraftRelighter]] = []
+        self._whole: tuple[Any, LightSetup, SurfaceLight] | None = None  # choices, lights, surface
         self._frames: list[tuple[Relighter, int, LitFrame]] = []
+        self._run, self._run_draft = KeptStages(), KeptStages(draft=True)
 
-    def relighter(self, lights: Lights, configuration: Configuration) -> Relighter:
-        """Relighter of lights; its configuration's cascades may be of an earlier change."""
-        key = light_key(configuration)
+    def relighter(
+        self, lights: Lights, configuration: Configuration, surface: SurfaceLight | None = None
+    ) -> DraftRelighter:
+        """Relighter of lights; its configuration's cascades may be of an earlier change.
+
+        Args:
+            lights: a set-up or its name.
+            configuration: any.
+            surface: light on the surface that is taken in the place of their own, for a draft.
+        """
+        key = light_key(configuration), id(surface)
         for place, (own, own_key, relighter) in enumerate(self._relighters):
             if own_key == key and same(own, lights):
                 self._relighters.append(self._relighters.pop(place))
                 return relighter
-        made = Relighter(self.scene, lights, configuration)
+        made = DraftRelighter(self.scene, lights, configuration, surface)
         self._relighters = [*self._relighters, (lights, key, made)][-KEPT_FRAMES:]
         return made
 
     def knows(self, frame: int, lights: Lights, configuration: Configuration) -> bool:
         """Whether a frame under these lights is kept, so that its cascades alone are to be run."""
-        key = light_key(configuration)
+        key = light_key(configuration), id(None)
         known = [relighter for own, own_key, relighter in self._relighters if own_key == key and same(own, lights)]
         return any(relighter in known and index == frame for relighter, index, _ in self._frames)
 
-    def lit(self, frame: int, lights: Lights, configuration: Configuration, clock: StageClock) -> LitFrame:
-        """Frame under lights, ready to be refined."""
+    def lit(
+        self,
+        frame: int,
+        lights: Lights,
+        configuration: Configuration,
+        clock: StageClock,
+        surface: SurfaceLight | None = None,
+    ) -> LitFrame:
+        """Frame under lights, ready to be refined; arguments as of `relighter`."""
         with clock("lights"):
-            relighter = self.relighter(lights, configuration)
+            relighter = self.relighter(lights, configuration, surface)
         for place, (own, index, lit) in enumerate(self._frames):
             if own is relighter and index == frame:
                 self._frames.append(self._frames.pop(place))
@@ -105,16 +149,27 @@ class Pictures:
             InputError: the lights or the configuration cannot be used.
         """
         lit = self.lit(frame, lights, configuration, clock)
-        relit: Relit = clock.follow(self._followed(refine(lit, self._as_run(configuration))))
+        own = self.relighter(lights, configuration)
+        surface = own.surface_light
+        self._whole = None if surface is None else (configuration.light, own.setup, surface)
+        relit: Relit = clock.follow(self._followed(refine(lit, self._as_run(configuration), run=self._run)))
         return relit
 
     def draft(
         self, frame: int, lights: Lights, configuration: Configuration, clock: StageClock
     ) -> Float[Array, "h w 3"]:
-        """Relit picture at half the size, linear, with coarser shadows."""
-        small = draft_of(configuration)
-        lit = dataclasses.replace(self.lit(frame, lights, small, clock), full=None)
-        picture: Float[Array, "h w 3"] = clock.follow(refine(lit, self._as_run(small)), until="composite")
+        """Relit picture at half the size, linear, with bounces of the last whole picture.
+
+        Lights that have other places than there throw coarser shadows; of the others shadow maps are kept.
+        """
+        surface, moved = None, False
+        if self._whole is not None and self._whole[0] == configuration.light:
+            _, setup, surface = self._whole
+            moved = isinstance(lights, LightSetup) and _places(lights) != _places(setup)
+        small = draft_of(configuration, bounces=not moved)
+        lit = dataclasses.replace(self.lit(frame, lights, small, clock, surface), full=None)
+        stages = refine(lit, self._as_run(small), run=self._run_draft)
+        picture: Float[Array, "h w 3"] = clock.follow(stages, until="composite")
         return picture
 
     def levels(
@@ -156,6 +211,11 @@ def light_key(configuration: Configuration) -> Any:
     return tuple(getattr(configuration, part) for part in ("mode", "scale", "light", "shadows", "guide"))
 
 
+def _places(setup: LightSetup) -> list[Any]:
+    """All that shadow maps depend on, of each light."""
+    return [geometry_key(light) for light in setup.lights]
+
+
 def same(a: Lights, b: Lights) -> bool:
     """Whether two set-ups, or their names, are the same."""
     if isinstance(a, str) or isinstance(b, str):
@@ -164,32 +224,40 @@ def same(a: Lights, b: Lights) -> bool:
 
 
 def filled(configuration: Configuration) -> Configuration:
-    """Configuration whose levels are filled up with steps that change nothing: neighbouring counts share a program.
+    """Configuration with levels filled up by steps that change nothing: counts up to a bound share a program.
 
     >>> [level.steps for level in filled(Configuration()).schedule.levels]
-    [8, 8, 8]
+    [32, 32, 32]
     """
     schedules = (_filled(s) for s in (configuration.schedule, configuration.shadow_schedule))
     schedule, shadow_schedule = schedules
     return dataclasses.replace(configuration, schedule=schedule, shadow_schedule=shadow_schedule)
 
 
+def most_steps(factor: int) -> int:
+    """Bound up to which counts of a level share a program."""
+    return MOST_FINE_STEPS if factor == 1 else MOST_STEPS
+
+
 def _filled(schedule: Schedule) -> Schedule:
+    if not any(level.steps for level in schedule.levels):
+        return schedule  # no cascade at all
     return dataclasses.replace(schedule, levels=tuple(_filled_level(level) for level in schedule.levels))
 
 
 def _filled_level(level: Level) -> Level:
     sizes = np.asarray(level.step_sizes, np.float32)
-    if not 0 < len(sizes) <= MOST_FILLED_STEPS or sizes.max() >= 0.25:  # a cycle is stable only as it is
+    if len(sizes) > MOST_FILLED_STEPS or sizes.max(initial=0.0) >= 0.25:  # a cycle is stable only as it is
         return level
-    filling = np.full(-len(sizes) % STEPS_OF_A_PROGRAM, FILLING_LAM)
+    most = most_steps(level.factor)
+    filling = np.full(most if not len(sizes) else -len(sizes) % most, FILLING_LAM)
     return dataclasses.replace(level, step_sizes=np.concatenate([sizes, filling]))
 
 
-def draft_of(configuration: Configuration) -> Configuration:
+def draft_of(configuration: Configuration, *, bounces: bool = True) -> Configuration:
     """Configuration of a draft: half the size, with levels of the same cells, and coarser shadows.
 
-    Where the frame is divided by the photo's light, shadows stay: that light needs the whole shadow maps anyway.
+    Where bounces are followed with the photo's light, shadows stay: that needs the whole shadow maps anyway.
     """
     schedules = {}
     for part in ("schedule", "shadow_schedule"):
@@ -199,9 +267,9 @@ def draft_of(configuration: Configuration) -> Configuration:
             levels[factor] = dataclasses.replace(level, factor=factor)
         schedules[part] = dataclasses.replace(schedule, levels=tuple(levels.values()))
     shadows = configuration.shadows
-    if configuration.light.photo_light != "divided":
+    if configuration.light.photo_light != "divided" or not bounces:
         shadows = shadows.replace(
-            map_scale=max(0.05, shadows.map_scale / DRAFT_FACTOR),
+            map_scale=max(0.05, shadows.map_scale / DRAFT_MAP_FACTOR),
             views=DRAFT_VIEWS if shadows.views is None else min(shadows.views, DRAFT_VIEWS),
         )
     scale = configuration.scale * DRAFT_FACTOR

@@ -1,15 +1,19 @@
-"""Sheets of pictures side by side: stages, levels of the cascade, two configurations."""
+"""Sheets of pictures side by side: stages, levels of the cascade, two pictures; and their JPEG files."""
 
+import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float
+from PIL import Image
 
 from hyjax.light.color import to_display
 from hyjax.light.relit import Relit
 from hyjax.util.contact_sheet import BACKGROUND, contact_sheet
 
+QUALITY = 90
+"""Quality of the JPEG pictures."""
 DIFFERENCE_GAIN = 4.0
 """Factor of the difference of two pictures."""
 BRIGHT_VALUE, BRIGHT_QUANTILE = 0.7, 0.98
@@ -34,12 +38,20 @@ def levels_sheet(levels: Sequence[tuple[str, Float[Array, "h w 3"]]]) -> Sheet:
     return _sheet({name: _display(gain * light) for name, light in levels})
 
 
-def compared_sheet(first: tuple[str, Relit], second: tuple[str, Relit]) -> Sheet:
-    """Two relit frames with their names, and how they differ."""
-    (name, a), (other, b) = ((name, _display(relit.image)) for name, relit in (first, second))
+def compared_sheet(first: tuple[str, Any], second: tuple[str, Any]) -> Sheet:
+    """Two pictures of display values with their names, and how they differ."""
+    (name, a), (other, b) = ((name, np.asarray(picture)) for name, picture in (first, second))
     difference = np.abs(a - b)
     said = f"difference x {DIFFERENCE_GAIN:g}, largest {difference.max():.3f}"
     return _sheet({name: a, other if other != name else f"{other} ": b, said: DIFFERENCE_GAIN * difference})
+
+
+def jpeg(display: Any) -> bytes:
+    """A picture of display values as a JPEG file."""
+    pixels = np.round(255 * np.clip(np.nan_to_num(np.asarray(display, np.float32)), 0, 1)).astype(np.uint8)
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "JPEG", quality=QUALITY)
+    return file.getvalue()
 
 
 def _gain(light: Any) -> float:

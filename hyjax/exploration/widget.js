@@ -105,6 +105,7 @@ function render({ model, el }) {
   const sheet = element("img", { className: "hyjax-sheet", alt: "side by side" });
   const message = element("p", { className: "hyjax-message", role: "alert" });
   const times = element("p", { className: "hyjax-times" });
+  const judged = element("p", { className: "hyjax-judged", ariaLabel: "scores" });
   const wiper = element("input", { type: "range", min: 0, max: 1000, ariaLabel: "photo | relit" });
   const wipe = (share) => {
     relit.style.clipPath = `inset(0 0 0 ${100 * share}%)`;
@@ -148,7 +149,7 @@ function render({ model, el }) {
   const folders = [...groups].map(([name, nodes]) => folder(
     name, name in ladderOf, ...(name in ladderOf ? [ladderOf[name]] : []), ...nodes));
   el.replaceChildren(
-    element("div", { className: "hyjax-main" }, stage, wiper, sheet, message, times, frame.node,
+    element("div", { className: "hyjax-main" }, stage, wiper, sheet, message, times, judged, frame.node,
       element("div", { className: "hyjax-buttons" }, keep, swap, copy), code),
     element("div", { className: "hyjax-controls" }, setup.node, preset.node, view.node, folder("Lamps", true, lampRows), ...folders));
 
@@ -159,7 +160,7 @@ function render({ model, el }) {
     const factors = levels.map((level) => level.factor).join();
     if (ladders[name]?.factors !== factors) {
       const rows = levels.map((level, index) => LADDER.map(([key, label, low, high, log]) => slider({
-        label: `1/${level.factor} ${label}`, low, high: key === "steps" ? Math.max(high, level.steps) : high, log,
+        label: `1/${level.factor} ${label}`, low, high: key === "steps" ? level.most_steps : high, log,
         whole: key === "steps", change: (value, draft) => send("level", { cascade: name, index, key, value, draft }),
       })));
       ladders[name] = { factors, rows };
@@ -246,6 +247,7 @@ function render({ model, el }) {
     state: showState, picture: () => showPicture("picture", relit), photo: () => showPicture("photo", photo),
     sheet: () => showPicture("sheet", sheet), times: showTimes, code: () => { code.value = model.get("code"); },
     message: () => { message.textContent = model.get("message"); },
+    judged: () => { judged.replaceChildren(...(model.get("judged") || []).flatMap((line) => [line, element("br")])); },
   };
   for (const [name, show] of Object.entries(followed)) { model.on(`change:${name}`, show); show(); }
   wipe(0.5);

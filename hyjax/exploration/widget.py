@@ -1,8 +1,6 @@
 """Widget that shows frames relit and changes how; its page is `widget.js`."""
 
 import base64
-import dataclasses
-import io
 import logging
 import threading
 from collections.abc import Callable
@@ -10,18 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import anywidget
-import numpy as np
 import traitlets
-from PIL import Image
 
 from hyjax.configuration import PRESETS, Configuration
 from hyjax.exploration.controls import controls, ladders, script, values, with_choice, with_level
+from hyjax.exploration.lamps import changed_lamp, lamp_rows
 from hyjax.exploration.newest import Newest
 from hyjax.exploration.pictures import Pictures, Superseded
-from hyjax.exploration.sheets import compared_sheet, levels_sheet, stages_sheet
+from hyjax.exploration.sheets import compared_sheet, jpeg, levels_sheet, stages_sheet
+from hyjax.exploration.truth import KnownTruth, Truth, lines, scores
 from hyjax.geometry.camera import Camera
 from hyjax.light.color import to_display
-from hyjax.light.kinds import Light, kind_name
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.scene.light_setups import SETUPS
@@ -29,14 +26,15 @@ from hyjax.scene.scene import AnyConfiguration, AnyLights, Scene
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError, one_line, shown
 
-QUALITY = 90
-"""Quality of the JPEG pictures."""
 DRAFT_MS = 60.0
 """Milliseconds of a picture beyond which a draft is made of it while a control is moved."""
 LARGEST_DRAFT_SCALE = 4
 """Largest scale of a configuration that is halved."""
 VIEWS = {"wipe": "photo | relit", "stages": "stages", "levels": "levels of the cascade", "compare": "A | B"}
 """What can be shown."""
+TRUTH_VIEW = {"truth": "relit | truth"}
+"""What can be shown where the truth is known."""
+UNKNOWN_TRUTH = "of this frame under these lights no truth is known; of a generated room it is under named lights"
 FOLDER = Path(__file__).parent
 _log = logging.getLogger(__name__)
 
@@ -61,11 +59,13 @@ class Explorer(anywidget.AnyWidget):
     """Widget of a scene's frames, relit while choices and lights are changed by hand, or from Python.
 
     What is set here moves the controls, and they set it: `configuration`, `lights` (a set-up, lights, or a name),
-    `frame`, `view` (a key of `VIEWS`) and `other`, the configuration that it is compared with. `relit` follows.
+    `frame`, `view` (a key of `VIEWS`) and `other`, the configuration that it is compared with. `relit` follows, and
+    where the truth is known `scores`: of the configuration, and of `other` where they are compared.
 
     Args:
         scene: whose frames they are.
         frame, lights, configuration: what is shown first.
+        truth: what they should look like; None for the true pictures of a generated room.
 
     Raises:
         InputError: any of these cannot be used.
@@ -77,8 +77,9 @@ class Explorer(anywidget.AnyWidget):
     other = Checked(lambda _, value: None if value is None else Configuration.of(value))
     lights = Checked(lambda self, value: self._checked_lights(value), "evening-lamps")
     frame = Checked(lambda self, value: self._checked_frame(value), 0)
-    view = Checked(lambda _, value: checked_view(value), "wipe")
+    view = Checked(lambda self, value: self._checked_view(value), "wipe")
     relit = traitlets.Any(None, allow_none=True, read_only=True)
+    scores: Any = traitlets.List(read_only=True)
     controls: Any = traitlets.List().tag(sync=True)
     state = traitlets.Dict().tag(sync=True)
     photo = traitlets.Bytes().tag(sync=True)
@@ -86,6 +87,7 @@ class Explorer(anywidget.AnyWidget):
     sheet = traitlets.Bytes().tag(sync=True)
     message = traitlets.Unicode().tag(sync=True)
     times: Any = traitlets.List().tag(sync=True)
+    judged: Any = traitlets.List().tag(sync=True)
     code = traitlets.Unicode().tag(sync=True)
 
     def __init__(
@@ -95,9 +97,11 @@ class Explorer(anywidget.AnyWidget):
         frame: int = 0,
         lights: AnyLights = "evening-lamps",
         configuration: AnyConfiguration = None,
+        truth: Truth | None = None,
     ) -> None:
         self._scene, self._draft, self._ready, self._warms, self._failed = scene, False, False, False, False
-        self._newest = Newest(self._work)
+        self._newest, self._judging = Newest(self._work), Newest(self._judge)
+        self._truth, self._to_judge = KnownTruth(scene, truth), ()  # frame, lights, pictures by name
         self._pictures = Pictures(scene, lambda: self._newest.superseded)
         self._last_ms: dict[bool, float] = {}  # of a whole, by whether its frame was kept
         self._made: tuple[LightSetup | str, str, LightSetup] | None = None
@@ -128,17 +132,25 @@ class Explorer(anywidget.AnyWidget):
     def _checked_lights(self, value: Any) -> LightSetup | str:
         return value if isinstance(value, str) and value in SETUPS else self._scene.lights(value)
 
+    def _checked_view(self, value: Any) -> str:
+        if value not in self._views():
+            raise InputError(f"view: must be one of {', '.join(self._views())}, got {shown(value)}")
+        return str(value)
+
+    def _views(self) -> dict[str, str]:
+        return VIEWS | TRUTH_VIEW if self._truth.known else VIEWS
+
     def _checked_frame(self, value: Any) -> int:
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < len(self._scene):
             raise InputError(f"frame {shown(value)}: the capture has frames 0 to {len(self._scene) - 1}")
         return value
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Wait until the picture is that of what is set; whether it was in time and could be made.
+        """Wait until picture and scores are those of what is set; whether they were in time and could be made.
 
         False, too, where a picture's own thread asks, as in an observer of `relit`.
         """
-        return self._newest.wait(seconds) and not self._failed
+        return self._newest.wait(seconds) and self._judging.wait(seconds) and not self._failed
 
     @traitlets.observe("configuration", "other", "lights", "frame", "view")
     def _follow(self, _: Any) -> None:
@@ -197,26 +209,9 @@ class Explorer(anywidget.AnyWidget):
         setup, camera = self._setup(), self._camera
         if setup is None:
             raise InputError("lights: they are not there yet; wait for their picture")
-        if camera is None or not 0 <= index < len(setup.lights):
-            raise InputError(f"lights: there is no light {shown(index)}")
-        if not np.all(np.isfinite(np.asarray(value, np.float64))):
-            raise InputError(f"lights[{index}]: must be numbers, got {shown(value)}")
-        light: Any = setup.lights[index]
-        if kind == "strength":
-            light = dataclasses.replace(light, **{light.STRENGTH: np.float32(value)})
-        else:
-            key = _place_key(light)
-            if key is None:
-                raise InputError(f"lights[{index}]: {kind_name(light)} has no place")
-            k, own = camera.intrinsics, np.asarray(getattr(light, key), np.float64)
-            depth = float(camera.project(own)[1])
-            x, y = value[0] * k.width, value[1] * k.height
-            ray = np.array([(x - k.cx) / k.fx, (y - k.cy) / k.fy, 1.0]) * depth
-            light = dataclasses.replace(
-                light, **{key: (camera.origin + camera.pose[:3, :3] @ ray).astype(np.float32)}
-            )
-        lights = (*setup.lights[:index], light, *setup.lights[index + 1 :])
-        self.lights = LightSetup.of(dataclasses.replace(setup, lights=lights))
+        if camera is None:
+            raise InputError("lights: there is no picture yet to place them in")
+        self.lights = changed_lamp(setup, camera, index, kind, value)
 
     def _setup(self) -> LightSetup | None:
         """Lights that are set; None for those of a name until a picture of it is made."""
@@ -262,9 +257,9 @@ class Explorer(anywidget.AnyWidget):
         elif self._made is None or self._made[:2] != key:
             self._made = *key, self._pictures.relighter(lights, configuration).setup
         with clock("JPEG"):
-            picture = _jpeg(to_display(image))
+            picture = jpeg(to_display(image))
             if self._photo[0] != frame:
-                self._photo = frame, _jpeg(opened.image)
+                self._photo = frame, jpeg(opened.image)
         with self.hold_sync():
             self.picture, self.photo = picture, self._photo[1]
             self.times = [[stage, round(1e3 * sum(taken), 1)] for stage, taken in clock.seconds.items()]
@@ -273,6 +268,7 @@ class Explorer(anywidget.AnyWidget):
             self._show_state()
         if not draft:
             self.set_trait("relit", relit)
+            self._judge_later(frame, lights, {configuration.name: relit.image})
             self._show_sheet(view, frame, lights, configuration, relit)
         if self._warms and not draft and self._has_drafts(configuration):
             self._warms = False
@@ -285,7 +281,7 @@ class Explorer(anywidget.AnyWidget):
     def _show_sheet(self, view: str, *made: Any) -> None:
         """Show the sheet of a view; one that cannot be made leaves the picture as it is."""
         try:
-            self.sheet = b"" if view == "wipe" else _jpeg(self._sheet(view, *made))
+            self.sheet = b"" if view == "wipe" else jpeg(self._sheet(view, *made))
         except Superseded:
             raise
         except Exception as error:
@@ -295,11 +291,38 @@ class Explorer(anywidget.AnyWidget):
     def _sheet(self, view: str, frame: int, lights: Any, configuration: Configuration, relit: Relit) -> Any:
         if view == "stages":
             return stages_sheet(self._scene.frame(frame).image, relit)
+        if view == "truth":
+            known = self._truth.picture(frame, lights, self._setup(), relit.image.shape)
+            if known is None:
+                raise InputError(f"truth: {UNKNOWN_TRUTH}")
+            return compared_sheet(("relit", to_display(relit.image)), ("truth", known))
         if view == "levels":
             return levels_sheet(self._pictures.levels(frame, lights, configuration, StageClock()))
         other = self.other or Configuration()
         second = self._pictures.relit(frame, lights, other, StageClock())
-        return compared_sheet((f"A: {configuration.name}", relit), (f"B: {other.name}", second))
+        named = {f"A: {configuration.name}": relit.image, f"B: {other.name}": second.image}
+        self._judge_later(frame, lights, named)
+        return compared_sheet(*((name, to_display(image)) for name, image in named.items()))
+
+    def _judge_later(self, *asked: Any) -> None:
+        if self._truth.known:
+            self._to_judge = asked
+            self._judging.request()
+
+    def _judge(self, _: bool) -> bool:
+        """Judge the last pictures."""
+        asked: Any = self._to_judge
+        frame, lights, pictures = asked
+        try:
+            known = self._truth.picture(frame, lights, self._setup(), next(iter(pictures.values())).shape)
+            found = [] if known is None else scores(pictures, known)
+        except Exception as error:
+            self._fail(error)
+            return False
+        if asked is self._to_judge:
+            self.set_trait("scores", found)
+            self.judged = lines(found) or [UNKNOWN_TRUTH]
+        return False
 
     def _show_state(self, *, force: bool = False) -> None:
         """Tell the page what its controls are to show."""
@@ -307,44 +330,9 @@ class Explorer(anywidget.AnyWidget):
         name = self.lights if isinstance(self.lights, str) else ""
         state = {"frame": self.frame, "frames": len(self._scene), "lights": name, "setups": list(SETUPS)}
         state |= {"values": values(configuration), "ladders": ladders(configuration), "view": self.view}
-        state |= {"views": VIEWS, "preset": configuration.name, "presets": ["default", "paper", *PRESETS]}
-        state |= {"lamps": self._lamps(), "other": self.other.name if self.other else ""}
+        presets = ["default", "paper", *PRESETS]
+        state |= {"views": self._views(), "preset": configuration.name, "presets": presets}
+        lamps = lamp_rows(self._setup() or (self._made and self._made[2]), self._camera)
+        state |= {"lamps": lamps, "other": self.other.name if self.other else ""}
         state["told"] = self.state.get("told", 0) + force  # so that a refused value is set back
         self.state = state
-
-    def _lamps(self) -> list[dict[str, Any]]:
-        found, setup = [], self._setup() or (self._made and self._made[2])
-        for light in () if setup is None else setup.lights:
-            place = None
-            if self._camera is not None and (key := _place_key(light)) is not None:
-                k = self._camera.intrinsics
-                xy, depth = self._camera.project(np.asarray(getattr(light, key), np.float64))
-                place = [float(xy[0]) / k.width, float(xy[1]) / k.height] if depth > 0 else None
-            strength = float(np.asarray(getattr(light, light.STRENGTH)))
-            color = np.asarray(to_display(np.asarray(light.color) / max(float(np.max(light.color)), 1e-6)))
-            unit = "lx" if light.STRENGTH == "illuminance" else "lm"
-            found.append({"kind": kind_name(light), "strength": strength, "unit": unit, "place": place})
-            found[-1]["color"] = [round(255 * float(c)) for c in color]
-        return found
-
-
-def checked_view(value: Any) -> str:
-    """Key of `VIEWS`.
-
-    Raises:
-        InputError: it is none.
-    """
-    if value not in VIEWS:
-        raise InputError(f"view: must be one of {', '.join(VIEWS)}, got {shown(value)}")
-    return str(value)
-
-
-def _place_key(light: Light) -> str | None:
-    return next((key for key in ("position", "center") if hasattr(light, key)), None)
-
-
-def _jpeg(display: Any) -> bytes:
-    pixels = np.round(255 * np.clip(np.nan_to_num(np.asarray(display, np.float32)), 0, 1)).astype(np.uint8)
-    file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "JPEG", quality=QUALITY)
-    return file.getvalue()

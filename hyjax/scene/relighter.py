@@ -36,6 +36,7 @@ from hyjax.util.arguments import checked_arguments
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
 from hyjax.util.programs import run_kept
+from hyjax.util.tracing import Run
 from hyjax.video import CarriedGuide, Video
 
 TRACED_MESSAGE = (
@@ -72,7 +73,13 @@ class LitFrame:
     light_edges: Weights | None = None
 
 
-def refine(lit: LitFrame, configuration: Configuration, *, temporal_filter: TemporalFilter | None = None) -> Stages:
+def refine(
+    lit: LitFrame,
+    configuration: Configuration,
+    *,
+    temporal_filter: TemporalFilter | None = None,
+    run: Run = run_kept,
+) -> Stages:
     """Stages of the refinement of a frame by a configuration's cascades, see `relight_stages`."""
     return relight_stages(
         lit.view,
@@ -84,7 +91,7 @@ def refine(lit: LitFrame, configuration: Configuration, *, temporal_filter: Temp
         mode=configuration.mode,
         full=lit.full,
         light_edges=lit.light_edges,
-        run=run_kept,
+        run=run,
     )
 
 

@@ -87,7 +87,10 @@ def test_summaries() -> None:
 def test_intervals_of_medians_lie_within_the_values() -> None:
     assert middle([None]) is None
     few = middle([1.0, None, 2.0])
-    assert few is not None and few.low is None and few.text(1) == "1.5"
+    assert few is not None and few.low is None and few.text(1) == "1.5" and few.text(1, sign="+") == "+1.5"
+    five, six = middle([1.0, -1.0, 1.0, -1.0, 1.0]), middle([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+    assert five is not None and five.low is None  # their range holds the median with 94 %,
+    assert six is not None and six.low == -six.high == -1.0  # that of six with 97 %
     walk = [26.0 + 0.5 * n for n in range(12)]  # each frame like the next: summarise says more than their range
     slow, wide = middle(walk), summarise(walk)
     assert slow is not None and wide is not None and slow.low is not None and slow.high is not None

@@ -15,6 +15,7 @@ from experiments.blocks import Table
 from experiments.command import RunConfig
 from experiments.gallery import FIGURES, PICTURES, Cells, cut, stacked
 from experiments.packing import packed, unpacked
+from experiments.provenance import command, load
 from experiments.published import TABLES, Published
 from experiments.records import ROOT, Results
 from hyjax.util.contact_sheet import contact_sheet
@@ -89,7 +90,7 @@ def test_kept_rows_are_those_of_the_run(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(tables, "KEPT_FOLDER", tmp_path / "kept")
     found = tables.kept_rows(tables.keep(results.path, "name", "idle", ("tried",)))
     assert found == [row | {"load_told": "idle"} for row in results.rows[:1]]
-    assert tables.load(found) == "idle"
+    assert load(found) == "idle"
 
 
 VALUES = st.recursive(
@@ -130,7 +131,7 @@ def test_columns_and_lines_of_a_table_are_chosen_by_name() -> None:
 def test_the_command_has_the_options_that_are_not_usual() -> None:
     settings = {"repeats": 20, "sampling": 2, "capture": "$HYJAX_DATA/a b", "lights": "noon-window"}
     row = {"experiment": "stage_times", "settings": settings}
-    assert tables.command(row) == 'python -m experiments.stage_times --capture "$HYJAX_DATA/a b" --repeats 20'
+    assert command(row) == 'python -m experiments.stage_times --capture "$HYJAX_DATA/a b" --repeats 20'
 
 
 def test_every_kept_file_is_published() -> None:

@@ -43,7 +43,8 @@ def traits() -> dict[str, Any]:
     state |= {"views": {"wipe": "photo | relit", "stages": "stages"}, "preset": "default"}
     state |= {"presets": ["default", "fast"], "lamps": [lamp, lamp | {"place": None}]}
     found = {"controls": controls(), "state": state, "photo": picture, "picture": picture, "message": ""}
-    return found | {"times": [["cascade", 3.2], ["composite", 1.0]], "code": "import hyjax\n"}
+    found |= {"judged": ["default: loss 0.01000"], "times": [["cascade", 3.2], ["composite", 1.0]]}
+    return found | {"code": "import hyjax\n"}
 
 
 @pytest.mark.slow
@@ -59,6 +60,7 @@ def test_controls(browser_wanted: None) -> None:
             f"async () => {{ const traits = {json.dumps(traits())}; const source = {json.dumps(source)}; {MODEL} }}"
         )
         assert page.locator("input, select").count() > 30
+        assert page.locator(".hyjax-judged").inner_text().strip() == "default: loss 0.01000"
         assert page.locator(".hyjax-times").inner_text() == "4 ms: cascade 3, composite 1"
 
         def sent() -> list[dict[str, Any]]:

@@ -2,10 +2,13 @@
 
 import base64
 import io
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,18 +16,24 @@ import pytest
 import trimesh
 from extras import need
 from PIL import Image
+from reference.arkit_export import export_arkit_scan
 
 need("notebooks")
 
 import hyjax
 from hyjax.core.refine import _cascade_known
-from hyjax.data.builtin_room import UP
+from hyjax.data.builtin_room import UP, load_room
 from hyjax.data.capture import Capture, Frame
+from hyjax.data.truth_room import TruthCapture
+from hyjax.exploration.controls import with_level
 from hyjax.exploration.pictures import Pictures
+from hyjax.exploration.truth import KnownTruth
 from hyjax.exploration.widget import DRAFT_MS, Explorer
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.util.clock import StageClock
+from hyjax.util.images import read_image
+from hyjax.util.programs import run_kept
 
 
 class Boxes(Capture):
@@ -226,6 +235,51 @@ def test_a_draft_casts_the_shadow_maps_of_divided_light_once(
     assert casts == [1.0]
 
 
+def test_a_draft_of_other_lights_follows_no_bounces(scene: hyjax.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    pictures, clock = Pictures(scene), StageClock()
+    first, second = (
+        hyjax.LightSetup.of(hyjax.PointLight(np.array([0.1, y, 2.0]), 777.0, np.ones(3))) for y in (-0.4, 0.4)
+    )
+    whole = pictures.relit(0, first, hyjax.Configuration(), clock).image
+    casts: list[float] = []
+
+    def counted(caster: Any, lights: Any, scale: float, *rest: Any, **options: Any) -> Any:
+        casts.append(scale)
+        return cast_shadow_maps(caster, lights, scale, *rest, **options)
+
+    monkeypatch.setattr("hyjax.scene.scene.cast_shadow_maps", counted)
+    monkeypatch.setattr(hyjax.Scene, "surface_light", None)
+    draft = np.asarray(pictures.draft(0, second, hyjax.Configuration(), clock))
+    assert casts == [0.25] and draft.shape == (24, 32, 3)
+    brighter = hyjax.LightSetup.of(hyjax.PointLight(np.array([0.1, -0.4, 2.0]), 999.0, np.ones(3)))
+    pictures.draft(0, brighter, hyjax.Configuration(), clock)
+    again = np.asarray(pictures.draft(0, first, hyjax.Configuration(), clock))
+    assert casts == [0.25]  # those of lights that stand where they stood are kept
+    small = np.asarray(whole).reshape(24, 2, 32, 2, 3).mean(axis=(1, 3))
+    assert np.abs(again - small).mean() < 0.5 * np.abs(draft - small).mean()
+
+
+def test_a_change_of_the_cascade_leaves_the_shadow_pass(
+    scene: hyjax.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: list[str] = []
+
+    def counted(function: Any, *arrays: Any, **static: Any) -> Any:
+        ran.append(function.__name__)
+        return run_kept(function, *arrays, **static)
+
+    monkeypatch.setattr("hyjax.exploration.kept_stages.run_kept", counted)
+    pictures = Pictures(scene)
+    configuration = hyjax.Configuration()
+    for kappa in (0.1, 0.2):
+        changed = with_level(configuration, "schedule", 1, "kappa", kappa)
+        relit = pictures.relit(0, "center-point", changed, StageClock())
+    assert ran.count("refine_visibility") == 1 and ran.count("refine_illuminance") == 2
+    assert np.array_equal(relit.image, scene.relit(0, "center-point", changed).image)
+    pictures.relit(0, "center-point", with_level(changed, "shadow_schedule", 0, "kappa", 0.3), StageClock())
+    assert ran.count("refine_visibility") == 2
+
+
 def test_older_changes_are_dropped(widget: Explorer, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[float] = []
     go, relit = threading.Event(), widget._pictures.relit
@@ -259,8 +313,15 @@ def test_other_counts_of_steps_are_not_compiled(widget: Explorer) -> None:
         hand(widget, "level", cascade="schedule", index=1, key="steps", value=steps)
         assert widget.wait(120.0)
     assert _cascade_known._cache_size() == before
-    expected = widget._scene.relit(0, "center-point", widget.configuration)
-    assert np.array_equal(widget.relit.image, expected.image)
+    images = {}
+    for steps in (1, 31, 32, 7, 0):
+        hand(widget, "level", cascade="schedule", index=1, key="steps", value=steps)
+        assert widget.wait(120.0)
+        images[steps] = widget.configuration, widget.relit.image
+    assert _cascade_known._cache_size() == before  # whatever the slider says
+    for steps in (7, 0):
+        configuration, image = images[steps]
+        assert np.array_equal(image, widget._scene.relit(0, "center-point", configuration).image)
 
 
 def test_side_by_side(widget: Explorer) -> None:
@@ -272,6 +333,61 @@ def test_side_by_side(widget: Explorer) -> None:
         assert widget.wait(120.0) and not widget.message
         widths[view] = size(widget.sheet)[0]
     assert widths == {"compare": 1096, "levels": 1096, "stages": 1460}
+
+
+def test_scores_against_the_truth(scene: hyjax.Scene, own: hyjax.Configuration) -> None:
+    asked: list[tuple[int, int]] = []
+
+    def truth(frame: int, setup: hyjax.LightSetup) -> Any:
+        asked.append((frame, len(setup.lights)))
+        return None if frame == 2 else hyjax.to_display(scene.relit(frame, setup, own).image)
+
+    widget = hyjax.explore(scene, lights="center-point", configuration=own, truth=truth)
+    assert widget.wait(120.0) and asked == [(0, 1)]
+    (perfect,) = widget.scores
+    assert perfect["name"] == own.name and perfect["loss"] < 1e-3 and perfect["ssim"] > 0.999
+    assert widget.judged[0].startswith(f"{own.name}: loss 0.000") and "SSIM 1.0000" in widget.judged[0]
+    widget.other, widget.configuration = own, own.with_choices({"bounces": False, "sampling": 1})
+    widget.view = "compare"
+    assert widget.wait(120.0)
+    first, second = widget.scores
+    assert first["name"] == f"A: {widget.configuration.name}" and second["name"] == f"B: {own.name}"
+    assert second["loss"] < 0.5 * first["loss"] and first["psnr_raw"] < second["psnr_raw"]
+    widget.view = "truth"
+    assert widget.wait(120.0) and size(widget.sheet)[0] == 1096
+    widget.frame = 2
+    assert not widget.wait(120.0)  # there is nothing to show beside it
+    assert widget.scores == [] and "no truth is known" in widget.judged[0]
+
+
+def test_a_truth_of_another_size_is_said(scene: hyjax.Scene, own: hyjax.Configuration) -> None:
+    widget = hyjax.explore(scene, lights="center-point", configuration=own, truth=lambda *_: np.zeros((4, 4, 3)))
+    assert not widget.wait(120.0)
+    assert "truth: must be a picture of (48, 64, 3), got (4, 4, 3)" in widget.message
+
+
+def test_the_truth_of_a_room_is_that_of_named_lights(scene: hyjax.Scene) -> None:
+    class Room(TruthCapture):
+        def __init__(self) -> None: ...
+
+        def __getitem__(self, index: int) -> Frame:
+            return scene.capture[index]
+
+        def truth(self, setup: Any, frames: Any, light: Any = None) -> Any:
+            return [np.full((48, 64, 3), 0.25 * (1 + n), np.float32) for n in frames]
+
+    room: Any = SimpleNamespace(capture=Room(), size=(24, 32))
+    known, setup = KnownTruth(room), scene.lights("center-point")
+    assert known.known and not KnownTruth(scene).known
+    picture = known.picture(1, "center-point", setup, (24, 32, 3))
+    assert picture is not None and picture == pytest.approx(np.full((24, 32, 3), 0.5), abs=0.01)
+    assert known.picture(1, setup, setup, (24, 32, 3)) is None
+
+
+def test_there_is_no_view_of_a_truth_that_is_not_known(widget: Explorer) -> None:
+    with pytest.raises(hyjax.InputError, match="view: must be one of wipe"):
+        widget.view = "truth"
+    assert "truth" not in widget.state["views"] and widget.scores == [] == widget.judged
 
 
 def test_a_sheet_that_cannot_be_made_leaves_the_picture(widget: Explorer) -> None:
@@ -299,6 +415,23 @@ def test_its_script_makes_the_same_picture(
     exec(widget.code, places := {"scene": widget._scene})  # a scene without settings
     assert np.array_equal(places["relit"].image, widget.relit.image)
     assert (tmp_path / "relit.png").is_file()
+
+
+@pytest.mark.slow
+def test_its_script_runs_by_itself(own: hyjax.Configuration, tmp_path: Path) -> None:
+    """In a process of its own, on a capture that is opened there."""
+    room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
+    scan = export_arkit_scan(tmp_path / "arkit", room, room.reference())
+    scene = hyjax.Scene.open(hyjax.SceneSettings(capture=scan, size="64x48"))
+    widget = scene.explore(frame=1, lights="center-point", configuration=own)
+    hand(widget, "ready")
+    hand(widget, "level", cascade="schedule", index=0, key="steps", value=6)
+    hand(widget, "strength", index=0, value=654.0)
+    assert widget.wait(120.0)
+    (tmp_path / "script.py").write_text(widget.code)
+    subprocess.run([sys.executable, "script.py"], cwd=tmp_path, check=True, timeout=600)
+    relit = np.asarray(hyjax.to_display(widget.relit.image))
+    assert np.array_equal(np.round(255 * read_image(tmp_path / "relit.png")), np.round(255 * relit.clip(0, 1)))
 
 
 def test_the_last_picture_is_kept_beside_the_widget(widget: Explorer) -> None:

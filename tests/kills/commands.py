@@ -139,9 +139,9 @@ COMMANDS = {
         Command("train", _hyjax("train", *TRAIN, capture=False), _trained, ("--resume",), _has_trained),
         Command("tune", _hyjax("tune", *TUNE), _tuned, ("--resume",)),
         Command(
-            "paper_table",
+            "paper",
             lambda shared, out: [
-                *("experiments.paper_table", "--capture", str(shared / CAPTURE)),
+                *("experiments.paper", "--capture", str(shared / CAPTURE), "--parts", "benchmarks"),
                 *("--size", "64", "--frames", "0:2", "--out", str(out)),
             ],
             _judged,

@@ -107,9 +107,9 @@ def test_a_training_that_is_refused_leaves_the_log_of_the_other(tmp_path: Path) 
 
 
 def test_an_experiment_that_is_refused_leaves_the_rows_of_the_other(tmp_path: Path) -> None:
-    before = b'{"experiment": "paper_table", "settings": {}, "kind": "frame"}\n{"kin'
+    before = b'{"experiment": "paper", "settings": {}, "kind": "frame"}\n{"kin'
     (tmp_path / FILE).write_bytes(before)
     for resume in (False, True):
         with of_another(tmp_path), pytest.raises(InputError, match="another run writes there"):
-            Results(tmp_path, "paper_table", TuneSettings(), resume=resume)
+            Results(tmp_path, "paper", TuneSettings(), resume=resume)
     assert (tmp_path / FILE).read_bytes() == before and len(list(tmp_path.iterdir())) == 1

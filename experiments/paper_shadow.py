@@ -1,7 +1,5 @@
 """The paper's second ablation: shadows diffused together with the filter, against a pass of their own.
 
-    python -m experiments.ablation_shadow [--capture PATH] [--out results/ablation_shadow/room]
-
 Of each light, what it leaves visible is estimated three ways: looked up in a surface's shadow map (*raw*); as the
 ratio of the filter diffused with its shadows in it to the filter diffused without (*together*); and refined by a
 pass of its own with few steps at high resolution (*separate*), of which a sweep tells what they do. All are
@@ -15,13 +13,9 @@ dim, by
 
 Once on the rough surface, as in use; and once on the accurate surface, where raw is the truth itself, so that what
 is lost is the diffusion's doing alone. A sweep tells what the steps of the separate pass do, at full and at half
-size. Takes about three minutes on two cores, once the surfaces are made.
-
-Expect: on the accurate surface together loses most of the shadow and separate keeps it; the fewer its steps the
-better. On the rough surface what it throws wrongly outweighs either.
+size.
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -33,18 +27,15 @@ from scipy import ndimage
 
 import hyjax
 from experiments.blocks import Block, Picture, Plot, Table
-from experiments.command import Start, experiment, run
-from experiments.judging import summarise
-from experiments.paper_bench import METHODS, Bench, KappaConfig, reported
+from experiments.judging import middle
+from experiments.paper_bench import METHODS, Bench
 from experiments.paper_view import View
 from experiments.plotting import new_figure
-from experiments.records import Row, of_kind
+from experiments.records import Row, of_kind, size_of
 from hyjax.core.schedule import Schedule
-from hyjax.data.frames import spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.pipeline import Mode
-from hyjax.util.contact_sheet import write_contact_sheet
 
 LIGHTS = "two-colors"
 STEPS = (0, 1, 2, 4, 8, 16, 32, 64, 128)
@@ -55,6 +46,8 @@ EDGE = 8 / 512  # of the picture's height
 FARTHEST_PIXELS = 32  # pixels
 DIM_SHARE = 0.05  # of the reference illuminance: less light than this shows no shadow
 METRICS = {"overlap": 3, "edge_error": 3, "border_offset": 2}
+"""Metric → its decimals."""
+METRIC_NAMES = {"overlap": "overlap", "edge_error": "edge error", "border_offset": "border offset in pixels"}
 SHEET = (
     "frame",
     "rough: raw",
@@ -67,41 +60,33 @@ SHEET = (
 GAIN = 3.0  # of the sheet's pictures, in linear light
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Config(KappaConfig):
-    frames: int = 6
-    """How many, spread over those that `paper_table` reports on."""
-
-
-@experiment("Ablation: the shadow pass", "score")
-def main(config: Config, start: Start) -> None:
-    capture, results = config.start(start)
-    chosen = spread(reported(capture), config.frames)  # before the first slow step
-    bench = config.bench(capture, Schedule.preset("paper-80"))
+def shadow_maps(bench: Bench) -> dict[str, Any]:
+    """Shadow maps of both surfaces."""
+    casters = bench.rough, RayCaster(bench.reference.geometry)
     lights = bench.setups[LIGHTS].lights
-    casters = (bench.rough, RayCaster(bench.reference.geometry))
-    rough_maps, accurate_maps = (cast_shadow_maps(caster, lights) for caster in casters)
-    sheet = []
-    for view in bench.views(chosen, "casting shadows"):
-        for mode in METHODS:
-            truth = Lit(view, bench, mode, accurate_maps, accurate=True)
-            counted = view.valid[..., None] & (
-                np.asarray(truth.each) > DIM_SHARE * bench.setups[LIGHTS].reference_lux
-            )
-            for surface, lit in {"rough": Lit(view, bench, mode, rough_maps), "accurate": truth}.items():
-                for (method, factor, steps), visible in estimate(lit, view, bench, mode).items():
-                    for light in range(len(lights)):
-                        true = np.asarray(truth.visible)[..., light]
-                        scores = compare(visible[..., light], true, counted[..., light])
-                        if scores is None:
-                            continue
+    return {surface: cast_shadow_maps(caster, lights) for surface, caster in zip(SURFACES, casters)}
+
+
+def judge(
+    maps: Mapping[str, Any], bench: Bench, view: View
+) -> tuple[list[dict[str, Any]], list[tuple[str, list[Any]]]]:
+    """Scores of a frame's shadows, and its rows of the contact sheet."""
+    scores, sheet = [], []
+    for mode in METHODS:
+        truth = Lit(view, bench, mode, maps["accurate"], accurate=True)
+        enough = np.asarray(truth.each) > DIM_SHARE * bench.setups[LIGHTS].reference_lux
+        counted = view.valid[..., None] & enough
+        for surface, lit in {"rough": Lit(view, bench, mode, maps["rough"]), "accurate": truth}.items():
+            for (method, factor, steps), visible in estimate(lit, view, bench, mode).items():
+                for light in range(counted.shape[-1]):
+                    true = np.asarray(truth.visible)[..., light]
+                    found = compare(visible[..., light], true, counted[..., light])
+                    if found is not None:
                         key = {"method": method, "factor": factor, "steps": steps, "light": light}
-                        results.add(
-                            kind="score", frame=view.frame.name, mode=mode, surface=surface, **key, **scores
-                        )
-            shown = pictures(view, bench, mode, rough_maps, accurate_maps)
-            sheet.append((f"{view.frame.name}, {mode} mode", shown))
-    write_contact_sheet(results.out / "side_by_side.png", sheet[:8], SHEET)
+                        scores.append({"mode": mode, "surface": surface, **key, **found})
+        shown = pictures(view, bench, mode, maps["rough"], maps["accurate"])
+        sheet.append((f"{view.frame.name}, {mode} mode", shown))
+    return scores, sheet
 
 
 class Lit:
@@ -203,7 +188,7 @@ def together(view: View, bench: Bench, mode: Mode, maps: Any, accurate: bool) ->
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     """Tables, figure and picture from the rows."""
-    scores = of_kind(rows, "score")
+    scores = [score | {"frame": row["frame"]} for row in of_kind(rows, "shadow") for score in row["scores"]]
     paper, ours = (hyjax.Schedule.preset(name).levels[0] for name in ("shadow", "hyjax-shadow"))
     kinds = {
         "raw": ("raw", 1, 0),
@@ -214,26 +199,30 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     header = ["", "overlap", "edge error", "border offset px"]
     made: list[Block] = []
     for surface in SURFACES:
-        own = [row for row in scores if row["surface"] == surface]
-        count = len({(row["frame"], row["light"]) for row in own})
+        own = [score for score in scores if score["surface"] == surface]
+        shadows, frames = ({tuple(s[k] for k in keys) for s in own} for keys in (("frame", "light"), ("frame",)))
         lines = [
             [f"{mode} mode, {name}", *cells(own, mode, *key)] for mode in METHODS for name, key in kinds.items()
         ]
-        caption = f"On the {surface} surface: {count} shadows of one light in one frame; mean over frames ± 95 %."
+        caption = (
+            f"On the {surface} surface at {size_of(rows)}: {len(shadows)} shadows of one light in one frame; "
+            f"median over {len(frames)} frames (95 % interval) of each frame's mean."
+        )
         made.append(Table(caption, header, lines))
+    caption = "Steps of the separate pass, means over shadows."
     return [
         *made,
-        Plot("steps", "Steps of the separate pass; dashed: together, dotted: raw.", figure(scores)),
-        Picture(folder / "side_by_side.png", f"Frames relit with shadows, {GAIN:g} times as bright."),
+        Plot("shadow_steps", caption, figure(scores)),
+        Picture(folder / "shadow.png", f"Frames relit with shadows, {GAIN:g} times as bright."),
     ]
 
 
 def cells(scores: Sequence[Row], mode: str, method: str, factor: int, steps: int) -> list[str]:
-    """Means with their intervals."""
+    """Medians over frames with their intervals."""
     own = chosen(scores, mode, method, factor, steps)
     frames = [[row for row in own if row["frame"] == name] for name in dict.fromkeys(row["frame"] for row in own)]
     each = {metric: [float(np.mean([row[metric] for row in rows])) for rows in frames] for metric in METRICS}
-    found = [(summarise(each[metric]), digits) for metric, digits in METRICS.items()]
+    found = [(middle(each[metric]), digits) for metric, digits in METRICS.items()]
     return ["–" if summary is None else summary.text(digits) for summary, digits in found]
 
 
@@ -243,9 +232,10 @@ def chosen(scores: Sequence[Row], mode: str, method: str, factor: int, steps: in
 
 
 def figure(scores: Sequence[Row]) -> Any:
-    """Each metric against the steps of the separate pass, a line of axes for each surface."""
-    fig = new_figure(12, 7)
-    for line, surface in zip(fig.subplots(len(SURFACES), len(METRICS)), SURFACES):
+    """Each metric against the steps of the separate pass: a row of panels for each surface."""
+    fig = new_figure(12, 7.5)
+    axes = fig.subplots(len(SURFACES), len(METRICS), sharex=True, sharey="col")
+    for line, surface in zip(axes, SURFACES):
         own = [row for row in scores if row["surface"] == surface]
         for ax, metric in zip(line, METRICS):
             for k, mode in enumerate(METHODS):
@@ -253,18 +243,16 @@ def figure(scores: Sequence[Row]) -> Any:
                     rows = [chosen(own, mode, "separate", factor, steps) for steps in STEPS]
                     mean = [np.mean([row[metric] for row in r]) if r else np.nan for r in rows]
                     face = f"C{k}" if factor == 1 else "none"
-                    label = f"{mode} mode, {size} size"
+                    label = f"{mode} mode, separate, {size} size"
                     ax.plot(range(len(STEPS)), mean, "-o", color=f"C{k}", label=label, markerfacecolor=face)
                 for method, style in (("together", "--"), ("raw", ":")):
                     values = [row[metric] for row in chosen(own, mode, method, 1, 0)]
-                    if values:
-                        ax.axhline(np.mean(values), color=f"C{k}", linestyle=style, linewidth=1)
+                    label = f"{mode} mode, {method}"
+                    level = np.mean(values) if values else np.nan
+                    ax.axhline(level, color=f"C{k}", linestyle=style, linewidth=1, label=label)
             ax.set_xticks(range(len(STEPS)), [str(n) for n in STEPS])
-            ax.set(xlabel="steps", title=f"{metric.replace('_', ' ')}, {surface} surface")
-            ax.set_ylim(0, 1.08 * ax.get_ylim()[1])
-    fig.axes[0].legend(fontsize=7)
+            ax.set_title(f"{METRIC_NAMES[metric]}, {surface} surface")
+    for ax in axes[-1]:
+        ax.set(xlabel="steps of the separate pass", ylim=(0, None))
+    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
     return fig
-
-
-if __name__ == "__main__":
-    run(main)

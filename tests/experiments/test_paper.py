@@ -11,10 +11,10 @@ from reference.arkit_export import export_arkit_scan
 from reference.laser_export import export_laser_scans
 
 import hyjax
-from experiments import paper_table
+from experiments import paper
 from experiments.judging import pick
+from experiments.paper import Config, main
 from experiments.paper_bench import BENCHMARKS, GROUPS, METHODS, Bench, in_the_middle
-from experiments.paper_table import Config, main
 from experiments.records import read_rows
 from experiments.references import Reference, open_reference
 from hyjax.core.schedule import Schedule
@@ -66,7 +66,14 @@ def opened_once() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def config(scan: Path, weights: Path, tmp_path_factory: pytest.TempPathFactory) -> Config:
-    return Config(capture=scan, frames="0,2", size=SIZE, weights=weights, out=tmp_path_factory.mktemp("whole"))
+    return Config(
+        capture=scan,
+        parts=("benchmarks",),
+        frames="0,2",
+        size=SIZE,
+        weights=weights,
+        out=tmp_path_factory.mktemp("whole"),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -99,9 +106,9 @@ def test_the_whole_evaluation_on_an_arkitscenes_scan(config: Config, rows: list[
         assert fidelity[METHODS["linear"]]["holes"]["psnr"] > fidelity["bare mesh"]["holes"]["psnr"] + 5
     assert config.out is not None
     assert (config.out / "contact_sheet.png").stat().st_size > 1000
-    text = (config.out / "paper_table.md").read_text()
+    text = (config.out / "paper.md").read_text()
     for benchmark in BENCHMARKS:
-        assert f"{benchmark.capitalize()}: median over frames" in text
+        assert f"{benchmark.capitalize()} at {SIZE} x {SIZE}: median over 2 frames" in text
 
 
 @pytest.mark.slow
@@ -157,7 +164,7 @@ def test_interrupted_and_resumed(
         main(own)
     with pytest.raises(InputError, match=f"that run had size {SIZE} and this one has 128"):
         main(dataclasses.replace(own, size=128, resume=True))
-    monkeypatch.setattr(paper_table, "write_contact_sheet", lambda *_: None)
+    monkeypatch.setattr(paper, "write_contact_sheet", lambda *_: None)
     main(dataclasses.replace(own, resume=True))
     again = read_rows(tmp_path / "rows.jsonl")
     assert [row.get("scores") for row in again] == [row.get("scores") for row in rows]
@@ -176,14 +183,14 @@ def test_the_first_benchmark_has_its_lamp_in_the_middle_of_the_room() -> None:
         ({"capture": None, "reference": "laser"}, "room: has no laser scans"),
         ({"schedule": "paper-8"}, "paper-8"),
         ({"frames": "7"}, "past the end"),
-        ({"weights": Path(__file__)}, "test_paper_table.py"),
+        ({"weights": Path(__file__)}, "test_paper.py"),
     ],
 )
 def test_bad_input(change: dict[str, Any], message: str, config: Config, room: RoomCapture, tmp_path: Path) -> None:
     asked = dataclasses.replace(config, out=tmp_path / "out", **change)
     if "reference" in change:
         with pytest.raises(InputError, match=message):
-            Bench(room, paper_table.Schedule.preset("paper-80"), "true", "laser", SIZE)
+            Bench(room, paper.Schedule.preset("paper-80"), "true", "laser", SIZE)
         return
     with pytest.raises(InputError, match=message) as caught:
         main(asked)

@@ -1,0 +1,65 @@
+"""Results of a refinement's stages, kept as long as what they are made from stays."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hyjax.light.light_edges import edge_correction, with_light_edges
+from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
+from hyjax.pipeline import refine_visibility
+from hyjax.util.programs import run_kept
+
+MOST_KEPT = 4
+"""Results that are kept: of the whole and the draft, of two configurations."""
+FEW_NUMBERS = 1024
+"""Most numbers of an array that is compared by its values: those of a schedule, not pictures."""
+
+
+class KeptStages:
+    """Runs the functions of `refine`: the shadow pass again only if what it is made from has changed.
+
+    Args:
+        draft: whether the correction by light edges is kept, too, though the light that it is of has changed.
+    """
+
+    def __init__(self, *, draft: bool = False) -> None:
+        self._draft = draft
+        self._kept: list[tuple[Any, list[Any], Any]] = []
+
+    def __call__(self, function: Callable[..., Any], *arrays: Any, **static: Any) -> Any:
+        if function is refine_visibility:
+            return self._of(function, arrays, lambda: run_kept(function, *arrays, **static))
+        if function is with_light_edges and self._draft:
+            light, *rest = arrays
+            return _corrected(
+                light, self._of(function, rest, lambda: edge_correction(rest[0], _photo(light), *rest[1:]))
+            )
+        return run_kept(function, *arrays, **static)
+
+    def _of(self, function: Any, arrays: Any, make: Callable[[], Any]) -> Any:
+        """Result of the same arrays as before, or a new one."""
+        leaves, tree = jax.tree.flatten(arrays)
+        for own, earlier, result in self._kept:
+            if own == (function, tree) and all(map(_same, leaves, earlier)):
+                return result
+        result = make()
+        self._kept = [*self._kept, ((function, tree), leaves, result)][-MOST_KEPT:]
+        return result
+
+
+def _same(a: Any, b: Any) -> bool:
+    return a is b or (max(np.size(a), np.size(b)) <= FEW_NUMBERS and np.array_equal(a, b))
+
+
+def _photo(light: Float[Array, "h w c"]) -> Float[Array, "h w 3"]:
+    """The photo's own light, see `with_light_edges`."""
+    return jnp.maximum(light[..., -3:], LEAST_PHOTO_LIGHT)
+
+
+@jax.jit
+def _corrected(light: Float[Array, "h w c"], correction: Float[Array, "h w 1"]) -> Float[Array, "h w c"]:
+    return jnp.concatenate([light[..., :-3], _photo(light) * jnp.exp(correction)], axis=-1)
