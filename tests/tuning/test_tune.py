@@ -348,10 +348,11 @@ def test_the_command_on_the_real_clock(folder: Path, surroundings: dict[str, Any
     common = ["--quiet", "--capture", str(folder), "--size", "64", *meshes]
     command = [hyjax, "tune", *common, "--target", surroundings["target"], "--frames", "0", "--holdout", "3"]
     command += ["--stage", "cascade"]
-    command += ["--budget-ms", "50", "5", "--time-limit", "1", "--no-extra", "--out", str(out)]
+    command += ["--budget-ms", "50", "--fps", "200", "--time-limit", "1", "--no-extra", "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT, timeout=400, check=False)
     assert done.returncode == 0, done.stderr
     assert "schedule.json" in done.stdout and done.stderr == ""
+    assert (out / "report.html").stat().st_size > 1000
     again = [hyjax, "relight", *common, "--frames", "1", "--schedule", str(out / "schedule.json")]
     again += ["--keep-photo-light", "--out", str(tmp_path / "relit")]
     done = subprocess.run(again, capture_output=True, text=True, env=ENVIRONMENT, timeout=400, check=False)
