@@ -9,9 +9,9 @@ from typing import Any
 
 import jax
 import pytest
+from clocks import steady_clock
 from extras import need
 from reference.seven_scenes_export import export_seven_scenes
-from test_tune import steady_clock
 
 from hyjax import cli
 from hyjax.core.schedule import Schedule
