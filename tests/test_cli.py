@@ -207,7 +207,7 @@ def test_interrupted_runs_leave_whole_files(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_kitchen_is_its_photo_times_a_filter_that_follows_the_lamps(kitchen: Path, tmp_path: Path) -> None:
-    extras = ("--save-filters", "--save-visibility", "--exr", "--lights", "evening-lamps")
+    extras = ("--save-filters", "--save-visibility", "--exr", "--lights", "evening-lamps", "--voxel", 0.05)
     relight("--capture", kitchen, "--frames", "0:300:150", "--size", "160x120", *extras, "--out", tmp_path)
     assert opens(tmp_path) == 17 and record(tmp_path)["mesh_faces"] > 10_000
     assert record(tmp_path)["frames"] == ["frame-000000", "frame-000300"]
