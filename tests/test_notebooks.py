@@ -170,8 +170,8 @@ def executed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
             patch.setenv(key, str(folder / key))
         if WRITE:  # what is kept shows the times of compiled programs as users have them
             patch.delenv("XLA_FLAGS")
-        else:  # some optimisation: they compute for longer than they compile
-            patch.setenv("XLA_FLAGS", UNOPTIMISED.replace("level=0", "level=1"))
+        else:  # the tests' own, whose programs are there
+            patch.setenv("XLA_FLAGS", UNOPTIMISED)
             patch.setenv("JAX_COMPILATION_CACHE_DIR", os.environ["HYJAX_TESTS_COMPILED"])
             patch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
         for names in [[name] for name in notebooks] if WRITE else [list(notebooks)]:
