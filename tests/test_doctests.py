@@ -81,7 +81,7 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-SMALLER = "640x480", "128x96"
+SMALLER = "640x480", "160x120"
 """Size of pictures in snippets, and that in which they are run."""
 
 

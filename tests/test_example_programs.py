@@ -4,6 +4,8 @@ import ast
 from pathlib import Path
 
 import pytest
+from clocks import steady_clock
+from common import without_gradients
 from PIL import Image
 
 from examples.__main__ import DOCS, FOLDER, GALLERY, MOST_BYTES, examples, run_example
@@ -49,6 +51,9 @@ def test_the_gallery_is_of_these_examples() -> None:
 @each_example
 def test_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    steady_clock(monkeypatch)  # clock and gradients of tuning have tests of their own
+    monkeypatch.setattr("hyjax.tuning.this_machine.cache_folder", lambda: tmp_path)  # which keeps its times
+    without_gradients(monkeypatch)
     source = path.read_text(encoding="utf-8")
     for old, new in SMALLER.get(path.stem, {}).items():
         assert old in source, f"{old} is no longer in it"

@@ -54,9 +54,8 @@ def picture(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in PRESETS if name != "naive-1000"])
-@pytest.mark.parametrize("shape", [(64, 48), (45, 67)])
-def test_presets(device: Any, name: str, shape: tuple[int, int]) -> None:
-    (source, guide), schedule = pictures(shape, 6, 3), Schedule.preset(name)
+def test_presets(device: Any, name: str) -> None:
+    shape, (source, guide), schedule = (45, 67), pictures((45, 67), 6, 3), Schedule.preset(name)
     result = picture(*run(device, schedule, source, guide), shape, 6)
     assert np.abs(result - np.asarray(cascade(jnp.asarray(source), jnp.asarray(guide), schedule))).max() < EXACT
 

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from clocks import few_rounds
 from extras import need
 
 from experiments import frame_tuning, install_size, number_search, space_race, sweep_overhead
@@ -31,7 +32,7 @@ def small(room: TuningScene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frame_tuning, "SETUPS", ("two-colors", "golden-hour"))
     monkeypatch.setattr("hyjax.tuning.bench.open_room", lambda *_: room)
     monkeypatch.setattr("hyjax.tuning.settings.SETUPS", ("two-colors",))
-    monkeypatch.setattr("hyjax.tuning.proof.ROUNDS", 3)
+    few_rounds(monkeypatch)
     # Gradients are compiled for most of a minute, and tests of their own look at them.
     for module_name in ("evaluator", "stage"):
         monkeypatch.setattr(f"hyjax.tuning.{module_name}.refine_numbers", lambda own, *_, **__: own)

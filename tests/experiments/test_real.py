@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import dark_frames, real, real_bench
+from experiments import dark_frames, real, real_bench, real_fit
 from experiments.real_bench import UP, through_shades
 from experiments.real_fit import Target, checkerboard, chosen_lights, fit_strengths, smooth_picture
 from experiments.real_methods import BEST, BLUR_4, FEW_UNKNOWNS, GAINS, METHODS, NEW, PHOTO, SMOOTH, SMOOTH_BEST
@@ -69,6 +69,7 @@ def test_scores_of_ratios_see_the_light_alone() -> None:
 @pytest.mark.slow
 def test_a_generated_room_through_an_s_curve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(real_bench, "LAMP_GRID", (2, 1, 1))
+    monkeypatch.setattr(real_fit, "ITERATIONS", 20)  # from the least squares of linear light
     config = real.Config(
         pairs=(), rooms=("builtin-0",), geometries=("true",), room_size="96x72", quality=0.25, out=tmp_path / "out"
     )

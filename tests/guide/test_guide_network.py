@@ -75,7 +75,7 @@ def our_stages(network: GuideNetwork, images: np.ndarray) -> list[jax.Array]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [(256, 256), (99, 135)], ids=str)
+@pytest.mark.parametrize("size", [(64, 96), (99, 135)], ids=str)
 def test_every_stage_is_torchs(pair: tuple[GuideNetwork, Any], size: tuple[int, int]) -> None:
     """Also where no side is divisible by 32, nor even."""
     from reference.torch_unet import stages
@@ -84,17 +84,6 @@ def test_every_stage_is_torchs(pair: tuple[GuideNetwork, Any], size: tuple[int, 
     images = pictures(1, *size)
     distances = [distance(a, b) for a, b in zip(our_stages(ours, images), stages(theirs, images), strict=True)]
     assert max(distances) < TOLERANCE, distances
-
-
-@pytest.mark.slow
-def test_large_pictures_are_torchs(pair: tuple[GuideNetwork, Any]) -> None:
-    from reference.torch_unet import stages
-
-    ours, theirs = pair
-    images = pictures(1, 512, 512)
-    graph, state = nnx.split(ours)
-    result = jax.jit(lambda state, x: nnx.merge(graph, state)(x))(state, jnp.asarray(images))
-    assert distance(result, stages(theirs, images)[-1]) < TOLERANCE
 
 
 @pytest.mark.slow

@@ -44,7 +44,7 @@ def test_readmes_lines_make_the_picture_of_the_command(name: str, capture: Path,
     if name == "own":
         (tmp_path / "own.json").write_text(Configuration(name="own").with_choices(OWN).to_json())
         text = str(tmp_path / "own.json")
-    settings = hyjax.SceneSettings(capture=capture, size="128x96")
+    settings = hyjax.SceneSettings(capture=capture, size="160x120")
     run = hyjax.relight_capture(
         hyjax.RelightSettings(
             settings,
@@ -65,7 +65,7 @@ def test_readmes_lines_make_the_picture_of_the_command(name: str, capture: Path,
 
 @pytest.mark.slow
 def test_stages_end_in_the_relit_frame(capture: Path) -> None:
-    scene = hyjax.Scene.open(hyjax.SceneSettings(capture=capture, size="128x96"))
+    scene = hyjax.Scene.open(hyjax.SceneSettings(capture=capture, size="160x120"))
     relighter = hyjax.Relighter(scene, "two-colors", "fast")
     stages = dict(relighter.stages(1))
     assert list(stages)[:2] == ["g-buffer", "view"] and list(stages)[-1] == "comparison"
@@ -98,7 +98,7 @@ def test_traced_lights_are_one_line() -> None:
 @pytest.mark.parametrize("choices", [{}, {"photo_light": "kept"}, {"bounces": False}])
 def test_pictures_of_single_lamps_add_up(choices: dict[str, Any], capture: Path) -> None:
     """As the page about robot data promises: without ambient light, and without panes in the picture."""
-    scene = hyjax.Scene.open(hyjax.SceneSettings(capture=capture, size="128x96"))
+    scene = hyjax.Scene.open(hyjax.SceneSettings(capture=capture, size="160x120"))
     lamps = [
         hyjax.PointLight(np.array(position), 600.0, hyjax.blackbody(kelvin))
         for position, kelvin in (([2.0, 2.5, 2.0], 2700.0), ([3.0, 1.0, 1.5], 6500.0))

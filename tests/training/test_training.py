@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, ClassVar
 from unittest.mock import Mock
 
 import jax
@@ -26,7 +27,7 @@ from hyjax.training.checkpoints import Checkpoints
 from hyjax.training.objective import batch_losses, border_loss, schedule_of, total
 from hyjax.training.run import train
 from hyjax.training.settings import TrainSettings, paper_settings
-from hyjax.training.state import Updater
+from hyjax.training.state import TrainState, Updater
 from hyjax.training.targets import Sample
 from hyjax.training.validation import Validation, sample_of
 from hyjax.util.errors import InputError
@@ -47,10 +48,24 @@ SETTINGS = TrainSettings(
 )
 
 
+class KeptUpdater(Updater):
+    """Updater whose programs serve all runs that differ in their length alone."""
+
+    programs: ClassVar[dict[TrainSettings, tuple[int, Any, Any]]] = {}
+
+    def prepare(self, state: TrainState, batch: Sample) -> int:
+        key = dataclasses.replace(self.settings, iterations=1, validate_every=1, checkpoint_every=1)
+        if key not in self.programs:
+            self.programs[key] = super().prepare(state, batch), self._update, self._features
+        needed, self._update, self._features = self.programs[key]
+        return needed
+
+
 @pytest.fixture(autouse=True)
 def toy_encoder(monkeypatch: pytest.MonkeyPatch) -> None:
     """A network that compiles in seconds."""
     monkeypatch.setitem(ENCODERS, "toy", ToyEncoder)
+    monkeypatch.setattr("hyjax.training.run.Updater", KeptUpdater)
 
 
 @pytest.fixture(scope="module")

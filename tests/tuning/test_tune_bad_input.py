@@ -9,9 +9,9 @@ from typing import Any
 
 import jax
 import pytest
+from clocks import steady_clock
 from extras import need
 from reference.seven_scenes_export import export_seven_scenes
-from test_tune import steady_clock
 
 from hyjax import cli
 from hyjax.core.schedule import Schedule
@@ -226,7 +226,7 @@ def tables(tune: Tune, given: Path) -> list[Path]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("text", [b"{", b"", b"\xff\xfe", b"[]", b'{"format": 1}'])
+@pytest.mark.parametrize("text", [b"\xff\xfe", b'{"format": 1}'])
 def test_a_broken_table_in_the_cache_is_made_anew(
     text: bytes, tables: list[Path], tune: Tune, tmp_path: Path
 ) -> None:

@@ -103,38 +103,31 @@ def contents(path: Path) -> dict[str, bytes]:
     return {str(file.relative_to(path)): file.read_bytes() for file in files if file.is_file()}
 
 
-def check_writer(name: str, folder: Path, count: int) -> None:
-    """At each of so many sizes: all of it, or an `InputError` and what was there before."""
+SLOW = {"plot.png": pytest.mark.slow}  # Matplotlib takes long to load
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=SLOW.get(name, ())) for name in WRITERS])
+def test_a_file_is_whole_or_refused(name: str, tmp_path: Path) -> None:
+    """At each of some sizes: all of it, or an `InputError` and what was there before."""
     write = WRITERS[name]
-    write(folder / name)
-    whole = contents(folder / name)
+    write(tmp_path / name)
+    whole = contents(tmp_path / name)
     largest = max(map(len, whole.values()))
     refused = 0
-    for size in sorted({*np.linspace(0, largest - 1, count, dtype=int).tolist(), largest}):
-        before = contents(folder / name)
+    for size in sorted({*np.linspace(0, largest - 1, 3, dtype=int).tolist(), largest}):
+        before = contents(tmp_path / name)
         try:
             with no_file_beyond(size):
-                write(folder / name)
+                write(tmp_path / name)
         except InputError as error:
             refused += 1
             assert "cannot write" in str(error) and "\n" not in str(error) and ".part" not in str(error)
             assert name in str(error)
-            assert contents(folder / name) == before
+            assert contents(tmp_path / name) == before
         else:
             assert size == largest or name == "a.mp4", f"{size} of {largest} bytes were enough"
-        assert [entry.name for entry in folder.iterdir()] == [name]
-    assert refused >= count - (name == "a.mp4")
-
-
-@pytest.mark.parametrize("name", [name for name in WRITERS if name != "plot.png"])  # Matplotlib takes long to load
-def test_a_file_is_whole_or_refused(name: str, tmp_path: Path) -> None:
-    check_writer(name, tmp_path, 3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", WRITERS)
-def test_a_file_is_whole_or_refused_at_any_size(name: str, tmp_path: Path) -> None:
-    check_writer(name, tmp_path, 20)
+        assert [entry.name for entry in tmp_path.iterdir()] == [name]
+    assert refused >= 3 - (name == "a.mp4")
 
 
 @pytest.mark.slow
