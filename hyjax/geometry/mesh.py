@@ -27,8 +27,8 @@ WRITABLE = (".ply", ".glb")
 FLATNESS_TOLERANCE = 1e-10
 LARGEST_BUFFER = 1 << 30
 """Bytes of a file that a mesh names."""
-CONTINUED_LINE = re.compile(r"\\\r*\n")
-MATERIAL = re.compile(r"usemtl [^\n]*")
+CONTINUED_LINE = re.compile(rb"\\\r*\n")
+MATERIAL = re.compile(rb"usemtl [^\n]*")
 """Choice of a material in an OBJ."""
 _log = logging.getLogger(__name__)
 
@@ -154,8 +154,7 @@ class _FilesBeside(FilePathResolver):
 
 def _in_one_part(content: bytes) -> io.BytesIO:
     """An OBJ without its materials: trimesh goes through all vertices for each of them."""
-    text = CONTINUED_LINE.sub("", content.decode(errors="replace"))
-    return io.BytesIO(MATERIAL.sub("#", text).encode())
+    return io.BytesIO(MATERIAL.sub(b"#", CONTINUED_LINE.sub(b"", content)))
 
 
 def _nothing_beside(path: Path, name: str) -> bytes:

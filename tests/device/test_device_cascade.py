@@ -1,5 +1,6 @@
 """Shaders of a cascade against the functions of `hyjax.core`, kernel by kernel."""
 
+import itertools
 from typing import Any
 
 import jax.numpy as jnp
@@ -53,9 +54,12 @@ def picture(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in PRESETS if name != "naive-1000"])
-def test_presets(device: Any, name: str) -> None:
-    shape, (source, guide), schedule = (45, 67), pictures((45, 67), 6, 3), Schedule.preset(name)
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    zip([name for name in PRESETS if name != "naive-1000"], itertools.cycle([(45, 67), (64, 48)])),
+)
+def test_presets(device: Any, name: str, shape: tuple[int, int]) -> None:
+    (source, guide), schedule = pictures(shape, 6, 3), Schedule.preset(name)
     result = picture(*run(device, schedule, source, guide), shape, 6)
     assert np.abs(result - np.asarray(cascade(jnp.asarray(source), jnp.asarray(guide), schedule))).max() < EXACT
 

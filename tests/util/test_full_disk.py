@@ -104,6 +104,8 @@ def contents(path: Path) -> dict[str, bytes]:
 
 
 SLOW = {"plot.png": pytest.mark.slow}  # Matplotlib takes long to load
+SIZES = 8
+"""Number of sizes that are too small for a file."""
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=SLOW.get(name, ())) for name in WRITERS])
@@ -114,7 +116,7 @@ def test_a_file_is_whole_or_refused(name: str, tmp_path: Path) -> None:
     whole = contents(tmp_path / name)
     largest = max(map(len, whole.values()))
     refused = 0
-    for size in sorted({*np.linspace(0, largest - 1, 3, dtype=int).tolist(), largest}):
+    for size in sorted({*np.linspace(0, largest - 1, SIZES, dtype=int).tolist(), largest}):
         before = contents(tmp_path / name)
         try:
             with no_file_beyond(size):
@@ -127,7 +129,7 @@ def test_a_file_is_whole_or_refused(name: str, tmp_path: Path) -> None:
         else:
             assert size == largest or name == "a.mp4", f"{size} of {largest} bytes were enough"
         assert [entry.name for entry in tmp_path.iterdir()] == [name]
-    assert refused >= 3 - (name == "a.mp4")
+    assert refused >= SIZES - (name == "a.mp4")
 
 
 @pytest.mark.slow
