@@ -174,13 +174,15 @@ def test_same_seed_same_table_same_schedules(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("after", [1, 6])
 def test_broken_off_and_resumed(
+    after: int,
     tuned: tuple[Tuned, Path],
     surroundings: dict[str, Any],
     tmp_path: Path,
     capsys: pytest.CaptureFixture,
 ) -> None:
-    out, left, call = tmp_path / "out", [6], CascadeEvaluator.__call__
+    out, left, call = tmp_path / "out", [after], CascadeEvaluator.__call__
 
     def breaking(self: CascadeEvaluator, trial: Trial) -> Trial:
         left[0] -= 1
