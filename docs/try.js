@@ -7,7 +7,8 @@ const gpu = location.protocol !== "file:" && navigator.gpu; // a page from the d
 if (exported && gpu) {
   gpu.requestAdapter().then((adapter) => {
     if (!adapter) return;
-    document.getElementById("stills").remove();
+    document.getElementById("stills").textContent =
+      "The built-in room, relit by your own GPU. Drag the wipe or a lamp, set the sun's hour, fly off into the scan, and change the preset.";
     wipe.replaceWith(exported.content);
   });
 }
