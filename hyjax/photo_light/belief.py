@@ -16,8 +16,9 @@ FOLD_ITERATIONS = 60
 EXPONENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Candidate exponents of E_old."""
 LEAST_GAIN = 0.04
-"""Least relative gain in flatness of planes on held-out pairs, less its standard error; below it nothing is divided
-out."""
+"""Least relative gain in flatness of planes on held-out pairs; below it nothing is divided out."""
+LEAST_ERRORS = 2.0
+"""Least ratio of this gain to its standard error."""
 ERROR_SIDE = 0.3
 """Side, in metres, of the blocks of space whose pairs tell the standard error."""
 LEAST_PAIRS = 100
@@ -143,6 +144,6 @@ def flatness(
 
 
 def best(found: Float[np.ndarray, "e"], error: Float[np.ndarray, "e"]) -> float:
-    """Exponent that flattens most; 0 where it does not surely gain enough."""
+    """Exponent that flattens most; 0 where it gains too little, or as much as few pairs may by chance."""
     number = int(np.argmin(found))
-    return EXPONENTS[number] if found[number] + error[number] < 1 - LEAST_GAIN else 0.0
+    return EXPONENTS[number] if 1 - found[number] > max(LEAST_GAIN, LEAST_ERRORS * error[number]) else 0.0

@@ -75,7 +75,11 @@ class Estimate:
         if all(f == 1 for f in self.flatness):
             return "frames and scan tell too little of it"
         change = 100 * (1 - min(self.flatness))
-        return f"divided by it, planes come out {change:.0f} % flatter, not surely by {100 * LEAST_GAIN:.0f} %"
+        least = 100 * LEAST_GAIN
+        doubt = (
+            f"less than {least:.0f} %" if change < least else "which may be chance with so few places to compare"
+        )
+        return f"divided by it, planes come out {change:.0f} % flatter, {doubt}"
 
 
 def estimate_arrays(
