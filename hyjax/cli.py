@@ -185,7 +185,6 @@ def run_relight(settings: RelightSettings) -> None:
 
 def run_tune(settings: TuneSettings) -> None:
     """`hyjax tune`."""
-    optional_module("matplotlib", "tune", "tune")
     from hyjax.tuning.tune import tune, tune_schedule, write_request
 
     _keep_for_later()
@@ -210,7 +209,6 @@ def run_tune(settings: TuneSettings) -> None:
 
 def run_swept(settings: SweepSettings) -> None:
     """`hyjax sweep`."""
-    optional_module("matplotlib", "tune", "sweep")
     from hyjax.sweep.run import run_sweep
 
     try:
@@ -239,8 +237,7 @@ def run_train(command: Train) -> None:
         if command.coordinator is None:
             raise InputError("coordinator: give --coordinator ADDRESS:PORT of host 0, the same on every host")
         jax.distributed.initialize(command.coordinator, command.hosts, command.host)
-    for module in ("grain", "matplotlib"):
-        optional_module(module, "train", "train")
+    optional_module("grain", "train", "train")
     from hyjax.training.run import train
 
     _keep_for_later()
