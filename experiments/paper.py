@@ -49,7 +49,7 @@ from tqdm import tqdm
 from experiments import paper_benchmarks, paper_cascade, paper_shadow
 from experiments.blocks import Block
 from experiments.command import Start, experiment, run
-from experiments.paper_bench import Bench, KappaConfig, reported
+from experiments.paper_bench import SHEET, Bench, KappaConfig, reported
 from experiments.paper_view import View
 from experiments.records import Results, Row, of_kind
 from experiments.timing import check_repeats
@@ -96,15 +96,17 @@ def main(config: Config, start: Start) -> None:
         if weights is not None:
             for index in tqdm(missing(results, "frame", chosen), desc="judging", unit="frame"):
                 results.add(kind="frame", **bench.row(index, weights))
-            if not any(row.get("scores") for row in results.rows):
+            if not any(row.get("scores") for row in of_kind(results.rows, "frame")):
                 raise bench.unseen()
             rows = [row for i in spread(chosen, SHEET_ROWS) if (row := bench.sheet_row(i)) is not None]
-            write_contact_sheet(results.out / "contact_sheet.png", rows, paper_benchmarks.SHEET)
+            write_contact_sheet(results.out / "contact_sheet.png", rows, SHEET)
         if "cascade" in config.parts:
             ablate(bench, results, "cascade", few, paper_cascade.judge, paper_cascade.SHEET)
-            if not of_kind(results.rows, "time"):
+            timed = [(row["mode"], row["schedule"]) for row in of_kind(results.rows, "time")]
+            if len(timed) < paper_cascade.TIMES:  # an interruption may have come between two of them
                 for time in paper_cascade.times(bench, bench.view(few[0]), config.repeats):
-                    results.add(kind="time", **time)
+                    if (time["mode"], time["schedule"]) not in timed:
+                        results.add(kind="time", **time)
         if "shadow" in config.parts:
             judge = functools.partial(paper_shadow.judge, paper_shadow.shadow_maps(bench))
             ablate(bench, results, "shadow", few, judge, paper_shadow.SHEET)

@@ -10,12 +10,10 @@ from matplotlib.patches import Patch
 
 from experiments.blocks import Block, Picture, Plot, Table
 from experiments.judging import REGIONS, Middle, better_text, middle, pick, summarise, text_of
-from experiments.paper_bench import BENCHMARKS, METHODS, OWN_GROUP, SHEET, PointPlace
+from experiments.paper_bench import BENCHMARKS, METHODS, OWN_GROUP, PointPlace
 from experiments.plotting import new_figure
 from experiments.records import Row, size_of
 from hyjax.metrics import METRICS
-
-__all__ = ["SHEET", "blocks"]
 
 PAPER = {
     "mesh error correction": {"lpips": (0.1322, 0.1078), "psnr": (12.7437, 12.8100)},

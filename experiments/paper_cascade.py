@@ -35,6 +35,8 @@ LIGHTS = "two-colors"
 SCHEDULES = ("paper-50", "naive-50", "naive-1000")
 CONVERGED = 20_000
 SWEEP = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, CONVERGED)
+TIMES = len(METHODS) * len(SCHEDULES)
+"""Number of rows of times."""
 SHEET = ("frame", "raw filter", *SCHEDULES, f"{CONVERGED} steps", "accurate surface")
 
 

@@ -36,7 +36,9 @@ def command(row: Row) -> str:
     name = row["experiment"]
     try:
         config, parts = importlib.import_module(f"experiments.{name}").Config, [f"python -m experiments.{name}"]
-    except ModuleNotFoundError:
+    except ModuleNotFoundError as error:
+        if error.name != f"experiments.{name}":
+            raise
         config, parts = vars(sys.modules["__main__"]).get("Config"), [f"python {name}.py"]
     for field in dataclasses.fields(config) if config else ():
         value, usual = row["settings"].get(field.name), default_of(field)

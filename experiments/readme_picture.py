@@ -23,11 +23,10 @@ from PIL import Image
 import hyjax
 from experiments.blocks import Block, Picture, Table
 from experiments.command import RunConfig, Start, experiment, run
-from experiments.real_bench import RealPlace
+from experiments.real_bench import RealPlace, named_pairs
 from experiments.real_methods import default_picture
 from experiments.real_scores import scores
 from experiments.records import Row, of_kind
-from hyjax.data.relit_pairs import open_relit_pairs
 from hyjax.data.truth_room import load_truth_room
 from hyjax.metrics import psnr
 from hyjax.util.images import resize
@@ -64,8 +63,8 @@ class Config(RunConfig):
 def main(config: Config, start: Start) -> None:
     results, rows = start(), list[Pictures]()
     if config.folder.is_dir():
-        pairs = {pair.name: pair for pair in open_relit_pairs(config.folder)}
-        place = RealPlace(pairs[config.pair], config.flipped, "true")
+        (pair,) = named_pairs(config.folder, (config.pair,))
+        place = RealPlace(pair, config.flipped, "true")
         picture = default_picture(place)
         decibels = scores(place, {"relit": picture}, None)["relit"]["psnr"]
         results.add(kind="picture", room=config.pair, setup="fitted", frame=0, psnr_db=decibels)

@@ -30,12 +30,11 @@ from tqdm import tqdm
 from experiments.blocks import Block, Picture, Table
 from experiments.command import RunConfig, Start, experiment, run
 from experiments.judging import weights_or_none
-from experiments.real_bench import Geometry, RealPlace
+from experiments.real_bench import Geometry, RealPlace, named_pairs
 from experiments.real_methods import KEPT, METHODS, NEW, PHOTO, SMOOTH, pictures
 from experiments.real_room import room_pair
 from experiments.real_scores import scores
 from experiments.records import Row, of_kind
-from hyjax.data.relit_pairs import RelitPair, open_relit_pairs
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
 
@@ -69,7 +68,8 @@ class Config(RunConfig):
 def main(config: Config, start: Start) -> None:
     if unknown := [name for name in config.geometries if name not in get_args(Geometry)]:
         raise InputError(f"geometries: {unknown[0]!r} is neither true nor rough")
-    chosen = [*_pairs(config), *(room_pair(name, config.room_size, config.quality) for name in config.rooms)]
+    pairs = named_pairs(config.folder, config.pairs) if config.pairs else []
+    chosen = [*pairs, *(room_pair(name, config.room_size, config.quality) for name in config.rooms)]
     if not chosen or not config.geometries:
         raise InputError("real: give at least one pair or room, and a geometry")
     weights, results = weights_or_none(config.weights), start()
@@ -94,16 +94,6 @@ def main(config: Config, start: Start) -> None:
         shown = [made[name].display if name in made else place.target for name in SHEET]
         sheet = results.out / f"{pair.name}-{geometry}-{'ba' if flipped else 'ab'}.png"
         write_contact_sheet(sheet, [(direction.replace("→", "to"), shown)], SHEET)
-
-
-def _pairs(config: Config) -> list[RelitPair]:
-    """Pairs that are asked for."""
-    if not config.pairs:
-        return []
-    known = {pair.name: pair for pair in open_relit_pairs(config.folder)}
-    if unknown := [name for name in config.pairs if name not in known]:
-        raise InputError(f"pairs: {config.folder} has no {unknown[0]!r}; it has {', '.join(known)}")
-    return [known[name] for name in config.pairs]
 
 
 def blocks(rows: list[Row], folder: Path) -> list[Block]:

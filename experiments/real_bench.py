@@ -1,6 +1,8 @@
 """A real place under two lights: its surface, the family of new lights on it, and the photo relit by each."""
 
 import functools
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -15,7 +17,7 @@ from hyjax.core.cascade import cascade
 from hyjax.core.refine import cascade_known, shadow_pass
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.relit_pairs import RelitPair
+from hyjax.data.relit_pairs import RelitPair, open_relit_pairs
 from hyjax.geometry.transport_rays import CELLS
 from hyjax.guide.edge_weights import configured_edges
 from hyjax.light.gbuffer import GBuffer
@@ -45,6 +47,18 @@ UP = np.array([0.0, -1.0, 0.0])
 INNER_COSINE = 0.5
 """Cosine with the vertical from which all of a lamp's light leaves its shade; half of it at half of that."""
 BOUNCE_CHANNELS = 48
+
+
+def named_pairs(folder: Path, names: Sequence[str]) -> list[RelitPair]:
+    """Pairs of a folder, by name.
+
+    Raises:
+        InputError: one is not there.
+    """
+    known = {pair.name: pair for pair in open_relit_pairs(folder)}
+    if unknown := [name for name in names if name not in known]:
+        raise InputError(f"pairs: {folder} has no {unknown[0]!r}; it has {', '.join(known)}")
+    return [known[name] for name in names]
 
 
 class OnePhoto(Capture):

@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 import hyjax
-from experiments.real_bench import RealPlace
+from experiments.real_bench import RealPlace, named_pairs
 from experiments.records import ROOT
-from hyjax.data.relit_pairs import open_relit_pairs
 from hyjax.util.errors import InputError
 from hyjax.util.images import resize
 
@@ -33,10 +32,10 @@ def real_captures() -> UInt8[np.ndarray, "h w 3"]:
     """
     if not DATA.is_dir():
         raise InputError(f"{DATA}: no such folder; set HYJAX_DATA to that of the captures")
-    pairs = {pair.name: pair for pair in open_relit_pairs(DATA / "middlebury_relit")}
+    pairs = named_pairs(DATA / "middlebury_relit", PAIRS)
     settings = {name: hyjax.SceneSettings(capture=DATA / name, size=f"{SIZE[1]}x{SIZE[0]}") for name in SCANS}
     scenes = [(hyjax.Scene.open(one), SCANS[name]) for name, one in settings.items()]
-    scenes += [(RealPlace(pairs[name], False, "true").scene, 0) for name in PAIRS]
+    scenes += [(RealPlace(pair, False, "true").scene, 0) for pair in pairs]
     columns = []
     for scene, frame in scenes:
         relit = hyjax.to_display(scene.relit(frame, "evening-lamps").image)

@@ -172,20 +172,20 @@ def run_relight(settings: RelightSettings) -> None:
     if settings.each_light:
         from hyjax.relighting.each_light import relight_each
 
-        folders = relight_each(settings)
-        print(f"{len(folders)} lights, each by itself; look at {folders[0] / 'contact_sheet.png'}")
-        return
-    run = relight_capture(settings)
+        runs = relight_each(settings)
+        out, run = next(iter(runs.items()))
+        done = f"{len(runs)} light{'s' * (len(runs) != 1)}, each by itself"
+    else:
+        out, run = settings.out, relight_capture(settings)
+        done = f"{len(run['frames'])} frame{'s' * (len(run['frames']) != 1)} relit"
     if run["frames_without_surface"]:
         names = ", ".join(run["frames_without_surface"])
         print(f"hyjax: skipped, no ray met the mesh: {names}", file=sys.stderr)
-    count = len(run["frames"])
-    print(f"{count} frame{'s' * (count != 1)} relit; look at {settings.out / 'contact_sheet.png'}")
+    print(f"{done}; look at {out / 'contact_sheet.png'}")
 
 
 def run_tune(settings: TuneSettings) -> None:
     """`hyjax tune`."""
-    optional_module("matplotlib", "tune", "tune")
     from hyjax.tuning.tune import tune, tune_schedule, write_request
 
     _keep_for_later()
@@ -210,7 +210,6 @@ def run_tune(settings: TuneSettings) -> None:
 
 def run_swept(settings: SweepSettings) -> None:
     """`hyjax sweep`."""
-    optional_module("matplotlib", "tune", "sweep")
     from hyjax.sweep.run import run_sweep
 
     try:
@@ -239,8 +238,7 @@ def run_train(command: Train) -> None:
         if command.coordinator is None:
             raise InputError("coordinator: give --coordinator ADDRESS:PORT of host 0, the same on every host")
         jax.distributed.initialize(command.coordinator, command.hosts, command.host)
-    for module in ("grain", "matplotlib"):
-        optional_module(module, "train", "train")
+    optional_module("grain", "train", "train")
     from hyjax.training.run import train
 
     _keep_for_later()

@@ -76,6 +76,21 @@ def test_info() -> None:
         assert re.search(rf"^{name} +\S", done.stdout, re.MULTILINE), name
 
 
+@pytest.mark.parametrize("frames", [["b", "c"], []])
+def test_each_light_tells_of_frames_without_surface(
+    frames: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = {"frames": ["a"], "frames_without_surface": frames}
+    runs = {Path("out", name): run for name in ("0-point", "1-spot")}
+    monkeypatch.setattr("hyjax.cli._keep_for_later", lambda: None)
+    monkeypatch.setattr("hyjax.relighting.each_light.relight_each", lambda _: runs)
+    monkeypatch.setattr(sys, "argv", ["hyjax", "relight", "--each-light"])
+    main()
+    told = capsys.readouterr()
+    assert told.out == f"2 lights, each by itself; look at {Path('out', '0-point', 'contact_sheet.png')}\n"
+    assert told.err == ("hyjax: skipped, no ray met the mesh: b, c\n" if frames else "")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments, hint",

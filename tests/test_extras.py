@@ -1,6 +1,8 @@
 """Tests say which extra they need before they import it."""
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -72,3 +74,36 @@ def test_advice_on_what_was_skipped() -> None:
         "5 of 100 tests were skipped; for more of them: pip install '.[nyu,tour]' -c constraints.txt"
     )
     assert not advice(reasons, 1000)
+
+
+WITHOUT_MATPLOTLIB = """
+import sys
+from pathlib import Path
+sys.modules["matplotlib"] = None
+from hyjax import InputError
+from hyjax.sweep.run import run_sweep
+from hyjax.sweep.settings import SweepSettings
+from hyjax.training.run import train
+from hyjax.training.settings import TrainSettings
+from hyjax.tuning.settings import TuneSettings
+from hyjax.tuning.tune import tune
+out = Path("out")
+for call in (
+    lambda: tune(settings=TuneSettings(fps=(30.0,), out=out)),
+    lambda: run_sweep(SweepSettings(Path("spec.yaml"), out=out)),
+    lambda: train(TrainSettings(pairs=("random",)), out),
+):
+    try:
+        call()
+    except InputError as error:
+        print(error, out.exists())
+"""
+
+
+@pytest.mark.slow
+def test_without_matplotlib_what_draws_says_so_before_it_begins(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", WITHOUT_MATPLOTLIB]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    said = "{}: needs the package matplotlib; install it with: pip install '.[{}]' False\n"
+    expected = "".join(said.format(*names) for names in (("tune", "tune"), ("sweep", "tune"), ("train", "train")))
+    assert (done.stdout, done.returncode) == (expected, 0), done.stderr

@@ -2,29 +2,32 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
-from hyjax.light.kinds import kind_name
-from hyjax.relighting.run import relight_capture
+from hyjax.light.kinds import LIGHT_KINDS, kind_name
+from hyjax.relighting.run import relight_run
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.scene import Scene
 from hyjax.util.errors import InputError
 
 
-def relight_each(settings: RelightSettings) -> list[Path]:
+def relight_each(settings: RelightSettings) -> dict[Path, dict[str, Any]]:
     """Relight by each light alone, with linear values, into a folder of its own.
 
-    Ambient lights are left out where bounces stand in their place, which each picture has.
+    Ambient lights are left out where bounces stand in their place, which each picture has. Alone, no light is
+    too weak to cast shadows: a sum is the picture that `least_share=0` has.
 
     Args:
         settings: what to relight and how, all lights together.
 
     Returns:
-        The folders.
+        The folders, with the content of their `run.json`.
 
     Raises:
-        InputError: what `relight_capture` refuses, no lights but ambient ones, or light of the photos that is kept.
+        InputError: what `relight_capture` refuses, no lights but ambient ones, light of the photos that is kept, or
+            a light's folder of an earlier run that this one would leave beside its own.
     """
-    settings.check()
+    settings = dataclasses.replace(settings, each_light=True, exr=True).check()
     scene = Scene.open(settings.scene, progress=not settings.quiet)
     setup = scene.lights(settings.lights, at_photo_sources=settings.divides_photo_light)
     if setup.existing:
@@ -35,7 +38,11 @@ def relight_each(settings: RelightSettings) -> list[Path]:
     if not lights:
         raise InputError("each_light: there are no lights but ambient ones")
     folders = [settings.out / f"{number}-{kind_name(light)}" for number, light in enumerate(lights)]
+    found = sorted(path for kind in LIGHT_KINDS for path in settings.out.glob(f"*-{kind}") if path not in folders)
+    if left := [path for path in found if path.name.partition("-")[0].isdecimal()]:
+        raise InputError(f"out: {left[0]} is of an earlier run's light; remove it, or choose another --out")
+    runs = dict[Path, dict[str, Any]]()
     for folder, light in zip(folders, lights, strict=True):
         alone = dataclasses.replace(setup, lights=(light,))
-        relight_capture(dataclasses.replace(settings, exr=True, out=folder), scene=scene, lights=alone)
-    return folders
+        runs[folder] = relight_run(dataclasses.replace(settings, out=folder), scene, alone)
+    return runs

@@ -81,8 +81,21 @@ def relight_capture(
 
     Raises:
         InputError: any of these cannot be used, the folder cannot be written, no frame sees the mesh, or there is
-            no Blender to render with.
+            no Blender to render with; or `each_light`, which is for `relight_each`.
     """
+    if settings.each_light:
+        raise InputError("each_light: relight_capture makes one picture of all lights; call relight_each")
+    return relight_run(settings, scene, lights, schedule, guide)
+
+
+def relight_run(
+    settings: RelightSettings,
+    scene: Scene | None = None,
+    lights: LightSetup | Sequence[Light] | str | Path | None = None,
+    schedule: Schedule | None = None,
+    guide: FrameGuide | None = None,
+) -> dict[str, Any]:
+    """The run of `relight_capture`, or with `each_light` that of one of the lights that the settings name."""
     # All that can be checked is checked before the first slow step.
     settings.check()
     record = settings.record() | ({} if schedule is None else {"schedule": schedule.name, "kappa": None})
@@ -124,8 +137,8 @@ def relight_capture(
             scene = Scene.open(settings.scene, capture=capture, clock=clock, progress=progress)
         else:
             chosen = select_frames(settings.frames, len(scene))
-            record |= dict.fromkeys(SURFACE_OPTIONS)
-            record["capture"] = scene.capture.name
+            if not settings.each_light:
+                record |= dict.fromkeys(SURFACE_OPTIONS) | {"capture": scene.capture.name}
         divides = settings.divides_photo_light
         asked = settings.lights if lights is None else lights
         # The estimate of the photo's light runs on another thread. It may yet say how strong the lights are.
@@ -140,7 +153,7 @@ def relight_capture(
         for light in setup.lights:
             kind_name(light)  # it can be written in the end
         record |= {"mesh": scene.source, "guide": guide.name}
-        if lights is not None:
+        if lights is not None and not settings.each_light:
             record["lights"] = str(lights) if isinstance(lights, str | Path) else "lights.json"
         for stale in ("run.json", "lights.json", "contact_sheet.png"):
             remove(out / stale)  # of an earlier run, whose pictures are about to be replaced

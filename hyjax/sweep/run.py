@@ -20,6 +20,7 @@ from hyjax.sweep.spec import Spec, configurations_of, frames_of, read_spec
 from hyjax.sweep.summary import Line, draw, lines_of, write_csv
 from hyjax.sweep.task import Task
 from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 from hyjax.util.files import atomic_write
 from hyjax.util.reading import read_bytes
 
@@ -64,6 +65,7 @@ def run_sweep(
             workers, or a full disk; the rows so far are kept.
     """
     settings.check()
+    optional_module("matplotlib", "tune", "sweep")
     spec, out, part = read_spec(settings.spec), settings.out, settings.part
     if part is not None:
         out = out / f"{PART_PREFIX}{part[0]}-of-{part[1]}"

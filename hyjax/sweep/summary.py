@@ -4,13 +4,15 @@ import csv
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from hyjax.sweep.rows import ERROR, Row
 from hyjax.util.files import atomic_write
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 STAMP_KEYS = {"key", "kind", "commit", "device", "seed", "seconds", "worker", "name"}
 PAYLOAD_KEYS = {"files", "scene", "lights", "configuration", "frames", "size", "seed"}
@@ -74,8 +76,10 @@ def write_csv(path: Path, lines: Sequence[Line]) -> None:
             writer.writerow([line.name, line.count, line.errors, *cells])
 
 
-def draw(lines: Sequence[Line]) -> Figure:
+def draw(lines: Sequence[Line]) -> "Figure":
     """Draw the loss of each configuration with its spread over scenes; where it was timed, against its time."""
+    from matplotlib.figure import Figure
+
     known = sorted((line for line in lines if line.losses), key=lambda line: line.means["loss"])
     timed = [line for line in known if "median_ms" in line.means and line.means.get("default_ms")]
     figure = Figure(figsize=(12 if timed else 8, 5), layout="constrained")

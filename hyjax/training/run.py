@@ -39,6 +39,7 @@ from hyjax.util.arguments import checked_arguments
 from hyjax.util.claims import claimed
 from hyjax.util.environment import environment
 from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 from hyjax.util.files import make_writable
 
 _log = logging.getLogger(__name__)
@@ -76,6 +77,7 @@ def train(
             suffice, or the loss is no longer finite (the last good state stays in the checkpoints).
     """
     settings = settings.check()
+    optional_module("matplotlib", "train", "train")
     make_writable(out)
     alone = out if jax.process_index() == 0 else None  # hosts share the folder
     with claimed(alone), contextlib.closing(Checkpoints(out / "checkpoints")) as checkpoints:

@@ -8,7 +8,6 @@ from pathlib import Path
 from hyjax.configuration import Configuration
 from hyjax.metrics import plain_metrics
 from hyjax.tuning.report_page import Example, contact_sheet_rows, page
-from hyjax.tuning.report_plots import draw_front_plot
 from hyjax.tuning.report_text import (
     best_for,
     candidates,
@@ -60,6 +59,8 @@ def write_results(out: Path, tuned: Tuned) -> None:
     well. `front` has a configuration for each point of the front, `pareto.csv` a row for each candidate and trial.
     Of the diffusion alone they are schedules: `schedule.json`.
     """
+    from hyjax.tuning.report_plots import draw_front_plot  # Matplotlib is an extra's
+
     write_configurations(out, tuned)
     write_front(out / "front", tuned)
     write_pareto_csv(out / "pareto.csv", tuned)

@@ -16,8 +16,6 @@ from jaxtyping import Float
 from hyjax.configuration import Configuration
 from hyjax.metrics import plain_metrics
 from hyjax.tuning import report_text as text
-from hyjax.tuning.report_plots import draw_effects, draw_front_plot
-from hyjax.tuning.report_points import svg
 from hyjax.tuning.result import Tuned
 from hyjax.util.errors import InputError
 from hyjax.util.images import resize, write_png
@@ -135,6 +133,9 @@ def score_forms(tuned: Tuned) -> dict[str, tuple[str, str]]:
 
 def page(tuned: Tuned, examples: Sequence[Example]) -> str:
     """The whole page as one HTML text, which needs nothing else."""
+    from hyjax.tuning.report_plots import draw_effects, draw_front_plot  # Matplotlib is an extra's
+    from hyjax.tuning.report_points import svg
+
     here = Path(__file__).parent
     environment = templates(here)
     environment.globals |= {function.__name__: function for function in FUNCTIONS}

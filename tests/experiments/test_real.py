@@ -2,11 +2,12 @@
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from experiments import dark_frames, real, real_bench, real_fit
+from experiments import dark_frames, readme_picture, real, real_bench, real_captures, real_fit
 from experiments.real_bench import UP, through_shades
 from experiments.real_fit import Target, checkerboard, chosen_lights, fit_strengths, smooth_picture
 from experiments.real_methods import BEST, BLUR_4, FEW_UNKNOWNS, GAINS, METHODS, NEW, PHOTO, SMOOTH, SMOOTH_BEST
@@ -112,3 +113,15 @@ def test_bad_options_are_one_line(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=message):
             real.main(real.Config(out=tmp_path / "out", **options))  # type: ignore[arg-type]
+
+
+def test_a_pair_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(real_bench, "open_relit_pairs", lambda _: [SimpleNamespace(name="Art")])
+    monkeypatch.setattr(real_captures, "DATA", tmp_path)
+    for call in (
+        lambda: real.main(real.Config(out=tmp_path / "a", folder=tmp_path, pairs=("Piano",))),
+        lambda: readme_picture.main(readme_picture.Config(out=tmp_path / "b", folder=tmp_path)),
+        real_captures.real_captures,
+    ):
+        with pytest.raises(InputError, match="has no 'Piano'; it has Art"):
+            call()

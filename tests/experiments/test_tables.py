@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import experiments
 from experiments import tables
 from experiments.blocks import Table
 from experiments.command import RunConfig
@@ -132,6 +133,16 @@ def test_the_command_has_the_options_that_are_not_usual() -> None:
     settings = {"repeats": 20, "sampling": 2, "capture": "$HYJAX_DATA/a b", "lights": "noon-window"}
     row = {"experiment": "stage_times", "settings": settings}
     assert command(row) == 'python -m experiments.stage_times --capture "$HYJAX_DATA/a b" --repeats 20'
+
+
+def test_the_command_of_an_own_experiment_is_its_file_but_a_missing_package_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert command({"experiment": "my_own", "settings": {}}) == "python my_own.py"
+    (tmp_path / "needing.py").write_text("import no_such_package")
+    monkeypatch.setattr(experiments, "__path__", [*experiments.__path__, str(tmp_path)])
+    with pytest.raises(ModuleNotFoundError, match="no_such_package"):
+        command({"experiment": "needing", "settings": {}})
 
 
 def test_every_kept_file_is_published() -> None:

@@ -110,23 +110,40 @@ def test_pictures_of_single_lamps_add_up(choices: dict[str, Any], capture: Path)
 
 
 @pytest.mark.slow
-def test_each_light_by_itself_leaves_pictures_that_add_up(capture: Path, tmp_path: Path) -> None:
+def test_each_light_by_itself_leaves_pictures_that_add_up(
+    capture: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     lamps: list[dict[str, Any]] = [
-        {"kind": "point", "position": [2.0, 2.5, 2.0], "luminous_flux": 600},
+        {"kind": "point", "position": [2.0, 2.5, 2.0], "luminous_flux": 15000},
         {"kind": "spot", "position": [3.0, 1.0, 2.0], "target": [2.0, 2.0, 0.0], "luminous_flux": 400},
     ]
     (tmp_path / "lamps.json").write_text(json.dumps({"lights": lamps}))
     (tmp_path / "more.json").write_text(json.dumps({"lights": [*lamps, {"kind": "ambient", "illuminance": 20}]}))
     how = {"scene": hyjax.SceneSettings(capture=capture, size="128x96"), "frames": "0", "exr": True, "quiet": True}
+    how["configuration"] = "fast"  # where a light as weak as the spot has no shadow beside the other
     settings = RelightSettings(lights=str(tmp_path / "more.json"), each_light=True, out=tmp_path / "each", **how)
-    folders = relight_each(settings)
-    assert [folder.name for folder in folders] == ["0-point", "1-spot"]
+    with pytest.raises(hyjax.InputError, match="call relight_each"):
+        relight_capture(settings)
+    caplog.set_level("WARNING", "hyjax")
+    runs = relight_each(dataclasses.replace(settings, each_light=False))
+    assert runs[settings.out / "1-spot"]["frames_too_dark"] and "nearly black" not in caplog.text
+    assert [folder.name for folder in runs] == ["0-point", "1-spot"]
+    for folder, run in runs.items():
+        assert json.loads((folder / "run.json").read_text()) == run
+        told = {"capture": str(capture), "lights": settings.lights, "size": "128x96", "out": str(folder)}
+        assert run["settings"].items() >= told.items()
     together = RelightSettings(lights=str(tmp_path / "lamps.json"), out=tmp_path / "together", **how)
     relight_capture(together)
+    (without_shadow,) = (read_image(file) for file in together.out.glob("*.exr"))
+    relight_capture(dataclasses.replace(together, choices=("least_share=0",)))
     (whole,) = (read_image(file) for file in together.out.glob("*.exr"))
-    single = [read_image(file) for folder in folders for file in folder.glob("*.exr")]
+    assert np.abs(without_shadow - whole).max() > 1e-3
+    single = [read_image(file) for folder in runs for file in folder.glob("*.exr")]
     assert min(picture.max() for picture in single) > 0.01
     np.testing.assert_allclose(sum(single), whole, rtol=2e-3, atol=1e-4)
-    paper = dataclasses.replace(settings, paper_mode=True)
+    (tmp_path / "each" / "2-point").mkdir()  # as an earlier run with one lamp more left it
+    with pytest.raises(hyjax.InputError, match="2-point is of an earlier run's light"):
+        relight_each(settings)
+    paper = dataclasses.replace(settings, paper_mode=True, configuration=None)
     with pytest.raises(hyjax.InputError, match="each_light: pictures of paper mode do not add up"):
         relight_each(paper)
