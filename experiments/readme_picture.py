@@ -2,8 +2,8 @@
 
     python -m experiments.readme_picture [--out results/readme_picture]
 
-Photo, relit picture and truth side by side: a real place, relit by lights that are fitted to half of the true photo
-as in `experiments.real`; and a generated room, by two set-ups, that no setting was chosen with. Without the real
+Photo, relit picture and truth side by side: a generated room, by two set-ups, that no setting was chosen with; and a
+real place, relit by lights that are fitted to half of the true photo as in `experiments.real`. Without the real
 place's pictures its row is left out, with a line. It becomes `docs/examples/readme.jpg` by `--keep`. Takes some
 minutes the first time, when the room is rendered, and about one after that.
 
@@ -62,15 +62,6 @@ class Config(RunConfig):
 @experiment("README's picture")
 def main(config: Config, start: Start) -> None:
     results, rows = start(), list[Pictures]()
-    if config.folder.is_dir():
-        (pair,) = named_pairs(config.folder, (config.pair,))
-        place = RealPlace(pair, config.flipped, "true")
-        picture = default_picture(place)
-        decibels = scores(place, {"relit": picture}, None)["relit"]["psnr"]
-        results.add(kind="picture", room=config.pair, setup="fitted", frame=0, psnr_db=decibels)
-        rows.append((place.photo, picture.display, place.target))
-    else:
-        print(f"readme_picture: {config.folder} is not there: without the real place", file=sys.stderr)
     capture = load_truth_room(config.room, config.photos, *config.size, quality=config.quality)
     scene = hyjax.Scene.open(hyjax.SceneSettings(), capture=capture)
     for text in config.shown:
@@ -82,6 +73,15 @@ def main(config: Config, start: Start) -> None:
         decibels = float(psnr(jnp.asarray(relit), jnp.asarray(truth)))
         results.add(kind="picture", room=config.room, setup=name, frame=index, psnr_db=decibels)
         rows.append((photo, relit, truth))
+    if config.folder.is_dir():
+        (pair,) = named_pairs(config.folder, (config.pair,))
+        place = RealPlace(pair, config.flipped, "true")
+        picture = default_picture(place)
+        decibels = scores(place, {"relit": picture}, None)["relit"]["psnr"]
+        results.add(kind="picture", room=config.pair, setup="fitted", frame=0, psnr_db=decibels)
+        rows.append((place.photo, picture.display, place.target))
+    else:
+        print(f"readme_picture: {config.folder} is not there: without the real place", file=sys.stderr)
     whole = beside_each_other(rows, config.size[0])
     hyjax.write_png(results.out / "readme.png", whole)
     if config.keep:

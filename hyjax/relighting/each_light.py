@@ -1,6 +1,7 @@
 """Relighting by each light of a set-up alone: light adds, so any mix is a weighted sum of these pictures."""
 
 import dataclasses
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,8 @@ from hyjax.relighting.run import relight_run
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.scene import Scene
 from hyjax.util.errors import InputError
+
+_log = logging.getLogger(__name__)
 
 
 def relight_each(settings: RelightSettings) -> dict[Path, dict[str, Any]]:
@@ -37,6 +40,8 @@ def relight_each(settings: RelightSettings) -> dict[Path, dict[str, Any]]:
     lights = [light for light in setup.lights if not (bounced and light.UNIFORM)]
     if not lights:
         raise InputError("each_light: there are no lights but ambient ones")
+    if len(lights) < len(setup.lights):
+        _log.warning("each_light: ambient light is in no picture: it fills up bounces, which does not add")
     folders = [settings.out / f"{number}-{kind_name(light)}" for number, light in enumerate(lights)]
     found = sorted(path for kind in LIGHT_KINDS for path in settings.out.glob(f"*-{kind}") if path not in folders)
     if left := [path for path in found if path.name.partition("-")[0].isdecimal()]:
