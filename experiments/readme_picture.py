@@ -2,7 +2,7 @@
 
     python -m experiments.readme_picture [--out results/readme_picture]
 
-Photo, relit picture and truth side by side: a generated room, by two set-ups, that no setting was chosen with; and a
+Photo, relit picture and truth side by side: a generated room that no setting was chosen with, by two set-ups; and a
 real place, relit by lights that are fitted to half of the true photo as in `experiments.real`. Without the real
 place's pictures its row is left out, with a line. It becomes `docs/examples/readme.jpg` by `--keep`. Takes some
 minutes the first time, when the room is rendered, and about one after that.
