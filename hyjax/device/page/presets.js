@@ -11,11 +11,15 @@ export function connectPresets(viewer) {
   select.append(...Object.keys(presets).map((name) => new Option(name)));
   select.addEventListener("change", async () => {
     select.disabled = true;
+    document.body.dataset.state = "loading"; // "Preparing the picture …"
     Object.assign(page, presets[select.value]);
     const { device } = viewer;
     Object.assign(viewer, { stopped: true, device: null }); // its end is no loss that `Viewer.lost` mends
-    device.destroy();
-    await viewer.start().catch((error) => viewer.fail(error));
+    device?.destroy();
+    await viewer.start().then(
+      () => { document.body.dataset.state = "ready"; },
+      (error) => viewer.fail(error),
+    );
     select.disabled = false;
   });
 }
